@@ -1,0 +1,106 @@
+"""Every error that this package raises on purpose.
+
+AdvdiffError
+├── InputError            something the user gave cannot be used; the CLI exits with code 2
+│   ├── FileError         a file is missing, truncated, of another format, or cannot be written
+│   ├── NetError          a SUMO net or its side-car cannot be used
+│   ├── MapError          an HD map cannot be converted
+│   ├── LogError          a driving log cannot be read
+│   ├── SceneError        no usable seed scene could be made
+│   ├── ConfigError       an option has no such name or value
+│   └── UnknownNameError  no planner, policy, … of that name
+├── MissingExtraError     an optional dependency is not installed
+└── EpisodeFailure        one episode could not be finished; the run goes on
+    ├── PlanRefusedError  a plan holds NaN, a jump or another physical impossibility
+    ├── PlannerError      the planner or policy raised
+    └── SimulationError   SUMO refused or stopped
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class AdvdiffError(Exception):
+    """Base of all errors of this package; its message is one sentence for the user."""
+
+
+class InputError(AdvdiffError):
+    """Something the user gave cannot be used."""
+
+
+class FileError(InputError):
+    """A file is missing, truncated, of another format, or cannot be written."""
+
+    def __init__(self, path: str | Path, problem: str, remedy: str = "") -> None:
+        self.path = Path(path)
+        super().__init__(f"{self.path}: {problem}" + (f"; {remedy}" if remedy else ""))
+
+
+class NetError(FileError):
+    """A SUMO net or its side-car cannot be used."""
+
+
+class MapError(FileError):
+    """An HD map cannot be converted."""
+
+
+class LogError(FileError):
+    """A driving log cannot be read."""
+
+
+class SceneError(InputError):
+    """No usable seed scene could be made."""
+
+
+class ConfigError(InputError):
+    """An option has no such name or value."""
+
+
+class UnknownNameError(InputError):
+    """No planner, policy, … of that name; the message suggests the nearest ones."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
+        self.kind, self.name, self.known = kind, name, sorted(known)
+        super().__init__(f"unknown {kind} '{name}'; {did_you_mean(name, self.known)}")
+
+
+class MissingExtraError(AdvdiffError):
+    """An optional dependency is not installed."""
+
+    def __init__(self, feature: str, extra: str) -> None:
+        super().__init__(f"{feature} needs an optional package: pip install 'advdiff-sumo[{extra}]'")
+
+
+class EpisodeFailure(AdvdiffError):  # noqa: N818 - the record of a failure, shown as such in the results
+    """One episode could not be finished; the run records why and goes on."""
+
+    kind = "failure"
+
+
+class PlanRefusedError(EpisodeFailure):
+    """A plan holds NaN, a jump or another physical impossibility."""
+
+    kind = "plan_refused"
+
+
+class PlannerError(EpisodeFailure):
+    """The planner or policy raised an exception."""
+
+    kind = "planner_error"
+
+
+class SimulationError(EpisodeFailure):
+    """SUMO refused a command or stopped."""
+
+    kind = "simulation_error"
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return "did you mean 'x'?" for the nearest of *known*, else a list of all of them."""
+    names = sorted(known)
+    folded = {n.lower().replace("-", "_"): n for n in names}
+    near = difflib.get_close_matches(name.lower().replace("-", "_"), folded, n=1, cutoff=0.6)
+    return f"did you mean '{folded[near[0]]}'?" if near else f"known are: {', '.join(names)}"

@@ -1,0 +1,81 @@
+"""Names of planners, policies and other plug-ins resolve here.
+
+A name is a built-in ("lane_graph"), an entry point of a group such as ``advdiff_sumo.planners``, or
+``package.module:Class``. Case, hyphen and underscore do not matter for the first two.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from advdiff_sumo.core.errors import ConfigError, UnknownNameError
+
+
+def fold(name: str) -> str:
+    """Return *name* as it is compared: lower case, underscores for hyphens."""
+    return name.strip().lower().replace("-", "_")
+
+
+@dataclass(frozen=True)
+class Registry:
+    """Built-ins and plug-ins of one kind.
+
+    Attributes:
+        kind: word for messages, such as "target".
+        group: entry-point group that third parties register under.
+        builtins: name → "package.module:attribute", imported only when asked for.
+    """
+
+    kind: str
+    group: str
+    builtins: Mapping[str, str] = field(default_factory=dict)
+
+    def names(self) -> list[str]:
+        """Return every name that resolves, built-ins first."""
+        return [*self.builtins, *(e.name for e in self._plugins())]
+
+    def canonical(self, name: str) -> str:
+        """Return *name* as it is spelt in the registry (or unchanged for ``package.module:Class``).
+
+        Raises:
+            UnknownNameError: with the nearest name.
+        """
+        if ":" in name:
+            return name
+        for known in self.names():
+            if fold(known) == fold(name):
+                return known
+        raise UnknownNameError(self.kind, name, self.names())
+
+    def load(self, name: str) -> Any:
+        """Import and return what *name* stands for.
+
+        Raises:
+            UnknownNameError: no such built-in or plug-in.
+            ConfigError: the module or attribute does not exist or fails to import.
+        """
+        canonical = self.canonical(name)
+        if canonical in self.builtins:
+            return _import(self.kind, self.builtins[canonical])
+        for plugin in self._plugins():
+            if plugin.name == canonical:
+                return _import(self.kind, plugin.value)
+        return _import(self.kind, canonical)
+
+    def _plugins(self) -> list[EntryPoint]:
+        return sorted(entry_points(group=self.group), key=lambda e: e.name)
+
+
+def _import(kind: str, target: str) -> Any:
+    module_name, _, attribute = target.partition(":")
+    try:
+        value: Any = importlib.import_module(module_name)
+        for part in attribute.split("."):
+            value = getattr(value, part)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"{kind} '{target}' cannot be imported: {error}") from error
+    return value

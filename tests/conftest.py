@@ -1,0 +1,26 @@
+"""Fixtures that every test may use."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def adv_data() -> Path:
+    """Return the folder of real data that ADVDIFF_DATA names, or skip."""
+    named = os.environ.get("ADVDIFF_DATA")
+    if not named:
+        pytest.skip("ADVDIFF_DATA is not set: this test needs the real nets and logs")
+    root = Path(named).resolve()
+    if not root.is_dir():
+        pytest.skip(f"ADVDIFF_DATA={named} is no folder")
+    return root
+
+
+@pytest.fixture(scope="session")
+def networks() -> Path:
+    """Return the folder of the nets that ship with the project."""
+    return Path(__file__).resolve().parents[1] / "networks"

@@ -46,7 +46,9 @@ def local_from_world(xy_m: FloatArray, origin_xy_m: FloatArray, origin_yaw_rad: 
     """Return points (…, 2) in the frame at *origin_xy_m* whose x axis points along *origin_yaw_rad*."""
     cos, sin = np.cos(origin_yaw_rad), np.sin(origin_yaw_rad)
     delta = xy_m - origin_xy_m
-    return np.stack((cos * delta[..., 0] + sin * delta[..., 1], cos * delta[..., 1] - sin * delta[..., 0]), -1)
+    return np.stack(
+        (cos * delta[..., 0] + sin * delta[..., 1], cos * delta[..., 1] - sin * delta[..., 0]), -1
+    )
 
 
 def world_from_local(xy_m: FloatArray, origin_xy_m: FloatArray, origin_yaw_rad: float) -> FloatArray:

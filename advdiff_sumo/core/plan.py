@@ -1,0 +1,58 @@
+"""What planners and policies return."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.scene import Tracks
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Where the vehicle should be; a tracking controller drives it there through the bicycle model.
+
+    Attributes:
+        xy_m: (T, 2) box centres at now + dt, now + 2 dt, …
+        yaw_rad: (T,) headings.
+        speed_mps: (T,) speeds.
+        dt_s: spacing.
+    """
+
+    xy_m: FloatArray
+    yaw_rad: FloatArray
+    speed_mps: FloatArray
+    dt_s: float
+
+
+@dataclass(frozen=True)
+class Controls:
+    """Inputs of the bicycle model, each held for ``dt_s``.
+
+    Attributes:
+        accel_mps2: (T,) longitudinal acceleration.
+        steer_rad: (T,) front-wheel angle, left positive.
+        dt_s: how long each holds.
+    """
+
+    accel_mps2: FloatArray
+    steer_rad: FloatArray
+    dt_s: float
+
+
+Plan: TypeAlias = Trajectory | Controls
+
+
+@dataclass(frozen=True)
+class JointPlan:
+    """Futures of the background vehicles that a policy moves.
+
+    Attributes:
+        tracks: (A, T) states, first instant one ``dt_s`` after now. A vehicle not in the scene yet is
+            inserted when it becomes valid; one that becomes invalid leaves.
+        exact: poses are applied as they are (logs); otherwise through the bicycle model.
+    """
+
+    tracks: Tracks
+    exact: bool = False

@@ -1,0 +1,99 @@
+"""What an episode leaves behind: enough for every metric, report and export."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+
+from advdiff_sumo.core.arrays import IntArray
+from advdiff_sumo.core.scene import Tracks
+
+
+class Controller(IntEnum):
+    """Who moved an agent in a step."""
+
+    ABSENT = -1
+    SUMO = 0
+    POLICY = 1
+    PLANNER = 2
+
+
+class EndReason(StrEnum):
+    """Why an episode ended."""
+
+    HORIZON = "horizon"
+    COLLISION = "collision"
+    ARRIVED = "arrived"
+    LOG_END = "log_end"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class SumoCollision:
+    """One line of SUMO's own collision list.
+
+    Attributes:
+        step: index of the instant in the record.
+        collider: id of the vehicle that SUMO says ran into the other.
+        victim: id of the other.
+        kind: SUMO's word, such as "collision" or "junction".
+        lane_id: where.
+    """
+
+    step: int
+    collider: str
+    victim: str
+    kind: str
+    lane_id: str
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why an episode could not be finished.
+
+    Attributes:
+        kind: word of the error class, such as "plan_refused".
+        message: one sentence.
+        time_s: when, since the episode's start.
+    """
+
+    kind: str
+    message: str
+    time_s: float
+
+
+@dataclass(frozen=True)
+class EpisodeRecord:
+    """One closed-loop run; A agents, T instants at the simulation step (instant 0 is the start).
+
+    Attributes:
+        episode: number of the episode in its run.
+        seed: the episode's seed.
+        scene: name of the seed scene.
+        tracks: (A, T) states.
+        target: row of the tested vehicle.
+        controller: (A, T) values of :class:`Controller`.
+        route: edges of the target's route.
+        end: why it ended.
+        visible: T sets of ids that a SUMO-driven target's model perceived (leader, foe, neighbour);
+            None when a Python planner drove, which sees everything.
+        signals: T mappings, traffic light → state string.
+        sumo_collisions: SUMO's own list.
+        teleports: vehicles that SUMO teleported.
+        failure: set when ``end`` is FAILED.
+    """
+
+    episode: int
+    seed: int
+    scene: str
+    tracks: Tracks
+    target: int
+    controller: IntArray
+    route: tuple[str, ...]
+    end: EndReason
+    visible: tuple[frozenset[str], ...] | None = None
+    signals: tuple[Mapping[str, str], ...] = ()
+    sumo_collisions: tuple[SumoCollision, ...] = ()
+    teleports: int = 0
+    failure: Failure | None = field(default=None)

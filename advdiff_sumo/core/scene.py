@@ -1,0 +1,165 @@
+"""What a planner or a policy sees: agents with histories, and who of them may be moved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+
+
+class AgentClass(IntEnum):
+    """Kinds of road user, in the order of every class array."""
+
+    CAR = 0
+    TRUCK = 1
+    BUS = 2
+    MOTORCYCLE = 3
+    BICYCLE = 4
+    PEDESTRIAN = 5
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """States of A agents at T evenly spaced instants; arrays are (A,), (A, T) or (A, T, 2).
+
+    Entries where ``valid`` is False hold NaN.
+
+    Attributes:
+        ids: A names, unique.
+        classes: (A,) values of :class:`AgentClass`.
+        size_m: (A, 2) length and width of the boxes.
+        xy_m: (A, T, 2) box centres; x east, y north.
+        yaw_rad: (A, T) counter-clockwise from east.
+        speed_mps: (A, T) signed along the heading.
+        valid: (A, T) whether the agent is there.
+        t0_s: time of the first instant since the episode's start.
+        dt_s: spacing of the instants.
+    """
+
+    ids: tuple[str, ...]
+    classes: IntArray
+    size_m: FloatArray
+    xy_m: FloatArray
+    yaw_rad: FloatArray
+    speed_mps: FloatArray
+    valid: BoolArray
+    t0_s: float
+    dt_s: float
+
+    def __post_init__(self) -> None:
+        agents, steps = len(self.ids), self.yaw_rad.shape[-1]
+        expected = {
+            "classes": (agents,),
+            "size_m": (agents, 2),
+            "xy_m": (agents, steps, 2),
+            "yaw_rad": (agents, steps),
+            "speed_mps": (agents, steps),
+            "valid": (agents, steps),
+        }
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"Tracks.{name} has shape {getattr(self, name).shape}, expected {shape}")
+        if len(set(self.ids)) != agents:
+            raise ValueError("Tracks.ids are not unique")
+
+    @property
+    def times_s(self) -> FloatArray:
+        """(T,) times of the instants since the episode's start."""
+        return np.asarray(self.t0_s + self.dt_s * np.arange(self.steps), dtype=np.float64)
+
+    @property
+    def agents(self) -> int:
+        """Number of agents A."""
+        return len(self.ids)
+
+    @property
+    def steps(self) -> int:
+        """Number of instants T."""
+        return int(self.yaw_rad.shape[-1])
+
+    @cached_property
+    def index(self) -> Mapping[str, int]:
+        """Row of each id."""
+        return {name: row for row, name in enumerate(self.ids)}
+
+    def rows(self, rows: Sequence[int] | IntArray | BoolArray) -> Tracks:
+        """Return the agents at *rows* (indices, or a mask (A,))."""
+        picked = np.atleast_1d(np.asarray(rows))
+        if picked.dtype == np.bool_:
+            picked = np.flatnonzero(picked)
+        picked = picked.astype(np.int64)
+        return replace(
+            self,
+            ids=tuple(self.ids[i] for i in picked),
+            classes=self.classes[picked],
+            size_m=self.size_m[picked],
+            xy_m=self.xy_m[picked],
+            yaw_rad=self.yaw_rad[picked],
+            speed_mps=self.speed_mps[picked],
+            valid=self.valid[picked],
+        )
+
+    def window(self, start: int, stop: int) -> Tracks:
+        """Return instants *start* to *stop* (exclusive, both in [0, T])."""
+        cut = slice(start, stop)
+        return replace(
+            self,
+            xy_m=self.xy_m[:, cut],
+            yaw_rad=self.yaw_rad[:, cut],
+            speed_mps=self.speed_mps[:, cut],
+            valid=self.valid[:, cut],
+            t0_s=self.t0_s + self.dt_s * start,
+        )
+
+    def shifted(self, seconds: float) -> Tracks:
+        """Return the same tracks with their clock moved by *seconds*."""
+        return replace(self, t0_s=self.t0_s + seconds)
+
+    @staticmethod
+    def empty(steps: int = 0, dt_s: float = 0.5, t0_s: float = 0.0) -> Tracks:
+        """Return tracks of no agents."""
+        return Tracks(
+            ids=(),
+            classes=np.zeros(0, dtype=np.int64),
+            size_m=np.zeros((0, 2)),
+            xy_m=np.zeros((0, steps, 2)),
+            yaw_rad=np.zeros((0, steps)),
+            speed_mps=np.zeros((0, steps)),
+            valid=np.zeros((0, steps), dtype=np.bool_),
+            t0_s=t0_s,
+            dt_s=dt_s,
+        )
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One instant at which plans are made; A agents, H instants of history.
+
+    Attributes:
+        history: (A, H) states at the model step, the last instant is now.
+        target: row of the tested vehicle.
+        movable: (A,) background vehicles that the policy may move now.
+        routes: A tuples of edge ids, from the agent's present edge on; () where unknown.
+        signals: id of each traffic light → its state string as SUMO writes it.
+    """
+
+    history: Tracks
+    target: int
+    movable: BoolArray
+    routes: tuple[tuple[str, ...], ...]
+    signals: Mapping[str, str]
+
+    @property
+    def time_s(self) -> float:
+        """Now, in seconds since the episode's start."""
+        return self.history.t0_s + self.history.dt_s * (self.history.steps - 1)
+
+    @property
+    def target_id(self) -> str:
+        """Name of the tested vehicle."""
+        return self.history.ids[self.target]

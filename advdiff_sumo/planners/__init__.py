@@ -1,0 +1,1 @@
+"""Targets: SUMO's driver models, the rule-based lane-graph planner, user plug-ins."""

@@ -1,0 +1,1 @@
+"""The co-simulation; the only package that imports libsumo."""

@@ -1,0 +1,1 @@
+"""Policies that move the background vehicles."""

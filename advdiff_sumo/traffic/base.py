@@ -1,0 +1,37 @@
+"""What moves the background vehicles."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.maps import RoadMap
+
+
+@runtime_checkable
+class TrafficPolicy(Protocol):
+    """A policy keeps nothing between calls: its memory and random numbers come in and go out."""
+
+    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Any:
+        """Return the memory for a new episode.
+
+        Args:
+            road: the map.
+            scene: the first instant.
+            log: what the vehicles did in reality or in natural traffic, on the episode's clock, at any
+                spacing; None when there is no log.
+            rng: the policy's own random numbers.
+        """
+        ...
+
+    def plan(
+        self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator
+    ) -> tuple[JointPlan, Any]:
+        """Return futures of the vehicles it moves, at least one replanning period long.
+
+        SUMO drives the rest.
+        """
+        ...

@@ -1,0 +1,106 @@
+"""When do two moving boxes first touch within one step: conservative advancement, for arrays of pairs.
+
+Between two instants a box moves its centre on a straight line and turns evenly along the shorter arc. Along a
+fixed separating axis the gap of two such boxes shrinks no faster than their closing speed along that axis
+plus what their corners gain by turning, so time may advance by gap / that rate without missing a contact
+(after Mirtich 1996, "Impulse-based dynamic simulation of rigid body systems", ch. 2). Without turning the
+first contact is exact after at most four advances.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.boxes import axis_gaps
+from advdiff_sumo.core.frames import wrap_angle
+
+#: Boxes nearer than this touch.
+TOUCH_M = 1e-6
+#: Smallest advance as a share of the step (0.1 ms of 0.1 s): bounds both the work and the error.
+LEAST_ADVANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One step of K boxes.
+
+    Attributes:
+        xy_m: (K, 2) centres at the start.
+        yaw_rad: (K,) headings at the start.
+        move_m: (K, 2) displacements of the centres.
+        turn_rad: (K,) signed turns, along the shorter arc.
+        half_m: (K, 2) half length and half width.
+    """
+
+    xy_m: FloatArray
+    yaw_rad: FloatArray
+    move_m: FloatArray
+    turn_rad: FloatArray
+    half_m: FloatArray
+
+    @staticmethod
+    def between(
+        xy0_m: FloatArray, yaw0_rad: FloatArray, xy1_m: FloatArray, yaw1_rad: FloatArray, size_m: FloatArray
+    ) -> Sweep:
+        """Return the step from the first poses to the second; *size_m* is (K, 2) length and width."""
+        return Sweep(xy0_m, yaw0_rad, xy1_m - xy0_m, wrap_angle(yaw1_rad - yaw0_rad), 0.5 * size_m)
+
+    def rows(self, rows: IntArray | BoolArray) -> Sweep:
+        """Return the boxes at *rows* (indices or a mask)."""
+        return Sweep(
+            self.xy_m[rows], self.yaw_rad[rows], self.move_m[rows], self.turn_rad[rows], self.half_m[rows]
+        )
+
+    def pose(self, fraction: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+        """Return centres (K, 2) and headings (K,) at *fraction* (K,) of the step."""
+        share = np.asarray(fraction, dtype=np.float64)
+        return self.xy_m + share[..., None] * self.move_m, self.yaw_rad + share * self.turn_rad
+
+
+def may_touch(a: Sweep, b: Sweep) -> BoolArray:
+    """Return (K,) whether the circles around the boxes come near enough for a contact; False for NaN.
+
+    Never False for a pair that touches. The pair's offset moves on a segment; its distance from the origin is
+    at least that of the segment's middle less half its length.
+    """
+    half_move = 0.5 * (b.move_m - a.move_m)
+    middle = b.xy_m - a.xy_m + half_move
+    reach = _norm(a.half_m) + _norm(b.half_m) + TOUCH_M
+    return np.asarray(_norm(middle) - _norm(half_move) <= reach)
+
+
+def first_contact(a: Sweep, b: Sweep) -> FloatArray:
+    """Return (K,) the share of the step in [0, 1) at which boxes a and b first touch; NaN where they do not.
+
+    A contact that begins exactly at the end belongs to the next step. A contact shorter than
+    ``LEAST_ADVANCE`` of the step may be missed; nothing longer is. Rows that hold NaN give NaN.
+    """
+    fraction = np.zeros(len(a.yaw_rad))
+    found = np.zeros(len(a.yaw_rad), dtype=np.bool_)
+    active = np.flatnonzero(may_touch(a, b))
+    while active.size:
+        gap, advance = _advance(a.rows(active), b.rows(active), fraction[active])
+        touching = gap <= TOUCH_M
+        found[active[touching]] = True
+        later = fraction[active] + np.maximum(advance, LEAST_ADVANCE)
+        going = ~touching & (later < 1.0)
+        active = active[going]
+        fraction[active] = later[going]
+    return np.where(found, fraction, np.nan)
+
+
+def _advance(a: Sweep, b: Sweep, fraction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the gaps (K,) at *fraction* (K,) and the share of the step by which time may safely advance."""
+    (xy_a, yaw_a), (xy_b, yaw_b) = a.pose(fraction), b.pose(fraction)
+    gaps, along, axes = axis_gaps(xy_b - xy_a, yaw_a, a.half_m, yaw_b, b.half_m)
+    closing = -np.sign(along) * np.einsum("kic,kc->ki", axes, b.move_m - a.move_m)
+    corners = np.abs(a.turn_rad) * _norm(a.half_m) + np.abs(b.turn_rad) * _norm(b.half_m)
+    rate = np.maximum(closing + corners[:, None], 1e-12)  # m per step
+    return gaps.max(-1), (np.maximum(gaps, 0.0) / rate).max(-1)
+
+
+def _norm(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.hypot(vectors[..., 0], vectors[..., 1]))

@@ -1,0 +1,53 @@
+"""Makes the shipped networks: `python tools/make_networks.py downtown` writes networks/downtown.*.xml."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from networks_src import downtown, netconvert, sidecar
+from networks_src.plain import Plan
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a layout becomes files: kerb margin, fillet radius and footway width in metres."""
+
+    plan: Callable[[], Plan]
+    margin_m: float = sidecar.KERB_M
+    fillet_m: float = sidecar.FILLET_M
+    footway_m: float = 2.5
+
+
+RECIPES: dict[str, Recipe] = {
+    "downtown": Recipe(downtown.plan),
+}
+
+
+def make(name: str, folder: Path) -> str:
+    """Write NAME.net.xml and NAME.poly.xml into `folder`; returns netconvert's warnings."""
+    recipe = RECIPES[name]
+    net_file = folder / f"{name}.net.xml"
+    warnings = netconvert.build(recipe.plan(), net_file)
+    poly_file = folder / f"{name}.poly.xml"
+    sidecar.write(net_file, poly_file, name, recipe.margin_m, recipe.fillet_m, recipe.footway_m)
+    return warnings
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description="Make the shipped networks and their side-cars.")
+    parser.add_argument("names", nargs="*", choices=[*RECIPES, []], help="which (default: all)")
+    default = Path(__file__).resolve().parent.parent / "networks"
+    parser.add_argument("--out", type=Path, default=default, help="folder to write to (default: networks/)")
+    options = parser.parse_args()
+    for name in options.names or RECIPES:
+        print(f"{name}: writing {name}.net.xml and {name}.poly.xml")
+        sys.stderr.write(make(name, options.out))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Layouts and geometry behind the shipped networks (see docs/networks.md)."""

@@ -1,0 +1,59 @@
+"""Runs netconvert on a plan and leaves a file that depends on the plan alone."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tempfile
+from pathlib import Path
+
+import sumolib
+
+from networks_src.plain import Plan
+
+OPTIONS: tuple[str, ...] = (
+    "--no-turnarounds=true",
+    "--offset.disable-normalization=true",
+    "--default.junctions.radius=6.5",
+    "--junctions.internal-link-detail=16",
+    "--junctions.corner-detail=8",
+    "--junctions.scurve-stretch=1.0",
+    "--rectangular-lane-cut=false",
+    "--geometry.max-angle.fix=false",
+    "--roundabouts.guess=true",
+    "--tls.default-type=static",
+    "--tls.layout=opposites",
+    "--tls.cycle.time=80",
+    "--tls.yellow.time=3",
+    "--tls.allred.time=2",
+    "--tls.left-green.time=8",
+    "--precision=3",
+    "--xml-validation=never",
+)
+
+
+def build(plan: Plan, target: Path, extra: tuple[str, ...] = ()) -> str:
+    """Convert a plan to `target` (.net.xml); returns netconvert's warnings.
+
+    Raises:
+        subprocess.CalledProcessError: netconvert refused the plan.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        files = plan.write(Path(folder))
+        raw = Path(folder) / "raw.net.xml"
+        command = [
+            sumolib.checkBinary("netconvert"),
+            *(f"{k}={v}" for k, v in files.items()),
+            *OPTIONS,
+            *extra,
+        ]
+        command += [f"--lefthand={str(plan.lefthand).lower()}", f"--output-file={raw}"]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        target.write_text(_scrub(raw.read_text(encoding="utf-8"), plan.name), encoding="utf-8")
+    return done.stderr
+
+
+def _scrub(text: str, name: str) -> str:
+    """Replace netconvert's header (date, version, paths) by the call that makes the file."""
+    note = f"<!-- Made by: python tools/make_networks.py {name} (SPDX-License-Identifier: Apache-2.0) -->\n\n"
+    return re.sub(r"<!--.*?-->\s*", note, text, count=1, flags=re.DOTALL)

@@ -1,0 +1,130 @@
+"""Values of a road plan and their netconvert plain XML."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
+
+Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Node:
+    """A junction, a change of cross-section or a fringe point; metres, `kind` as netconvert spells it."""
+
+    name: str
+    xy_m: tuple[float, float]
+    kind: str = "priority"
+    radius_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Edge:
+    """One carriageway; `shape_m` (N, 2) is its inner border when `spread` is "right", else its middle."""
+
+    name: str
+    start: str
+    end: str
+    street: str
+    lanes: int
+    speed_mps: float
+    priority: int
+    shape_m: Points
+    spread: str = "right"
+    width_m: float = 3.25
+    pocket: bool = False
+
+    @property
+    def heading_in_rad(self) -> float:
+        """Direction of travel where the edge begins."""
+        step = self.shape_m[1] - self.shape_m[0]
+        return float(np.arctan2(step[1], step[0]))
+
+    @property
+    def heading_out_rad(self) -> float:
+        """Direction of travel where the edge ends."""
+        step = self.shape_m[-1] - self.shape_m[-2]
+        return float(np.arctan2(step[1], step[0]))
+
+
+@dataclass(frozen=True)
+class Link:
+    """A lane-to-lane connection across a node."""
+
+    source: str
+    target: str
+    from_lane: int
+    to_lane: int
+
+
+@dataclass
+class Plan:
+    """A road plan under construction: filled by a layout, then written once."""
+
+    name: str
+    lefthand: bool = False
+    nodes: dict[str, Node] = field(default_factory=dict)
+    edges: dict[str, Edge] = field(default_factory=dict)
+    links: list[Link] = field(default_factory=list)
+
+    def add_node(self, node: Node) -> None:
+        """Add a node; a second one of the same name must equal the first."""
+        if self.nodes.setdefault(node.name, node) != node:
+            raise ValueError(f"node {node.name} is defined twice and differently")
+
+    def add_edge(self, edge: Edge) -> None:
+        """Add an edge under a new name."""
+        if edge.name in self.edges:
+            raise ValueError(f"edge {edge.name} is defined twice")
+        self.edges[edge.name] = edge
+
+    def write(self, folder: Path) -> dict[str, Path]:
+        """Write nodes, edges and connections; returns netconvert option → file."""
+        tables = {
+            "node": ("nodes", [_node_row(n) for n in self.nodes.values()]),
+            "edge": ("edges", [_edge_row(e) for e in self.edges.values()]),
+            "connection": ("connections", [_link_row(k) for k in self.links]),
+        }
+        files = {}
+        for tag, (root_tag, rows) in tables.items():
+            root = ET.Element(root_tag)
+            for row in rows:
+                ET.SubElement(root, tag, row)
+            files[f"--{tag}-files"] = folder / f"plan.{tag}.xml"
+            ET.ElementTree(root).write(files[f"--{tag}-files"])
+        return files
+
+
+def _node_row(node: Node) -> dict[str, str]:
+    row = {"id": node.name, "x": f"{node.xy_m[0]:.3f}", "y": f"{node.xy_m[1]:.3f}", "type": node.kind}
+    if node.radius_m is not None:
+        row["radius"] = f"{node.radius_m:.2f}"
+    return row
+
+
+def _edge_row(edge: Edge) -> dict[str, str]:
+    return {
+        "id": edge.name,
+        "from": edge.start,
+        "to": edge.end,
+        "name": edge.street,
+        "numLanes": str(edge.lanes),
+        "speed": f"{edge.speed_mps:.2f}",
+        "priority": str(edge.priority),
+        "width": f"{edge.width_m:.2f}",
+        "spreadType": edge.spread,
+        "shape": " ".join(f"{x:.3f},{y:.3f}" for x, y in edge.shape_m),
+    }
+
+
+def _link_row(link: Link) -> dict[str, str]:
+    return {
+        "from": link.source,
+        "to": link.target,
+        "fromLane": str(link.from_lane),
+        "toLane": str(link.to_lane),
+    }

@@ -1,0 +1,96 @@
+"""Drivable area, footways and crossings of a net as a SUMO additional file (NAME.poly.xml)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import shapely
+import sumolib
+from shapely import LineString, MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
+
+KERB_M = 0.35
+FILLET_M = 1.0
+HOLE_M2 = 3.0
+TOLERANCE_M = 0.02
+COLOURS = {
+    "drivable_area": ("190,190,190", "-3"),
+    "drivable_area_hole": ("225,235,220", "-2"),
+    "walkway": ("235,220,200", "-4"),
+}
+
+
+def drivable_area(net: Any, margin_m: float = KERB_M, fillet_m: float = FILLET_M) -> MultiPolygon:
+    """The paved area: lanes and junctions plus a margin, concave corners rounded with radius `fillet_m`.
+
+    Args:
+        net: sumolib net, read with internal lanes.
+        margin_m: strip between the outermost lane border and the kerb, or a shoulder's width.
+        fillet_m: clefts narrower than twice this are closed: tapers, corners, gores.
+    """
+    paved = shapely.union_all([*_lane_areas(net), *_junction_areas(net)])
+    round_join = {"quad_segs": 6, "join_style": "round"}
+    area = paved.buffer(margin_m + fillet_m, **round_join).buffer(-fillet_m, **round_join)
+    return _parts(area.union(paved.buffer(margin_m / 2, join_style="mitre")).simplify(TOLERANCE_M))
+
+
+def walkways(area: MultiPolygon, width_m: float = 2.5) -> list[Polygon]:
+    """Footways along every kerb, as simple polygons without holes."""
+    band = area.buffer(width_m, quad_segs=3).difference(area.buffer(0.02)).simplify(0.1)
+    return [piece for ring in _parts(band).geoms for piece in _without_holes(ring)]
+
+
+def write(
+    net_file: Path, target: Path, name: str, margin_m: float, fillet_m: float, footway_m: float
+) -> None:
+    """Write the side-car of a net file."""
+    net = sumolib.net.readNet(str(net_file), withInternal=True)
+    area = drivable_area(net, margin_m, fillet_m)
+    rows: list[tuple[str, Polygon]] = []
+    for part in area.geoms:
+        rows.append(("drivable_area", Polygon(part.exterior)))
+        rows += [("drivable_area_hole", Polygon(h)) for h in part.interiors if Polygon(h).area >= HOLE_M2]
+    if footway_m:
+        rows += [("walkway", piece) for piece in walkways(area, footway_m)]
+    root = ET.Element("additional")
+    counts: dict[str, int] = {}
+    for kind, polygon in rows:
+        number = counts[kind] = counts.get(kind, -1) + 1
+        colour, layer = COLOURS[kind]
+        shape = " ".join(f"{x:.2f},{y:.2f}" for x, y in shapely.normalize(polygon).exterior.coords)
+        row = {"id": f"{kind}_{number}", "type": kind, "color": colour, "fill": "1", "layer": layer}
+        ET.SubElement(root, "poly", {**row, "shape": shape})
+    ET.indent(root, "    ")
+    note = f"<!-- Made by: python tools/make_networks.py {name} (SPDX-License-Identifier: Apache-2.0) -->"
+    body = ET.tostring(root, encoding="unicode")
+    target.write_text(f'<?xml version="1.0" encoding="UTF-8"?>\n{note}\n{body}\n', encoding="utf-8")
+
+
+def _lane_areas(net: Any) -> list[BaseGeometry]:
+    lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
+    return [
+        LineString(lane.getShape()).buffer(lane.getWidth() / 2, cap_style="flat", join_style="mitre")
+        for lane in lanes
+    ]
+
+
+def _junction_areas(net: Any) -> list[BaseGeometry]:
+    shapes = [node.getShape() for node in net.getNodes()]
+    return [Polygon(shape).buffer(0) for shape in shapes if len(shape) >= 4]
+
+
+def _parts(area: BaseGeometry) -> MultiPolygon:
+    polygons = [p for p in shapely.get_parts(area) if isinstance(p, Polygon)]
+    return MultiPolygon(sorted(polygons, key=lambda p: p.bounds))
+
+
+def _without_holes(polygon: Polygon) -> list[Polygon]:
+    """Cut a polygon through its holes, north to south, until no piece has one."""
+    if not polygon.interiors:
+        return [polygon] if polygon.area > HOLE_M2 else []
+    x = polygon.interiors[0].centroid.x
+    x0, y0, x1, y1 = polygon.buffer(1.0).bounds
+    halves = [polygon.intersection(shapely.box(*b)) for b in ((x0, y0, x, y1), (x, y0, x1, y1))]
+    return [piece for half in halves for part in _parts(half).geoms for piece in _without_holes(part)]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import shapely
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps, corners
 from advdiff_sumo.metrics.sweep import TOUCH_M, Sweep, first_contact
 
@@ -18,6 +20,9 @@ SEPARATED_M = 0.1
 #: Both boxes are grown by this to give their first touch an area, whose centroid is the impact point.
 _TOUCH_MARGIN_M = 0.01
 _DEPTH_SAMPLES = 9
+
+#: x, y, move x, move y, cos, sin, half length, half width, the corners' path by turning; all at the start.
+_Scalars: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,12 @@ def target_contact(
     near = _near(xy0_m, xy1_m, size_m, target_row, JUMP_MPS * dt_s)
     if ignore is not None:
         near &= ~ignore
-    rows = np.flatnonzero(near)
+    picked = np.flatnonzero(near)
+    if not picked.size:
+        return None
+    poses = xy0_m, yaw0_rad, xy1_m, yaw1_rad, 0.5 * size_m
+    own, *others = (_scalars(*(p[row] for p in poses)) for row in (target_row, *picked))
+    rows = picked[[not _passes(own, other) for other in others]]
     if not rows.size:
         return None
     sweep = Sweep.between(xy0_m, yaw0_rad, xy1_m, yaw1_rad, size_m)
@@ -110,22 +120,25 @@ def standing_overlaps(
         target_row: row of the tested vehicle.
         dt_s: time between the instants.
     """
-    half = 0.5 * size_m
-    gaps, _, _ = axis_gaps(
-        xy1_m - xy1_m[target_row],
-        np.broadcast_to(yaw1_rad[target_row], yaw1_rad.shape),
-        half[target_row],
-        yaw1_rad,
-        half,
-    )
-    gap = gaps.max(-1)
-    kept = ~(np.hypot(*(xy1_m - xy0_m).T) <= JUMP_MPS * dt_s)
-    kept |= kept[target_row]
-    started = (gap <= TOUCH_M) & (kept if before is not None else True)
-    lasting = (gap <= SEPARATED_M) & before if before is not None else np.zeros_like(started)
-    result = np.asarray(started | lasting)
+    move = xy1_m - xy0_m
+    kept = np.hypot(move[:, 0], move[:, 1]) <= JUMP_MPS * dt_s
+    appeared = ~(kept & kept[target_row]) if before is not None else np.ones_like(kept)
+    candidates = appeared if before is None else appeared | before
+    result = np.zeros_like(candidates)
+    rows = np.flatnonzero(candidates)
+    if rows.size:
+        gap = _gaps_to(target_row, rows, xy1_m, yaw1_rad, 0.5 * size_m)
+        result[rows] = gap <= np.where(appeared[rows], TOUCH_M, SEPARATED_M)
     result[target_row] = False
     return result
+
+
+def _gaps_to(
+    target_row: int, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray, half_m: FloatArray
+) -> FloatArray:
+    own = np.full(rows.size, target_row)
+    gaps, _, _ = axis_gaps(xy_m[rows] - xy_m[own], yaw_rad[own], half_m[own], yaw_rad[rows], half_m[rows])
+    return np.asarray(gaps.max(-1))
 
 
 def _near(
@@ -133,18 +146,42 @@ def _near(
 ) -> BoolArray:
     """Return (N,) rows whose circle may meet the target's within the step; never False for a contact."""
     move = xy1_m - xy0_m
-    half_move = 0.5 * (move - move[target_row])
-    middle = xy0_m - xy0_m[target_row] + half_move
-    radius = 0.5 * np.sqrt(np.einsum("nc,nc->n", size_m, size_m))
-    reach = radius + (radius[target_row] + TOUCH_M)
-    distance = np.sqrt(np.einsum("nc,nc->n", middle, middle))
-    swept = np.sqrt(np.einsum("nc,nc->n", half_move, half_move))
-    near = distance - swept <= reach
+    half = 0.5 * (move - move[target_row])
+    middle = xy0_m - xy0_m[target_row] + half
+    reach = 0.5 * np.hypot(size_m[:, 0], size_m[:, 1])
+    reach += reach[target_row] + TOUCH_M
+    near = np.hypot(middle[:, 0], middle[:, 1]) - np.hypot(half[:, 0], half[:, 1]) <= reach
     near[target_row] = False
     if near.any():
         near &= np.hypot(move[:, 0], move[:, 1]) <= jump_m
         near &= bool(np.hypot(*move[target_row]) <= jump_m)
     return np.asarray(near)
+
+
+def _scalars(xy0: FloatArray, yaw0: float, xy1: FloatArray, yaw1: float, half: FloatArray) -> _Scalars:
+    (x, y), (x1, y1), (length, width) = xy0.tolist(), xy1.tolist(), half.tolist()
+    turn = abs(math.remainder(yaw1 - yaw0, math.tau)) * math.hypot(length, width)
+    return x, y, x1 - x, y1 - y, math.cos(yaw0), math.sin(yaw0), length, width, turn
+
+
+def _passes(a: _Scalars, b: _Scalars) -> bool:
+    """Return whether one axis parts the boxes throughout the step: the first advance of sweep, in scalars.
+
+    Queues beside the target pass the circles at every step; arrays would cost ten times as much here.
+    """
+    dx, dy, vx, vy = b[0] - a[0], b[1] - a[1], b[2] - a[2], b[3] - a[3]
+    same, cross = abs(a[4] * b[4] + a[5] * b[5]), abs(a[4] * b[5] - a[5] * b[4])
+    turn = a[8] + b[8] + TOUCH_M
+    for one, other in ((a, b), (b, a)):
+        _, _, _, _, cos, sin, length, width, _ = one
+        along = other[6] * same + other[7] * cross + length
+        across = other[6] * cross + other[7] * same + width
+        for nx, ny, reach in ((cos, sin, along), (-sin, cos, across)):
+            offset = dx * nx + dy * ny
+            closing = -math.copysign(1.0, offset) * (vx * nx + vy * ny)
+            if abs(offset) - reach > max(closing + turn, TOUCH_M):
+                return True
+    return False
 
 
 def _touch_point(a: Sweep, b: Sweep, fraction: float) -> FloatArray:

@@ -1,0 +1,189 @@
+"""Tracks on another time step: C1 cubic Hermite that never swings past a vehicle that hardly moves.
+
+Between two keyframes the position is a cubic whose end velocities are speed × heading. Those velocities are
+limited after Fritsch and Carlson (1980, doi:10.1137/0717021): none exceeds three times the mean velocity of
+an adjoining interval, and one that points against an adjoining interval becomes zero. Hence the position
+never overshoots along the chord, and a parked vehicle stays where its keyframes put it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.frames import unit, wrap_angle
+from advdiff_sumo.core.scene import Tracks
+
+_SAME_S = 1e-9  # instants closer than this are one instant
+_MONOTONE = 3.0  # Fritsch and Carlson's bound on end slope / mean slope
+_STILL_MPS = 0.2  # below it the direction of motion is noise
+
+
+def resample(
+    tracks: Tracks,
+    dt_s: float,
+    *,
+    t0_s: float | None = None,
+    steps: int | None = None,
+    max_gap_s: float | None = None,
+) -> Tracks:
+    """Return *tracks* at every *dt_s* on the same clock.
+
+    Poses at the instants of *tracks* are copied unchanged. Speeds are the derivative of the positions along
+    the heading: equal to the given ones wherever those agree with the positions. The heading follows the
+    shortest arc; where an agent moves sideways to its heading (a pedestrian's box, say), its path follows
+    the positions instead of the heading.
+
+    Args:
+        tracks: (A, T) states.
+        dt_s: new spacing, positive.
+        t0_s: first instant; that of *tracks* when None.
+        steps: number of instants; up to the last of *tracks* when None. Beyond it nothing is valid.
+        max_gap_s: longest time between two valid instants that is bridged; one old step when None, so that
+            nothing is valid next to an instant that is not.
+
+    Raises:
+        ValueError: *dt_s* or *steps* is not positive.
+    """
+    start = tracks.t0_s if t0_s is None else t0_s
+    end = tracks.t0_s + tracks.dt_s * (tracks.steps - 1)
+    if not dt_s > 0.0 or (steps is not None and steps < 0):
+        raise ValueError(f"resample to dt_s={dt_s}, steps={steps}: both must be positive")
+    count = max(0, int(np.floor((end - start) / dt_s + 1e-6)) + 1) if steps is None else steps
+    reach = tracks.dt_s if max_gap_s is None else max(max_gap_s, tracks.dt_s)
+    at = np.asarray(start + dt_s * np.arange(count), dtype=np.float64)
+    xy = np.full((tracks.agents, count, 2), np.nan)
+    yaw, speed = np.full((2, tracks.agents, count), np.nan)
+    for row in range(tracks.agents):
+        curve = _Curve.through(tracks, row, reach)
+        known, segment, exact = curve.locate(at)
+        xy[row, known], yaw[row, known], speed[row, known] = curve.states(at[known], segment, exact)
+    return replace(
+        tracks,
+        xy_m=xy,
+        yaw_rad=yaw,
+        speed_mps=speed,
+        valid=np.isfinite(yaw),
+        t0_s=float(start),
+        dt_s=float(dt_s),
+    )
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """One agent's path through its K valid keyframes.
+
+    Attributes:
+        t_s: (K,) times.
+        xy_m: (K, 2) positions.
+        yaw_rad: (K,) headings as given.
+        velocity_mps: (K, 2) limited end velocities.
+        turn_rad: (K−1,) shortest arcs between keyframes.
+        rate_radps: (K,) limited yaw rates.
+        bridged: (K−1,) intervals short enough to fill.
+    """
+
+    t_s: FloatArray
+    xy_m: FloatArray
+    yaw_rad: FloatArray
+    velocity_mps: FloatArray
+    turn_rad: FloatArray
+    rate_radps: FloatArray
+    bridged: BoolArray
+
+    @staticmethod
+    def through(tracks: Tracks, row: int, reach_s: float) -> _Curve:
+        """Return the curve of agent *row*."""
+        known = np.flatnonzero(tracks.valid[row])
+        t, xy, yaw = tracks.times_s[known], tracks.xy_m[row, known], tracks.yaw_rad[row, known]
+        span = np.diff(t)
+        bridged = np.asarray(span <= reach_s + _SAME_S)
+        mean = np.diff(xy, axis=0) / span[:, None]
+        turn = wrap_angle(np.diff(yaw))
+        rate = turn / span
+        return _Curve(
+            t_s=t,
+            xy_m=xy,
+            yaw_rad=yaw,
+            velocity_mps=_velocities(tracks.speed_mps[row, known], yaw, mean, bridged),
+            turn_rad=turn,
+            rate_radps=_limited(_central(rate[:, None], bridged), rate[:, None], bridged)[:, 0],
+            bridged=bridged,
+        )
+
+    def locate(self, at_s: FloatArray) -> tuple[IntArray, IntArray, BoolArray]:
+        """Return which of *at_s* (T,) lie on the curve, the interval of each, and which are keyframes."""
+        if len(self.t_s) == 0:
+            none = np.zeros(0, dtype=np.int64)
+            return none, none, none.astype(np.bool_)
+        segment = np.searchsorted(self.t_s, at_s + _SAME_S, side="right") - 1
+        inside = segment >= 0
+        segment = np.maximum(segment, 0)
+        exact = inside & (np.abs(at_s - self.t_s[segment]) <= _SAME_S)
+        open_ended = np.append(self.bridged, False)
+        known = np.flatnonzero(exact | (inside & open_ended[segment]))
+        return known, segment[known], exact[known]
+
+    def states(
+        self, at_s: FloatArray, segment: IntArray, exact: BoolArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return positions (N, 2), headings (N,) and speeds (N,) at *at_s* (N,) in intervals *segment*."""
+        here, there = segment, np.minimum(segment + 1, len(self.t_s) - 1)
+        span = np.where(exact, 1.0, self.t_s[there] - self.t_s[here])
+        share = np.where(exact, 0.0, (at_s - self.t_s[here]) / span)
+        move = self.xy_m[there] - self.xy_m[here]
+        shift, velocity = _hermite(
+            share[:, None],
+            span[:, None],
+            move,
+            self.velocity_mps[here],
+            self.velocity_mps[there],
+        )
+        arc = np.append(self.turn_rad, 0.0)[here]
+        turned, _ = _hermite(share, span, arc, self.rate_radps[here], self.rate_radps[there])
+        yaw = np.where(exact, self.yaw_rad[here], wrap_angle(self.yaw_rad[here] + turned))
+        return self.xy_m[here] + shift, yaw, (velocity * unit(yaw)).sum(-1)
+
+
+def _velocities(speed: FloatArray, yaw: FloatArray, mean: FloatArray, bridged: BoolArray) -> FloatArray:
+    """Return the limited velocities (K, 2) at the keyframes."""
+    along = unit(yaw)
+    seen = _central(mean, bridged)
+    forward = (seen * along).sum(-1)
+    sideways = np.abs(seen[:, 1] * along[:, 0] - seen[:, 0] * along[:, 1])
+    crabs = (sideways > np.abs(forward)) & (np.linalg.norm(seen, axis=-1) > _STILL_MPS)
+    return _limited(np.where(crabs[:, None], seen, speed[:, None] * along), mean, bridged)
+
+
+def _central(mean: FloatArray, bridged: BoolArray) -> FloatArray:
+    """Return the average (K, D) of the adjoining interval slopes (K−1, D); zero where there is none."""
+    weight = bridged.astype(np.float64)[:, None]
+    pad = np.zeros((1, mean.shape[1]))
+    one = np.zeros((1, 1))
+    total = np.concatenate((pad, mean * weight)) + np.concatenate((mean * weight, pad))
+    count = np.concatenate((one, weight)) + np.concatenate((weight, one))
+    return np.asarray(total / np.maximum(count, 1.0))
+
+
+def _limited(slope: FloatArray, mean: FloatArray, bridged: BoolArray) -> FloatArray:
+    """Return *slope* (K, D) within Fritsch and Carlson's bound of both adjoining intervals."""
+    limited = slope.copy()
+    for ends, neighbours in ((slice(0, -1), mean), (slice(1, None), mean)):
+        end = limited[ends]
+        size, length = np.linalg.norm(end, axis=-1), np.linalg.norm(neighbours, axis=-1)
+        scale = np.minimum(1.0, _MONOTONE * length / np.maximum(size, 1e-12))
+        scale = np.where((end * neighbours).sum(-1) > 0.0, scale, 0.0)
+        limited[ends] = end * np.where(bridged, scale, 1.0)[:, None]
+    return limited
+
+
+def _hermite(
+    share: FloatArray, span: FloatArray, move: FloatArray, v0: FloatArray, v1: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return displacement and its rate at *share* in [0, 1] of an interval of *span* seconds."""
+    s2, s3 = share**2, share**3
+    shift = move * (3 * s2 - 2 * s3) + span * (v0 * (share - 2 * s2 + s3) + v1 * (s3 - s2))
+    rate = move / span * 6 * (share - s2) + v0 * (1 - 4 * share + 3 * s2) + v1 * (3 * s2 - 2 * share)
+    return shift, rate

@@ -1,0 +1,173 @@
+"""nuScenes: boxes at 2 Hz keyframes from the published tables, without the devkit.
+
+Caesar et al. 2020 (arXiv:1903.11027). Boxes are annotated at their centre in the frame of the map
+expansion. The ego pose is the middle of the rear axle; the recording cars are Renault Zoes, whose box centre
+lies 1.385 m ahead of it (docs/data.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.errors import LogError, UnknownNameError
+from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.data.base import LogScene
+from advdiff_sumo.data.motion import parked_agents, signed_speeds
+from advdiff_sumo.data.nuscenes_index import (
+    KEYFRAME_S,
+    Boxes,
+    Instances,
+    Keyframes,
+    SceneEntry,
+    read_boxes,
+    read_ego_poses,
+    read_instances,
+    read_keyframes,
+    read_scenes,
+)
+
+EGO_ID = "ego"
+ZOE_LENGTH_M = 4.084
+ZOE_WIDTH_M = 1.730
+ZOE_REAR_OVERHANG_M = 0.657
+ZOE_CENTRE_AHEAD_M = ZOE_LENGTH_M / 2.0 - ZOE_REAR_OVERHANG_M
+
+
+class NuScenesReader:
+    """Reads the scenes of a nuScenes dataset root.
+
+    Nothing is read before it is asked for; the tables are joined once, at the first scene.
+    """
+
+    def __init__(self, root: str | Path, version: str | None = None) -> None:
+        """Point at a dataset.
+
+        Args:
+            root: folder that holds ``v1.0-mini``, ``v1.0-trainval`` …, or such a folder itself.
+            version: which of them; may be None where there is only one.
+        """
+        self.root = Path(root)
+        self.version = version
+
+    def names(self) -> list[str]:
+        """Return the names of the scenes, in the table's order."""
+        return [entry.name for entry in self._entries]
+
+    def read(self, name: str) -> LogScene:
+        """Return one scene; the ego is row 0, the others follow in the order of ``instance.json``.
+
+        Raises:
+            UnknownNameError: there is no such scene.
+            LogError: a table is missing or damaged.
+        """
+        names = self.names()
+        if name not in names:
+            raise UnknownNameError("scene", name, names)
+        number = names.index(name)
+        joined = self._joined
+        tracks = _tracks(
+            joined.keyframes[number],
+            joined.ego[number],
+            joined.boxes.of(number),
+            joined.instances,
+            self.folder,
+        )
+        parked = parked_agents(tracks.xy_m, tracks.valid, KEYFRAME_S)
+        parked[0] = False
+        tracks.speed_mps[parked[:, None] & tracks.valid] = 0.0
+        return LogScene(name, self._entries[number].location, tracks, 0, parked, self.folder)
+
+    def scenes(self) -> Iterator[LogScene]:
+        """Yield all scenes."""
+        return map(self.read, self.names())
+
+    @cached_property
+    def folder(self) -> Path:
+        """Folder of the tables.
+
+        Raises:
+            LogError: there is none, or several and no version was given.
+        """
+        if self.version is not None:
+            found = [self.root / self.version]
+        elif (self.root / "scene.json").is_file():
+            found = [self.root]
+        else:
+            found = sorted(p.parent for p in self.root.glob("v1.0-*/scene.json"))
+        if not found or not found[0].is_dir():
+            named = self.version or "v1.0-* folder with a scene.json"
+            raise LogError(self.root, f"holds no {named}", "give the root of a nuScenes dataset")
+        if len(found) > 1:
+            versions = ", ".join(p.name for p in found)
+            raise LogError(self.root, f"holds several versions ({versions})", "give one of these folders")
+        return found[0]
+
+    @cached_property
+    def _entries(self) -> list[SceneEntry]:
+        return read_scenes(self.folder)
+
+    @cached_property
+    def _joined(self) -> _Joined:
+        keyframes = read_keyframes(self.folder, self._entries)
+        instances = read_instances(self.folder)
+        return _Joined(
+            keyframes=keyframes,
+            ego=read_ego_poses(self.folder, keyframes),
+            instances=instances,
+            boxes=read_boxes(self.folder, keyframes, instances),
+        )
+
+
+@dataclass(frozen=True)
+class _Joined:
+    keyframes: list[Keyframes]
+    ego: list[FloatArray]
+    instances: Instances
+    boxes: Boxes
+
+
+def _tracks(frames: Keyframes, ego: FloatArray, boxes: Boxes, instances: Instances, folder: Path) -> Tracks:
+    """Return the tracks of one scene; row 0 is the ego."""
+    present, row = np.unique(boxes.instance, return_inverse=True)
+    steps = int(frames.slot[-1]) + 1
+    pose = np.full((len(present) + 1, steps, 3), np.nan)
+    pose[0, frames.slot] = ego
+    pose[0, frames.slot, :2] += ZOE_CENTRE_AHEAD_M * unit(ego[:, 2])
+    _refuse_doubles(row, boxes, instances, folder)
+    pose[1 + row, boxes.slot] = boxes.values[:, :3]
+    xy, yaw = pose[..., :2], pose[..., 2]
+    valid = np.isfinite(yaw)
+    return Tracks(
+        ids=(EGO_ID, *(instances.tokens[i] for i in present)),
+        classes=np.array([AgentClass.CAR, *(instances.classes[i] for i in present)], dtype=np.int64),
+        size_m=np.vstack(([ZOE_LENGTH_M, ZOE_WIDTH_M], _sizes(row, boxes, len(present)))),
+        xy_m=xy,
+        yaw_rad=yaw,
+        speed_mps=signed_speeds(xy, yaw, valid, KEYFRAME_S),
+        valid=valid,
+        t0_s=0.0,
+        dt_s=KEYFRAME_S,
+    )
+
+
+def _sizes(row: IntArray, boxes: Boxes, agents: int) -> FloatArray:
+    """Return each agent's median length and width (A, 2)."""
+    if agents == 0:
+        return np.zeros((0, 2))
+    return np.array([np.median(boxes.values[row == i, 3:], axis=0) for i in range(agents)])
+
+
+def _refuse_doubles(row: IntArray, boxes: Boxes, instances: Instances, folder: Path) -> None:
+    key = np.column_stack((row, boxes.slot))
+    _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
+    for at in first[count > 1][:1]:
+        token = instances.tokens[boxes.instance[at]]
+        problem = f"instance {token} has two boxes at keyframe {boxes.slot[at]}"
+        raise LogError(folder / "sample_annotation.json", problem, "remove one of them")

@@ -1,0 +1,6 @@
+"""Road maps: any SUMO net as lanes, links, junctions, areas and routes."""
+
+from advdiff_sumo.maps.lanes import Edge, Junction, Lane, LanePose, Link
+from advdiff_sumo.maps.roadmap import RoadMap
+
+__all__ = ["Edge", "Junction", "Lane", "LanePose", "Link", "RoadMap"]

@@ -1,0 +1,254 @@
+"""Turns the elements of a net file into lanes, links, edges and junctions."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from sumolib.net.lane import SUMO_VEHICLE_CLASSES
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import NetError
+from advdiff_sumo.core.polylines import Polyline, without_repeats
+from advdiff_sumo.maps.lanes import Edge, Junction, Lane, Link
+from advdiff_sumo.maps.read_net import RawNet, shape_of
+
+DEFAULT_LANE_WIDTH_M = 3.2
+"""SUMO's width of a lane that states none (SUMO_const_laneWidth)."""
+
+_STUB_M = 0.01
+_SIDE_MARGIN_M = 0.3
+
+
+@dataclass(frozen=True)
+class LaneGraph:
+    """Everything of a net that is not area.
+
+    Attributes:
+        lanes: by id, internal ones included.
+        edges: by id, internal ones included.
+        junctions: by id.
+        links: by (from lane, to lane), neither of them internal.
+    """
+
+    lanes: Mapping[str, Lane]
+    edges: Mapping[str, Edge]
+    junctions: Mapping[str, Junction]
+    links: Mapping[tuple[str, str], Link]
+
+
+def build_graph(raw: RawNet) -> LaneGraph:
+    """Return the lane graph of *raw*.
+
+    Raises:
+        NetError: an element lacks an attribute or holds a malformed value, or motor vehicles have no lane.
+    """
+    try:
+        junctions = {name: _junction(element) for name, element in raw.junctions.items()}
+        bare = {edge: _bare_lanes(edge, element, raw.lefthand) for edge, element in raw.edges.items()}
+        successors = _links(raw, junctions)
+    except (KeyError, ValueError, IndexError) as error:
+        problem = f"holds an element with a missing or malformed value ({error})"
+        raise NetError(raw.path, problem, "write it anew with netconvert") from None
+    lanes = {
+        lane.id: replace(lane, successors=tuple(successors.get(lane.id, ())))
+        for group in bare.values()
+        for lane in group
+    }
+    if not any(lane.is_drivable and not lane.is_internal for lane in lanes.values()):
+        raise NetError(raw.path, "has no lane that is open to motor vehicles", "give another net")
+    lanes = _with_directions(lanes)
+    edges = {name: _edge(name, raw.edges[name], [lanes[x.id] for x in bare[name]]) for name in bare}
+    links = {
+        (link.from_lane, link.to_lane): link
+        for lane in lanes.values()
+        if not lane.is_internal
+        for link in lane.successors
+    }
+    return LaneGraph(lanes, edges, junctions, links)
+
+
+def permissions(allow: str | None, disallow: str | None) -> frozenset[str]:
+    """Return the vehicle classes that SUMO's ``allow`` and ``disallow`` leave; with neither, all."""
+    if allow is not None and allow.strip() != "all":
+        return frozenset(allow.split())
+    if disallow is None:
+        return frozenset(SUMO_VEHICLE_CLASSES)
+    if disallow.strip() == "all":
+        return frozenset()
+    return frozenset(SUMO_VEHICLE_CLASSES) - frozenset(disallow.split())
+
+
+def _junction(element: ET.Element) -> Junction:
+    foes, response = {}, {}
+    for request in element.iterfind("request"):
+        index = int(request.attrib["index"])
+        foes[index] = _bits(request.get("foes", ""))
+        response[index] = _bits(request.get("response", ""))
+    return Junction(
+        id=element.attrib["id"],
+        type=element.get("type", "unknown"),
+        xy_m=np.array([float(element.attrib["x"]), float(element.attrib["y"])]),
+        shape_xy_m=shape_of(element),
+        foes=foes,
+        response=response,
+        incoming_lanes=tuple(element.get("incLanes", "").split()),
+        internal_lanes=tuple(element.get("intLanes", "").split()),
+    )
+
+
+def _bits(matrix_row: str) -> frozenset[int]:
+    """Return the indices of the ones; SUMO writes index 0 rightmost."""
+    return frozenset(i for i, bit in enumerate(reversed(matrix_row)) if bit == "1")
+
+
+def _bare_lanes(edge_id: str, edge: ET.Element, lefthand: bool) -> list[Lane]:
+    """Return the edge's lanes by index, with neighbours, still without successors."""
+    lanes = [
+        _bare_lane(edge_id, e, edge.get("function") == "internal")
+        for e in sorted(edge.iterfind("lane"), key=lambda e: int(e.attrib["index"]))
+    ]
+    for low in range(len(lanes) - 1):
+        left, right = low + 1, low
+        if not _is_left_of(lanes[low + 1].centre_xy_m, lanes[low].centre_xy_m, lefthand):
+            left, right = right, left
+        lanes[right] = replace(lanes[right], left_id=lanes[left].id)
+        lanes[left] = replace(lanes[left], right_id=lanes[right].id)
+    return lanes
+
+
+def _is_left_of(upper: FloatArray, lower: FloatArray, lefthand: bool) -> bool:
+    """Return whether the lane of the higher index lies left of the other, by shape where that is clear."""
+    if len(upper) > 1 and len(lower) > 1:
+        reference, other = Polyline.of(lower), Polyline.of(upper)
+        _, d = reference.project(other.at(0.5 * other.length_m)[0])
+        if abs(float(d)) > _SIDE_MARGIN_M:
+            return bool(d > 0.0)
+    return not lefthand
+
+
+def _bare_lane(edge_id: str, element: ET.Element, is_internal: bool) -> Lane:
+    centre = without_repeats(shape_of(element))
+    if len(centre) == 0 or not np.isfinite(centre).all():
+        raise ValueError(f"lane {element.attrib['id']} has no shape")
+    length = float(np.hypot(*np.diff(centre, axis=0).T).sum())
+    return Lane(
+        id=element.attrib["id"],
+        edge_id=edge_id,
+        index=int(element.attrib["index"]),
+        centre_xy_m=centre,
+        width_m=float(element.get("width", DEFAULT_LANE_WIDTH_M)),
+        speed_mps=float(element.attrib["speed"]),
+        length_m=length,
+        sumo_length_m=float(element.get("length", length)),
+        is_internal=is_internal,
+        allows=permissions(element.get("allow"), element.get("disallow")),
+        left_id=None,
+        right_id=None,
+        successors=(),
+    )
+
+
+def _with_directions(lanes: Mapping[str, Lane]) -> dict[str, Lane]:
+    """Give lanes that are drawn as one point a centimetre of length, along the lane that leads to them."""
+    leading: dict[str, Lane] = {}
+    for lane in lanes.values():
+        for link in lane.successors:
+            for follower in (*link.via, link.to_lane):
+                leading.setdefault(follower, lane)
+    fixed = dict(lanes)
+    for lane in lanes.values():
+        if len(lane.centre_xy_m) < 2:
+            before = leading.get(lane.id)
+            known = before is not None and len(before.centre_xy_m) > 1
+            tangent = before.line.tangents[-1] if before is not None and known else np.array([1.0, 0.0])
+            centre = np.vstack((lane.centre_xy_m, lane.centre_xy_m + _STUB_M * tangent))
+            fixed[lane.id] = replace(lane, centre_xy_m=centre, length_m=_STUB_M)
+    return fixed
+
+
+def _links(raw: RawNet, junctions: Mapping[str, Junction]) -> dict[str, list[Link]]:
+    """Return the links from each lane; those whose second half the net lists apart are joined."""
+    second: dict[str, ET.Element] = {}
+    outgoing: dict[str, list[ET.Element]] = defaultdict(list)
+    for connection in raw.connections:
+        origin = f"{connection.attrib['from']}_{connection.attrib['fromLane']}"
+        outgoing[origin].append(connection)
+        if origin.startswith(":"):
+            second.setdefault(origin, connection)
+    numbers = _request_numbers(junctions, outgoing)
+    return {
+        origin: [_link(origin, c, raw, second, numbers) for c in connections]
+        for origin, connections in outgoing.items()
+    }
+
+
+def _link(
+    origin: str,
+    connection: ET.Element,
+    raw: RawNet,
+    second: Mapping[str, ET.Element],
+    numbers: Mapping[int, int],
+) -> Link:
+    via: list[str] = []
+    step: ET.Element | None = connection
+    while step is not None and (internal := step.get("via")) and internal not in via:
+        via.append(internal)
+        step = second.get(internal)
+    edge = raw.edges[connection.attrib["from"]]
+    index = connection.get("linkIndex")
+    return Link(
+        from_lane=origin,
+        to_lane=f"{connection.attrib['to']}_{connection.attrib['toLane']}",
+        via=tuple(via),
+        direction=connection.get("dir", "s"),
+        tls_id=connection.get("tl") or None,
+        tls_index=int(index) if index is not None and connection.get("tl") else None,
+        state=connection.get("state", "M"),
+        junction_id=edge.get("to") or junction_of_internal(origin),
+        request_index=numbers.get(id(connection), -1),
+    )
+
+
+def _request_numbers(
+    junctions: Mapping[str, Junction], outgoing: Mapping[str, Sequence[ET.Element]]
+) -> dict[int, int]:
+    """Return the request index of each connection element (by its identity).
+
+    SUMO numbers the links of a junction lane by lane in the order of ``incLanes``, each lane's connections in
+    file order; those over crossings come last.
+    """
+    numbers: dict[int, int] = {}
+    for junction in junctions.values():
+        counted: Iterable[ET.Element] = (
+            c for lane in junction.incoming_lanes for c in outgoing.get(lane, ())
+        )
+        for number, connection in enumerate(counted):
+            if number in junction.foes:
+                numbers[id(connection)] = number
+    return numbers
+
+
+def junction_of_internal(lane_or_edge_id: str) -> str:
+    """Return the junction that an internal lane ":J_0_0" lies on."""
+    return lane_or_edge_id[1:].rsplit("_", 2)[0]
+
+
+def _edge(name: str, element: ET.Element, lanes: Sequence[Lane]) -> Edge:
+    internal = element.get("function") == "internal"
+    junction = name[1:].rsplit("_", 1)[0] if internal else ""
+    onward = {link.to_lane.rsplit("_", 1)[0]: None for lane in lanes for link in lane.successors}
+    return Edge(
+        id=name,
+        lane_ids=tuple(lane.id for lane in lanes),
+        from_junction=element.get("from") or junction,
+        to_junction=element.get("to") or junction,
+        length_m=float(np.mean([lane.length_m for lane in lanes])),
+        speed_mps=max(lane.speed_mps for lane in lanes),
+        is_internal=internal,
+        priority=int(element.get("priority", "-1")),
+        successors=tuple(onward),
+    )

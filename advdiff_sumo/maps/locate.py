@@ -1,0 +1,171 @@
+"""Finds lanes near points: an index over the segments of all centre lines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import shapely
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.maps.drivable import geometries
+from advdiff_sumo.maps.lanes import Lane, LanePose
+
+SIGMA_DISTANCE_M = 1.0
+"""Spread of the distance to the true centre line, in the cost of a candidate."""
+SIGMA_YAW_RAD = 0.5
+"""Spread of the heading against the true lane's."""
+OFF_ROUTE_COST = 9.0
+"""Cost of leaving the given route: as much as three metres to the side."""
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Lanes near points: C rows, each the nearest place of one lane to one point, sorted by point.
+
+    Attributes:
+        point: (C,) index of the point.
+        lane: (C,) index of the lane in :attr:`LaneIndex.lane_ids`.
+        s_m: (C,) distance along the lane.
+        d_m: (C,) signed distance, left positive; beyond an end the distance to the end point.
+        yaw_rad: (C,) heading of the lane there.
+    """
+
+    point: IntArray
+    lane: IntArray
+    s_m: FloatArray
+    d_m: FloatArray
+    yaw_rad: FloatArray
+
+    def rows(self, keep: BoolArray | IntArray) -> Candidates:
+        """Return the rows *keep* (indices or mask)."""
+        return Candidates(
+            self.point[keep], self.lane[keep], self.s_m[keep], self.d_m[keep], self.yaw_rad[keep]
+        )
+
+
+class LaneIndex:
+    """Spatial index over the centre lines of *lanes*."""
+
+    def __init__(self, lanes: Mapping[str, Lane]) -> None:
+        self.lane_ids: tuple[str, ...] = tuple(lanes)
+        self._lanes = lanes
+        lines = [lane.line for lane in lanes.values()]
+        counts = np.array([len(line.s_m) - 1 for line in lines], dtype=np.int64)
+        self._lane_of = np.repeat(np.arange(len(lines)), counts)
+        self._start = np.concatenate([line.xy_m[:-1] for line in lines])
+        self._end = np.concatenate([line.xy_m[1:] for line in lines])
+        self._tangent = np.concatenate([line.tangents for line in lines])
+        self._s0 = np.concatenate([line.s_m[:-1] for line in lines])
+        self._step = np.concatenate([np.diff(line.s_m) for line in lines])
+        self._yaw = np.concatenate([line.segment_yaw_rad for line in lines])
+
+    @cached_property
+    def _tree(self) -> shapely.STRtree:
+        return shapely.STRtree(geometries(shapely.linestrings(np.stack((self._start, self._end), axis=1))))
+
+    @cached_property
+    def row(self) -> Mapping[str, int]:
+        """Index of each lane id."""
+        return {name: i for i, name in enumerate(self.lane_ids)}
+
+    @cached_property
+    def is_internal(self) -> BoolArray:
+        """(L,) whether each lane lies on a junction."""
+        return np.array([lane.is_internal for lane in self._lanes.values()])
+
+    def permits(self, vclass: str | None) -> BoolArray:
+        """Return (L,) whether each lane is open to *vclass* (None: to any road motor vehicle)."""
+        return np.array([lane.permits(vclass) for lane in self._lanes.values()])
+
+    def candidates(self, xy_m: FloatArray, radius_m: float) -> Candidates:
+        """Return the nearest place of every lane within *radius_m* of each point *xy_m* (N, 2).
+
+        Points that hold NaN have none. Rows are sorted by point, then lane.
+        """
+        points = shapely.points(xy_m)
+        point, segment = self._tree.query(points, predicate="dwithin", distance=radius_m)
+        delta = xy_m[point] - self._start[segment]
+        tangent = self._tangent[segment]
+        along = np.clip((delta * tangent).sum(-1), 0.0, self._step[segment])
+        apart = delta - along[:, None] * tangent
+        distance = np.hypot(apart[:, 0], apart[:, 1])
+        lane = self._lane_of[segment]
+        # at a corner two segments are equally near: take the later one, like Polyline.segment_at
+        order = np.lexsort((-segment, np.round(distance, 9), lane, point))
+        first = np.ones(len(order), dtype=np.bool_)
+        first[1:] = (np.diff(point[order]) != 0) | (np.diff(lane[order]) != 0)
+        best = order[first]
+        cross = tangent[best, 0] * apart[best, 1] - tangent[best, 1] * apart[best, 0]
+        return Candidates(
+            point=point[best],
+            lane=lane[best],
+            s_m=self._s0[segment[best]] + along[best],
+            d_m=np.copysign(distance[best], cross),
+            yaw_rad=self._yaw[segment[best]],
+        )
+
+    def best(
+        self,
+        xy_m: FloatArray,
+        yaw_rad: FloatArray | None,
+        radius_m: float,
+        allowed: BoolArray,
+        on_route: BoolArray | None = None,
+    ) -> Candidates:
+        """Return at most one candidate for each point: that of the least cost.
+
+        The cost is a sum of squares: distance over :data:`SIGMA_DISTANCE_M`, heading error over
+        :data:`SIGMA_YAW_RAD`, and :data:`OFF_ROUTE_COST` off the route. Ties go to the lane listed first.
+
+        Args:
+            xy_m: (N, 2) points.
+            yaw_rad: (N,) headings, or None to go by distance alone.
+            radius_m: farthest lane.
+            allowed: (L,) lanes that may be chosen.
+            on_route: (L,) lanes of the vehicle's route, or None.
+        """
+        found = self.candidates(xy_m, radius_m)
+        found = found.rows(allowed[found.lane])
+        cost = candidate_cost(found, yaw_rad)
+        if on_route is not None:
+            cost = cost + np.where(on_route[found.lane], 0.0, OFF_ROUTE_COST)
+        order = np.lexsort((found.lane, np.round(cost, 9), found.point))
+        first = np.ones(len(order), dtype=np.bool_)
+        first[1:] = np.diff(found.point[order]) != 0
+        return found.rows(order[first])
+
+    def route_mask(self, route: Sequence[str]) -> BoolArray:
+        """Return (L,) whether each lane lies on *route*: its edges and the internal lanes between them."""
+        mask = np.zeros(len(self.lane_ids), dtype=np.bool_)
+        edges, pairs = set(route), set(pairwise(route))
+        for i, lane in enumerate(self._lanes.values()):
+            if lane.edge_id not in edges or lane.is_internal:
+                continue
+            mask[i] = True
+            for link in lane.successors:
+                if (lane.edge_id, self._lanes[link.to_lane].edge_id) in pairs:
+                    mask[[self.row[x] for x in link.via if x in self.row]] = True
+        return mask
+
+
+def candidate_cost(found: Candidates, yaw_rad: FloatArray | None) -> FloatArray:
+    """Return the cost (C,) of *found* against the headings *yaw_rad* (N,) of the points."""
+    cost = (found.d_m / SIGMA_DISTANCE_M) ** 2
+    if yaw_rad is None:
+        return cost
+    error = np.nan_to_num(wrap_angle(yaw_rad[found.point] - found.yaw_rad))
+    return cost + (error / SIGMA_YAW_RAD) ** 2
+
+
+def poses_of(index: LaneIndex, found: Candidates, yaw_rad: FloatArray | None) -> list[LanePose]:
+    """Return *found* as values; the heading error is 0 where no heading was given."""
+    error = np.zeros(len(found.lane)) if yaw_rad is None else wrap_angle(yaw_rad[found.point] - found.yaw_rad)
+    return [
+        LanePose(index.lane_ids[lane], float(s), float(d), float(e))
+        for lane, s, d, e in zip(found.lane, found.s_m, found.d_m, error, strict=True)
+    ]

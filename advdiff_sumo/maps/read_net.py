@@ -1,0 +1,150 @@
+"""Reads a SUMO net file into plain values, in one pass.
+
+sumolib's reader leaves out what is needed here (left-hand driving, a check that the file is a net at all) and
+keeps the right-of-way rows private, so the elements are read directly; the tests hold the result against
+sumolib's. External entities are refused (defusedxml).
+"""
+
+from __future__ import annotations
+
+import gzip
+import xml.etree.ElementTree as ET
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import parse as parse_xml
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import NetError
+
+SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml")
+_KEPT_FUNCTIONS = ("", "normal", "internal")
+
+
+@dataclass(frozen=True)
+class Location:
+    """How the net's metres relate to the globe.
+
+    Attributes:
+        offset_xy_m: (2,) added to projected coordinates.
+        proj: PROJ string, or None when the net has no projection.
+    """
+
+    offset_xy_m: FloatArray
+    proj: str | None
+
+
+@dataclass(frozen=True)
+class RawNet:
+    """The elements of a net file that a road map needs, still XML.
+
+    Attributes:
+        path: the file.
+        lefthand: whether traffic drives on the left.
+        location: how the metres relate to the globe.
+        edges: id → element with its lanes; crossings and walking areas are left out.
+        junctions: id → element with its requests; internal junctions are left out.
+        connections: elements in file order, those of crossings and walking areas left out.
+        pedestrian_shapes: id → outline (K, 2) of crossings (as a line) and walking areas.
+    """
+
+    path: Path
+    lefthand: bool
+    location: Location
+    edges: Mapping[str, ET.Element]
+    junctions: Mapping[str, ET.Element]
+    connections: tuple[ET.Element, ...]
+    pedestrian_shapes: Mapping[str, FloatArray]
+
+
+def read_raw_net(path: Path) -> RawNet:
+    """Return the elements of the net at *path* (plain or gzipped).
+
+    Raises:
+        NetError: the file is missing, unreadable, truncated or no SUMO net.
+    """
+    root = read_root(path, "net", "a SUMO net")
+    edges: dict[str, ET.Element] = {}
+    pedestrian: dict[str, FloatArray] = {}
+    for edge in root.iterfind("edge"):
+        lane = edge.find("lane")
+        if edge.get("function", "") in _KEPT_FUNCTIONS and lane is not None:
+            edges[edge.get("id", "")] = edge
+        elif edge.get("function") in ("crossing", "walkingarea") and lane is not None:
+            pedestrian[edge.get("id", "")] = shape_of(lane)
+    return RawNet(
+        path=path,
+        lefthand=root.get("lefthand", "false").lower() in ("true", "1"),
+        location=_location(root.find("location")),
+        edges=edges,
+        junctions={j.get("id", ""): j for j in root.iterfind("junction") if j.get("type") != "internal"},
+        connections=tuple(
+            c for c in root.iterfind("connection") if c.get("from") in edges and c.get("to") in edges
+        ),
+        pedestrian_shapes=pedestrian,
+    )
+
+
+def read_root(path: Path, tag: str, what: str) -> ET.Element:
+    """Return the root element of the XML file at *path* (gzipped or not), which must be named *tag*.
+
+    Raises:
+        NetError: with one sentence that says what is wrong with the file.
+    """
+    try:
+        root = _parse(path)
+    except FileNotFoundError:
+        raise NetError(path, "no such file", f"give the path of {what}") from None
+    except IsADirectoryError:
+        raise NetError(path, "is a folder", f"give the path of {what} inside it") from None
+    except OSError as error:
+        raise NetError(path, f"cannot be read ({error.strerror or error})") from None
+    except (EOFError, zlib.error):
+        raise NetError(path, "the gzip data are cut off or damaged", "copy or make the file anew") from None
+    except (ET.ParseError, DefusedXmlException, UnicodeDecodeError) as error:
+        remedy = "it is truncated or not XML; copy or make it anew"
+        raise NetError(path, f"is not readable as XML ({error})", remedy) from None
+    if root.tag != tag:
+        raise NetError(path, f"is not {what}: its root element is <{root.tag}>, not <{tag}>")
+    return root
+
+
+def _parse(path: Path) -> ET.Element:
+    with path.open("rb") as file:
+        if file.read(2) == b"\x1f\x8b":
+            file.seek(0)
+            with gzip.open(file) as unpacked:
+                tree = parse_xml(unpacked)
+        else:
+            file.seek(0)
+            tree = parse_xml(file)
+    root: ET.Element | None = tree.getroot()
+    if root is None:
+        raise ET.ParseError("no element found")
+    return root
+
+
+def shape_of(element: ET.Element) -> FloatArray:
+    """Return the ``shape`` of *element* as (P, 2) points, heights dropped; (0, 2) when it has none."""
+    points = [point.split(",")[:2] for point in element.get("shape", "").split()]
+    return np.array(points, dtype=np.float64).reshape(-1, 2)
+
+
+def _location(element: ET.Element | None) -> Location:
+    if element is None:
+        return Location(np.zeros(2), None)
+    x, y = element.get("netOffset", "0,0").split(",")[:2]
+    proj = element.get("projParameter", "!")
+    return Location(np.array([float(x), float(y)]), None if proj in ("!", "-", "") else proj)
+
+
+def base_name(path: Path) -> str:
+    """Return the file's name without its SUMO suffixes."""
+    for suffix in SUFFIXES:
+        if path.name.endswith(suffix):
+            return path.name.removesuffix(suffix)
+    return path.stem

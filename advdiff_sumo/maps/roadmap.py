@@ -1,0 +1,239 @@
+"""The one map of the package: a SUMO net and its drivable area, whatever the net came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from shapely.geometry.base import BaseGeometry
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.errors import NetError
+from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.maps.build_graph import LaneGraph, build_graph
+from advdiff_sumo.maps.drivable import DrivableArea, area_of_lanes
+from advdiff_sumo.maps.geo import Projection
+from advdiff_sumo.maps.lanes import Edge, Junction, Lane, LanePose, Link
+from advdiff_sumo.maps.locate import LaneIndex, poses_of
+from advdiff_sumo.maps.read_net import RawNet, base_name, read_raw_net
+from advdiff_sumo.maps.routing import EdgeGraph
+from advdiff_sumo.maps.sidecar import read_sidecar, sidecar_of
+
+MAX_LANE_DISTANCE_M = 5.0
+"""Farthest centre line that :meth:`RoadMap.locate` accepts unless told otherwise."""
+
+
+class RoadMap:
+    """Lanes, links, junctions, areas and routes of one SUMO net; treat it as immutable.
+
+    Build it with :meth:`read`. Indices and areas are made on first use and kept. Coordinates are the net's metres
+    (x east, y north), headings in radians counter-clockwise from east.
+    """
+
+    def __init__(self, raw: RawNet, graph: LaneGraph, drivable: BaseGeometry | None) -> None:
+        self.path: Path = raw.path
+        self.name: str = base_name(raw.path)
+        self.lefthand: bool = raw.lefthand
+        self.lanes: Mapping[str, Lane] = graph.lanes
+        self.edges: Mapping[str, Edge] = graph.edges
+        self.junctions: Mapping[str, Junction] = graph.junctions
+        self.links: Mapping[tuple[str, str], Link] = graph.links
+        self.pedestrian_shapes: Mapping[str, FloatArray] = raw.pedestrian_shapes
+        self.projection = Projection(raw.location)
+        self._graph = graph
+        self._given_area = drivable
+        self._edge_graphs: dict[str | None, EdgeGraph] = {}
+        self._allowed: dict[str | None, BoolArray] = {}
+
+    @classmethod
+    def read(cls, net_path: str | Path, sidecar: str | Path | None = None) -> RoadMap:
+        """Read the net at *net_path*, gzipped or not.
+
+        Args:
+            net_path: a SUMO net.
+            sidecar: its drivable area; by default NAME.poly.xml beside NAME.net.xml, where there is one.
+                Without a side-car the area is that of the lanes and junctions.
+
+        Raises:
+            NetError: a file is missing, truncated or of another kind, or no lane is open to motor vehicles.
+        """
+        path = Path(net_path)
+        raw = read_raw_net(path)
+        graph = build_graph(raw)
+        area_path = Path(sidecar) if sidecar is not None else sidecar_of(path)
+        area = read_sidecar(area_path) if area_path is not None else None
+        if sidecar is not None and area is None:
+            raise NetError(Path(sidecar), "holds no polygon of type 'drivable_area'")
+        return cls(raw, graph, area)
+
+    def __repr__(self) -> str:
+        return f"RoadMap({self.name!r}, {len(self.edges)} edges, {len(self.lanes)} lanes)"
+
+    # --- extent and area ---------------------------------------------------------------------------------
+
+    @cached_property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """(xmin, ymin, xmax, ymax) of the drivable area."""
+        x0, y0, x1, y1 = self.drivable.bounds
+        return float(x0), float(y0), float(x1), float(y1)
+
+    @cached_property
+    def area(self) -> DrivableArea:
+        """The drivable area with its indices."""
+        given = self._given_area
+        area = area_of_lanes(self.lanes.values(), self.junctions) if given is None else given
+        return DrivableArea(area)
+
+    @property
+    def drivable(self) -> BaseGeometry:
+        """The drivable area as a prepared shapely (multi)polygon."""
+        return self.area.geometry
+
+    def covers(self, xy_m: FloatArray) -> BoolArray:
+        """Return whether points (…, 2) lie in the drivable area; NaN does not."""
+        return self.area.covers(np.asarray(xy_m, dtype=np.float64))
+
+    def off_road_share(self, corners_m: FloatArray) -> FloatArray:
+        """Return the share (N,), 0 to 1, of each box (N, 4, 2) off the drivable area; NaN for NaN."""
+        return self.area.off_road_share(np.asarray(corners_m, dtype=np.float64))
+
+    def drivable_edge_distance(self, xy_m: FloatArray) -> FloatArray:
+        """Return the distance (N,) of points (N, 2) to the road's edge in metres, positive on the road."""
+        return self.area.edge_distance_m(np.asarray(xy_m, dtype=np.float64))
+
+    def lonlat(self, xy_m: FloatArray) -> FloatArray | None:
+        """Return longitude and latitude (…, 2) in degrees; None when the net has no projection."""
+        return self.projection.lonlat(xy_m)
+
+    def xy_from_lonlat(self, lonlat_deg: FloatArray) -> FloatArray | None:
+        """Return the net's metres (…, 2) of longitude and latitude; None when the net has no projection."""
+        return self.projection.xy_from_lonlat(lonlat_deg)
+
+    # --- lanes near poses --------------------------------------------------------------------------------
+
+    @cached_property
+    def index(self) -> LaneIndex:
+        """Spatial index of all lanes."""
+        return LaneIndex(self.lanes)
+
+    def near(self, xy_m: FloatArray, radius_m: float = 30.0, *, vclass: str | None = None) -> list[LanePose]:
+        """Return the nearest place of every lane within *radius_m* of one point (2,), nearest first.
+
+        Heading errors are 0. Lanes closed to *vclass* (None: to all motor vehicles) are left out.
+        """
+        found = self.index.candidates(_row(xy_m), radius_m)
+        found = found.rows(self._open_to(vclass)[found.lane])
+        return poses_of(self.index, found.rows(np.argsort(np.abs(found.d_m), kind="stable")), None)
+
+    def locate(
+        self,
+        xy_m: FloatArray,
+        yaw_rad: float | None = None,
+        *,
+        vclass: str | None = None,
+        max_distance_m: float = MAX_LANE_DISTANCE_M,
+        route: Sequence[str] | None = None,
+        internal: bool = True,
+    ) -> LanePose | None:
+        """Return the lane that a pose most likely belongs to, or None when no lane is near.
+
+        Args:
+            xy_m: (2,) point, for a vehicle the centre of its box.
+            yaw_rad: its heading, weighed against the lane's; None to go by distance alone.
+            vclass: only lanes open to this class; None: to any road motor vehicle.
+            max_distance_m: farthest centre line.
+            route: edges whose lanes, and the internal lanes between them, are preferred.
+            internal: whether lanes on junctions count.
+        """
+        yaw = None if yaw_rad is None else np.array([yaw_rad], dtype=np.float64)
+        on_route = None if route is None else self.index.route_mask(route)
+        allowed = self._open_to(vclass)
+        allowed = allowed if internal else allowed & ~self.index.is_internal
+        found = self.index.best(_row(xy_m), yaw, max_distance_m, allowed, on_route)
+        poses = poses_of(self.index, found, yaw)
+        return poses[0] if poses else None
+
+    def locate_many(
+        self,
+        xy_m: FloatArray,
+        yaw_rad: FloatArray | None = None,
+        *,
+        vclass: str | None = None,
+        max_distance_m: float = MAX_LANE_DISTANCE_M,
+        internal: bool = True,
+    ) -> tuple[list[str | None], FloatArray, FloatArray, FloatArray]:
+        """Locate N poses at once: lane ids (None where no lane is near), s, d and heading errors (NaN there).
+
+        Args:
+            xy_m: (N, 2) points.
+            yaw_rad: (N,) headings or None.
+            vclass: as in :meth:`locate`.
+            max_distance_m: as in :meth:`locate`.
+            internal: as in :meth:`locate`.
+        """
+        xy = np.asarray(xy_m, dtype=np.float64).reshape(-1, 2)
+        yaw = None if yaw_rad is None else np.asarray(yaw_rad, dtype=np.float64)
+        allowed = self._open_to(vclass)
+        allowed = allowed if internal else allowed & ~self.index.is_internal
+        found = self.index.best(xy, yaw, max_distance_m, allowed)
+        ids: list[str | None] = [None] * len(xy)
+        s, d, error = (np.full(len(xy), np.nan) for _ in range(3))
+        for point, lane in zip(found.point, found.lane, strict=True):
+            ids[point] = self.index.lane_ids[lane]
+        s[found.point], d[found.point] = found.s_m, found.d_m
+        error[found.point] = 0.0 if yaw is None else wrap_angle(yaw[found.point] - found.yaw_rad)
+        return ids, s, d, error
+
+    def to_world(
+        self, lane_id: str, s_m: FloatArray | float, d_m: FloatArray | float = 0.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return points (…, 2) and headings (…,) at *s_m* along a lane, *d_m* to its left.
+
+        ``s`` is clamped to the lane. Within a straight piece this undoes :meth:`locate` exactly; in the
+        outer wedge of a bend (s at the corner, d ≠ 0) the next piece's normal is taken.
+        """
+        return self.lanes[lane_id].line.at(s_m, d_m)
+
+    def _open_to(self, vclass: str | None) -> BoolArray:
+        if vclass not in self._allowed:
+            self._allowed[vclass] = self.index.permits(vclass)
+        return self._allowed[vclass]
+
+    # --- routes ------------------------------------------------------------------------------------------
+
+    def edge_graph(self, vclass: str | None = "passenger") -> EdgeGraph:
+        """Return which edges lead to which for *vclass* (None: any road motor vehicle)."""
+        if vclass not in self._edge_graphs:
+            self._edge_graphs[vclass] = EdgeGraph.of(self._graph, vclass)
+        return self._edge_graphs[vclass]
+
+    def route(self, from_edge: str, to_edge: str, vclass: str = "passenger") -> tuple[str, ...] | None:
+        """Return the quickest route by speed limits, both edges included; None when there is none."""
+        return self.edge_graph(vclass).fastest(from_edge, to_edge)
+
+    def random_route(
+        self, from_edge: str, min_length_m: float, rng: np.random.Generator, vclass: str = "passenger"
+    ) -> tuple[str, ...]:
+        """Return a route from *from_edge* that goes on for *min_length_m* beyond it, or to a dead end.
+
+        The draw depends on *rng* alone. () when *vclass* may not drive on *from_edge*.
+        """
+        return self.edge_graph(vclass).random(from_edge, min_length_m, rng)
+
+    def source_edges(self, vclass: str = "passenger") -> tuple[str, ...]:
+        """Return the edges at which traffic enters the net."""
+        return self.edge_graph(vclass).sources()
+
+    def sink_edges(self, vclass: str = "passenger") -> tuple[str, ...]:
+        """Return the edges at which traffic leaves the net."""
+        return self.edge_graph(vclass).sinks()
+
+    def connected_edges(self, vclass: str = "passenger") -> frozenset[str]:
+        """Return the largest set of edges of which each can be reached from each other one."""
+        return self.edge_graph(vclass).strongly_connected()
+
+
+def _row(xy_m: FloatArray) -> FloatArray:
+    return np.asarray(xy_m, dtype=np.float64).reshape(1, 2)

@@ -1,0 +1,49 @@
+"""Reads the drivable-area side-car NAME.poly.xml that stands beside a net."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import shapely
+from shapely import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from advdiff_sumo.core.errors import NetError
+from advdiff_sumo.maps.read_net import base_name, read_root, shape_of
+
+AREA_TYPE = "drivable_area"
+HOLE_TYPE = "drivable_area_hole"
+
+
+def sidecar_of(net_path: Path) -> Path | None:
+    """Return the side-car beside *net_path* (gzipped or not), or None."""
+    for suffix in (".poly.xml", ".poly.xml.gz"):
+        path = net_path.with_name(base_name(net_path) + suffix)
+        if path.is_file():
+            return path
+    return None
+
+
+def read_sidecar(path: Path) -> BaseGeometry | None:
+    """Return the union of the drivable areas of *path* less their holes; None when it holds no such polygon.
+
+    Raises:
+        NetError: the file cannot be read, is no SUMO additional file, or holds a malformed shape.
+    """
+    root = read_root(path, "additional", "a SUMO file of polygons")
+    areas: list[BaseGeometry] = []
+    holes: list[BaseGeometry] = []
+    for element in root.iterfind("poly"):
+        kind = element.get("type")
+        if kind in (AREA_TYPE, HOLE_TYPE):
+            try:
+                outline = shape_of(element)
+                polygon = Polygon(outline) if np.isfinite(outline).all() else Polygon()
+            except ValueError as error:
+                problem = f"polygon '{element.get('id')}' has a malformed shape ({error})"
+                raise NetError(path, problem, "write the side-car anew or move it away") from None
+            (areas if kind == AREA_TYPE else holes).append(shapely.make_valid(polygon))
+    if not areas:
+        return None
+    return shapely.difference(shapely.union_all(areas), shapely.union_all(holes))

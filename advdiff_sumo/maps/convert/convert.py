@@ -1,0 +1,143 @@
+"""A nuScenes HD map or a ScenarioNet record's map → SUMO net, side-car and figures."""
+
+from __future__ import annotations
+
+import tempfile
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.maps.convert.layout import Layout, lay_out
+from advdiff_sumo.maps.convert.neighbours import SideBySide, find_side_by_side
+from advdiff_sumo.maps.convert.netconvert import run_netconvert
+from advdiff_sumo.maps.convert.netplan import NetPlan, Track, plan_net
+from advdiff_sumo.maps.convert.nuscenes_json import read_nuscenes_map
+from advdiff_sumo.maps.convert.paths import Connection, find_connections
+from advdiff_sumo.maps.convert.plain_xml import write_plain_xml
+from advdiff_sumo.maps.convert.projection import drives_left, projection_of
+from advdiff_sumo.maps.convert.sidecar import sidecar_path, write_sidecar
+from advdiff_sumo.maps.convert.source import SourceMap
+from advdiff_sumo.maps.convert.widths import width_between, width_profile
+
+SPEED_MPS = {True: 13.89, False: 11.18}  # by driving on the left: 50 km/h in Singapore, 25 mph in Boston
+
+
+@dataclass(frozen=True, eq=False)
+class ConversionResult:
+    """What a conversion made.
+
+    Attributes:
+        net: the SUMO net.
+        sidecar: polygons beside it.
+        source: the map as read.
+        tracks: lanes and connectors after repair.
+        layout: which parts of them became edge lanes.
+        plan: the net as planned.
+        doubles: ways that SUMO cannot hold beside another one between the same two lanes.
+        counts: everything mended, cut or left out.
+        netconvert_warnings: netconvert's own warnings.
+    """
+
+    net: Path
+    sidecar: Path
+    source: SourceMap
+    tracks: list[Track]
+    layout: Layout
+    plan: NetPlan
+    doubles: list[Connection]
+    counts: Counter[str]
+    netconvert_warnings: tuple[str, ...]
+
+
+def convert_map(
+    map_json: Path,
+    out_net: Path,
+    *,
+    lefthand: bool | None = None,
+    guess_signals: bool = False,
+    opendrive: bool = False,
+) -> ConversionResult:
+    """Convert *map_json* to *out_net* and its side-car NAME.poly.xml.
+
+    Args:
+        map_json: nuScenes map expansion v1.3.
+        out_net: net to be written, NAME.net.xml.
+        lefthand: whether traffic keeps left; None: as is usual at the map's place.
+        guess_signals: let netconvert guess signals where the map has none.
+        opendrive: also write NAME.xodr.
+
+    Raises:
+        MapError: the map cannot be used.
+        NetError: netconvert refused the plan.
+    """
+    source = read_nuscenes_map(Path(map_json))
+    return convert_source(source, Path(out_net), lefthand=lefthand, guess_signals=guess_signals, opendrive=opendrive)
+
+
+def convert_source(
+    source: SourceMap,
+    out_net: Path,
+    *,
+    lefthand: bool | None = None,
+    guess_signals: bool = False,
+    opendrive: bool = False,
+) -> ConversionResult:
+    """Convert a map already read; see :func:`convert_map`."""
+    left = drives_left(source.location) if lefthand is None else lefthand
+    tracks = measure_tracks(source, SPEED_MPS[left])
+    layout = lay_out(
+        [track.length_m for track in tracks],
+        [track.lane.is_connector for track in tracks],
+        _numbered_links(source),
+        neighbours_of(tracks),
+    )
+    ways, doubles = find_connections(layout)
+    plan = plan_net(tracks, layout, ways, left)
+    _make_folder(out_net)
+    with tempfile.TemporaryDirectory() as folder:
+        warnings = run_netconvert(
+            write_plain_xml(plan, Path(folder), source.location, projection_of(source.location)),
+            out_net,
+            lefthand=left,
+            guess_signals=guess_signals,
+            opendrive=out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr") if opendrive else None,
+        )
+    write_sidecar(source, sidecar_path(out_net))
+    counts = source.notes + layout.counts
+    return ConversionResult(
+        out_net, sidecar_path(out_net), source, tracks, layout, plan, doubles, counts, warnings
+    )
+
+
+def measure_tracks(source: SourceMap, default_speed_mps: float) -> list[Track]:
+    """Return the lanes of *source* with widths measured and speeds filled in."""
+    return [
+        Track(
+            lane,
+            lane.centre_m,
+            width_profile(lane.centre_m, lane.polygon),
+            lane.speed_mps if lane.speed_mps is not None else default_speed_mps,
+        )
+        for lane in source.lanes
+    ]
+
+
+def neighbours_of(tracks: list[Track]) -> list[SideBySide]:
+    """Return the pairs of road lanes (no connectors) that run side by side."""
+    road = [number for number, track in enumerate(tracks) if not track.lane.is_connector]
+    widths = [width_between(tracks[n].widths, 0.0, tracks[n].length_m) for n in road]
+    pairs = find_side_by_side([tracks[n].centre_m for n in road], widths)
+    return [SideBySide(road[p.left], road[p.right], p.left_m, p.right_m) for p in pairs]
+
+
+def _numbered_links(source: SourceMap) -> list[tuple[int, int]]:
+    number = {lane.token: index for index, lane in enumerate(source.lanes)}
+    return [(number[a], number[b]) for a, b in source.links]
+
+
+def _make_folder(out_net: Path) -> None:
+    try:
+        out_net.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(out_net.parent, f"cannot be made ({error.strerror})", "choose another output path") from None

@@ -1,0 +1,59 @@
+"""Run netconvert on plain XML."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+
+import sumolib
+
+from advdiff_sumo.core.errors import NetError
+
+PRECISION = "4"
+TIMEOUT_S = 600
+
+
+def run_netconvert(
+    files: Mapping[str, Path],
+    out_net: Path,
+    *,
+    lefthand: bool,
+    guess_signals: bool,
+    opendrive: Path | None = None,
+) -> tuple[str, ...]:
+    """Write *out_net* from plain XML and return netconvert's warnings, one a line.
+
+    Args:
+        files: plain XML files by option name.
+        out_net: net to be written.
+        lefthand: whether traffic keeps left.
+        guess_signals: let netconvert put signals at large junctions.
+        opendrive: also write the net as OpenDRIVE.
+
+    Raises:
+        NetError: netconvert refused the plan.
+    """
+    options = {
+        **{name: str(path) for name, path in files.items()},
+        "output-file": str(out_net),
+        "offset.disable-normalization": "true",
+        "precision": PRECISION,
+        "no-turnarounds": "true",
+        "lefthand": "true" if lefthand else "false",
+        "tls.guess": "true" if guess_signals else "false",
+        "junctions.limit-turn-speed": "-1",
+        "geometry.max-angle.fix": "false",
+        "geometry.min-radius": "0",
+        "check-lane-foes.all": "true",
+        "output.street-names": "false",
+        "xml-validation": "never",
+    }
+    if opendrive is not None:
+        options["opendrive-output"] = str(opendrive)
+    command = [sumolib.checkBinary("netconvert"), *(f"--{name}={value}" for name, value in sorted(options.items()))]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    if done.returncode != 0 or not out_net.exists():
+        raise NetError(out_net, "netconvert refused the plan: " + " ".join(lines[:3]), "this is a fault of the converter")
+    return tuple(line for line in lines if line.startswith("Warning"))

@@ -1,0 +1,244 @@
+"""The net to be written: edges, lanes, junctions and connections with their geometry."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+
+import numpy as np
+import shapely
+from shapely.geometry import LineString, MultiPoint, Polygon
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.joints import Joints
+from advdiff_sumo.maps.convert.layout import Layout
+from advdiff_sumo.maps.convert.paths import Connection
+from advdiff_sumo.maps.convert.pieces import Piece
+from advdiff_sumo.maps.convert.source import LaneUse, SourceLane
+from advdiff_sumo.maps.convert.widths import width_between
+
+LATERAL_MPS2 = 2.5  # comfortable sideways acceleration, which limits the speed in a turn
+SLOWEST_MPS = 3.0
+VARIES_M = 0.2  # a width that varies by more is written as a profile
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A repaired lane or connector with everything measured on it.
+
+    Attributes:
+        lane: the source lane.
+        centre_m: (N, 2) centre line.
+        widths: rows (K, 2) of arc length and width in m.
+        speed_mps: speed limit.
+    """
+
+    lane: SourceLane
+    centre_m: FloatArray
+    widths: FloatArray
+    speed_mps: float
+
+    @property
+    def length_m(self) -> float:
+        """Length in m."""
+        return polyline.length(self.centre_m)
+
+
+@dataclass(frozen=True, eq=False)
+class LanePlan:
+    """One lane of an edge."""
+
+    piece: Piece
+    shape_m: FloatArray
+    width_m: float
+    speed_mps: float
+    use: LaneUse
+    source: str
+    widths: str
+
+
+@dataclass(frozen=True, eq=False)
+class EdgePlan:
+    """An edge; *lanes* in SUMO's order (index 0 outermost)."""
+
+    id: str
+    origin: str
+    target: str
+    lanes: tuple[LanePlan, ...]
+
+    @property
+    def length_m(self) -> float:
+        """Mean length of the lanes in m, which is what SUMO holds for all of them."""
+        return float(np.mean([polyline.length(lane.shape_m) for lane in self.lanes]))
+
+
+@dataclass(frozen=True, eq=False)
+class ConnectionPlan:
+    """A connection between two lanes with the shape of its internal lane."""
+
+    origin: tuple[str, int]
+    target: tuple[str, int]
+    shape_m: FloatArray
+    speed_mps: float
+    source: str
+    way: Connection
+
+
+@dataclass(frozen=True, eq=False)
+class JunctionPlan:
+    """A junction."""
+
+    id: str
+    xy_m: tuple[float, float]
+    shape: Polygon
+    kind: str
+
+
+@dataclass(frozen=True, eq=False)
+class NetPlan:
+    """All parts of a net, ready to be written as plain XML."""
+
+    edges: tuple[EdgePlan, ...]
+    junctions: tuple[JunctionPlan, ...]
+    connections: tuple[ConnectionPlan, ...]
+    lefthand: bool
+    lane_of: dict[Piece, tuple[str, int]] = field(default_factory=dict)
+
+
+def plan_net(tracks: list[Track], layout: Layout, ways: list[Connection], lefthand: bool) -> NetPlan:
+    """Return the net of a layout.
+
+    Args:
+        tracks: lanes and connectors, numbered as in *layout*.
+        layout: pieces and their groups.
+        ways: connections between pieces.
+        lefthand: whether traffic keeps left; then lane 0 is the leftmost.
+    """
+    joints = _joints(layout, ways)
+    names = _junction_names(layout, joints)
+    edges, lane_of = [], {}
+    for number, group in enumerate(layout.groups):
+        ordered = group[::-1] if lefthand else group
+        edge = EdgePlan(
+            f"e{number}",
+            names[joints.find((group[0], 0))],
+            names[joints.find((group[0], 1))],
+            tuple(_lane_plan(tracks[piece.lane], piece) for piece in ordered),
+        )
+        edges.append(edge)
+        lane_of.update({piece: (edge.id, index) for index, piece in enumerate(ordered)})
+    connections = [_connection_plan(tracks, lane_of, way) for way in ways]
+    junctions = _junctions(tracks, edges, connections)
+    return NetPlan(tuple(edges), tuple(junctions), tuple(connections), lefthand, lane_of)
+
+
+def _joints(layout: Layout, ways: list[Connection]) -> Joints:
+    joints = Joints()
+    for way in ways:
+        joints.join(((way.origin, 1), (way.target, 0)))
+    for group in layout.groups:
+        for side in (0, 1):
+            joints.join((piece, side) for piece in group)
+    return joints
+
+
+def _junction_names(layout: Layout, joints: Joints) -> dict[Hashable, str]:
+    names: dict[Hashable, str] = {}
+    for group in layout.groups:
+        for side in (0, 1):
+            names.setdefault(joints.find((group[0], side)), f"j{len(names)}")
+    return names
+
+
+def _lane_plan(track: Track, piece: Piece) -> LanePlan:
+    inside = track.widths[(track.widths[:, 0] >= piece.from_m) & (track.widths[:, 0] <= piece.to_m)]
+    varies = len(inside) > 1 and float(np.ptp(inside[:, 1])) > VARIES_M
+    profile = " ".join(f"{s - piece.from_m:.1f}:{w:.2f}" for s, w in inside) if varies else ""
+    return LanePlan(
+        piece,
+        polyline.cut(track.centre_m, piece.from_m, piece.to_m),
+        round(width_between(track.widths, piece.from_m, piece.to_m), 2),
+        track.speed_mps,
+        track.lane.use,
+        _source(track, piece),
+        profile,
+    )
+
+
+def _source(track: Track, piece: Piece) -> str:
+    return f"{track.lane.token}:{piece.from_m:.3f}:{piece.to_m:.3f}"
+
+
+def _connection_plan(tracks: list[Track], lane_of: dict[Piece, tuple[str, int]], way: Connection) -> ConnectionPlan:
+    parts = [polyline.cut(tracks[p.lane].centre_m, p.from_m, p.to_m) for p in way.parts]
+    if not parts:  # lanes that meet without anything between them
+        end = polyline.at(tracks[way.origin.lane].centre_m, way.origin.to_m)
+        start = polyline.at(tracks[way.target.lane].centre_m, way.target.from_m)
+        parts = [np.stack((end, start))]
+    shape = polyline.join(parts)
+    limit = min([tracks[lane].speed_mps for lane in way.lanes])
+    source = " ".join(_source(tracks[part.lane], part) for part in way.parts)
+    return ConnectionPlan(
+        lane_of[way.origin], lane_of[way.target], shape, min(limit, turn_speed(shape)), source, way
+    )
+
+
+def turn_speed(shape_m: FloatArray) -> float:
+    """Return the speed in m/s at which the tightest 8 m of a line take the comfortable sideways acceleration."""
+    total = polyline.length(shape_m)
+    span = min(8.0, total)
+    if span < 1.0:
+        return math.inf
+    s = np.linspace(0.0, total, max(2, int(total) + 1))
+    yaw = np.unwrap(polyline.heading(shape_m, s))
+    later = np.interp(np.minimum(s + span, total), s, yaw)
+    sharpest = float(np.abs(later - yaw).max()) / span
+    return math.inf if sharpest < 1e-6 else max(SLOWEST_MPS, math.sqrt(LATERAL_MPS2 / sharpest))
+
+
+def _junctions(tracks: list[Track], edges: list[EdgePlan], connections: list[ConnectionPlan]) -> list[JunctionPlan]:
+    ends: dict[str, list[FloatArray]] = defaultdict(list)
+    bars: dict[str, list[LineString]] = defaultdict(list)
+    leaves: set[str] = set()
+    edge_of = {edge.id: edge for edge in edges}
+    for edge in edges:
+        leaves.add(edge.origin)
+        for lane in edge.lanes:
+            for name, at_end in ((edge.origin, False), (edge.target, True)):
+                ends[name].append(lane.shape_m[-1 if at_end else 0])
+                bars[name].append(_end_bar(lane.shape_m, lane.width_m, at_end))
+    inside: dict[str, list[Polygon]] = defaultdict(list)
+    for connection in connections:
+        width = edge_of[connection.origin[0]].lanes[connection.origin[1]].width_m
+        strip = LineString(connection.shape_m).buffer(0.5 * min(width, 5.0), cap_style="flat")
+        inside[edge_of[connection.origin[0]].target].append(strip)
+    return [
+        JunctionPlan(
+            name,
+            (float(np.mean(ends[name], axis=0)[0]), float(np.mean(ends[name], axis=0)[1])),
+            junction_shape(inside[name], bars[name]),
+            "priority" if name in leaves and inside[name] else "dead_end",
+        )
+        for name in sorted(ends, key=lambda text: int(text[1:]))
+    ]
+
+
+def _end_bar(shape_m: FloatArray, width_m: float, at_end: bool) -> LineString:
+    """Return the line across a lane at its end, a little into the junction."""
+    point, inner = (shape_m[-1], shape_m[-2]) if at_end else (shape_m[0], shape_m[1])
+    along = (point - inner) / np.hypot(*(point - inner))
+    across = 0.5 * width_m * np.array([-along[1], along[0]])
+    return LineString((point - across, point + across))
+
+
+def junction_shape(strips: list[Polygon], bars: list[LineString]) -> Polygon:
+    """Return one polygon without holes that covers the ways through a junction and the ends of its lanes."""
+    whole = shapely.union_all([*strips, *(bar.buffer(0.05) for bar in bars)])
+    for gap in (0.0, 0.5, 1.5, 4.0):
+        closed = whole.buffer(gap, join_style="mitre").buffer(-gap, join_style="mitre") if gap else whole
+        if isinstance(closed, Polygon) and not closed.is_empty:
+            return Polygon(closed.simplify(0.05).exterior)
+    return Polygon(MultiPoint([p for bar in bars for p in bar.coords]).union(whole).convex_hull.buffer(0.01).exterior)

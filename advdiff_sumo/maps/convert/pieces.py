@@ -1,0 +1,98 @@
+"""Which parts of each lane become SUMO edge lanes: cuts where a neighbour begins or ends.
+
+Every centre line is kept as it is; a part of a lane that is no edge lane becomes part of the internal lanes of a
+junction, so that a cut costs no geometry.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from advdiff_sumo.maps.convert.neighbours import SideBySide
+
+UNEVEN_M = 8.0  # neighbours whose ends differ by less are evened out at the junction, beyond it the longer is cut
+CUT_M = 1.0  # length of the internal lane that bridges a cut
+
+
+@dataclass(frozen=True, order=True)
+class Piece:
+    """Part of a lane, by lane number and arc lengths in m, that becomes a lane of a SUMO edge."""
+
+    lane: int
+    from_m: float
+    to_m: float
+
+    @property
+    def length_m(self) -> float:
+        """Length in m."""
+        return self.to_m - self.from_m
+
+
+def cut_lanes(
+    lengths_m: Sequence[float], pairs: Sequence[SideBySide], uneven_m: float = UNEVEN_M
+) -> dict[int, list[Piece]]:
+    """Return the pieces of each lane, in driving direction; a lane without a cut is one piece.
+
+    A lane is cut where a neighbour begins or ends more than *uneven_m* away from its own ends, and where lanes
+    alongside are cut, so that all lanes of a road are cut abreast.
+    """
+    marks = _spread(_own_marks(lengths_m, pairs, uneven_m), lengths_m, pairs, uneven_m)
+    return {lane: _between(lane, length, marks[lane], uneven_m) for lane, length in enumerate(lengths_m)}
+
+
+Mark = tuple[float, bool]  # arc length, whether a neighbour ends (rather than begins) there
+
+
+def _own_marks(lengths_m: Sequence[float], pairs: Sequence[SideBySide], uneven_m: float) -> list[tuple[int, Mark]]:
+    """Return (lane, mark) where a neighbour comes or goes in the middle of a lane."""
+    marks: list[tuple[int, Mark]] = []
+    for pair in pairs:
+        for lane in (pair.left, pair.right):
+            first, last = pair.span(lane)
+            if first > uneven_m:
+                marks.append((lane, (first, False)))
+            if last < lengths_m[lane] - uneven_m:
+                marks.append((lane, (last, True)))
+    return marks
+
+
+def _spread(
+    own: list[tuple[int, Mark]], lengths_m: Sequence[float], pairs: Sequence[SideBySide], uneven_m: float
+) -> list[list[Mark]]:
+    """Return all marks of each lane after carrying each over to the lanes abreast."""
+    beside: list[list[SideBySide]] = [[] for _ in lengths_m]
+    for pair in pairs:
+        beside[pair.left].append(pair)
+        beside[pair.right].append(pair)
+    marks: list[list[Mark]] = [[] for _ in lengths_m]
+    queue = deque(own)
+    while queue:
+        lane, (s, ends) = queue.popleft()
+        if any(abs(s - other) < 0.5 * CUT_M and ends == kind for other, kind in marks[lane]):
+            continue
+        marks[lane].append((s, ends))
+        for pair in beside[lane]:
+            other = pair.right if lane == pair.left else pair.left
+            first, last = pair.span(lane)
+            there = pair.across(lane, s)
+            if first <= s <= last and uneven_m < there < lengths_m[other] - uneven_m:
+                queue.append((other, (there, ends)))
+    return marks
+
+
+def _between(lane: int, length: float, marks: list[Mark], uneven_m: float) -> list[Piece]:
+    """Return what is left of a lane between its cuts; cuts that lie near each other are one."""
+    cuts: list[list[float]] = []
+    for s, ends in sorted(marks):
+        low, high = (s, s + CUT_M) if ends else (s - CUT_M, s)
+        if cuts and low - cuts[-1][1] < uneven_m:
+            cuts[-1][1] = max(cuts[-1][1], high)
+        else:
+            cuts.append([low, high])
+    pieces, start = [], 0.0
+    for low, high in cuts:
+        pieces.append(Piece(lane, start, low))
+        start = high
+    return [*pieces, Piece(lane, start, length)]

@@ -1,0 +1,117 @@
+"""Write a net plan as netconvert's plain XML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from xml.etree import ElementTree as ET  # noqa: S405 - writes only, nothing is parsed here
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, JunctionPlan, NetPlan
+from advdiff_sumo.maps.convert.source import LaneUse
+
+ALLOWED = {
+    LaneUse.CAR: "",
+    LaneUse.BUS: "bus coach taxi emergency",
+    LaneUse.BICYCLE: "bicycle",
+}
+
+
+def write_plain_xml(plan: NetPlan, folder: Path, location: str, projection: str | None) -> dict[str, Path]:
+    """Write node, edge and connection files into *folder*; return them by netconvert's option name.
+
+    A *projection* goes into the location element, as netconvert's option ``--proj`` would read the coordinates as
+    degrees.
+    """
+    nodes = [*([_location(plan, projection)] if projection else []), *map(_node, plan.junctions)]
+    files = {
+        "node-files": _file(folder / "plain.nod.xml", "nodes", nodes),
+        "edge-files": _file(folder / "plain.edg.xml", "edges", (_edge(e, location) for e in plan.edges)),
+        "connection-files": _file(folder / "plain.con.xml", "connections", _connections(plan)),
+    }
+    return files
+
+
+def _file(path: Path, root: str, elements: Iterable[ET.Element]) -> Path:
+    tree = ET.Element(root)
+    tree.extend(elements)
+    ET.indent(tree)
+    ET.ElementTree(tree).write(path, encoding="utf-8", xml_declaration=True)
+    return path
+
+
+def shape_text(points: FloatArray) -> str:
+    """Return "x,y x,y …" with millimetres kept."""
+    return " ".join(f"{x:.4f},{y:.4f}" for x, y in points)
+
+
+def _location(plan: NetPlan, projection: str) -> ET.Element:
+    xy = np.array([junction.xy_m for junction in plan.junctions])
+    bounds = ",".join(f"{v:.2f}" for v in (*xy.min(axis=0), *xy.max(axis=0)))
+    return ET.Element(
+        "location", netOffset="0.00,0.00", convBoundary=bounds, origBoundary=bounds, projParameter=projection
+    )
+
+
+def _node(junction: JunctionPlan) -> ET.Element:
+    x, y = junction.xy_m
+    return ET.Element(
+        "node",
+        id=junction.id,
+        x=f"{x:.4f}",
+        y=f"{y:.4f}",
+        type=junction.kind,
+        shape=shape_text(np.asarray(junction.shape.exterior.coords)[:-1]),
+    )
+
+
+def _edge(edge: EdgePlan, location: str) -> ET.Element:
+    middle = edge.lanes[len(edge.lanes) // 2]
+    element = ET.Element(
+        "edge",
+        {"id": edge.id, "from": edge.origin, "to": edge.target, "priority": "1"},
+        numLanes=str(len(edge.lanes)),
+        speed=f"{max(lane.speed_mps for lane in edge.lanes):.2f}",
+        length=f"{edge.length_m:.3f}",
+        spreadType="center",
+        shape=shape_text(middle.shape_m),
+    )
+    for index, lane in enumerate(edge.lanes):
+        row = ET.SubElement(
+            element, "lane", index=str(index), speed=f"{lane.speed_mps:.2f}", width=f"{lane.width_m:.2f}"
+        )
+        row.set("shape", shape_text(lane.shape_m))
+        if ALLOWED[lane.use]:
+            row.set("allow", ALLOWED[lane.use])
+        _param(row, "source", lane.source)
+        if lane.widths:
+            _param(row, "widths", lane.widths)
+    _param(element, "location", location)
+    return element
+
+
+def _connections(plan: NetPlan) -> Iterable[ET.Element]:
+    for connection in plan.connections:
+        yield _connection(connection)
+    leaving = {connection.origin[0] for connection in plan.connections}
+    for edge in plan.edges:
+        if edge.id not in leaving:  # tells netconvert not to invent ways on
+            yield ET.Element("connection", {"from": edge.id})
+
+
+def _connection(connection: ConnectionPlan) -> ET.Element:
+    element = ET.Element("connection", {"from": connection.origin[0], "to": connection.target[0]})
+    element.set("fromLane", str(connection.origin[1]))
+    element.set("toLane", str(connection.target[1]))
+    element.set("shape", shape_text(connection.shape_m))
+    if np.isfinite(connection.speed_mps):
+        element.set("speed", f"{connection.speed_mps:.2f}")
+    if connection.source:
+        _param(element, "source", connection.source)
+    return element
+
+
+def _param(parent: ET.Element, key: str, value: str) -> None:
+    ET.SubElement(parent, "param", key=key, value=value)

@@ -1,0 +1,73 @@
+"""Operations on one polyline (N, 2) by arc length."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+
+
+def stations(line: FloatArray) -> FloatArray:
+    """Return the arc length (N,) of each point in m, from 0."""
+    steps = np.hypot(*np.diff(line, axis=0).T)
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def length(line: FloatArray) -> float:
+    """Return the length in m."""
+    return float(np.hypot(*np.diff(line, axis=0).T).sum())
+
+
+def at(line: FloatArray, s_m: FloatArray | float) -> FloatArray:
+    """Return the points (…, 2) at arc lengths *s_m*; outside the line its ends."""
+    s = stations(line)
+    return np.stack([np.interp(s_m, s, line[:, 0]), np.interp(s_m, s, line[:, 1])], axis=-1)
+
+
+def heading(line: FloatArray, s_m: FloatArray) -> FloatArray:
+    """Return the yaw (M,) in rad of the chord that holds each arc length."""
+    s = stations(line)
+    index = np.clip(np.searchsorted(s, s_m, side="right") - 1, 0, len(line) - 2)
+    step = line[index + 1] - line[index]
+    return np.asarray(np.arctan2(step[:, 1], step[:, 0]))
+
+
+def cut(line: FloatArray, from_m: float, to_m: float) -> FloatArray:
+    """Return the part between two arc lengths, with points exactly there; the ends of the line are kept as is."""
+    s = stations(line)
+    if from_m <= 0.0 and to_m >= s[-1]:
+        return line
+    inner = (s > from_m + 1e-6) & (s < to_m - 1e-6)
+    ends = at(line, np.array([max(from_m, 0.0), min(to_m, s[-1])]))
+    return np.vstack((ends[:1], line[inner], ends[1:]))
+
+
+def project(line: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return arc length (M,) and signed offset (M,) (left positive) of the nearest place on *line* to *points* (M, 2)."""
+    start, step = line[:-1], np.diff(line, axis=0)
+    squared = np.maximum((step**2).sum(1), 1e-18)
+    delta = points[:, None, :] - start  # (M, N-1, 2)
+    share = np.clip((delta * step).sum(-1) / squared, 0.0, 1.0)
+    away = delta - share[..., None] * step
+    distance = np.hypot(away[..., 0], away[..., 1])
+    best = distance.argmin(1)
+    row = np.arange(len(points))
+    side = np.sign(step[best, 0] * delta[row, best, 1] - step[best, 1] * delta[row, best, 0])
+    s = stations(line)[best] + share[row, best] * np.sqrt(squared[best])
+    return s, np.where(side == 0, 1.0, side) * distance[row, best]
+
+
+def resample(line: FloatArray, step_m: float) -> tuple[FloatArray, FloatArray]:
+    """Return (points (M, 2), arc lengths (M,)) about *step_m* apart, both ends included."""
+    total = length(line)
+    s = np.linspace(0.0, total, max(2, int(np.ceil(total / step_m)) + 1))
+    return at(line, s), s
+
+
+def join(parts: list[FloatArray]) -> FloatArray:
+    """Return consecutive polylines as one; a point shared by two of them appears once."""
+    whole = parts[0]
+    for part in parts[1:]:
+        first = 1 if np.hypot(*(part[0] - whole[-1])) < 1e-6 else 0
+        whole = np.vstack((whole, part[first:]))
+    return whole

@@ -1,0 +1,58 @@
+"""Polygons beside a net (NAME.poly.xml), which sumo-gui shows and RoadMap reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree as ET  # noqa: S405 - writes only, nothing is parsed here
+
+import numpy as np
+import shapely
+from shapely.geometry import Polygon
+
+from advdiff_sumo.maps.convert.plain_xml import shape_text
+from advdiff_sumo.maps.convert.source import SourceMap
+
+HOLE = "drivable_area_hole"
+STYLE = {
+    "drivable_area": ("120,120,120", "-10"),
+    HOLE: ("255,255,255", "-9"),
+    "carpark_area": ("150,140,110", "-8"),
+    "walkway": ("200,190,170", "-7"),
+    "ped_crossing": ("230,230,230", "-6"),
+}
+
+
+def sidecar_path(net: Path) -> Path:
+    """Return the path of the side-car of a net: NAME.net.xml → NAME.poly.xml."""
+    return net.with_name(net.name.removesuffix(".xml").removesuffix(".net") + ".poly.xml")
+
+
+def write_sidecar(source: SourceMap, path: Path) -> None:
+    """Write drivable area, crossings, walkways and parking of *source* as SUMO polygons.
+
+    SUMO polygons have no holes: each hole of the drivable area is a polygon of type ``drivable_area_hole``, to
+    be taken out of the area.
+    """
+    root = ET.Element("additional")
+    for number, (kind, ring) in enumerate(_rings(source)):
+        colour, layer = STYLE[kind]
+        row = ET.SubElement(root, "poly", id=f"{kind}_{number}", type=kind, color=colour, fill="1", layer=layer)
+        row.set("shape", shape_text(np.asarray(ring)[:-1, :2]))
+        ET.SubElement(row, "param", key="location", value=source.location)
+    ET.indent(root)
+    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _rings(source: SourceMap) -> Iterator[tuple[str, shapely.CoordinateSequence]]:
+    areas: list[tuple[str, list[Polygon]]] = [
+        ("drivable_area", list(source.drivable.geoms)),
+        ("carpark_area", list(source.carparks)),
+        ("walkway", list(source.walkways)),
+        ("ped_crossing", list(source.crossings)),
+    ]
+    for kind, polygons in areas:
+        for polygon in polygons:
+            yield kind, polygon.exterior.coords
+            for hole in polygon.interiors if kind == "drivable_area" else ():
+                yield HOLE, hole.coords

@@ -1,0 +1,120 @@
+"""Background that does what the log says, deaf to the target."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from advdiff_sumo.config import Options
+from advdiff_sumo.core.arrays import BoolArray
+from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.resample import resample
+from advdiff_sumo.core.scene import Scene, Tracks
+
+if TYPE_CHECKING:
+    from advdiff_sumo.maps import RoadMap
+
+_ALIGNED = 1e-6  # share of a step
+
+
+class ReplayOptions(Options):
+    """Options of ``replay``.
+
+    Attributes:
+        step_s: spacing of the plan, the simulation's step.
+        period_s: how far each plan reaches; at least the time between two plans.
+        max_gap_s: longest gap in a logged track that is filled in; a longer one takes the vehicle away.
+    """
+
+    step_s: float = Field(default=0.1, gt=0.0, le=1.0)
+    period_s: float = Field(default=1.0, gt=0.0, le=60.0)
+    max_gap_s: float = Field(default=1.0, ge=0.0, le=10.0)
+
+
+class Replay:
+    """Moves every logged agent but the target along its log; the memory is the log at the simulation's step.
+
+    Vehicles that the log brings in later are part of the plan, and become valid when they enter. A logged
+    vehicle of the scene whose log has ended stays in the plan with nothing valid: it leaves.
+    """
+
+    Options: ClassVar[type[ReplayOptions]] = ReplayOptions
+
+    def __init__(self, **options: float) -> None:
+        """Take the options of :class:`ReplayOptions`.
+
+        Raises:
+            ConfigError: an option has no such name or value.
+        """
+        self.options = ReplayOptions.parse(options, "options of background 'replay'")
+
+    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Tracks:  # noqa: ARG002 - the contract
+        """Return *log* from now on at every ``step_s``.
+
+        Raises:
+            SceneError: there is no log.
+        """
+        if log is None:
+            raise SceneError(
+                "background 'replay' needs a log, and the seed scene has none; use 'sumo' or --scenes"
+            )
+        ahead = resample(log, self.options.step_s, t0_s=scene.time_s, max_gap_s=self.options.max_gap_s)
+        return _without_blips(ahead)
+
+    def plan(
+        self,
+        road: RoadMap,  # noqa: ARG002 - the contract
+        scene: Scene,
+        memory: Tracks,
+        rng: np.random.Generator,  # noqa: ARG002 - the contract
+    ) -> tuple[JointPlan, Tracks]:
+        """Return what the log does in the ``period_s`` from now; the memory does not change."""
+        step = self.options.step_s
+        steps = max(1, round(self.options.period_s / step))
+        ahead = _cut(memory, scene.time_s + step, steps)
+        movable = {name for name, free in zip(scene.history.ids, scene.movable, strict=True) if free}
+        fixed = set(scene.history.ids) - movable | {scene.target_id}
+        wanted = [
+            row
+            for row, name in enumerate(ahead.ids)
+            if name not in fixed and (name in movable or ahead.valid[row].any())
+        ]
+        return JointPlan(ahead.rows(np.array(wanted, dtype=np.int64)), exact=True), memory
+
+
+def _cut(tracks: Tracks, t0_s: float, steps: int) -> Tracks:
+    """Return *steps* instants from *t0_s* on; beyond the ends of *tracks* nothing is valid."""
+    offset = (t0_s - tracks.t0_s) / tracks.dt_s
+    first = round(offset)
+    if abs(offset - first) > _ALIGNED:
+        return resample(tracks, tracks.dt_s, t0_s=t0_s, steps=steps)
+    lo, hi = np.clip([first, first + steps], 0, tracks.steps)
+    before = min(max(-first, 0), steps)
+    pad = ((0, 0), (before, steps - before - int(hi - lo)))
+    part = tracks.window(int(lo), int(hi))
+    return replace(
+        part,
+        xy_m=np.pad(part.xy_m, (*pad, (0, 0)), constant_values=np.nan),
+        yaw_rad=np.pad(part.yaw_rad, pad, constant_values=np.nan),
+        speed_mps=np.pad(part.speed_mps, pad, constant_values=np.nan),
+        valid=np.pad(part.valid, pad, constant_values=False),
+        t0_s=t0_s,
+    )
+
+
+def _without_blips(tracks: Tracks) -> Tracks:
+    """Return *tracks* without presences of one instant: a vehicle logged once cannot be driven anywhere."""
+    side = np.zeros((tracks.agents, 1), dtype=np.bool_)
+    before, after = np.hstack((side, tracks.valid[:, :-1])), np.hstack((tracks.valid[:, 1:], side))
+    keep: BoolArray = tracks.valid & (before | after)
+    return replace(
+        tracks,
+        xy_m=np.where(keep[..., None], tracks.xy_m, np.nan),
+        yaw_rad=np.where(keep, tracks.yaw_rad, np.nan),
+        speed_mps=np.where(keep, tracks.speed_mps, np.nan),
+        valid=keep,
+    )

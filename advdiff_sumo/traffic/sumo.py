@@ -1,0 +1,31 @@
+"""Background that SUMO's own models drive."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.scene import Scene, Tracks
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from advdiff_sumo.maps import RoadMap
+
+
+class SumoTraffic:
+    """Moves nobody: SUMO drives the whole background."""
+
+    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> None:
+        """Remember nothing."""
+
+    def plan(
+        self,
+        road: RoadMap,  # noqa: ARG002 - the contract
+        scene: Scene,
+        memory: None,  # noqa: ARG002 - the contract
+        rng: np.random.Generator,  # noqa: ARG002 - the contract
+    ) -> tuple[JointPlan, None]:
+        """Return a plan of no vehicles, one model step long."""
+        dt_s = scene.history.dt_s
+        return JointPlan(Tracks.empty(steps=1, dt_s=dt_s, t0_s=scene.time_s + dt_s)), None

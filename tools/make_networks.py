@@ -8,22 +8,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from networks_src import downtown, netconvert, sidecar
+from networks_src import downtown, downtown_left, motorway, netconvert, sidecar
 from networks_src.plain import Plan
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a layout becomes files: kerb margin, fillet radius and footway width in metres."""
+    """A layout and the width of the footways along its kerbs, 0 for none."""
 
     plan: Callable[[], Plan]
-    margin_m: float = sidecar.KERB_M
-    fillet_m: float = sidecar.FILLET_M
     footway_m: float = 2.5
 
 
 RECIPES: dict[str, Recipe] = {
     "downtown": Recipe(downtown.plan),
+    "downtown-left": Recipe(downtown_left.plan),
+    "motorway": Recipe(motorway.plan, footway_m=0.0),
 }
 
 
@@ -33,7 +33,7 @@ def make(name: str, folder: Path) -> str:
     net_file = folder / f"{name}.net.xml"
     warnings = netconvert.build(recipe.plan(), net_file)
     poly_file = folder / f"{name}.poly.xml"
-    sidecar.write(net_file, poly_file, name, recipe.margin_m, recipe.fillet_m, recipe.footway_m)
+    sidecar.write(net_file, poly_file, name, recipe.footway_m)
     return warnings
 
 

@@ -17,9 +17,9 @@ from matplotlib.collections import LineCollection, PolyCollection
 from shapely import LineString
 
 FILLS = {
-    "walkway": ("#d9cfc1", 1.0),
-    "drivable_area": ("#6d7278", 2.0),
-    "drivable_area_hole": ("#cfdcc4", 3.0),
+    "drivable_area": ("#6d7278", 1.0),
+    "drivable_area_hole": ("#cfdcc4", 2.0),
+    "walkway": ("#d9cfc1", 3.0),
 }
 GROUND = "#e4ebdc"
 FALLBACK = "#6d7278"
@@ -92,7 +92,11 @@ def _side(line: LineString, offset_m: float) -> np.ndarray:
 
 
 def _lefthand(net: Any) -> bool:
-    return bool(getattr(net, "_lefthand", False))
+    """Whether lane 0 is the leftmost; sumolib does not keep the net's own flag."""
+    lanes = (edge.getLanes() for edge in net.getEdges(withInternal=False) if edge.getLaneNumber() > 1)
+    kerb, inner = (np.asarray(lane.getShape()[:2]) for lane in next(lanes)[:2])
+    ahead, across = kerb[1] - kerb[0], inner[0] - kerb[0]
+    return bool(ahead[0] * across[1] - ahead[1] * across[0] < 0)  # lane 1 lies right of lane 0
 
 
 def _draw_paths(axes: Axes, net: Any) -> None:

@@ -28,8 +28,8 @@ RING = Roundabout("R4", (590.0, 296.0))
 ARTERIAL = Street(
     "Meridian Avenue",
     ("W3", "A3", "B3", "C3", "D3", "E3", "F3", "G3", "H3", "H3f"),
-    ahead=3, back=2, speed_mps=13.89, priority=10, median_m=3.3, width_m=3.3,
-    changes={"A3": (3, 3), "D3": (2, 2)},
+    ahead=3, back=3, speed_mps=13.89, priority=10, median_m=3.3, width_m=3.3,
+    changes={"D3": (2, 2)}, drops={("A3", "W3"): (70.0, 2)},
     pockets=frozenset(
         {("W3", "A3"), ("B3", "A3"), ("A3", "B3"), ("D3", "C3"), ("C3", "D3"), ("E3", "D3"), ("E3", "F3"),
          ("G3", "F3"), ("G3", "H3"), ("H3f", "H3")}

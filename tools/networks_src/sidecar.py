@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -11,43 +12,46 @@ import sumolib
 from shapely import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
+from networks_src.tapers import tapers
+
 KERB_M = 0.35
+SHOULDER_M = 2.5
+SHOULDER_MPS = 20.0
+ISLAND_M2 = 1500.0
 FILLET_M = 1.0
 HOLE_M2 = 3.0
 TOLERANCE_M = 0.02
 COLOURS = {
     "drivable_area": ("190,190,190", "-3"),
     "drivable_area_hole": ("225,235,220", "-2"),
-    "walkway": ("235,220,200", "-4"),
+    "walkway": ("235,220,200", "-1"),
 }
 
 
-def drivable_area(net: Any, margin_m: float = KERB_M, fillet_m: float = FILLET_M) -> MultiPolygon:
-    """The paved area: lanes and junctions plus a margin, concave corners rounded with radius `fillet_m`.
+def drivable_area(net: Any, fillet_m: float = FILLET_M) -> MultiPolygon:
+    """The paved area: lanes and junctions with kerb margins or shoulders, concave corners rounded.
 
     Args:
         net: sumolib net, read with internal lanes.
-        margin_m: strip between the outermost lane border and the kerb, or a shoulder's width.
-        fillet_m: clefts narrower than twice this are closed: tapers, corners, gores.
+        fillet_m: radius of concave corners; clefts narrower than twice this are closed (tapers, gores).
     """
-    paved = shapely.union_all([*_lane_areas(net), *_junction_areas(net)])
-    round_join = {"quad_segs": 6, "join_style": "round"}
-    area = paved.buffer(margin_m + fillet_m, **round_join).buffer(-fillet_m, **round_join)
-    return _parts(area.union(paved.buffer(margin_m / 2, join_style="mitre")).simplify(TOLERANCE_M))
+    paved = shapely.union_all([*_lane_areas(net), *_junction_areas(net), *tapers(net)])
+    closed = paved.buffer(fillet_m, quad_segs=6).buffer(-fillet_m, quad_segs=6)
+    return _parts(closed.union(paved).simplify(TOLERANCE_M))
 
 
 def walkways(area: MultiPolygon, width_m: float = 2.5) -> list[Polygon]:
-    """Footways along every kerb, as simple polygons without holes."""
+    """Footways along every kerb but those of medians and islands, as simple polygons without holes."""
+    islands = [h for part in area.geoms for h in part.interiors if Polygon(h).area < ISLAND_M2]
+    area = _parts(shapely.union_all([area, *(Polygon(h) for h in islands)]))
     band = area.buffer(width_m, quad_segs=3).difference(area.buffer(0.02)).simplify(0.1)
     return [piece for ring in _parts(band).geoms for piece in _without_holes(ring)]
 
 
-def write(
-    net_file: Path, target: Path, name: str, margin_m: float, fillet_m: float, footway_m: float
-) -> None:
+def write(net_file: Path, target: Path, name: str, footway_m: float) -> None:
     """Write the side-car of a net file."""
     net = sumolib.net.readNet(str(net_file), withInternal=True)
-    area = drivable_area(net, margin_m, fillet_m)
+    area = drivable_area(net)
     rows: list[tuple[str, Polygon]] = []
     for part in area.geoms:
         rows.append(("drivable_area", Polygon(part.exterior)))
@@ -70,15 +74,20 @@ def write(
 
 def _lane_areas(net: Any) -> list[BaseGeometry]:
     lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
-    return [
-        LineString(lane.getShape()).buffer(lane.getWidth() / 2, cap_style="flat", join_style="mitre")
-        for lane in lanes
-    ]
+    return [_band(lane.getShape(), lane.getWidth() / 2 + _margin_m(lane.getSpeed())) for lane in lanes]
+
+
+def _band(shape: Sequence[tuple[float, float]], half_m: float) -> BaseGeometry:
+    return LineString(shape).buffer(half_m, cap_style="flat", join_style="mitre")
+
+
+def _margin_m(speed_mps: float) -> float:
+    return SHOULDER_M if speed_mps >= SHOULDER_MPS else KERB_M
 
 
 def _junction_areas(net: Any) -> list[BaseGeometry]:
     shapes = [node.getShape() for node in net.getNodes()]
-    return [Polygon(shape).buffer(0) for shape in shapes if len(shape) >= 4]
+    return [Polygon(shape).buffer(KERB_M, join_style="mitre") for shape in shapes if len(shape) >= 3]
 
 
 def _parts(area: BaseGeometry) -> MultiPolygon:

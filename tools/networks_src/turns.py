@@ -11,14 +11,14 @@ STRAIGHT_RAD = math.radians(42.0)
 U_TURN_RAD = math.radians(150.0)
 
 
-def connect(plan: Plan) -> None:
-    """Fill `plan.links` for every node at which edges meet.
+def connect(plan: Plan, skip: frozenset[str] = frozenset()) -> None:
+    """Fill `plan.links` for every node at which edges meet, but for the nodes in `skip`.
 
     Kerb lane 0 serves the near turn (right, in left-hand traffic left), the innermost lane the far
     turn, a pocket the far turn alone; lanes that go on meet their counterparts from the median out,
     so that a kerb lane without a counterpart becomes a turn lane or ends.
     """
-    for node in plan.nodes:
+    for node in (n for n in plan.nodes if n not in skip):
         incoming = [e for e in plan.edges.values() if e.end == node]
         outgoing = [e for e in plan.edges.values() if e.start == node]
         for edge in incoming:

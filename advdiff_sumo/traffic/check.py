@@ -110,7 +110,7 @@ def _values(tracks: Tracks) -> Iterator[str]:
         values: FloatArray = getattr(tracks, name)
         finite: BoolArray = np.isfinite(values)
         if finite.ndim == 3:
-            finite = finite.all(-1)
+            finite = np.asarray(finite.all(-1))
         bad = np.argwhere(tracks.valid & ~finite)
         if len(bad):
             row, step = bad[0]

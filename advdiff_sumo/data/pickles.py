@@ -1,0 +1,197 @@
+"""Pickles of plain containers and NumPy arrays, read without running anything from them.
+
+A pickle names functions and has them called. Here only the names that arrays need are admitted, and
+they stand for small classes of this file that copy the numbers out; NumPy's own unpickling, which trusts its
+input, is never reached. Containers come as dict, list, tuple, set; ``defaultdict`` becomes dict.
+"""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from advdiff_sumo.core.errors import LogError
+
+_KINDS = "biufSU"  # bool, int, unsigned, float, bytes, text: numbers and names, never objects
+_BROKEN = (
+    EOFError,
+    AttributeError,
+    ImportError,
+    IndexError,
+    KeyError,
+    MemoryError,
+    OverflowError,
+    RecursionError,
+    TypeError,
+    UnicodeDecodeError,
+    ValueError,
+)
+
+
+def load_plain(path: Path) -> Any:
+    """Return the plain value in the pickle at *path*.
+
+    Raises:
+        LogError: the file is missing, truncated, or holds anything but plain containers and arrays.
+    """
+    try:
+        with path.open("rb") as file:
+            return _plain(_Restricted(file).load(), {})
+    except OSError as error:
+        raise LogError(path, f"cannot be read ({error.strerror})", "give a ScenarioNet record") from None
+    except pickle.UnpicklingError as error:
+        raise LogError(path, f"refused: {error}", "only records of plain data are read") from None
+    except _BROKEN as error:
+        problem = f"is truncated or no pickle of plain data ({type(error).__name__}: {error})"
+        raise LogError(path, problem, "copy or convert the record again") from None
+
+
+class _Dtype:
+    """Stands for ``numpy.dtype`` in a pickle."""
+
+    __slots__ = ("code", "order")
+
+    def __init__(self, code: str, *flags: object) -> None:  # noqa: ARG002 - align and copy do not matter
+        self.code, self.order = code, "="
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        """Take the byte order; sub-arrays, fields and metadata are refused."""
+        if any(part is not None for part in state[2:5]):
+            raise pickle.UnpicklingError("it holds a structured array")
+        self.order = {"|": "=", "<": "<", ">": ">", "=": "="}[state[1]]
+
+    def numpy(self) -> np.dtype[Any]:
+        """Return the dtype, if its kind is plain."""
+        dtype = np.dtype(str(self.code))
+        if dtype.kind not in _KINDS:
+            raise pickle.UnpicklingError(f"it holds an array of {dtype}")
+        return dtype.newbyteorder(self.order)  # type: ignore[arg-type]  # checked in __setstate__
+
+
+class _Array:
+    """Stands for an array while its pickle is read (``numpy.core.multiarray._reconstruct``)."""
+
+    __slots__ = ("value",)
+
+    def __init__(self, *ignored: object) -> None:  # noqa: ARG002 - NumPy's placeholder shape
+        self.value: NDArray[Any] | None = None
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        """Copy shape, dtype, order and raw bytes."""
+        _, shape, dtype, fortran, raw = state
+        self.value = _copied(raw, dtype, shape, "F" if fortran else "C")
+
+
+class _Buffered(_Array):
+    """Stands for ``numpy.core.numeric._frombuffer``, an array in pickle protocol 5."""
+
+    __slots__ = ()
+
+    def __init__(self, raw: object, dtype: object, shape: tuple[int, ...], order: object) -> None:
+        super().__init__()
+        self.value = _copied(raw, dtype, shape, "F" if order == "F" else "C")
+
+
+class _Scalar:
+    """Stands for a NumPy number (``numpy.core.multiarray.scalar``)."""
+
+    __slots__ = ("value",)
+
+    def __init__(self, dtype: object, raw: object) -> None:
+        self.value = _copied(raw, dtype, (1,), "C")[0].item()
+
+
+def _copied(raw: object, dtype: object, shape: tuple[int, ...], order: Literal["C", "F"]) -> NDArray[Any]:
+    if not isinstance(dtype, _Dtype) or not isinstance(raw, bytes | bytearray):
+        raise pickle.UnpicklingError("it holds an array of objects")
+    flat: NDArray[Any] = np.frombuffer(raw, dtype=dtype.numpy())
+    return flat.reshape(tuple(int(n) for n in shape), order=order).copy()
+
+
+class _Mapping(dict[Any, Any]):
+    """Stands for ``collections.defaultdict`` and ``OrderedDict``; drops the factory."""
+
+    __slots__ = ()
+
+    def __init__(self, *factory: object) -> None:  # noqa: ARG002 - dropped
+        super().__init__()
+
+
+class _Marker:
+    """Stands for a type that is only named: an array's class, a defaultdict's factory."""
+
+    __slots__ = ()
+
+    def __init__(self, *ignored: object) -> None:  # noqa: ARG002 - whatever it is called with
+        raise pickle.UnpicklingError("it calls a type that may only be named")
+
+    def __setstate__(self, state: object) -> None:
+        """Refuse."""
+        raise pickle.UnpicklingError("it sets the state of a type that may only be named")
+
+
+_ADMITTED: dict[tuple[str, str], type] = {
+    ("numpy", "ndarray"): _Marker,
+    ("numpy", "dtype"): _Dtype,
+    **{(f"numpy.{core}.multiarray", "_reconstruct"): _Array for core in ("core", "_core")},
+    **{(f"numpy.{core}.multiarray", "scalar"): _Scalar for core in ("core", "_core")},
+    **{(f"numpy.{core}.numeric", "_frombuffer"): _Buffered for core in ("core", "_core")},
+    ("collections", "defaultdict"): _Mapping,
+    ("collections", "OrderedDict"): _Mapping,
+    **{("builtins", name): _Marker for name in ("int", "float", "str", "bool", "list", "dict", "set")},
+}
+
+
+class _Restricted(pickle.Unpickler):
+    def find_class(self, module: str, name: str) -> Any:
+        """Return the stand-in of an admitted name; refuse all others."""
+        found = _ADMITTED.get((module, name))
+        if found is None:
+            raise pickle.UnpicklingError(f"it asks for {module}.{name}")
+        return type(found.__name__, (found,), {"__slots__": (), "__setstate__": _state_of(found)})
+
+    def persistent_load(self, pid: Any) -> Any:
+        """Refuse references to the outside."""
+        raise pickle.UnpicklingError(f"it refers to outside data {pid!r}")
+
+
+def _state_of(found: type) -> Any:
+    own = getattr(found, "__setstate__", None)
+    return own if own is not None else _no_state
+
+
+def _no_state(self: object, state: object) -> None:  # noqa: ARG001 - the protocol of pickle
+    raise pickle.UnpicklingError("it sets the state of a plain container")
+
+
+def _plain(value: Any, done: dict[int, Any]) -> Any:
+    """Return *value* with every stand-in replaced; *done* keeps shared values shared, by identity."""
+    if value is None or isinstance(value, bool | int | float | str | bytes):
+        return value
+    if id(value) in done:
+        if done[id(value)] is _UNDER_WAY:
+            raise pickle.UnpicklingError("a container holds itself")
+        return done[id(value)]
+    done[id(value)] = _UNDER_WAY
+    done[id(value)] = result = _replaced(value, done)
+    return result
+
+
+_UNDER_WAY = object()
+
+
+def _replaced(value: Any, done: dict[int, Any]) -> Any:
+    if isinstance(value, dict):
+        return {_plain(k, done): _plain(v, done) for k, v in value.items()}
+    for kind in (list, tuple, set, frozenset):
+        if isinstance(value, kind):
+            return kind(_plain(item, done) for item in value)
+    if isinstance(value, _Array | _Scalar):
+        if value.value is None:
+            raise pickle.UnpicklingError("it holds an array without data")
+        return value.value
+    raise pickle.UnpicklingError(f"it holds a {type(value).__name__}")

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import shapely
-from shapely.geometry import LineString, MultiPoint, Polygon
+from shapely.geometry import LineString, MultiPolygon, Polygon
+from shapely.ops import substring
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
@@ -22,6 +23,10 @@ from advdiff_sumo.maps.convert.widths import width_between
 
 LATERAL_MPS2 = 2.5  # comfortable sideways acceleration, which limits the speed in a turn
 SLOWEST_MPS = 3.0
+WIDEST_WAY_M = 5.0  # a way through a junction is drawn at most this wide
+SLIT_M = 0.02
+LIP_M = 0.005
+COLLAR_M = 0.3
 VARIES_M = 0.2  # a width that varies by more is written as a profile
 
 
@@ -131,7 +136,7 @@ def plan_net(tracks: list[Track], layout: Layout, ways: list[Connection], leftha
         edges.append(edge)
         lane_of.update({piece: (edge.id, index) for index, piece in enumerate(ordered)})
     connections = [_connection_plan(tracks, lane_of, way) for way in ways]
-    junctions = _junctions(tracks, edges, connections)
+    junctions = _junctions(edges, connections)
     return NetPlan(tuple(edges), tuple(junctions), tuple(connections), lefthand, lane_of)
 
 
@@ -199,46 +204,76 @@ def turn_speed(shape_m: FloatArray) -> float:
     return math.inf if sharpest < 1e-6 else max(SLOWEST_MPS, math.sqrt(LATERAL_MPS2 / sharpest))
 
 
-def _junctions(tracks: list[Track], edges: list[EdgePlan], connections: list[ConnectionPlan]) -> list[JunctionPlan]:
+def _junctions(edges: list[EdgePlan], connections: list[ConnectionPlan]) -> list[JunctionPlan]:
     ends: dict[str, list[FloatArray]] = defaultdict(list)
-    bars: dict[str, list[LineString]] = defaultdict(list)
-    leaves: set[str] = set()
+    bars: dict[str, list[Polygon]] = defaultdict(list)
+    lines: dict[str, list[LineString]] = defaultdict(list)
     edge_of = {edge.id: edge for edge in edges}
     for edge in edges:
-        leaves.add(edge.origin)
         for lane in edge.lanes:
-            for name, at_end in ((edge.origin, False), (edge.target, True)):
-                ends[name].append(lane.shape_m[-1 if at_end else 0])
-                bars[name].append(_end_bar(lane.shape_m, lane.width_m, at_end))
+            for name, shape in ((edge.origin, lane.shape_m), (edge.target, lane.shape_m[::-1])):
+                ends[name].append(shape[0])
+                bars[name].append(_end_bar(shape, lane.width_m))
+                lines[name].append(LineString(shape))
     inside: dict[str, list[Polygon]] = defaultdict(list)
     for connection in connections:
         width = edge_of[connection.origin[0]].lanes[connection.origin[1]].width_m
-        strip = LineString(connection.shape_m).buffer(0.5 * min(width, 5.0), cap_style="flat")
+        strip = LineString(connection.shape_m).buffer(0.5 * min(width, WIDEST_WAY_M), cap_style="flat")
         inside[edge_of[connection.origin[0]].target].append(strip)
     return [
         JunctionPlan(
             name,
             (float(np.mean(ends[name], axis=0)[0]), float(np.mean(ends[name], axis=0)[1])),
-            junction_shape(inside[name], bars[name]),
-            "priority" if name in leaves and inside[name] else "dead_end",
+            junction_shape(inside[name], bars[name], lines[name]),
+            "priority" if inside[name] else "dead_end",
         )
         for name in sorted(ends, key=lambda text: int(text[1:]))
     ]
 
 
-def _end_bar(shape_m: FloatArray, width_m: float, at_end: bool) -> LineString:
-    """Return the line across a lane at its end, a little into the junction."""
-    point, inner = (shape_m[-1], shape_m[-2]) if at_end else (shape_m[0], shape_m[1])
-    along = (point - inner) / np.hypot(*(point - inner))
+def _end_bar(shape_m: FloatArray, width_m: float) -> Polygon:
+    """Return a strip across the beginning of a lane: a decimetre of the junction and 5 mm of the lane."""
+    along = (shape_m[0] - shape_m[1]) / np.hypot(*(shape_m[0] - shape_m[1]))
     across = 0.5 * width_m * np.array([-along[1], along[0]])
-    return LineString((point - across, point + across))
+    back, front = shape_m[0] + 0.1 * along, shape_m[0] - LIP_M * along
+    return Polygon((front - across, front + across, back + across, back - across))
 
 
-def junction_shape(strips: list[Polygon], bars: list[LineString]) -> Polygon:
-    """Return one polygon without holes that covers the ways through a junction and the ends of its lanes."""
-    whole = shapely.union_all([*strips, *(bar.buffer(0.05) for bar in bars)])
+def junction_shape(strips: list[Polygon], bars: list[Polygon], lanes: list[LineString]) -> Polygon:
+    """Return one polygon without holes that covers the ways through a junction and the ends of its lanes.
+
+    netconvert moves the beginning of a lane to the last place where the lane crosses the shape of its own
+    junction, even for a lane with a shape of its own. So the polygon laps over each beginning by millimetres,
+    and a slit along the rest of the centre line keeps it from crossing the lane anywhere else.
+    """
+    whole = _closed(shapely.union_all([*strips, *bars])).union(shapely.union_all(bars))
+    slits = shapely.union_all([_slit(lane) for lane in lanes])
+    if isinstance(whole.difference(slits), MultiPolygon):  # a lane runs right across: lead the shape around its far end
+        whole = shapely.union_all([whole, *(lane.buffer(COLLAR_M) for lane in lanes)])
+    parts = [part for part in shapely.get_parts(whole.difference(slits)) if part.area > 0]
+    best = max(parts, key=lambda part: (sum(part.distance(bar) < SLIT_M for bar in bars), part.area))
+    return _without_holes(best)
+
+
+def _slit(lane: LineString) -> Polygon:
+    """Return a thin strip along a lane, from a little after its beginning to a little beyond its end."""
+    (x0, y0), (x1, y1) = lane.coords[-2], lane.coords[-1]
+    beyond = 0.5 * COLLAR_M / math.hypot(x1 - x0, y1 - y0)
+    longer = LineString([*lane.coords, (x1 + beyond * (x1 - x0), y1 + beyond * (y1 - y0))])
+    return substring(longer, LIP_M, longer.length).buffer(SLIT_M, cap_style="flat")
+
+
+def _without_holes(polygon: Polygon) -> Polygon:
+    """Open each hole to the outside by a cut of some centimetres at the narrowest place."""
+    while polygon.interiors:
+        cut = shapely.shortest_line(polygon.exterior, polygon.interiors[0]).buffer(SLIT_M, cap_style="square")
+        polygon = max(shapely.get_parts(polygon.difference(cut)), key=lambda part: part.area)
+    return polygon
+
+
+def _closed(shape: shapely.Geometry) -> Polygon:
     for gap in (0.0, 0.5, 1.5, 4.0):
-        closed = whole.buffer(gap, join_style="mitre").buffer(-gap, join_style="mitre") if gap else whole
+        closed = shape.buffer(gap, join_style="mitre").buffer(-gap, join_style="mitre") if gap else shape
         if isinstance(closed, Polygon) and not closed.is_empty:
             return Polygon(closed.simplify(0.05).exterior)
-    return Polygon(MultiPoint([p for bar in bars for p in bar.coords]).union(whole).convex_hull.buffer(0.01).exterior)
+    return Polygon(shape.convex_hull.buffer(0.01).exterior)

@@ -1,0 +1,253 @@
+"""Every first contact in a recorded episode, between any two agents."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.boxes import axis_gaps
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.metrics.contact import SEPARATED_M, contact_of
+from advdiff_sumo.metrics.kinematics import unbroken
+from advdiff_sumo.metrics.sweep import TOUCH_M, Sweep, first_contact, may_touch
+
+#: Pair-steps looked at in one go: bounds memory in records of many agents.
+_CHUNK = 400_000
+#: A face whose normal is this near to the contact normal was hit flat, not at a corner.
+SAME_AXIS_RAD = 0.17
+
+
+@dataclass(frozen=True)
+class Collision:
+    """One contact of two agents, from first touch until they part.
+
+    Attributes:
+        rows: their rows; the target first when it takes part, else in ascending order.
+        step: instant before the contact.
+        fraction: share of the step from there, in [0, 1).
+        time_s: when, since the episode's start.
+        point_m: (2,) centroid of the contact region.
+        penetration_m: deepest overlap within the step of the touch.
+        initial: the agents overlapped already when they were first there together (logs, insertions).
+        xy_m: (2, 2) centres at the contact, in the order of *rows*.
+        yaw_rad: (2,) headings at the contact.
+        velocity_mps: (2, 2) velocities over the step of the contact.
+        normal: (2,) unit contact normal, from the first agent to the second.
+        faces: contact feature of each agent: "front", "rear", "left", "right".
+    """
+
+    rows: tuple[int, int]
+    step: int
+    fraction: float
+    time_s: float
+    point_m: FloatArray
+    penetration_m: float
+    initial: bool
+    xy_m: FloatArray
+    yaw_rad: FloatArray
+    velocity_mps: FloatArray
+    normal: FloatArray
+    faces: tuple[str, str]
+
+    @property
+    def relative_speed_mps(self) -> float:
+        """Length of the difference of the velocities."""
+        return float(np.hypot(*(self.velocity_mps[0] - self.velocity_mps[1])))
+
+    @property
+    def closing_speed_mps(self) -> float:
+        """Relative speed along the contact normal, positive when the boxes approach."""
+        return float((self.velocity_mps[0] - self.velocity_mps[1]) @ self.normal)
+
+    @cached_property
+    def heading_difference_rad(self) -> float:
+        """Absolute difference of the headings, in [0, π]."""
+        return float(abs(np.angle(np.exp(1j * (self.yaw_rad[1] - self.yaw_rad[0])))))
+
+
+@dataclass(frozen=True)
+class _Touches:
+    """Steps (M,) in which pairs (M,), (M,) touch, sorted by pair and step; *fraction* as in first_contact."""
+
+    first: IntArray
+    second: IntArray
+    step: IntArray
+    fraction: FloatArray
+
+
+def collisions(record: EpisodeRecord) -> list[Collision]:
+    """Return every collision of any two agents, sorted by time, then rows.
+
+    A lasting contact counts once until the boxes are ``SEPARATED_M`` apart. Steps that an agent jumps over
+    or is absent from are not swept; the next step starts anew.
+    """
+    steady = unbroken(record.tracks)
+    touches = _touches(record.tracks, steady)
+    found = [_collision(record, steady, touches, at) for at in _first_touches(record.tracks, steady, touches)]
+    return sorted(found, key=lambda c: (c.time_s, c.rows))
+
+
+def target_collision(record: EpisodeRecord, found: list[Collision]) -> Collision | None:
+    """Return the target's first collision among *found* that was not there from the beginning."""
+    return next((c for c in found if c.rows[0] == record.target and not c.initial), None)
+
+
+def overlapping_steps(record: EpisodeRecord) -> set[tuple[int, int, int]]:
+    """Return (instant, row, row) of every pair that overlaps at an instant or first touched in the step before.
+
+    This is what a check once a step, such as SUMO's, should have reported. Rows ascend within a pair; instant
+    0, before the first step, is left out.
+    """
+    tracks = record.tracks
+    touches = _touches(tracks, unbroken(tracks))
+    first, second, step = touches.first, touches.second, touches.step
+    still = _end_gaps(tracks, touches) < -TOUCH_M
+    fresh = touches.fraction > 0.0
+    end = still | fresh
+    found = zip(
+        np.concatenate((step[~fresh], step[end] + 1)).tolist(),
+        np.concatenate((first[~fresh], first[end])).tolist(),
+        np.concatenate((second[~fresh], second[end])).tolist(),
+        strict=True,
+    )
+    return {pair for pair in found if pair[0] > 0}
+
+
+def _end_gaps(tracks: Tracks, touches: _Touches) -> FloatArray:
+    """Return the gaps (M,) of touching pairs at the end of their steps."""
+    i, j, k = touches.first, touches.second, touches.step + 1
+    half = 0.5 * tracks.size_m
+    offset = tracks.xy_m[j, k] - tracks.xy_m[i, k]
+    gaps, _, _ = axis_gaps(offset, tracks.yaw_rad[i, k], half[i], tracks.yaw_rad[j, k], half[j])
+    return np.asarray(gaps.max(-1))
+
+
+def _touches(tracks: Tracks, steady: BoolArray) -> _Touches:
+    parts = [_touches_of(tracks, *chunk) for chunk in _candidates(tracks, steady)]
+    first, second, step, fraction = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.lexsort((step, second, first))
+    return _Touches(first[order], second[order], step[order], fraction[order])
+
+
+def _candidates(tracks: Tracks, steady: BoolArray) -> Iterator[tuple[IntArray, IntArray, IntArray]]:
+    """Yield pairs and steps whose circles may meet; the first yield is empty, so that there is always one."""
+    none = np.zeros(0, dtype=np.int64)
+    yield none, none, none
+    first, second = np.triu_indices(tracks.agents, 1)
+    half = 0.5 * tracks.size_m[:, None, :]
+    length = max(1, _CHUNK // max(1, len(first)))
+    for start in range(0, steady.shape[1], length):
+        here = steady[:, start : start + length]
+        stop = start + here.shape[1]
+        begin, end = tracks.xy_m[:, start:stop], tracks.xy_m[:, start + 1 : stop + 1]
+        yaw = tracks.yaw_rad[:, start:stop]
+        sweep = Sweep(begin, yaw, end - begin, yaw, half)  # may_touch does not look at headings
+        near = may_touch(sweep.rows(first), sweep.rows(second)) & here[first] & here[second]
+        pair, step = np.nonzero(near)
+        yield first[pair], second[pair], step + start
+
+
+def _touches_of(
+    tracks: Tracks, first: IntArray, second: IntArray, step: IntArray
+) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+    fraction = first_contact(_sweep(tracks, first, step), _sweep(tracks, second, step))
+    hit = ~np.isnan(fraction)
+    return first[hit], second[hit], step[hit], fraction[hit]
+
+
+def _sweep(tracks: Tracks, row: IntArray, step: IntArray) -> Sweep:
+    return Sweep.between(
+        tracks.xy_m[row, step],
+        tracks.yaw_rad[row, step],
+        tracks.xy_m[row, step + 1],
+        tracks.yaw_rad[row, step + 1],
+        tracks.size_m[row],
+    )
+
+
+def _first_touches(tracks: Tracks, steady: BoolArray, touches: _Touches) -> list[int]:
+    """Return the positions in *touches* at which a new collision begins."""
+    begin: list[int] = []
+    last: tuple[int, int, int] | None = None
+    for at, (i, j, k) in enumerate(zip(touches.first, touches.second, touches.step, strict=True)):
+        lasting = last is not None and last[:2] == (i, j) and _stayed(tracks, steady, i, j, last[2], k)
+        if not lasting:
+            begin.append(at)
+        last = (i, j, k)
+    return begin
+
+
+def _stayed(tracks: Tracks, steady: BoolArray, i: int, j: int, since: int, until: int) -> bool:
+    """Return whether a pair that touched in step *since* was never apart before step *until*."""
+    if not (steady[i, since : until + 1] & steady[j, since : until + 1]).all():
+        return False
+    return bool((_gaps(tracks, i, j, slice(since + 1, until + 1)) <= SEPARATED_M).all())
+
+
+def _gaps(tracks: Tracks, i: int, j: int, when: slice) -> FloatArray:
+    half = np.broadcast_to(0.5 * tracks.size_m[:, None], (tracks.agents, tracks.steps, 2))
+    offset = tracks.xy_m[j, when] - tracks.xy_m[i, when]
+    gaps, _, _ = axis_gaps(
+        offset, tracks.yaw_rad[i, when], half[i, when], tracks.yaw_rad[j, when], half[j, when]
+    )
+    return np.asarray(gaps.max(-1))
+
+
+def _collision(record: EpisodeRecord, steady: BoolArray, touches: _Touches, at: int) -> Collision:
+    tracks = record.tracks
+    i, j, step = int(touches.first[at]), int(touches.second[at]), int(touches.step[at])
+    rows = (j, i) if j == record.target else (i, j)
+    fraction = float(touches.fraction[at])
+    both = _sweep(tracks, np.array(rows), np.array([step, step]))
+    a, b = both.rows(np.array([0])), both.rows(np.array([1]))
+    contact = contact_of(a, b, fraction, rows[1])
+    xy, yaw = both.pose(fraction)
+    normal, faces = _contact_geometry(xy, yaw, both.half_m, contact.point_m)
+    together = step > 0 and bool(steady[i, step - 1] and steady[j, step - 1])
+    return Collision(
+        rows=rows,
+        step=step,
+        fraction=fraction,
+        time_s=tracks.t0_s + (step + fraction) * tracks.dt_s,
+        point_m=contact.point_m,
+        penetration_m=contact.penetration_m,
+        initial=not together and fraction == 0.0,
+        xy_m=xy,
+        yaw_rad=yaw,
+        velocity_mps=both.move_m / tracks.dt_s,
+        normal=normal,
+        faces=faces,
+    )
+
+
+def _contact_geometry(
+    xy_m: FloatArray, yaw_rad: FloatArray, half_m: FloatArray, point_m: FloatArray
+) -> tuple[FloatArray, tuple[str, str]]:
+    """Return the contact normal (2,) from a to b and what of each box was hit.
+
+    The normal is the separating axis of the largest gap. A box whose own axis it is (within
+    ``SAME_AXIS_RAD``) was hit on that face; the other one touched it with a corner, which counts as its front
+    or rear, whichever end is nearer.
+    """
+    gaps, along, axes = axis_gaps(xy_m[1] - xy_m[0], yaw_rad[0], half_m[0], yaw_rad[1], half_m[1])
+    best = int(np.argmax(gaps))
+    normal = np.copysign(1.0, along[best]) * axes[best]
+    outward = (normal, -normal)
+    faces = tuple(
+        _face(point_m - xy_m[box], outward[box], axes[2 * box], axes[2 * box + 1]) for box in (0, 1)
+    )
+    return np.asarray(normal), (faces[0], faces[1])
+
+
+def _face(arm_m: FloatArray, outward: FloatArray, ahead: FloatArray, left: FloatArray) -> str:
+    lengthwise, sideways = float(outward @ ahead), float(outward @ left)
+    if abs(lengthwise) >= np.cos(SAME_AXIS_RAD):
+        return "front" if lengthwise > 0.0 else "rear"
+    if abs(sideways) >= np.cos(SAME_AXIS_RAD):
+        return "left" if sideways > 0.0 else "right"
+    return "front" if float(arm_m @ ahead) > 0.0 else "rear"

@@ -1,0 +1,103 @@
+"""How the target's ride felt: accelerations, jerk and yaw rate, from our own states.
+
+Derivatives are those of a least-squares polynomial over ``WINDOW`` instants around each instant (Savitzky and
+Golay 1964, doi:10.1021/ac60214a047): second degree for acceleration and yaw rate, third for jerk, which is the
+second derivative of speed. SUMO turns a vehicle on the spot by some degrees where a lane bends or a lane change
+begins; the window spreads such a step, whose plain difference would read as tens of m/s² sideways. A sideways
+jump between instants (SUMO's lane change in no time) breaks the record into stretches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.metrics.kinematics import unbroken
+
+#: Instants under one polynomial: 1 s at 0.1 s.
+WINDOW = 11
+_LEAST_WINDOW = 5
+#: A faster motion sideways is no driving but a change of lane in no time.
+SNAP_MPS = 8.0
+
+
+@dataclass(frozen=True)
+class Comfort:
+    """Mean and greatest absolute values over the instants; None where the record is too short.
+
+    Attributes:
+        accel_mean_mps2: longitudinal acceleration.
+        accel_max_mps2: longitudinal acceleration.
+        brake_max_mps2: strongest braking, positive.
+        lateral_mean_mps2: speed times yaw rate.
+        lateral_max_mps2: speed times yaw rate.
+        jerk_mean_mps3: longitudinal jerk.
+        jerk_max_mps3: longitudinal jerk.
+        yaw_rate_mean_radps: yaw rate.
+        yaw_rate_max_radps: yaw rate.
+    """
+
+    accel_mean_mps2: float | None = None
+    accel_max_mps2: float | None = None
+    brake_max_mps2: float | None = None
+    lateral_mean_mps2: float | None = None
+    lateral_max_mps2: float | None = None
+    jerk_mean_mps3: float | None = None
+    jerk_max_mps3: float | None = None
+    yaw_rate_mean_radps: float | None = None
+    yaw_rate_max_radps: float | None = None
+
+
+def comfort(tracks: Tracks, row: int) -> Comfort:
+    """Return the comfort of agent *row* over all of *tracks*; cut them before a collision.
+
+    Stretches of fewer than five instants are left out.
+    """
+    parts = [_derivatives(tracks, row, part) for part in _stretches(tracks, row)]
+    if not parts:
+        return Comfort()
+    accel, jerk, yaw_rate, lateral = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Comfort(
+        *_mean_max(accel),
+        max(0.0, float(-accel.min())),
+        *_mean_max(lateral),
+        *_mean_max(jerk),
+        *_mean_max(yaw_rate),
+    )
+
+
+def _derivatives(
+    tracks: Tracks, row: int, part: slice
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    speed = tracks.speed_mps[row, part]
+    yaw = np.unwrap(tracks.yaw_rad[row, part])
+    window = min(WINDOW, len(speed) - 1 + len(speed) % 2)
+    accel = savgol_filter(speed, window, 2, deriv=1, delta=tracks.dt_s)
+    jerk = savgol_filter(speed, window, 3, deriv=2, delta=tracks.dt_s)
+    yaw_rate = savgol_filter(yaw, window, 2, deriv=1, delta=tracks.dt_s)
+    return accel, jerk, yaw_rate, yaw_rate * speed
+
+
+def _stretches(tracks: Tracks, row: int) -> list[slice]:
+    """Return the stretches of instants over which the agent moves without break or sideways snap."""
+    steady = unbroken(tracks.rows([row]))[0] & ~_snaps(tracks, row)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], steady, [False])).astype(np.int64)))
+    spans = [slice(int(a), int(b) + 1) for a, b in edges.reshape(-1, 2)]
+    return [span for span in spans if span.stop - span.start >= _LEAST_WINDOW]
+
+
+def _snaps(tracks: Tracks, row: int) -> BoolArray:
+    """Return (T − 1,) steps with a sideways motion faster than ``SNAP_MPS``."""
+    move = np.diff(tracks.xy_m[row], axis=0)
+    yaw = tracks.yaw_rad[row, :-1] + 0.5 * np.angle(np.exp(1j * np.diff(tracks.yaw_rad[row])))
+    sideways = move[:, 1] * np.cos(yaw) - move[:, 0] * np.sin(yaw)
+    return np.asarray(np.abs(sideways) > SNAP_MPS * tracks.dt_s)
+
+
+def _mean_max(values: FloatArray) -> tuple[float, float]:
+    size = np.abs(values)
+    return float(size.mean()), float(size.max())

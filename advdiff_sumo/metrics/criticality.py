@@ -1,0 +1,102 @@
+"""How near the target came to a collision: clearance and time to collision of boxes in the plane.
+
+Both look at instants, from the start to the last instant before the target's first collision. See also
+``following`` (same lane) and ``encroachment`` (crossing paths).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.boxes import axis_gaps, corners, distance
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.metrics.kinematics import velocities
+
+#: Later contacts are not looked for.
+TTC_HORIZON_S = 10.0
+_AT_ONCE = 1e-12
+
+
+@dataclass(frozen=True)
+class Extreme:
+    """The most critical value of a measure.
+
+    Attributes:
+        value: the value, in the unit of the measure.
+        row: the other agent.
+        time_s: when, since the episode's start.
+    """
+
+    value: float
+    row: int
+    time_s: float
+
+
+def least(values: FloatArray, tracks: Tracks) -> Extreme | None:
+    """Return the smallest finite of *values* (A, T); of equals the earliest, then the lowest row."""
+    if not np.isfinite(values).any():
+        return None
+    by_time = np.where(np.isfinite(values), values, np.inf).T
+    step, row = np.unravel_index(int(np.argmin(by_time)), by_time.shape)
+    return Extreme(float(by_time[step, row]), int(row), tracks.t0_s + float(step) * tracks.dt_s)
+
+
+def time_to_collision(tracks: Tracks, target: int) -> FloatArray:
+    """Return (A, T) seconds until the boxes of each agent and the target meet, if both went on as they are.
+
+    Constant velocity (from positions) and constant heading, up to ``TTC_HORIZON_S``; inf when they do not
+    meet by then, 0 when they overlap already, NaN where one is absent and for the target itself. Exact: two
+    boxes that only translate overlap while they overlap along each of the four separating axes, and each axis
+    gives one interval of time. Hayward (1972), "Near-miss determination through use of a scale of danger",
+    for boxes instead of points.
+    """
+    velocity = velocities(tracks)
+    half = np.broadcast_to(0.5 * tracks.size_m[:, None], tracks.xy_m.shape)
+    yaw = np.broadcast_to(tracks.yaw_rad[target], tracks.yaw_rad.shape)
+    offset = tracks.xy_m - tracks.xy_m[target]
+    gaps, along, axes = axis_gaps(
+        offset, yaw, np.broadcast_to(half[target], half.shape), tracks.yaw_rad, half
+    )
+    rate = np.einsum("atic,atc->ati", axes, velocity - velocity[target])
+    enter, leave = _overlap_times(np.abs(along) - gaps, along, rate)
+    start, end = enter.max(-1), leave.min(-1)
+    meets = (start < end) & (end > 0.0) & (start <= TTC_HORIZON_S)
+    seconds = np.where(meets, np.maximum(start, 0.0), np.inf)
+    absent = np.isnan(offset).any(-1)
+    absent[target] = True
+    return np.where(absent, np.nan, seconds)
+
+
+def _overlap_times(reach: FloatArray, along: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return when |along + rate t| < reach begins and ends; (−inf, inf) for always, (inf, −inf) for never."""
+    still = np.abs(rate) < _AT_ONCE
+    safe = np.where(still, 1.0, rate)
+    one, other = (-reach - along) / safe, (reach - along) / safe
+    never = np.where(np.abs(along) < reach, -np.inf, np.inf)
+    return (
+        np.where(still, never, np.minimum(one, other)),
+        np.where(still, -never, np.maximum(one, other)),
+    )
+
+
+def clearances(tracks: Tracks, target: int) -> FloatArray:
+    """Return (A, T) distances between each agent's box and the target's where they may be the smallest.
+
+    Entries that cannot be the smallest of all are inf: their circles are farther apart than some centres are.
+    NaN where an agent is absent and for the target itself; 0 when boxes overlap.
+    """
+    offset = tracks.xy_m - tracks.xy_m[target]
+    between = np.hypot(offset[..., 0], offset[..., 1])
+    between[target] = np.nan
+    radius = 0.5 * np.hypot(tracks.size_m[:, 0], tracks.size_m[:, 1])
+    result = np.where(np.isnan(between), np.nan, np.inf)
+    if np.isnan(between).all():
+        return result
+    row, step = np.nonzero(between - (radius + radius[target])[:, None] <= np.nanmin(between))
+    boxes = corners(tracks.xy_m[row, step], tracks.yaw_rad[row, step], tracks.size_m[row])
+    own = corners(tracks.xy_m[target, step], tracks.yaw_rad[target, step], tracks.size_m[target])
+    result[row, step] = distance(boxes, own)
+    return result

@@ -1,0 +1,95 @@
+"""The target behind the vehicle ahead in its lane: longitudinal TTC and DRAC."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.maps import RoadMap
+
+#: How far ahead along the lane vehicles count as ahead.
+LOOK_AHEAD_M = 100.0
+
+
+@dataclass(frozen=True)
+class Following:
+    """Gaps of the target to each agent ahead of it in its lane, A agents, T instants.
+
+    Attributes:
+        gap_m: (A, T) bumper to bumper along the lane; NaN for agents that are not ahead in its lane.
+        closing_mps: (A, T) target's speed minus the other's.
+    """
+
+    gap_m: FloatArray
+    closing_mps: FloatArray
+
+    def time_to_collision(self) -> FloatArray:
+        """Return (A, T) gap / closing speed in s (Hayward 1972); inf when not closing, NaN when not ahead."""
+        closing = np.where(self.closing_mps > 0.0, self.closing_mps, np.nan)
+        seconds = np.maximum(self.gap_m, 0.0) / closing
+        return np.where(np.isnan(closing) & ~np.isnan(self.gap_m), np.inf, seconds)
+
+    def deceleration_to_avoid(self) -> FloatArray:
+        """Return (A, T) DRAC in m/s²: closing speed² / (2 gap); 0 when not closing, NaN when not ahead.
+
+        Cooper and Ferguson (1976); the form for two speeds as in Almqvist, Hydén and Risser (1991),
+        "Use of speed limiters in cars for increased safety and a better environment". Gaps below 1 cm count
+        as 1 cm, so that the value stays finite up to the contact.
+        """
+        closing = np.maximum(self.closing_mps, 0.0)
+        return np.asarray(closing**2 / (2.0 * np.maximum(self.gap_m, 0.01)))
+
+
+def following(tracks: Tracks, target: int, road: RoadMap, route: Sequence[str]) -> Following:
+    """Return the gaps of *target* to the vehicles ahead in its lane and the lanes it leads to along *route*.
+
+    A vehicle is in the lane that its centre and heading best fit. Where the target's lane leaves its route,
+    or no route is known, the lane's first successor counts.
+    """
+    lane, s = _located(tracks, road)
+    gap = np.full(tracks.yaw_rad.shape, np.nan)
+    length = tracks.size_m[:, 0]
+    for own in np.unique(lane[target][lane[target] >= 0]):
+        ahead = _distances_ahead(road, road.index.lane_ids[own], route)
+        steps = np.flatnonzero(lane[target] == own)
+        start = np.full(len(road.index.lane_ids) + 1, np.nan)  # the last entry is for -1, no lane
+        start[[road.index.row[x] for x in ahead]] = list(ahead.values())
+        centre = start[lane[:, steps]] + s[:, steps] - s[target, steps]
+        gap[:, steps] = np.where(centre > 0.0, centre - 0.5 * (length + length[target])[:, None], np.nan)
+    gap[target] = np.nan
+    gap[gap > LOOK_AHEAD_M] = np.nan
+    closing = tracks.speed_mps[target] - tracks.speed_mps
+    return Following(gap, np.where(np.isnan(gap), np.nan, closing))
+
+
+def _located(
+    tracks: Tracks, road: RoadMap
+) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.int64]], FloatArray]:
+    """Return (A, T) lane numbers, -1 for none, and (A, T) positions along them."""
+    shape = tracks.agents, tracks.steps
+    ids, s, _, _ = road.locate_many(tracks.xy_m.reshape(-1, 2), tracks.yaw_rad.reshape(-1))
+    lane = np.array([-1 if x is None else road.index.row[x] for x in ids], dtype=np.int64)
+    return lane.reshape(shape), s.reshape(shape)
+
+
+def _distances_ahead(road: RoadMap, lane_id: str, route: Sequence[str]) -> dict[str, float]:
+    """Return the distance from the start of *lane_id* to the start of it and of each lane it leads to."""
+    found = {lane_id: 0.0}
+    here, end = road.lanes[lane_id], road.lanes[lane_id].length_m
+    onward = {a: b for a, b in zip(route[:-1], route[1:], strict=True)}
+    first = end
+    while here.successors and end - first < LOOK_AHEAD_M:
+        wanted = onward.get(here.edge_id)
+        fitting = [x for x in here.successors if road.lanes[x.to_lane].edge_id == wanted]
+        link = (fitting or list(here.successors))[0]
+        for name in (*link.via, link.to_lane):
+            if name in found:
+                return found
+            found[name] = end
+            end += road.lanes[name].length_m
+        here = road.lanes[link.to_lane]
+    return found

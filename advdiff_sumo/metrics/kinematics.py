@@ -1,0 +1,36 @@
+"""Velocities and unbroken stretches of recorded tracks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.metrics.contact import JUMP_MPS
+
+
+def unbroken(tracks: Tracks) -> BoolArray:
+    """Return (A, T − 1) whether the agent is there at both ends of the step and does not jump between them."""
+    both = tracks.valid[:, 1:] & tracks.valid[:, :-1]
+    move = np.diff(tracks.xy_m, axis=1)
+    return np.asarray(both & (np.hypot(move[..., 0], move[..., 1]) <= JUMP_MPS * tracks.dt_s))
+
+
+def velocities(tracks: Tracks) -> FloatArray:
+    """Return (A, T, 2) velocities in m/s from the positions: the mean of the steps before and after an instant.
+
+    Taken from positions, so that sideways motion counts. At a break only the other step is used; an agent
+    without either has its speed along its heading. NaN where the agent is absent.
+    """
+    steady = unbroken(tracks)
+    rate = np.where(steady[..., None], np.diff(tracks.xy_m, axis=1) / tracks.dt_s, 0.0)
+    total = np.zeros_like(tracks.xy_m)
+    count = np.zeros(tracks.yaw_rad.shape)
+    for part in (slice(1, None), slice(None, -1)):
+        total[:, part] += rate
+        count[:, part] += steady
+    heading = np.stack((np.cos(tracks.yaw_rad), np.sin(tracks.yaw_rad)), axis=-1)
+    alone = tracks.speed_mps[..., None] * heading
+    mean = total / np.maximum(count, 1.0)[..., None]
+    velocity = np.where((count > 0.0)[..., None], mean, alone)
+    return np.where(tracks.valid[..., None], velocity, np.nan)

@@ -9,7 +9,9 @@ from typing import Any, TextIO, TypeVar
 
 from advdiff_sumo.core.errors import LogError
 
-_CHUNK = 1 << 22  # characters; a record is never as long
+_CHUNK = 1 << 22  # characters
+_LONGEST = 1 << 22  # no record is as long: what does not parse by then never will
+_WORD = 32  # characters of the longest number or literal
 _AGAIN = "copy or download the file again"
 _GAP = " \t\r\n,"
 
@@ -63,9 +65,9 @@ def _objects(path: Path, file: TextIO) -> Iterator[dict[str, Any]]:
             record, at = decode(buffer, at)
         except json.JSONDecodeError as error:
             more = file.read(_CHUNK)
-            if not more:
+            if not more and _cut_off(error):
                 raise LogError(path, f"ends within record {number}: the file is truncated", _AGAIN) from None
-            if len(buffer) - at > _CHUNK:
+            if not more or len(buffer) - at > _LONGEST:
                 raise LogError(path, f"record {number} is not JSON ({error.msg})", _AGAIN) from None
             buffer, at = buffer[at:] + more, 0
             continue
@@ -73,6 +75,12 @@ def _objects(path: Path, file: TextIO) -> Iterator[dict[str, Any]]:
             raise LogError(path, f"record {number} is no object", _AGAIN)
         yield record
         number += 1
+
+
+def _cut_off(error: json.JSONDecodeError) -> bool:
+    """Return whether the text ended too early: within a string, or within a last word or number."""
+    rest = error.doc[error.pos :].strip()
+    return error.msg.startswith("Unterminated") or (len(rest) < _WORD and not rest.endswith(("]", "}")))
 
 
 def _skip(buffer: str, at: int) -> int:

@@ -26,7 +26,7 @@ def random_routes(net: Path, folder: Path, end_s: float, period_s: float, seed: 
     script = Path(sumolib.__file__).parents[1] / "sumo" / "tools" / "randomTrips.py"
     command = [sys.executable, str(script), "-n", str(net), "-o", str(trips), "-r", str(routes)]
     command += ["-e", str(end_s), "-p", str(period_s), "--fringe-factor", "10", "--seed", str(seed)]
-    command += ["--min-distance", "250", "--validate", "--random-depart"]
+    command += ["--min-distance", "250", "--validate", "--random-depart", "--lanes", "--speed-exponent", "1"]
     command += ["--trip-attributes", 'departLane="best" departSpeed="max" departPos="base"']
     subprocess.run(command, check=True, capture_output=True)
     return routes

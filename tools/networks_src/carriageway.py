@@ -72,7 +72,10 @@ def lay_carriageway(plan: Plan, road: Carriageway) -> None:
 
 @dataclass(frozen=True)
 class Ramp:
-    """A one-lane ramp between the node of a section and a surface node; it meets that node at `heading_rad`."""
+    """A one-lane ramp between the node of a section and a surface node; it meets that node at `heading_rad`.
+
+    `aside_m` is how far to the right of the node it does, to line up with a lane of a two-way road.
+    """
 
     name: str
     road: Carriageway
@@ -81,14 +84,15 @@ class Ramp:
     heading_rad: float
     leaves: bool  # True for an off-ramp
     left: bool = False
-    speed_mps: float = 22.22
+    aside_m: float = 0.0
+    speed_mps: float = 16.67
 
 
 def lay_ramps(plan: Plan, ramps: Sequence[Ramp]) -> None:
     """Add ramps and their links; the section before an exit, and after an entry, has the auxiliary lane."""
     for ramp in ramps:
         pose, heading = ramp.road.lane_middle(ramp.section, ramp.left)
-        there = plan.nodes[ramp.node].xy_m
+        there = _kerb_side(plan.nodes[ramp.node].xy_m, ramp)
         main = ramp.road.node(ramp.section)
         ends = (main, ramp.node) if ramp.leaves else (ramp.node, main)
         forward = (pose, heading, there, ramp.heading_rad)
@@ -101,3 +105,8 @@ def lay_ramps(plan: Plan, ramps: Sequence[Ramp]) -> None:
         edge = plan.edges[ramp.road.edge(index)]
         lane = edge.lanes - 1 if ramp.left else 0
         plan.links.append(Link(edge.name, name, lane, 0) if ramp.leaves else Link(name, edge.name, 0, lane))
+
+
+def _kerb_side(xy_m: tuple[float, float], ramp: Ramp) -> tuple[float, float]:
+    right = ramp.heading_rad - np.pi / 2
+    return float(xy_m[0] + ramp.aside_m * np.cos(right)), float(xy_m[1] + ramp.aside_m * np.sin(right))

@@ -57,6 +57,13 @@ class Curve:
         return flatten(self.at(np.linspace(start_m, end_m, count), offset_m))
 
 
+def normals(points_m: Points) -> Points:
+    """Unit vectors (N, 2) to the left of a polyline at its points."""
+    ahead = np.gradient(points_m, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    return np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+
+
 def flatten(points_m: Points) -> Points:
     """Drop points that lie within `FLATNESS_M` of the line through their neighbours."""
     return np.asarray(LineString(points_m).simplify(FLATNESS_M).coords)

@@ -40,7 +40,7 @@ STATION = Street(
     ("S_D", "D1", "D2", "D3", "D4", "D5", "D6", "N_D"),
     ahead=2, back=2, speed_mps=13.89, priority=9, median_m=3.2, pocket_m=36.0,
     pockets=frozenset({("S_D", "D1"), ("D2", "D1"), ("D2", "D3"), ("D4", "D3"), ("D3", "D4"), ("D5", "D4"),
-                       ("D4", "D5"), ("D6", "D5"), ("D3", "D2"), ("D1", "D2")}),
+                       ("D4", "D5"), ("D3", "D2")}),
 )  # fmt: skip
 STREETS = (
     ARTERIAL,
@@ -58,7 +58,7 @@ STREETS = (
     Street("Harbour Street", ("S_B", "B1", "B2", "B3", "B4", "B5", "B6", "N_B"), ahead=2, back=0, priority=7),
     Street("Market Street", ("N_C", "C6", "C5", "C4", "C3", "C2", "C1", "S_C"), ahead=2, back=0, priority=7),
     Street("Chapel Street", ("E1", "E2", "E3"), speed_mps=8.33, priority=3),
-    Street("Chapel Rise", ("E4", "E5"), speed_mps=8.33, priority=3),
+    Street("Chapel Rise", ("E4", "E5", "E6"), speed_mps=8.33, priority=3),
     Street("Mill Road", ("S_F", "F1", "F2", "F3"), priority=6),
     Street("Mill Road North", ("F5", "F6", "N_F"), priority=6),
     Street("Brewer Street", ("F6", (652, 490), (690, 462), "G5", "G4", "G3", "G2", "G1"), speed_mps=8.33, priority=3),

@@ -49,19 +49,19 @@ EASTBOUND = _carriageway(
     (
         Section(0.0, right=1, speed_mps=DERESTRICTED),
         Section(260.0, speed_mps=DERESTRICTED),  # lane drop, 4 to 3
-        Section(480.0, right=1),
+        Section(470.0, right=1),
         Section(680.0),  # 3: exit 1
-        Section(960.0, right=1),  # 4: entry 1, weave
+        Section(1020.0, right=1),  # 4: entry 1, weave
         Section(1400.0),  # 5: exit 2
-        Section(1640.0, right=1),  # 6: entry 2
-        Section(1860.0),
-        Section(1980.0, left=1),
+        Section(1740.0, right=1),  # 6: entry 2
+        Section(1940.0),
+        Section(2010.0, left=1),
         Section(2190.0),  # 9: service area exit
         Section(2710.0, left=1),  # 10: service area entry
         Section(2960.0),
-        Section(3090.0, right=1),
-        Section(3290.0),  # 13: exit 3
-        Section(3570.0, right=1, speed_mps=DERESTRICTED),  # 14: entry 3
+        Section(3070.0, right=1),
+        Section(3260.0),  # 13: exit 3
+        Section(3600.0, right=1, speed_mps=DERESTRICTED),  # 14: entry 3
         Section(3800.0, speed_mps=DERESTRICTED),
     ),
 )
@@ -70,28 +70,28 @@ WESTBOUND = _carriageway(
     (
         Section(AXIS.length_m, speed_mps=DERESTRICTED),
         Section(3800.0, right=1),
-        Section(3600.0),  # 2: exit 3
-        Section(3320.0, right=1),  # 3: entry 3
+        Section(3630.0),  # 2: exit 3
+        Section(3290.0, right=1),  # 3: entry 3
         Section(3080.0),
         Section(2940.0, left=1),
         Section(2710.0),  # 6: service area exit
         Section(2190.0, left=1),  # 7: service area entry
         Section(1940.0),
-        Section(1480.0, right=1),
-        Section(1280.0),  # 10: exit 1
-        Section(960.0, right=1, speed_mps=DERESTRICTED),  # 11: entry 1
+        Section(1500.0, right=1),
+        Section(1295.0),  # 10: exit 1
+        Section(945.0, right=1, speed_mps=DERESTRICTED),  # 11: entry 1
         Section(700.0, speed_mps=DERESTRICTED),
     ),
 )
 
 PLACES: dict[str, tuple[float, float]] = {  # station along the axis, offset to its left
-    "J1": (820, -80), "K1": (820, -190), "F1": (820, -330), "KW": (420, -185), "J2": (1520, -80),
-    "K2": (1520, -195), "F2": (1520, -330), "J3": (3430, -80), "K3": (3430, -190), "KE": (3860, -200),
-    "N1": (1120, 80), "M1": (1120, 190), "MW": (700, 200), "G1": (1120, 330), "N3": (3460, 80),
+    "J1": (850, -75), "K1": (850, -190), "F1": (850, -330), "KW": (420, -185), "J2": (1570, -75),
+    "K2": (1570, -195), "F2": (1570, -330), "J3": (3430, -75), "K3": (3430, -190), "KE": (3860, -200),
+    "N1": (1120, 75), "M1": (1120, 190), "MW": (700, 200), "G1": (1120, 330), "N3": (3460, 75),
     "M3": (3460, 190), "ME": (3900, 200), "G3": (3460, 330),
     "S1": (2330, -20), "S2": (2330, 20), "S3": (2570, -20), "S4": (2570, 20),
 }  # fmt: skip
-SIGNALS = ("K1", "K2", "M3")
+SIGNALS = ("K1", "K2", "K3", "M1", "M3")
 RIGHT_BEFORE_LEFT = ("S2", "S3")
 STREETS = (
     Street(
@@ -112,7 +112,7 @@ STREETS = (
 
 def _ramps() -> list[Ramp]:
     east, west = EASTBOUND, WESTBOUND
-    slant = np.radians(22.0)
+    slant = np.radians(20.0)
     table = [
         ("Exit 1", east, 3, "J1", -slant, True, False), ("Entry 1", east, 4, "J1", slant, False, False),
         ("Exit 2", east, 5, "J2", -slant, True, False), ("Entry 2", east, 6, "J2", slant, False, False),
@@ -125,7 +125,9 @@ def _ramps() -> list[Ramp]:
     ramps = []
     for name, road, section, node, heading, leaves, left in table:
         at = AXIS.heading_rad(PLACES[node][0])
-        ramps.append(Ramp(name, road, section, node, float(heading) + at, leaves, left))
+        ramps.append(
+            Ramp(name, road, section, node, float(heading) + at, leaves, left, 1.625 if left else 0.0)
+        )
     return ramps
 
 

@@ -9,14 +9,16 @@ from pathlib import Path
 
 import sumolib
 
+from networks_src.corners import LATERAL_MPS2, round_corners
 from networks_src.plain import Plan
 
 OPTIONS: tuple[str, ...] = (
     "--no-turnarounds=true",
     "--offset.disable-normalization=true",
-    "--default.junctions.radius=6.5",
-    "--junctions.internal-link-detail=16",
+    "--default.junctions.radius=8",
+    "--junctions.internal-link-detail=20",
     "--junctions.corner-detail=8",
+    f"--junctions.limit-turn-speed={LATERAL_MPS2}",
     "--junctions.scurve-stretch=1.0",
     "--rectangular-lane-cut=false",
     "--geometry.max-angle.fix=false",
@@ -32,25 +34,25 @@ OPTIONS: tuple[str, ...] = (
 )
 
 
-def build(plan: Plan, target: Path, extra: tuple[str, ...] = ()) -> str:
-    """Convert a plan to `target` (.net.xml); returns netconvert's warnings.
+def build(plan: Plan, target: Path) -> str:
+    """Convert a plan to `target` (.net.xml), in two passes so that turns can be rounded; returns warnings.
 
     Raises:
         subprocess.CalledProcessError: netconvert refused the plan.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        files = plan.write(Path(folder))
-        raw = Path(folder) / "raw.net.xml"
-        command = [
-            sumolib.checkBinary("netconvert"),
-            *(f"{k}={v}" for k, v in files.items()),
-            *OPTIONS,
-            *extra,
-        ]
-        command += [f"--lefthand={str(plan.lefthand).lower()}", f"--output-file={raw}"]
-        done = subprocess.run(command, check=True, capture_output=True, text=True)
+    with tempfile.TemporaryDirectory() as name:
+        raw = Path(name) / "raw.net.xml"
+        _convert(plan, Path(name), raw)
+        warnings = _convert(round_corners(plan, sumolib.net.readNet(str(raw))), Path(name), raw)
         target.write_text(_scrub(raw.read_text(encoding="utf-8"), plan.name), encoding="utf-8")
-    return done.stderr
+    return warnings
+
+
+def _convert(plan: Plan, folder: Path, raw: Path) -> str:
+    files = (f"{option}={path}" for option, path in plan.write(folder).items())
+    command = [sumolib.checkBinary("netconvert"), *files, *OPTIONS]
+    command += [f"--lefthand={str(plan.lefthand).lower()}", f"--output-file={raw}"]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stderr
 
 
 def _scrub(text: str, name: str) -> str:

@@ -53,12 +53,14 @@ class Edge:
 
 @dataclass(frozen=True)
 class Link:
-    """A lane-to-lane connection across a node."""
+    """A lane-to-lane connection across a node; its path (N, 2) and speed are netconvert's unless given."""
 
     source: str
     target: str
     from_lane: int
     to_lane: int
+    shape_m: Points | None = None
+    speed_mps: float | None = None
 
 
 @dataclass
@@ -117,14 +119,23 @@ def _edge_row(edge: Edge) -> dict[str, str]:
         "priority": str(edge.priority),
         "width": f"{edge.width_m:.2f}",
         "spreadType": edge.spread,
-        "shape": " ".join(f"{x:.3f},{y:.3f}" for x, y in edge.shape_m),
+        "shape": _points(edge.shape_m),
     }
 
 
 def _link_row(link: Link) -> dict[str, str]:
-    return {
+    row = {
         "from": link.source,
         "to": link.target,
         "fromLane": str(link.from_lane),
         "toLane": str(link.to_lane),
     }
+    if link.shape_m is not None:
+        row["shape"] = _points(link.shape_m)
+    if link.speed_mps is not None:
+        row["speed"] = f"{link.speed_mps:.2f}"
+    return row
+
+
+def _points(shape_m: Points) -> str:
+    return " ".join(f"{x:.3f},{y:.3f}" for x, y in shape_m)

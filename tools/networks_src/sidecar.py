@@ -7,16 +7,18 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
+import numpy as np
 import shapely
 import sumolib
 from shapely import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
+from networks_src.curve import normals
 from networks_src.tapers import tapers
 
 KERB_M = 0.35
 SHOULDER_M = 2.5
-SHOULDER_MPS = 20.0
+RAMP_MPS, MOTORWAY_MPS = 16.0, 25.0
 ISLAND_M2 = 1500.0
 FILLET_M = 1.0
 HOLE_M2 = 3.0
@@ -35,16 +37,18 @@ def drivable_area(net: Any, fillet_m: float = FILLET_M) -> MultiPolygon:
         net: sumolib net, read with internal lanes.
         fillet_m: radius of concave corners; clefts narrower than twice this are closed (tapers, gores).
     """
-    paved = shapely.union_all([*_lane_areas(net), *_junction_areas(net), *tapers(net)])
+    paved = shapely.union_all([*_lane_areas(net), *_junction_areas(net), *tapers(net, _node_margin_m)])
     closed = paved.buffer(fillet_m, quad_segs=6).buffer(-fillet_m, quad_segs=6)
     return _parts(closed.union(paved).simplify(TOLERANCE_M))
 
 
-def walkways(area: MultiPolygon, width_m: float = 2.5) -> list[Polygon]:
+def walkways(net: Any, area: MultiPolygon, width_m: float) -> list[Polygon]:
     """Footways along every kerb but those of medians and islands, as simple polygons without holes."""
     islands = [h for part in area.geoms for h in part.interiors if Polygon(h).area < ISLAND_M2]
-    area = _parts(shapely.union_all([area, *(Polygon(h) for h in islands)]))
-    band = area.buffer(width_m, quad_segs=3).difference(area.buffer(0.02)).simplify(0.1)
+    closed = area.buffer(width_m).buffer(-width_m)  # medians
+    area = _parts(shapely.union_all([area, closed, *(Polygon(h) for h in islands)]))
+    band = area.buffer(width_m, quad_segs=3).simplify(0.1).difference(area)
+    band = band.difference(shapely.union_all(_beyond_fringe(net)))
     return [piece for ring in _parts(band).geoms for piece in _without_holes(ring)]
 
 
@@ -57,7 +61,7 @@ def write(net_file: Path, target: Path, name: str, footway_m: float) -> None:
         rows.append(("drivable_area", Polygon(part.exterior)))
         rows += [("drivable_area_hole", Polygon(h)) for h in part.interiors if Polygon(h).area >= HOLE_M2]
     if footway_m:
-        rows += [("walkway", piece) for piece in walkways(area, footway_m)]
+        rows += [("walkway", piece) for piece in walkways(net, area, footway_m)]
     root = ET.Element("additional")
     counts: dict[str, int] = {}
     for kind, polygon in rows:
@@ -74,20 +78,53 @@ def write(net_file: Path, target: Path, name: str, footway_m: float) -> None:
 
 def _lane_areas(net: Any) -> list[BaseGeometry]:
     lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
-    return [_band(lane.getShape(), lane.getWidth() / 2 + _margin_m(lane.getSpeed())) for lane in lanes]
+    return [_band(lane.getShape(), lane.getWidth() / 2, _margins_m(lane)) for lane in lanes]
 
 
-def _band(shape: Sequence[tuple[float, float]], half_m: float) -> BaseGeometry:
-    return LineString(shape).buffer(half_m, cap_style="flat", join_style="mitre")
+def _band(
+    shape: Sequence[tuple[float, float]], half_m: float, margins_m: tuple[float, float]
+) -> BaseGeometry:
+    """A lane's surface with margins that change evenly from its beginning to its end."""
+    first, last = margins_m
+    lane = LineString(shape)
+    even = lane.buffer(half_m + min(margins_m), cap_style="flat", join_style="mitre")
+    if first == last:
+        return even
+    points = np.asarray(lane.segmentize(5.0).coords)
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))]) / lane.length
+    aside = normals(points) * (half_m + first + along * (last - first))[:, None]
+    return shapely.union(even, Polygon(np.vstack([points + aside, (points - aside)[::-1]])))
 
 
-def _margin_m(speed_mps: float) -> float:
-    return SHOULDER_M if speed_mps >= SHOULDER_MPS else KERB_M
+def _margins_m(lane: Any) -> tuple[float, float]:
+    """Margin at the beginning and the end of a lane; a ramp's shoulder fades towards the surface road."""
+    if lane.getSpeed() < RAMP_MPS:
+        return KERB_M, KERB_M
+    first, last = (_node_margin_m(n) for n in (lane.getEdge().getFromNode(), lane.getEdge().getToNode()))
+    return first, last
+
+
+def _node_margin_m(node: Any) -> float:
+    edges = [*node.getIncoming(), *node.getOutgoing()]
+    return SHOULDER_M if any(e.getSpeed() >= MOTORWAY_MPS for e in edges) else KERB_M
 
 
 def _junction_areas(net: Any) -> list[BaseGeometry]:
-    shapes = [node.getShape() for node in net.getNodes()]
+    shapes = [node.getShape() for node in net.getNodes() if node.getType() != "dead_end"]
     return [Polygon(shape).buffer(KERB_M, join_style="mitre") for shape in shapes if len(shape) >= 3]
+
+
+def _beyond_fringe(net: Any) -> list[BaseGeometry]:
+    """Boxes on the far side of each fringe point, where no footway is laid round the end of a street."""
+    boxes = []
+    for edge in net.getEdges(withInternal=False):
+        points = np.asarray(edge.getShape())
+        for node, end, before in ((edge.getToNode(), -1, -2), (edge.getFromNode(), 0, 1)):
+            if node.getType() == "dead_end":
+                out = points[end] - points[before]
+                ray = LineString([points[end], points[end] + 10.0 * out / np.hypot(*out)])
+                boxes.append(ray.buffer(15.0, cap_style="flat"))
+    return boxes
 
 
 def _parts(area: BaseGeometry) -> MultiPolygon:

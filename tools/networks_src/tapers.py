@@ -2,53 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from shapely import LineString, Polygon
 from shapely.ops import substring
 
-from networks_src.plain import Points
+from networks_src.curve import normals
 
-MARGIN_M = 0.35
 TAPER_S = 1.4  # length of a taper, as driving time at the limit
 
 
-def tapers(net: Any) -> Iterator[Polygon]:
+def tapers(net: Any, margin_m: Callable[[Any], float]) -> Iterator[Polygon]:
     """Wedges (m) that narrow the paved area over some metres instead of at once.
 
     Args:
         net: sumolib net, read with internal lanes.
+        margin_m: node → strip between the outermost lane and the edge of the paved area there.
     """
     for edge in net.getEdges(withInternal=False):
         for onward in (True, False):
-            others = edge.getOutgoing() if onward else edge.getIncoming()
-            if len(others) == 1 and _is_seam(edge.getToNode() if onward else edge.getFromNode()):
-                yield from _wedges(edge, onward)
+            node = edge.getToNode() if onward else edge.getFromNode()
+            if _is_seam(node):
+                yield from _wedges(edge, onward, margin_m(node))
 
 
 def _is_seam(node: Any) -> bool:
     """Whether one road merely changes its lanes at a node."""
-    return len(node.getIncoming()) == 1 and len(node.getOutgoing()) == 1
+    return [sum(not e.isSpecial() for e in es) for es in (node.getIncoming(), node.getOutgoing())] == [1, 1]
 
 
-def _wedges(edge: Any, onward: bool) -> Iterator[Polygon]:
+def _wedges(edge: Any, onward: bool, margin_m: float) -> Iterator[Polygon]:
     lanes = edge.getLanes()
     for lane, beside in [*zip(lanes, lanes[1:], strict=False), *zip(lanes[1:], lanes, strict=False)]:
         ways = _ways(beside, edge, onward)
         if ways and not _ways(lane, edge, onward):
-            yield _wedge(lane, beside, ways[0], onward)
+            yield _wedge(lane, beside, ways[0], onward, margin_m)
 
 
 def _ways(lane: Any, edge: Any, onward: bool) -> list[Any]:
     """Lanes that carry on with a lane, or lead into it."""
     if onward:
-        return [c.getToLane() for c in lane.getOutgoing()]
-    return [c.getFromLane() for cs in edge.getIncoming().values() for c in cs if c.getToLane() == lane]
+        ways = [c.getToLane() for c in lane.getOutgoing()]
+    else:
+        ways = [c.getFromLane() for cs in edge.getIncoming().values() for c in cs if c.getToLane() == lane]
+    return [way for way in ways if not way.getEdge().isSpecial()]
 
 
-def _wedge(lane: Any, beside: Any, other: Any, ends: bool) -> Polygon:
+def _wedge(lane: Any, beside: Any, other: Any, ends: bool, margin_m: float) -> Polygon:
     """The wedge beside lane `other`, which lies ahead of (or behind) `beside`, on the side of `lane`."""
     line = LineString(other.getShape())
     length = min(TAPER_S * float(lane.getSpeed()), line.length)
@@ -60,10 +62,10 @@ def _wedge(lane: Any, beside: Any, other: Any, ends: bool) -> Polygon:
     seam = np.asarray(beside.getShape()[-1 if ends else 0])
     points = np.vstack([seam, points]) if ends else np.vstack([points, seam])
     share = np.concatenate([[1.0], share]) if ends else np.concatenate([share, [1.0]])
-    normal = _normals(points) * side
+    normal = normals(points) * side
     half, width = other.getWidth() / 2, lane.getWidth()
-    outer = points + normal * (half + share * width)[:, None]
-    return Polygon(np.vstack([points, outer[::-1]])).buffer(MARGIN_M, join_style="mitre")
+    outer = points + normal * (half + margin_m + share * width)[:, None]
+    return Polygon(np.vstack([points, outer[::-1]]))
 
 
 def _side(lane: Any, neighbour: Any) -> float:
@@ -71,9 +73,3 @@ def _side(lane: Any, neighbour: Any) -> float:
     points, there = np.asarray(lane.getShape()), np.asarray(neighbour.getShape()[0])
     ahead, across = points[1] - points[0], there - points[0]
     return float(np.sign(ahead[0] * across[1] - ahead[1] * across[0]))
-
-
-def _normals(points: Points) -> Points:
-    ahead = np.gradient(points, axis=0)
-    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    return np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)

@@ -23,6 +23,8 @@ def connect(plan: Plan, skip: frozenset[str] = frozenset()) -> None:
         outgoing = [e for e in plan.edges.values() if e.start == node]
         for edge in incoming:
             exits = _exits(plan, edge, outgoing)
+            if edge.pocket and "far" not in exits:
+                raise ValueError(f"{edge.name} has a pocket but no far turn to use it")
             for turn in ("near", "straight", "far"):
                 if turn in exits:
                     pairs = _lanes(edge, turn, exits)
@@ -55,7 +57,7 @@ def _lanes(edge: Edge, turn: str, exits: dict[str, Edge]) -> Iterator[tuple[int,
         return iter([(0, 0)])
     if turn == "far":
         return iter([(edge.lanes - 1, there - 1)])
-    through = edge.lanes - int(edge.pocket and "far" in exits)
+    through = edge.lanes - int(edge.pocket)
     if through > there and "near" not in exits:
         return ((i, i) for i in range(there))
     return ((through - 1 - i, there - 1 - i) for i in range(min(through, there)))

@@ -1,0 +1,152 @@
+"""Who is around, on which lanes, and which ways each may take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.scene import AgentClass, Scene
+from advdiff_sumo.maps import Link, RoadMap
+from advdiff_sumo.planners.lane_graph.chains import Chain, plausible_chains, route_chain
+from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath
+
+RADIUS_M = 90.0
+_MAX_LANE_OFFSET_M = 2.6
+_MAX_YAW_ERROR_RAD = 1.0
+_LOOK_S, _LOOK_M = 6.0, 25.0
+
+
+@dataclass(frozen=True)
+class Others:
+    """States now of the N other road users near the target.
+
+    Attributes:
+        rows: (N,) rows in the scene.
+        xy_m: (N, 2) centres.
+        yaw_rad: (N,) headings.
+        speed_mps: (N,) speeds.
+        accel_mps2: (N,) change of speed over the last model step.
+        size_m: (N, 2) length and width.
+        standing: (N,) stood still through the whole history.
+    """
+
+    rows: IntArray
+    xy_m: FloatArray
+    yaw_rad: FloatArray
+    speed_mps: FloatArray
+    accel_mps2: FloatArray
+    size_m: FloatArray
+    standing: BoolArray
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way that a road user may take.
+
+    Attributes:
+        other: index in :class:`Others`.
+        path: reference line; None off the lanes, where it goes straight on.
+        s_m: where its centre is along the path.
+        d_m: how far left of the path.
+        yaw_error_rad: heading against the path's.
+        weight: share of this way among those of the same road user.
+    """
+
+    other: int
+    path: LanePath | None
+    s_m: float
+    d_m: float
+    yaw_error_rad: float
+    weight: float
+
+    def next_link(self, front_m: float, passed_m: float) -> tuple[Link, float] | None:
+        """Return the first link not left behind and the distance of the front to its stop line.
+
+        Args:
+            front_m: distance from centre to front bumper.
+            passed_m: how far the centre may be beyond the junction until the link is left behind.
+        """
+        if self.path is None:
+            return None
+        for link, stop, beyond in zip(self.path.links, self.path.stop_m, self.path.exit_m, strict=True):
+            if self.s_m < beyond + passed_m:
+                return link, stop - (self.s_m + front_m)
+        return None
+
+
+def others_near(scene: Scene) -> Others:
+    """Return the road users within ``RADIUS_M`` of the target."""
+    history = scene.history
+    now = history.valid[:, -1].copy()
+    now[scene.target] = False
+    distance = np.hypot(*(history.xy_m[:, -1] - history.xy_m[scene.target, -1]).T)
+    rows = np.flatnonzero(now & (distance < RADIUS_M))
+    speed = history.speed_mps[rows, -1]
+    before = history.speed_mps[rows, -2] if history.steps > 1 else speed
+    accel = np.nan_to_num((speed - np.where(np.isfinite(before), before, speed)) / history.dt_s)
+    past = np.where(history.valid[rows], np.abs(history.speed_mps[rows]), np.inf)
+    return Others(
+        rows=rows,
+        xy_m=history.xy_m[rows, -1],
+        yaw_rad=history.yaw_rad[rows, -1],
+        speed_mps=np.maximum(speed, 0.0),
+        accel_mps2=np.clip(accel, -8.0, 4.0),
+        size_m=history.size_m[rows],
+        standing=np.asarray((past < 0.2).all(-1) & (history.steps > 1)),
+    )
+
+
+def ways_of(geometry: Geometry, scene: Scene, others: Others) -> list[Way]:
+    """Return the ways that *others* may take, all of them along lanes where they are on one."""
+    ways: list[Way] = []
+    if not len(others.rows):
+        return ways
+    lanes, _, d, error = geometry.road.locate_many(others.xy_m, others.yaw_rad)
+    for i, row in enumerate(others.rows.tolist()):
+        lane = lanes[i]
+        on_lane = lane is not None and abs(d[i]) < _MAX_LANE_OFFSET_M and abs(error[i]) < _MAX_YAW_ERROR_RAD
+        on_foot = scene.history.classes[row] == AgentClass.PEDESTRIAN
+        if lane is None or not on_lane or on_foot:
+            ways.append(Way(i, None, 0.0, 0.0, 0.0, 1.0))
+        else:
+            ways += _lane_ways(geometry, i, lane, scene.routes[row], others)
+    return ways
+
+
+def _lane_ways(geometry: Geometry, i: int, lane: str, route: Sequence[str], others: Others) -> list[Way]:
+    reach = float(others.speed_mps[i]) * _LOOK_S + _LOOK_M
+    chains = _chains(geometry, lane, route, reach)
+    placed = [_place(geometry.path(c.lanes, c.links), i, others) for c in chains]
+    best = min(abs(way.d_m) for way in placed)
+    kept = [way for way in placed if abs(way.d_m) < best + 0.8] or placed
+    return [Way(w.other, w.path, w.s_m, w.d_m, w.yaw_error_rad, 1.0 / len(kept)) for w in kept]
+
+
+def _place(path: LanePath, i: int, others: Others) -> Way:
+    s, d = path.project(others.xy_m[i])
+    yaw = path.at(s)[1]
+    error = float((others.yaw_rad[i] - yaw + np.pi) % (2.0 * np.pi) - np.pi)
+    return Way(i, path, float(s), float(d), error, 1.0)
+
+
+def _chains(geometry: Geometry, lane: str, route: Sequence[str], reach_m: float) -> list[Chain]:
+    """Return chains from *lane*; on a junction from the lane before it, over every connection that may be it."""
+    road = geometry.road
+    link = geometry.link_of.get(lane)
+    ahead = reach_m + road.lanes[lane].length_m
+    if link is None:
+        return plausible_chains(road, lane, route, ahead)
+    parallel = [x for x in road.lanes[link.from_lane].successors if x.via and x.direction != "t"] or [link]
+    fitting = [x for x in parallel if road.lanes[x.to_lane].edge_id in route]
+    return [_over(road, x, route, ahead) for x in fitting or parallel]
+
+
+def _over(road: RoadMap, link: Link, route: Sequence[str], reach_m: float) -> Chain:
+    beyond = route_chain(road, link.to_lane, (), {}, reach_m)
+    edge = road.lanes[link.to_lane].edge_id
+    if edge in route:
+        beyond = plausible_chains(road, link.to_lane, route, reach_m)[0]
+    return Chain((link.from_lane, *link.via, *beyond.lanes), (link, *beyond.links))

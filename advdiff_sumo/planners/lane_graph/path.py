@@ -1,0 +1,178 @@
+"""A chain of lanes as one smooth reference line, sampled evenly so that look-ups are array indexing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.polylines import Polyline, concatenate
+from advdiff_sumo.maps import Link, RoadMap
+
+SPACING_M = 1.0
+_SMOOTH = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0
+_LEAD = 4
+
+
+@dataclass(frozen=True, eq=False)
+class LanePath:
+    """A reference line of P points, ``SPACING_M`` apart.
+
+    Attributes:
+        lanes: lane ids in driving order, internal ones included.
+        lane_start_m: where each lane begins.
+        links: connections over junctions that the chain takes.
+        stop_m: where each link begins (its stop line).
+        exit_m: where the lane beyond each link begins.
+        length_m: length.
+        xy_m: (P, 2) points.
+        yaw_rad: (P,) headings, without jumps by a full turn.
+        curvature_1pm: (P,) left positive.
+        limit_mps: (P,) speed limit.
+    """
+
+    lanes: tuple[str, ...]
+    lane_start_m: FloatArray
+    links: tuple[Link, ...]
+    stop_m: tuple[float, ...]
+    exit_m: tuple[float, ...]
+    length_m: float
+    xy_m: FloatArray
+    yaw_rad: FloatArray
+    curvature_1pm: FloatArray
+    limit_mps: FloatArray
+
+    @cached_property
+    def bend_mps(self) -> FloatArray:
+        """(P,) speed at which the lateral acceleration is 1 m/s²; scales with its square root."""
+        return np.asarray(1.0 / np.sqrt(np.maximum(np.abs(self.curvature_1pm), 1e-4)))
+
+    def at(self, s_m: FloatArray, d_m: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Return points (…, 2) and headings (…,) at *s_m*, *d_m* to the left; straight on beyond the ends."""
+        low, share = self._cell(s_m)
+        xy = self.xy_m[low] + share[..., None] * (self.xy_m[low + 1] - self.xy_m[low])
+        bounded = np.clip(share, 0.0, 1.0)
+        yaw = self.yaw_rad[low] + bounded * (self.yaw_rad[low + 1] - self.yaw_rad[low])
+        normal = np.stack((-np.sin(yaw), np.cos(yaw)), -1)
+        return xy + np.asarray(d_m)[..., None] * normal, yaw
+
+    def curvature_at(self, s_m: FloatArray) -> FloatArray:
+        """Return the curvature (…,) at *s_m*."""
+        low, share = self._cell(s_m)
+        bounded = np.clip(share, 0.0, 1.0)
+        curve = self.curvature_1pm
+        return np.asarray(curve[low] + bounded * (curve[low + 1] - curve[low]))
+
+    def project(self, xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return ``s`` and ``d`` (…,) of points (…, 2); the ends go on straight, NaN stays NaN."""
+        flat = xy_m.reshape(-1, 2)
+        line = self.xy_m
+        squared = (line**2).sum(-1) - 2.0 * flat @ line.T  # (N, P), less a constant of each row
+        nearest = np.argmin(squared, axis=-1)
+        delta = flat - line[nearest]
+        cos, sin = np.cos(self.yaw_rad[nearest]), np.sin(self.yaw_rad[nearest])
+        s = nearest * SPACING_M + cos * delta[:, 0] + sin * delta[:, 1]
+        d = cos * delta[:, 1] - sin * delta[:, 0]
+        return s.reshape(xy_m.shape[:-1]), d.reshape(xy_m.shape[:-1])
+
+    def lane_at(self, s_m: float) -> int:
+        """Return the index in :attr:`lanes` of the lane at *s_m*."""
+        found = int(np.searchsorted(self.lane_start_m, s_m, side="right")) - 1
+        return min(max(found, 0), len(self.lanes) - 1)
+
+    def _cell(self, s_m: FloatArray) -> tuple[IntArray, FloatArray]:
+        scaled = np.nan_to_num(np.asarray(s_m, dtype=np.float64)) / SPACING_M
+        low = np.clip(scaled.astype(np.int64), 0, len(self.xy_m) - 2)
+        return low, scaled - low
+
+
+@dataclass(frozen=True)
+class Zone:
+    """Where the ways of two links come too near to each other, from each one's stop line on.
+
+    Attributes:
+        own_m: begin and end along the own way.
+        other_m: begin and end along the other's way.
+        merges: both lead to the same lane.
+    """
+
+    own_m: tuple[float, float]
+    other_m: tuple[float, float]
+    merges: bool
+
+
+@dataclass(eq=False)
+class Geometry:
+    """What is derived from one road map: reference lines and conflict areas, each made once.
+
+    Attributes:
+        road: the map.
+        link_of: the whole connection over the junction that each internal lane belongs to.
+        conflicts: conflict areas of pairs of links, kept by :mod:`.conflicts`.
+    """
+
+    road: RoadMap
+    link_of: dict[str, Link] = field(default_factory=dict)
+    conflicts: dict[tuple[str, str, str, str], Zone | None] = field(default_factory=dict)
+    _paths: dict[tuple[str, ...], LanePath] = field(default_factory=dict)
+
+    @staticmethod
+    def of(road: RoadMap) -> Geometry:
+        """Return the empty store for *road*."""
+        return Geometry(road, {lane: link for link in road.links.values() for lane in link.via})
+
+    def path(self, lanes: Sequence[str], links: Sequence[Link]) -> LanePath:
+        """Return the reference line along *lanes*, which *links* connect."""
+        key = tuple(lanes)
+        if key not in self._paths:
+            self._paths[key] = _build(self.road, key, tuple(links))
+        return self._paths[key]
+
+
+def _build(road: RoadMap, lanes: tuple[str, ...], links: tuple[Link, ...]) -> LanePath:
+    parts = [road.lanes[lane] for lane in lanes]
+    raw = concatenate([part.line for part in parts])
+    lengths = np.array([part.line.length_m for part in parts])
+    bounds = np.concatenate(([0.0], np.cumsum(lengths))) * raw.length_m / lengths.sum()  # gaps count as road
+    grid = SPACING_M * np.arange(max(int(np.ceil(raw.length_m / SPACING_M)) + 1, 3))
+    xy, yaw, curvature = _smoothed(raw, len(grid))
+    lane_of = np.clip(np.searchsorted(bounds[1:], grid, side="right"), 0, len(parts) - 1)
+    entries, exits = _link_lanes(lanes, links)
+    return LanePath(
+        lanes=lanes,
+        lane_start_m=bounds[:-1],
+        links=links,
+        stop_m=tuple(float(bounds[i]) for i in entries),
+        exit_m=tuple(float(bounds[i]) for i in exits),
+        length_m=raw.length_m,
+        xy_m=xy,
+        yaw_rad=yaw,
+        curvature_1pm=curvature,
+        limit_mps=np.array([part.speed_mps for part in parts])[lane_of],
+    )
+
+
+def _smoothed(raw: Polyline, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return *count* points of *raw*, corners rounded over two metres each way, with heading and curvature."""
+    s = SPACING_M * np.arange(-_LEAD, count + _LEAD, dtype=np.float64)
+    xy = raw.at(s, extrapolate=True)[0]
+    xy = np.stack([np.convolve(xy[:, i], _SMOOTH, mode="valid") for i in (0, 1)], -1)
+    along = np.gradient(xy, axis=0)
+    yaw = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
+    curvature = np.gradient(yaw, SPACING_M)
+    trim = slice(_LEAD - len(_SMOOTH) // 2, _LEAD - len(_SMOOTH) // 2 + count)
+    return xy[trim], yaw[trim], curvature[trim]
+
+
+def _link_lanes(lanes: Sequence[str], links: Sequence[Link]) -> tuple[list[int], list[int]]:
+    """Return the index of the first lane on the junction, and of the lane beyond it, of each link."""
+    entries, exits, at = [], [], 0
+    for link in links:
+        at = lanes.index(link.to_lane, at + (at > 0))
+        inside = sum(lane in link.via for lane in lanes[max(0, at - len(link.via)) : at])
+        entries.append(at - inside)
+        exits.append(at)
+    return entries, exits

@@ -1,0 +1,185 @@
+"""Where the others will be: along their lanes at a pace that bends, leaders, signals and right of way allow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.maps import Link, RoadMap
+from advdiff_sumo.planners.lane_graph.others import Others, Way
+from advdiff_sumo.planners.lane_graph.path import SPACING_M
+from advdiff_sumo.planners.lane_graph.rules import Duty, rule_at
+
+STEP_S = 0.2
+_LATERAL_ACCEL_MPS2 = 3.5
+_SIGNAL_BRAKE_MPS2, _YIELD_BRAKE_MPS2 = 4.5, 3.0
+_FOLLOW_BRAKE_MPS2, _FOLLOW_GAP_M = 3.0, 1.0
+_FADE_S, _DRIFT_S = 1.0, 1.5
+_MIN_DRIFT_MPS = 0.25
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Futures of N ways at T instants ``STEP_S`` apart, the first one step from now.
+
+    Attributes:
+        other: (N,) index in :class:`Others`.
+        weight: (N,) share of the way.
+        xy_m: (N, T, 2) centres.
+        yaw_rad: (N, T) headings.
+        speed_mps: (N, T) speeds.
+        s_m: (N, T) centres along each way's path; distance driven off the lanes.
+        size_m: (N, 2) length and width.
+    """
+
+    other: IntArray
+    weight: FloatArray
+    xy_m: FloatArray
+    yaw_rad: FloatArray
+    speed_mps: FloatArray
+    s_m: FloatArray
+    size_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Ego:
+    """The target as the others see it.
+
+    Attributes:
+        xy_m: (2,) centre.
+        speed_mps: speed.
+        length_m: length.
+        claims: its links ahead that it will pass soon, so that who must yield to it is expected to.
+    """
+
+    xy_m: FloatArray
+    speed_mps: float
+    length_m: float
+    claims: tuple[Link, ...]
+
+
+def forecast(
+    road: RoadMap, scene: Scene, others: Others, ways: Sequence[Way], ego: Ego, steps: int
+) -> Forecast:
+    """Return the futures of *others* along *ways* over *steps* instants."""
+    index = np.array([way.other for way in ways], dtype=np.int64)
+    stop = np.array([_stop_m(road, scene, others, way, ego) for way in ways])
+    gap, leader_mps = _leaders(others, ways, ego)
+    pace = _paces(ways)
+    v0 = others.speed_mps[index] if len(ways) else np.zeros(0)
+    driven, speed = _drive(
+        v0, others.accel_mps2[index], np.array([w.s_m for w in ways]), pace, stop, (gap, leader_mps), steps
+    )
+    xy, yaw = np.empty((len(ways), steps, 2)), np.empty((len(ways), steps))
+    for n, way in enumerate(ways):
+        xy[n], yaw[n] = _poses(way, others, driven[n])
+    s0 = np.array([way.s_m for way in ways])
+    return Forecast(
+        other=index,
+        weight=np.array([way.weight for way in ways]),
+        xy_m=xy,
+        yaw_rad=yaw,
+        speed_mps=speed,
+        s_m=s0[:, None] + driven,
+        size_m=others.size_m[index],
+    )
+
+
+def _poses(way: Way, others: Others, driven_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    i = way.other
+    if way.path is None:
+        yaw = others.yaw_rad[i]
+        return others.xy_m[i] + driven_m[:, None] * unit(yaw), np.full(len(driven_m), yaw)
+    drift = float(others.speed_mps[i] * np.sin(way.yaw_error_rad))
+    on_junction = way.path.lanes[way.path.lane_at(way.s_m)].startswith(":")
+    if abs(drift) < _MIN_DRIFT_MPS or on_junction:
+        drift = 0.0
+    time = STEP_S * np.arange(1, len(driven_m) + 1)
+    d = way.d_m + drift * _DRIFT_S * (1.0 - np.exp(-time / _DRIFT_S))
+    fading = way.yaw_error_rad * np.exp(-driven_m / 8.0)
+    xy, yaw = way.path.at(way.s_m + driven_m, d)
+    return xy, yaw + fading
+
+
+def _stop_m(road: RoadMap, scene: Scene, others: Others, way: Way, ego: Ego) -> float:
+    """Return how far the road user may drive until it must have stopped; inf for no end."""
+    front = 0.5 * float(others.size_m[way.other, 0])
+    found = way.next_link(front, 0.0)
+    if found is None or found[1] < -1.0:
+        return np.inf
+    link, distance = found
+    rule = rule_at(road, link, scene.signals)
+    speed = float(others.speed_mps[way.other])
+    brake = speed**2 / (2.0 * max(distance - 0.5, 0.1))
+    if rule.duty in (Duty.STOP, Duty.CLEAR) and brake < _SIGNAL_BRAKE_MPS2:
+        return max(distance - 0.5, 0.0)
+    claimed = any(c.junction_id == link.junction_id and c.request_index in rule.yields_to for c in ego.claims)
+    if claimed and not rule.in_turn and brake < _YIELD_BRAKE_MPS2:
+        return max(distance - 0.5, 0.0)
+    if rule.duty is Duty.STOP_THEN_YIELD and brake < _YIELD_BRAKE_MPS2 and speed > 0.5:
+        return max(distance - 0.5, 0.0)
+    return np.inf
+
+
+def _leaders(others: Others, ways: Sequence[Way], ego: Ego) -> tuple[FloatArray, FloatArray]:
+    """Return the gap (N,) to the next road user on each way (inf for none) and that one's speed."""
+    xy = np.concatenate((others.xy_m, ego.xy_m[None]))
+    length = np.append(others.size_m[:, 0], ego.length_m)
+    width = np.append(others.size_m[:, 1], 2.0)
+    speed = np.append(others.speed_mps, ego.speed_mps)
+    gap, pace = np.full(len(ways), np.inf), np.zeros(len(ways))
+    for n, way in enumerate(ways):
+        if way.path is None:
+            continue
+        s, d = way.path.project(xy)
+        free = s - way.s_m - 0.5 * (length + others.size_m[way.other, 0])
+        near = np.abs(d - way.d_m) < 0.5 * (width + others.size_m[way.other, 1])
+        free = np.where(near & (s > way.s_m + 0.5) & (np.arange(len(s)) != way.other), free, np.inf)
+        first = int(np.argmin(free))
+        gap[n], pace[n] = free[first], speed[first]
+    return gap, pace
+
+
+def _paces(ways: Sequence[Way]) -> FloatArray:
+    """Return (N, P) the highest sensible speed by distance along each way's path."""
+    longest = max((len(way.path.xy_m) for way in ways if way.path is not None), default=1)
+    pace = np.full((len(ways), longest), np.inf)
+    for n, way in enumerate(ways):
+        if way.path is not None:
+            bend = np.sqrt(_LATERAL_ACCEL_MPS2) * way.path.bend_mps
+            pace[n, : len(bend)] = np.minimum(bend, 1.1 * way.path.limit_mps)
+            pace[n, len(bend) :] = pace[n, len(bend) - 1]
+    return pace
+
+
+def _drive(
+    speed: FloatArray,
+    accel: FloatArray,
+    s0: FloatArray,
+    pace: FloatArray,
+    stop: FloatArray,
+    leader: tuple[FloatArray, FloatArray],
+    steps: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Return distance driven and speed (N, T)."""
+    rows, driven = np.arange(len(speed)), np.zeros(len(speed))
+    distances, speeds = np.empty((len(speed), steps)), np.empty((len(speed), steps))
+    for k in range(steps):
+        push = accel * np.exp(-k * STEP_S / _FADE_S)
+        bound = pace[rows, np.clip((s0 + driven + 0.5 * speed) / SPACING_M, 0, pace.shape[1] - 1).astype(int)]
+        wish = np.where(speed > bound, np.maximum(speed - 3.0 * STEP_S, bound), speed + push * STEP_S)
+        wish = np.where(speed <= bound, np.minimum(wish, bound), wish)
+        room = np.maximum(stop - driven, 0.0)
+        wish = np.minimum(wish, np.sqrt(2.0 * _SIGNAL_BRAKE_MPS2 * room))
+        free = leader[0] - _FOLLOW_GAP_M + leader[1] * k * STEP_S - driven
+        wish = np.minimum(wish, leader[1] + np.sqrt(2.0 * _FOLLOW_BRAKE_MPS2 * np.maximum(free, 0.0)))
+        wish = np.maximum(wish, np.maximum(speed - 8.0 * STEP_S, 0.0))
+        driven = driven + 0.5 * (speed + wish) * STEP_S
+        speed = wish
+        distances[:, k], speeds[:, k] = driven, speed
+    return distances, speeds

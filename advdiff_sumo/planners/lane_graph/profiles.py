@@ -1,0 +1,188 @@
+"""Speed choices: IDM towards leaders, bends and stop lines, at several desired speeds, and plain braking."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.planners.lane_graph.duties import Duties
+from advdiff_sumo.planners.lane_graph.options import LaneGraphOptions
+from advdiff_sumo.planners.lane_graph.path import SPACING_M, LanePath
+from advdiff_sumo.planners.lane_graph.predict import STEP_S, Forecast
+from advdiff_sumo.planners.lane_graph.variants import State, Variant
+
+_SIDE_MARGIN_M = 0.2
+_SHARES = (1.0, 0.75, 0.5, 0.25)
+_EMERGENCY_JERK_MPS3 = 60.0
+
+
+@dataclass(frozen=True)
+class Modes:
+    """C combinations of a lateral and a speed choice.
+
+    Attributes:
+        variant: (C,) index of the lateral choice.
+        share: (C,) desired speed over the path's.
+        stop_m: (C,) where the front must stop, inf for nowhere.
+        brake_mps2: (C,) constant deceleration in place of IDM; 0 for IDM.
+        yielding: (C,) index of the waiting place that it stops at, −1 for going on.
+    """
+
+    variant: IntArray
+    share: FloatArray
+    stop_m: FloatArray
+    brake_mps2: FloatArray
+    yielding: IntArray
+
+
+def modes(variants: Sequence[Variant], duties: Sequence[Duties], options: LaneGraphOptions) -> Modes:
+    """Return the combinations worth trying: all speeds in the lane, fewer beside it."""
+    rows: list[tuple[int, float, float, float, int]] = []
+    for v, (variant, duty) in enumerate(zip(variants, duties, strict=True)):
+        plain = variant.side == 0 and variant.target_m == 0.0
+        shares = _SHARES if plain else (_SHARES[0], _SHARES[2])
+        rows += [(v, share, duty.stop_m, 0.0, -1) for share in shares]
+        for i, place in enumerate(duty.yield_m):
+            if place < duty.stop_m:
+                rows.append((v, 1.0, place, 0.0, i))
+        if plain:
+            rows += [(v, 1.0, duty.stop_m, brake, -1) for brake in (2.0, 4.0, options.brake_mps2)]
+    columns = list(zip(*rows, strict=True))
+    return Modes(
+        np.array(columns[0]),
+        np.array(columns[1]),
+        np.array(columns[2]),
+        np.array(columns[3]),
+        np.array(columns[4]),
+    )
+
+
+@dataclass(frozen=True)
+class Leaders:
+    """What is ahead on each of V lateral choices: N ways at T instants.
+
+    Attributes:
+        rear_m: (V, N, T) where the hindmost point along the path is; inf where not in the way.
+        speed_mps: (V, N, T) speed along the path.
+    """
+
+    rear_m: FloatArray
+    speed_mps: FloatArray
+
+
+def leaders(variants: Sequence[Variant], state: State, future: Forecast, now: Forecast) -> Leaders:
+    """Return who is in the way of each lateral choice, now first and then at the instants of *future*."""
+    xy = np.concatenate((now.xy_m, future.xy_m), axis=1)
+    yaw = np.concatenate((now.yaw_rad, future.yaw_rad), axis=1)
+    pace = np.concatenate((now.speed_mps, future.speed_mps), axis=1)
+    half = 0.5 * future.size_m
+    rear = np.full((len(variants), *yaw.shape), np.inf)
+    speed = np.zeros_like(rear)
+    projected: dict[int, tuple[FloatArray, ...]] = {}
+    for v, variant in enumerate(variants):
+        if id(variant.path) not in projected:
+            s, d = variant.path.project(xy)
+            turn = yaw - variant.path.at(s)[1]
+            cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+            along = half[:, :1] * cos + half[:, 1:] * sin
+            across = half[:, :1] * sin + half[:, 1:] * cos
+            projected[id(variant.path)] = s, d, along, across, pace * np.maximum(np.cos(turn), 0.0)
+        s, d, along, across, forward = projected[id(variant.path)]
+        clear = np.abs(d - variant.lateral(s)[0]) - across - 0.5 * state.width_m
+        in_way = (clear < _SIDE_MARGIN_M) & (s[:, :1] > variant.s_m)
+        rear[v] = np.where(in_way, s - along, np.inf)
+        speed[v] = forward
+    return Leaders(rear, speed)
+
+
+def drive(
+    variants: Sequence[Variant],
+    choice: Modes,
+    ahead: Leaders,
+    state: State,
+    options: LaneGraphOptions,
+    steps: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return ``s`` of the centre, speed and acceleration (C, T) of every combination.
+
+    IDM in its improved form (Treiber & Kesting, Traffic Flow Dynamics, 2013, Sec. 11.3.7): a follower at its
+    desired gap does not brake for its desired speed.
+    """
+    pace = _paces(variants, options)[choice.variant]
+    count, rows = len(choice.variant), np.arange(len(choice.variant))
+    s = np.array([variant.s_m for variant in variants])[choice.variant]
+    speed, accel = np.full(count, state.speed_mps), np.full(count, state.accel_mps2)
+    rear, theirs = ahead.rear_m[choice.variant], ahead.speed_mps[choice.variant]  # (C, N, T+1)
+    out = np.empty((3, count, steps))
+    for k in range(steps):
+        cell = np.clip((s + 0.6 * speed) / SPACING_M, 0, pace.shape[1] - 1).astype(np.int64)
+        wish = np.maximum(choice.share * pace[rows, cell], 0.5)
+        gap, lead = _nearest(s + state.front_m, rear[:, :, k], theirs[:, :, k])
+        stop_gap = choice.stop_m - s - state.front_m - options.stop_gap_m + options.min_gap_m
+        want = np.minimum(
+            _idm(speed, wish, gap, lead, options), _idm(speed, wish, stop_gap, np.zeros(count), options, 0.5)
+        )
+        want = np.where(choice.brake_mps2 > 0.0, -choice.brake_mps2, want)
+        urgent = (want < -1.5 * options.decel_mps2) | (choice.brake_mps2 > options.decel_mps2)
+        jerk = np.where(urgent, _EMERGENCY_JERK_MPS3, options.jerk_mps3) * STEP_S
+        accel = np.clip(want, accel - jerk, accel + jerk)
+        accel = np.clip(accel, -options.brake_mps2, options.accel_mps2)
+        accel = np.where((speed <= 0.0) & (want <= 0.0), 0.0, accel)
+        after = np.maximum(speed + accel * STEP_S, 0.0)
+        s = s + 0.5 * (speed + after) * STEP_S
+        accel = (after - speed) / STEP_S
+        speed = after
+        out[:, :, k] = s, speed, accel
+    return out[0], out[1], out[2]
+
+
+def _nearest(front: FloatArray, rear: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the gap (C,) to the nearest leader of (C, N) and its speed."""
+    if rear.shape[1] == 0:
+        return np.full(len(front), np.inf), np.zeros(len(front))
+    first = np.argmin(rear, axis=1)
+    rows = np.arange(len(front))
+    return rear[rows, first] - front, speed[rows, first]
+
+
+def _idm(
+    speed: FloatArray,
+    wish: FloatArray,
+    gap: FloatArray,
+    lead: FloatArray,
+    options: LaneGraphOptions,
+    headway_s: float | None = None,
+) -> FloatArray:
+    a, b = options.accel_mps2, options.decel_mps2
+    headway = options.time_headway_s if headway_s is None else headway_s
+    ratio = speed / wish
+    free = np.where(
+        ratio < 1.0, a * (1.0 - ratio**4), -b * (1.0 - np.minimum(1.0 / np.maximum(ratio, 1e-3), 1.0)) * 3.0
+    )
+    closing = speed * (speed - lead) / (2.0 * np.sqrt(a * b))
+    desired = options.min_gap_m + np.maximum(speed * headway + closing, 0.0)
+    z = desired / np.maximum(gap, 0.1)
+    limit = np.maximum(a * (1.0 - np.minimum(z, 10.0) ** 2), -options.brake_mps2)
+    follow = np.where(z < 1.0, np.maximum(free, 0.0) * (1.0 - z**4) + np.minimum(free, 0.0), limit)
+    return np.where(np.isinf(gap), free, np.minimum(free, follow))
+
+
+def _paces(variants: Sequence[Variant], options: LaneGraphOptions) -> FloatArray:
+    """Return (V, P) the desired speed along each path, slow enough early enough for every bend."""
+    rows = [_pace(variant.path, options) for variant in variants]
+    out = np.empty((len(rows), max(len(row) for row in rows)))
+    for v, row in enumerate(rows):
+        out[v, : len(row)], out[v, len(row) :] = row, row[-1]
+    return out
+
+
+def _pace(path: LanePath, options: LaneGraphOptions) -> FloatArray:
+    bend = np.sqrt(options.lateral_mps2) * path.bend_mps
+    top = np.minimum(bend, options.speed_factor * path.limit_mps)
+    # v²(s) ≤ v²(s') + 2 b (s' − s) for every s' ahead: a running minimum of v² + 2 b s from the far end
+    lift = 2.0 * 0.7 * options.decel_mps2 * SPACING_M * np.arange(len(top))
+    reached = np.minimum.accumulate((top**2 + lift)[::-1])[::-1] - lift
+    return np.asarray(np.sqrt(np.maximum(reached, 0.25)))

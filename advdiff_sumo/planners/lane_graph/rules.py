@@ -1,0 +1,76 @@
+"""Right of way at the links ahead: signals, stop signs, and whom to yield to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+
+from advdiff_sumo.maps import Link, RoadMap
+
+_GO, _YELLOW, _RED = "GO", "yY", "ru"
+
+
+class Duty(IntEnum):
+    """What a driver must do at a link."""
+
+    GO = 0
+    YIELD = 1
+    STOP_THEN_YIELD = 2
+    CLEAR = 3  # yellow: stop if that is comfortable
+    STOP = 4
+
+
+@dataclass(frozen=True)
+class Rule:
+    """The duty at one link.
+
+    Attributes:
+        duty: what to do.
+        yields_to: request indices of the junction that have the right of way.
+        in_turn: all arms stop, the first to wait goes first.
+    """
+
+    duty: Duty
+    yields_to: frozenset[int]
+    in_turn: bool = False
+
+
+def signal_state(link: Link, signals: Mapping[str, str]) -> str:
+    """Return the letter of the link's signal; "" without one or when its state is unknown."""
+    states = signals.get(link.tls_id, "") if link.tls_id is not None else ""
+    index = link.tls_index
+    return states[index] if index is not None and index < len(states) else ""
+
+
+def rule_at(road: RoadMap, link: Link, signals: Mapping[str, str]) -> Rule:
+    """Return what a vehicle that takes *link* must do under *signals*."""
+    junction = road.junctions.get(link.junction_id)
+    response = junction.response.get(link.request_index, frozenset()) if junction else frozenset[int]()
+    letter = signal_state(link, signals)
+    if letter:
+        return _signalled(letter, response)
+    if link.state == "s":
+        return Rule(Duty.STOP_THEN_YIELD, response)
+    if link.state == "w":
+        foes = junction.foes.get(link.request_index, frozenset()) if junction else frozenset[int]()
+        return Rule(Duty.STOP_THEN_YIELD, foes, in_turn=True)
+    return Rule(Duty.YIELD if response else Duty.GO, response)
+
+
+def _signalled(letter: str, response: frozenset[int]) -> Rule:
+    if letter in _RED:
+        return Rule(Duty.STOP, frozenset())
+    if letter in _YELLOW:
+        return Rule(Duty.CLEAR, response if letter == "y" else frozenset())
+    if letter in _GO:
+        return Rule(Duty.GO, frozenset())
+    if letter == "s":
+        return Rule(Duty.STOP_THEN_YIELD, response)
+    return Rule(Duty.YIELD if response else Duty.GO, response)
+
+
+def may_go(link: Link, signals: Mapping[str, str]) -> bool:
+    """Return whether a vehicle that takes *link* may enter the junction now as far as signals go."""
+    letter = signal_state(link, signals)
+    return not letter or letter not in _RED + _YELLOW

@@ -1,0 +1,197 @@
+"""Lateral choices: keep the lane, shift in it, or change to the next one; quintics over a reference line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.maps import Link, RoadMap
+from advdiff_sumo.planners.lane_graph.chains import Chain, required_changes, route_ahead, route_chain
+from advdiff_sumo.planners.lane_graph.memory import Memory
+from advdiff_sumo.planners.lane_graph.options import LaneGraphOptions
+from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath
+
+_EDGES_AHEAD = 8
+_BACK_M = 20.0
+_MIN_BLEND_M = 10.0
+_MAX_TRACKED_OFFSET_M = 4.5
+_NUDGES_M = (0.6, -0.6)
+
+
+@dataclass(frozen=True)
+class State:
+    """The target now.
+
+    Attributes:
+        xy_m: (2,) centre.
+        yaw_rad: heading.
+        speed_mps: speed, at least 0.
+        accel_mps2: acceleration that it was about to have.
+        curvature_1pm: curvature that it was about to drive.
+        length_m: length.
+        width_m: width.
+    """
+
+    xy_m: FloatArray
+    yaw_rad: float
+    speed_mps: float
+    accel_mps2: float
+    curvature_1pm: float
+    length_m: float
+    width_m: float
+
+    @property
+    def front_m(self) -> float:
+        """Distance from centre to front bumper."""
+        return 0.5 * self.length_m
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the target is on the lane graph.
+
+    Attributes:
+        lane_id: the lane it is on.
+        route: edges ahead, from the lane's (or the first beyond the junction).
+        changes: required lane changes of each (place in the route, lane).
+        over: the connection that it is on, when on a junction.
+    """
+
+    lane_id: str
+    route: tuple[str, ...]
+    changes: dict[tuple[int, str], tuple[int, int]]
+    over: Link | None
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One lateral choice: a blend of ``blend_m`` from the present offset to ``target_m``.
+
+    Attributes:
+        chain: its lanes.
+        path: its reference line.
+        side: lanes to the left of the present one: −1, 0 or 1.
+        s_m: centre now along the path.
+        d_m: offset now, left positive.
+        slope: present change of the offset per metre.
+        bend_1pm: present change of the slope per metre.
+        target_m: offset to end at.
+        blend_m: length of the blend.
+    """
+
+    chain: Chain
+    path: LanePath
+    side: int
+    s_m: float
+    d_m: float
+    slope: float
+    bend_1pm: float
+    target_m: float
+    blend_m: float
+
+    def lateral(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return offset and slope (…,) at *s_m*: a quintic that ends straight and uncurved on the target."""
+        u = np.clip((s_m - self.s_m) / self.blend_m, 0.0, 1.0)
+        c1, c2 = self.slope * self.blend_m, 0.5 * self.bend_1pm * self.blend_m**2
+        gap = self.target_m - self.d_m
+        c3 = 10.0 * gap - 6.0 * c1 - 3.0 * c2
+        c4 = -15.0 * gap + 8.0 * c1 + 3.0 * c2
+        c5 = 6.0 * gap - 3.0 * c1 - c2
+        d = self.d_m + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
+        slope = (c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))) / self.blend_m
+        return d, slope
+
+    def poses(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return centres (…, 2) and headings (…,) at *s_m*."""
+        d, slope = self.lateral(s_m)
+        xy, yaw = self.path.at(s_m, d)
+        lever = np.maximum(1.0 - self.path.curvature_at(s_m) * d, 0.2)
+        return xy, yaw + np.arctan2(slope, lever)
+
+
+def locate(geometry: Geometry, state: State, route: Sequence[str], memory: Memory) -> Place | None:
+    """Return where the target is: on the path chosen last, if it is still near, else on the likeliest lane."""
+    lane = _tracked(geometry, state, memory)
+    if lane is None:
+        known = list(route) if route else None
+        pose = geometry.road.locate(state.xy_m, state.yaw_rad, vclass="passenger", route=known)
+        pose = pose or geometry.road.locate(state.xy_m, state.yaw_rad, max_distance_m=50.0)
+        if pose is None:
+            return None
+        lane = pose.lane_id
+    ahead = route_ahead(geometry.road, lane, tuple(route) or memory.route)[:_EDGES_AHEAD]
+    return Place(lane, ahead, required_changes(geometry.road, ahead), geometry.link_of.get(lane))
+
+
+def _tracked(geometry: Geometry, state: State, memory: Memory) -> str | None:
+    if not memory.lanes:
+        return None
+    path = geometry.path(memory.lanes, memory.links)
+    s, d = (float(x) for x in path.project(state.xy_m))
+    error = abs(float(wrap_angle(state.yaw_rad - float(path.at(np.asarray(s))[1]))))
+    if abs(d) > _MAX_TRACKED_OFFSET_M or error > 1.0 or s > path.length_m + 1.0:
+        return None
+    lane = geometry.road.lanes[path.lanes[path.lane_at(s)]]
+    while abs(d) > 0.5 * lane.width_m:
+        beside = lane.left_id if d > 0.0 else lane.right_id
+        if beside is None:
+            break
+        next_lane = geometry.road.lanes[beside]
+        d -= np.copysign(0.5 * (lane.width_m + next_lane.width_m), d)
+        lane = next_lane
+    return lane.id
+
+
+def variants(
+    geometry: Geometry, state: State, place: Place, memory: Memory, options: LaneGraphOptions
+) -> list[Variant]:
+    """Return the lateral choices; the first one keeps the lane."""
+    road, lane = geometry.road, geometry.road.lanes[place.lane_id]
+    reach = state.speed_mps * (options.horizon_s + 4.0) + 60.0
+    keep = _with_back(_chain(road, place.lane_id, place, reach), place, memory)
+    found = [_variant(geometry, state, keep, 0, target, options) for target in (0.0, *_NUDGES_M)]
+    if place.over is None:
+        for side, beside in ((1, lane.left_id), (-1, lane.right_id)):
+            if beside is not None and road.lanes[beside].permits("passenger"):
+                chain = _chain(road, beside, place, reach)
+                found.append(_variant(geometry, state, chain, side, 0.0, options))
+    return found
+
+
+def _chain(road: RoadMap, lane: str, place: Place, reach_m: float) -> Chain:
+    if place.over is None:
+        return route_chain(road, lane, place.route, place.changes, reach_m + road.lanes[lane].length_m)
+    over = place.over
+    beyond = route_chain(road, over.to_lane, place.route, place.changes, reach_m)
+    lanes = (over.from_lane, *over.via, *beyond.lanes)
+    return Chain(lanes, (over, *beyond.links), beyond.serves, 0)
+
+
+def _with_back(chain: Chain, place: Place, memory: Memory) -> Chain:
+    """Prepend the junction just left, so that the reference line does not change behind the target."""
+    if place.over is not None:
+        return chain
+    for link in memory.links:
+        if link.to_lane == place.lane_id and link.via:
+            lanes = (link.from_lane, *link.via, *chain.lanes)
+            return Chain(lanes, (link, *chain.links), chain.serves, chain.changes)
+    return chain
+
+
+def _variant(
+    geometry: Geometry, state: State, chain: Chain, side: int, target_m: float, options: LaneGraphOptions
+) -> Variant:
+    path = geometry.path(chain.lanes, chain.links)
+    s, d = (float(x) for x in path.project(state.xy_m))
+    at = np.asarray(s)
+    yaw, bend = float(path.at(at)[1]), float(path.curvature_at(at))
+    error = float(np.clip(wrap_angle(state.yaw_rad - yaw), -1.0, 1.0))
+    lever = max(1.0 - bend * d, 0.2)
+    share = float(np.clip(abs(target_m - d) / 3.2, 0.4, 1.2))
+    blend = max(state.speed_mps * options.lane_change_s * share, _MIN_BLEND_M * max(share, 0.6))
+    second = float(np.clip(state.curvature_1pm - bend, -0.1, 0.1))
+    return Variant(chain, path, side, s, d, lever * np.tan(error), second, target_m, blend)

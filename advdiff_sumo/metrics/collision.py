@@ -71,23 +71,32 @@ class Collision:
 
 
 @dataclass(frozen=True)
-class _Touches:
-    """Steps (M,) in which pairs (M,), (M,) touch, sorted by pair and step; *fraction* as in first_contact."""
+class Touches:
+    """Steps in which pairs touch, sorted by pair and step; M entries.
+
+    Attributes:
+        first: (M,) lower row.
+        second: (M,) higher row.
+        step: (M,) instant before.
+        fraction: (M,) share of the step until they touch; 0 when they touch already.
+        end_gap_m: (M,) gap at the end of the step, negative where the boxes overlap.
+    """
 
     first: IntArray
     second: IntArray
     step: IntArray
     fraction: FloatArray
+    end_gap_m: FloatArray
 
 
-def collisions(record: EpisodeRecord) -> list[Collision]:
+def collisions(record: EpisodeRecord, touches: Touches | None = None) -> list[Collision]:
     """Return every collision of any two agents, sorted by time, then rows.
 
     A lasting contact counts once until the boxes are ``SEPARATED_M`` apart. Steps that an agent jumps over
-    or is absent from are not swept; the next step starts anew.
+    or is absent from are not swept; the next step starts anew. *touches* saves the search where it was made.
     """
     steady = unbroken(record.tracks)
-    touches = _touches(record.tracks, steady)
+    touches = touches if touches is not None else find_touches(record.tracks)
     found = [_collision(record, steady, touches, at) for at in _first_touches(record.tracks, steady, touches)]
     return sorted(found, key=lambda c: (c.time_s, c.rows))
 
@@ -97,18 +106,15 @@ def target_collision(record: EpisodeRecord, found: list[Collision]) -> Collision
     return next((c for c in found if c.rows[0] == record.target and not c.initial), None)
 
 
-def overlapping_steps(record: EpisodeRecord) -> set[tuple[int, int, int]]:
+def overlapping_steps(touches: Touches) -> set[tuple[int, int, int]]:
     """Return (instant, row, row) of every pair that overlaps at an instant or first touched in the step before.
 
     This is what a check once a step, such as SUMO's, should have reported. Rows ascend within a pair; instant
     0, before the first step, is left out.
     """
-    tracks = record.tracks
-    touches = _touches(tracks, unbroken(tracks))
     first, second, step = touches.first, touches.second, touches.step
-    still = _end_gaps(tracks, touches) < -TOUCH_M
     fresh = touches.fraction > 0.0
-    end = still | fresh
+    end = fresh | (touches.end_gap_m < -TOUCH_M)
     found = zip(
         np.concatenate((step[~fresh], step[end] + 1)).tolist(),
         np.concatenate((first[~fresh], first[end])).tolist(),
@@ -118,20 +124,21 @@ def overlapping_steps(record: EpisodeRecord) -> set[tuple[int, int, int]]:
     return {pair for pair in found if pair[0] > 0}
 
 
-def _end_gaps(tracks: Tracks, touches: _Touches) -> FloatArray:
-    """Return the gaps (M,) of touching pairs at the end of their steps."""
-    i, j, k = touches.first, touches.second, touches.step + 1
+def find_touches(tracks: Tracks) -> Touches:
+    """Return every step in which two agents of *tracks* touch."""
+    parts = [_touches_of(tracks, *chunk) for chunk in _candidates(tracks, unbroken(tracks))]
+    first, second, step, fraction = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.lexsort((step, second, first))
+    first, second, step = first[order], second[order], step[order]
+    return Touches(first, second, step, fraction[order], _gaps(tracks, first, second, step + 1))
+
+
+def _gaps(tracks: Tracks, i: IntArray, j: IntArray, k: IntArray) -> FloatArray:
+    """Return the gaps (M,) of agents *i* and *j* at instants *k*, each (M,)."""
     half = 0.5 * tracks.size_m
     offset = tracks.xy_m[j, k] - tracks.xy_m[i, k]
     gaps, _, _ = axis_gaps(offset, tracks.yaw_rad[i, k], half[i], tracks.yaw_rad[j, k], half[j])
     return np.asarray(gaps.max(-1))
-
-
-def _touches(tracks: Tracks, steady: BoolArray) -> _Touches:
-    parts = [_touches_of(tracks, *chunk) for chunk in _candidates(tracks, steady)]
-    first, second, step, fraction = (np.concatenate(column) for column in zip(*parts, strict=True))
-    order = np.lexsort((step, second, first))
-    return _Touches(first[order], second[order], step[order], fraction[order])
 
 
 def _candidates(tracks: Tracks, steady: BoolArray) -> Iterator[tuple[IntArray, IntArray, IntArray]]:
@@ -170,35 +177,27 @@ def _sweep(tracks: Tracks, row: IntArray, step: IntArray) -> Sweep:
     )
 
 
-def _first_touches(tracks: Tracks, steady: BoolArray, touches: _Touches) -> list[int]:
+def _first_touches(tracks: Tracks, steady: BoolArray, touches: Touches) -> list[int]:
     """Return the positions in *touches* at which a new collision begins."""
-    begin: list[int] = []
-    last: tuple[int, int, int] | None = None
-    for at, (i, j, k) in enumerate(zip(touches.first, touches.second, touches.step, strict=True)):
-        lasting = last is not None and last[:2] == (i, j) and _stayed(tracks, steady, i, j, last[2], k)
-        if not lasting:
-            begin.append(at)
-        last = (i, j, k)
-    return begin
+    same = (np.diff(touches.first) == 0) & (np.diff(touches.second) == 0)
+    near = same & (touches.end_gap_m[:-1] <= SEPARATED_M)
+    lasting = near & (np.diff(touches.step) == 1)
+    for at in np.flatnonzero(near & ~lasting):
+        i, j = touches.first[at], touches.second[at]
+        lasting[at] = _stayed(tracks, steady, int(i), int(j), touches.step[at], touches.step[at + 1])
+    return [0, *(np.flatnonzero(~lasting) + 1).tolist()] if len(touches.step) else []
 
 
 def _stayed(tracks: Tracks, steady: BoolArray, i: int, j: int, since: int, until: int) -> bool:
     """Return whether a pair that touched in step *since* was never apart before step *until*."""
     if not (steady[i, since : until + 1] & steady[j, since : until + 1]).all():
         return False
-    return bool((_gaps(tracks, i, j, slice(since + 1, until + 1)) <= SEPARATED_M).all())
+    instants = np.arange(since + 1, until + 1)
+    pair = np.full(len(instants), i), np.full(len(instants), j)
+    return bool((_gaps(tracks, *pair, instants) <= SEPARATED_M).all())
 
 
-def _gaps(tracks: Tracks, i: int, j: int, when: slice) -> FloatArray:
-    half = np.broadcast_to(0.5 * tracks.size_m[:, None], (tracks.agents, tracks.steps, 2))
-    offset = tracks.xy_m[j, when] - tracks.xy_m[i, when]
-    gaps, _, _ = axis_gaps(
-        offset, tracks.yaw_rad[i, when], half[i, when], tracks.yaw_rad[j, when], half[j, when]
-    )
-    return np.asarray(gaps.max(-1))
-
-
-def _collision(record: EpisodeRecord, steady: BoolArray, touches: _Touches, at: int) -> Collision:
+def _collision(record: EpisodeRecord, steady: BoolArray, touches: Touches, at: int) -> Collision:
     tracks = record.tracks
     i, j, step = int(touches.first[at]), int(touches.second[at]), int(touches.step[at])
     rows = (j, i) if j == record.target else (i, j)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -50,7 +51,7 @@ def following(tracks: Tracks, target: int, road: RoadMap, route: Sequence[str]) 
     A vehicle is in the lane that its centre and heading best fit. Where the target's lane leaves its route,
     or no route is known, the lane's first successor counts.
     """
-    lane, s = _located(tracks, road)
+    lane, s = _located(tracks, target, road)
     gap = np.full(tracks.yaw_rad.shape, np.nan)
     length = tracks.size_m[:, 0]
     for own in np.unique(lane[target][lane[target] >= 0]):
@@ -67,20 +68,24 @@ def following(tracks: Tracks, target: int, road: RoadMap, route: Sequence[str]) 
 
 
 def _located(
-    tracks: Tracks, road: RoadMap
+    tracks: Tracks, target: int, road: RoadMap
 ) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.int64]], FloatArray]:
-    """Return (A, T) lane numbers, -1 for none, and (A, T) positions along them."""
-    shape = tracks.agents, tracks.steps
-    ids, s, _, _ = road.locate_many(tracks.xy_m.reshape(-1, 2), tracks.yaw_rad.reshape(-1))
-    lane = np.array([-1 if x is None else road.index.row[x] for x in ids], dtype=np.int64)
-    return lane.reshape(shape), s.reshape(shape)
+    """Return (A, T) lane numbers, -1 for none, and (A, T) positions along them, near the target."""
+    offset = tracks.xy_m - tracks.xy_m[target]
+    near = np.hypot(offset[..., 0], offset[..., 1]) <= LOOK_AHEAD_M + tracks.size_m[:, :1]
+    ids, along, _, _ = road.locate_many(tracks.xy_m[near], tracks.yaw_rad[near])
+    lane = np.full(near.shape, -1, dtype=np.int64)
+    lane[near] = [-1 if x is None else road.index.row[x] for x in ids]
+    s = np.full(near.shape, np.nan)
+    s[near] = along
+    return lane, s
 
 
 def _distances_ahead(road: RoadMap, lane_id: str, route: Sequence[str]) -> dict[str, float]:
     """Return the distance from the start of *lane_id* to the start of it and of each lane it leads to."""
     found = {lane_id: 0.0}
     here, end = road.lanes[lane_id], road.lanes[lane_id].length_m
-    onward = {a: b for a, b in zip(route[:-1], route[1:], strict=True)}
+    onward = dict(pairwise(route))
     first = end
     while here.successors and end - first < LOOK_AHEAD_M:
         wanted = onward.get(here.edge_id)

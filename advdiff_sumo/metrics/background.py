@@ -1,0 +1,42 @@
+"""Collisions of background vehicles among themselves, and SUMO's own collision list beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.metrics.collision import Collision, Touches, find_touches, overlapping_steps
+
+
+@dataclass(frozen=True)
+class SumoComparison:
+    """SUMO's list against the boxes, counted in (instant, pair).
+
+    Attributes:
+        listed: entries of SUMO's list, a pair at an instant counted once.
+        sumo_only: listed by SUMO while the boxes neither overlap nor touched in the step before.
+        ours_only: overlaps that SUMO did not list.
+    """
+
+    listed: int
+    sumo_only: int
+    ours_only: int
+
+
+def background_collisions(record: EpisodeRecord, found: Sequence[Collision]) -> list[Collision]:
+    """Return those of *found* without the target that were not there from the beginning."""
+    return [c for c in found if record.target not in c.rows and not c.initial]
+
+
+def compare_with_sumo(record: EpisodeRecord, touches: Touches | None = None) -> SumoComparison:
+    """Return how far SUMO's own collision list agrees with the boxes.
+
+    SUMO misses and invents contacts (its check follows lanes); a vehicle outside the record counts as a
+    disagreement, since no box of ours can confirm it. *touches* saves the search where it was made.
+    """
+    touches = touches if touches is not None else find_touches(record.tracks)
+    ids = record.tracks.ids
+    ours = {(k, *sorted((ids[i], ids[j]))) for k, i, j in overlapping_steps(touches)}
+    listed = {(c.step, *sorted((c.collider, c.victim))) for c in record.sumo_collisions}
+    return SumoComparison(len(listed), len(listed - ours), len(ours - listed))

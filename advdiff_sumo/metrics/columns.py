@@ -1,0 +1,134 @@
+"""The columns of ``episodes.parquet`` and ``collisions.parquet``: types, units, meanings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    Attributes:
+        dtype: "str", "int64", "float64" or "bool".
+        unit: unit, "" for none.
+        description: what it holds.
+        nullable: whether it may be empty.
+    """
+
+    dtype: str
+    unit: str
+    description: str
+    nullable: bool = True
+
+
+def _text(description: str, *, nullable: bool = True) -> Column:
+    return Column("str", "", description, nullable)
+
+
+def _real(unit: str, description: str, *, nullable: bool = True) -> Column:
+    return Column("float64", unit, description, nullable)
+
+
+def _count(description: str) -> Column:
+    return Column("int64", "", description, nullable=False)
+
+
+def _flag(description: str, *, nullable: bool = False) -> Column:
+    return Column("bool", "", description, nullable)
+
+
+EPISODE_COLUMNS: Mapping[str, Column] = {
+    "episode": _count("number of the episode in its run"),
+    "scene": _text("name of the seed scene", nullable=False),
+    "seed": _count("the episode's seed"),
+    "end": _text("why it ended: horizon, collision, arrived, log_end, failed", nullable=False),
+    "duration_s": _real("s", "simulated time", nullable=False),
+    "agents": _count("agents that were ever there, the target included"),
+    "target_collision": _flag(
+        "the target hit something, or left the road; overlaps from the start do not count"
+    ),
+    "collision_time_s": _real("s", "first contact, since the episode's start"),
+    "collision_partner": _text("id of the other vehicle; empty when the target left the road"),
+    "collision_type": _text(
+        "junction, head_on, cut_in, rear_end_striking, rear_end_struck, side or off_road"
+    ),
+    "at_fault": _text("who caused it: target, other or unclear"),
+    "fault_reason": _text("the rule that says so, as a sentence"),
+    "attacker_visible": _flag(
+        "a SUMO-driven target perceived the partner in the second before; empty for Python planners",
+        nullable=True,
+    ),
+    "relative_speed_mps": _real("m/s", "length of the difference of the velocities at contact"),
+    "closing_speed_mps": _real("m/s", "relative speed along the contact normal"),
+    "target_speed_mps": _real("m/s", "target's speed at contact"),
+    "partner_speed_mps": _real("m/s", "partner's speed at contact"),
+    "impact_x_m": _real("m", "impact point, x of the net"),
+    "impact_y_m": _real("m", "impact point, y of the net"),
+    "impact_ahead_m": _real("m", "impact point ahead of the centre of the target's box"),
+    "impact_left_m": _real("m", "impact point to the left of the centre of the target's box"),
+    "initial_overlaps": _count(
+        "pairs that overlapped when they were first there together (logs, insertions)"
+    ),
+    "sumo_collisions": _count("SUMO's own collision list: pairs at an instant"),
+    "sumo_only": _count("of these, those whose boxes do not touch"),
+    "ours_only": _count("pairs at an instant whose boxes overlap and that SUMO does not list"),
+    "sumo_disagreements": _count("sumo_only plus ours_only"),
+    "teleports": _count("vehicles that SUMO teleported"),
+    "min_ttc_s": _real("s", "least time to collision of boxes at constant velocity, up to 10 s"),
+    "min_ttc_partner": _text("the vehicle it was with"),
+    "min_lane_ttc_s": _real("s", "least time to collision with the vehicle ahead in the lane, up to 10 s"),
+    "min_pet_s": _real("s", "least post-encroachment time where paths cross, up to 10 s"),
+    "max_drac_mps2": _real("m/s²", "greatest deceleration that was needed not to hit the vehicle ahead"),
+    "min_clearance_m": _real("m", "least distance between the target's box and another; 0 in a collision"),
+    "min_clearance_partner": _text("the vehicle it was to"),
+    "min_clearance_time_s": _real("s", "when, since the episode's start"),
+    "accel_mean_mps2": _real("m/s²", "mean absolute longitudinal acceleration of the target"),
+    "accel_max_mps2": _real("m/s²", "greatest absolute longitudinal acceleration"),
+    "brake_max_mps2": _real("m/s²", "strongest braking, positive"),
+    "lateral_mean_mps2": _real("m/s²", "mean absolute lateral acceleration"),
+    "lateral_max_mps2": _real("m/s²", "greatest absolute lateral acceleration"),
+    "jerk_mean_mps3": _real("m/s³", "mean absolute longitudinal jerk"),
+    "jerk_max_mps3": _real("m/s³", "greatest absolute longitudinal jerk"),
+    "yaw_rate_mean_radps": _real("rad/s", "mean absolute yaw rate"),
+    "yaw_rate_max_radps": _real("rad/s", "greatest absolute yaw rate"),
+    "bv_collisions": _count("collisions of background vehicles among themselves"),
+    "bv_offroad_share": _real(
+        "", "mean share of moved background boxes off the road, beyond that at their start"
+    ),
+    "bv_offroad_max_share": _real("", "greatest such share"),
+    "bv_offroad_vehicles": _count("moved background vehicles of which over half came to be off the road"),
+    "route_progress_m": _real("m", "how far the target came along its route"),
+    "route_share": _real("", "the same as a share of the route ahead at the start"),
+    "route_completed": _flag("the target reached the end of its route"),
+    "distance_m": _real("m", "length of the target's driven path", nullable=False),
+    "speed_mean_mps": _real("m/s", "mean speed of the target"),
+    "speed_max_mps": _real("m/s", "greatest speed of the target"),
+    "failure_kind": _text("why the episode could not be finished, as a word"),
+    "failure_message": _text("the same as a sentence"),
+}
+
+COLLISION_COLUMNS: Mapping[str, Column] = {
+    "episode": _count("number of the episode in its run"),
+    "time_s": _real("s", "first contact, since the episode's start", nullable=False),
+    "first": _text("id of one vehicle; the target's where it takes part", nullable=False),
+    "second": _text("id of the other; empty when the target left the road"),
+    "with_target": _flag("the target takes part"),
+    "initial": _flag("the boxes overlapped when the two were first there together"),
+    "type": _text("as collision_type in the episodes; empty without the target or when initial"),
+    "at_fault": _text("who caused it: target, other or unclear; empty as type"),
+    "fault_reason": _text("the rule that says so, as a sentence"),
+    "attacker_visible": _flag("as in the episodes", nullable=True),
+    "relative_speed_mps": _real("m/s", "length of the difference of the velocities"),
+    "closing_speed_mps": _real("m/s", "relative speed along the contact normal"),
+    "first_speed_mps": _real("m/s", "speed of the first vehicle", nullable=False),
+    "second_speed_mps": _real("m/s", "speed of the second vehicle"),
+    "impact_x_m": _real("m", "impact point, x of the net", nullable=False),
+    "impact_y_m": _real("m", "impact point, y of the net", nullable=False),
+    "impact_ahead_m": _real("m", "impact point ahead of the centre of the first box"),
+    "impact_left_m": _real("m", "impact point to the left of the centre of the first box"),
+    "first_face": _text("what of the first box was hit: front, rear, left or right"),
+    "second_face": _text("what of the second box was hit"),
+    "penetration_m": _real("m", "deepest overlap within the step of the contact"),
+}

@@ -1,0 +1,129 @@
+"""How far the target came: along its route, in metres driven, and how fast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from advdiff_sumo.core.record import EndReason, EpisodeRecord
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.kinematics import unbroken
+from advdiff_sumo.metrics.placement import place
+
+#: Instants between two looks at the position on the route.
+_EVERY_S = 0.5
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far the target came.
+
+    Attributes:
+        route_m: from its first place on the route to the farthest one; None when never on its route.
+        route_share: the same as a share of what lay ahead at the start, in [0, 1].
+        completed: whether it reached the end of its route.
+        distance_m: length of the driven path.
+        speed_mean_mps: mean of the absolute speed.
+        speed_max_mps: greatest absolute speed.
+    """
+
+    route_m: float | None
+    route_share: float | None
+    completed: bool
+    distance_m: float
+    speed_mean_mps: float | None
+    speed_max_mps: float | None
+
+
+def progress(record: EpisodeRecord, road: RoadMap) -> Progress:
+    """Return the target's progress over the whole record."""
+    tracks, row = record.tracks, record.target
+    steps = np.hypot(*np.diff(tracks.xy_m[row], axis=0).T)
+    speed = np.abs(tracks.speed_mps[row][tracks.valid[row]])
+    along, length = _positions(record, road), _route_length_m(road, record.route)
+    arrived = record.end is EndReason.ARRIVED
+    driven = share = None
+    if along:
+        ahead = max(length - along[0], 1e-9)
+        driven = max(along) - along[0]
+        share = 1.0 if arrived else min(1.0, driven / ahead)
+        arrived = arrived or length - max(along) <= tracks.size_m[row, 0]
+    return Progress(
+        route_m=driven,
+        route_share=share,
+        completed=bool(arrived),
+        distance_m=float(steps[unbroken(tracks.rows([row]))[0]].sum()),
+        speed_mean_mps=float(speed.mean()) if speed.size else None,
+        speed_max_mps=float(speed.max()) if speed.size else None,
+    )
+
+
+def _route_length_m(road: RoadMap, route: tuple[str, ...]) -> float:
+    starts = _edge_starts(road, route)
+    return starts[-1] + road.edges[route[-1]].length_m if starts else 0.0
+
+
+def _edge_starts(road: RoadMap, route: tuple[str, ...]) -> list[float]:
+    """Return where each edge of *route* begins, junctions between them included; [] for edges not in the net."""
+    if not route or any(edge not in road.edges for edge in route):
+        return []
+    starts = [0.0]
+    for edge, onward in pairwise(route):
+        starts.append(starts[-1] + road.edges[edge].length_m + _crossing_m(road, edge, onward))
+    return starts
+
+
+def _crossing_m(road: RoadMap, edge: str, onward: str) -> float:
+    """Return the length of the shortest way over the junction between two edges."""
+    lengths = [
+        sum(road.lanes[x].length_m for x in link.via)
+        for lane in road.edges[edge].lane_ids
+        for link in road.lanes[lane].successors
+        if road.lanes[link.to_lane].edge_id == onward
+    ]
+    return min(lengths, default=0.0)
+
+
+def _positions(record: EpisodeRecord, road: RoadMap) -> list[float]:
+    """Return positions along the route, in the order of time, where the target is on an edge of it or between two.
+
+    On a route that passes an edge twice, the next passage counts once the edge before it was reached.
+    """
+    starts = _edge_starts(road, record.route)
+    if not starts:
+        return []
+    placed = place(road, record.tracks, record.target, 0, record.tracks.steps)
+    every = max(1, round(_EVERY_S / record.tracks.dt_s))
+    looks = sorted({*range(0, record.tracks.steps, every), record.tracks.steps - 1})
+    found: list[float] = []
+    passed = 0
+    for k in looks:
+        edge = _route_edge(road, placed.lane[k], record.route, passed)
+        if edge is None:
+            continue
+        passed, internal = edge
+        lane = road.lanes[str(placed.lane[k])]
+        scale = road.edges[record.route[passed]].length_m / lane.length_m if not internal else 1.0
+        before = road.edges[record.route[passed]].length_m if internal else 0.0
+        found.append(starts[passed] + before + float(placed.s_m[k]) * scale)
+    return found
+
+
+def _route_edge(
+    road: RoadMap, lane_id: str | None, route: tuple[str, ...], passed: int
+) -> tuple[int, bool] | None:
+    """Return which edge of *route*, from number *passed* on, a lane belongs to or (True) leaves by."""
+    if lane_id is None:
+        return None
+    lane = road.lanes[lane_id]
+    if not lane.is_internal:
+        number = next((n for n in range(passed, len(route)) if route[n] == lane.edge_id), None)
+        return None if number is None else (number, False)
+    for number in range(passed, len(route) - 1):
+        for name in road.edges[route[number]].lane_ids:
+            for link in road.lanes[name].successors:
+                if lane_id in link.via and road.lanes[link.to_lane].edge_id == route[number + 1]:
+                    return number, True
+    return None

@@ -1,0 +1,168 @@
+"""The metrics of an episode as rows of tables; the columns are those of ``columns``."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+
+from advdiff_sumo.core.frames import local_from_world
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.collision import Collision
+from advdiff_sumo.metrics.collision_type import CollisionType
+from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
+from advdiff_sumo.metrics.fault import OFF_ROAD
+from advdiff_sumo.metrics.offroad import OffRoad
+from advdiff_sumo.metrics.summary import Criticality, EpisodeMetrics, Judged, judged, summarise
+
+Value: TypeAlias = str | int | float | bool | None
+
+
+def episode_row(
+    record: EpisodeRecord, road: RoadMap, metrics: EpisodeMetrics | None = None
+) -> dict[str, Value]:
+    """Return the row of ``episodes.parquet``: the keys of ``EPISODE_COLUMNS``, None where undefined.
+
+    Args:
+        record: the episode.
+        road: its map.
+        metrics: the result of :func:`summarise`, where it is there already.
+    """
+    m = metrics if metrics is not None else summarise(record, road)
+    tracks, failure = record.tracks, record.failure
+    values: dict[str, Value] = {
+        "episode": record.episode,
+        "scene": record.scene,
+        "seed": record.seed,
+        "end": str(record.end),
+        "duration_s": max(0, tracks.steps - 1) * tracks.dt_s,
+        "agents": int(tracks.valid.any(axis=1).sum()),
+        **_collision_values(record, m),
+        "initial_overlaps": sum(c.initial for c in m.found),
+        "sumo_collisions": m.sumo.listed,
+        "sumo_only": m.sumo.sumo_only,
+        "ours_only": m.sumo.ours_only,
+        "sumo_disagreements": m.sumo.sumo_only + m.sumo.ours_only,
+        "teleports": record.teleports,
+        **_criticality_values(record, m.criticality),
+        **vars(m.comfort),
+        "bv_collisions": len(m.background),
+        "bv_offroad_share": m.background_off_road.mean_share,
+        "bv_offroad_max_share": m.background_off_road.max_share,
+        "bv_offroad_vehicles": m.background_off_road.vehicles,
+        "route_progress_m": m.progress.route_m,
+        "route_share": m.progress.route_share,
+        "route_completed": m.progress.completed,
+        "distance_m": m.progress.distance_m,
+        "speed_mean_mps": m.progress.speed_mean_mps,
+        "speed_max_mps": m.progress.speed_max_mps,
+        "failure_kind": None if failure is None else failure.kind,
+        "failure_message": None if failure is None else failure.message,
+    }
+    return {name: values[name] for name in EPISODE_COLUMNS}
+
+
+def collision_rows(
+    record: EpisodeRecord, road: RoadMap, metrics: EpisodeMetrics | None = None
+) -> list[dict[str, Value]]:
+    """Return the rows of ``collisions.parquet``: the keys of ``COLLISION_COLUMNS``, in the order of time.
+
+    Arguments as in :func:`episode_row`. The target leaving the road is a row without a second vehicle.
+    """
+    m = metrics if metrics is not None else summarise(record, road)
+    rows = [_pair_row(record, road, m, c) for c in m.found]
+    if m.left_road is not None:
+        rows.append(_off_road_row(record, m.left_road))
+    rows.sort(key=lambda row: float(row["time_s"] or 0.0))
+    return [{name: row[name] for name in COLLISION_COLUMNS} for row in rows]
+
+
+def _collision_values(record: EpisodeRecord, m: EpisodeMetrics) -> dict[str, Value]:
+    row: dict[str, Value] = {}
+    if m.struck is not None:
+        row = _struck_values(record, m.struck)
+    elif m.left_road is not None:
+        row = _off_road_row(record, m.left_road)
+    names = {"time_s": "collision_time_s", "second": "collision_partner", "type": "collision_type"}
+    names |= {"first_speed_mps": "target_speed_mps", "second_speed_mps": "partner_speed_mps"}
+    same = ("at_fault", "fault_reason", "attacker_visible", "relative_speed_mps", "closing_speed_mps")
+    names |= {name: name for name in (*same, "impact_x_m", "impact_y_m", "impact_ahead_m", "impact_left_m")}
+    return {"target_collision": m.target_collision, **{names[k]: row.get(k) for k in names}}
+
+
+def _pair_row(record: EpisodeRecord, road: RoadMap, m: EpisodeMetrics, c: Collision) -> dict[str, Value]:
+    if m.struck is not None and c is m.struck.collision:
+        return _struck_values(record, m.struck)
+    if c.rows[0] == record.target and not c.initial:
+        return _struck_values(record, judged(record, road, c))
+    return _plain_values(record, c)
+
+
+def _struck_values(record: EpisodeRecord, struck: Judged) -> dict[str, Value]:
+    return _plain_values(record, struck.collision) | {
+        "type": str(struck.kind),
+        "at_fault": str(struck.verdict.at_fault),
+        "fault_reason": struck.verdict.reason,
+        "attacker_visible": struck.visible,
+    }
+
+
+def _plain_values(record: EpisodeRecord, c: Collision) -> dict[str, Value]:
+    ahead, left = local_from_world(c.point_m, c.xy_m[0], float(c.yaw_rad[0]))
+    speeds = np.hypot(*c.velocity_mps.T)
+    return {
+        "episode": record.episode,
+        "time_s": c.time_s,
+        "first": record.tracks.ids[c.rows[0]],
+        "second": record.tracks.ids[c.rows[1]],
+        "with_target": c.rows[0] == record.target,
+        "initial": c.initial,
+        "type": None,
+        "at_fault": None,
+        "fault_reason": None,
+        "attacker_visible": None,
+        "relative_speed_mps": c.relative_speed_mps,
+        "closing_speed_mps": c.closing_speed_mps,
+        "first_speed_mps": float(speeds[0]),
+        "second_speed_mps": float(speeds[1]),
+        "impact_x_m": float(c.point_m[0]),
+        "impact_y_m": float(c.point_m[1]),
+        "impact_ahead_m": float(ahead),
+        "impact_left_m": float(left),
+        "first_face": c.faces[0],
+        "second_face": c.faces[1],
+        "penetration_m": c.penetration_m,
+    }
+
+
+def _off_road_row(record: EpisodeRecord, left: OffRoad) -> dict[str, Value]:
+    undefined = ("second", "attacker_visible", "relative_speed_mps", "closing_speed_mps", "second_speed_mps")
+    nowhere = ("impact_ahead_m", "impact_left_m", "first_face", "second_face", "penetration_m")
+    return dict.fromkeys((*undefined, *nowhere)) | {
+        "episode": record.episode,
+        "time_s": left.time_s,
+        "first": record.tracks.ids[record.target],
+        "with_target": True,
+        "initial": False,
+        "type": str(CollisionType.OFF_ROAD),
+        "at_fault": str(OFF_ROAD.at_fault),
+        "fault_reason": OFF_ROAD.reason,
+        "first_speed_mps": left.speed_mps,
+        "impact_x_m": float(left.xy_m[0]),
+        "impact_y_m": float(left.xy_m[1]),
+    }
+
+
+def _criticality_values(record: EpisodeRecord, c: Criticality) -> dict[str, Value]:
+    ids = record.tracks.ids
+    return {
+        "min_ttc_s": None if c.ttc is None else c.ttc.value,
+        "min_ttc_partner": None if c.ttc is None else ids[c.ttc.row],
+        "min_lane_ttc_s": None if c.lane_ttc is None else c.lane_ttc.value,
+        "min_pet_s": None if c.pet is None else c.pet.value,
+        "max_drac_mps2": c.drac_mps2,
+        "min_clearance_m": None if c.clearance is None else c.clearance.value,
+        "min_clearance_partner": None if c.clearance is None else ids[c.clearance.row],
+        "min_clearance_time_s": None if c.clearance is None else c.clearance.time_s,
+    }

@@ -1,0 +1,147 @@
+"""All metrics of one episode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.background import SumoComparison, background_collisions, compare_with_sumo
+from advdiff_sumo.metrics.collision import Collision, collisions, find_touches, target_collision
+from advdiff_sumo.metrics.collision_type import CollisionType, collision_type
+from advdiff_sumo.metrics.comfort import Comfort, comfort
+from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, Extreme, clearances, least, time_to_collision
+from advdiff_sumo.metrics.encounter import encounter
+from advdiff_sumo.metrics.encroachment import post_encroachment
+from advdiff_sumo.metrics.fault import Verdict, judge
+from advdiff_sumo.metrics.following import following
+from advdiff_sumo.metrics.offroad import (
+    BackgroundOffRoad,
+    OffRoad,
+    background_off_road,
+    target_leaves_road,
+)
+from advdiff_sumo.metrics.progress import Progress, progress
+from advdiff_sumo.metrics.visibility import attacker_visible
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A collision of the target, classified.
+
+    Attributes:
+        collision: the collision.
+        kind: what kind.
+        verdict: who caused it.
+        visible: whether a SUMO-driven target perceived the partner; None for Python planners.
+    """
+
+    collision: Collision
+    kind: CollisionType
+    verdict: Verdict
+    visible: bool | None
+
+
+@dataclass(frozen=True)
+class Criticality:
+    """The most critical instants before any collision of the target; None where nothing came near.
+
+    Attributes:
+        ttc: least time to collision of boxes, in s.
+        lane_ttc: least time to collision with the vehicle ahead in the lane, in s.
+        pet: least post-encroachment time, in s.
+        drac_mps2: greatest deceleration to avoid a rear-end collision.
+        clearance: least distance of boxes, in m.
+    """
+
+    ttc: Extreme | None
+    lane_ttc: Extreme | None
+    pet: Extreme | None
+    drac_mps2: float | None
+    clearance: Extreme | None
+
+
+@dataclass(frozen=True)
+class EpisodeMetrics:
+    """Everything measured in one episode.
+
+    Attributes:
+        found: every collision of two agents, initial overlaps included.
+        struck: the target's first collision with another agent, unless it left the road before.
+        left_road: when the target left the road, unless it was hit before.
+        sumo: SUMO's list against ours.
+        criticality: how near it came.
+        comfort: how the ride felt.
+        progress: how far it came.
+        background: collisions of background vehicles among themselves.
+        background_off_road: how they left the road.
+    """
+
+    found: tuple[Collision, ...]
+    struck: Judged | None
+    left_road: OffRoad | None
+    sumo: SumoComparison
+    criticality: Criticality
+    comfort: Comfort
+    progress: Progress
+    background: tuple[Collision, ...]
+    background_off_road: BackgroundOffRoad
+
+    @property
+    def target_collision(self) -> bool:
+        """Whether the target hit something or left the road."""
+        return self.struck is not None or self.left_road is not None
+
+
+def summarise(record: EpisodeRecord, road: RoadMap) -> EpisodeMetrics:
+    """Return all metrics of *record*, driven on *road*."""
+    touches = find_touches(record.tracks)
+    found = collisions(record, touches)
+    struck, left_road = target_collision(record, found), target_leaves_road(record, road)
+    if struck is not None and left_road is not None:
+        if struck.time_s <= left_road.time_s:
+            left_road = None
+        else:
+            struck = None
+    happened = struck or left_road
+    before = record.tracks if happened is None else record.tracks.window(0, happened.step + 1)
+    return EpisodeMetrics(
+        found=tuple(found),
+        struck=None if struck is None else judged(record, road, struck),
+        left_road=left_road,
+        sumo=compare_with_sumo(record, touches),
+        criticality=_criticality(record, road, before, struck),
+        comfort=comfort(before, record.target),
+        progress=progress(record, road),
+        background=tuple(background_collisions(record, found)),
+        background_off_road=background_off_road(record, road),
+    )
+
+
+def judged(record: EpisodeRecord, road: RoadMap, collision: Collision) -> Judged:
+    """Return a collision of the target with its kind, its cause and whether the target saw it come."""
+    met = encounter(record, road, collision)
+    kind = collision_type(met)
+    return Judged(collision, kind, judge(record, road, met, kind), attacker_visible(record, collision))
+
+
+def _criticality(
+    record: EpisodeRecord, road: RoadMap, before: Tracks, struck: Collision | None
+) -> Criticality:
+    target = record.target
+    ahead = following(before, target, road, record.route)
+    lane_ttc = ahead.time_to_collision()
+    drac = ahead.deceleration_to_avoid()
+    clearance = least(clearances(before, target), before)
+    if struck is not None:
+        clearance = Extreme(0.0, struck.rows[1], struck.time_s)
+    return Criticality(
+        ttc=least(time_to_collision(before, target), before),
+        lane_ttc=least(np.where(lane_ttc <= TTC_HORIZON_S, lane_ttc, np.inf), before),
+        pet=post_encroachment(before, target),
+        drac_mps2=None if np.isnan(drac).all() else float(np.nanmax(drac)),
+        clearance=clearance,
+    )

@@ -1,0 +1,168 @@
+"""Moving vehicles by moveToXY, so that SUMO's drivers see them (measured traps: docs/sumo.md).
+
+Three rules that SUMO does not state: a vehicle must have been on a lane before it may be moved off the road;
+a moved vehicle loses its route unless it is given the edges that it is about to drive; and its speed, as
+others see it, is clipped to the lane's limit times its speed factor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.errors import SimulationError
+from advdiff_sumo.core.frames import bumper_from_centre, sumo_from_yaw
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.world import World
+
+_ANY_EDGE, _OWN_ROUTE = 2, 3  # moveToXY's keepRoute: exact position; 3 looks for a lane on the own route only
+_FREE_SPEED_FACTOR, _FREE_MAX_SPEED = 20.0, 90.0
+_NO_CHECKS = 0  # SUMO's speed mode and lane-change mode without any
+_USUAL_SPEED_MODE, _USUAL_LANE_CHANGE_MODE = 31, 1621
+
+
+@dataclass
+class Moved:
+    """What SUMO had set for a vehicle before we moved it, and the route that we gave it.
+
+    Attributes:
+        speed_factor: SUMO's own, to be restored.
+        max_speed_mps: SUMO's own, to be restored.
+        route: edges last given to SUMO; () where it may look for a lane anywhere.
+        inserted: False until SUMO has taken the vehicle in.
+    """
+
+    speed_factor: float
+    max_speed_mps: float
+    route: tuple[str, ...] = ()
+    inserted: bool = True
+
+
+@dataclass
+class Actuator:
+    """Holds the moved vehicles of one episode.
+
+    Attributes:
+        api: libsumo or traci.
+        world: rows and states.
+        road: the map.
+        moved: row → what we changed in SUMO.
+    """
+
+    api: Any
+    world: World
+    road: RoadMap
+    moved: dict[int, Moved] = field(default_factory=dict)
+
+    def take(self, row: int) -> None:
+        """Begin to move *row*, which is on a lane."""
+        vehicle, name = self.api.vehicle, self.world.sumo_ids[row]
+        self.moved[row] = Moved(vehicle.getSpeedFactor(name), vehicle.getMaxSpeed(name))
+        vehicle.setSpeedFactor(name, _FREE_SPEED_FACTOR)
+        vehicle.setMaxSpeed(name, _FREE_MAX_SPEED)
+        vehicle.setSpeedMode(name, _NO_CHECKS)
+        vehicle.setLaneChangeMode(name, _NO_CHECKS)
+
+    def release(self, row: int, route: Sequence[str] = ()) -> None:
+        """Hand *row* back to SUMO at its present pose and speed."""
+        before = self.moved.pop(row)
+        name, vehicle = self.world.sumo_ids[row], self.api.vehicle
+        if route:
+            self._set_route(name, tuple(route))
+        vehicle.setSpeedFactor(name, before.speed_factor)
+        vehicle.setMaxSpeed(name, before.max_speed_mps)
+        vehicle.setSpeedMode(name, _USUAL_SPEED_MODE)
+        vehicle.setLaneChangeMode(name, _USUAL_LANE_CHANGE_MODE)
+        vehicle.setPreviousSpeed(name, max(float(self.world.speed_mps[row]), 0.0))
+
+    def insert(self, row: int, type_id: str) -> None:
+        """Bring *row* into SUMO: on the lane nearest to its pose in the next step, exactly from then on.
+
+        Raises:
+            SimulationError: the net has no lane to put it on, or SUMO refuses it.
+        """
+        xy, yaw = self.world.xy_m[row], float(self.world.yaw_rad[row])
+        pose = self.road.locate(xy, yaw, max_distance_m=np.inf)
+        name = self._fresh_name(row)
+        if pose is None:
+            raise SimulationError(f"no lane of {self.road.name} is near enough to insert '{name}'")
+        point, along = self.road.to_world(pose.lane_id, pose.s_m)
+        front = bumper_from_centre(point, along, self.world.size_m[row, 0])
+        try:
+            self.api.route.add(f"insert:{name}", [self._edge_of(pose.lane_id)])
+            self.api.vehicle.add(name, f"insert:{name}", typeID=type_id, depart="now", departPos="base")
+            self.api.vehicle.moveToXY(
+                name, "", -1, *front.tolist(), angle=float(sumo_from_yaw(along)), keepRoute=0
+            )
+        except Exception as error:
+            raise SimulationError(f"SUMO refuses to insert '{name}': {error}") from error
+        self.moved[row] = Moved(1.0, _FREE_MAX_SPEED, inserted=False)
+
+    def settle(self, departed: Sequence[int]) -> None:
+        """Free vehicles that SUMO has just inserted for us from its own limits."""
+        for row in departed:
+            if row in self.moved and not self.moved[row].inserted:
+                self.take(row)
+
+    def remove(self, row: int) -> None:
+        """Take *row* out of SUMO."""
+        if self.moved.pop(row, None) is not None:
+            name = self.world.sumo_ids[row]
+            self.api.vehicle.unsubscribe(name)  # else the next step stops at the unknown name
+            self.api.vehicle.remove(name)
+
+    def move(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> None:
+        """Put *rows* at poses (N, 2), (N,) in the next step; those being inserted wait for it."""
+        bumper = bumper_from_centre(xy_m, yaw_rad, self.world.size_m[rows, 0])
+        angle = sumo_from_yaw(yaw_rad)
+        move_to, names, lane, moved = (
+            self.api.vehicle.moveToXY,
+            self.world.sumo_ids,
+            self.world.lane,
+            self.moved,
+        )
+        for row, (x, y), turn in zip(rows.tolist(), bumper.tolist(), angle.tolist(), strict=True):
+            state = moved[row]
+            if not state.inserted:
+                continue
+            if state.route and not lane[row]:
+                state.route = ()  # it left its own route: let SUMO look everywhere, which also replaces the route
+            move_to(names[row], "", -1, x, y, turn, _OWN_ROUTE if state.route else _ANY_EDGE)
+
+    def predict_route(self, row: int, route: tuple[str, ...]) -> None:
+        """Tell SUMO which edges *row* is about to drive, so that drivers at junctions yield to it (#6140)."""
+        state = self.moved[row]
+        if state.inserted and route != state.route:
+            state.route = route if route and self._set_route(self.world.sumo_ids[row], route) else ()
+
+    def _set_route(self, name: str, route: tuple[str, ...]) -> bool:
+        """Return whether SUMO accepted *route*; it must begin at the edge on which SUMO has the vehicle."""
+        vehicle = self.api.vehicle
+        current = vehicle.getRoute(name)[max(vehicle.getRouteIndex(name), 0)]
+        if current not in route:
+            return False
+        try:
+            vehicle.setRoute(name, list(route[route.index(current) :]))
+        except Exception:  # noqa: BLE001 - libsumo and traci raise different kinds; SUMO then keeps the old route
+            return False
+        return True
+
+    def _edge_of(self, lane_id: str) -> str:
+        lane = self.road.lanes[lane_id]
+        while lane.is_internal:
+            lane = self.road.lanes[lane.successors[0].to_lane]
+        return lane.edge_id
+
+    def _fresh_name(self, row: int) -> str:
+        name = self.world.sumo_ids[row]
+        if name in self.world.index and self.world.index[name] == row and self.api.vehicle.getIDCount():
+            known = set(self.api.vehicle.getIDList()) | set(self.api.vehicle.getLoadedIDList())
+            while name in known:
+                name += "~"
+        self.world.sumo_ids[row] = name
+        self.world.index[name] = row
+        return name

@@ -1,0 +1,150 @@
+"""Traffic for a net that comes without demand: varied drivers and vehicles on sensible routes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
+
+import numpy as np
+
+from advdiff_sumo.core.errors import NetError
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.options import SceneOptions
+
+_HEADWAY_S, _ACCEL_MPS2, _DECEL_MPS2, _SPEED_FACTOR, _MIN_GAP_M = (
+    (0.9, 1.8),
+    (1.6, 2.8),
+    (3.0, 4.5),
+    (0.85, 1.1),
+    (1.5, 3.0),
+)
+_DRIVER_TYPES = 8
+_MIN_ROUTE_M = 250.0
+_MEAN_TRIP_S = 150.0  # present vehicles / inflow, by Little's law
+
+
+@dataclass(frozen=True)
+class Trip:
+    """One vehicle's departure."""
+
+    depart_s: float
+    type_id: str
+    route: tuple[str, ...]
+    on_the_way: bool
+
+
+def write_demand(road: RoadMap, options: SceneOptions, duration_s: float, seed: SeedTree, path: Path) -> Path:
+    """Write traffic for *road* that fills the net at once and then keeps its density.
+
+    Args:
+        road: the net.
+        options: density, bound and share of trucks.
+        duration_s: until when vehicles depart.
+        seed: a node of the seed tree.
+        path: the ``.rou.xml`` to write.
+
+    Raises:
+        NetError: the net has no route that a car could drive.
+    """
+    rng = seed.generator()
+    root = Element("routes")
+    for attributes in vehicle_types(rng):
+        SubElement(root, "vType", attributes)
+    trips = sorted(_trips(road, options, duration_s, rng), key=lambda trip: trip.depart_s)
+    for number, trip in enumerate(trips):
+        vehicle = SubElement(root, "vehicle", _vehicle(number, trip))
+        SubElement(vehicle, "route", edges=" ".join(trip.route))
+    indent(root)
+    ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    return path
+
+
+def vehicle_types(rng: np.random.Generator) -> Iterator[dict[str, str]]:
+    """Yield vType attributes: cars with drivers of many habits, trucks and buses."""
+    for number in range(_DRIVER_TYPES):
+        length = rng.uniform(4.0, 5.1)
+        yield _vtype(f"car{number}", "passenger", length, 0.35 * length + 0.2, 1.0, rng)
+    for name, vclass, length, width in (("truck", "truck", 9.0, 2.5), ("bus", "bus", 12.0, 2.55)):
+        yield _vtype(name, vclass, length, width, 0.55, rng)
+
+
+def _vtype(
+    name: str, vclass: str, length: float, width: float, vigour: float, rng: np.random.Generator
+) -> dict[str, str]:
+    values = {
+        "length": length,
+        "width": width,
+        "tau": rng.uniform(*_HEADWAY_S),
+        "accel": vigour * rng.uniform(*_ACCEL_MPS2),
+        "decel": rng.uniform(*_DECEL_MPS2),
+        "emergencyDecel": 9.0,
+        "speedFactor": rng.uniform(*_SPEED_FACTOR),
+        "minGap": rng.uniform(*_MIN_GAP_M),
+    }
+    fixed = {"id": name, "vClass": vclass, "carFollowModel": "IDM", "speedDev": "0", "sigma": "0"}
+    return fixed | {key: f"{value:.3f}" for key, value in values.items()}
+
+
+def _vehicle(number: int, trip: Trip) -> dict[str, str]:
+    where = "random_free" if trip.on_the_way else "base"
+    pace = "max" if not trip.on_the_way else "desired"
+    return {
+        "id": f"v{number}",
+        "type": trip.type_id,
+        "depart": f"{trip.depart_s:.1f}",
+        "departLane": "best",
+        "departPos": where,
+        "departSpeed": pace,
+    }
+
+
+def _trips(
+    road: RoadMap, options: SceneOptions, duration_s: float, rng: np.random.Generator
+) -> Iterator[Trip]:
+    edges = [e for e in sorted(road.edges) if _drivable(road, e)]
+    if not edges:
+        raise NetError(road.path, "holds no lane that a car may drive", "give a net with passenger lanes")
+    lane_km = sum(road.edges[e].length_m * len(road.edges[e].lane_ids) for e in edges) / 1000.0
+    present = int(np.clip(options.density_per_km * lane_km, 4, options.max_vehicles))
+    weights = np.array([road.edges[e].length_m * len(road.edges[e].lane_ids) for e in edges])
+    sources = [e for e in road.source_edges() if _drivable(road, e)] or edges
+    inflow = max(int(present * duration_s / _MEAN_TRIP_S), 1)
+    starts = rng.choice(len(edges), size=present, p=weights / weights.sum())
+    found = 0
+    for pick in starts:
+        trip = _trip(road, edges[pick], 0.0, True, options, rng)
+        found += trip is not None
+        if trip:
+            yield trip
+    for depart in np.sort(rng.uniform(0.0, duration_s, size=inflow)):
+        trip = _trip(road, sources[int(rng.integers(len(sources)))], float(depart), False, options, rng)
+        found += trip is not None
+        if trip:
+            yield trip
+    if not found:
+        raise NetError(road.path, "holds no drivable route", "give a net in which edges are connected")
+
+
+def _trip(
+    road: RoadMap,
+    start: str,
+    depart_s: float,
+    on_the_way: bool,
+    options: SceneOptions,
+    rng: np.random.Generator,
+) -> Trip | None:
+    heavy = rng.random() < options.trucks_share
+    type_id = ("truck" if rng.random() < 0.6 else "bus") if heavy else f"car{rng.integers(_DRIVER_TYPES)}"
+    vclass = "passenger" if not heavy else type_id
+    route = road.random_route(start, _MIN_ROUTE_M + rng.exponential(600.0), rng, vclass=vclass)
+    if len(route) < 2:
+        return None
+    return Trip(depart_s, type_id, tuple(route), on_the_way)
+
+
+def _drivable(road: RoadMap, edge_id: str) -> bool:
+    edge = road.edges[edge_id]
+    return not edge.is_internal and any(road.lanes[lane].permits("passenger") for lane in edge.lane_ids)

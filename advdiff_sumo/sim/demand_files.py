@@ -1,0 +1,123 @@
+"""Demand that the user brings: a route file, or a SUMO configuration that names several."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element, ParseError
+
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import iterparse
+
+from advdiff_sumo.core.errors import FileError, SceneError
+from advdiff_sumo.maps import RoadMap
+
+_ROUTES_LOOKED_AT = 500
+_WRITES_OUTPUT = {
+    "e1Detector",
+    "inductionLoop",
+    "e2Detector",
+    "laneAreaDetector",
+    "e3Detector",
+    "entryExitDetector",
+}
+_WRITES_OUTPUT |= {"instantInductionLoop", "edgeData", "laneData", "routeProbe", "timedEvent"}
+
+
+@dataclass(frozen=True)
+class DemandFiles:
+    """Files that SUMO reads to make traffic.
+
+    Attributes:
+        routes: route files.
+        additional: vehicle types, signals and stops that they need.
+        begin_s: earliest departure.
+    """
+
+    routes: tuple[Path, ...]
+    additional: tuple[Path, ...]
+    begin_s: float
+
+
+def read_demand(path: Path, road: RoadMap) -> DemandFiles:
+    """Find the files behind *path* and check that they belong to *road*.
+
+    Args:
+        path: ``.rou.xml``, ``.trips.xml`` (gzip not needed) or ``.sumocfg``.
+        road: the net that they will run on.
+
+    Raises:
+        FileError: a file is missing, truncated, or no demand.
+        SceneError: the routes are of another net.
+    """
+    if not path.is_file():
+        raise FileError(path, "no such demand file")
+    routes, additional = _of_configuration(path) if path.suffix == ".sumocfg" else ((path,), ())
+    begin = min(_check(file, road) for file in routes)
+    kept = tuple(file for file in additional if not _only_output(file))
+    return DemandFiles(tuple(f.resolve() for f in routes), tuple(f.resolve() for f in kept), begin)
+
+
+def _of_configuration(path: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
+    found: dict[str, tuple[Path, ...]] = {}
+    for element in _elements(path):
+        if element.tag in {"route-files", "additional-files"}:
+            names = element.get("value", "").replace(",", " ").split()
+            found[element.tag] = tuple(path.parent / name for name in names)
+    if not found.get("route-files"):
+        raise FileError(path, "names no route-files", "give a .rou.xml or a configuration that has them")
+    return found["route-files"], found.get("additional-files", ())
+
+
+def _check(path: Path, road: RoadMap) -> float:
+    begin, routes, foreign, example = float("inf"), 0, 0, ""
+    for element in _elements(path):
+        if element.tag in {"vehicle", "trip", "flow", "person"}:
+            begin = min(begin, _seconds(element.get("depart") or element.get("begin") or "0"))
+        edges = (element.get("edges") or f"{element.get('from') or ''} {element.get('to') or ''}").split()
+        if edges:
+            routes += 1
+            unknown = next((edge for edge in edges if edge not in road.edges), None)
+            foreign += unknown is not None
+            example = example or unknown or ""
+        if routes >= _ROUTES_LOOKED_AT:
+            break
+    if not routes:
+        raise FileError(path, "holds no vehicle, trip or flow with a route")
+    if foreign > routes // 2:
+        raise SceneError(
+            f"{path}: {foreign} of its first {routes} routes use edges that {road.path.name} does not have "
+            f"(such as '{example}'); it is the demand of another net"
+        )
+    return begin if begin < float("inf") else 0.0
+
+
+def _only_output(path: Path) -> bool:
+    """Return whether *path* holds detectors only, which would write files beside it."""
+    tags = {element.tag for element in _elements(path)} - {
+        "additional",
+        "add",
+        "param",
+        "detEntry",
+        "detExit",
+    }
+    return bool(tags) and tags <= _WRITES_OUTPUT
+
+
+def _elements(path: Path) -> Iterator[Element]:
+    try:
+        yield from (element for _, element in iterparse(path, events=("end",)))
+    except (ParseError, DefusedXmlException) as error:
+        raise FileError(
+            path, f"not well-formed XML ({error})", "it may be truncated: export it again"
+        ) from None
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror})") from None
+
+
+def _seconds(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0  # "triggered", "now", hh:mm:ss: SUMO knows; for us the beginning will do

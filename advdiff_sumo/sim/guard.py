@@ -1,0 +1,99 @@
+"""Plans are checked before SUMO sees them: SUMO itself accepts NaN and any jump without a word."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.errors import PlanRefusedError
+from advdiff_sumo.core.plan import Controls, JointPlan, Plan, Trajectory
+
+MAX_SPEED_MPS = 90.0
+MAX_YAW_RATE_RADPS = 12.0  # a car that spins; logs of pedestrians turn on the spot
+SLACK_M = 0.5  # annotation noise of logs
+_MAX_CONTROL = 50.0
+
+
+def check_plan(plan: Plan, xy_m: FloatArray, model_step_s: float, who: str) -> None:
+    """Refuse a planner's plan that no vehicle could drive.
+
+    Args:
+        plan: from the planner.
+        xy_m: (2,) where the vehicle is now.
+        model_step_s: the plan must be at least so long.
+        who: name for the message.
+
+    Raises:
+        PlanRefusedError: NaN, a jump, or too short.
+    """
+    if isinstance(plan, Controls):
+        _check_controls(plan, model_step_s, who)
+    elif isinstance(plan, Trajectory):
+        _check_trajectory(plan, xy_m, model_step_s, who)
+    else:
+        raise PlanRefusedError(f"{who} returned a {type(plan).__name__}, not a Trajectory or Controls")
+
+
+def check_joint_plan(plan: JointPlan, xy_m: FloatArray, who: str) -> BoolArray:
+    """Refuse a policy's plan that holds NaN or a jump; returns (A,) whose first step is out of reach.
+
+    Args:
+        plan: from the policy.
+        xy_m: (A, 2) where its vehicles are now; NaN for those not there yet.
+        who: name for the message.
+
+    Raises:
+        PlanRefusedError: NaN in a valid entry, or a jump within the plan.
+    """
+    tracks = plan.tracks
+    finite = np.isfinite(tracks.xy_m).all(-1) & np.isfinite(tracks.yaw_rad) & np.isfinite(tracks.speed_mps)
+    _refuse(tracks.valid & ~finite, tracks.ids, who, "a value that is not a number")
+    both = tracks.valid[:, 1:] & tracks.valid[:, :-1]
+    stride = np.linalg.norm(np.diff(tracks.xy_m, axis=1), axis=-1)
+    bound = MAX_SPEED_MPS * tracks.dt_s + SLACK_M
+    _refuse(
+        both & (stride > bound), tracks.ids, who, f"a jump of more than {bound:.1f} m in {tracks.dt_s:g} s"
+    )
+    _refuse(
+        tracks.valid & (np.abs(tracks.speed_mps) > MAX_SPEED_MPS), tracks.ids, who, "a speed beyond 90 m/s"
+    )
+    first = np.linalg.norm(tracks.xy_m[:, 0] - xy_m, axis=-1) if tracks.steps else np.zeros(tracks.agents)
+    return np.asarray(first > bound)  # NaN compares as False
+
+
+def _refuse(wrong: BoolArray, ids: tuple[str, ...], who: str, what: str) -> None:
+    if wrong.any():
+        row, step = np.argwhere(wrong)[0]
+        raise PlanRefusedError(f"{who} planned {what} for vehicle '{ids[row]}' at step {step}")
+
+
+def _check_controls(plan: Controls, model_step_s: float, who: str) -> None:
+    values = np.stack((plan.accel_mps2, plan.steer_rad))
+    if values.ndim != 2 or values.shape[1] * plan.dt_s < model_step_s - 1e-9:
+        raise PlanRefusedError(
+            f"{who} planned controls of shape {values.shape}, shorter than {model_step_s:g} s"
+        )
+    if not np.isfinite(values).all():
+        raise PlanRefusedError(f"{who} planned controls that are not numbers")
+    if np.abs(values[0]).max() > _MAX_CONTROL or np.abs(values[1]).max() >= 0.5 * np.pi:
+        raise PlanRefusedError(
+            f"{who} planned an acceleration beyond {_MAX_CONTROL:g} m/s² or a steering beyond 90°"
+        )
+
+
+def _check_trajectory(plan: Trajectory, xy_m: FloatArray, model_step_s: float, who: str) -> None:
+    steps = len(plan.yaw_rad)
+    if (
+        plan.xy_m.shape != (steps, 2)
+        or plan.speed_mps.shape != (steps,)
+        or steps * plan.dt_s < model_step_s - 1e-9
+    ):
+        raise PlanRefusedError(
+            f"{who} planned a trajectory of shape {plan.xy_m.shape}, shorter than {model_step_s:g} s"
+        )
+    if not all(np.isfinite(part).all() for part in (plan.xy_m, plan.yaw_rad, plan.speed_mps)):
+        raise PlanRefusedError(f"{who} planned a trajectory that holds values that are not numbers")
+    path = np.concatenate((xy_m[None], plan.xy_m))
+    jump = float(np.linalg.norm(np.diff(path, axis=0), axis=-1).max())
+    if jump > MAX_SPEED_MPS * plan.dt_s + SLACK_M or np.abs(plan.speed_mps).max() > MAX_SPEED_MPS:
+        raise PlanRefusedError(f"{who} planned a jump of {jump:.1f} m in {plan.dt_s:g} s")

@@ -1,0 +1,142 @@
+"""Vehicles that nobody plans for any more go back to SUMO without a jump in position, speed or heading."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.bicycle import Limits, clip_controls, step
+from advdiff_sumo.core.frames import unit, wrap_angle
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.actuate import Actuator
+from advdiff_sumo.sim.background import Motion
+from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.sim.world import World
+
+_ALIGNED_RAD = 0.05  # SUMO turns a vehicle along its lane in the step after it takes over
+_PATIENCE_S = 8.0  # then SUMO gets it as it is, which is counted
+_LOOK_AHEAD_S, _MIN_LOOK_AHEAD_M = 1.0, 5.0
+_ROUTE_AHEAD_M = 200.0
+
+
+class Handover:
+    """Hands vehicles back, and steers those onto their lane that SUMO could not take without a jump.
+
+    Attributes:
+        rough: ids that SUMO got although they stood askew.
+    """
+
+    def __init__(self, world: World, actuator: Actuator, road: RoadMap, sim: SimOptions) -> None:
+        self.world, self.actuator, self.road, self.sim = world, actuator, road, sim
+        self.rough: list[str] = []
+        self._waiting_s: dict[int, float] = {}
+        self._routes: dict[int, tuple[str, ...]] = {}
+
+    def settle(
+        self, motion: Motion, target: int, steps: int, routes: Mapping[str, tuple[str, ...]]
+    ) -> Motion:
+        """Release the moved vehicles that *motion* leaves out; returns *motion* and those still being aligned."""
+        planned = set(motion.rows.tolist())
+        left = [r for r, m in self.actuator.moved.items() if m.inserted and r not in planned and r != target]
+        if not left:
+            return motion
+        rows = np.array(left, dtype=np.int64)
+        lanes, _, d, turned = self.road.locate_many(self.world.xy_m[rows], self.world.yaw_rad[rows])
+        askew = []
+        for row, lane, offset, angle in zip(left, lanes, d.tolist(), turned.tolist(), strict=True):
+            if self._fits(row, lane, offset, angle, steps * self.sim.step_s):
+                self.actuator.release(row, self.route(row, routes))
+                self._routes.pop(row, None)
+            else:
+                askew.append(row)
+        if not askew:
+            return motion
+        return Motion.join(motion, self._align(np.array(askew, dtype=np.int64), steps))
+
+    def _fits(self, row: int, lane: str | None, offset_m: float, angle_rad: float, wait_s: float) -> bool:
+        aligned = lane is not None and abs(angle_rad) <= _ALIGNED_RAD
+        if aligned and abs(offset_m) <= 0.5 * self.road.lanes[str(lane)].width_m:
+            self._waiting_s.pop(row, None)
+            return True
+        waited = self._waiting_s.get(row, 0.0) + wait_s
+        self._waiting_s[row] = waited
+        if waited > _PATIENCE_S and lane is not None:
+            self.rough.append(self.world.ids[row])
+            self._waiting_s.pop(row)
+            return True
+        return False
+
+    def _align(self, rows: IntArray, steps: int) -> Motion:
+        """Steer *rows* onto their lanes at their present speed, by pure pursuit."""
+        world = self.world
+        xy, yaw, speed = world.xy_m[rows].copy(), world.yaw_rad[rows].copy(), world.speed_mps[rows].copy()
+        length = world.size_m[rows, 0]
+        states = []
+        for _ in range(steps):
+            bend = np.array([self._pursue(xy[i], float(yaw[i]), float(speed[i])) for i in range(len(rows))])
+            accel, bend = clip_controls(speed, np.zeros_like(speed), bend, length, Limits())
+            xy, yaw, speed = step(xy, yaw, speed, accel, bend, self.sim.step_s)
+            states.append((xy, yaw, speed))
+        return Motion(
+            rows,
+            np.stack([s[0] for s in states], axis=1),
+            np.stack([s[1] for s in states], axis=1),
+            np.stack([s[2] for s in states], axis=1),
+            np.ones((len(rows), steps), dtype=np.bool_),
+        )
+
+    def _pursue(self, xy_m: FloatArray, yaw_rad: float, speed_mps: float) -> float:
+        pose = self.road.locate(xy_m, yaw_rad)
+        if pose is None:
+            return 0.0
+        ahead = max(_MIN_LOOK_AHEAD_M, _LOOK_AHEAD_S * speed_mps)
+        lane = self.road.lanes[pose.lane_id]
+        goal, along = self.road.to_world(pose.lane_id, pose.s_m + ahead)
+        beyond = max(pose.s_m + ahead - lane.length_m, 0.0)
+        delta = goal + beyond * unit(np.asarray(along)) - xy_m
+        angle = float(wrap_angle(np.arctan2(delta[1], delta[0]) - yaw_rad))
+        return float(2.0 * np.sin(angle) / max(float(np.hypot(*delta)), 1.0))
+
+    def route(self, row: int, routes: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+        """Return the edges that *row*, which we move, is expected to drive from its present one on."""
+        known = self._routes.get(row) or routes.get(self.world.ids[row], ())
+        return known
+
+    def predict(
+        self, ends: Mapping[int, tuple[FloatArray, float]], routes: Mapping[str, tuple[str, ...]]
+    ) -> None:
+        """Tell SUMO where the moved vehicles are going, from their present poses and the ends of their plans."""
+        rows = [row for row in ends if row in self.actuator.moved and self.actuator.moved[row].inserted]
+        if not rows:
+            return
+        now = np.array(rows, dtype=np.int64)
+        here, *_ = self.road.locate_many(self.world.xy_m[now], self.world.yaw_rad[now])
+        xy = np.stack([ends[row][0] for row in rows])
+        there, *_ = self.road.locate_many(xy, np.array([ends[row][1] for row in rows]))
+        for row, start, end in zip(rows, here, there, strict=True):
+            route = self._predicted(row, start, end, routes)
+            self._routes[row] = route
+            self.actuator.predict_route(row, route)
+
+    def _predicted(
+        self, row: int, start: str | None, end: str | None, routes: Mapping[str, tuple[str, ...]]
+    ) -> tuple[str, ...]:
+        if start is None:
+            return ()
+        first = self._edge(start)
+        last = self._edge(end) if end is not None else first
+        known = self.route(row, routes)
+        if first in known and (last in known[known.index(first) :]):
+            return known[known.index(first) :]
+        joined = (first,) if first == last else self.road.route(first, last) or (first,)
+        onward = self.road.random_route(joined[-1], _ROUTE_AHEAD_M, np.random.default_rng(row))
+        return (*joined[:-1], *(onward or joined[-1:]))
+
+    def _edge(self, lane_id: str) -> str:
+        """Return the edge of a lane; of an internal one, the edge that it leads to."""
+        lane = self.road.lanes[lane_id]
+        while lane.is_internal and lane.successors:
+            lane = self.road.lanes[lane.successors[0].to_lane]
+        return lane.edge_id

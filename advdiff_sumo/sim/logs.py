@@ -1,0 +1,151 @@
+"""Seed scenes out of driving logs, on a net that was converted from the log's own map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray
+from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.data.base import LogReader, LogScene
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.options import SceneOptions, SimOptions
+from advdiff_sumo.sim.seed_scene import PlacedTraffic, SeedScene
+
+_ON_LANE_M, _ALONG_LANE_RAD = 1.5, 0.6
+_MIN_FUTURE_S = 6.0
+_BEYOND_LOG_M = 300.0
+_FIT_SHARE, _FIT_M = 0.8, 3.0
+
+
+@dataclass(frozen=True)
+class LoggedTraffic:
+    """A source of seed scenes: every ``stride_s`` of every drive that fits the net.
+
+    Attributes:
+        road: the net.
+        reader: of the log.
+        scene: the stride.
+        sim: steps and radii.
+        seed: the source's node of the seed tree.
+    """
+
+    road: RoadMap
+    reader: LogReader
+    scene: SceneOptions
+    sim: SimOptions
+    seed: SeedTree
+
+    def scenes(self) -> Iterator[SeedScene]:
+        """Yield the seed scenes in the log's order; the first instants of all drives before the second ones.
+
+        Raises:
+            SceneError: no drive of the log was on this net.
+        """
+        drives = [drive for drive in self.reader.scenes() if fits(self.road, drive)]
+        if not drives:
+            raise SceneError(
+                f"{self.road.path}: none of the log's drives is on this net; convert the log's own map"
+            )
+        starts = [self._starts(drive) for drive in drives]
+        for turn in range(max(len(s) for s in starts)):
+            for drive, instants in zip(drives, starts, strict=True):
+                if turn < len(instants):
+                    made = self._scene(drive, instants[turn])
+                    if made is not None:
+                        yield made
+
+    def _starts(self, drive: LogScene) -> list[int]:
+        dt = drive.tracks.dt_s
+        first = round(self.sim.history_s / dt)
+        last = drive.tracks.steps - 1 - round(_MIN_FUTURE_S / dt)
+        there = drive.tracks.valid[drive.ego]
+        stride = max(1, round(self.scene.stride_s / dt))
+        return [k for k in range(first, last + 1, stride) if there[k - first : k + 1].all()]
+
+    def _scene(self, drive: LogScene, now: int) -> SeedScene | None:
+        tracks = drive.tracks
+        per_model_step = round(self.sim.model_step_s / tracks.dt_s)
+        first = now - round(self.sim.history_s / tracks.dt_s)
+        log = tracks.window(first, tracks.steps)
+        log = log.shifted(-tracks.t0_s - now * tracks.dt_s)
+        near = _near_ego(log, drive.ego, self.sim.record_radius_m)
+        log = log.rows(near)
+        target = int(np.flatnonzero(np.flatnonzero(near) == drive.ego)[0])
+        steps = now - first
+        history = log.window(0, steps + 1).rows(log.valid[:, steps])
+        history = _every(history, per_model_step)
+        parked = drive.parked[near]
+        routes = {name: route for name, route in self._routes(log, parked, target, steps) if route}
+        name = f"{drive.name}-{now:03d}"
+        if log.ids[target] not in routes:
+            return None
+        return SeedScene(
+            name=name,
+            net=self.road.path,
+            seed=self.seed.child("log", name).integer(),
+            history=history,
+            target=log.ids[target],
+            routes=routes,
+            log=log,
+            start=PlacedTraffic(_drivable(self.road, log, parked)),
+            horizon_s=(tracks.steps - 1 - now) * tracks.dt_s,
+        )
+
+    def _routes(
+        self, log: Tracks, parked: BoolArray, target: int, now: int
+    ) -> Iterator[tuple[str, tuple[str, ...]]]:
+        for row, name in enumerate(log.ids):
+            if parked[row] or log.classes[row] == AgentClass.PEDESTRIAN:
+                continue
+            there = np.flatnonzero(log.valid[row, now:]) + now
+            if len(there) == 0:
+                continue
+            driven = self.road.match_route(log.xy_m[row, there], log.yaw_rad[row, there])
+            if driven:
+                rng = self.seed.child("route", name, "target" if row == target else "").generator()
+                yield name, (*driven[:-1], *self.road.random_route(driven[-1], _BEYOND_LOG_M, rng))
+
+
+def fits(road: RoadMap, drive: LogScene) -> bool:
+    """Return whether *drive* was driven on *road*: the ego keeps to its lanes."""
+    there = drive.tracks.valid[drive.ego]
+    xy, yaw = drive.tracks.xy_m[drive.ego, there], drive.tracks.yaw_rad[drive.ego, there]
+    lanes, *_ = road.locate_many(xy, yaw, max_distance_m=_FIT_M)
+    return bool(np.mean([lane is not None for lane in lanes]) >= _FIT_SHARE)
+
+
+def _drivable(road: RoadMap, log: Tracks, parked: BoolArray) -> BoolArray:
+    """(A,) agents that first appear on a lane and along it, and are neither parked nor on foot."""
+    first = log.valid.argmax(axis=1)
+    rows = np.arange(log.agents)
+    _, _, _, turned = road.locate_many(
+        log.xy_m[rows, first], log.yaw_rad[rows, first], max_distance_m=_ON_LANE_M
+    )
+    along = np.abs(turned) < _ALONG_LANE_RAD  # NaN off the lanes compares as False
+    return np.asarray(along & ~parked & (log.classes != AgentClass.PEDESTRIAN))
+
+
+def _near_ego(log: Tracks, ego: int, radius_m: float) -> BoolArray:
+    gap = np.linalg.norm(log.xy_m - log.xy_m[ego], axis=-1)
+    return np.asarray((gap < radius_m).any(axis=1))
+
+
+def _every(tracks: Tracks, stride: int) -> Tracks:
+    """Return every *stride*-th instant, the last one included."""
+    first = (tracks.steps - 1) % stride
+    return Tracks(
+        ids=tracks.ids,
+        classes=tracks.classes,
+        size_m=tracks.size_m,
+        xy_m=tracks.xy_m[:, first::stride],
+        yaw_rad=tracks.yaw_rad[:, first::stride],
+        speed_mps=tracks.speed_mps[:, first::stride],
+        valid=tracks.valid[:, first::stride],
+        t0_s=tracks.t0_s + first * tracks.dt_s,
+        dt_s=tracks.dt_s * stride,
+    )

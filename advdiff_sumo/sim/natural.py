@@ -1,0 +1,230 @@
+"""Seed scenes out of natural SUMO traffic: warm up, choose a target with traffic around it, save the state."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import IntArray
+from advdiff_sumo.core.errors import SceneError, SimulationError
+from advdiff_sumo.core.record import Controller
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.demand import write_demand
+from advdiff_sumo.sim.demand_files import DemandFiles
+from advdiff_sumo.sim.options import SceneOptions, SimOptions
+from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
+from advdiff_sumo.sim.session import Session, SessionOptions
+from advdiff_sumo.sim.world import Frame, World, read, register, stack
+
+_NEIGHBOUR_RADIUS_M = 50.0
+_PATIENCE = 40  # looks at the traffic without a usable target before giving up
+_NONE = np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A moment at which an episode may start."""
+
+    frame: int
+    time_s: float
+    target: int
+    routes: dict[str, tuple[str, ...]]
+    state_xml: bytes
+
+
+@dataclass(frozen=True)
+class NaturalTraffic:
+    """A source of seed scenes on one net.
+
+    Attributes:
+        road: the net.
+        demand: the user's, or None to generate some.
+        scene: what makes a scene usable.
+        sim: steps and radii.
+        horizon_s: how long the log of a scene must be.
+        seed: the source's node of the seed tree.
+    """
+
+    road: RoadMap
+    demand: DemandFiles | None
+    scene: SceneOptions
+    sim: SimOptions
+    horizon_s: float
+    seed: SeedTree
+
+    def batch(self, number: int) -> list[SeedScene]:
+        """Return ``scenes_per_warmup`` scenes of one stretch of traffic; the same number, the same scenes.
+
+        Raises:
+            SceneError: the traffic never has a usable target.
+        """
+        seed = self.seed.child("natural", number)
+        with tempfile.TemporaryDirectory(prefix="advdiff-") as folder:
+            files = self.demand or self._generate(seed, Path(folder))
+            try:
+                return self._run(number, seed, files, Path(folder))
+            except SimulationError as error:
+                raise SceneError(f"{self.road.path}: no natural traffic could be made: {error}") from error
+
+    def _generate(self, seed: SeedTree, folder: Path) -> DemandFiles:
+        duration = (
+            self.scene.warmup_s
+            + self.horizon_s
+            + self.scene.spacing_s * (self.scene.scenes_per_warmup + _PATIENCE)
+        )
+        path = write_demand(self.road, self.scene, duration, seed.child("demand"), folder / "demand.rou.xml")
+        return DemandFiles((path,), (), 0.0)
+
+    def _run(self, number: int, seed: SeedTree, files: DemandFiles, folder: Path) -> list[SeedScene]:
+        options = SessionOptions(
+            net=self.road.path,
+            seed=seed.child("sumo").integer(),
+            step_s=self.sim.step_s,
+            lateral_resolution_m=self.sim.lateral_resolution_m,
+            routes=files.routes,
+            additional=files.additional,
+            begin_s=files.begin_s,
+        )
+        with Session(options) as session:
+            stretch = _Stretch(session, self.sim)
+            found = list(self._look(stretch, seed.child("target").generator(), folder))
+            stretch.advance(self.horizon_s)
+        routes, extra = ([f.read_bytes() for f in group] for group in (files.routes, files.additional))
+        return [
+            self._scene(
+                number, k, stretch, f, SavedTraffic(f.state_xml, f.time_s, tuple(routes), tuple(extra))
+            )
+            for k, f in enumerate(found)
+        ]
+
+    def _look(self, stretch: _Stretch, rng: np.random.Generator, folder: Path) -> Iterator[_Found]:
+        stretch.skip(max(self.scene.warmup_s - self.sim.history_s, 0.0))
+        stretch.advance(self.sim.history_s)
+        found = tries = 0
+        while found < self.scene.scenes_per_warmup:
+            target = _choose(stretch, self.road, self.scene, self.sim, rng)
+            if target is None:
+                tries += 1
+                if tries > _PATIENCE:
+                    raise SceneError(
+                        f"{self.road.path}: no vehicle with {self.scene.min_neighbours} others near it and a route of "
+                        f"{self.scene.min_route_m:g} m ahead in {stretch.session.time_s:g} s of traffic; "
+                        "raise scene.density_per_km or scene.warmup_s, or lower scene.min_neighbours"
+                    )
+            else:
+                found, tries = found + 1, 0
+                yield stretch.save(target, folder / "state.xml")
+            stretch.advance(self.scene.spacing_s)
+
+    def _scene(self, number: int, k: int, stretch: _Stretch, found: _Found, start: SavedTraffic) -> SeedScene:
+        sub, last = self.sim.substeps, found.frame
+        first = last - sub * (self.sim.history_steps - 1)
+        stop = last + round(self.horizon_s / self.sim.step_s) + 1
+        frames = stretch.frames
+        rows = _near(frames[last:stop], found.target, self.sim.record_radius_m)
+        now = rows[np.flatnonzero(frames[last].present[rows[rows < len(frames[last].controller)]])]
+        history, _ = stack(
+            stretch.world, frames[first : last + 1 : sub], now, -self.sim.history_s, self.sim.model_step_s
+        )
+        log, _ = stack(stretch.world, frames[last:stop], rows, 0.0, self.sim.step_s)
+        return SeedScene(
+            name=f"{self.road.name}-{number:03d}-{k:02d}",
+            net=self.road.path,
+            seed=stretch.session.options.seed,
+            history=history,
+            target=stretch.world.ids[found.target],
+            routes=found.routes,
+            log=log,
+            start=start,
+            horizon_s=self.horizon_s,
+        )
+
+
+class _Stretch:
+    """Natural traffic that is being recorded."""
+
+    def __init__(self, session: Session, sim: SimOptions) -> None:
+        self.session, self.sim = session, sim
+        self.world = World(256)
+        self.frames: list[Frame] = []
+
+    def skip(self, seconds: float) -> None:
+        """Let traffic run unrecorded."""
+        for _ in range(round(seconds / self.sim.step_s)):
+            self.session.step()
+        register(self.world, self.session.api, self.session.api.vehicle.getIDList())
+        self._record()
+
+    def advance(self, seconds: float) -> None:
+        """Let traffic run and record it."""
+        for _ in range(round(seconds / self.sim.step_s)):
+            self.session.step()
+            register(self.world, self.session.api, self.session.api.simulation.getDepartedIDList())
+            self._record()
+
+    def save(self, target: int, path: Path) -> _Found:
+        """Save SUMO's state now."""
+        api = self.session.api
+        api.simulation.saveState(str(path))
+        routes = {name: remaining_route(api, name) for name in api.vehicle.getIDList()}
+        return _Found(len(self.frames) - 1, self.session.time_s, target, routes, path.read_bytes())
+
+    def _record(self) -> None:
+        self.world.remove(read(self.world, self.session.api, _NONE))
+        self.frames.append(self.world.frame())
+
+
+def remaining_route(api: object, name: str) -> tuple[str, ...]:
+    """Return the edges of vehicle *name* from the present one on."""
+    vehicle = api.vehicle  # type: ignore[attr-defined] # libsumo has no types
+    return tuple(vehicle.getRoute(name)[max(vehicle.getRouteIndex(name), 0) :])
+
+
+def _choose(
+    stretch: _Stretch, road: RoadMap, scene: SceneOptions, sim: SimOptions, rng: np.random.Generator
+) -> int | None:
+    """Return the row of a car with traffic around it and a route ahead, drawn among all such, or None."""
+    world, frame = stretch.world, stretch.frames[-1]
+    earlier = len(stretch.frames) - 1 - sim.substeps * (sim.history_steps - 1)
+    if earlier < 0:
+        return None
+    past = stretch.frames[earlier]
+    there = frame.present.copy()
+    there[len(past.controller) :] = False
+    there[: len(past.controller)] &= past.present
+    rows = np.flatnonzero(
+        there & (world.classes[: len(there)] == AgentClass.CAR) & (frame.speed_mps > scene.min_speed_mps)
+    )
+    gaps = np.linalg.norm(frame.xy_m[rows, None] - frame.xy_m[None, frame.present], axis=-1)
+    crowded = rows[(gaps < _NEIGHBOUR_RADIUS_M).sum(-1) - 1 >= scene.min_neighbours]
+    usable = [row for row in crowded.tolist() if _has_route(stretch, road, row, scene.min_route_m)]
+    return int(rng.choice(usable)) if usable else None
+
+
+def _has_route(stretch: _Stretch, road: RoadMap, row: int, min_route_m: float) -> bool:
+    world, api = stretch.world, stretch.session.api
+    if world.lane[row] not in road.lanes or road.lanes[world.lane[row]].is_internal:
+        return False
+    name = world.ids[row]
+    if api.vehicle.getVehicleClass(name) != "passenger" or api.vehicle.getStops(name):
+        return False
+    length = sum(road.edges[edge].length_m for edge in remaining_route(api, name))
+    return length - float(api.vehicle.getLanePosition(name)) >= min_route_m
+
+
+def _near(frames: list[Frame], target: int, radius_m: float) -> IntArray:
+    """Return rows that come within *radius_m* of the target in any of *frames*."""
+    n = len(frames[-1].controller)
+    near = np.zeros(n, dtype=np.bool_)
+    for frame in frames[::5]:
+        if frame.controller[target] == Controller.ABSENT:
+            continue
+        gap = np.linalg.norm(frame.xy_m - frame.xy_m[target], axis=-1)
+        near[: len(gap)] |= gap < radius_m  # NaN compares as False
+    return np.flatnonzero(near)

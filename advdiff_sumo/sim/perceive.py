@@ -1,0 +1,36 @@
+"""What a SUMO-driven target's models take into account, and what the signals show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+_TLS_STATE = 0x20  # libsumo.constants.TL_RED_YELLOW_GREEN_STATE
+_LOOK_AHEAD_M = 100.0
+_NEIGHBOURS = (0b00, 0b01, 0b10, 0b11)  # left and right, followers and leaders
+
+
+def visible_ids(api: Any, name: str) -> frozenset[str]:
+    """Return the vehicles that the models of SUMO-driven *name* see now: leader, neighbours, junction foes."""
+    vehicle = api.vehicle
+    seen = {other for other, _ in _pairs(vehicle.getLeader(name, _LOOK_AHEAD_M))}
+    for mode in _NEIGHBOURS:
+        seen.update(other for other, _ in vehicle.getNeighbors(name, mode))
+    seen.update(foe[0] for foe in vehicle.getJunctionFoes(name, _LOOK_AHEAD_M))
+    return frozenset(seen - {""})
+
+
+def _pairs(leader: Any) -> list[tuple[str, float]]:
+    return [] if leader is None or not leader[0] else [(str(leader[0]), float(leader[1]))]
+
+
+def watch_signals(api: Any) -> None:
+    """Subscribe to every traffic light."""
+    for name in api.trafficlight.getIDList():
+        api.trafficlight.subscribe(name, (_TLS_STATE,))
+
+
+def read_signals(api: Any) -> Mapping[str, str]:
+    """Return id → state string of every traffic light."""
+    results = api.trafficlight.getAllSubscriptionResults()
+    return {name: values[_TLS_STATE] for name, values in results.items()}

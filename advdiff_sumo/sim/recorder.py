@@ -1,0 +1,107 @@
+"""Collects an episode's frames and what SUMO says about them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import IntArray
+from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, SumoCollision
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.sim.world import Frame, World, stack
+
+
+class Recorder:
+    """Frames at SUMO's step for the record, and at the model step for histories."""
+
+    def __init__(self, world: World, sim: SimOptions) -> None:
+        self.world, self.sim = world, sim
+        self.frames: list[Frame] = []
+        self.model_frames: list[Frame] = []
+        self.signals: list[Mapping[str, str]] = []
+        self.visible: list[frozenset[str]] = []
+        self.collisions: list[SumoCollision] = []
+        self.teleports = 0
+        self._running = False
+
+    def begin(self, history: Tracks) -> None:
+        """Take the past from *history*, whose last instant is now."""
+        for k in range(history.steps - 1):
+            self.model_frames.append(_frame_of(self.world, history, k))
+        self._running = True
+
+    def add(self, signals: Mapping[str, str], visible: frozenset[str] | None) -> None:
+        """Record the present instant."""
+        frame = self.world.frame()
+        if len(self.frames) % self.sim.substeps == 0:
+            self.model_frames.append(frame)
+        self.frames.append(frame)
+        self.signals.append(signals)
+        if visible is not None:
+            self.visible.append(visible)
+
+    def note(self, api: Any) -> None:
+        """Record what SUMO itself reports about the step that it has just done."""
+        if not self._running:
+            return
+        self.teleports += api.simulation.getStartingTeleportNumber()
+        step = len(self.frames)
+        names = {sumo: self.world.ids[row] for sumo, row in self.world.index.items()}
+        for hit in api.simulation.getCollisions():
+            collider, victim = names.get(hit.collider, hit.collider), names.get(hit.victim, hit.victim)
+            self.collisions.append(SumoCollision(step, collider, victim, hit.type, hit.lane))
+
+    def history(self, rows: IntArray, now_s: float) -> Tracks:
+        """Return the states of *rows* at the last model steps, now included."""
+        frames = self.model_frames[-self.sim.history_steps :]
+        span = self.sim.model_step_s * (len(frames) - 1)
+        return stack(self.world, frames, rows, now_s - span, self.sim.model_step_s)[0]
+
+    def finish(self, target: int) -> EpisodeRecord:
+        """Return the record; names, route and end are for the caller to fill in."""
+        rows = self._near(target)
+        tracks, who = stack(self.world, self.frames, rows, 0.0, self.sim.step_s)
+        return EpisodeRecord(
+            episode=0,
+            seed=0,
+            scene="",
+            tracks=tracks,
+            target=int(np.flatnonzero(rows == target)[0]) if len(rows) else 0,
+            controller=who,
+            route=(),
+            end=EndReason.HORIZON,
+            visible=tuple(self.visible),
+            signals=tuple(self.signals),
+            sumo_collisions=tuple(self.collisions),
+            teleports=self.teleports,
+        )
+
+    def _near(self, target: int) -> IntArray:
+        """Return the rows that come within the record's radius of the target, the target among them."""
+        if not self.frames:
+            return np.zeros(0, dtype=np.int64)
+        near = np.zeros(len(self.world), dtype=np.bool_)
+        near[target] = True
+        for frame in self.frames:
+            gap = np.linalg.norm(frame.xy_m - frame.xy_m[target], axis=-1)
+            near[: len(gap)] |= gap < self.sim.record_radius_m  # NaN compares as False
+        return np.flatnonzero(near)
+
+
+def _frame_of(world: World, history: Tracks, k: int) -> Frame:
+    n = len(world)
+    frame = Frame(
+        np.full((n, 2), np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(n, Controller.ABSENT)
+    )
+    for column, name in enumerate(history.ids):
+        row = world.row_of(name)
+        if row is None or not history.valid[column, k]:
+            continue
+        frame.xy_m[row] = history.xy_m[column, k]
+        frame.yaw_rad[row] = history.yaw_rad[column, k]
+        frame.speed_mps[row] = history.speed_mps[column, k]
+        frame.controller[row] = Controller.SUMO
+    return frame

@@ -1,0 +1,165 @@
+"""One SUMO simulation as a context manager; nothing starts before ``with``."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import io
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from advdiff_sumo.core.errors import SimulationError
+
+
+@dataclass(frozen=True)
+class SessionOptions:
+    """What SUMO is started with.
+
+    Attributes:
+        net: the net file.
+        seed: SUMO's random seed, 31 bits.
+        step_s: length of a step.
+        lateral_resolution_m: width of a sublane; 0 for the lane model.
+        routes: demand files.
+        additional: further files (vehicle types, signals, stops).
+        load_state: a saved state to start from.
+        begin_s: time of the first step.
+        gui: open sumo-gui through traci, in place of libsumo.
+    """
+
+    net: Path
+    seed: int
+    step_s: float = 0.1
+    lateral_resolution_m: float = 0.4
+    routes: tuple[Path, ...] = ()
+    additional: tuple[Path, ...] = ()
+    load_state: Path | None = None
+    begin_s: float = 0.0
+    gui: bool = False
+
+    def arguments(self) -> list[str]:
+        """Return SUMO's command line without the program's name."""
+        options: dict[str, object] = {
+            "--net-file": self.net,
+            "--seed": self.seed,
+            "--step-length": self.step_s,
+            "--begin": self.begin_s,
+            "--collision.action": "warn",
+            "--collision.check-junctions": "true",
+            "--collision.mingap-factor": 0,
+            "--time-to-teleport": -1,
+            "--no-step-log": "true",
+            "--no-warnings": "true",
+            "--xml-validation": "never",
+            "--save-state.rng": "true",
+            "--save-state.precision": 9,
+            "--ignore-route-errors": "true",
+        }
+        if self.lateral_resolution_m > 0.0:
+            options["--lateral-resolution"] = self.lateral_resolution_m
+        if self.routes:
+            options["--route-files"] = ",".join(map(str, self.routes))
+        if self.additional:
+            options["--additional-files"] = ",".join(map(str, self.additional))
+        if self.load_state is not None:
+            options["--load-state"] = self.load_state
+        if self.gui:
+            options |= {"--start": "true", "--quit-on-end": "true", "--delay": 100}
+        return [text for pair in options.items() for text in map(str, pair)]
+
+
+class Session:
+    """SUMO, started on entry and closed on exit; one at a time in a process.
+
+    Attributes:
+        api: libsumo, or traci when ``gui`` is set; the same functions.
+    """
+
+    _open = False
+
+    def __init__(self, options: SessionOptions) -> None:
+        self.options = options
+        self.api: Any = None
+
+    def __enter__(self) -> Self:
+        if Session._open:
+            raise SimulationError("a second SUMO simulation in one process would end the first one")
+        self.api = load_api(self.options.gui)
+        program = "sumo-gui" if self.options.gui else "sumo"
+        with _quiet() as said:
+            try:
+                self.api.start([_binary(program) if self.options.gui else program, *self.options.arguments()])
+            except Exception as error:
+                raise SimulationError(f"SUMO does not start: {_cause(said(), error)}") from error
+        Session._open = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        Session._open = False
+        with _quiet(), contextlib.suppress(Exception):
+            self.api.close()
+
+    def step(self) -> None:
+        """Let SUMO do one step.
+
+        Raises:
+            SimulationError: SUMO gave up.
+        """
+        try:
+            self.api.simulationStep()
+        except Exception as error:
+            raise SimulationError(f"SUMO stopped: {error}") from error
+
+    @property
+    def time_s(self) -> float:
+        """SUMO's clock."""
+        return float(self.api.simulation.getTime())
+
+
+def load_api(gui: bool = False) -> Any:
+    """Import libsumo (or traci) without the lines that it prints about other packages' versions."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        return importlib.import_module("traci" if gui else "libsumo")
+
+
+def _binary(name: str) -> str:
+    """Return the path of one of SUMO's programs, from its wheel."""
+    home = Path(importlib.import_module("sumo").SUMO_HOME)
+    path = home / "bin" / name
+    return str(path) if path.exists() else name
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[Any]:
+    """Send what SUMO writes to the terminal into a file; yields a function that returns it."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    saved = os.dup(1), os.dup(2)
+    with tempfile.TemporaryFile() as sink:
+
+        def said() -> str:
+            sink.seek(0)
+            return sink.read().decode(errors="replace")
+
+        try:
+            os.dup2(sink.fileno(), 1)
+            os.dup2(sink.fileno(), 2)
+            yield said
+        finally:
+            os.dup2(saved[0], 1)
+            os.dup2(saved[1], 2)
+            os.close(saved[0])
+            os.close(saved[1])
+
+
+def _cause(output: str, error: BaseException) -> str:
+    lines = [line.removeprefix("Error:").strip() for line in output.splitlines() if line.startswith("Error:")]
+    return lines[0] if lines else str(error)

@@ -1,0 +1,138 @@
+"""Bringing SUMO to a seed scene's first instant."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element, ElementTree, SubElement, fromstring, tostring
+
+from advdiff_sumo.core.errors import ConfigError, SimulationError
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.planners.base import SumoDriver, Target
+from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.sim.seed_scene import PlacedTraffic, SavedTraffic, SeedScene
+from advdiff_sumo.sim.session import SessionOptions
+from advdiff_sumo.sim.world import VCLASS_OF_CLASS
+
+TARGET_TYPE = "advdiff.target"
+_CLASS_TYPE = "advdiff.{}"
+_SUBLANE_MODEL, _LANE_MODEL = "SL2015", "LC2013"
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """Everything that SUMO needs to start in a scene.
+
+    Attributes:
+        options: for the session.
+        type_of_class: vType for inserted vehicles of each class.
+    """
+
+    options: SessionOptions
+    type_of_class: Mapping[AgentClass, str]
+
+
+def prepare(
+    scene: SeedScene, target: Target, sim: SimOptions, folder: Path, gui: bool = False
+) -> Preparation:
+    """Write the files that start SUMO in *scene* with *target* at the wheel.
+
+    Args:
+        scene: the seed scene.
+        target: what drives its target vehicle.
+        sim: steps and sublanes.
+        folder: where the files go; must live as long as the session.
+        gui: open sumo-gui.
+
+    Raises:
+        ConfigError: the target's lane-change model does not go with the sublane setting.
+    """
+    types = folder / "types.add.xml"
+    _write_types(scene, target, sim, types)
+    routes: tuple[Path, ...] = ()
+    extra: tuple[Path, ...] = ()
+    state, begin = None, -sim.history_s
+    if isinstance(scene.start, SavedTraffic):
+        routes = _write_all(scene.start.routes, folder, "demand{}.rou.xml")
+        extra = _write_all(scene.start.additional, folder, "extra{}.add.xml")
+        state, begin = folder / "state.xml", scene.start.time_s
+        state.write_bytes(_with_target_type(scene.start.state_xml, scene.target, target))
+    options = SessionOptions(
+        net=scene.net,
+        seed=scene.seed,
+        step_s=sim.step_s,
+        lateral_resolution_m=sim.lateral_resolution_m,
+        routes=routes,
+        additional=(types, *extra),
+        load_state=state,
+        begin_s=max(begin, 0.0),
+        gui=gui,
+    )
+    return Preparation(options, {c: _CLASS_TYPE.format(c.name.lower()) for c in AgentClass})
+
+
+def _write_all(contents: tuple[bytes, ...], folder: Path, pattern: str) -> tuple[Path, ...]:
+    paths = tuple(folder / pattern.format(k) for k in range(len(contents)))
+    for path, content in zip(paths, contents, strict=True):
+        path.write_bytes(content)
+    return paths
+
+
+def _write_types(scene: SeedScene, target: Target, sim: SimOptions, path: Path) -> None:
+    root = Element("additional")
+    row = scene.history.index[scene.target]
+    length, width = scene.history.size_m[row].tolist()
+    attributes = {
+        "id": TARGET_TYPE,
+        "vClass": "passenger",
+        "length": f"{length:.3f}",
+        "width": f"{width:.3f}",
+    }
+    SubElement(root, "vType", attributes | _driver(target, sim))
+    for agent_class in AgentClass:
+        name = _CLASS_TYPE.format(agent_class.name.lower())
+        vclass = VCLASS_OF_CLASS[agent_class]
+        SubElement(root, "vType", {"id": name, "vClass": vclass, "carFollowModel": "IDM", "speedDev": "0"})
+    ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _driver(target: Target, sim: SimOptions) -> dict[str, str]:
+    if not isinstance(target, SumoDriver):
+        return {"carFollowModel": "IDM", "speedDev": "0"}
+    sublane = sim.lateral_resolution_m > 0.0
+    model = target.lane_change
+    if not sublane and model == _SUBLANE_MODEL:
+        model = _LANE_MODEL  # the default without sublanes
+    if sublane and model != _SUBLANE_MODEL:
+        raise ConfigError(
+            f"lane-change model {model} does not drive on sublanes; set sim.lateral_resolution_m = 0 or use SL2015"
+        )
+    own = {
+        key: f"{value:g}" if isinstance(value, float) else str(value) for key, value in target.params.items()
+    }
+    return {"speedDev": "0", "carFollowModel": target.car_following, "laneChangeModel": model, **own}
+
+
+def _with_target_type(state_xml: bytes, target_id: str, target: Target) -> bytes:
+    """Return a saved state in which *target_id* is of the target's type, with its desired speed."""
+    root = fromstring(state_xml)  # noqa: S314 - SUMO wrote it a moment ago
+    vehicle = next((v for v in root.iter("vehicle") if v.get("id") == target_id), None)
+    if vehicle is None:
+        raise SimulationError(f"the saved traffic holds no vehicle '{target_id}'")
+    vehicle.set("type", TARGET_TYPE)
+    wanted = target.params.get("speedFactor", 1.0) if isinstance(target, SumoDriver) else 1.0
+    vehicle.set("speedFactor", f"{_mean(wanted):.4f}")
+    return tostring(root, encoding="utf-8", xml_declaration=True)
+
+
+def _mean(factor: float | str) -> float:
+    """Return a speed factor's number, or the mean of SUMO's "normc(mean,…)"."""
+    found = re.search(r"[\d.]+", str(factor))
+    return float(found.group()) if found else 1.0
+
+
+def is_placed(scene: SeedScene) -> bool:
+    """Return whether the scene's vehicles are placed by their poses."""
+    return isinstance(scene.start, PlacedTraffic)

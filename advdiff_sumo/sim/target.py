@@ -1,0 +1,152 @@
+"""The tested vehicle: driven by SUMO's models, or by a Python planner through the bicycle model."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.bicycle import Limits
+from advdiff_sumo.core.errors import AdvdiffError, PlannerError, PlanRefusedError
+from advdiff_sumo.core.record import Controller
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.tracking import State, drive_plan
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.planners.base import Planner
+from advdiff_sumo.sim.actuate import Actuator
+from advdiff_sumo.sim.guard import check_plan
+from advdiff_sumo.sim.natural import remaining_route
+from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.sim.perceive import visible_ids
+from advdiff_sumo.sim.world import World
+
+_ARRIVAL_M = 6.0
+
+
+class SumoDrive:
+    """SUMO drives the target; we only look."""
+
+    def __init__(self, api: Any, world: World, row: int) -> None:
+        self.api, self.world, self.row = api, world, row
+        self.planning_s: list[float] = []
+
+    def start(self, scene: Scene) -> None:
+        """Nothing to prepare."""
+
+    def replan(self, scene: Scene, steps: int) -> None:
+        """SUMO plans by itself."""
+
+    def move(self, k: int) -> None:
+        """SUMO moves it."""
+
+    def visible(self) -> frozenset[str] | None:
+        """Return what its models see; names as in the record."""
+        if self.world.controller[self.row] == Controller.ABSENT:
+            return frozenset()
+        seen = visible_ids(self.api, self.world.sumo_ids[self.row])
+        return frozenset(self.world.ids[self.world.index[name]] for name in seen if name in self.world.index)
+
+    def arrived(self) -> bool:
+        """SUMO takes an arrived vehicle off the net, which the loop notices."""
+        return False
+
+    def route_ahead(self) -> tuple[str, ...]:
+        """Return its remaining edges."""
+        return remaining_route(self.api, self.world.sumo_ids[self.row])
+
+
+class PlannerDrive:
+    """A Python planner drives the target."""
+
+    def __init__(
+        self,
+        planner: Planner,
+        road: RoadMap,
+        actuator: Actuator,
+        row: int,
+        route: tuple[str, ...],
+        rng: np.random.Generator,
+        name: str,
+        sim: SimOptions,
+    ) -> None:
+        self.planner, self.road, self.actuator, self.world = planner, road, actuator, actuator.world
+        self.row, self.route, self.rng, self.name, self.sim = row, route, rng, name, sim
+        self.planning_s: list[float] = []
+        self._memory: Any = None
+        self._states: State | None = None
+        self._arrived = False
+
+    def start(self, scene: Scene) -> None:
+        """Let the planner prepare."""
+        self._memory = self._ask(lambda: self.planner.start(self.road, self._view(scene), self.rng))
+
+    def replan(self, scene: Scene, steps: int) -> None:
+        """Ask for a plan and drive it for *steps* substeps.
+
+        Raises:
+            PlannerError: the planner raised.
+            PlanRefusedError: its plan holds NaN or a jump, or is too short.
+        """
+        self._find_place()
+        view = self._view(scene)
+        begun = time.perf_counter()
+        made = self._ask(lambda: self.planner.plan(self.road, view, self._memory, self.rng))
+        self.planning_s.append(time.perf_counter() - begun)
+        if not (isinstance(made, tuple) and len(made) == 2):
+            raise PlanRefusedError(f"target '{self.name}' returned {type(made).__name__}, not (plan, memory)")
+        plan, self._memory = made
+        world, row = self.world, self.row
+        check_plan(plan, world.xy_m[row], self.sim.model_step_s, f"target '{self.name}'")
+        state: State = world.xy_m[row].copy(), world.yaw_rad[row].copy(), world.speed_mps[row].copy()
+        length = world.size_m[row, 0]
+        self._states = drive_plan(state, plan, length, self.sim.step_s, steps, Limits())
+        self.actuator.predict_route(row, self.route_ahead())
+
+    def move(self, k: int) -> None:
+        """Put the target where its plan has it after substep *k*."""
+        if self._states is None:
+            return
+        xy, yaw, speed = (part[k] for part in self._states)
+        rows = np.array([self.row])
+        self.world.set_state(rows, xy, yaw, speed, Controller.PLANNER)
+        self.actuator.move(rows, xy[None], np.atleast_1d(yaw))
+
+    def visible(self) -> frozenset[str] | None:
+        """A Python planner sees everything."""
+        return None
+
+    def arrived(self) -> bool:
+        """Return whether it had reached the end of its route at the last plan."""
+        return self._arrived
+
+    def route_ahead(self) -> tuple[str, ...]:
+        """Return its remaining edges."""
+        return self.route
+
+    def _find_place(self) -> None:
+        """Drop the edges that lie behind, and notice the end of the route."""
+        pose = self.road.locate(
+            self.world.xy_m[self.row], float(self.world.yaw_rad[self.row]), route=self.route
+        )
+        if pose is None:
+            return
+        lane = self.road.lanes[pose.lane_id]
+        if not lane.is_internal and lane.edge_id in self.route:
+            self.route = self.route[self.route.index(lane.edge_id) :]
+            front = pose.s_m + 0.5 * float(self.world.size_m[self.row, 0])
+            self._arrived = len(self.route) == 1 and lane.length_m - front < _ARRIVAL_M
+
+    def _view(self, scene: Scene) -> Scene:
+        """Return *scene* without what a driver cannot know: the others' routes, and who is being moved."""
+        routes = tuple(self.route if k == scene.target else () for k in range(scene.history.agents))
+        return replace(scene, routes=routes, movable=np.zeros_like(scene.movable))
+
+    def _ask(self, call: Any) -> Any:
+        try:
+            return call()
+        except (AdvdiffError, KeyboardInterrupt):
+            raise
+        except Exception as error:
+            raise PlannerError(f"target '{self.name}' raised {type(error).__name__}: {error}") from error

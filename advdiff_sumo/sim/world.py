@@ -1,0 +1,209 @@
+"""All vehicles of a running simulation as arrays; a vehicle keeps its row for the whole episode."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.frames import centre_from_bumper, yaw_from_sumo
+from advdiff_sumo.core.record import Controller
+from advdiff_sumo.core.scene import AgentClass, Tracks
+
+_POSITION, _ANGLE, _SPEED, _LANE = 0x42, 0x43, 0x40, 0x51  # libsumo.constants.VAR_*
+_NOWHERE = -1e9  # SUMO's INVALID_DOUBLE_VALUE is −2³⁰
+VARIABLES = (_POSITION, _ANGLE, _SPEED, _LANE)
+
+CLASS_OF_VCLASS = {
+    "truck": AgentClass.TRUCK,
+    "trailer": AgentClass.TRUCK,
+    "delivery": AgentClass.TRUCK,
+    "emergency": AgentClass.TRUCK,
+    "bus": AgentClass.BUS,
+    "coach": AgentClass.BUS,
+    "tram": AgentClass.BUS,
+    "motorcycle": AgentClass.MOTORCYCLE,
+    "moped": AgentClass.MOTORCYCLE,
+    "bicycle": AgentClass.BICYCLE,
+    "pedestrian": AgentClass.PEDESTRIAN,
+}
+VCLASS_OF_CLASS = {
+    AgentClass.CAR: "passenger",
+    AgentClass.TRUCK: "truck",
+    AgentClass.BUS: "bus",
+    AgentClass.MOTORCYCLE: "motorcycle",
+    AgentClass.BICYCLE: "bicycle",
+    AgentClass.PEDESTRIAN: "pedestrian",
+}
+
+
+@dataclass(frozen=True)
+class Frame:
+    """States of the first n rows at one instant; arrays (n,) or (n, 2)."""
+
+    xy_m: FloatArray
+    yaw_rad: FloatArray
+    speed_mps: FloatArray
+    controller: IntArray
+
+    @property
+    def present(self) -> BoolArray:
+        """(n,) whether the vehicle is there."""
+        return self.controller != Controller.ABSENT
+
+
+class World:
+    """Rows of vehicles and their present states.
+
+    Attributes:
+        ids: name of each row.
+        sumo_ids: SUMO's name of each row; another one only after SUMO lost the vehicle and got it anew.
+        index: row of each of SUMO's names.
+        in_sumo: rows that SUMO has.
+        lane: SUMO's lane of each row at the last read; "" off the road.
+        xy_m, yaw_rad, speed_mps: present states, (capacity, …); NaN where absent.
+        controller: (capacity,) values of :class:`Controller`.
+    """
+
+    def __init__(self, capacity: int = 64) -> None:
+        self.ids: list[str] = []
+        self.sumo_ids: list[str] = []
+        self.index: dict[str, int] = {}
+        self.in_sumo: set[int] = set()
+        self.lane: list[str] = []
+        self.classes = np.zeros(capacity, dtype=np.int64)
+        self.size_m = np.zeros((capacity, 2))
+        self.xy_m = np.full((capacity, 2), np.nan)
+        self.yaw_rad = np.full(capacity, np.nan)
+        self.speed_mps = np.full(capacity, np.nan)
+        self.controller = np.full(capacity, Controller.ABSENT, dtype=np.int64)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def add(self, name: str, agent_class: int, length_m: float, width_m: float) -> int:
+        """Return the row of *name*, a new one if it was not there before."""
+        if name in self.index:
+            return self.index[name]
+        row = len(self.ids)
+        if row == len(self.classes):
+            self._grow()
+        self.ids.append(name)
+        self.sumo_ids.append(name)
+        self.lane.append("")
+        self.index[name] = row
+        self.classes[row] = agent_class
+        self.size_m[row] = length_m, width_m
+        return row
+
+    def row_of(self, name: str) -> int | None:
+        """Return the row of *name*, or None when it was never there."""
+        return self.index.get(name)
+
+    def set_state(
+        self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray, who: Controller
+    ) -> None:
+        """Write states of *rows*, all moved by *who*."""
+        self.xy_m[rows] = xy_m
+        self.yaw_rad[rows] = yaw_rad
+        self.speed_mps[rows] = speed_mps
+        self.controller[rows] = who
+
+    def remove(self, rows: IntArray | Iterable[int]) -> None:
+        """Mark *rows* as gone; they keep their row."""
+        picked = np.asarray(list(rows), dtype=np.int64)
+        for values in (self.xy_m, self.yaw_rad, self.speed_mps):
+            values[picked] = np.nan
+        self.controller[picked] = Controller.ABSENT
+
+    def frame(self) -> Frame:
+        """Return a copy of the present states."""
+        n = len(self.ids)
+        return Frame(
+            self.xy_m[:n].copy(),
+            self.yaw_rad[:n].copy(),
+            self.speed_mps[:n].copy(),
+            self.controller[:n].copy(),
+        )
+
+    def _grow(self) -> None:
+        more = len(self.classes)
+        self.classes = np.concatenate((self.classes, np.zeros(more, dtype=np.int64)))
+        self.size_m = np.concatenate((self.size_m, np.zeros((more, 2))))
+        self.xy_m = np.concatenate((self.xy_m, np.full((more, 2), np.nan)))
+        self.yaw_rad = np.concatenate((self.yaw_rad, np.full(more, np.nan)))
+        self.speed_mps = np.concatenate((self.speed_mps, np.full(more, np.nan)))
+        self.controller = np.concatenate((self.controller, np.full(more, Controller.ABSENT, dtype=np.int64)))
+
+
+def register(world: World, api: Any, names: Iterable[str]) -> list[int]:
+    """Subscribe to vehicles that SUMO has just inserted and give them rows; returns the rows."""
+    rows = []
+    for name in names:
+        api.vehicle.subscribe(name, VARIABLES)
+        vclass = AgentClass(CLASS_OF_VCLASS.get(api.vehicle.getVehicleClass(name), AgentClass.CAR))
+        row = world.add(name, vclass, api.vehicle.getLength(name), api.vehicle.getWidth(name))
+        world.in_sumo.add(row)
+        rows.append(row)
+    return rows
+
+
+def read(world: World, api: Any, keep: IntArray) -> IntArray:
+    """Take every vehicle's state from SUMO in one subscription read.
+
+    Args:
+        world: updated in place.
+        api: libsumo or traci.
+        keep: rows whose states are our own; of these only the lane is read.
+
+    Returns:
+        Rows that SUMO no longer knows.
+    """
+    # before its first step, libsumo still shows what the simulation before this one was subscribed to
+    results = {k: v for k, v in api.vehicle.getAllSubscriptionResults().items() if k in world.index}
+    known = np.fromiter((world.index[name] for name in results), dtype=np.int64, count=len(results))
+    for row, values in zip(known.tolist(), results.values(), strict=True):
+        world.lane[row] = values[_LANE]
+    before = np.flatnonzero(world.controller[: len(world)] != Controller.ABSENT)
+    world.in_sumo = set(known.tolist())
+    gone = np.setdiff1d(before, known)
+    ours = np.isin(known, keep)
+    if not ours.all():
+        flat = [(*v[_POSITION][:2], v[_ANGLE], v[_SPEED]) for v in results.values()]
+        states = np.asarray(flat, dtype=np.float64)
+        lost = states[:, 0] < _NOWHERE  # dropped off the road by SUMO, but not arrived
+        gone = np.union1d(gone, known[lost & ~ours])
+        states, rows = states[~ours & ~lost], known[~ours & ~lost]
+        yaw = yaw_from_sumo(states[:, 2])
+        centre = centre_from_bumper(states[:, :2], yaw, world.size_m[rows, 0])
+        world.set_state(rows, centre, yaw, states[:, 3], Controller.SUMO)
+    return gone
+
+
+def stack(
+    world: World, frames: list[Frame], rows: IntArray, t0_s: float, dt_s: float
+) -> tuple[Tracks, IntArray]:
+    """Return tracks (A, T) of *rows* over *frames*, and who moved them (A, T)."""
+    shape = (len(rows), len(frames))
+    xy, yaw, speed = np.full((*shape, 2), np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
+    who = np.full(shape, Controller.ABSENT, dtype=np.int64)
+    for t, frame in enumerate(frames):
+        there = rows < len(frame.yaw_rad)
+        old = rows[there]
+        xy[there, t], yaw[there, t] = frame.xy_m[old], frame.yaw_rad[old]
+        speed[there, t], who[there, t] = frame.speed_mps[old], frame.controller[old]
+    tracks = Tracks(
+        ids=tuple(world.ids[row] for row in rows),
+        classes=world.classes[rows],
+        size_m=world.size_m[rows],
+        xy_m=xy,
+        yaw_rad=yaw,
+        speed_mps=speed,
+        valid=who != Controller.ABSENT,
+        t0_s=t0_s,
+        dt_s=dt_s,
+    )
+    return tracks, who

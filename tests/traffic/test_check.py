@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -108,3 +109,11 @@ def test_a_policy_may_draw_from_its_generator(road: RoadMap, scene: Scene, log: 
             return JointPlan(moved, exact=True), memory
 
     assert check_policy(Wobbly(), road, scene, log) == []
+
+
+def test_the_policy_in_the_documentation_keeps_the_contract(road: RoadMap, scene: Scene, log: Tracks) -> None:
+    text = (Path(__file__).resolve().parents[2] / "docs" / "policies.md").read_text(encoding="utf-8")
+    example = text.split("```python\n")[1].split("```")[0]
+    names: dict[str, Any] = {}
+    exec(example, names)  # noqa: S102 - our own documentation
+    assert check_policy(names["Coast"](seconds=2.0), road, scene, log) == []

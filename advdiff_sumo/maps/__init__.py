@@ -1,6 +1,21 @@
 """Road maps: any SUMO net as lanes, links, junctions, areas and routes."""
 
 from advdiff_sumo.maps.lanes import Edge, Junction, Lane, LanePose, Link
+from advdiff_sumo.maps.paths import LaneOutlook, LanePath, PathFinder, PathLink
 from advdiff_sumo.maps.roadmap import RoadMap
+from advdiff_sumo.maps.vectors import MapVectors, VectorKind
 
-__all__ = ["Edge", "Junction", "Lane", "LanePose", "Link", "RoadMap"]
+__all__ = [
+    "Edge",
+    "Junction",
+    "Lane",
+    "LaneOutlook",
+    "LanePath",
+    "LanePose",
+    "Link",
+    "MapVectors",
+    "PathFinder",
+    "PathLink",
+    "RoadMap",
+    "VectorKind",
+]

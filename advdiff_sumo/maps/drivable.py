@@ -62,6 +62,13 @@ class DrivableArea:
         parts = shapely.get_parts(self.geometry)
         return tuple(shapely.get_coordinates(ring) for ring in shapely.get_rings(parts))
 
+    def smooth_rings(self, tolerance_m: float = 0.05) -> tuple[FloatArray, ...]:
+        """Return the rings with points that lie within *tolerance_m* of a simpler outline left out."""
+        parts = shapely.get_parts(shapely.simplify(self.geometry, tolerance_m))
+        return tuple(
+            shapely.get_coordinates(ring) for ring in shapely.get_rings(shapely.orient_polygons(parts))
+        )
+
     @cached_property
     def _edges(self) -> shapely.STRtree:
         pairs = [np.stack((ring[:-1], ring[1:]), axis=1) for ring in self.rings]

@@ -17,9 +17,12 @@ from advdiff_sumo.maps.drivable import DrivableArea, area_of_lanes
 from advdiff_sumo.maps.geo import Projection
 from advdiff_sumo.maps.lanes import Edge, Junction, Lane, LanePose, Link
 from advdiff_sumo.maps.locate import LaneIndex, poses_of
+from advdiff_sumo.maps.matching import RouteMatcher
+from advdiff_sumo.maps.paths import LanePath, PathFinder
 from advdiff_sumo.maps.read_net import RawNet, base_name, read_raw_net
 from advdiff_sumo.maps.routing import EdgeGraph
 from advdiff_sumo.maps.sidecar import read_sidecar, sidecar_of
+from advdiff_sumo.maps.vectors import PIECE_M, MapVectors, VectorIndex
 
 MAX_LANE_DISTANCE_M = 5.0
 """Farthest centre line that :meth:`RoadMap.locate` accepts unless told otherwise."""
@@ -46,6 +49,8 @@ class RoadMap:
         self._given_area = drivable
         self._edge_graphs: dict[str | None, EdgeGraph] = {}
         self._allowed: dict[str | None, BoolArray] = {}
+        self._matchers: dict[str | None, RouteMatcher] = {}
+        self._vector_indices: dict[tuple[int, float], VectorIndex] = {}
 
     @classmethod
     def read(cls, net_path: str | Path, sidecar: str | Path | None = None) -> RoadMap:
@@ -221,6 +226,82 @@ class RoadMap:
         The draw depends on *rng* alone. () when *vclass* may not drive on *from_edge*.
         """
         return self.edge_graph(vclass).random(from_edge, min_length_m, rng)
+
+    def match_route(
+        self, xy_m: FloatArray, yaw_rad: FloatArray, vclass: str | None = None
+    ) -> tuple[str, ...] | None:
+        """Return the edges that a trajectory drove, internal ones left out; None when it is on no road.
+
+        Args:
+            xy_m: (T, 2) positions in time order; rows with NaN are skipped.
+            yaw_rad: (T,) headings.
+            vclass: lanes to consider; None: those of any road motor vehicle.
+        """
+        if vclass not in self._matchers:
+            self._matchers[vclass] = RouteMatcher(self._graph, self.index, self._open_to(vclass))
+        xy = np.asarray(xy_m, dtype=np.float64).reshape(-1, 2)
+        return self._matchers[vclass].match(xy, np.asarray(yaw_rad, dtype=np.float64).reshape(-1))
+
+    def path_finder(self, route: Sequence[str], vclass: str | None = "passenger") -> PathFinder:
+        """Return the lane choice along *route*; keep it while the route stays the same.
+
+        Raises:
+            KeyError: the route names an edge that the net does not have.
+        """
+        return PathFinder(self.lanes, self.edges, route, vclass)
+
+    def lane_path(
+        self,
+        route: Sequence[str],
+        start_lane: str,
+        horizon_m: float,
+        *,
+        start_s_m: float = 0.0,
+        vclass: str | None = "passenger",
+    ) -> list[LanePath]:
+        """Return what one drives along *route* from *start_lane*, and from the lanes beside it, without changes.
+
+        The first path is that of *start_lane* itself. [] when it is not on the route.
+
+        Args:
+            route: edges from the present one on, without internal ones.
+            start_lane: lane of the route, or an internal lane between two of its edges.
+            horizon_m: length after which paths are cut.
+            start_s_m: where on the lane the paths begin.
+            vclass: vehicle class.
+        """
+        return self.path_finder(route, vclass).paths(start_lane, start_s_m, horizon_m)
+
+    # --- vectors -----------------------------------------------------------------------------------------
+
+    def vectors(
+        self,
+        xy_m: FloatArray,
+        yaw_rad: float,
+        radius_m: float,
+        max_polylines: int,
+        points_per_polyline: int,
+        *,
+        piece_m: float = PIECE_M,
+    ) -> MapVectors:
+        """Return the map around a pose (2,) in its frame, nearest polylines first.
+
+        Centre lines of motor-vehicle lanes and the road's edge, cut into pieces of at most *piece_m*, those
+        that come within *radius_m*. The pieces of one resolution are made on first use.
+
+        Raises:
+            ValueError: fewer than two points for a polyline.
+        """
+        if points_per_polyline < 2:
+            raise ValueError(f"points_per_polyline must be at least 2, not {points_per_polyline}")
+        key = (points_per_polyline, piece_m)
+        if key not in self._vector_indices:
+            lanes = [lane for lane in self.lanes.values() if lane.is_drivable]
+            self._vector_indices[key] = VectorIndex(lanes, self.area.smooth_rings(), *key)
+        xy = np.asarray(xy_m, dtype=np.float64)
+        return self._vector_indices[key].crop(xy, float(yaw_rad), radius_m, max_polylines)
+
+    # --- fringe ------------------------------------------------------------------------------------------
 
     def source_edges(self, vclass: str = "passenger") -> tuple[str, ...]:
         """Return the edges at which traffic enters the net."""

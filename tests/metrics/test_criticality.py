@@ -1,0 +1,128 @@
+"""TTC, DRAC, PET and clearance against worked values."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from advdiff_sumo.core.boxes import corners
+from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, clearances, least, time_to_collision
+from advdiff_sumo.metrics.encroachment import post_encroachment
+from advdiff_sumo.metrics.following import following
+
+
+def test_ttc_of_two_seconds(straight, record_of) -> None:
+    record = record_of(straight("ego", (0, 0), 0, 15, steps=2), straight("lead", (24, 0), 0, 5, steps=2))
+    ttc = time_to_collision(record.tracks, 0)
+    assert ttc[1] == pytest.approx([2.0, 1.9])  # 20 m at 10 m/s
+    assert np.isnan(ttc[0]).all()
+
+
+def test_ttc_of_crossing_and_missing_boxes(straight, record_of) -> None:
+    record = record_of(
+        straight("ego", (-20, 0), 0, 10, steps=2),
+        straight("cross", (0, -20), math.pi / 2, 10, steps=2),
+        straight("after", (0, -30), math.pi / 2, 10, steps=2),
+        straight("beside", (0, 2.5), 0, 0, steps=2),
+        straight("far", (500, 0), 0, 0, steps=2),
+    )
+    ttc = time_to_collision(record.tracks, 0)[:, 0]
+    assert ttc[1] == pytest.approx(1.7)
+    assert ttc[2:].tolist() == [math.inf] * 3  # passes 1 m/s late, beside, beyond the horizon
+
+
+def test_lane_ttc_and_drac_by_the_formula(straight, record_of, road) -> None:
+    record = record_of(straight("ego", (-100, -1.6), 0, 15), straight("lead", (-80, -1.6), 0, 10))
+    ahead = following(record.tracks, 0, road, record.route)
+    assert ahead.gap_m[1, 0] == pytest.approx(16.0)
+    assert ahead.time_to_collision()[1, 0] == pytest.approx(3.2)
+    assert ahead.deceleration_to_avoid()[1, 0] == pytest.approx(25.0 / 32.0)
+    assert ahead.time_to_collision()[1, 12] == pytest.approx(2.0)
+
+
+def test_leader_beyond_the_junction_counts_and_the_next_lane_does_not(straight, record_of, road) -> None:
+    record = record_of(
+        straight("ego", (-40, -1.6), 0, 10, steps=2),
+        straight("beyond", (30, -1.6), 0, 10, steps=2),
+        straight("beside", (-20, -4.8), 0, 10, steps=2),
+        straight("behind", (-60, -1.6), 0, 10, steps=2),
+        straight("oncoming", (-20, 1.6), math.pi, 10, steps=2),
+    )
+    gap = following(record.tracks, 0, road, record.route).gap_m
+    assert gap[1, 0] == pytest.approx(66.0, abs=0.01)
+    assert np.isnan(gap[2:]).all()
+    assert np.isinf(following(record.tracks, 0, road, ("WC", "CE")).time_to_collision()[1, 0])
+
+
+def test_pet_of_a_crossing_of_one_and_a_half_seconds(straight, record_of) -> None:
+    # the ego's rear leaves the square |x| <= 1 at -20 + 10 t - 2 = 1, t = 2.3 s;
+    # the other's front reaches y = -1 at -36 - 3 + 2 + 10 t = -1 + ... : -39 + 10 t + 2 = -1, t = 3.6 s + 0.2 s
+    record = record_of(straight("ego", (-20, 0), 0, 10), straight("other", (0, -41), math.pi / 2, 10, steps=41))
+    pet = post_encroachment(record.tracks, 0)
+    # enters at (41 - 2 - 1) / 10 = 3.8 s, 1.5 s after 2.3 s
+    assert pet is not None
+    assert pet.value == pytest.approx(1.5, abs=0.021)
+    assert pet.row == 1
+    assert pet.time_s == pytest.approx(3.8, abs=0.021)
+
+
+def test_pet_is_undefined_for_followers_and_paths_that_do_not_cross(straight, record_of) -> None:
+    record = record_of(
+        straight("ego", (-20, 0), 0, 10),
+        straight("follower", (-35, 0), 0, 10),
+        straight("parallel", (-20, 4), 0, 8),
+        straight("ends before", (0, -60), math.pi / 2, 10),
+    )
+    assert post_encroachment(record.tracks, 0) is None
+
+
+def test_pet_is_zero_in_a_crossing_collision(straight, record_of) -> None:
+    record = record_of(straight("ego", (-20, 0), 0, 10), straight("other", (0, -20), math.pi / 2, 10))
+    pet = post_encroachment(record.tracks, 0)
+    assert pet is not None
+    assert pet.value == 0.0
+
+
+def test_clearance_of_a_pass(straight, record_of) -> None:
+    record = record_of(
+        straight("ego", (0, 0), 0, 10), straight("parked", (20, 2.5), 0, 0), straight("far", (20, 40), 0, 0)
+    )
+    nearest = least(clearances(record.tracks, 0), record.tracks)
+    assert nearest is not None
+    assert nearest.value == pytest.approx(0.5)
+    assert (nearest.row, nearest.time_s) == (1, pytest.approx(1.6))  # bumpers level: 20 - 4 = 16 m
+
+
+pose = st.tuples(st.floats(-25, 25), st.floats(-25, 25), st.floats(-3, 3), st.floats(0, 15))
+
+
+@settings(max_examples=60, deadline=None)
+@given(pose, pose)
+def test_ttc_agrees_with_moving_the_boxes(straight, record_of, first, second) -> None:
+    cars = [straight(n, p[:2], p[2], p[3], steps=2) for n, p in zip("ab", (first, second), strict=True)]
+    tracks = record_of(*cars).tracks
+    ttc = float(time_to_collision(tracks, 0)[1, 0])
+    assert float(time_to_collision(tracks, 1)[0, 0]) == pytest.approx(ttc, abs=1e-6)
+
+    def apart(seconds: float) -> float:
+        shapes = [
+            shapely.Polygon(
+                corners(
+                    np.array([x + v * seconds * math.cos(yaw), y + v * seconds * math.sin(yaw)]),
+                    np.array(yaw),
+                    np.array([4.0, 2.0]),
+                )
+            )
+            for x, y, yaw, v in (first, second)
+        ]
+        inner = [s.buffer(-1e-6, join_style="mitre") for s in shapes]
+        return inner[0].distance(inner[1])
+
+    assert all(apart(t) > 0.0 for t in np.arange(0.0, min(ttc, TTC_HORIZON_S), 0.25))
+    if math.isfinite(ttc):
+        assert apart(ttc) < 1e-4

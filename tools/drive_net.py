@@ -9,15 +9,22 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from xml.etree import ElementTree as ET
+from typing import Any
 
 import sumolib
+from defusedxml import ElementTree
 
 RULES = (
-    "--step-length=0.1 --lateral-resolution=0.4 --collision.action=warn --collision.check-junctions=true "
-    "--collision.mingap-factor=0 --time-to-teleport=120 --no-step-log=true --xml-validation=never "
-    "--duration-log.statistics=true"
-).split()
+    "--step-length=0.1",
+    "--lateral-resolution=0.4",
+    "--collision.action=warn",
+    "--collision.check-junctions=true",
+    "--collision.mingap-factor=0",
+    "--time-to-teleport=120",
+    "--no-step-log=true",
+    "--xml-validation=never",
+    "--duration-log.statistics=true",
+)
 
 
 def random_routes(net: Path, folder: Path, end_s: float, period_s: float, seed: int) -> Path:
@@ -43,12 +50,12 @@ def drive(net: Path, routes: Path, folder: Path, end_s: float, seed: int) -> dic
         f"--summary-output={summary}",
     ]
     subprocess.run(command, check=True, capture_output=True)
-    root = ET.parse(stats).getroot()
-    running = [int(step.get("running", 0)) for step in ET.parse(summary).getroot()]
-    halting = [int(step.get("halting", 0)) for step in ET.parse(summary).getroot()]
-    trips, vehicles, safety = (root.find(k) for k in ("vehicleTripStatistics", "vehicles", "safety"))
-    assert trips is not None and vehicles is not None and safety is not None  # noqa: S101 - SUMO always writes them
-    teleports = root.find("teleports")
+    root = _root(stats)
+    steps = [step.attrib for step in _root(summary)]
+    running, halting = ([int(step[key]) for step in steps] for key in ("running", "halting"))
+    trips, vehicles, safety, teleports = (
+        root.find(key).attrib for key in ("vehicleTripStatistics", "vehicles", "safety", "teleports")
+    )
     warnings = [w for w in re.findall(r"Warning: (.*)", log.read_text()) if "Teleport" in w or "colli" in w]
     return {
         "inserted": float(vehicles.get("inserted", 0)),
@@ -58,12 +65,16 @@ def drive(net: Path, routes: Path, folder: Path, end_s: float, seed: int) -> dic
         "halting_at_end": halting[-1],
         "mean_speed_mps": float(trips.get("speed", 0)),
         "mean_time_loss_s": float(trips.get("timeLoss", 0)),
-        "teleports": float(teleports.get("total", 0)) if teleports is not None else 0.0,
+        "teleports": float(teleports.get("total", 0)),
         "collisions": float(safety.get("collisions", 0)),
         "emergency_stops": float(safety.get("emergencyStops", 0)),
         "emergency_braking": float(safety.get("emergencyBraking", 0)),
         "warnings": warnings,
     }
+
+
+def _root(file: Path) -> Any:
+    return ElementTree.parse(file).getroot()
 
 
 def main() -> None:

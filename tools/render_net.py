@@ -71,7 +71,8 @@ def _draw_area(axes: Axes, net: Any, net_file: Path) -> None:
 
 def _draw_markings(axes: Axes, net: Any, scale: float) -> None:
     kerb_side = -1.0 if not _lefthand(net) else 1.0
-    solid, dashed = [], []
+    solid: list[np.ndarray] = []
+    dashed: list[np.ndarray] = []
     for edge in net.getEdges(withInternal=False):
         lanes = edge.getLanes()
         for i, lane in enumerate(lanes):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from shapely import LineString
 
@@ -69,9 +70,7 @@ def flatten(points_m: Points) -> Points:
     return np.asarray(LineString(points_m).simplify(FLATNESS_M).coords)
 
 
-def hermite(
-    start_m: Sequence[float], heading_start_rad: float, end_m: Sequence[float], heading_end_rad: float
-) -> Points:
+def hermite(start_m: ArrayLike, heading_start_rad: float, end_m: ArrayLike, heading_end_rad: float) -> Points:
     """A smooth curve (N, 2) between two poses: cubic Hermite with tangents as long as the chord."""
     start, end = np.asarray(start_m, dtype=float), np.asarray(end_m, dtype=float)
     chord = float(np.hypot(*(end - start)))

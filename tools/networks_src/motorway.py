@@ -117,8 +117,10 @@ def _ramps() -> list[Ramp]:
         ("Exit 1", east, 3, "J1", -slant, True, False), ("Entry 1", east, 4, "J1", slant, False, False),
         ("Exit 2", east, 5, "J2", -slant, True, False), ("Entry 2", east, 6, "J2", slant, False, False),
         ("Exit 3", east, 13, "J3", -slant, True, False), ("Entry 3", east, 14, "J3", slant, False, False),
-        ("Exit 3", west, 2, "N3", np.pi - slant, True, False), ("Entry 3", west, 3, "N3", np.pi + slant, False, False),
-        ("Exit 1", west, 10, "N1", np.pi - slant, True, False), ("Entry 1", west, 11, "N1", np.pi + slant, False, False),
+        ("Exit 3", west, 2, "N3", np.pi - slant, True, False),
+        ("Entry 3", west, 3, "N3", np.pi + slant, False, False),
+        ("Exit 1", west, 10, "N1", np.pi - slant, True, False),
+        ("Entry 1", west, 11, "N1", np.pi + slant, False, False),
         ("Services", east, 9, "S1", 0.0, True, True), ("Services", east, 10, "S3", 0.0, False, True),
         ("Services", west, 6, "S4", np.pi, True, True), ("Services", west, 7, "S2", np.pi, False, True),
     ]  # fmt: skip

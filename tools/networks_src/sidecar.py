@@ -23,6 +23,7 @@ ISLAND_M2 = 1500.0
 FILLET_M = 1.0
 HOLE_M2 = 3.0
 TOLERANCE_M = 0.02
+GRID_M = 0.01  # the files' last decimal: rounding must not make a polygon cross itself
 COLOURS = {
     "drivable_area": ("190,190,190", "-3"),
     "drivable_area_hole": ("225,235,220", "-2"),
@@ -39,7 +40,7 @@ def drivable_area(net: Any, fillet_m: float = FILLET_M) -> MultiPolygon:
     """
     paved = shapely.union_all([*_lane_areas(net), *_junction_areas(net), *tapers(net, _node_margin_m)])
     closed = paved.buffer(fillet_m, quad_segs=6).buffer(-fillet_m, quad_segs=6)
-    return _parts(closed.union(paved).simplify(TOLERANCE_M))
+    return _parts(shapely.set_precision(closed.union(paved).simplify(TOLERANCE_M), GRID_M))
 
 
 def walkways(net: Any, area: MultiPolygon, width_m: float) -> list[Polygon]:
@@ -49,7 +50,8 @@ def walkways(net: Any, area: MultiPolygon, width_m: float) -> list[Polygon]:
     area = _parts(shapely.union_all([area, closed, *(Polygon(h) for h in islands)]))
     band = area.buffer(width_m, quad_segs=3).simplify(0.1).difference(area)
     band = band.difference(shapely.union_all(_beyond_fringe(net)))
-    return [piece for ring in _parts(band).geoms for piece in _without_holes(ring)]
+    simple = [shapely.set_precision(p, GRID_M) for ring in _parts(band).geoms for p in _without_holes(ring)]
+    return [piece for polygon in simple for piece in _parts(polygon).geoms if not piece.interiors]
 
 
 def write(net_file: Path, target: Path, name: str, footway_m: float) -> None:
@@ -116,7 +118,7 @@ def _junction_areas(net: Any) -> list[BaseGeometry]:
 
 def _beyond_fringe(net: Any) -> list[BaseGeometry]:
     """Boxes on the far side of each fringe point, where no footway is laid round the end of a street."""
-    boxes = []
+    boxes: list[BaseGeometry] = []
     for edge in net.getEdges(withInternal=False):
         points = np.asarray(edge.getShape())
         for node, end, before in ((edge.getToNode(), -1, -2), (edge.getFromNode(), 0, 1)):
@@ -128,8 +130,14 @@ def _beyond_fringe(net: Any) -> list[BaseGeometry]:
 
 
 def _parts(area: BaseGeometry) -> MultiPolygon:
-    polygons = [p for p in shapely.get_parts(area) if isinstance(p, Polygon)]
-    return MultiPolygon(sorted(polygons, key=lambda p: p.bounds))
+    pieces: list[BaseGeometry] = list(shapely.get_parts(area))
+    polygons = [p for p in pieces if isinstance(p, Polygon)]
+    ordered = sorted(polygons, key=_bounds)
+    return MultiPolygon(ordered)
+
+
+def _bounds(polygon: Polygon) -> tuple[float, float, float, float]:
+    return polygon.bounds
 
 
 def _without_holes(polygon: Polygon) -> list[Polygon]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -52,7 +53,7 @@ def lay(plan: Plan, street: Street) -> None:
         (p, float(s)) for p, s in zip(street.course, curve.stations_m, strict=True) if isinstance(p, str)
     ]
     ahead, back = street.ahead, street.back
-    for (start, s0), (end, s1) in zip(stops, stops[1:], strict=False):
+    for (start, s0), (end, s1) in itertools.pairwise(stops):
         ahead, back = street.changes.get(start, (ahead, back))
         if ahead:
             _lay_block(plan, street, curve, (start, end), (s0, s1), ahead)

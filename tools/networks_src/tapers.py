@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ def _is_seam(node: Any) -> bool:
 
 def _wedges(edge: Any, onward: bool, margin_m: float) -> Iterator[Polygon]:
     lanes = edge.getLanes()
-    for lane, beside in [*zip(lanes, lanes[1:], strict=False), *zip(lanes[1:], lanes, strict=False)]:
+    for lane, beside in [*pairwise(lanes), *pairwise(lanes[::-1])]:
         ways = _ways(beside, edge, onward)
         if ways and not _ways(lane, edge, onward):
             yield _wedge(lane, beside, ways[0], onward, margin_m)

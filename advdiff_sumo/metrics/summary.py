@@ -106,8 +106,7 @@ def summarise(record: EpisodeRecord, road: RoadMap) -> EpisodeMetrics:
             left_road = None
         else:
             struck = None
-    happened = struck or left_road
-    before = record.tracks if happened is None else record.tracks.window(0, happened.step + 1)
+    before = _before(record, struck, left_road)
     return EpisodeMetrics(
         found=tuple(found),
         struck=None if struck is None else judged(record, road, struck),
@@ -119,6 +118,13 @@ def summarise(record: EpisodeRecord, road: RoadMap) -> EpisodeMetrics:
         background=tuple(background_collisions(record, found)),
         background_off_road=background_off_road(record, road),
     )
+
+
+def _before(record: EpisodeRecord, struck: Collision | None, left_road: OffRoad | None) -> Tracks:
+    """Return the tracks up to the last instant before the target's collision."""
+    if struck is not None:
+        return record.tracks.window(0, max(1, struck.step + (struck.fraction > 0.0)))
+    return record.tracks if left_road is None else record.tracks.window(0, left_road.step + 1)
 
 
 def judged(record: EpisodeRecord, road: RoadMap, collision: Collision) -> Judged:

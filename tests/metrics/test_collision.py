@@ -108,4 +108,7 @@ def test_sumo_list_is_compared_instant_by_instant(straight, record_of) -> None:
 
 def test_a_record_of_one_agent_or_one_instant_has_no_collisions(straight, record_of) -> None:
     assert collisions(record_of(straight("ego", (0, 0), 0, 5))) == []
-    assert collisions(record_of(straight("a", (0, 0), 0, 5, steps=1), straight("b", (1, 0), 0, 5, steps=1))) == []
+    assert (
+        collisions(record_of(straight("a", (0, 0), 0, 5, steps=1), straight("b", (1, 0), 0, 5, steps=1)))
+        == []
+    )

@@ -58,4 +58,6 @@ def test_a_lane_change_in_no_time_breaks_the_stretch(straight, record_of) -> Non
 def test_too_short_a_record_has_no_comfort(straight, record_of) -> None:
     ride = comfort(record_of(straight("ego", (0, 0), 0, 10, steps=4)).tracks, 0)
     assert set(vars(ride).values()) == {None}
-    assert comfort(record_of(straight("ego", (0, 0), 0, 10, steps=5)).tracks, 0).accel_max_mps2 == pytest.approx(0)
+    assert comfort(
+        record_of(straight("ego", (0, 0), 0, 10, steps=5)).tracks, 0
+    ).accel_max_mps2 == pytest.approx(0)

@@ -135,7 +135,11 @@ def test_symmetric_and_unmoved_by_rigid_motions(poses, steps, sizes, motion) -> 
     x, y, turn = motion
     rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     moved = Sweep(
-        both.xy_m @ rotation.T + (x, y), both.yaw_rad + turn, both.move_m @ rotation.T, both.turn_rad, both.half_m
+        both.xy_m @ rotation.T + (x, y),
+        both.yaw_rad + turn,
+        both.move_m @ rotation.T,
+        both.turn_rad,
+        both.half_m,
     )
     rotated = first_contact(moved.rows(np.array([0])), moved.rows(np.array([1])))
     if np.isnan(there[0]) == np.isnan(rotated[0]):  # a touch within rounding may go either way

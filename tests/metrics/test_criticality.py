@@ -62,7 +62,9 @@ def test_leader_beyond_the_junction_counts_and_the_next_lane_does_not(straight, 
 def test_pet_of_a_crossing_of_one_and_a_half_seconds(straight, record_of) -> None:
     # the ego's rear leaves the square |x| <= 1 at -20 + 10 t - 2 = 1, t = 2.3 s;
     # the other's front reaches y = -1 at -36 - 3 + 2 + 10 t = -1 + ... : -39 + 10 t + 2 = -1, t = 3.6 s + 0.2 s
-    record = record_of(straight("ego", (-20, 0), 0, 10), straight("other", (0, -41), math.pi / 2, 10, steps=41))
+    record = record_of(
+        straight("ego", (-20, 0), 0, 10), straight("other", (0, -41), math.pi / 2, 10, steps=41)
+    )
     pet = post_encroachment(record.tracks, 0)
     # enters at (41 - 2 - 1) / 10 = 3.8 s, 1.5 s after 2.3 s
     assert pet is not None

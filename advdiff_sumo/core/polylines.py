@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.frames import wrap_angle
 
 SAME_POINT_M = 1e-9
@@ -181,9 +181,17 @@ def concatenate(lines: Sequence[Polyline]) -> Polyline:
 
 
 def without_repeats(xy_m: FloatArray) -> FloatArray:
-    """Return the points (N, 2) without those that repeat the kept one before."""
-    keep: list[int] = []
-    for row, point in enumerate(xy_m):
-        if not keep or float(np.hypot(*(point - xy_m[keep[-1]]))) > SAME_POINT_M:
-            keep.append(row)
-    return xy_m[keep]
+    """Return the points (N, 2) without those that repeat the one before."""
+    return xy_m[kept_points(xy_m)]
+
+
+def kept_points(xy_m: FloatArray) -> BoolArray:
+    """Return (N,) which points to keep so that no kept one repeats the kept one before."""
+    keep = np.ones(len(xy_m), dtype=np.bool_)
+    while True:
+        rows = np.flatnonzero(keep)
+        step = np.diff(xy_m[rows], axis=0)
+        repeats = rows[1:][np.hypot(step[:, 0], step[:, 1]) <= SAME_POINT_M]
+        if len(repeats) == 0:
+            return keep
+        keep[repeats] = False

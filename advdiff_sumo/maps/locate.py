@@ -87,8 +87,10 @@ class LaneIndex:
 
         Points that hold NaN have none. Rows are sorted by point, then lane.
         """
-        points = shapely.points(xy_m)
+        finite = np.flatnonzero(np.isfinite(xy_m).all(axis=1))
+        points = shapely.points(xy_m[finite])
         point, segment = self._tree.query(points, predicate="dwithin", distance=radius_m)
+        point = finite[point]
         delta = xy_m[point] - self._start[segment]
         tangent = self._tangent[segment]
         along = np.clip((delta * tangent).sum(-1), 0.0, self._step[segment])

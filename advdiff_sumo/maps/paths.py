@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.polylines import Polyline, concatenate
+from advdiff_sumo.core.polylines import Polyline, kept_points
 from advdiff_sumo.maps.lanes import Edge, Lane, Link
 
 _SAME_M = 1e-6
@@ -209,9 +209,7 @@ class PathFinder:
         complete: bool,
     ) -> LanePath:
         lanes = [self._lanes[x] for x in lane_ids]
-        whole = concatenate([lane.line for lane in lanes])
-        # starts by projection of the joints, since lanes may leave small gaps
-        starts = _joint_positions(whole, lanes)
+        whole, starts = _joined_line(lanes)
         begin = min(s_m, whole.length_m - 0.01)
         line = whole.slice(begin, begin + max(horizon_m, 0.01))
         owner = np.clip(np.searchsorted(starts, line.s_m + begin + _SAME_M, side="right") - 1, 0, None)
@@ -232,12 +230,10 @@ class PathFinder:
         )
 
 
-def _joint_positions(whole: Polyline, lanes: Sequence[Lane]) -> FloatArray:
-    """Return where each lane begins along the joined line (points that coincide were merged)."""
-    starts, row = [], 0
-    for lane in lanes:
-        first = lane.centre_xy_m[0]
-        while row < len(whole.xy_m) - 1 and np.hypot(*(whole.xy_m[row] - first)) > _SAME_M:
-            row += 1
-        starts.append(float(whole.s_m[row]))
-    return np.array(starts)
+def _joined_line(lanes: Sequence[Lane]) -> tuple[Polyline, FloatArray]:
+    """Return the centre lines end to start as one line, and where on it each lane begins."""
+    points = np.vstack([lane.centre_xy_m for lane in lanes])
+    keep = kept_points(points)
+    first = np.cumsum([0, *(len(lane.centre_xy_m) for lane in lanes[:-1])])
+    line = Polyline.of(points[keep])
+    return line, line.s_m[np.cumsum(keep)[first] - 1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from advdiff_sumo.maps.vectors import PIECE_M, MapVectors, VectorIndex
 
 MAX_LANE_DISTANCE_M = 5.0
 """Farthest centre line that :meth:`RoadMap.locate` accepts unless told otherwise."""
+_KEPT_FINDERS = 256
 
 
 class RoadMap:
@@ -50,6 +51,7 @@ class RoadMap:
         self._edge_graphs: dict[str | None, EdgeGraph] = {}
         self._allowed: dict[str | None, BoolArray] = {}
         self._matchers: dict[str | None, RouteMatcher] = {}
+        self._finder = lru_cache(maxsize=_KEPT_FINDERS)(partial(PathFinder, self.lanes, self.edges))
         self._vector_indices: dict[tuple[int, float], VectorIndex] = {}
 
     @classmethod
@@ -243,12 +245,12 @@ class RoadMap:
         return self._matchers[vclass].match(xy, np.asarray(yaw_rad, dtype=np.float64).reshape(-1))
 
     def path_finder(self, route: Sequence[str], vclass: str | None = "passenger") -> PathFinder:
-        """Return the lane choice along *route*; keep it while the route stays the same.
+        """Return the lane choice along *route*; those of the routes asked for last are kept.
 
         Raises:
             KeyError: the route names an edge that the net does not have.
         """
-        return PathFinder(self.lanes, self.edges, route, vclass)
+        return self._finder(tuple(route), vclass)
 
     def lane_path(
         self,

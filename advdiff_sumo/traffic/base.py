@@ -13,7 +13,11 @@ from advdiff_sumo.maps import RoadMap
 
 @runtime_checkable
 class TrafficPolicy(Protocol):
-    """A policy keeps nothing between calls: its memory and random numbers come in and go out."""
+    """A policy keeps nothing between calls: its memory and random numbers come in and go out.
+
+    A class attribute ``everywhere = True`` lets a policy move vehicles beyond the control radius too, and ends
+    its episodes with the log; ``replay`` does so.
+    """
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Any:
         """Return the memory for a new episode.

@@ -43,6 +43,7 @@ class Replay:
     """
 
     Options: ClassVar[type[ReplayOptions]] = ReplayOptions
+    everywhere: ClassVar[bool] = True  # a log does not end at the control radius
 
     def __init__(self, **options: float) -> None:
         """Take the options of :class:`ReplayOptions`.

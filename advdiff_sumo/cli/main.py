@@ -1,0 +1,53 @@
+"""The command ``advdiff-sumo``: verbs, and what happens to errors."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from advdiff_sumo import __version__
+from advdiff_sumo.cli.convert import convert
+from advdiff_sumo.cli.run import run
+from advdiff_sumo.core.errors import AdvdiffError
+
+INPUT_ERROR, INTERRUPTED = 2, 130
+
+app = typer.Typer(
+    name="advdiff-sumo",
+    help="Find the traffic situations in which a driving planner fails: closed-loop adversarial traffic on SUMO.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command("run")(run)
+app.command("convert")(convert)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"advdiff-sumo {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and leave.")
+    ] = False,
+) -> None:
+    """Verbs are listed below; each has its own --help."""
+
+
+def main() -> None:
+    """Run the command line; an error that the user can mend is one sentence on stderr and exit code 2."""
+    try:
+        app()
+    except AdvdiffError as error:
+        Console(stderr=True, soft_wrap=True, highlight=False).print(f"error: {error}", markup=False, style="red")
+        sys.exit(INPUT_ERROR)
+    except KeyboardInterrupt:
+        Console(stderr=True, highlight=False).print("interrupted; what had finished is kept", style="yellow")
+        sys.exit(INTERRUPTED)

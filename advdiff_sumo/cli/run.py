@@ -1,0 +1,122 @@
+"""``advdiff-sumo run``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from advdiff_sumo.cli.summary import print_summary
+from advdiff_sumo.config import read_toml, set_dotted
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.report import write_report
+from advdiff_sumo.sim.run import Run, RunOptions
+from advdiff_sumo.sim.store import RunFolder
+
+_RUNS = Path("runs")
+
+
+def run(
+    net: Annotated[
+        str | None,
+        typer.Option(help="SUMO net (.net.xml, .net.xml.gz), or a shipped one: downtown, downtown-left, motorway."),
+    ] = None,
+    target: Annotated[
+        str | None,
+        typer.Option(help="What drives the tested vehicle: IDM, Krauss, EIDM, …, lane_graph, or package.module:Class."),
+    ] = None,
+    background: Annotated[
+        str | None, typer.Option(help="What moves the others: sumo, replay, or package.module:Class.")
+    ] = None,
+    episodes: Annotated[int | None, typer.Option(help="How many episodes.", show_default="10")] = None,
+    horizon: Annotated[
+        float | None, typer.Option(help="Longest duration of an episode, in seconds.", show_default="20")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Same seed, same bytes.", show_default="0")] = None,
+    demand: Annotated[
+        Path | None, typer.Option(help="Route file (.rou.xml) or .sumocfg of the net; without it traffic is made up.")
+    ] = None,
+    scenes: Annotated[
+        Path | None, typer.Option(help="Driving log to start from: a nuScenes dataset root or ScenarioNet records.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results.", show_default="runs/NET-TARGET-BACKGROUND-sSEED")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file with options, such as a run's own run.toml.")] = None,
+    assign: Annotated[
+        list[str] | None, typer.Option("--set", help="Any other option, as NAME=VALUE: --set sim.control_radius_m=80.")
+    ] = None,
+    gui: Annotated[bool, typer.Option("--gui", help="Watch in sumo-gui (needs a display).")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run in --out.")] = False,
+) -> None:
+    """Run episodes of a tested vehicle in traffic, and write what happened.
+
+    Without options: ten episodes of SUMO's IDM driver in the shipped downtown.
+
+    The folder of results holds run.toml (repeats the run: advdiff-sumo run --config run.toml),
+    episodes.parquet, collisions.parquet, states.parquet, timing.parquet and report.html.
+    """
+    given = {
+        "net": net,
+        "target": target,
+        "background": background,
+        "episodes": episodes,
+        "horizon_s": horizon,
+        "seed": seed,
+        "demand": demand and str(demand),
+        "scenes": scenes and str(scenes),
+    }
+    prepared = Run.prepare(_options(config, given, assign or []), gui)
+    folder = RunFolder.create(out or _free_folder(prepared), prepared.settings, resume)
+    console = Console()
+    rows: list[Mapping[str, Any]] = []
+    try:
+        with _progress(console) as progress:
+            task = progress.add_task("episodes", total=prepared.options.episodes, completed=len(folder.done()))
+
+            def tell(row: Mapping[str, Any]) -> None:
+                rows.append(row)
+                hits = sum(bool(r["target_collision"]) for r in rows)
+                progress.update(task, advance=1, description=f"episodes · {hits} collisions")
+
+            count = prepared.into(folder, tell)
+    finally:
+        if (folder.path / "episodes.parquet").exists():
+            write_report(folder.path)
+    print_summary(console, folder.path, prepared.options.episodes - count)
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console
+    )
+
+
+def _options(config: Path | None, given: Mapping[str, Any], assignments: list[str]) -> RunOptions:
+    """Return the options of the file, then of the command line, then of ``--set``; later ones win."""
+    values: dict[str, Any] = {}
+    if config is not None:
+        content = read_toml(config)
+        values = content.get("options", {}) if "options" in content else content
+        if not isinstance(values, dict):
+            raise ConfigError(f"{config}: [options] is not a table")
+    values |= {key: value for key, value in given.items() if value is not None}
+    for assignment in assignments:
+        set_dotted(values, assignment)
+    return RunOptions.parse(values, str(config) if config else "options")
+
+
+def _free_folder(prepared: Run) -> Path:
+    options = prepared.options
+    net = Path(prepared.settings["options"]["net"]).name.split(".net.xml")[0]
+    words = (net, prepared.names[0], prepared.names[1], f"s{options.seed}")
+    name = re.sub(r"[^\w.-]+", "-", "-".join(words))
+    path, number = _RUNS / name, 2
+    while path.exists():
+        path, number = _RUNS / f"{name}-{number}", number + 1
+    return path

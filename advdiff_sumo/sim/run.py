@@ -1,0 +1,226 @@
+"""A run: many episodes of one target, one background and one source of seed scenes, into one folder."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import version
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from advdiff_sumo import __version__
+from advdiff_sumo.config import Options
+from advdiff_sumo.core.errors import ConfigError, FileError, NetError, SceneError
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.data import open_log
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.rows import collision_rows, episode_row
+from advdiff_sumo.planners.base import Target
+from advdiff_sumo.planners.registry import TARGETS, make_target
+from advdiff_sumo.sim.demand_files import read_demand
+from advdiff_sumo.sim.episode import Episode
+from advdiff_sumo.sim.logs import LoggedTraffic
+from advdiff_sumo.sim.natural import NaturalTraffic
+from advdiff_sumo.sim.options import SceneOptions, SimOptions
+from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.sim.store import RunFolder
+from advdiff_sumo.traffic.base import TrafficPolicy
+from advdiff_sumo.traffic.registry import POLICIES, make_policy
+
+SHIPPED_NETS = ("downtown", "downtown-left", "motorway")
+
+
+class RunOptions(Options):
+    """What ``advdiff-sumo run`` takes; the same names in a configuration file.
+
+    Attributes:
+        net: a SUMO net (``.net.xml``, ``.net.xml.gz``) or the name of a shipped one.
+        target: what drives the tested vehicle.
+        target_options: of that target.
+        background: what moves the others.
+        background_options: of that policy.
+        episodes: how many.
+        horizon_s: longest duration of an episode.
+        seed: root of all random numbers.
+        demand: route file or SUMO configuration; empty: traffic is generated.
+        scenes: root of a driving log; empty: scenes come out of SUMO traffic.
+        sim: steps and radii.
+        scene: how seed scenes are chosen.
+    """
+
+    net: str = "downtown"
+    target: str = "IDM"
+    target_options: dict[str, Any] = Field(default_factory=dict)
+    background: str = "sumo"
+    background_options: dict[str, Any] = Field(default_factory=dict)
+    episodes: int = Field(10, ge=1)
+    horizon_s: float = Field(20.0, gt=0.0, le=3600.0)
+    seed: int = Field(0, ge=0)
+    demand: str = ""
+    scenes: str = ""
+    sim: SimOptions = Field(default_factory=SimOptions)
+    scene: SceneOptions = Field(default_factory=SceneOptions)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A checked run, ready to go; making it reads the net and the names, and starts nothing.
+
+    Attributes:
+        options: as given.
+        road: the net.
+        target: what drives the tested vehicle.
+        policy: what moves the others.
+        names: of target and background, as the registries spell them.
+        gui: open sumo-gui; no option of the run, since it does not change the result.
+    """
+
+    options: RunOptions
+    road: RoadMap
+    target: Target
+    policy: TrafficPolicy
+    names: tuple[str, str]
+    gui: bool = False
+
+    @staticmethod
+    def prepare(options: RunOptions, gui: bool = False) -> Run:
+        """Check *options* and read the net.
+
+        Raises:
+            InputError: one of its kinds; a sentence that names the culprit.
+        """
+        names = TARGETS.canonical(options.target), POLICIES.canonical(options.background)
+        target = make_target(names[0], options.target_options)
+        policy = make_policy(names[1], options.background_options)
+        if options.demand and options.scenes:
+            raise ConfigError("demand and scenes cannot go together: a log brings its own traffic")
+        road = RoadMap.read(find_net(options.net))
+        if not road.source_edges() and not road.connected_edges():
+            raise NetError(road.path, "has no route that a car could drive", "give a net with connected edges")
+        return Run(options, road, target, policy, names, gui)
+
+    def seed_scenes(self) -> Iterator[SeedScene]:
+        """Yield seed scenes in their order; a log's end, SUMO traffic goes on for ever.
+
+        Raises:
+            InputError: the demand or the log does not fit the net, or has no usable scene.
+        """
+        options = self.options
+        seed = SeedTree(options.seed).child("scenes")
+        if options.scenes:
+            log = LoggedTraffic(self.road, open_log(Path(options.scenes)), options.scene, options.sim, seed)
+            yield from log.scenes()
+            return
+        demand = read_demand(Path(options.demand), self.road) if options.demand else None
+        source = NaturalTraffic(self.road, demand, options.scene, options.sim, options.horizon_s, seed)
+        number = 0
+        while True:
+            yield from source.batch(number)
+            number += 1
+
+    def into(self, folder: RunFolder, tell: Callable[[Mapping[str, Any]], None]) -> int:
+        """Run the episodes that *folder* lacks and put its tables together, also after an interrupt.
+
+        Args:
+            folder: where the results go.
+            tell: called with each finished episode's row.
+
+        Returns:
+            Number of episodes in the folder.
+        """
+        done = set(folder.done())
+        finished = False
+        try:
+            for number, scene in enumerate(islice(self.seed_scenes(), self.options.episodes)):
+                if number not in done:
+                    tell(self._one(number, scene, folder))
+            finished = True
+        finally:
+            numbers = folder.done()
+            folder.consolidate(finished)
+        if not numbers:
+            raise SceneError(f"{self.road.path}: no seed scene was found")
+        return len(numbers)
+
+    def _one(self, number: int, scene: SeedScene, folder: RunFolder) -> Mapping[str, Any]:
+        episode = Episode(
+            number=number,
+            scene=scene,
+            road=self.road,
+            target=self.target,
+            policy=self.policy,
+            names=self.names,
+            sim=self.options.sim,
+            horizon_s=self.options.horizon_s,
+            seed=SeedTree(self.options.seed).child("episode", number),
+            gui=self.gui,
+        )
+        record, timing = episode.run()
+        row = episode_row(record, self.road)
+        folder.add(record, row, collision_rows(record, self.road), timing)
+        return {**row, "wall_s": timing.wall_s}
+
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """What ``run.toml`` holds: all that is needed to repeat the run."""
+        dumped = self.options.model_dump(mode="json")
+        dumped |= {"net": net_name(self.options.net), "target": self.names[0], "background": self.names[1]}
+        for key in ("demand", "scenes"):
+            if dumped[key]:
+                dumped[key] = str(Path(dumped[key]).resolve())
+        versions = {name: version(name) for name in ("libsumo", "numpy", "shapely", "torch", "pyarrow")}
+        return {"run": {"advdiff_sumo": __version__, "revision": git_revision(), **versions}, "options": dumped}
+
+
+def find_net(net: str) -> Path:
+    """Return the file behind a path or the name of a shipped net.
+
+    Raises:
+        NetError: there is no such file.
+    """
+    if net in SHIPPED_NETS:
+        return shipped_networks() / f"{net}.net.xml"
+    path = Path(net)
+    if not path.exists():
+        raise NetError(path, "no such net", f"give a .net.xml file or one of {', '.join(SHIPPED_NETS)}")
+    if not path.is_file():
+        raise NetError(path, "is no file", "give a .net.xml file")
+    return path.resolve()
+
+
+def net_name(net: str) -> str:
+    """Return *net* as it is written down: a shipped net by name, another one by its full path."""
+    return net if net in SHIPPED_NETS else str(Path(net).resolve())
+
+
+def shipped_networks() -> Path:
+    """Return the folder of the nets that ship with the package.
+
+    Raises:
+        FileError: the installation lacks them.
+    """
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "networks", package.parent / "networks"):
+        if (folder / "downtown.net.xml").is_file():
+            return folder
+    raise FileError(package / "networks", "the shipped nets are missing", "install the package again")
+
+
+def git_revision() -> str:
+    """Return the revision of the checkout that the package runs from; "" for an installed one."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=10,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""

@@ -1,0 +1,215 @@
+"""The run folder: finished episodes are on disk at once, tables are put together at the end."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import tomli_w
+
+from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.record import Controller, EpisodeRecord
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, Column
+from advdiff_sumo.sim.episode import Timing
+
+_PARTS = "parts"
+_ARROW = {"str": pa.string(), "int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_()}
+
+STATE_COLUMNS: Mapping[str, Column] = {
+    "episode": Column("int64", "", "number of the episode in its run"),
+    "step": Column("int64", "", "SUMO step since the episode's start; 0 is the seed scene"),
+    "time_s": Column("float64", "s", "time since the episode's start"),
+    "agent": Column("str", "", "name of the road user"),
+    "class": Column("str", "", "car, truck, bus, motorcycle, bicycle or pedestrian"),
+    "length_m": Column("float64", "m", "length of the box"),
+    "width_m": Column("float64", "m", "width of the box"),
+    "x_m": Column("float64", "m", "east, centre of the box, the net's frame"),
+    "y_m": Column("float64", "m", "north, centre of the box, the net's frame"),
+    "yaw_rad": Column("float64", "rad", "heading, counter-clockwise from east"),
+    "speed_mps": Column("float64", "m/s", "speed along the heading"),
+    "controller": Column("str", "", "who moved it in this step: sumo, policy or planner"),
+    "is_target": Column("bool", "", "whether it is the tested vehicle"),
+}
+TIMING_COLUMNS: Mapping[str, Column] = {
+    "episode": Column("int64", "", "number of the episode in its run"),
+    "simulated_s": Column("float64", "s", "simulated time"),
+    "wall_s": Column("float64", "s", "wall-clock of the episode, SUMO's start included"),
+    "real_time_factor": Column("float64", "", "simulated_s / wall_s"),
+    "target_plan_p50_s": Column("float64", "s", "median time of a plan of a Python target"),
+    "target_plan_p99_s": Column("float64", "s", "99th percentile of the same"),
+    "background_plan_p50_s": Column("float64", "s", "median time of a plan of the policy"),
+    "background_plan_p99_s": Column("float64", "s", "99th percentile of the same"),
+}
+TABLES: Mapping[str, Mapping[str, Column]] = {
+    "episodes": EPISODE_COLUMNS,
+    "states": STATE_COLUMNS,
+    "collisions": COLLISION_COLUMNS,
+    "timing": TIMING_COLUMNS,
+}
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A run's folder.
+
+    Attributes:
+        path: the folder.
+    """
+
+    path: Path
+
+    @staticmethod
+    def create(path: Path, settings: Mapping[str, Any], resume: bool) -> RunFolder:
+        """Make the folder and write ``run.toml``.
+
+        Args:
+            path: a new or empty folder; with *resume*, one that an interrupted run left.
+            settings: what ``run.toml`` holds.
+            resume: go on with that run.
+
+        Raises:
+            FileError: the folder cannot be written, or holds something else.
+            ConfigError: it is of a run with other options.
+        """
+        folder = RunFolder(path)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            (path / _PARTS).mkdir(exist_ok=True)
+        except OSError as error:
+            raise FileError(path, f"cannot be written ({error.strerror})", "choose another --out") from None
+        before = path / "run.toml"
+        if before.exists():
+            folder._must_continue(before, settings, resume)
+        elif any(child.name != _PARTS for child in path.iterdir()):
+            raise FileError(path, "is a folder that holds other files", "choose a new --out")
+        _replace(before, tomli_w.dumps(settings).encode())
+        return folder
+
+    def _must_continue(self, before: Path, settings: Mapping[str, Any], resume: bool) -> None:
+        if not resume:
+            raise FileError(self.path, "already holds a run", "choose a new --out, or add --resume to go on with it")
+        try:
+            old = tomllib.loads(before.read_text(encoding="utf-8")).get("options", {})
+        except tomllib.TOMLDecodeError as error:
+            raise FileError(before, f"is damaged ({error})", "choose a new --out") from None
+        new = settings["options"]
+        for key in sorted({*old, *new} - {"episodes", "out"}):
+            if old.get(key) != new.get(key):
+                raise ConfigError(f"{self.path}: that run had {key} = {old.get(key)!r}, not {new.get(key)!r}")
+
+    def done(self) -> list[int]:
+        """Return the numbers of the episodes that are on disk."""
+        return sorted(int(p.stem) for p in (self.path / _PARTS).glob("*.done"))
+
+    def add(
+        self,
+        record: EpisodeRecord,
+        episode: Mapping[str, Any],
+        collisions: list[dict[str, Any]],
+        timing: Timing,
+    ) -> None:
+        """Write one finished episode; it counts only once all of it is on disk."""
+        base = self.path / _PARTS / f"{record.episode:06d}"
+        rows = {"episodes": [dict(episode)], "collisions": collisions, "timing": [timing_row(record, timing)]}
+        for table, content in rows.items():
+            _write(base.with_suffix(f".{table}.parquet"), _table(content, TABLES[table]))
+        _write(base.with_suffix(".states.parquet"), states_table(record))
+        base.with_suffix(".done").touch()
+
+    def consolidate(self, finished: bool) -> None:
+        """Put the finished episodes together in one file a table.
+
+        Args:
+            finished: nothing is missing: the parts are removed.
+        """
+        numbers = self.done()
+        for table, columns in TABLES.items():
+            parts = (self.path / _PARTS / f"{n:06d}.{table}.parquet" for n in numbers)
+            _write_all(self.path / f"{table}.parquet", parts, _schema(columns))
+        if finished:
+            shutil.rmtree(self.path / _PARTS)
+
+
+def states_table(record: EpisodeRecord) -> pa.Table:
+    """Return one row an agent and step of *record*, in the order of agents, then steps."""
+    tracks = record.tracks
+    agent, step = np.nonzero(tracks.valid)
+    names = np.array(tracks.ids, dtype=object)
+    classes = np.array([c.name.lower() for c in AgentClass], dtype=object)
+    movers = np.array([c.name.lower() for c in Controller if c >= 0], dtype=object)
+    columns = {
+        "episode": np.full(len(agent), record.episode),
+        "step": step,
+        "time_s": np.round(tracks.times_s[step], 6),
+        "agent": names[agent],
+        "class": classes[tracks.classes[agent]],
+        "length_m": tracks.size_m[agent, 0],
+        "width_m": tracks.size_m[agent, 1],
+        "x_m": tracks.xy_m[agent, step, 0],
+        "y_m": tracks.xy_m[agent, step, 1],
+        "yaw_rad": tracks.yaw_rad[agent, step],
+        "speed_mps": tracks.speed_mps[agent, step],
+        "controller": movers[record.controller[agent, step]],
+        "is_target": agent == record.target,
+    }
+    return pa.table(columns, schema=_schema(STATE_COLUMNS))
+
+
+def timing_row(record: EpisodeRecord, timing: Timing) -> dict[str, Any]:
+    """Return the row of ``timing.parquet`` of one episode."""
+    simulated = max(record.tracks.steps - 1, 0) * record.tracks.dt_s
+    return {
+        "episode": record.episode,
+        "simulated_s": simulated,
+        "wall_s": timing.wall_s,
+        "real_time_factor": simulated / timing.wall_s,
+        "target_plan_p50_s": _percentile(timing.target_plans_s, 50),
+        "target_plan_p99_s": _percentile(timing.target_plans_s, 99),
+        "background_plan_p50_s": _percentile(timing.background_plans_s, 50),
+        "background_plan_p99_s": _percentile(timing.background_plans_s, 99),
+    }
+
+
+def _percentile(values: tuple[float, ...], share: float) -> float | None:
+    return float(np.percentile(values, share)) if values else None
+
+
+def _schema(columns: Mapping[str, Column]) -> pa.Schema:
+    return pa.schema([pa.field(name, _ARROW[column.dtype]) for name, column in columns.items()])
+
+
+def _table(rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> pa.Table:
+    return pa.Table.from_pylist(rows, schema=_schema(columns))
+
+
+def _write(path: Path, table: pa.Table) -> None:
+    _write_all(path, (table,), table.schema)
+
+
+def _write_all(path: Path, parts: Iterable[Path | pa.Table], schema: pa.Schema) -> None:
+    """Write *parts* one after the other into *path*, aside first and then renamed."""
+    aside = path.with_suffix(".aside")
+    try:
+        with pq.ParquetWriter(aside, schema, compression="zstd") as writer:
+            for part in parts:
+                writer.write_table(pq.read_table(part, schema=schema) if isinstance(part, Path) else part)
+    except OSError as error:
+        raise FileError(path, f"cannot be written ({error.strerror or error})", "free some space") from None
+    aside.replace(path)
+
+
+def _replace(path: Path, content: bytes) -> None:
+    aside = path.with_suffix(".aside")
+    try:
+        aside.write_bytes(content)
+    except OSError as error:
+        raise FileError(path, f"cannot be written ({error.strerror})", "choose another --out") from None
+    aside.replace(path)

@@ -16,8 +16,8 @@ from advdiff_sumo.metrics.contact import SEPARATED_M, contact_of
 from advdiff_sumo.metrics.kinematics import unbroken
 from advdiff_sumo.metrics.sweep import TOUCH_M, Sweep, first_contact, may_touch
 
-#: Pair-steps looked at in one go: bounds memory in records of many agents.
-_CHUNK = 400_000
+#: Steps looked at in one go: few pairs of agents come near each other in so short a time.
+_CHUNK = 20
 #: A face whose normal is this near to the contact normal was hit flat, not at a corner.
 SAME_AXIS_RAD = 0.17
 
@@ -147,16 +147,25 @@ def _candidates(tracks: Tracks, steady: BoolArray) -> Iterator[tuple[IntArray, I
     yield none, none, none
     first, second = np.triu_indices(tracks.agents, 1)
     half = 0.5 * tracks.size_m[:, None, :]
-    length = max(1, _CHUNK // max(1, len(first)))
-    for start in range(0, steady.shape[1], length):
-        here = steady[:, start : start + length]
+    for start in range(0, steady.shape[1], _CHUNK):
+        here = steady[:, start : start + _CHUNK]
         stop = start + here.shape[1]
+        together = _frames_meet(tracks, start, stop, first, second)
+        i, j = first[together], second[together]
         begin, end = tracks.xy_m[:, start:stop], tracks.xy_m[:, start + 1 : stop + 1]
         yaw = tracks.yaw_rad[:, start:stop]
         sweep = Sweep(begin, yaw, end - begin, yaw, half)  # may_touch does not look at headings
-        near = may_touch(sweep.rows(first), sweep.rows(second)) & here[first] & here[second]
+        near = may_touch(sweep.rows(i), sweep.rows(j)) & here[i] & here[j]
         pair, step = np.nonzero(near)
-        yield first[pair], second[pair], step + start
+        yield i[pair], j[pair], step + start
+
+
+def _frames_meet(tracks: Tracks, start: int, stop: int, first: IntArray, second: IntArray) -> BoolArray:
+    """Return (P,) whether the frames around two agents over the steps *start* to *stop* meet."""
+    xy = tracks.xy_m[:, start : stop + 1]
+    radius = 0.5 * np.hypot(tracks.size_m[:, 0], tracks.size_m[:, 1])[:, None] + TOUCH_M
+    low, high = np.fmin.reduce(xy, axis=1) - radius, np.fmax.reduce(xy, axis=1) + radius
+    return np.asarray(((low[first] <= high[second]) & (low[second] <= high[first])).all(-1))
 
 
 def _touches_of(

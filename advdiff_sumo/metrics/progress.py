@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.record import EndReason, EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.kinematics import unbroken
@@ -14,6 +15,9 @@ from advdiff_sumo.metrics.placement import place
 
 #: Instants between two looks at the position on the route.
 _EVERY_S = 0.5
+#: Positions may advance this much more than the metres driven (curves, lanes of unlike length).
+_STRETCH = 1.2
+_SLACK_M = 5.0
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,6 @@ class Progress:
 def progress(record: EpisodeRecord, road: RoadMap) -> Progress:
     """Return the target's progress over the whole record."""
     tracks, row = record.tracks, record.target
-    steps = np.hypot(*np.diff(tracks.xy_m[row], axis=0).T)
     speed = np.abs(tracks.speed_mps[row][tracks.valid[row]])
     along, length = _positions(record, road), _route_length_m(road, record.route)
     arrived = record.end is EndReason.ARRIVED
@@ -54,7 +57,7 @@ def progress(record: EpisodeRecord, road: RoadMap) -> Progress:
         route_m=driven,
         route_share=share,
         completed=bool(arrived),
-        distance_m=float(steps[unbroken(tracks.rows([row]))[0]].sum()),
+        distance_m=float(_driven_m(record)[-1]),
         speed_mean_mps=float(speed.mean()) if speed.size else None,
         speed_max_mps=float(speed.max()) if speed.size else None,
     )
@@ -96,19 +99,34 @@ def _positions(record: EpisodeRecord, road: RoadMap) -> list[float]:
         return []
     placed = place(road, record.tracks, record.target, 0, record.tracks.steps)
     every = max(1, round(_EVERY_S / record.tracks.dt_s))
-    looks = sorted({*range(0, record.tracks.steps, every), record.tracks.steps - 1})
-    found: list[float] = []
+    driven = _driven_m(record)
+    found: list[tuple[float, float]] = []  # position along the route, metres driven until there
     passed = 0
-    for k in looks:
+    for k in sorted({*range(0, record.tracks.steps, every), record.tracks.steps - 1}):
         edge = _route_edge(road, placed.lane[k], record.route, passed)
         if edge is None:
             continue
-        passed, internal = edge
-        lane = road.lanes[str(placed.lane[k])]
-        scale = road.edges[record.route[passed]].length_m / lane.length_m if not internal else 1.0
-        before = road.edges[record.route[passed]].length_m if internal else 0.0
-        found.append(starts[passed] + before + float(placed.s_m[k]) * scale)
-    return found
+        at = starts[edge[0]] + _along_edge(
+            road, record.route[edge[0]], str(placed.lane[k]), float(placed.s_m[k])
+        )
+        if found and at - found[-1][0] > _STRETCH * (driven[k] - found[-1][1]) + _SLACK_M:
+            continue  # a later edge of the route that lies close by
+        passed = edge[0]
+        found.append((at, float(driven[k])))
+    return [at for at, _ in found]
+
+
+def _driven_m(record: EpisodeRecord) -> FloatArray:
+    """Return (T,) metres driven by the target since the start."""
+    tracks = record.tracks.rows([record.target])
+    steps = np.hypot(*np.diff(tracks.xy_m[0], axis=0).T)
+    return np.concatenate(([0.0], np.cumsum(np.where(unbroken(tracks)[0], steps, 0.0))))
+
+
+def _along_edge(road: RoadMap, edge_id: str, lane_id: str, s_m: float) -> float:
+    """Return the distance from the start of an edge to a place on one of its lanes or on the way out of it."""
+    lane, length = road.lanes[lane_id], road.edges[edge_id].length_m
+    return length + s_m if lane.is_internal else s_m * length / lane.length_m
 
 
 def _route_edge(

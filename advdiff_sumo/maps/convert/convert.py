@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.maps.convert.layout import Layout, lay_out
+from advdiff_sumo.maps.convert.layout import lay_out
+from advdiff_sumo.maps.convert.layout_state import Layout
 from advdiff_sumo.maps.convert.neighbours import SideBySide, find_side_by_side
 from advdiff_sumo.maps.convert.netconvert import run_netconvert
 from advdiff_sumo.maps.convert.netplan import NetPlan, Track, plan_net
@@ -87,7 +88,7 @@ def convert_source(
     left = drives_left(source.location) if lefthand is None else lefthand
     tracks = measure_tracks(source, SPEED_MPS[left])
     layout = lay_out(
-        [track.length_m for track in tracks],
+        [track.centre_m for track in tracks],
         [track.lane.is_connector for track in tracks],
         _numbered_links(source),
         neighbours_of(tracks),

@@ -15,7 +15,7 @@ from shapely.ops import substring
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.joints import Joints
-from advdiff_sumo.maps.convert.layout import Layout
+from advdiff_sumo.maps.convert.layout_state import Layout
 from advdiff_sumo.maps.convert.paths import Connection
 from advdiff_sumo.maps.convert.pieces import Piece
 from advdiff_sumo.maps.convert.source import LaneUse, SourceLane
@@ -122,7 +122,7 @@ def plan_net(tracks: list[Track], layout: Layout, ways: list[Connection], leftha
         ways: connections between pieces.
         lefthand: whether traffic keeps left; then lane 0 is the leftmost.
     """
-    joints = _joints(layout, ways)
+    joints = layout.joints
     names = _junction_names(layout, joints)
     edges, lane_of = [], {}
     for number, group in enumerate(layout.groups):
@@ -138,16 +138,6 @@ def plan_net(tracks: list[Track], layout: Layout, ways: list[Connection], leftha
     connections = [_connection_plan(tracks, lane_of, way) for way in ways]
     junctions = _junctions(edges, connections)
     return NetPlan(tuple(edges), tuple(junctions), tuple(connections), lefthand, lane_of)
-
-
-def _joints(layout: Layout, ways: list[Connection]) -> Joints:
-    joints = Joints()
-    for way in ways:
-        joints.join(((way.origin, 1), (way.target, 0)))
-    for group in layout.groups:
-        for side in (0, 1):
-            joints.join((piece, side) for piece in group)
-    return joints
 
 
 def _junction_names(layout: Layout, joints: Joints) -> dict[Hashable, str]:

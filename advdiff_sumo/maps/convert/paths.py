@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 
-from advdiff_sumo.maps.convert.layout import Layout
+from advdiff_sumo.maps.convert.layout_state import Layout
 from advdiff_sumo.maps.convert.pieces import Piece
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from advdiff_sumo.maps.convert.neighbours import SideBySide
 
-UNEVEN_M = 8.0  # neighbours whose ends differ by less are evened out at the junction, beyond it the longer is cut
+UNEVEN_M = 10.0  # neighbours whose ends differ by less are evened out at the junction, beyond it the longer is cut
 CUT_M = 1.0  # length of the internal lane that bridges a cut
 
 

@@ -1,0 +1,77 @@
+"""Which pieces of lanes share an edge."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from advdiff_sumo.maps.convert.absorb import absorb
+from advdiff_sumo.maps.convert.layout_state import Layout
+from advdiff_sumo.maps.convert.neighbours import SideBySide
+from advdiff_sumo.maps.convert.pieces import CUT_M, UNEVEN_M, Piece
+
+KEEP_SHARE = 0.25  # pieces of an edge run abreast over at least this share of the longer one
+ABSORB_M = 20.0  # a piece of at most this length may go inside a junction for the sake of lane changes
+
+
+@dataclass(frozen=True)
+class _Match:
+    """A pair of pieces that could share an edge, *left* beside *right*."""
+
+    left: Piece
+    right: Piece
+    overlap_m: float
+
+
+def group_pieces(layout: Layout, pairs: Sequence[SideBySide]) -> list[list[Piece]]:
+    """Return the pieces of each edge, right to left; pieces are put together where no junction loop comes of it."""
+    left_of: dict[Piece, Piece] = {}
+    right_of: dict[Piece, Piece] = {}
+    for match in _matches(layout, pairs):
+        if match.left not in layout.pieces[match.left.lane] or match.right not in layout.pieces[match.right.lane]:
+            continue
+        if match.right in left_of or match.left in right_of:
+            layout.counts["neighbours with another neighbour already"] += 1
+        elif _make_room(layout, match, frozenset((*left_of, *right_of, match.left, match.right))):
+            left_of[match.right], right_of[match.left] = match.left, match.right
+            for side in (0, 1):
+                layout.joints.join(((match.left, side), (match.right, side)))
+        else:
+            layout.counts["neighbours kept apart by junctions"] += 1
+    return [_chain(piece, left_of) for piece in layout.all_pieces() if piece not in right_of]
+
+
+def _matches(layout: Layout, pairs: Sequence[SideBySide]) -> list[_Match]:
+    """Return pairs of pieces abreast whose ends differ by little, longest first."""
+    found = []
+    for pair in pairs:
+        for left in layout.pieces[pair.left]:
+            start, end = pair.across(pair.left, left.from_m), pair.across(pair.left, left.to_m)
+            for right in layout.pieces[pair.right]:
+                overlap = min(end, right.to_m) - max(start, right.from_m)
+                uneven = max(abs(start - right.from_m), abs(end - right.to_m))
+                shorter, longer = sorted((right.length_m, end - start))
+                alike = overlap >= 0.5 * shorter and overlap >= KEEP_SHARE * longer
+                if alike and uneven <= UNEVEN_M + 2 * CUT_M:
+                    found.append(_Match(left, right, overlap))
+    return sorted(found, key=lambda m: (-m.overlap_m, m.left, m.right))
+
+
+def _make_room(layout: Layout, match: _Match, grouped: frozenset[Piece]) -> bool:
+    """Return whether two pieces may share an edge without any edge that begins and ends in one junction.
+
+    Short pieces that would are put inside the junction instead.
+    """
+    (left_start, left_end), (right_start, right_end) = layout.junctions(match.left), layout.junctions(match.right)
+    starts, ends = {left_start, right_start}, {left_end, right_end}
+    if starts & ends:
+        return False
+    between = layout.between(starts) + layout.between(ends)
+    return not between or absorb(layout, between, ABSORB_M, grouped)
+
+
+def _chain(piece: Piece, left_of: dict[Piece, Piece]) -> list[Piece]:
+    chain = [piece]
+    while chain[-1] in left_of:
+        chain.append(left_of[chain[-1]])
+    return chain

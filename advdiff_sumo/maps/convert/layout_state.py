@@ -1,0 +1,73 @@
+"""The state that the layout steps share: pieces of lanes, their groups and the junctions that they meet in."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Hashable, Iterable
+from dataclasses import dataclass, field
+
+from advdiff_sumo.maps.convert.joints import Joints
+from advdiff_sumo.maps.convert.pieces import Piece
+
+
+@dataclass
+class Layout:
+    """What becomes of every lane; built up step by step by :func:`lay_out`.
+
+    Attributes:
+        lengths_m: length of each lane and connector.
+        links: ordered pairs of lane numbers.
+        pieces: edge lanes of each lane in driving direction; the rest of a lane lies inside junctions.
+        groups: pieces of each edge, from right to left in driving direction.
+        joints: which ends of pieces meet in one junction; kept up while pieces are grouped and joined.
+        counts: what had to be cut, promoted, absorbed or left apart.
+    """
+
+    lengths_m: list[float]
+    links: list[tuple[int, int]]
+    pieces: dict[int, list[Piece]]
+    groups: list[list[Piece]] = field(default_factory=list)
+    joints: Joints = field(default_factory=Joints)
+    counts: Counter[str] = field(default_factory=Counter)
+
+    def all_pieces(self) -> list[Piece]:
+        """Return every piece, ordered by lane and arc length."""
+        return [piece for lane in sorted(self.pieces) for piece in self.pieces[lane]]
+
+    def replace(self, piece: Piece, new: Piece) -> None:
+        """Put *new*, a shorter one, in the place of *piece*."""
+        own = self.pieces[piece.lane]
+        own[own.index(piece)] = new
+        for side in (0, 1):
+            self.joints.join(((piece, side), (new, side)))
+
+    def junctions(self, piece: Piece) -> tuple[Hashable, Hashable]:
+        """Return the junctions at which *piece* begins and ends."""
+        return self.joints.find((piece, 0)), self.joints.find((piece, 1))
+
+    def between(self, junctions: set[Hashable]) -> list[Piece]:
+        """Return the pieces that begin and end in *junctions*."""
+        return [piece for piece in self.all_pieces() if set(self.junctions(piece)) <= junctions]
+
+
+def joints_of(layout: Layout) -> Joints:
+    """Return which ends of pieces and lanes meet in one junction, before lanes are grouped."""
+    joints = Joints()
+    for first, second in bonds_of(layout):
+        joints.join((first, second))
+    for piece in layout.all_pieces():
+        joints.find((piece, 0))
+        joints.find((piece, 1))
+    return joints
+
+
+def bonds_of(layout: Layout) -> Iterable[tuple[Hashable, Hashable]]:
+    """Yield pairs of ends that a link, a connector or a bridged cut joins."""
+    for lane in range(len(layout.lengths_m)):
+        before: Hashable = (lane, "start")
+        for piece in layout.pieces[lane]:
+            yield before, (piece, 0)
+            before = (piece, 1)
+        yield before, (lane, "end")
+    for a, b in layout.links:
+        yield (a, "end"), (b, "start")

@@ -11,7 +11,7 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.planners.lane_graph.chains import Chain, plausible_chains, route_chain
-from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath
+from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath, straight_path
 
 RADIUS_M = 90.0
 _MAX_LANE_OFFSET_M = 2.6
@@ -48,7 +48,7 @@ class Way:
 
     Attributes:
         other: index in :class:`Others`.
-        path: reference line; None off the lanes, where it goes straight on.
+        path: reference line; of no lane where it goes straight on.
         s_m: where its centre is along the path.
         d_m: how far left of the path.
         yaw_error_rad: heading against the path's.
@@ -56,11 +56,17 @@ class Way:
     """
 
     other: int
-    path: LanePath | None
+    path: LanePath
     s_m: float
     d_m: float
     yaw_error_rad: float
     weight: float
+
+    @property
+    def on_junction(self) -> bool:
+        """Whether its centre is on an internal lane."""
+        lanes = self.path.lanes
+        return bool(lanes) and lanes[self.path.lane_at(self.s_m)].startswith(":")
 
     def next_link(self, front_m: float, passed_m: float) -> tuple[Link, float] | None:
         """Return the first link not left behind and the distance of the front to its stop line.
@@ -69,8 +75,6 @@ class Way:
             front_m: distance from centre to front bumper.
             passed_m: how far the centre may be beyond the junction until the link is left behind.
         """
-        if self.path is None:
-            return None
         for link, stop, beyond in zip(self.path.links, self.path.stop_m, self.path.exit_m, strict=True):
             if self.s_m < beyond + passed_m:
                 return link, stop - (self.s_m + front_m)
@@ -110,7 +114,9 @@ def ways_of(geometry: Geometry, scene: Scene, others: Others) -> list[Way]:
         on_lane = lane is not None and abs(d[i]) < _MAX_LANE_OFFSET_M and abs(error[i]) < _MAX_YAW_ERROR_RAD
         on_foot = scene.history.classes[row] == AgentClass.PEDESTRIAN
         if lane is None or not on_lane or on_foot:
-            ways.append(Way(i, None, 0.0, 0.0, 0.0, 1.0))
+            reach = float(others.speed_mps[i]) * _LOOK_S + _LOOK_M
+            line = straight_path(others.xy_m[i], float(others.yaw_rad[i]), reach)
+            ways.append(Way(i, line, 0.0, 0.0, 0.0, 1.0))
         else:
             ways += _lane_ways(geometry, i, lane, scene.routes[row], others)
     return ways

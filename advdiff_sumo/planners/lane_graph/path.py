@@ -15,6 +15,7 @@ from advdiff_sumo.maps import Link, RoadMap
 SPACING_M = 1.0
 _SMOOTH = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0
 _LEAD = 4
+_FAR_AWAY_M = 1e7
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +23,7 @@ class LanePath:
     """A reference line of P points, ``SPACING_M`` apart.
 
     Attributes:
-        lanes: lane ids in driving order, internal ones included.
+        lanes: lane ids in driving order, internal ones included; () off the lanes.
         lane_start_m: where each lane begins.
         links: connections over junctions that the chain takes.
         stop_m: where each link begins (its stop line).
@@ -54,7 +55,7 @@ class LanePath:
         """Return points (…, 2) and headings (…,) at *s_m*, *d_m* to the left; straight on beyond the ends."""
         low, share = self._cell(s_m)
         xy = self.xy_m[low] + share[..., None] * (self.xy_m[low + 1] - self.xy_m[low])
-        bounded = np.clip(share, 0.0, 1.0)
+        bounded = np.minimum(np.maximum(share, 0.0), 1.0)
         yaw = self.yaw_rad[low] + bounded * (self.yaw_rad[low + 1] - self.yaw_rad[low])
         normal = np.stack((-np.sin(yaw), np.cos(yaw)), -1)
         return xy + np.asarray(d_m)[..., None] * normal, yaw
@@ -62,7 +63,7 @@ class LanePath:
     def curvature_at(self, s_m: FloatArray) -> FloatArray:
         """Return the curvature (…,) at *s_m*."""
         low, share = self._cell(s_m)
-        bounded = np.clip(share, 0.0, 1.0)
+        bounded = np.minimum(np.maximum(share, 0.0), 1.0)
         curve = self.curvature_1pm
         return np.asarray(curve[low] + bounded * (curve[low + 1] - curve[low]))
 
@@ -84,9 +85,43 @@ class LanePath:
         return min(max(found, 0), len(self.lanes) - 1)
 
     def _cell(self, s_m: FloatArray) -> tuple[IntArray, FloatArray]:
-        scaled = np.nan_to_num(np.asarray(s_m, dtype=np.float64)) / SPACING_M
-        low = np.clip(scaled.astype(np.int64), 0, len(self.xy_m) - 2)
+        scaled = np.asarray(s_m, dtype=np.float64) / SPACING_M
+        low = np.minimum(np.maximum(scaled, 0.0).astype(np.int64), len(self.xy_m) - 2)
         return low, scaled - low
+
+
+class PathStack:
+    """N reference lines side by side, for look-ups of all of them at once."""
+
+    def __init__(self, paths: Sequence[LanePath]) -> None:
+        self.count = np.array([len(path.xy_m) for path in paths], dtype=np.int64)
+        longest = int(self.count.max(initial=2))
+        self.xy_m = np.full((len(paths), longest, 2), _FAR_AWAY_M)
+        self.yaw_rad = np.zeros((len(paths), longest))
+        for n, path in enumerate(paths):
+            self.xy_m[n, : self.count[n]], self.yaw_rad[n, : self.count[n]] = path.xy_m, path.yaw_rad
+
+    def at(self, s_m: FloatArray, d_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return points (N, T, 2) and headings (N, T) at *s_m* (N, T), *d_m* (N, T) to the left."""
+        rows = np.arange(len(self.count))[:, None]
+        scaled = s_m / SPACING_M
+        low = np.minimum(np.maximum(scaled, 0.0).astype(np.int64), self.count[:, None] - 2)
+        share = scaled - low
+        a, b = self.xy_m[rows, low], self.xy_m[rows, low + 1]
+        yaw = self.yaw_rad[rows, low]
+        yaw = yaw + np.minimum(np.maximum(share, 0.0), 1.0) * (self.yaw_rad[rows, low + 1] - yaw)
+        normal = np.stack((-np.sin(yaw), np.cos(yaw)), -1)
+        return a + share[..., None] * (b - a) + d_m[..., None] * normal, yaw
+
+    def project(self, xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return ``s`` and ``d`` (N, K) of points (K, 2) on every line; the ends go on straight."""
+        squared = (self.xy_m**2).sum(-1)[:, None] - 2.0 * xy_m @ self.xy_m.transpose(0, 2, 1)  # (N, K, P)
+        nearest = np.argmin(squared, axis=-1)
+        rows = np.arange(len(self.count))[:, None]
+        delta, yaw = xy_m - self.xy_m[rows, nearest], self.yaw_rad[rows, nearest]
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        s = nearest * SPACING_M + cos * delta[..., 0] + sin * delta[..., 1]
+        return s, cos * delta[..., 1] - sin * delta[..., 0]
 
 
 @dataclass(frozen=True)
@@ -130,6 +165,24 @@ class Geometry:
         if key not in self._paths:
             self._paths[key] = _build(self.road, key, tuple(links))
         return self._paths[key]
+
+
+def straight_path(xy_m: FloatArray, yaw_rad: float, length_m: float) -> LanePath:
+    """Return a straight reference line of no lane, from *xy_m* (2,) on."""
+    s = SPACING_M * np.arange(max(int(length_m / SPACING_M), 2) + 1)
+    ahead = np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
+    return LanePath(
+        lanes=(),
+        lane_start_m=np.zeros(0),
+        links=(),
+        stop_m=(),
+        exit_m=(),
+        length_m=float(s[-1]),
+        xy_m=xy_m + s[:, None] * ahead,
+        yaw_rad=np.full(len(s), yaw_rad),
+        curvature_1pm=np.zeros(len(s)),
+        limit_mps=np.full(len(s), np.inf),
+    )
 
 
 def _build(road: RoadMap, lanes: tuple[str, ...], links: tuple[Link, ...]) -> LanePath:

@@ -36,7 +36,7 @@ from advdiff_sumo.planners.lane_graph.score import (
 from advdiff_sumo.planners.lane_graph.variants import Place, State, Variant, locate, variants
 
 _PLAN_STEP_S = 0.1
-_PLAN_STEPS = 30
+_PLAN_STEPS = 20
 _MEMORY_STEP = 4  # index of the planned state half a second from now
 _CLAIM_M = 60.0
 
@@ -59,7 +59,7 @@ class LaneGraphPlanner:
     def plan(
         self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
     ) -> tuple[Plan, Memory]:
-        """Return 3 s of states at 0.1 s that a bicycle drove, and the new memory."""
+        """Return 2 s of states at 0.1 s that a bicycle drove, and the new memory."""
         del rng
         steps = round(self.options.horizon_s / STEP_S)
         state = _state(scene, memory)

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
-from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.planners.lane_graph.others import Others, Way
-from advdiff_sumo.planners.lane_graph.path import SPACING_M
+from advdiff_sumo.planners.lane_graph.path import SPACING_M, PathStack
 from advdiff_sumo.planners.lane_graph.rules import Duty, rule_at
 
 STEP_S = 0.2
@@ -21,6 +20,8 @@ _SIGNAL_BRAKE_MPS2, _YIELD_BRAKE_MPS2 = 4.5, 3.0
 _FOLLOW_BRAKE_MPS2, _FOLLOW_GAP_M = 3.0, 1.0
 _FADE_S, _DRIFT_S = 1.0, 1.5
 _MIN_DRIFT_MPS = 0.25
+_ALIGN_M = 8.0
+_EGO_WIDTH_M = 2.0
 
 
 @dataclass(frozen=True)
@@ -68,16 +69,20 @@ def forecast(
 ) -> Forecast:
     """Return the futures of *others* along *ways* over *steps* instants."""
     index = np.array([way.other for way in ways], dtype=np.int64)
+    stack = PathStack([way.path for way in ways])
     stop = np.array([_stop_m(road, scene, others, way, ego) for way in ways])
-    gap, leader_mps = _leaders(others, ways, ego)
+    gap, leader_mps = _leaders(stack, others, ways, ego)
     pace = _paces(ways)
-    v0 = others.speed_mps[index] if len(ways) else np.zeros(0)
     driven, speed = _drive(
-        v0, others.accel_mps2[index], np.array([w.s_m for w in ways]), pace, stop, (gap, leader_mps), steps
+        others.speed_mps[index],
+        others.accel_mps2[index],
+        np.array([w.s_m for w in ways]),
+        pace,
+        stop,
+        (gap, leader_mps),
+        steps,
     )
-    xy, yaw = np.empty((len(ways), steps, 2)), np.empty((len(ways), steps))
-    for n, way in enumerate(ways):
-        xy[n], yaw[n] = _poses(way, others, driven[n])
+    xy, yaw = _poses(stack, ways, others, driven)
     s0 = np.array([way.s_m for way in ways])
     return Forecast(
         other=index,
@@ -90,20 +95,19 @@ def forecast(
     )
 
 
-def _poses(way: Way, others: Others, driven_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    i = way.other
-    if way.path is None:
-        yaw = others.yaw_rad[i]
-        return others.xy_m[i] + driven_m[:, None] * unit(yaw), np.full(len(driven_m), yaw)
-    drift = float(others.speed_mps[i] * np.sin(way.yaw_error_rad))
-    on_junction = way.path.lanes[way.path.lane_at(way.s_m)].startswith(":")
-    if abs(drift) < _MIN_DRIFT_MPS or on_junction:
-        drift = 0.0
-    time = STEP_S * np.arange(1, len(driven_m) + 1)
-    d = way.d_m + drift * _DRIFT_S * (1.0 - np.exp(-time / _DRIFT_S))
-    fading = way.yaw_error_rad * np.exp(-driven_m / 8.0)
-    xy, yaw = way.path.at(way.s_m + driven_m, d)
-    return xy, yaw + fading
+def _poses(
+    stack: PathStack, ways: Sequence[Way], others: Others, driven_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return centres and headings (N, T): along the lanes, with the drift to the side of a change of lanes."""
+    index = np.array([way.other for way in ways], dtype=np.int64)
+    s0, d0, error = (np.array([getattr(w, name) for w in ways]) for name in ("s_m", "d_m", "yaw_error_rad"))
+    drift = others.speed_mps[index] * np.sin(error)
+    steady = np.array([way.on_junction for way in ways], dtype=np.bool_) | (np.abs(drift) < _MIN_DRIFT_MPS)
+    drift = np.where(steady, 0.0, drift)
+    time = STEP_S * np.arange(1, driven_m.shape[1] + 1)
+    d = d0[:, None] + drift[:, None] * _DRIFT_S * (1.0 - np.exp(-time / _DRIFT_S))
+    xy, yaw = stack.at(s0[:, None] + driven_m, d)
+    return xy, yaw + error[:, None] * np.exp(-driven_m / _ALIGN_M)
 
 
 def _stop_m(road: RoadMap, scene: Scene, others: Others, way: Way, ego: Ego) -> float:
@@ -126,34 +130,29 @@ def _stop_m(road: RoadMap, scene: Scene, others: Others, way: Way, ego: Ego) -> 
     return np.inf
 
 
-def _leaders(others: Others, ways: Sequence[Way], ego: Ego) -> tuple[FloatArray, FloatArray]:
+def _leaders(
+    stack: PathStack, others: Others, ways: Sequence[Way], ego: Ego
+) -> tuple[FloatArray, FloatArray]:
     """Return the gap (N,) to the next road user on each way (inf for none) and that one's speed."""
-    xy = np.concatenate((others.xy_m, ego.xy_m[None]))
-    length = np.append(others.size_m[:, 0], ego.length_m)
-    width = np.append(others.size_m[:, 1], 2.0)
+    index = np.array([way.other for way in ways], dtype=np.int64)
+    s0, d0 = (np.array([getattr(way, name) for way in ways])[:, None] for name in ("s_m", "d_m"))
+    size = np.concatenate((others.size_m, [[ego.length_m, _EGO_WIDTH_M]]))
     speed = np.append(others.speed_mps, ego.speed_mps)
-    gap, pace = np.full(len(ways), np.inf), np.zeros(len(ways))
-    for n, way in enumerate(ways):
-        if way.path is None:
-            continue
-        s, d = way.path.project(xy)
-        free = s - way.s_m - 0.5 * (length + others.size_m[way.other, 0])
-        near = np.abs(d - way.d_m) < 0.5 * (width + others.size_m[way.other, 1])
-        free = np.where(near & (s > way.s_m + 0.5) & (np.arange(len(s)) != way.other), free, np.inf)
-        first = int(np.argmin(free))
-        gap[n], pace[n] = free[first], speed[first]
-    return gap, pace
+    s, d = stack.project(np.concatenate((others.xy_m, ego.xy_m[None])))  # (N, A + 1)
+    own = others.size_m[index]
+    near = np.abs(d - d0) < 0.5 * (size[:, 1] + own[:, 1:])
+    ahead = near & (s > s0 + 0.5) & (np.arange(len(speed)) != index[:, None])
+    gap = np.where(ahead, s - s0 - 0.5 * (size[:, 0] + own[:, :1]), np.inf)
+    first = np.argmin(gap, axis=1)
+    return gap[np.arange(len(ways)), first], speed[first]
 
 
 def _paces(ways: Sequence[Way]) -> FloatArray:
     """Return (N, P) the highest sensible speed by distance along each way's path."""
-    longest = max((len(way.path.xy_m) for way in ways if way.path is not None), default=1)
-    pace = np.full((len(ways), longest), np.inf)
+    pace = np.empty((len(ways), max((len(way.path.xy_m) for way in ways), default=1)))
     for n, way in enumerate(ways):
-        if way.path is not None:
-            bend = np.sqrt(_LATERAL_ACCEL_MPS2) * way.path.bend_mps
-            pace[n, : len(bend)] = np.minimum(bend, 1.1 * way.path.limit_mps)
-            pace[n, len(bend) :] = pace[n, len(bend) - 1]
+        bend = np.minimum(np.sqrt(_LATERAL_ACCEL_MPS2) * way.path.bend_mps, 1.1 * way.path.limit_mps)
+        pace[n, : len(bend)], pace[n, len(bend) :] = bend, bend[-1]
     return pace
 
 

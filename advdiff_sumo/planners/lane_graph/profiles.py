@@ -17,6 +17,7 @@ from advdiff_sumo.planners.lane_graph.variants import State, Variant
 _SIDE_MARGIN_M = 0.2
 _SHARES = (1.0, 0.75, 0.5, 0.25)
 _EMERGENCY_JERK_MPS3 = 60.0
+_STOP_HEADWAY_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -116,15 +117,15 @@ def drive(
     s = np.array([variant.s_m for variant in variants])[choice.variant]
     speed, accel = np.full(count, state.speed_mps), np.full(count, state.accel_mps2)
     rear, theirs = ahead.rear_m[choice.variant], ahead.speed_mps[choice.variant]  # (C, N, T+1)
+    headway = np.array([[options.time_headway_s], [_STOP_HEADWAY_S]])
     out = np.empty((3, count, steps))
     for k in range(steps):
         cell = np.clip((s + 0.6 * speed) / SPACING_M, 0, pace.shape[1] - 1).astype(np.int64)
         wish = np.maximum(choice.share * pace[rows, cell], 0.5)
         gap, lead = _nearest(s + state.front_m, rear[:, :, k], theirs[:, :, k])
         stop_gap = choice.stop_m - s - state.front_m - options.stop_gap_m + options.min_gap_m
-        want = np.minimum(
-            _idm(speed, wish, gap, lead, options), _idm(speed, wish, stop_gap, np.zeros(count), options, 0.5)
-        )
+        gaps, leads = np.stack((gap, stop_gap)), np.stack((lead, np.zeros(count)))
+        want = _idm(speed, wish, gaps, leads, headway, options).min(axis=0)
         want = np.where(choice.brake_mps2 > 0.0, -choice.brake_mps2, want)
         urgent = (want < -1.5 * options.decel_mps2) | (choice.brake_mps2 > options.decel_mps2)
         jerk = np.where(urgent, _EMERGENCY_JERK_MPS3, options.jerk_mps3) * STEP_S
@@ -153,17 +154,16 @@ def _idm(
     wish: FloatArray,
     gap: FloatArray,
     lead: FloatArray,
+    headway_s: FloatArray,
     options: LaneGraphOptions,
-    headway_s: float | None = None,
 ) -> FloatArray:
     a, b = options.accel_mps2, options.decel_mps2
-    headway = options.time_headway_s if headway_s is None else headway_s
     ratio = speed / wish
     free = np.where(
         ratio < 1.0, a * (1.0 - ratio**4), -b * (1.0 - np.minimum(1.0 / np.maximum(ratio, 1e-3), 1.0)) * 3.0
     )
     closing = speed * (speed - lead) / (2.0 * np.sqrt(a * b))
-    desired = options.min_gap_m + np.maximum(speed * headway + closing, 0.0)
+    desired = options.min_gap_m + np.maximum(speed * headway_s + closing, 0.0)
     z = desired / np.maximum(gap, 0.1)
     limit = np.maximum(a * (1.0 - np.minimum(z, 10.0) ** 2), -options.brake_mps2)
     follow = np.where(z < 1.0, np.maximum(free, 0.0) * (1.0 - z**4) + np.minimum(free, 0.0), limit)

@@ -160,7 +160,7 @@ def _soonest(distance_m: float, speed_mps: float, stands: bool, way: Way) -> flo
     """Return when a vehicle can be *distance_m* further on: it keeps its speed or picks up to the limit."""
     if distance_m <= 0.0:
         return 0.0
-    limit = max(float(way.path.limit_mps[0]) if way.path is not None else speed_mps, speed_mps, 1.0)
+    limit = max(float(way.path.limit_mps[0]), speed_mps, 1.0)
     accel, delay = 1.5, (1.5 if stands else 0.0)
     up = (limit - speed_mps) / accel
     within = speed_mps * up + 0.5 * accel * up**2

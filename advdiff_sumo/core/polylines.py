@@ -50,7 +50,8 @@ class Polyline:
         points = without_repeats(points)
         if len(points) < 2:
             raise ValueError("a polyline needs two distinct points")
-        steps = np.hypot(*np.diff(points, axis=0).T)
+        step = points[1:] - points[:-1]
+        steps = np.hypot(step[:, 0], step[:, 1])
         return Polyline(points, np.concatenate(([0.0], np.cumsum(steps))))
 
     @property
@@ -61,7 +62,7 @@ class Polyline:
     @cached_property
     def tangents(self) -> FloatArray:
         """(P − 1, 2) unit vectors along the segments."""
-        delta = np.diff(self.xy_m, axis=0)
+        delta = self.xy_m[1:] - self.xy_m[:-1]
         return np.asarray(delta / np.hypot(delta[:, :1], delta[:, 1:]))
 
     @cached_property
@@ -188,10 +189,8 @@ def without_repeats(xy_m: FloatArray) -> FloatArray:
 def kept_points(xy_m: FloatArray) -> BoolArray:
     """Return (N,) which points to keep so that no kept one repeats the kept one before."""
     keep = np.ones(len(xy_m), dtype=np.bool_)
-    while True:
-        rows = np.flatnonzero(keep)
-        step = np.diff(xy_m[rows], axis=0)
-        repeats = rows[1:][np.hypot(step[:, 0], step[:, 1]) <= SAME_POINT_M]
-        if len(repeats) == 0:
-            return keep
-        keep[repeats] = False
+    step = xy_m[1:] - xy_m[:-1]
+    while (repeats := np.hypot(step[:, 0], step[:, 1]) <= SAME_POINT_M).any():
+        keep[np.flatnonzero(keep)[1:][repeats]] = False
+        step = np.diff(xy_m[keep], axis=0)
+    return keep

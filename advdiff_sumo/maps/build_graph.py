@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from sumolib.net.lane import SUMO_VEHICLE_CLASSES
@@ -48,20 +49,17 @@ def build_graph(raw: RawNet) -> LaneGraph:
     """
     try:
         junctions = {name: _junction(element) for name, element in raw.junctions.items()}
-        bare = {edge: _bare_lanes(edge, element, raw.lefthand) for edge, element in raw.edges.items()}
         successors = _links(raw, junctions)
+        groups = {
+            name: _lanes_of(name, element, raw.lefthand, successors) for name, element in raw.edges.items()
+        }
     except (KeyError, ValueError, IndexError) as error:
         problem = f"holds an element with a missing or malformed value ({error})"
         raise NetError(raw.path, problem, "write it anew with netconvert") from None
-    lanes = {
-        lane.id: replace(lane, successors=tuple(successors.get(lane.id, ())))
-        for group in bare.values()
-        for lane in group
-    }
-    if not any(lane.is_drivable and not lane.is_internal for lane in lanes.values()):
-        raise NetError(raw.path, "has no lane that is open to motor vehicles", "give another net")
+    lanes = {lane.id: lane for group in groups.values() for lane in group}
+    _refuse_useless(raw, lanes)
     lanes = _with_directions(lanes)
-    edges = {name: _edge(name, raw.edges[name], [lanes[x.id] for x in bare[name]]) for name in bare}
+    edges = {name: _edge(name, raw.edges[name], [lanes[x.id] for x in groups[name]]) for name in groups}
     links = {
         (link.from_lane, link.to_lane): link
         for lane in lanes.values()
@@ -71,6 +69,20 @@ def build_graph(raw: RawNet) -> LaneGraph:
     return LaneGraph(lanes, edges, junctions, links)
 
 
+def _refuse_useless(raw: RawNet, lanes: Mapping[str, Lane]) -> None:
+    if not any(lane.is_drivable and not lane.is_internal for lane in lanes.values()):
+        raise NetError(raw.path, "has no lane that is open to motor vehicles", "give another net")
+    for lane in lanes.values():
+        for link in lane.successors:
+            for name in (*link.via, link.to_lane):
+                if name not in lanes:
+                    problem = (
+                        f"a connection from lane '{lane.id}' leads to '{name}', which is no lane of the net"
+                    )
+                    raise NetError(raw.path, problem, "write it anew with netconvert")
+
+
+@lru_cache(maxsize=256)
 def permissions(allow: str | None, disallow: str | None) -> frozenset[str]:
     """Return the vehicle classes that SUMO's ``allow`` and ``disallow`` leave; with neither, all."""
     if allow is not None and allow.strip() != "all":
@@ -105,36 +117,55 @@ def _bits(matrix_row: str) -> frozenset[int]:
     return frozenset(i for i, bit in enumerate(reversed(matrix_row)) if bit == "1")
 
 
-def _bare_lanes(edge_id: str, edge: ET.Element, lefthand: bool) -> list[Lane]:
-    """Return the edge's lanes by index, with neighbours, still without successors."""
-    lanes = [
-        _bare_lane(edge_id, e, edge.get("function") == "internal")
-        for e in sorted(edge.iterfind("lane"), key=lambda e: int(e.attrib["index"]))
+def _lanes_of(
+    edge_id: str, edge: ET.Element, lefthand: bool, successors: Mapping[str, Sequence[Link]]
+) -> list[Lane]:
+    """Return the edge's lanes by index."""
+    elements = sorted(edge.iterfind("lane"), key=lambda e: int(e.attrib["index"]))
+    names = [element.attrib["id"] for element in elements]
+    centres = [_centre(element) for element in elements]
+    left: dict[str, str] = {}
+    right: dict[str, str] = {}
+    for low in range(len(names) - 1):
+        is_left = _is_left_of(centres[low + 1], centres[low], lefthand)
+        on_left, on_right = (low + 1, low) if is_left else (low, low + 1)
+        left[names[on_right]], right[names[on_left]] = names[on_left], names[on_right]
+    return [
+        _lane(edge_id, element, centre, (left.get(name), right.get(name)), successors.get(name, ()))
+        for name, element, centre in zip(names, elements, centres, strict=True)
     ]
-    for low in range(len(lanes) - 1):
-        left, right = low + 1, low
-        if not _is_left_of(lanes[low + 1].centre_xy_m, lanes[low].centre_xy_m, lefthand):
-            left, right = right, left
-        lanes[right] = replace(lanes[right], left_id=lanes[left].id)
-        lanes[left] = replace(lanes[left], right_id=lanes[right].id)
-    return lanes
 
 
 def _is_left_of(upper: FloatArray, lower: FloatArray, lefthand: bool) -> bool:
     """Return whether the lane of the higher index lies left of the other, by shape where that is clear."""
     if len(upper) > 1 and len(lower) > 1:
-        reference, other = Polyline.of(lower), Polyline.of(upper)
-        _, d = reference.project(other.at(0.5 * other.length_m)[0])
-        if abs(float(d)) > _SIDE_MARGIN_M:
+        (x0, y0), (x1, y1), (x, y) = lower[0], lower[1], upper[0]
+        ahead_x, ahead_y = x1 - x0, y1 - y0
+        d = (ahead_x * (y - y0) - ahead_y * (x - x0)) / np.hypot(ahead_x, ahead_y)
+        if abs(d) <= _SIDE_MARGIN_M:  # they start together: look half-way
+            other = Polyline.of(upper)
+            _, d = Polyline.of(lower).project(other.at(0.5 * other.length_m)[0])
+        if abs(d) > _SIDE_MARGIN_M:
             return bool(d > 0.0)
     return not lefthand
 
 
-def _bare_lane(edge_id: str, element: ET.Element, is_internal: bool) -> Lane:
-    centre = without_repeats(shape_of(element))
+def _centre(element: ET.Element) -> FloatArray:
+    centre = shape_of(element)
     if len(centre) == 0 or not np.isfinite(centre).all():
         raise ValueError(f"lane {element.attrib['id']} has no shape")
-    length = float(np.hypot(*np.diff(centre, axis=0).T).sum())
+    return without_repeats(centre)
+
+
+def _lane(
+    edge_id: str,
+    element: ET.Element,
+    centre: FloatArray,
+    beside: tuple[str | None, str | None],
+    successors: Sequence[Link],
+) -> Lane:
+    step = centre[1:] - centre[:-1]
+    length = float(np.hypot(step[:, 0], step[:, 1]).sum())
     return Lane(
         id=element.attrib["id"],
         edge_id=edge_id,
@@ -144,11 +175,11 @@ def _bare_lane(edge_id: str, element: ET.Element, is_internal: bool) -> Lane:
         speed_mps=float(element.attrib["speed"]),
         length_m=length,
         sumo_length_m=float(element.get("length", length)),
-        is_internal=is_internal,
+        is_internal=edge_id.startswith(":"),
         allows=permissions(element.get("allow"), element.get("disallow")),
-        left_id=None,
-        right_id=None,
-        successors=(),
+        left_id=beside[0],
+        right_id=beside[1],
+        successors=tuple(successors),
     )
 
 

@@ -212,3 +212,23 @@ def _same_link(road, theirs) -> bool:
         foes = road.junctions[node.getID()].foes[number]
         assert foes == {i for i in range(len(road.junctions[node.getID()].foes)) if node.areFoes(number, i)}
     return True
+
+
+def test_connection_to_a_missing_lane_is_refused(cross, tmp_path):
+    text = cross.read_text().replace('to="CN" fromLane="0" toLane="0"', 'to="CN" fromLane="0" toLane="7"')
+    path = _write(tmp_path / "loose.net.xml", text.encode())
+    with pytest.raises(NetError, match="leads to 'CN_7', which is no lane"):
+        RoadMap.read(path)
+
+
+def test_lane_drawn_as_a_point_gets_a_direction(cross, tmp_path):
+    """An internal lane without length points along the lane that leads to it."""
+    text = cross.read_text()
+    start = text.index("shape=", text.index('id=":C_1_0"'))
+    end = text.index('"', start + 7) + 1
+    path = _write(
+        tmp_path / "point.net.xml", (text[:start] + 'shape="-1.6,7.2 -1.6,7.2"' + text[end:]).encode()
+    )
+    lane = RoadMap.read(path).lanes[":C_1_0"]
+    assert lane.length_m == 0.01
+    np.testing.assert_allclose(lane.line.tangents, [[0.0, -1.0]], atol=1e-12)

@@ -11,6 +11,7 @@ import pytest
 from advdiff_sumo.core.record import SumoCollision
 from advdiff_sumo.metrics.background import background_collisions, compare_with_sumo
 from advdiff_sumo.metrics.collision import collisions, target_collision
+from advdiff_sumo.metrics.contact import target_contact
 
 
 def test_rear_end_at_the_worked_time(straight, record_of) -> None:
@@ -112,3 +113,35 @@ def test_a_record_of_one_agent_or_one_instant_has_no_collisions(straight, record
         collisions(record_of(straight("a", (0, 0), 0, 5, steps=1), straight("b", (1, 0), 0, 5, steps=1)))
         == []
     )
+
+
+def test_whole_records_agree_with_the_check_of_single_steps(straight, record_of) -> None:
+    rng = np.random.default_rng(5)
+    cars = []
+    for n in range(14):
+        start, yaw = tuple(rng.uniform(-30, 30, 2)), float(rng.uniform(-3, 3))
+        cars.append(straight(f"v{n}", start, yaw, float(rng.uniform(0, 25)), steps=55))
+        cars[-1].xy_m[: int(rng.integers(0, 10))] = np.nan
+        cars[-1].xy_m[int(rng.integers(40, 56)) :] = np.nan
+    tracks = record_of(*cars).tracks
+    first: dict[tuple[int, int], float] = {}
+    for k in range(tracks.steps - 1):
+        for row in range(tracks.agents):
+            states = (
+                tracks.xy_m[:, k],
+                tracks.yaw_rad[:, k],
+                tracks.xy_m[:, k + 1],
+                tracks.yaw_rad[:, k + 1],
+            )
+            others = np.arange(tracks.agents) <= row
+            for _ in range(tracks.agents):
+                hit = target_contact(*states, tracks.size_m, row, ignore=others)
+                if hit is None:
+                    break
+                first.setdefault((row, hit.row), 0.1 * (k + hit.fraction))
+                others[hit.row] = True
+    found = {c.rows: c.time_s for c in reversed(collisions(record_of(*cars)))}
+    assert len(first) >= 4
+    assert found.keys() == first.keys()
+    for pair, seconds in first.items():
+        assert found[pair] == pytest.approx(seconds, abs=1e-6)

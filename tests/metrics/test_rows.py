@@ -120,3 +120,28 @@ def test_descriptions_and_units_are_there() -> None:
         ):
             if name.endswith(suffix):
                 assert column.unit == unit, name
+
+
+def test_a_target_that_arrives_and_vanishes_leaves_full_rows(straight, record_of, road) -> None:
+    ego = straight("ego", (-100, -1.6), 0, 15)
+    ego.xy_m[30:] = math.nan
+    lead = straight("lead", (-60, -1.6), 0, 10)
+    lead.xy_m[:5] = math.nan
+    gone = straight("gone", (0, 40), 0, 5)
+    gone.xy_m[:] = math.nan
+    record = replace(record_of(ego, lead, gone), end=EndReason.ARRIVED)
+    row = episode_row(record, road)
+    fits(row, EPISODE_COLUMNS)
+    assert (row["agents"], row["route_completed"], row["target_collision"]) == (2, True, False)
+    # 38 - 0.5 t at 5 m/s: 36 m at instant 0; last seen at 2.9 s: 36 - 14.5 = 21.5 m
+    assert row["min_clearance_m"] == pytest.approx(21.5)
+    assert row["min_lane_ttc_s"] == pytest.approx(4.3)
+
+
+def test_metrics_do_not_change_when_other_rows_are_reordered(straight, record_of, road) -> None:
+    ego = straight("ego", (-100, -1.6), 0, 15)
+    lead, other = straight("lead", (-80, -1.6), 0, 10), straight("other", (-90, -4.8), 0, 12)
+    rows = [episode_row(record_of(ego, *rest), road) for rest in ((lead, other), (other, lead))]
+    for name in EPISODE_COLUMNS:
+        expected = rows[1][name]
+        assert rows[0][name] == (pytest.approx(expected) if isinstance(expected, float) else expected), name

@@ -118,7 +118,7 @@ def test_a_record_of_one_agent_or_one_instant_has_no_collisions(straight, record
 def test_whole_records_agree_with_the_check_of_single_steps(straight, record_of) -> None:
     rng = np.random.default_rng(5)
     cars = []
-    for n in range(14):
+    for n in range(24):
         start, yaw = tuple(rng.uniform(-30, 30, 2)), float(rng.uniform(-3, 3))
         cars.append(straight(f"v{n}", start, yaw, float(rng.uniform(0, 25)), steps=55))
         cars[-1].xy_m[: int(rng.integers(0, 10))] = np.nan

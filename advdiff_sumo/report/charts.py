@@ -1,0 +1,129 @@
+"""Small charts over time as SVG path data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.report.series import Series
+
+WIDTH, HEIGHT = 340, 130
+_LEFT, _RIGHT, _TOP, _BOTTOM = 34, 12, 8, 20
+_MOST_POINTS = 400
+_TTC_TOP_S = 10.0
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line of a chart: whose it is ("target", "attacker") and its path."""
+
+    role: str
+    path: str
+
+
+@dataclass(frozen=True)
+class Chart:
+    """One chart; positions in its own pixels of ``WIDTH`` × ``HEIGHT``.
+
+    Attributes:
+        title: what, with the unit.
+        summary: what it shows, in words, for those who cannot see it.
+        curves: lines; empty when there is nothing to show.
+        x_ticks: (position, text) along the time.
+        y_ticks: (position, text).
+        contact_x: position of the contact, or None.
+        plot: left, top, right and bottom of the plotting area.
+    """
+
+    title: str
+    summary: str
+    curves: tuple[Curve, ...]
+    x_ticks: tuple[tuple[str, str], ...]
+    y_ticks: tuple[tuple[str, str], ...]
+    contact_x: str | None
+    plot: tuple[int, int, int, int] = (_LEFT, _TOP, WIDTH - _RIGHT, HEIGHT - _BOTTOM)
+
+
+def charts_of(series: Series, contact_s: float | None) -> tuple[Chart, ...]:
+    """Return the charts of one episode: speed, acceleration, nearest gap, time to collision."""
+    speeds = {"attacker": series.attacker_mps, "target": series.speed_mps}
+    times = series.times_s
+    return (
+        chart("Speed", "m/s", times, speeds, contact_s, least=(0.0, 1.0)),
+        chart("Acceleration", "m/s²", times, {"target": series.accel_mps2}, contact_s, least=(-1.0, 1.0)),
+        chart("Gap to the nearest", "m", times, {"target": series.gap_m}, contact_s, least=(0.0, 1.0)),
+        chart("Time to collision", "s", times, {"target": series.ttc_s}, contact_s, least=(0.0, _TTC_TOP_S)),
+    )
+
+
+def chart(
+    title: str,
+    unit: str,
+    times_s: FloatArray,
+    curves: dict[str, FloatArray],
+    contact_s: float | None,
+    least: tuple[float, float],
+) -> Chart:
+    """Return one chart.
+
+    Args:
+        title: what.
+        unit: of the values.
+        times_s: (T,) instants, T ≥ 1.
+        curves: role → (T,) values; NaN leaves a gap.
+        contact_s: when to draw the line of the contact.
+        least: range of values that is shown in any case.
+    """
+    drawn = {role: values for role, values in curves.items() if np.isfinite(values).any()}
+    stacked = np.concatenate([*drawn.values(), np.array(least)])
+    low, high = float(np.nanmin(stacked)), float(np.nanmax(stacked))
+    y_ticks = MaxNLocator(4).tick_values(low, high)
+    bottom, top = min(low, float(y_ticks[0])), max(high, float(y_ticks[-1]))
+    end = max(float(times_s[-1]), float(times_s[0]) + 1e-3)
+    x_ticks = [t for t in MaxNLocator(6).tick_values(float(times_s[0]), end) if times_s[0] <= t <= end]
+
+    def x_of(t: FloatArray | float) -> FloatArray:
+        share = (np.asarray(t, dtype=np.float64) - times_s[0]) / (end - times_s[0])
+        return np.asarray(_LEFT + share * (WIDTH - _LEFT - _RIGHT))
+
+    def y_of(value: FloatArray | float) -> FloatArray:
+        share = (np.asarray(value, dtype=np.float64) - bottom) / (top - bottom)
+        return np.asarray(HEIGHT - _BOTTOM - share * (HEIGHT - _TOP - _BOTTOM))
+
+    return Chart(
+        title=f"{title} ({unit})",
+        summary=_summary(title, unit, times_s, drawn),
+        curves=tuple(Curve(role, _path(x_of(times_s), y_of(v))) for role, v in drawn.items()),
+        x_ticks=tuple((f"{float(x_of(t)):.1f}", f"{t:g}") for t in x_ticks),
+        y_ticks=tuple((f"{float(y_of(v)):.1f}", f"{v:g}".replace("-", "−")) for v in y_ticks),
+        contact_x=None if contact_s is None else f"{float(x_of(contact_s)):.1f}",
+    )
+
+
+def _path(x: FloatArray, y: FloatArray) -> str:
+    """Return path data with a gap wherever *y* is NaN; of long series every n-th point."""
+    every = -(-len(x) // _MOST_POINTS)
+    data: list[str] = []
+    pen_up = True
+    for k in [*range(0, len(x) - 1, every), len(x) - 1]:
+        if np.isfinite(y[k]):
+            data.append(f"{'M' if pen_up else 'L'}{x[k]:.1f} {y[k]:.1f}")
+        pen_up = not np.isfinite(y[k])
+    return "".join(data)
+
+
+def _summary(title: str, unit: str, times_s: FloatArray, drawn: dict[str, FloatArray]) -> str:
+    if not drawn:
+        return f"{title}: nothing to show"
+    return "; ".join(_one_summary(title, unit, times_s, role, v) for role, v in drawn.items())
+
+
+def _one_summary(title: str, unit: str, times_s: FloatArray, role: str, values: FloatArray) -> str:
+    low, high = int(np.nanargmin(values)), int(np.nanargmax(values))
+    return (
+        f"{title} of the {role}: least {values[low]:.1f} {unit} at {times_s[low]:.1f} s, "
+        f"greatest {values[high]:.1f} {unit} at {times_s[high]:.1f} s"
+    )

@@ -1,0 +1,131 @@
+"""Draws one episode as an SVG or PNG file by matplotlib."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+from matplotlib.patheffects import withStroke
+
+from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.report.folder import FinishedRun
+from advdiff_sumo.report.layer import MapLayer, Streets
+from advdiff_sumo.report.picture import Box, Picture, Role, picture_of
+
+COLOURS = {Role.TARGET: "#12824a", Role.ATTACKER: "#d95f02", Role.OTHER: "#8c9ba8"}
+_GROUND, _AREA, _MARKING, _IMPACT = "#eef2ec", "#d3d8dc", "#ffffff", "#c4122f"
+_WIDTH_IN = 9.0
+_DPI = 130
+
+
+def figure(folder: Path, episode: int, path: Path) -> Path:
+    """Draw *episode* of the run in *folder* to *path* (.svg or .png) and return *path*; same run, same bytes.
+
+    Raises:
+        FileError: the run lacks the episode or its states, the ending is another, or *path* cannot be written.
+    """
+    if path.suffix.lower() not in (".svg", ".png"):
+        raise FileError(path, "is neither .svg nor .png", "choose one of these endings")
+    run = FinishedRun.read(folder)
+    row, states = run.row(episode), run.states(episode)
+    if states is None:
+        raise FileError(folder, f"holds no states of episode {episode}", "choose another episode")
+    layer = None if run.road is None else MapLayer(run.road)
+    drawn = draw(picture_of(states, row, run.collisions_of(episode), layer))
+    try:
+        _save(drawn, path)
+    except OSError as error:
+        raise FileError(path, f"cannot be written ({error.strerror})", "choose another place") from None
+    return path
+
+
+def draw(picture: Picture) -> Figure:
+    """Return *picture* as a figure of matplotlib, north up."""
+    view = picture.view
+    drawn = Figure(figsize=(_WIDTH_IN, _WIDTH_IN * view.height_m / view.width_m), dpi=_DPI, facecolor=_GROUND)
+    FigureCanvasAgg(drawn)
+    axes = drawn.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set(xlim=(view.x0_m, view.x1_m), ylim=(view.y0_m, view.y1_m), aspect="equal")
+    axes.set_axis_off()
+    points_per_m = 72.0 * _WIDTH_IN / view.width_m
+    if picture.streets is not None:
+        _streets(axes, picture.streets, points_per_m)
+    _traffic(axes, picture)
+    _impact(axes, picture)
+    _legend(axes, picture)
+    return drawn
+
+
+def _streets(axes: Axes, streets: Streets, points_per_m: float) -> None:
+    if streets.areas:
+        outline = Outline.make_compound_path(*(Outline(ring, closed=True) for ring in streets.areas))
+        axes.add_patch(PathPatch(outline, facecolor=_AREA, linewidth=0.0, zorder=1))
+    width = max(0.5, 0.14 * points_per_m)
+    dash = max(1.0, 3.0 * points_per_m / width)
+    axes.add_collection(LineCollection(list(streets.solid), colors=_MARKING, linewidths=width, zorder=2))
+    axes.add_collection(
+        LineCollection(
+            list(streets.dashed), colors=_MARKING, linewidths=width, linestyles=[(0, (dash, dash))], zorder=2
+        )
+    )
+
+
+def _traffic(axes: Axes, picture: Picture) -> None:
+    for order, trail in enumerate(picture.trails):
+        faint = 0.5 if trail.role is Role.OTHER else 0.85
+        axes.plot(
+            *trail.xy_m.T, color=COLOURS[trail.role], linewidth=1.4, alpha=faint, zorder=3 + order * 1e-3
+        )
+    for box in picture.boxes:
+        alpha = 0.8 if box.role is Role.OTHER else 1.0 - 0.75 * box.age
+        colour = COLOURS[box.role]
+        axes.add_collection(
+            PolyCollection(
+                [box.corners_m], facecolors=colour, edgecolors="white", linewidths=0.6, alpha=alpha, zorder=4
+            )
+        )
+        nose = np.stack((box.centre_m, box.corners_m[:2].mean(axis=0)))
+        axes.plot(*nose.T, color="white", linewidth=0.9, alpha=alpha, zorder=4)
+        if box.label:
+            _time(axes, picture, box)
+
+
+def _time(axes: Axes, picture: Picture, box: Box) -> None:
+    x, y = box.centre_m + (0.5 + 0.017 * picture.view.width_m) * box.label_side
+    halo = [withStroke(linewidth=2.5, foreground=_GROUND)]
+    style = {"fontsize": 9, "ha": "center", "va": "center", "clip_on": True, "zorder": 6}
+    axes.text(x, y, box.label, color=COLOURS[box.role], path_effects=halo, **style)
+
+
+def _impact(axes: Axes, picture: Picture) -> None:
+    for point in picture.other_impacts_m:
+        axes.plot(*point, marker="x", color=_IMPACT, markersize=6, markeredgewidth=1.2, zorder=7)
+    if picture.impact_m is not None:
+        axes.plot(*picture.impact_m, marker="x", color=_IMPACT, markersize=12, markeredgewidth=3.0, zorder=8)
+
+
+def _legend(axes: Axes, picture: Picture) -> None:
+    attacker = "attacker" if picture.impact_m is not None else "nearest vehicle"
+    names = {Role.TARGET: "target, a box a second", Role.ATTACKER: attacker, Role.OTHER: "other traffic"}
+    roles = [role for role in names if any(trail.role is role for trail in picture.trails)]
+    handles = [Line2D([], [], color=COLOURS[role], linewidth=5, label=names[role]) for role in roles]
+    if picture.impact_m is not None:
+        cross = Line2D([], [], color=_IMPACT, linestyle="", marker="x", markersize=9, markeredgewidth=2.5)
+        cross.set_label("impact")
+        handles.append(cross)
+    axes.legend(handles=handles, loc="upper right", fontsize=9, framealpha=0.9)
+
+
+def _save(drawn: Figure, path: Path) -> None:
+    kind = path.suffix.lower()[1:]
+    metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
+    with mpl.rc_context({"svg.hashsalt": "advdiff-sumo", "svg.fonttype": "none"}):
+        drawn.savefig(path, format=kind, metadata=metadata, facecolor=_GROUND, dpi=_DPI)

@@ -1,0 +1,226 @@
+"""What a picture of an episode shows, in the net's metres; drawn as SVG or by matplotlib elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+import shapely
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.boxes import corners
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.report.layer import MapLayer, Streets, View
+from advdiff_sumo.report.select import attacker_of
+from advdiff_sumo.report.states import EpisodeStates
+
+#: Longer episodes are drawn from here before their end.
+SHOWN_S = 60.0
+#: Spacing of the boxes along the target's and the attacker's path.
+BOX_SPACING_S = 1.0
+_LABEL_SPACING_M = 9.0
+_ATTACKER_NEAR_M = 50.0
+_CLOSE_UP_S = 3.0
+
+
+class Role(StrEnum):
+    """Who is drawn."""
+
+    TARGET = "target"
+    ATTACKER = "attacker"
+    OTHER = "other"
+
+
+@dataclass(frozen=True)
+class Trail:
+    """Where one agent drove: (K, 2) points in time order."""
+
+    role: Role
+    xy_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Box:
+    """One agent at one moment.
+
+    Attributes:
+        role: who.
+        corners_m: (4, 2), the front ones first.
+        age: 0 for the last moment of the picture, up to 1 for its first.
+        label: seconds since the episode's start, "" when the box has none.
+        centre_m: (2,) centre.
+        label_side: unit vector (2,) from the centre towards the label.
+    """
+
+    role: Role
+    corners_m: FloatArray
+    age: float
+    label: str
+    centre_m: FloatArray
+    label_side: FloatArray
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One episode, ready to draw.
+
+    Attributes:
+        view: what the picture covers.
+        close_up: the moment of contact, nearer; None without a collision.
+        streets: the map in the view; None when the net is not there.
+        trails: trajectories, the target's last.
+        boxes: from the oldest to the newest, the target's last of each moment.
+        impact_m: (2,) impact point of the target, or None.
+        other_impacts_m: impact points of background vehicles among themselves.
+        start_s: first moment that is drawn.
+        end_s: last moment.
+        attacker: id of the vehicle in the attacker's colour, or None.
+    """
+
+    view: View
+    close_up: View | None
+    streets: Streets | None
+    trails: tuple[Trail, ...]
+    boxes: tuple[Box, ...]
+    impact_m: FloatArray | None
+    other_impacts_m: tuple[FloatArray, ...]
+    start_s: float
+    end_s: float
+    attacker: str | None
+
+
+def picture_of(
+    states: EpisodeStates,
+    row: Mapping[str, Any],
+    collisions: Sequence[Mapping[str, Any]],
+    layer: MapLayer | None,
+) -> Picture:
+    """Return the picture of one episode.
+
+    Args:
+        states: of the episode.
+        row: its row of ``episodes.parquet``.
+        collisions: its rows of ``collisions.parquet``.
+        layer: the net, or None to draw without.
+    """
+    full = states.tracks
+    tracks = full.window(max(0, full.steps - 1 - round(SHOWN_S / full.dt_s)), full.steps)
+    attacker = attacker_of(row)
+    other = None if attacker is None else tracks.index.get(attacker)
+    impact = _point(row) if row["target_collision"] else None
+    focus = _focus(tracks, states.target, other, impact)
+    view = View.around(focus, margin_m=12.0, least_width_m=70.0)
+    return Picture(
+        view=view,
+        close_up=None if impact is None else _close_up(tracks, states.target, other, impact),
+        streets=None if layer is None else layer.streets(view),
+        trails=_trails(tracks, states.target, other, view),
+        boxes=_boxes(tracks, states.target, other, view),
+        impact_m=impact,
+        other_impacts_m=_between_others(collisions),
+        start_s=tracks.t0_s,
+        end_s=full.t0_s + full.dt_s * (full.steps - 1),
+        attacker=None if other is None else attacker,
+    )
+
+
+def _point(row: Mapping[str, Any]) -> FloatArray | None:
+    if row["impact_x_m"] is None or row["impact_y_m"] is None:
+        return None
+    return np.array([row["impact_x_m"], row["impact_y_m"]], dtype=np.float64)
+
+
+def _between_others(collisions: Sequence[Mapping[str, Any]]) -> tuple[FloatArray, ...]:
+    points = (_point(c) for c in collisions if not c["with_target"] and not c["initial"])
+    return tuple(point for point in points if point is not None)
+
+
+def _focus(tracks: Tracks, target: int, other: int | None, impact: FloatArray | None) -> FloatArray:
+    """Return the points (N, 2) that the view must show: the target's way, the attacker's where it is near."""
+    parts = [tracks.xy_m[target]]
+    if other is not None:
+        away = np.linalg.norm(tracks.xy_m[other] - tracks.xy_m[target], axis=-1)
+        parts.append(tracks.xy_m[other][away <= _ATTACKER_NEAR_M])
+    if impact is not None:
+        parts.append(impact[None])
+    return np.concatenate(parts)
+
+
+def _close_up(tracks: Tracks, target: int, other: int | None, impact: FloatArray) -> View:
+    last = tracks.window(max(0, tracks.steps - round(_CLOSE_UP_S / tracks.dt_s)), tracks.steps)
+    focus = _focus(last, target, other, impact)
+    return View.around(focus, margin_m=4.0, least_width_m=30.0, most_width_m=60.0)
+
+
+def _trails(tracks: Tracks, target: int, other: int | None, view: View) -> tuple[Trail, ...]:
+    found = []
+    for row in _drawing_order(tracks, target, other):
+        for line in _stretches(tracks.xy_m[row]):
+            cut = shapely.clip_by_rect(shapely.simplify(shapely.LineString(line), 0.05), *view.rectangle)
+            pieces = [p for p in shapely.get_parts(cut) if p.geom_type == "LineString" and not p.is_empty]
+            found += [Trail(_role(row, target, other), shapely.get_coordinates(p)) for p in pieces]
+    return tuple(found)
+
+
+def _stretches(xy_m: FloatArray) -> list[FloatArray]:
+    """Return the runs of finite points (K, 2), K ≥ 2, between gaps."""
+    there = np.concatenate(([False], np.isfinite(xy_m).all(axis=1), [False]))
+    edges = np.flatnonzero(np.diff(there.astype(np.int64))).reshape(-1, 2)
+    return [xy_m[a:b] for a, b in edges if b - a > 1]
+
+
+def _boxes(tracks: Tracks, target: int, other: int | None, view: View) -> tuple[Box, ...]:
+    every = max(1, round(BOX_SPACING_S / tracks.dt_s))
+    first = round(tracks.t0_s / tracks.dt_s)
+    last = tracks.steps - 1
+    moments = [k for k in range(last) if (first + k) % every == 0] + [last]
+    labelled: dict[int, FloatArray] = {}
+    boxes = []
+    for k in moments:
+        for row in _drawing_order(tracks, target, other):
+            role = _role(row, target, other)
+            if (
+                tracks.valid[row, k]
+                and (role is not Role.OTHER or k == last)
+                and _inside(tracks.xy_m[row, k], view)
+            ):
+                text = _label(tracks, row, k, labelled) if role is not Role.OTHER else ""
+                age = (last - k) / max(last, 1)
+                outline = corners(tracks.xy_m[row, k], tracks.yaw_rad[row, k], tracks.size_m[row])
+                side = _label_side(tracks, row, k, target)
+                boxes.append(Box(role, outline, age, text, tracks.xy_m[row, k], side))
+    return tuple(boxes)
+
+
+def _label(tracks: Tracks, row: int, k: int, labelled: dict[int, FloatArray]) -> str:
+    """Return the time of a box, "" when the agent's last labelled box is too near."""
+    place = tracks.xy_m[row, k]
+    if row in labelled and np.linalg.norm(place - labelled[row]) < _LABEL_SPACING_M:
+        return ""
+    labelled[row] = place
+    return f"{tracks.times_s[k]:.1f}".removesuffix(".0")
+
+
+def _label_side(tracks: Tracks, row: int, k: int, target: int) -> FloatArray:
+    """Return the side on which a label stands: the right, but the left of those who drive as the target does."""
+    yaw = tracks.yaw_rad[row, k]
+    alike = row != target and np.cos(yaw - tracks.yaw_rad[target, k]) > 0.0
+    return np.array([np.sin(yaw), -np.cos(yaw)]) * (-1.0 if alike else 1.0)
+
+
+def _inside(xy_m: FloatArray, view: View) -> bool:
+    return bool(view.x0_m <= xy_m[0] <= view.x1_m and view.y0_m <= xy_m[1] <= view.y1_m)
+
+
+def _drawing_order(tracks: Tracks, target: int, other: int | None) -> list[int]:
+    special = [row for row in (other, target) if row is not None]
+    return [row for row in range(tracks.agents) if row not in special] + special
+
+
+def _role(row: int, target: int, other: int | None) -> Role:
+    if row == target:
+        return Role.TARGET
+    return Role.ATTACKER if row == other else Role.OTHER

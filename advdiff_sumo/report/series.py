@@ -1,0 +1,89 @@
+"""What the charts under an episode's picture show, instant by instant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.boxes import corners, distance
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.metrics.comfort import WINDOW
+from advdiff_sumo.metrics.criticality import time_to_collision
+from advdiff_sumo.report.states import EpisodeStates
+
+_LEAST_WINDOW = 5
+
+
+@dataclass(frozen=True)
+class Series:
+    """Values (T,) at the instants of an episode; NaN where there is none.
+
+    Attributes:
+        times_s: since the episode's start.
+        speed_mps: of the target.
+        attacker_mps: speed of the attacker; NaN without one.
+        accel_mps2: longitudinal acceleration of the target, smoothed as for the comfort figures.
+        gap_m: distance between the target's box and the nearest other one.
+        ttc_s: least time to collision of boxes at constant velocity, up to 10 s.
+    """
+
+    times_s: FloatArray
+    speed_mps: FloatArray
+    attacker_mps: FloatArray
+    accel_mps2: FloatArray
+    gap_m: FloatArray
+    ttc_s: FloatArray
+
+
+def series_of(states: EpisodeStates, attacker: str | None) -> Series:
+    """Return the series of one episode; *attacker* is an id or None."""
+    tracks, target = states.tracks, states.target
+    row = None if attacker is None else tracks.index.get(attacker)
+    return Series(
+        times_s=tracks.times_s,
+        speed_mps=tracks.speed_mps[target],
+        attacker_mps=np.full(tracks.steps, np.nan) if row is None else tracks.speed_mps[row],
+        accel_mps2=acceleration(tracks.speed_mps[target], tracks.dt_s),
+        gap_m=nearest_gap(tracks, target),
+        ttc_s=_least(time_to_collision(tracks, target)),
+    )
+
+
+def acceleration(speed_mps: FloatArray, dt_s: float) -> FloatArray:
+    """Return (T,) derivatives of *speed_mps* by local parabolas; NaN in stretches of fewer than five values."""
+    result = np.full(len(speed_mps), np.nan)
+    there = np.concatenate(([False], np.isfinite(speed_mps), [False]))
+    edges = np.flatnonzero(np.diff(there.astype(np.int64))).reshape(-1, 2)
+    for start, stop in edges:
+        count = int(stop - start)
+        if count >= _LEAST_WINDOW:
+            window = min(WINDOW, count - 1 + count % 2)
+            result[start:stop] = savgol_filter(speed_mps[start:stop], window, 2, deriv=1, delta=dt_s)
+    return result
+
+
+def nearest_gap(tracks: Tracks, target: int) -> FloatArray:
+    """Return (T,) distances between the target's box and the nearest other one; 0 when they overlap.
+
+    NaN where the target or all others are absent. Only pairs that may be the nearest of their instant, by
+    the circles around the boxes, are measured.
+    """
+    between = np.hypot(*np.moveaxis(tracks.xy_m - tracks.xy_m[target], -1, 0))
+    between[target] = np.nan
+    distant = np.where(np.isfinite(between), between, np.inf)
+    radius = 0.5 * np.hypot(tracks.size_m[:, 0], tracks.size_m[:, 1])
+    near = np.isfinite(distant) & (distant - (radius + radius[target])[:, None] <= distant.min(axis=0))
+    row, step = np.nonzero(near)
+    boxes = corners(tracks.xy_m[row, step], tracks.yaw_rad[row, step], tracks.size_m[row])
+    own = corners(tracks.xy_m[target, step], tracks.yaw_rad[target, step], tracks.size_m[target])
+    gaps = np.full(tracks.yaw_rad.shape, np.nan)
+    gaps[row, step] = distance(boxes, own)
+    return _least(gaps)
+
+
+def _least(values: FloatArray) -> FloatArray:
+    least = np.where(np.isfinite(values), values, np.inf).min(axis=0)
+    return np.where(np.isfinite(least), least, np.nan)

@@ -152,7 +152,7 @@ def densify(state: State, plan: State, dt_s: float, step_s: float, steps: int) -
 
 def _at_most(vector: FloatArray, length: FloatArray) -> FloatArray:
     norm = np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-9)
-    return vector * np.minimum(1.0, length / norm)
+    return np.asarray(vector * np.minimum(1.0, length / norm))
 
 
 def _velocity(yaw_rad: FloatArray, speed_mps: FloatArray) -> FloatArray:

@@ -136,17 +136,24 @@ class Actuator:
     def predict_route(self, row: int, route: tuple[str, ...]) -> None:
         """Tell SUMO which edges *row* is about to drive, so that drivers at junctions yield to it (#6140)."""
         state = self.moved[row]
-        if state.inserted and route != state.route:
+        known = bool(route) and state.route[-len(route) :] == route
+        if state.inserted and not known:
             state.route = route if route and self._set_route(self.world.sumo_ids[row], route) else ()
 
     def _set_route(self, name: str, route: tuple[str, ...]) -> bool:
-        """Return whether SUMO accepted *route*; it must begin at the edge on which SUMO has the vehicle."""
+        """Return whether SUMO accepted *route*, which must begin at the edge where SUMO has the vehicle."""
         vehicle = self.api.vehicle
         current = vehicle.getRoute(name)[max(vehicle.getRouteIndex(name), 0)]
-        if current not in route:
+        if current in route:
+            route = route[route.index(current) :]
+        elif (
+            route[0] in self.road.edges[current].successors
+        ):  # on the junction SUMO still counts the edge before
+            route = (current, *route)
+        else:
             return False
         try:
-            vehicle.setRoute(name, list(route[route.index(current) :]))
+            vehicle.setRoute(name, list(route))
         except Exception:  # noqa: BLE001 - libsumo and traci raise different kinds; SUMO then keeps the old route
             return False
         return True

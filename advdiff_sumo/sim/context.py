@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import IntArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.sim.background import Background, Motion
@@ -49,7 +49,7 @@ class Context:
             return Motion.none(steps)
         log = self._log
         first = round((scene.time_s - log.t0_s) / self.step_s) + 1
-        soon = log.valid[:, first : first + steps].any(axis=1)
+        soon: BoolArray = np.asarray(log.valid[:, first : first + steps].any(axis=1))
         picked = []
         for k, name in enumerate(log.ids):
             entering = soon[k] and name not in self.entered
@@ -70,15 +70,18 @@ class Context:
 
     def _motion(self, agents: IntArray, first: int, steps: int) -> Motion:
         log = self._log
-        cut = slice(first, first + steps)
-        xy, yaw, speed, valid = (
-            part[agents, cut] for part in (log.xy_m, log.yaw_rad, log.speed_mps, log.valid)
+        cut = slice(first, min(first + steps, log.steps))
+        valid = np.zeros((len(agents), steps), dtype=np.bool_)  # beyond the log's end everybody leaves
+        valid[:, : cut.stop - cut.start] = log.valid[agents, cut]
+        xy, yaw, speed = (
+            _filled(part[agents, cut], steps) for part in (log.xy_m, log.yaw_rad, log.speed_mps)
         )
-        short = steps - valid.shape[1]
-        if short > 0:  # the log ends within these steps: everybody leaves
-            pad = ((0, 0), (0, short))
-            xy = np.pad(xy, (*pad, (0, 0)), constant_values=np.nan)
-            yaw, speed = (np.pad(part, pad, constant_values=np.nan) for part in (yaw, speed))
-            valid = np.pad(valid, pad)
         rows = np.array([self.background.row_for(log, int(k)) for k in agents], dtype=np.int64)
         return Motion(rows, xy, yaw, speed, valid)
+
+
+def _filled(part: FloatArray, steps: int) -> FloatArray:
+    """Return *part* (N, n, …) with NaN up to *steps* instants."""
+    full = np.full((part.shape[0], steps, *part.shape[2:]), np.nan)
+    full[:, : part.shape[1]] = part
+    return full

@@ -101,8 +101,7 @@ class Handover:
 
     def route(self, row: int, routes: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
         """Return the edges that *row*, which we move, is expected to drive from its present one on."""
-        known = self._routes.get(row) or routes.get(self.world.ids[row], ())
-        return known
+        return self._routes.get(row) or routes.get(self.world.ids[row], ())
 
     def predict(
         self, ends: Mapping[int, tuple[FloatArray, float]], routes: Mapping[str, tuple[str, ...]]
@@ -112,9 +111,10 @@ class Handover:
         if not rows:
             return
         now = np.array(rows, dtype=np.int64)
-        here, *_ = self.road.locate_many(self.world.xy_m[now], self.world.yaw_rad[now])
-        xy = np.stack([ends[row][0] for row in rows])
-        there, *_ = self.road.locate_many(xy, np.array([ends[row][1] for row in rows]))
+        xy = np.concatenate((self.world.xy_m[now], [ends[row][0] for row in rows]))
+        yaw = np.concatenate((self.world.yaw_rad[now], [ends[row][1] for row in rows]))
+        lanes, *_ = self.road.locate_many(xy, yaw)
+        here, there = lanes[: len(rows)], lanes[len(rows) :]
         for row, start, end in zip(rows, here, there, strict=True):
             route = self._predicted(row, start, end, routes)
             self._routes[row] = route

@@ -69,7 +69,7 @@ class Loop:
             self._roll_in()
         else:
             register(self.world, self.api, self.api.vehicle.getIDList())
-            self.world.remove(read(self.world, self.api, np.zeros(0, dtype=np.int64)))
+            self.world.remove(read(self.world, self.api, ()))
         row = self.world.row_of(scene.target)
         if row is None:
             raise SimulationError(f"the target '{scene.target}' did not get into SUMO")
@@ -77,11 +77,13 @@ class Loop:
         self.signals = read_signals(self.api)
         self.recorder.begin(scene.history)
         self._make_drive()
+        frame = self.world.frame()
+        size = self.world.size_m[: len(self.world)]
+        self.standing = standing_overlaps(None, frame.xy_m, frame.xy_m, frame.yaw_rad, size, self.target)
+        self.recorder.add(frame, self.signals, self.drive.visible())
         now = self.scene_now()
         self.drive.start(now)
         self.background.start(now)
-        self._check_contact(None)
-        self.recorder.add(self.signals, self.drive.visible())
 
     def _make_drive(self) -> None:
         episode = self.episode
@@ -139,20 +141,20 @@ class Loop:
         return motion
 
     def _step(self, motion: Motion, k: int) -> EndReason | None:
-        before = self.world.frame()
         self._move(motion, k)
         self.drive.move(k)
         self._advance()
         self.steps += 1
         if self.steps % self.sim.substeps == 0:
             self.signals = read_signals(self.api)
-        end = self._check_contact(before)
-        if end is None and self.target_left:
+        if self.target_left:
             return EndReason.ARRIVED
-        self.recorder.add(self.signals, self.drive.visible())
-        if end is None and self.drive.arrived():
-            end = EndReason.ARRIVED
-        return end
+        frame = self.world.frame()
+        hit = self._touches(self.recorder.frames[-1], frame)
+        self.recorder.add(frame, self.signals, self.drive.visible())
+        if hit and self.sim.stop_at_collision:
+            return EndReason.COLLISION
+        return EndReason.ARRIVED if self.drive.arrived() else None
 
     def _move(self, motion: Motion, k: int) -> None:
         there, gone = motion.rows[motion.valid[:, k]], motion.rows[~motion.valid[:, k]]
@@ -182,23 +184,19 @@ class Loop:
         self.session.step()
         departed = register(self.world, self.api, self.api.simulation.getDepartedIDList())
         self.actuator.settle(departed)
-        ours = np.fromiter(self.actuator.moved, dtype=np.int64, count=len(self.actuator.moved))
-        gone = read(self.world, self.api, ours)
-        self.target_left = self.target in gone.tolist()
-        self.world.remove(np.setdiff1d(gone, ours))
-        for row in np.intersect1d(gone, ours).tolist():
-            if self.actuator.moved[row].inserted:  # past its lane's end it has left SUMO, not the scene
-                self.actuator.moved.pop(row)
+        moved = self.actuator.moved
+        gone = read(self.world, self.api, moved.keys()).tolist()
+        self.target_left = self.target in gone
+        self.world.remove([row for row in gone if row not in moved])
+        for row in gone:
+            if row in moved and moved[row].inserted:  # past its lane's end it has left SUMO, not the scene
+                moved.pop(row)
         self.recorder.note(self.api)
 
-    def _check_contact(self, before: Frame | None) -> EndReason | None:
-        """Return COLLISION at the target's first contact; overlaps that a log begins with do not count."""
-        now = self.world.frame()
-        n = len(self.world)
+    def _touches(self, before: Frame, now: Frame) -> bool:
+        """Return whether the target touches anybody in this step; overlaps that a log begins with do not count."""
+        n = len(now.yaw_rad)
         size = self.world.size_m[:n]
-        if before is None:
-            self.standing = standing_overlaps(None, now.xy_m, now.xy_m, now.yaw_rad, size, self.target)
-            return None
         xy0, yaw0 = _padded(before, n)
         ignore = self._grown(n)
         contact = target_contact(
@@ -207,7 +205,7 @@ class Loop:
         self.standing = standing_overlaps(
             ignore, xy0, now.xy_m, now.yaw_rad, size, self.target, dt_s=self.sim.step_s
         )
-        return EndReason.COLLISION if contact is not None and self.sim.stop_at_collision else None
+        return contact is not None
 
     def _grown(self, n: int) -> BoolArray:
         old = self.standing if self.standing is not None else np.zeros(0, dtype=np.bool_)
@@ -235,9 +233,7 @@ class Loop:
         others = rows != self.target
         if self.everywhere:
             return others
-        moved = np.isin(
-            rows, np.fromiter(self.actuator.moved, dtype=np.int64, count=len(self.actuator.moved))
-        )
+        moved = np.array([row in self.actuator.moved for row in rows.tolist()], dtype=np.bool_)
         radius = np.where(moved, self.sim.release_factor, 1.0) * self.sim.control_radius_m
         on_lane = np.array([bool(self.world.lane[row]) for row in rows.tolist()], dtype=np.bool_)
         free = ~np.isin(rows, self.context.rows())
@@ -281,5 +277,7 @@ class Loop:
 def _padded(frame: Frame, n: int) -> tuple[FloatArray, FloatArray]:
     """Return positions and headings of *frame* with absent rows up to *n*."""
     more = n - len(frame.yaw_rad)
+    if not more:
+        return frame.xy_m, frame.yaw_rad
     xy = np.concatenate((frame.xy_m, np.full((more, 2), np.nan)))
     return xy, np.concatenate((frame.yaw_rad, np.full(more, np.nan)))

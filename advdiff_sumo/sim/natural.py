@@ -24,7 +24,6 @@ from advdiff_sumo.sim.world import Frame, World, read, register, stack
 
 _NEIGHBOUR_RADIUS_M = 50.0
 _PATIENCE = 40  # looks at the traffic without a usable target before giving up
-_NONE = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -176,7 +175,7 @@ class _Stretch:
         return _Found(len(self.frames) - 1, self.session.time_s, target, routes, path.read_bytes())
 
     def _record(self) -> None:
-        self.world.remove(read(self.world, self.session.api, _NONE))
+        self.world.remove(read(self.world, self.session.api, ()))
         self.frames.append(self.world.frame())
 
 

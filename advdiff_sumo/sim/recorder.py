@@ -33,9 +33,8 @@ class Recorder:
             self.model_frames.append(_frame_of(self.world, history, k))
         self._running = True
 
-    def add(self, signals: Mapping[str, str], visible: frozenset[str] | None) -> None:
-        """Record the present instant."""
-        frame = self.world.frame()
+    def add(self, frame: Frame, signals: Mapping[str, str], visible: frozenset[str] | None) -> None:
+        """Record an instant."""
         if len(self.frames) % self.sim.substeps == 0:
             self.model_frames.append(frame)
         self.frames.append(frame)
@@ -48,11 +47,13 @@ class Recorder:
         if not self._running:
             return
         self.teleports += api.simulation.getStartingTeleportNumber()
-        step = len(self.frames)
-        names = {sumo: self.world.ids[row] for sumo, row in self.world.index.items()}
         for hit in api.simulation.getCollisions():
-            collider, victim = names.get(hit.collider, hit.collider), names.get(hit.victim, hit.victim)
-            self.collisions.append(SumoCollision(step, collider, victim, hit.type, hit.lane))
+            pair = self._name(hit.collider), self._name(hit.victim)
+            self.collisions.append(SumoCollision(len(self.frames), *pair, hit.type, hit.lane))
+
+    def _name(self, sumo_id: str) -> str:
+        row = self.world.row_of(sumo_id)
+        return sumo_id if row is None else self.world.ids[row]
 
     def history(self, rows: IntArray, now_s: float) -> Tracks:
         """Return the states of *rows* at the last model steps, now included."""

@@ -63,8 +63,8 @@ class RunOptions(Options):
     seed: int = Field(0, ge=0)
     demand: str = ""
     scenes: str = ""
-    sim: SimOptions = Field(default_factory=SimOptions)
-    scene: SceneOptions = Field(default_factory=SceneOptions)
+    sim: SimOptions = SimOptions()
+    scene: SceneOptions = SceneOptions()
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,9 @@ class Run:
             raise ConfigError("demand and scenes cannot go together: a log brings its own traffic")
         road = RoadMap.read(find_net(options.net))
         if not road.source_edges() and not road.connected_edges():
-            raise NetError(road.path, "has no route that a car could drive", "give a net with connected edges")
+            raise NetError(
+                road.path, "has no route that a car could drive", "give a net with connected edges"
+            )
         return Run(options, road, target, policy, names, gui)
 
     def seed_scenes(self) -> Iterator[SeedScene]:
@@ -174,7 +176,10 @@ class Run:
             if dumped[key]:
                 dumped[key] = str(Path(dumped[key]).resolve())
         versions = {name: version(name) for name in ("libsumo", "numpy", "shapely", "torch", "pyarrow")}
-        return {"run": {"advdiff_sumo": __version__, "revision": git_revision(), **versions}, "options": dumped}
+        return {
+            "run": {"advdiff_sumo": __version__, "revision": git_revision(), **versions},
+            "options": dumped,
+        }
 
 
 def find_net(net: str) -> Path:

@@ -124,7 +124,7 @@ def _with_target_type(state_xml: bytes, target_id: str, target: Target) -> bytes
     vehicle.set("type", TARGET_TYPE)
     wanted = target.params.get("speedFactor", 1.0) if isinstance(target, SumoDriver) else 1.0
     vehicle.set("speedFactor", f"{_mean(wanted):.4f}")
-    return tostring(root, encoding="utf-8", xml_declaration=True)
+    return bytes(tostring(root, encoding="utf-8", xml_declaration=True))
 
 
 def _mean(factor: float | str) -> float:

@@ -95,7 +95,9 @@ class RunFolder:
 
     def _must_continue(self, before: Path, settings: Mapping[str, Any], resume: bool) -> None:
         if not resume:
-            raise FileError(self.path, "already holds a run", "choose a new --out, or add --resume to go on with it")
+            raise FileError(
+                self.path, "already holds a run", "choose a new --out, or add --resume to go on with it"
+            )
         try:
             old = tomllib.loads(before.read_text(encoding="utf-8")).get("options", {})
         except tomllib.TOMLDecodeError as error:

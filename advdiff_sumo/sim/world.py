@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,7 +52,7 @@ class Frame:
     @property
     def present(self) -> BoolArray:
         """(n,) whether the vehicle is there."""
-        return self.controller != Controller.ABSENT
+        return np.asarray(self.controller != Controller.ABSENT)
 
 
 class World:
@@ -151,36 +151,42 @@ def register(world: World, api: Any, names: Iterable[str]) -> list[int]:
     return rows
 
 
-def read(world: World, api: Any, keep: IntArray) -> IntArray:
+def read(world: World, api: Any, ours: Collection[int]) -> IntArray:
     """Take every vehicle's state from SUMO in one subscription read.
 
     Args:
         world: updated in place.
         api: libsumo or traci.
-        keep: rows whose states are our own; of these only the lane is read.
+        ours: rows whose states are our own; of these only the lane is read.
 
     Returns:
         Rows that SUMO no longer knows.
     """
     # before its first step, libsumo still shows what the simulation before this one was subscribed to
     results = {k: v for k, v in api.vehicle.getAllSubscriptionResults().items() if k in world.index}
-    known = np.fromiter((world.index[name] for name in results), dtype=np.int64, count=len(results))
-    for row, values in zip(known.tolist(), results.values(), strict=True):
+    rows, states, lost = [], [], []
+    for name, values in results.items():
+        row = world.index[name]
         world.lane[row] = values[_LANE]
-    before = np.flatnonzero(world.controller[: len(world)] != Controller.ABSENT)
-    world.in_sumo = set(known.tolist())
-    gone = np.setdiff1d(before, known)
-    ours = np.isin(known, keep)
-    if not ours.all():
-        flat = [(*v[_POSITION][:2], v[_ANGLE], v[_SPEED]) for v in results.values()]
-        states = np.asarray(flat, dtype=np.float64)
-        lost = states[:, 0] < _NOWHERE  # dropped off the road by SUMO, but not arrived
-        gone = np.union1d(gone, known[lost & ~ours])
-        states, rows = states[~ours & ~lost], known[~ours & ~lost]
-        yaw = yaw_from_sumo(states[:, 2])
-        centre = centre_from_bumper(states[:, :2], yaw, world.size_m[rows, 0])
-        world.set_state(rows, centre, yaw, states[:, 3], Controller.SUMO)
-    return gone
+        x, y = values[_POSITION][:2]
+        if row in ours:
+            continue
+        if x < _NOWHERE:
+            lost.append(row)  # dropped off the road by SUMO, but not arrived
+        else:
+            rows.append(row)
+            states.append((x, y, values[_ANGLE], values[_SPEED]))
+    if rows:
+        _take_states(world, np.array(rows), np.array(states))
+    before = world.in_sumo
+    world.in_sumo = {world.index[name] for name in results}
+    return np.array(sorted((before - world.in_sumo).union(lost)), dtype=np.int64)
+
+
+def _take_states(world: World, rows: IntArray, states: FloatArray) -> None:
+    yaw = yaw_from_sumo(states[:, 2])
+    centre = centre_from_bumper(states[:, :2], yaw, world.size_m[rows, 0])
+    world.set_state(rows, centre, yaw, states[:, 3], Controller.SUMO)
 
 
 def stack(

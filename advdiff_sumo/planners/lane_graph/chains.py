@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.maps import Link, RoadMap
 
-_FAR_CHANGES = 99
+_FAR_CHANGES = 99.0
+_SHORT_EDGE_M = 40.0
 _EDGES_AHEAD = 6
 _MAX_LANES = 40
+
+
+Changes: TypeAlias = Mapping[tuple[int, str], tuple[float, int]]
+"""(Place in the route, lane) → effort along the route, signed changes of lanes on that edge (left positive)."""
 
 
 @dataclass(frozen=True)
@@ -30,18 +36,20 @@ class Chain:
     changes: int = 0
 
 
-def required_changes(road: RoadMap, edges: Sequence[str]) -> dict[tuple[int, str], tuple[int, int]]:
-    """Return, for each (place in *edges*, lane), changes needed along the route and the signed ones on that edge.
+def required_changes(road: RoadMap, edges: Sequence[str]) -> Changes:
+    """Return, for each (place in *edges*, lane), the effort along the route and the signed changes on that edge.
 
-    Dynamic programming from the route's end backwards; lanes from which no change helps get a high count.
+    Dynamic programming from the route's end backwards. The effort counts changes of lanes, those on short edges
+    for more, so that they are made early; lanes from which no change helps get a high one.
     """
-    needed: dict[tuple[int, str], tuple[int, int]] = {}
+    needed: dict[tuple[int, str], tuple[float, int]] = {}
     for k in range(len(edges) - 1, -1, -1):
         lanes = [lane for lane in road.edges[edges[k]].lane_ids if road.lanes[lane].permits("passenger")]
         onward = {lane: _onward(road, lane, k, edges, needed) for lane in lanes}
+        each = 1.0 + _SHORT_EDGE_M / max(road.edges[edges[k]].length_m, 1.0)
         for lane in lanes:
             needed[k, lane] = min(
-                ((abs(a) + onward[other], a) for other, a in _sideways(road, lane, lanes)),
+                ((each * abs(a) + onward[other], a) for other, a in _sideways(road, lane, lanes)),
                 key=lambda item: (item[0], abs(item[1])),
             )
     return needed
@@ -52,10 +60,10 @@ def _onward(
     lane: str,
     k: int,
     edges: Sequence[str],
-    needed: Mapping[tuple[int, str], tuple[int, int]],
-) -> int:
+    needed: Changes,
+) -> float:
     if k == len(edges) - 1:
-        return 0
+        return 0.0
     links = _links_to(road, lane, edges[k + 1])
     return min((needed.get((k + 1, x.to_lane), (_FAR_CHANGES, 0))[0] for x in links), default=_FAR_CHANGES)
 
@@ -79,7 +87,7 @@ def route_chain(
     road: RoadMap,
     start: str,
     route: Sequence[str],
-    needed: Mapping[tuple[int, str], tuple[int, int]],
+    needed: Changes,
     reach_m: float,
 ) -> Chain:
     """Return the chain from lane *start* (on the first edge of *route*, or on the junction before it).
@@ -120,7 +128,7 @@ def _next_link(
     lane: str,
     k: int,
     route: Sequence[str],
-    needed: Mapping[tuple[int, str], tuple[int, int]],
+    needed: Changes,
 ) -> Link | None:
     if k < len(route) - 1:
         links = _links_to(road, lane, route[k + 1])
@@ -158,6 +166,17 @@ def _branch(road: RoadMap, start: str, link: Link, reach_m: float) -> Chain:
     beyond = route_chain(road, link.to_lane, (), {}, max(reach_m - road.lanes[start].length_m, 1.0))
     via = tuple(v for v in link.via if v != start)
     return Chain((start, *via, *beyond.lanes), (link, *beyond.links))
+
+
+def detour(road: RoadMap, lane_id: str, goal: str) -> tuple[str, ...]:
+    """Return the quickest edges to *goal* by a connection of *lane_id* itself, its own edge first; () for none."""
+    edge = road.lanes[lane_id].edge_id
+    exits = sorted(
+        {road.lanes[x.to_lane].edge_id for x in road.lanes[lane_id].successors if x.direction != "t"}
+    )
+    ways = [way for e in exits if (way := road.route(e, goal)) is not None] or [(e,) for e in exits]
+    shortest = min(ways, key=lambda way: sum(road.edges[e].length_m for e in way), default=())
+    return (edge, *shortest) if shortest else ()
 
 
 def route_ahead(road: RoadMap, lane_id: str, route: Sequence[str]) -> tuple[str, ...]:

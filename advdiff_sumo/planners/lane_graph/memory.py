@@ -18,7 +18,8 @@ class Memory:
         lanes: lanes of the path chosen last; () at first.
         links: its links.
         route: edges ahead when that path was chosen.
-        offset_m: lateral target chosen last.
+        detour: it gave up the given route on this edge.
+        serves: whether the path chosen last serves the route.
         curvature_1pm: curvature planned for now.
         accel_mps2: acceleration planned for now.
         committed: stop lines, by (from lane, to lane), that it decided to pass.
@@ -30,7 +31,8 @@ class Memory:
     lanes: tuple[str, ...] = ()
     links: tuple[Link, ...] = ()
     route: tuple[str, ...] = ()
-    offset_m: float = 0.0
+    detour: bool = False
+    serves: bool = True
     curvature_1pm: float = 0.0
     accel_mps2: float = 0.0
     committed: frozenset[tuple[str, str]] = frozenset()

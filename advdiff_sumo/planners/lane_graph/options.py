@@ -26,7 +26,7 @@ class LaneGraphOptions(Options):
         margin_m: clearance below which two boxes count as a collision.
         courtesy_m: clearance below which closeness costs.
         lane_changes: whether it changes lanes to go faster; changes that the route asks for it always does.
-        patience_s: after so long at an undecided junction (all arms wait) it goes first.
+        patience_s: after so long it no longer waits for vehicles that stand as well.
     """
 
     speed_factor: float = Field(1.0, gt=0.0, le=2.0)
@@ -44,4 +44,4 @@ class LaneGraphOptions(Options):
     margin_m: float = Field(0.2, ge=0.0, le=2.0)
     courtesy_m: float = Field(0.6, ge=0.0, le=3.0)
     lane_changes: bool = True
-    patience_s: float = Field(8.0, gt=0.0)
+    patience_s: float = Field(3.0, gt=0.0)

@@ -19,6 +19,7 @@ from advdiff_sumo.core.plan import Plan, Trajectory
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.tracking import track
 from advdiff_sumo.maps import Link, RoadMap
+from advdiff_sumo.planners.lane_graph.chains import route_ahead
 from advdiff_sumo.planners.lane_graph.duties import Duties, duties
 from advdiff_sumo.planners.lane_graph.memory import Memory
 from advdiff_sumo.planners.lane_graph.options import LaneGraphOptions
@@ -31,6 +32,7 @@ from advdiff_sumo.planners.lane_graph.score import (
     collision_cost,
     driving_cost,
     followers,
+    overrun_cost,
     precedence_cost,
 )
 from advdiff_sumo.planners.lane_graph.variants import Place, State, Variant, locate, variants
@@ -64,8 +66,9 @@ class LaneGraphPlanner:
         steps = round(self.options.horizon_s / STEP_S)
         state = _state(scene, memory)
         geometry = memory.geometry
+        waited = scene.time_s - memory.waiting_since_s.get(scene.target_id, scene.time_s)
         # 1. where am I, and which lanes serve the route
-        place = locate(geometry, state, scene.routes[scene.target], memory)
+        place = locate(geometry, state, scene.routes[scene.target], memory, waited)
         if place is None:
             return _brake(state), memory
         # 2. what will the others do
@@ -80,9 +83,20 @@ class LaneGraphPlanner:
         candidates = self._candidates(sides, choice, state, others, future, steps)
         # 4. which of it is best
         behind, unsafe = followers(sides, choice, state, others, future)
-        cost = unsafe + collision_cost(candidates, state, future, behind, self.options)
+        cost = unsafe + overrun_cost(choice, rules, candidates, state)
+        cost += collision_cost(candidates, state, future, behind, self.options)
         cost += precedence_cost(
-            sides, choice, rules, candidates, state, others, ways, future, memory.committed, self.options
+            sides,
+            choice,
+            rules,
+            candidates,
+            state,
+            others,
+            ways,
+            future,
+            memory.committed,
+            waited,
+            self.options,
         )
         target = _target_lane(memory)
         cost += driving_cost(sides, choice, candidates, state, target, self.options)
@@ -189,12 +203,14 @@ def _remember(
     if over is not None:
         committed.add((over.from_lane, over.to_lane))
     curvature, accel = _inputs(plan, state)
+    given = route_ahead(memory.geometry.road, place.lane_id, scene.routes[scene.target] or place.route)
     return replace(
         memory,
         lanes=side.chain.lanes,
         links=side.chain.links,
         route=place.route,
-        offset_m=side.target_m,
+        detour=place.route[:2] != given[:2] and len(given) > 1 and place.route[:1] == given[:1],
+        serves=side.chain.serves,
         curvature_1pm=curvature,
         accel_mps2=accel,
         committed=frozenset(committed),

@@ -17,6 +17,7 @@ from advdiff_sumo.planners.lane_graph.profiles import Modes
 from advdiff_sumo.planners.lane_graph.variants import State, Variant
 
 _COLLISION, _COLLISION_FADE_S = 300.0, 4.0
+_OVERRUN = 60.0
 _CLOSE, _PRECEDENCE, _UNSAFE_GAP = 4.0, 150.0, 200.0
 _PROGRESS, _ACCEL, _JERK, _LATERAL = 12.0, 0.25, 0.02, 0.1
 _CHANGE, _CHANGE_UNDERWAY, _NUDGE = 1.6, 0.3, 1.0
@@ -115,14 +116,21 @@ def precedence_cost(
     ways: Sequence[Way],
     future: Forecast,
     committed: frozenset[tuple[str, str]],
+    waited_s: float,
     options: LaneGraphOptions,
 ) -> FloatArray:
-    """Return (C,) the cost of taking the right of way from somebody."""
+    """Return (C,) the cost of taking the right of way from somebody.
+
+    Vehicles that have stood for two seconds while the target waited, or when it has set out, are let be: they
+    wait for somebody else, perhaps for the target.
+    """
     cost = np.zeros(len(choice.variant))
     for v in range(len(variants)):
         rows = np.flatnonzero(choice.variant == v)
         for foe in duties[v].foes:
             known = (foe.link.from_lane, foe.link.to_lane) in committed
+            if bool(others.standing[ways[foe.way].other]) and (known or waited_s > options.patience_s):
+                continue
             gap = options.gap_s * (0.4 if known else 1.0)
             took = _takes(candidates, rows, foe, state, others, ways[foe.way], future, gap)
             cost[rows] += _PRECEDENCE * future.weight[foe.way] ** 0.5 * took
@@ -177,6 +185,13 @@ def _time_at(s_m: FloatArray, speed_mps: FloatArray, goal_m: float) -> FloatArra
     rest = (goal_m - s_m[:, -1]) / np.maximum(speed_mps[:, -1], 0.1)
     late = np.where(speed_mps[:, -1] > 0.3, STEP_S * steps + rest, np.inf)
     return np.where(reached.any(1), STEP_S * first, late)
+
+
+def overrun_cost(choice: Modes, duties: Sequence[Duties], candidates: Candidates, state: State) -> FloatArray:
+    """Return (C,) the cost of passing a line at which one must stop, by braking too little."""
+    stop = np.array([duty.stop_m for duty in duties])[choice.variant]
+    over = candidates.s_m[:, -1] + state.front_m - stop
+    return np.asarray(_OVERRUN * np.clip(over + 0.5, 0.0, 2.0))
 
 
 def driving_cost(

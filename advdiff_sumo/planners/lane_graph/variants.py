@@ -10,7 +10,14 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.maps import Link, RoadMap
-from advdiff_sumo.planners.lane_graph.chains import Chain, required_changes, route_ahead, route_chain
+from advdiff_sumo.planners.lane_graph.chains import (
+    Chain,
+    Changes,
+    detour,
+    required_changes,
+    route_ahead,
+    route_chain,
+)
 from advdiff_sumo.planners.lane_graph.memory import Memory
 from advdiff_sumo.planners.lane_graph.options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath
@@ -19,6 +26,7 @@ _EDGES_AHEAD = 8
 _BACK_M = 20.0
 _MIN_BLEND_M = 10.0
 _MAX_TRACKED_OFFSET_M = 4.5
+_STUCK_S = 6.0
 _NUDGES_M = (0.6, -0.6)
 
 
@@ -57,13 +65,13 @@ class Place:
     Attributes:
         lane_id: the lane it is on.
         route: edges ahead, from the lane's (or the first beyond the junction).
-        changes: required lane changes of each (place in the route, lane).
+        changes: from :func:`required_changes` of the route.
         over: the connection that it is on, when on a junction.
     """
 
     lane_id: str
     route: tuple[str, ...]
-    changes: dict[tuple[int, str], tuple[int, int]]
+    changes: Changes
     over: Link | None
 
 
@@ -113,7 +121,9 @@ class Variant:
         return xy, yaw + np.arctan2(slope, lever)
 
 
-def locate(geometry: Geometry, state: State, route: Sequence[str], memory: Memory) -> Place | None:
+def locate(
+    geometry: Geometry, state: State, route: Sequence[str], memory: Memory, waited_s: float
+) -> Place | None:
     """Return where the target is: on the path chosen last, if it is still near, else on the likeliest lane."""
     lane = _tracked(geometry, state, memory)
     if lane is None:
@@ -123,8 +133,20 @@ def locate(geometry: Geometry, state: State, route: Sequence[str], memory: Memor
         if pose is None:
             return None
         lane = pose.lane_id
-    ahead = route_ahead(geometry.road, lane, tuple(route) or memory.route)[:_EDGES_AHEAD]
+    ahead = _edges_ahead(geometry.road, lane, tuple(route) or memory.route, memory, waited_s)[:_EDGES_AHEAD]
     return Place(lane, ahead, required_changes(geometry.road, ahead), geometry.link_of.get(lane))
+
+
+def _edges_ahead(
+    road: RoadMap, lane: str, route: tuple[str, ...], memory: Memory, waited_s: float
+) -> tuple[str, ...]:
+    """Return the edges ahead; by a detour when the target stands in a lane that it cannot leave for the route."""
+    ahead = route_ahead(road, lane, route)
+    on_detour = not road.lanes[lane].is_internal and memory.route[:1] == ahead[:1] and memory.detour
+    stuck = waited_s > _STUCK_S and len(ahead) > 1 and not memory.serves
+    if (stuck or on_detour) and not road.lanes[lane].is_internal:
+        return detour(road, lane, route[-1]) or ahead
+    return ahead
 
 
 def _tracked(geometry: Geometry, state: State, memory: Memory) -> str | None:

@@ -1,0 +1,342 @@
+"""What moveToXY does that its documentation does not say, and how the package lives with it (docs/sumo.md)."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from advdiff_sumo.core.errors import PlanRefusedError
+from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.core.plan import Trajectory
+from advdiff_sumo.core.record import Controller
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.actuate import Actuator
+from advdiff_sumo.sim.guard import check_plan
+from advdiff_sumo.sim.perceive import visible_ids
+from advdiff_sumo.sim.world import World, read, register
+from tests.sim.nets import EAST, EXACTLY, LENGTH_M, NORTH, TYPES, WEST, WIDTH_M, Stage, stage
+
+EASTBOUND, WESTBOUND = ("WM", "ME"), ("EM", "MW")
+NOBODY = np.zeros(0, dtype=np.int64)
+
+
+def actuator_on(s: Stage, net: Path) -> Actuator:
+    """Return an actuator whose world knows every vehicle of SUMO."""
+    world = World()
+    register(world, s.api, s.api.vehicle.getIDList())
+    read(world, s.api, NOBODY)
+    return Actuator(s.api, world, RoadMap.read(net))
+
+
+def move(actuator: Actuator, s: Stage, row: int, xy: tuple[float, float], yaw: float, speed: float = 0.0) -> None:
+    """Move *row* as the loop does, one step."""
+    rows = np.array([row])
+    at, heading = np.array([xy], dtype=np.float64), np.array([yaw])
+    actuator.world.set_state(rows, at, heading, np.array([speed]), Controller.POLICY)
+    actuator.move(rows, at, heading)
+    s.session.step()
+    actuator.settle(register(actuator.world, s.api, s.api.simulation.getDepartedIDList()))
+    read(actuator.world, s.api, np.array(sorted(actuator.moved), dtype=np.int64))
+
+
+# --- poses ---------------------------------------------------------------------------------------------------
+
+
+def test_centre_and_heading_come_back_at_every_angle(street: Path) -> None:
+    with stage(street) as s:
+        s.add("b", EASTBOUND)
+        for y in (-4.8, -1.6, 0.0, 20.0):  # on lanes, on the edge of one, off the road
+            for yaw in np.linspace(-np.pi, np.pi, 25):
+                s.hold("b", 150.0, y, float(yaw))
+                s.step()
+                xy, seen = s.pose("b")
+                np.testing.assert_allclose(xy, (150.0, y), atol=1e-6)
+                assert abs(wrap_angle(seen - yaw)) < 1e-6
+
+
+def test_the_position_is_that_of_the_front_bumper(street: Path) -> None:
+    with stage(street) as s:
+        s.add("b", EASTBOUND)
+        s.hold("b", 150.0, -4.8, NORTH)
+        s.step()
+        assert s.api.vehicle.getPosition("b") == pytest.approx((150.0, -4.8 + 0.5 * LENGTH_M))
+        assert s.api.vehicle.getAngle("b") == pytest.approx(0.0, abs=1e-9)
+
+
+# --- routes --------------------------------------------------------------------------------------------------
+
+
+def test_a_move_anywhere_rewrites_the_route(street: Path) -> None:
+    with stage(street) as s:
+        s.add("b", EASTBOUND)
+        s.hold("b", 150.0, 1.6, WEST)
+        s.step()
+        assert s.api.vehicle.getRoute("b") == ("MW",)
+
+
+def test_a_move_within_the_own_route_leaves_it(street: Path) -> None:
+    with stage(street) as s:
+        s.add("b", EASTBOUND)
+        s.free("b")
+        s.put("b", np.array((150.0, -2.0)), EAST, keep_route=3)
+        s.session.step()
+        assert s.api.vehicle.getRoute("b") == EASTBOUND
+        assert s.pose("b")[0] == pytest.approx((150.0, -2.0))
+
+
+def crossing_traffic(s: Stage, actuator: Actuator | None, route: tuple[str, ...]) -> float:
+    """Drive a moved vehicle along the priority road; return the slowest speed of who comes from the south."""
+    s.add("b", ("WC", "CE"), at=20)
+    s.add("t", ("SC", "CN"), at=87, speed=9)
+    slowest = np.inf
+    if actuator is not None:
+        register(actuator.world, s.api, ["b", "t"])
+        actuator.take(0)
+    else:
+        s.free("b")
+        s.api.vehicle.setSpeedFactor("b", 20.0)
+    for k in range(80):
+        x = -62.0 + 1.0 * k
+        if actuator is not None:
+            actuator.predict_route(0, route)
+            move(actuator, s, 0, (x, -1.6), EAST, 10.0)
+        else:
+            s.put("b", np.array((x, -1.6)), EAST)
+            s.api.vehicle.setSpeed("b", 10.0)
+            if route and x < -5.0:
+                s.api.vehicle.setRoute("b", list(route))
+            s.session.step()
+        if s.pose("t")[0][1] < 0.0:
+            slowest = min(slowest, s.api.vehicle.getSpeed("t"))
+    return slowest
+
+
+def test_drivers_at_a_junction_yield_only_to_a_predicted_route(crossing: Path) -> None:
+    with stage(crossing) as s:
+        assert crossing_traffic(s, None, ()) > 3.0
+    with stage(crossing) as s:
+        assert crossing_traffic(s, None, ("WC", "CE")) < 1.0
+    with stage(crossing) as s:
+        assert crossing_traffic(s, Actuator(s.api, World(), RoadMap.read(crossing)), ("WC", "CE")) < 1.0
+
+
+def test_a_foe_at_a_junction_is_visible(crossing: Path) -> None:
+    with stage(crossing) as s:
+        actuator = Actuator(s.api, World(), RoadMap.read(crossing))
+        s.add("b", ("WC", "CE"), at=90)
+        s.add("t", ("SC", "CN"), at=100, speed=9)
+        register(actuator.world, s.api, ["b", "t"])
+        actuator.take(0)
+        seen = []
+        for k in range(20):
+            actuator.predict_route(0, ("WC", "CE"))
+            move(actuator, s, 0, (-40.0 + k, -1.6), EAST, 10.0)
+            seen.append("b" in visible_ids(s.api, "t"))
+    assert seen[-1]
+
+
+def test_a_vehicle_without_a_route_ahead_arrives_and_the_actuator_keeps_it(crossing: Path) -> None:
+    with stage(crossing) as s:
+        s.add("b", ("WC",), at=100)
+        for k in range(20):
+            if "b" not in s.api.vehicle.getIDList():
+                break
+            s.hold("b", -20.0 + k, -1.6, EAST)
+            s.step()
+        gone_at = -20.0 + k
+    with stage(crossing) as s:
+        s.add("b", ("WC",), at=100)
+        actuator = actuator_on(s, crossing)
+        actuator.take(0)
+        for k in range(40):
+            x = -20.0 + k
+            actuator.predict_route(0, ("WC", "CE") if x < -8.0 else ("CE",))
+            move(actuator, s, 0, (x, -1.6), EAST, 10.0)
+            assert "b" in s.api.vehicle.getIDList()
+    assert gone_at <= 0.0
+
+
+# --- speeds --------------------------------------------------------------------------------------------------
+
+
+def test_the_speed_that_others_see_is_clipped_and_a_speed_factor_cures_it(street: Path) -> None:
+    def seen(factor: float | None) -> float:
+        with stage(street) as s:
+            s.add("b", EASTBOUND)
+            s.free("b")
+            if factor is not None:
+                s.api.vehicle.setSpeedFactor("b", factor)
+                s.api.vehicle.setMaxSpeed("b", 90.0)
+            for k in range(20):
+                s.put("b", np.array((30.0 + 2.5 * k, -4.8)), EAST)
+                s.session.step()
+            return float(s.api.vehicle.getSpeed("b"))
+
+    assert seen(None) == pytest.approx(14.0, abs=0.01), "the lane's limit, not the 25 m/s it drives"
+    assert seen(20.0) == pytest.approx(25.0, abs=0.01)
+
+
+def test_the_actuator_lets_others_see_the_true_speed_and_restores_the_limits(street: Path) -> None:
+    with stage(street) as s:
+        s.add("b", EASTBOUND)
+        before = s.api.vehicle.getSpeedFactor("b"), s.api.vehicle.getMaxSpeed("b")
+        actuator = actuator_on(s, street)
+        actuator.take(0)
+        for k in range(20):
+            move(actuator, s, 0, (30.0 + 2.5 * k, -4.8), EAST, 25.0)
+        assert s.api.vehicle.getSpeed("b") == pytest.approx(25.0, abs=0.01)
+        actuator.release(0)
+        assert (s.api.vehicle.getSpeedFactor("b"), s.api.vehicle.getMaxSpeed("b")) == before
+        assert s.api.vehicle.getSpeedMode("b") == 31
+        assert s.api.vehicle.getLaneChangeMode("b") == 1621
+
+
+def test_sumo_shows_reverse_motion_as_forward_and_sideways_motion_as_none(street: Path) -> None:
+    with stage(street) as s:
+        s.add("b", EASTBOUND)
+        for k in range(10):
+            s.hold("b", 100.0 - 0.3 * k, -4.8, EAST)
+            s.step()
+        backwards = s.api.vehicle.getSpeed("b")
+        for k in range(10):
+            s.hold("b", 97.3, -4.8 + 0.1 * k, EAST)
+            s.step()
+        sideways = s.api.vehicle.getSpeed("b")
+    assert backwards == pytest.approx(3.0, abs=0.01)
+    assert sideways == pytest.approx(0.0, abs=0.01)
+
+
+def test_our_own_states_win_over_sumos(street: Path) -> None:
+    with stage(street) as s:
+        s.add("b", EASTBOUND)
+        actuator = actuator_on(s, street)
+        actuator.take(0)
+        for k in range(5):
+            move(actuator, s, 0, (100.0 - 0.3 * k, -4.8), EAST, -3.0)
+        world = actuator.world
+        assert world.speed_mps[0] == -3.0
+        assert world.controller[0] == Controller.POLICY
+        assert world.lane[0] == "WM_0"
+
+
+# --- numbers that are none, places that are no road ------------------------------------------------------------
+
+
+def test_sumo_accepts_a_place_that_is_no_number_but_our_guard_does_not(street: Path) -> None:
+    with stage(street) as s:
+        s.add("b", EASTBOUND)
+        s.free("b")
+        s.api.vehicle.moveToXY("b", "", -1, float("nan"), 0.0, angle=90.0, keepRoute=EXACTLY)
+        s.session.step()  # no complaint
+        assert not np.isfinite(s.api.vehicle.getPosition("b")).all()
+    plan = Trajectory(np.full((5, 2), np.nan), np.zeros(5), np.zeros(5), 0.1)
+    with pytest.raises(PlanRefusedError, match="not numbers"):
+        check_plan(plan, np.zeros(2), 0.5, "it")
+
+
+def test_off_the_road_there_is_no_lane_and_a_vehicle_that_is_not_moved_again_is_lost(street: Path) -> None:
+    with stage(street) as s:
+        s.add("b", EASTBOUND)
+        world = World()
+        register(world, s.api, ["b"])
+        s.hold("b", 150.0, -20.0)
+        s.step()
+        assert s.api.vehicle.getLaneID("b") == ""
+        assert not read(world, s.api, NOBODY).size
+        s.held.clear()
+        s.step()
+        assert "b" in s.api.vehicle.getIDList()
+        assert read(world, s.api, NOBODY).tolist() == [0], "SUMO has lost it and we say so"
+
+
+def test_off_the_road_neither_subscriptions_of_others_nor_a_saved_state_hold_it(
+    street: Path, tmp_path: Path
+) -> None:
+    with stage(street) as s:
+        s.add("b", EASTBOUND)
+        s.add("t", EASTBOUND, at=150)
+        s.hold("b", 150.0, -12.0)
+        s.api.vehicle.subscribeContext("t", 0xA4, 50.0, [0x42])
+        s.step()
+        assert "b" not in s.api.vehicle.getContextSubscriptionResults("t")
+        s.hold("b", 150.0, -1.6)
+        s.step()
+        assert "b" in s.api.vehicle.getContextSubscriptionResults("t")
+        s.hold("b", 150.0, -12.0)
+        s.step()
+        s.api.simulation.saveState(str(tmp_path / "state.xml"))
+    with stage(street, otherwise={"--load-state": tmp_path / "state.xml"}) as s:
+        on_lanes = [n for n in s.api.vehicle.getIDList() if s.api.vehicle.getLaneID(n)]
+        assert on_lanes == ["t"]
+
+
+DEATH = """
+import sys, libsumo
+libsumo.start(["sumo", "-n", sys.argv[1], "-a", sys.argv[2], "--step-length", "0.1", "--no-step-log"])
+libsumo.route.add("r", ["WM", "ME"])
+libsumo.vehicle.add("b", "r", typeID="car")
+libsumo.vehicle.moveToXY("b", "", -1, 150.0, -40.0, angle=90.0, keepRoute=2)
+libsumo.simulationStep()
+print("alive", libsumo.vehicle.getIDList(), flush=True)
+libsumo.vehicle.getRoadID("b")
+print("survived", flush=True)
+"""
+
+
+def test_a_vehicle_that_never_was_on_a_lane_kills_the_process(street: Path) -> None:
+    words = [sys.executable, "-c", textwrap.dedent(DEATH), str(street), str(street.parent / TYPES)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert "alive ('b',)" in done.stdout
+    assert "survived" not in done.stdout
+    assert done.returncode == -signal.SIGSEGV
+
+
+@pytest.mark.parametrize(("x", "y", "yaw"), [(150.0, -40.0, EAST), (150.0, -4.0, 0.7), (-30.0, 5.0, WEST)])
+def test_the_actuator_inserts_on_a_lane_first_and_exactly_from_then_on(
+    street: Path, x: float, y: float, yaw: float
+) -> None:
+    with stage(street) as s:
+        s.session.step()
+        actuator = actuator_on(s, street)
+        row = actuator.world.add("b", 0, LENGTH_M, WIDTH_M)
+        actuator.world.set_state(
+            np.array([row]), np.array([[x, y]]), np.array([yaw]), np.array([5.0]), Controller.POLICY
+        )
+        actuator.insert(row, "car")
+        for k in range(5):
+            move(actuator, s, row, (x, y), yaw)
+            assert s.api.vehicle.getRoadID("b") == ("" if k and abs(y) > 10 else s.api.vehicle.getRoadID("b"))
+            assert actuator.moved[row].inserted
+        xy, seen = s.pose("b")
+        np.testing.assert_allclose(xy, (x, y), atol=1e-6)
+        assert abs(wrap_angle(seen - yaw)) < 1e-6
+        actuator.remove(row)
+        s.session.step()
+        assert s.api.vehicle.getIDList() == ()
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    x=st.floats(-50.0, 450.0), y=st.floats(-60.0, 60.0), yaw=st.floats(-np.pi, np.pi), speed=st.floats(0.0, 40.0)
+)
+def test_any_place_can_be_inserted_at(street: Path, x: float, y: float, yaw: float, speed: float) -> None:
+    with stage(street) as s:
+        actuator = actuator_on(s, street)
+        row = actuator.world.add("b", 0, LENGTH_M, WIDTH_M)
+        actuator.world.set_state(
+            np.array([row]), np.array([[x, y]]), np.array([yaw]), np.array([speed]), Controller.POLICY
+        )
+        actuator.insert(row, "car")
+        for _ in range(3):
+            move(actuator, s, row, (x, y), yaw, speed)
+        xy, seen = s.pose("b")
+    np.testing.assert_allclose(xy, (x, y), atol=1e-6)
+    assert abs(wrap_angle(seen - yaw)) < 1e-6

@@ -62,8 +62,8 @@ class Actuator:
         """Begin to move *row*, which is on a lane."""
         vehicle, name = self.api.vehicle, self.world.sumo_ids[row]
         self.moved[row] = Moved(vehicle.getSpeedFactor(name), vehicle.getMaxSpeed(name))
+        vehicle.setMaxSpeed(name, _FREE_MAX_SPEED)  # draws the speed factor anew, so it comes first
         vehicle.setSpeedFactor(name, _FREE_SPEED_FACTOR)
-        vehicle.setMaxSpeed(name, _FREE_MAX_SPEED)
         vehicle.setSpeedMode(name, _NO_CHECKS)
         vehicle.setLaneChangeMode(name, _NO_CHECKS)
 
@@ -73,8 +73,8 @@ class Actuator:
         name, vehicle = self.world.sumo_ids[row], self.api.vehicle
         if route:
             self._set_route(name, tuple(route))
-        vehicle.setSpeedFactor(name, before.speed_factor)
         vehicle.setMaxSpeed(name, before.max_speed_mps)
+        vehicle.setSpeedFactor(name, before.speed_factor)
         vehicle.setSpeedMode(name, _USUAL_SPEED_MODE)
         vehicle.setLaneChangeMode(name, _USUAL_LANE_CHANGE_MODE)
         vehicle.setPreviousSpeed(name, max(float(self.world.speed_mps[row]), 0.0))

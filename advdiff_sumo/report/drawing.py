@@ -101,8 +101,18 @@ def _traffic(axes: Axes, picture: Picture) -> None:
 def _time(axes: Axes, picture: Picture, box: Box) -> None:
     x, y = box.centre_m + (0.5 + 0.017 * picture.view.width_m) * box.label_side
     halo = [withStroke(linewidth=2.5, foreground=_GROUND)]
-    style = {"fontsize": 9, "ha": "center", "va": "center", "clip_on": True, "zorder": 6}
-    axes.text(x, y, box.label, color=COLOURS[box.role], path_effects=halo, **style)
+    axes.text(
+        x,
+        y,
+        box.label,
+        color=COLOURS[box.role],
+        path_effects=halo,
+        fontsize=9,
+        ha="center",
+        va="center",
+        clip_on=True,
+        zorder=6,
+    )
 
 
 def _impact(axes: Axes, picture: Picture) -> None:

@@ -134,7 +134,7 @@ def number(value: float | None, digits: int = 1, unit: str = "") -> str:
     """Return *value* with a typographic minus and its unit; a dash for None and NaN."""
     if value is None or not np.isfinite(value):
         return _DASH
-    text = f"{value:.{digits}f}".replace("-", "−")
+    text = f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0.0: no minus before a zero
     return f"{text}{_NO_BREAK}{unit}" if unit else text
 
 

@@ -1,0 +1,155 @@
+"""Run folders made by hand, so that every figure on the page is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import tomli_w
+
+from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
+
+Row = dict[str, Any]
+_ARROW = {"str": pa.string(), "int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_()}
+_STATES = pa.schema(
+    [
+        *((name, pa.int32()) for name in ("episode", "step")),
+        ("time_s", pa.float64()),
+        *((name, pa.string()) for name in ("agent", "class")),
+        *((name, pa.float64()) for name in ("length_m", "width_m", "x_m", "y_m", "yaw_rad", "speed_mps")),
+        ("controller", pa.string()),
+        ("is_target", pa.bool_()),
+    ]
+)
+
+
+def episode(number: int, **values: Any) -> Row:
+    """Return an uneventful row of ``episodes.parquet`` with *values* put in."""
+    zeros = {name: 0 for name, column in EPISODE_COLUMNS.items() if column.dtype == "int64"}
+    plain = dict.fromkeys(EPISODE_COLUMNS) | zeros
+    plain |= {"episode": number, "scene": f"scene-{number}", "seed": 7, "end": "horizon", "duration_s": 3.0}
+    plain |= {"target_collision": False, "route_completed": False, "distance_m": 30.0}
+    assert values.keys() <= plain.keys()
+    return plain | values
+
+
+def struck(number: int, partner: str = "bv", **values: Any) -> Row:
+    """Return a row of an episode whose target was hit at 3 s at (115, 101)."""
+    hit = {
+        "end": "collision",
+        "target_collision": True,
+        "collision_time_s": 3.0,
+        "collision_partner": partner,
+    }
+    hit |= {
+        "collision_type": "rear_end_striking",
+        "at_fault": "target",
+        "fault_reason": "It drove into the rear.",
+    }
+    hit |= {"impact_x_m": 115.0, "impact_y_m": 101.0, "relative_speed_mps": 5.0, "min_clearance_m": 0.0}
+    return episode(number, **hit | values)
+
+
+def drive(
+    number: int, agent: str, x0: float, y0: float, speed: float, *, target: bool = False, steps: int = 31
+) -> list[Row]:
+    """Return states of a car that goes east at constant speed for *steps* instants of 0.1 s."""
+    return [
+        {
+            "episode": number,
+            "step": k,
+            "time_s": round(0.1 * k, 6),
+            "agent": agent,
+            "class": "car",
+            "length_m": 5.0,
+            "width_m": 2.0,
+            "x_m": x0 + 0.1 * k * speed,
+            "y_m": y0,
+            "yaw_rad": 0.0,
+            "speed_mps": speed,
+            "controller": "sumo",
+            "is_target": target,
+        }
+        for k in range(steps)
+    ]
+
+
+def write_folder(
+    folder: Path,
+    episodes: Sequence[Row],
+    states: Sequence[Row] = (),
+    collisions: Sequence[Row] = (),
+    options: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write a run folder of these rows and return it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    base = {
+        "net": "/nowhere/lost.net.xml",
+        "target": "IDM",
+        "background": "replay",
+        "horizon_s": 20.0,
+        "seed": 3,
+    }
+    settings = {
+        "run": {"advdiff_sumo": "0.1.0"},
+        "options": base | {"episodes": len(episodes)} | dict(options or {}),
+    }
+    (folder / "run.toml").write_text(tomli_w.dumps(settings), encoding="utf-8")
+    for name, columns, rows in (
+        ("episodes", EPISODE_COLUMNS, episodes),
+        ("collisions", COLLISION_COLUMNS, collisions),
+    ):
+        schema = pa.schema([(key, _ARROW[column.dtype]) for key, column in columns.items()])
+        pq.write_table(pa.Table.from_pylist(list(rows), schema=schema), folder / f"{name}.parquet")
+    pq.write_table(pa.Table.from_pylist(list(states), schema=_STATES), folder / "states.parquet")
+    return folder
+
+
+@dataclass
+class Maker:
+    """Makes folders below a temporary one."""
+
+    root: Path
+    made: int = field(default=0)
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Path:
+        self.made += 1
+        return write_folder(self.root / f"run-{self.made}", *args, **kwargs)
+
+
+@pytest.fixture
+def make_folder(tmp_path: Path) -> Callable[..., Path]:
+    return Maker(tmp_path)
+
+
+@pytest.fixture
+def two_episodes(make_folder: Callable[..., Path]) -> Path:
+    """Return a folder of a quiet episode 0 and of episode 1 with a collision of "ego" and "bv"."""
+    states = drive(0, "ego", 100.0, 100.0, 10.0, target=True) + drive(0, "bv", 100.0, 110.0, 10.0)
+    states += drive(1, "ego", 85.0, 101.0, 10.0, target=True) + drive(1, "bv", 105.0, 101.0, 5.0)
+    collisions = [
+        dict.fromkeys(COLLISION_COLUMNS)
+        | {"episode": 1, "time_s": 3.0, "first": "ego", "second": "bv", "with_target": True, "initial": False}
+        | {"type": "rear_end_striking", "first_speed_mps": 10.0, "impact_x_m": 115.0, "impact_y_m": 101.0}
+    ]
+    quiet = episode(0, min_ttc_s=4.25, min_clearance_m=8.0, min_clearance_partner="bv", brake_max_mps2=-0.0)
+    return make_folder([quiet, struck(1)], states, collisions)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The makers of rows, for tests that need other ones."""
+
+    episode: Callable[..., Row]
+    struck: Callable[..., Row]
+    drive: Callable[..., list[Row]]
+
+
+@pytest.fixture
+def rows() -> Rows:
+    return Rows(episode, struck, drive)

@@ -1,0 +1,63 @@
+"""Pictures as files."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.report import figure
+from advdiff_sumo.report.drawing import COLOURS, draw
+from advdiff_sumo.report.folder import FinishedRun
+from advdiff_sumo.report.picture import Role, picture_of
+
+
+@pytest.mark.parametrize("ending", ["svg", "png"])
+def test_same_episode_same_bytes(two_episodes: Path, tmp_path: Path, ending: str) -> None:
+    one, two = (figure(two_episodes, 1, tmp_path / f"{name}.{ending}").read_bytes() for name in "ab")
+    assert one == two
+    assert one.startswith(b"<?xml" if ending == "svg" else b"\x89PNG")
+
+
+def test_svg_has_everybody_and_no_date(two_episodes: Path, tmp_path: Path) -> None:
+    text = figure(two_episodes, 1, tmp_path / "a.svg").read_text(encoding="utf-8")
+    ET.fromstring(text)  # noqa: S314 - our own file
+    assert COLOURS[Role.TARGET] in text
+    assert COLOURS[Role.ATTACKER] in text
+    assert "impact" in text
+    assert "dc:date" not in text
+
+
+def test_picture_in_metres(two_episodes: Path) -> None:
+    run = FinishedRun.read(two_episodes)
+    states = run.states(1)
+    assert states is not None
+    picture = picture_of(states, run.row(1), run.collisions_of(1), None)
+    assert picture.attacker == "bv"
+    last = picture.boxes[-1]
+    assert last.role is Role.TARGET
+    assert last.corners_m.mean(axis=0) == pytest.approx((115.0, 101.0))
+    assert last.corners_m[0] == pytest.approx((117.5, 102.0))
+    assert last.age == 0.0
+    assert [box.label for box in picture.boxes if box.role is Role.TARGET] == ["0", "1", "2", "3"]
+    assert [box.label for box in picture.boxes if box.role is Role.ATTACKER] == ["0", "", "2", ""]
+    assert picture.view.width_m == pytest.approx(1.5 * picture.view.height_m)
+    x0, x1 = draw(picture).axes[0].get_xlim()
+    assert (x0, x1) == pytest.approx((picture.view.x0_m, picture.view.x1_m))
+
+
+def test_no_such_episode(two_episodes: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="has no episode 9; it has 0 to 1"):
+        figure(two_episodes, 9, tmp_path / "a.svg")
+
+
+def test_ending_is_checked_before_anything_is_read(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"a\.gif: is neither \.svg nor \.png"):
+        figure(tmp_path / "nothing", 0, tmp_path / "a.gif")
+
+
+def test_unwritable_place(two_episodes: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="cannot be written"):
+        figure(two_episodes, 0, tmp_path / "no" / "a.svg")

@@ -1,0 +1,44 @@
+"""Order of the episodes, choice of pictures, choice of the attacker."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from advdiff_sumo.report.select import UNEVENTFUL_SHOWN, attacker_of, pictured, worst_first
+
+
+def _numbers(episodes: list[Any]) -> list[int]:
+    return [row["episode"] for row in episodes]
+
+
+def test_worst_first(rows: Any) -> None:
+    episodes = [
+        rows.episode(0),
+        rows.episode(1, min_ttc_s=2.0),
+        rows.episode(2, min_ttc_s=1.0),
+        rows.episode(3, end="failed"),
+        rows.struck(4, at_fault="other", relative_speed_mps=20.0),
+        rows.struck(5, relative_speed_mps=3.0),
+        rows.struck(6, relative_speed_mps=9.0),
+        rows.struck(7, relative_speed_mps=None, collision_partner=None),
+        rows.episode(8, min_clearance_m=0.4),
+    ]
+    assert _numbers(worst_first(episodes)) == [6, 5, 7, 4, 3, 2, 1, 8, 0]
+
+
+def test_equal_episodes_keep_their_numbers_order(rows: Any) -> None:
+    assert _numbers(worst_first([rows.episode(k) for k in (3, 1, 2)])) == [1, 2, 3]
+
+
+def test_all_eventful_and_some_others_get_a_picture(rows: Any) -> None:
+    quiet = [rows.episode(k) for k in range(UNEVENTFUL_SHOWN + 5)]
+    loud = [rows.struck(100 + k) for k in range(40)] + [rows.episode(200, end="failed")]
+    chosen = _numbers(pictured(worst_first(quiet + loud)))
+    assert set(chosen) == {*range(100, 140), 200, *range(UNEVENTFUL_SHOWN)}
+
+
+def test_attacker(rows: Any) -> None:
+    assert attacker_of(rows.struck(0, "a", min_ttc_partner="b")) == "a"
+    assert attacker_of(rows.episode(0, min_ttc_partner="b", min_clearance_partner="c")) == "b"
+    assert attacker_of(rows.episode(0, min_clearance_partner="c")) == "c"
+    assert attacker_of(rows.episode(0)) is None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
@@ -43,11 +44,33 @@ def _common(
 
 def main() -> None:
     """Run the command line; an error that the user can mend is one sentence on stderr and exit code 2."""
+    if os.getcwd() not in sys.path:  # noqa: PTH109 - sys.path holds text
+        sys.path.insert(0, os.getcwd())  # noqa: PTH109 - a user's own planner may lie here, as with python -m
     try:
-        app()
+        code = app(standalone_mode=False)
     except AdvdiffError as error:
-        Console(stderr=True, soft_wrap=True, highlight=False).print(f"error: {error}", markup=False, style="red")
-        sys.exit(INPUT_ERROR)
-    except KeyboardInterrupt:
+        _refuse(str(error))
+    except typer.TyperException as error:
+        _refuse(_usage(error))
+    except (KeyboardInterrupt, typer.Abort):
+        code = INTERRUPTED
+    if code == INTERRUPTED:
         Console(stderr=True, highlight=False).print("interrupted; what had finished is kept", style="yellow")
-        sys.exit(INTERRUPTED)
+    sys.exit(code)
+
+
+def _refuse(sentence: str) -> NoReturn:
+    line = " ".join(sentence.split())
+    if line:  # empty where typer has printed the help already
+        Console(stderr=True, soft_wrap=True, highlight=False).print(
+            f"error: {line}", markup=False, style="red"
+        )
+    sys.exit(INPUT_ERROR)
+
+
+def _usage(error: typer.TyperException) -> str:
+    """Return what is wrong with the command line, and whose help to read."""
+    problem = error.format_message().strip().rstrip(".")
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context else app.info.name
+    return f"{problem[0].lower()}{problem[1:]}; see {command} --help" if problem else ""

@@ -11,10 +11,8 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from advdiff_sumo.cli.summary import print_summary
 from advdiff_sumo.config import read_toml, set_dotted
 from advdiff_sumo.core.errors import ConfigError
-from advdiff_sumo.report import write_report
 from advdiff_sumo.sim.run import Run, RunOptions
 from advdiff_sumo.sim.store import RunFolder
 
@@ -24,11 +22,15 @@ _RUNS = Path("runs")
 def run(
     net: Annotated[
         str | None,
-        typer.Option(help="SUMO net (.net.xml, .net.xml.gz), or a shipped one: downtown, downtown-left, motorway."),
+        typer.Option(
+            help="SUMO net (.net.xml, .net.xml.gz), or a shipped one: downtown, downtown-left, motorway."
+        ),
     ] = None,
     target: Annotated[
         str | None,
-        typer.Option(help="What drives the tested vehicle: IDM, Krauss, EIDM, …, lane_graph, or package.module:Class."),
+        typer.Option(
+            help="What drives the tested vehicle: IDM, Krauss, EIDM, …, lane_graph, or package.module:Class."
+        ),
     ] = None,
     background: Annotated[
         str | None, typer.Option(help="What moves the others: sumo, replay, or package.module:Class.")
@@ -39,17 +41,23 @@ def run(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Same seed, same bytes.", show_default="0")] = None,
     demand: Annotated[
-        Path | None, typer.Option(help="Route file (.rou.xml) or .sumocfg of the net; without it traffic is made up.")
+        Path | None,
+        typer.Option(help="Route file (.rou.xml) or .sumocfg of the net; without it traffic is made up."),
     ] = None,
     scenes: Annotated[
-        Path | None, typer.Option(help="Driving log to start from: a nuScenes dataset root or ScenarioNet records.")
+        Path | None,
+        typer.Option(help="Driving log to start from: a nuScenes dataset root or ScenarioNet records."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the results.", show_default="runs/NET-TARGET-BACKGROUND-sSEED")
+        Path | None,
+        typer.Option(help="Folder for the results.", show_default="runs/NET-TARGET-BACKGROUND-sSEED"),
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="TOML file with options, such as a run's own run.toml.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="TOML file with options, such as a run's own run.toml.")
+    ] = None,
     assign: Annotated[
-        list[str] | None, typer.Option("--set", help="Any other option, as NAME=VALUE: --set sim.control_radius_m=80.")
+        list[str] | None,
+        typer.Option("--set", help="Any other option, as NAME=VALUE: --set sim.control_radius_m=80."),
     ] = None,
     gui: Annotated[bool, typer.Option("--gui", help="Watch in sumo-gui (needs a display).")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run in --out.")] = False,
@@ -61,6 +69,9 @@ def run(
     The folder of results holds run.toml (repeats the run: advdiff-sumo run --config run.toml),
     episodes.parquet, collisions.parquet, states.parquet, timing.parquet and report.html.
     """
+    from advdiff_sumo.cli.summary import print_summary  # late: --help and refusals need no plots
+    from advdiff_sumo.report import write_report
+
     given = {
         "net": net,
         "target": target,
@@ -71,13 +82,17 @@ def run(
         "demand": demand and str(demand),
         "scenes": scenes and str(scenes),
     }
+    if resume:
+        config = config or _begun(out)
     prepared = Run.prepare(_options(config, given, assign or []), gui)
     folder = RunFolder.create(out or _free_folder(prepared), prepared.settings, resume)
     console = Console()
     rows: list[Mapping[str, Any]] = []
     try:
         with _progress(console) as progress:
-            task = progress.add_task("episodes", total=prepared.options.episodes, completed=len(folder.done()))
+            task = progress.add_task(
+                "episodes", total=prepared.options.episodes, completed=len(folder.done())
+            )
 
             def tell(row: Mapping[str, Any]) -> None:
                 rows.append(row)
@@ -91,9 +106,21 @@ def run(
     print_summary(console, folder.path, prepared.options.episodes - count)
 
 
+def _begun(out: Path | None) -> Path | None:
+    """Return the options of the interrupted run in *out*, if it came so far as to write them."""
+    if out is None:
+        raise ConfigError("--resume does not say which run; add its folder with --out")
+    settings = out / "run.toml"
+    return settings if settings.exists() else None
+
+
 def _progress(console: Console) -> Progress:
     return Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
     )
 
 

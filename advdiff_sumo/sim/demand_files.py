@@ -51,8 +51,7 @@ def read_demand(path: Path, road: RoadMap) -> DemandFiles:
         FileError: a file is missing, truncated, or no demand.
         SceneError: the routes are of another net.
     """
-    if not path.is_file():
-        raise FileError(path, "no such demand file")
+    _must_be_file(path, "give a .rou.xml, .trips.xml or .sumocfg")
     routes, additional = _of_configuration(path) if path.suffix == ".sumocfg" else ((path,), ())
     begin = min(_check(file, road) for file in routes)
     kept = tuple(file for file in additional if not _only_output(file))
@@ -67,7 +66,14 @@ def _of_configuration(path: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
             found[element.tag] = tuple(path.parent / name for name in names)
     if not found.get("route-files"):
         raise FileError(path, "names no route-files", "give a .rou.xml or a configuration that has them")
+    for name in (name for names in found.values() for name in names):
+        _must_be_file(name, f"{path.name} names it: put it there or correct the name")
     return found["route-files"], found.get("additional-files", ())
+
+
+def _must_be_file(path: Path, remedy: str) -> None:
+    if not path.is_file():
+        raise FileError(path, "is no file" if path.exists() else "no such demand file", remedy)
 
 
 def _check(path: Path, road: RoadMap) -> float:
@@ -84,11 +90,11 @@ def _check(path: Path, road: RoadMap) -> float:
         if routes >= _ROUTES_LOOKED_AT:
             break
     if not routes:
-        raise FileError(path, "holds no vehicle, trip or flow with a route")
+        raise FileError(path, "holds no vehicle, trip or flow with a route", "give demand made for the net")
     if foreign > routes // 2:
         raise SceneError(
             f"{path}: {foreign} of its first {routes} routes use edges that {road.path.name} does not have "
-            f"(such as '{example}'); it is the demand of another net"
+            f"(such as '{example}'); it is the demand of another net, give that net or other demand"
         )
     return begin if begin < float("inf") else 0.0
 

@@ -9,20 +9,21 @@ from functools import cached_property
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import Field
 
 from advdiff_sumo import __version__
 from advdiff_sumo.config import Options
-from advdiff_sumo.core.errors import ConfigError, FileError, NetError, SceneError
+from advdiff_sumo.core.errors import AdvdiffError, ConfigError, FileError, NetError, SceneError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data import open_log
+from advdiff_sumo.data.base import LogReader
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.rows import collision_rows, episode_row
 from advdiff_sumo.planners.base import Target
 from advdiff_sumo.planners.registry import TARGETS, make_target
-from advdiff_sumo.sim.demand_files import read_demand
+from advdiff_sumo.sim.demand_files import DemandFiles, read_demand
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.logs import LoggedTraffic
 from advdiff_sumo.sim.natural import NaturalTraffic
@@ -32,6 +33,7 @@ from advdiff_sumo.sim.store import RunFolder
 from advdiff_sumo.traffic.base import TrafficPolicy
 from advdiff_sumo.traffic.registry import POLICIES, make_policy
 
+_Made = TypeVar("_Made")
 SHIPPED_NETS = ("downtown", "downtown-left", "motorway")
 
 
@@ -95,16 +97,28 @@ class Run:
             InputError: one of its kinds; a sentence that names the culprit.
         """
         names = TARGETS.canonical(options.target), POLICIES.canonical(options.background)
-        target = make_target(names[0], options.target_options)
-        policy = make_policy(names[1], options.background_options)
+        target = _made(f"target '{names[0]}'", make_target, names[0], options.target_options)
+        policy = _made(f"background '{names[1]}'", make_policy, names[1], options.background_options)
         if options.demand and options.scenes:
             raise ConfigError("demand and scenes cannot go together: a log brings its own traffic")
         road = RoadMap.read(find_net(options.net))
-        if not road.source_edges() and not road.connected_edges():
+        if not any(road.edge_graph().successors.values()):
             raise NetError(
                 road.path, "has no route that a car could drive", "give a net with connected edges"
             )
-        return Run(options, road, target, policy, names, gui)
+        run = Run(options, road, target, policy, names, gui)
+        _ = run.demand, run.log
+        return run
+
+    @cached_property
+    def demand(self) -> DemandFiles | None:
+        """The user's demand, held against the net; None where traffic is generated."""
+        return read_demand(Path(self.options.demand), self.road) if self.options.demand else None
+
+    @cached_property
+    def log(self) -> LogReader | None:
+        """The driving log that scenes come from, if any."""
+        return open_log(Path(self.options.scenes)) if self.options.scenes else None
 
     def seed_scenes(self) -> Iterator[SeedScene]:
         """Yield seed scenes in their order; a log's end, SUMO traffic goes on for ever.
@@ -114,12 +128,10 @@ class Run:
         """
         options = self.options
         seed = SeedTree(options.seed).child("scenes")
-        if options.scenes:
-            log = LoggedTraffic(self.road, open_log(Path(options.scenes)), options.scene, options.sim, seed)
-            yield from log.scenes()
+        if self.log is not None:
+            yield from LoggedTraffic(self.road, self.log, options.scene, options.sim, seed).scenes()
             return
-        demand = read_demand(Path(options.demand), self.road) if options.demand else None
-        source = NaturalTraffic(self.road, demand, options.scene, options.sim, options.horizon_s, seed)
+        source = NaturalTraffic(self.road, self.demand, options.scene, options.sim, options.horizon_s, seed)
         number = 0
         while True:
             yield from source.batch(number)
@@ -144,7 +156,10 @@ class Run:
             finished = True
         finally:
             numbers = folder.done()
-            folder.consolidate(finished)
+            if numbers:
+                folder.consolidate(finished)
+            else:
+                folder.discard()
         if not numbers:
             raise SceneError(f"{self.road.path}: no seed scene was found")
         return len(numbers)
@@ -180,6 +195,15 @@ class Run:
             "run": {"advdiff_sumo": __version__, "revision": git_revision(), **versions},
             "options": dumped,
         }
+
+
+def _made(what: str, make: Callable[..., _Made], name: str, options: Mapping[str, Any]) -> _Made:
+    try:
+        return make(name, options)
+    except AdvdiffError:
+        raise
+    except Exception as error:  # a user's own class may raise anything, also while it is imported
+        raise ConfigError(f"{what} cannot be made: {type(error).__name__}: {error}; correct it") from error
 
 
 def find_net(net: str) -> Path:

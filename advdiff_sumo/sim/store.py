@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import tomli_w
 
@@ -62,9 +64,13 @@ class RunFolder:
 
     Attributes:
         path: the folder.
+        made: folders that this run made, innermost first.
+        fresh: there was no run in it before.
     """
 
     path: Path
+    made: tuple[Path, ...] = ()
+    fresh: bool = False
 
     @staticmethod
     def create(path: Path, settings: Mapping[str, Any], resume: bool) -> RunFolder:
@@ -79,19 +85,32 @@ class RunFolder:
             FileError: the folder cannot be written, or holds something else.
             ConfigError: it is of a run with other options.
         """
-        folder = RunFolder(path)
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            (path / _PARTS).mkdir(exist_ok=True)
-        except OSError as error:
-            raise FileError(path, f"cannot be written ({error.strerror})", "choose another --out") from None
-        before = path / "run.toml"
-        if before.exists():
-            folder._must_continue(before, settings, resume)
-        elif any(child.name != _PARTS for child in path.iterdir()):
+        begun = (path / "run.toml").exists()
+        made = tuple(folder for folder in (path, *path.parents) if not folder.exists())
+        folder = RunFolder(path, made, fresh=not begun)
+        if begun:
+            folder._must_continue(path / "run.toml", settings, resume)
+        elif path.is_dir() and any(child.name != _PARTS for child in path.iterdir()):
             raise FileError(path, "is a folder that holds other files", "choose a new --out")
-        _replace(before, tomli_w.dumps(settings).encode())
+        try:
+            (path / _PARTS).mkdir(parents=True, exist_ok=True)
+            _replace(path / "run.toml", tomli_w.dumps(settings).encode())
+        except OSError as error:
+            folder.discard()
+            raise FileError(path, f"cannot be written ({error.strerror})", "choose another --out") from None
         return folder
+
+    def discard(self) -> None:
+        """Take a new folder away again, for a run of which no episode finished; what was there before stays."""
+        if not self.fresh or self.done():
+            return
+        shutil.rmtree(self.path / _PARTS, ignore_errors=True)
+        for name in ("run.toml", "run.aside"):
+            with contextlib.suppress(OSError):
+                (self.path / name).unlink()
+        for folder in self.made:
+            with contextlib.suppress(OSError):  # somebody else put something there
+                folder.rmdir()
 
     def _must_continue(self, before: Path, settings: Mapping[str, Any], resume: bool) -> None:
         if not resume:
@@ -105,7 +124,31 @@ class RunFolder:
         new = settings["options"]
         for key in sorted({*old, *new} - {"episodes", "out"}):
             if old.get(key) != new.get(key):
-                raise ConfigError(f"{self.path}: that run had {key} = {old.get(key)!r}, not {new.get(key)!r}")
+                raise ConfigError(
+                    f"{self.path}: that run had {key} = {old.get(key)!r}, not {new.get(key)!r}; "
+                    "leave that option out, or choose a new --out"
+                )
+        self._take_apart()
+        had = max(self.done(), default=-1) + 1
+        if had > new["episodes"]:
+            raise ConfigError(
+                f"{self.path}: that run has {had} episodes; ask for as many, or choose a new --out"
+            )
+
+    def _take_apart(self) -> None:
+        """Make parts of a finished run's tables again, so that none of its episodes is run or lost."""
+        if (self.path / _PARTS).exists() or not all((self.path / f"{t}.parquet").exists() for t in TABLES):
+            return
+        aside = self.path / f"{_PARTS}.aside"
+        shutil.rmtree(aside, ignore_errors=True)
+        aside.mkdir()
+        for table in TABLES:
+            whole = pq.read_table(self.path / f"{table}.parquet")
+            for number in pq.read_table(self.path / "episodes.parquet")["episode"].to_pylist():
+                part = whole.filter(pc.field("episode") == number).combine_chunks()
+                _write(aside / f"{number:06d}.{table}.parquet", part)
+                (aside / f"{number:06d}.done").touch()
+        aside.replace(self.path / _PARTS)
 
     def done(self) -> list[int]:
         """Return the numbers of the episodes that are on disk."""
@@ -210,8 +253,5 @@ def _write_all(path: Path, parts: Iterable[Path | pa.Table], schema: pa.Schema) 
 
 def _replace(path: Path, content: bytes) -> None:
     aside = path.with_suffix(".aside")
-    try:
-        aside.write_bytes(content)
-    except OSError as error:
-        raise FileError(path, f"cannot be written ({error.strerror})", "choose another --out") from None
+    aside.write_bytes(content)
     aside.replace(path)

@@ -1,0 +1,1 @@
+"""Tests of targets, with a harness for closed-loop figures."""

@@ -39,7 +39,9 @@ def _write(folder: Path, kind: str, lefthand: bool) -> Path:
             f'<edge id="{name}_in" from="{name}" to="c" {rest}/>',
             f'<edge id="{name}_out" from="c" to="{name}" {rest}/>',
         ]
-    (folder / "n.nod.xml").write_text(f'<nodes><node id="c" x="0" y="0" type="{kind}"/>{"".join(nodes)}</nodes>')
+    (folder / "n.nod.xml").write_text(
+        f'<nodes><node id="c" x="0" y="0" type="{kind}"/>{"".join(nodes)}</nodes>'
+    )
     (folder / "n.edg.xml").write_text(f"<edges>{''.join(edges)}</edges>")
     net = folder / "crossing.net.xml"
     subprocess.run(

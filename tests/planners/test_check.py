@@ -28,7 +28,13 @@ class Broken:
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> None:
         """Remember nothing."""
 
-    def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> Any:
+    def plan(
+        self,
+        road: RoadMap,  # noqa: ARG002 - the contract
+        scene: Scene,
+        memory: Any,  # noqa: ARG002 - the contract
+        rng: np.random.Generator,
+    ) -> Any:
         self.calls += 1
         return self.make(scene, self.calls, rng)
 
@@ -47,7 +53,12 @@ def spoil(scene: Scene) -> Trajectory:
 
 
 def with_values(plan: Trajectory, **values: Any) -> Trajectory:
-    parts = {"xy_m": plan.xy_m, "yaw_rad": plan.yaw_rad, "speed_mps": plan.speed_mps, "dt_s": plan.dt_s}
+    parts: dict[str, Any] = {
+        "xy_m": plan.xy_m,
+        "yaw_rad": plan.yaw_rad,
+        "speed_mps": plan.speed_mps,
+        "dt_s": plan.dt_s,
+    }
     return Trajectory(**(parts | values))
 
 
@@ -69,7 +80,10 @@ CASES: list[tuple[Callable[[Scene, int, np.random.Generator], Any], str]] = [
     (lambda s, _n, _r: (with_values(straight(s), xy_m=straight(s).xy_m + 5.0), None), "step 0 moves farther"),
     (lambda s, _n, _r: (with_values(straight(s), speed_mps=np.zeros(5)), None), "brakes by more"),
     (lambda s, _n, _r: (with_values(straight(s), yaw_rad=np.full(5, 2.0)), None), "turns faster"),
-    (lambda s, n, _r: (with_values(straight(s), speed_mps=np.full(5, 10.0 + 0.01 * n)), None), "two different plans"),
+    (
+        lambda s, n, _r: (with_values(straight(s), speed_mps=np.full(5, 10.0 + 0.01 * n)), None),
+        "two different plans",
+    ),
     (lambda s, _n, _r: (spoil(s), None), "changed the scene"),
     (lambda _s, _n, _r: (Controls(np.full(5, 9.0), np.zeros(5), 0.1), None), "accelerates by 9.0"),
     (lambda _s, _n, _r: (Controls(np.zeros(5), np.full(5, 1.0), 0.1), None), "steers by 1.00 rad"),

@@ -33,7 +33,9 @@ def lateral(road: RoadMap, lane: str, out: Tracks) -> float:
 @SIDES
 def test_an_empty_road_is_driven_at_the_limit_in_the_middle(crossing: Maker, lefthand: bool) -> None:
     road = crossing(lefthand=lefthand)
-    out = roll(road, LaneGraphPlanner(), make_scene(road, [Car("west_in_0", 20.0, 5.0, d_m=0.5)], ALONG), 10.0)
+    out = roll(
+        road, LaneGraphPlanner(), make_scene(road, [Car("west_in_0", 20.0, 5.0, d_m=0.5)], ALONG), 10.0
+    )
     assert lane_speed(out) == pytest.approx(13.89, abs=0.4)
     assert lateral(road, "west_in_0", out) == pytest.approx(0.0, abs=0.1)
 
@@ -75,7 +77,9 @@ def test_signals(crossing: Maker, letter: str, stops: bool) -> None:
     scene = make_scene(road, [Car("south_in_0", 120.0, 10.0)], ACROSS, {"c": letter * 40})
     out = roll(road, LaneGraphPlanner(), scene, 12.0)
     line = road.lanes["south_in_0"].length_m
-    front = float(road.lanes["south_in_0"].line.project(out.xy_m[0, -1], extrapolate=True)[0]) + 0.5 * CAR_M[0]
+    front = (
+        float(road.lanes["south_in_0"].line.project(out.xy_m[0, -1], extrapolate=True)[0]) + 0.5 * CAR_M[0]
+    )
     if stops:
         assert lane_speed(out) < 0.2
         assert line - 3.0 < front < line
@@ -98,7 +102,10 @@ def test_it_gives_way_on_the_minor_road(crossing: Maker, lefthand: bool) -> None
     ego = Car("south_in_0", 150.0, 10.0)
     free = roll(road, LaneGraphPlanner(), make_scene(road, [ego], ACROSS), 8.0)
     assert free.xy_m[0, -1, 1] > 10.0
-    cars = [ego, *(Car(lane, 130.0 - 22.0 * k, 12.0) for k in range(4) for lane in ("west_in_0", "east_in_0"))]
+    cars = [
+        ego,
+        *(Car(lane, 130.0 - 22.0 * k, 12.0) for k in range(4) for lane in ("west_in_0", "east_in_0")),
+    ]
     out = roll(road, LaneGraphPlanner(), make_scene(road, cars, ACROSS), 5.0)
     assert out.xy_m[0, -1, 1] + 0.5 * CAR_M[0] < -4.0
     assert lane_speed(out) < 4.0

@@ -49,7 +49,7 @@ def test_every_car_following_model_is_a_target(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["idm", "IDM", " Idm ", "iDm"])
 def test_case_does_not_matter(name: str) -> None:
-    assert make_target(name, {}).car_following == "IDM"  # type: ignore[union-attr] - a SUMO driver
+    assert make_target(name, {}).car_following == "IDM"  # type: ignore[union-attr] # a SUMO driver
 
 
 @pytest.mark.parametrize("name", ["lane_graph", "Lane-Graph", "LANE_GRAPH"])
@@ -88,7 +88,7 @@ def test_an_unknown_target_gets_a_suggestion() -> None:
 
 def test_a_users_own_class(here: str) -> None:
     planner = make_target(f"{here}:Idle", {"patience_s": 3.0})
-    assert planner.patience_s == 3.0  # type: ignore[union-attr] - it is Idle
+    assert planner.patience_s == 3.0  # type: ignore[union-attr] # it is Idle
 
 
 @pytest.mark.parametrize(

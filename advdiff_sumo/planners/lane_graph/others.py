@@ -8,15 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.planners.lane_graph.chains import Chain, plausible_chains, route_chain
-from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath, straight_path
+from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath, PathStack, straight_path
 
 RADIUS_M = 90.0
 _MAX_LANE_OFFSET_M = 2.6
 _MAX_YAW_ERROR_RAD = 1.0
 _LOOK_S, _LOOK_M = 6.0, 25.0
+_MAX_WORSE_M = 0.8
 
 
 @dataclass(frozen=True)
@@ -104,38 +106,38 @@ def others_near(scene: Scene) -> Others:
 
 
 def ways_of(geometry: Geometry, scene: Scene, others: Others) -> list[Way]:
-    """Return the ways that *others* may take, all of them along lanes where they are on one."""
-    ways: list[Way] = []
+    """Return the ways that *others* may take, along lanes where they are on one, else straight on."""
     if not len(others.rows):
-        return ways
+        return []
     lanes, _, d, error = geometry.road.locate_many(others.xy_m, others.yaw_rad)
+    owner, paths = list[int](), list[LanePath]()
     for i, row in enumerate(others.rows.tolist()):
-        lane = lanes[i]
-        on_lane = lane is not None and abs(d[i]) < _MAX_LANE_OFFSET_M and abs(error[i]) < _MAX_YAW_ERROR_RAD
-        on_foot = scene.history.classes[row] == AgentClass.PEDESTRIAN
-        if lane is None or not on_lane or on_foot:
-            reach = float(others.speed_mps[i]) * _LOOK_S + _LOOK_M
-            line = straight_path(others.xy_m[i], float(others.yaw_rad[i]), reach)
-            ways.append(Way(i, line, 0.0, 0.0, 0.0, 1.0))
+        lane, reach = lanes[i], float(others.speed_mps[i]) * _LOOK_S + _LOOK_M
+        along = lane is not None and abs(d[i]) < _MAX_LANE_OFFSET_M and abs(error[i]) < _MAX_YAW_ERROR_RAD
+        if lane is None or not along or scene.history.classes[row] == AgentClass.PEDESTRIAN:
+            found = [straight_path(others.xy_m[i], float(others.yaw_rad[i]), reach)]
         else:
-            ways += _lane_ways(geometry, i, lane, scene.routes[row], others)
-    return ways
+            found = [
+                geometry.path(c.lanes, c.links) for c in _chains(geometry, lane, scene.routes[row], reach)
+            ]
+        owner += [i] * len(found)
+        paths += found
+    return _placed(np.array(owner), paths, others)
 
 
-def _lane_ways(geometry: Geometry, i: int, lane: str, route: Sequence[str], others: Others) -> list[Way]:
-    reach = float(others.speed_mps[i]) * _LOOK_S + _LOOK_M
-    chains = _chains(geometry, lane, route, reach)
-    placed = [_place(geometry.path(c.lanes, c.links), i, others) for c in chains]
-    best = min(abs(way.d_m) for way in placed)
-    kept = [way for way in placed if abs(way.d_m) < best + 0.8] or placed
-    return [Way(w.other, w.path, w.s_m, w.d_m, w.yaw_error_rad, 1.0 / len(kept)) for w in kept]
-
-
-def _place(path: LanePath, i: int, others: Others) -> Way:
-    s, d = path.project(others.xy_m[i])
-    yaw = path.at(s)[1]
-    error = float((others.yaw_rad[i] - yaw + np.pi) % (2.0 * np.pi) - np.pi)
-    return Way(i, path, float(s), float(d), error, 1.0)
+def _placed(owner: IntArray, paths: Sequence[LanePath], others: Others) -> list[Way]:
+    """Return the ways of *owner* (N,) along *paths*; those much farther off than another one are dropped."""
+    stack = PathStack(paths)
+    s, d = stack.project(others.xy_m[owner][:, None])
+    error = wrap_angle(others.yaw_rad[owner] - stack.at(s, np.zeros_like(s))[1][:, 0])
+    best = np.full(len(others.rows), np.inf)
+    np.minimum.at(best, owner, np.abs(d[:, 0]))
+    kept = np.flatnonzero(np.abs(d[:, 0]) < best[owner] + _MAX_WORSE_M)
+    share = 1.0 / np.bincount(owner[kept], minlength=len(others.rows))
+    return [
+        Way(int(owner[n]), paths[n], float(s[n, 0]), float(d[n, 0]), float(error[n]), float(share[owner[n]]))
+        for n in kept.tolist()
+    ]
 
 
 def _chains(geometry: Geometry, lane: str, route: Sequence[str], reach_m: float) -> list[Chain]:

@@ -67,13 +67,16 @@ class LanePath:
         curve = self.curvature_1pm
         return np.asarray(curve[low] + bounded * (curve[low + 1] - curve[low]))
 
-    def project(self, xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return ``s`` and ``d`` (…,) of points (…, 2); the ends go on straight, NaN stays NaN."""
+    def project(
+        self, xy_m: FloatArray, window_m: tuple[float, float] = (0.0, np.inf)
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return ``s`` and ``d`` (…,) of points (…, 2); beyond the ends of *window_m* the line goes on straight."""
         flat = xy_m.reshape(-1, 2)
-        line = self.xy_m
+        first = int(np.clip(window_m[0] / SPACING_M, 0, len(self.xy_m) - 2))
+        line = self.xy_m[first : int(min(window_m[1] / SPACING_M, len(self.xy_m))) + 2]
         squared = (line**2).sum(-1) - 2.0 * flat @ line.T  # (N, P), less a constant of each row
-        nearest = np.argmin(squared, axis=-1)
-        delta = flat - line[nearest]
+        nearest = first + np.argmin(squared, axis=-1)
+        delta = flat - self.xy_m[nearest]
         cos, sin = np.cos(self.yaw_rad[nearest]), np.sin(self.yaw_rad[nearest])
         s = nearest * SPACING_M + cos * delta[:, 0] + sin * delta[:, 1]
         d = cos * delta[:, 1] - sin * delta[:, 0]
@@ -114,7 +117,7 @@ class PathStack:
         return a + share[..., None] * (b - a) + d_m[..., None] * normal, yaw
 
     def project(self, xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return ``s`` and ``d`` (N, K) of points (K, 2) on every line; the ends go on straight."""
+        """Return ``s`` and ``d`` (N, K) of points (K, 2), or (N, K, 2), on every line; the ends go on straight."""
         squared = (self.xy_m**2).sum(-1)[:, None] - 2.0 * xy_m @ self.xy_m.transpose(0, 2, 1)  # (N, K, P)
         nearest = np.argmin(squared, axis=-1)
         rows = np.arange(len(self.count))[:, None]

@@ -14,7 +14,7 @@ from advdiff_sumo.planners.lane_graph.others import Others, Way
 from advdiff_sumo.planners.lane_graph.path import SPACING_M, PathStack
 from advdiff_sumo.planners.lane_graph.rules import Duty, rule_at
 
-STEP_S = 0.2
+STEP_S = 0.25
 _LATERAL_ACCEL_MPS2 = 3.5
 _SIGNAL_BRAKE_MPS2, _YIELD_BRAKE_MPS2 = 4.5, 3.0
 _FOLLOW_BRAKE_MPS2, _FOLLOW_GAP_M = 3.0, 1.0

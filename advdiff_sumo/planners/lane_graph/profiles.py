@@ -18,6 +18,7 @@ _SIDE_MARGIN_M = 0.2
 _SHARES = (1.0, 0.75, 0.5, 0.25)
 _EMERGENCY_JERK_MPS3 = 60.0
 _STOP_HEADWAY_S = 0.5
+_BEHIND_M, _AHEAD_M = 15.0, 40.0
 
 
 @dataclass(frozen=True)
@@ -82,10 +83,11 @@ def leaders(variants: Sequence[Variant], state: State, future: Forecast, now: Fo
     half = 0.5 * future.size_m
     rear = np.full((len(variants), *yaw.shape), np.inf)
     speed = np.zeros_like(rear)
+    reach = state.speed_mps * (STEP_S * future.yaw_rad.shape[1] + 1.0) + _AHEAD_M
     projected: dict[int, tuple[FloatArray, ...]] = {}
     for v, variant in enumerate(variants):
         if id(variant.path) not in projected:
-            s, d = variant.path.project(xy)
+            s, d = variant.path.project(xy, (variant.s_m - _BEHIND_M, variant.s_m + reach))
             turn = yaw - variant.path.at(s)[1]
             cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
             along = half[:, :1] * cos + half[:, 1:] * sin

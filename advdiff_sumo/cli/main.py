@@ -73,4 +73,4 @@ def _usage(error: typer.TyperException) -> str:
     problem = error.format_message().strip().rstrip(".")
     context = getattr(error, "ctx", None)
     command = context.command_path if context else app.info.name
-    return f"{problem[0].lower()}{problem[1:]}; see {command} --help" if problem else ""
+    return f"{problem[0].lower()}{problem[1:]} (see {command} --help)" if problem else ""

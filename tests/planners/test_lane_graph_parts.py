@@ -1,0 +1,160 @@
+"""The parts of the lane-graph planner, against values worked out by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.planners.lane_graph.chains import detour, plausible_chains, required_changes, route_chain
+from advdiff_sumo.planners.lane_graph.conflicts import conflict_zone
+from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath, PathStack
+from advdiff_sumo.planners.lane_graph.rules import Duty, may_go, rule_at
+from advdiff_sumo.planners.lane_graph.variants import Variant
+
+Maker = Callable[..., RoadMap]
+
+
+def path_of(road: RoadMap, start: str, route: tuple[str, ...]) -> LanePath:
+    chain = route_chain(road, start, route, required_changes(road, route), 300.0)
+    return Geometry.of(road).path(chain.lanes, chain.links)
+
+
+def link_between(road: RoadMap, origin: str, target: str) -> tuple[str, str]:
+    return next(key for key in road.links if key[0].startswith(origin) and key[1].startswith(target))
+
+
+@pytest.mark.parametrize("lefthand", [False, True])
+def test_changes_are_counted_towards_the_turn(crossing: Maker, lefthand: bool) -> None:
+    road = crossing(lefthand=lefthand)
+    for goal in ("north_out", "south_out"):
+        needed = required_changes(road, ("west_in", goal))
+        serving = {a for a, b in road.links if a.startswith("west_in") and b.startswith(goal)}
+        for lane in road.edges["west_in"].lane_ids:
+            changes = needed[0, lane][1]
+            assert (changes == 0) == (lane in serving)
+            if changes:
+                assert (road.lanes[lane].left_id if changes > 0 else road.lanes[lane].right_id) in serving
+
+
+def test_a_chain_follows_the_route_over_the_junction(crossing: Maker) -> None:
+    road = crossing()
+    chain = route_chain(road, "south_in_0", ("south_in", "north_out"), {}, 300.0)
+    assert chain.lanes[0] == "south_in_0"
+    assert chain.lanes[-1] == "north_out_0"
+    assert chain.serves
+    assert [link.to_lane for link in chain.links] == ["north_out_0"]
+
+
+def test_a_lane_that_does_not_serve_the_route_ends(crossing: Maker) -> None:
+    road = crossing()
+    route = ("west_in", "north_out")
+    needed = required_changes(road, route)
+    wrong = next(lane for lane in road.edges["west_in"].lane_ids if needed[0, lane][1])
+    chain = route_chain(road, wrong, route, needed, 300.0)
+    assert not chain.serves
+    assert chain.lanes == (wrong,)
+
+
+def test_without_a_route_every_connection_is_plausible(crossing: Maker) -> None:
+    road = crossing()
+    ends = {
+        chain.links[0].to_lane.rsplit("_", 1)[0] for chain in plausible_chains(road, "south_in_0", (), 250.0)
+    }
+    assert ends == {"west_out", "north_out", "east_out"}
+    assert len(plausible_chains(road, "south_in_0", ("south_in", "north_out"), 250.0)) == 1
+    assert plausible_chains(road, "south_in_0", (), 20.0)[0].lanes == ("south_in_0",)
+
+
+def test_a_detour_takes_a_connection_of_the_lane_itself(crossing: Maker) -> None:
+    road = crossing()
+    way = detour(road, "south_in_0", "east_out")
+    assert way == ("south_in", "east_out")
+    assert detour(road, "east_out_0", "west_out") == ()
+
+
+@pytest.mark.parametrize(
+    ("letter", "duty", "free"),
+    [
+        ("r", Duty.STOP, False),
+        ("u", Duty.STOP, False),
+        ("y", Duty.CLEAR, False),
+        ("G", Duty.GO, True),
+        ("O", Duty.GO, True),
+        ("s", Duty.STOP_THEN_YIELD, True),
+    ],
+)
+def test_letters_of_signals(crossing: Maker, letter: str, duty: Duty, free: bool) -> None:
+    road = crossing("traffic_light")
+    link = road.links[link_between(road, "south_in", "north_out")]
+    assert rule_at(road, link, {"c": letter * 40}).duty is duty
+    assert may_go(link, {"c": letter * 40}) is free
+
+
+def test_right_of_way_without_signals(crossing: Maker) -> None:
+    road = crossing()
+    minor = rule_at(road, road.links[link_between(road, "south_in", "north_out")], {})
+    major = rule_at(road, road.links[link_between(road, "west_in_0", "east_out")], {})
+    assert minor.duty is Duty.YIELD
+    assert major.duty is Duty.GO
+    road = crossing("allway_stop")
+    stop = rule_at(road, road.links[link_between(road, "south_in", "north_out")], {})
+    assert stop.duty is Duty.STOP_THEN_YIELD
+    assert stop.in_turn
+
+
+def test_crossing_ways_meet_and_parallel_ones_do_not(crossing: Maker) -> None:
+    road = crossing()
+    geometry = Geometry.of(road)
+    up = road.links[link_between(road, "south_in", "north_out")]
+    across = road.links[link_between(road, "west_in_0", "east_out")]
+    down = road.links[link_between(road, "north_in", "south_out")]
+    zone = conflict_zone(geometry, up, across)
+    assert zone is not None
+    assert not zone.merges
+    middle = 0.5 * sum(zone.own_m)
+    where = path_of(road, up.from_lane, ("south_in", "north_out"))
+    crossing_y = where.at(np.asarray(where.stop_m[0] + middle))[0][1]
+    assert crossing_y == pytest.approx(road.lanes[across.from_lane].centre_xy_m[-1, 1], abs=0.6)
+    assert conflict_zone(geometry, up, down) is None
+
+
+@pytest.mark.parametrize(
+    "route", [("south_in", "north_out"), ("south_in", "east_out"), ("south_in", "west_out")]
+)
+def test_projection_undoes_placing(crossing: Maker, route: tuple[str, ...]) -> None:
+    path = path_of(crossing(), "south_in_0", route)
+    s, d = np.meshgrid(np.linspace(-5.0, path.length_m + 5.0, 60), [-1.0, 0.0, 1.0])
+    got_s, got_d = path.project(path.at(s, d)[0])
+    np.testing.assert_allclose(got_s, s, atol=0.25)
+    np.testing.assert_allclose(got_d, d, atol=0.1)
+
+
+def test_a_stack_gives_what_its_paths_give(crossing: Maker) -> None:
+    road = crossing()
+    paths = [path_of(road, "south_in_0", ("south_in", goal)) for goal in ("north_out", "east_out")]
+    stack, s = PathStack(paths), np.array([[10.0, 199.3], [3.7, 205.0]])
+    xy, yaw = stack.at(s, np.full_like(s, 0.7))
+    points = np.array([[3.0, -50.0], [30.0, 5.0]])
+    for n, path in enumerate(paths):
+        one_xy, one_yaw = path.at(s[n], 0.7)
+        np.testing.assert_allclose(xy[n], one_xy)
+        np.testing.assert_allclose(yaw[n], one_yaw)
+        np.testing.assert_allclose(stack.project(points)[0][n], path.project(points)[0])
+        np.testing.assert_allclose(stack.project(points)[1][n], path.project(points)[1])
+
+
+def test_a_blend_starts_where_the_target_is_and_ends_on_its_aim(crossing: Maker) -> None:
+    road = crossing()
+    route = ("south_in", "north_out")
+    chain = route_chain(road, "south_in_0", route, {}, 100.0)
+    path = Geometry.of(road).path(chain.lanes, chain.links)
+    variant = Variant(chain, path, 1, 10.0, -3.2, 0.05, 0.0, 0.0, 40.0)
+    d, slope = variant.lateral(np.array([10.0, 10.1, 30.0, 50.0, 60.0]))
+    assert d[0] == pytest.approx(-3.2)
+    assert slope[0] == pytest.approx(0.05)
+    assert (d[1] - d[0]) / 0.1 == pytest.approx(0.05, abs=1e-3)
+    assert d[3:] == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert slope[3:] == pytest.approx([0.0, 0.0], abs=1e-12)

@@ -7,7 +7,11 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.layout import lay_out
 from advdiff_sumo.maps.convert.layout_state import Layout
 from advdiff_sumo.maps.convert.neighbours import SideBySide, find_side_by_side
@@ -17,8 +21,10 @@ from advdiff_sumo.maps.convert.nuscenes_json import read_nuscenes_map
 from advdiff_sumo.maps.convert.paths import Connection, find_connections
 from advdiff_sumo.maps.convert.plain_xml import write_plain_xml
 from advdiff_sumo.maps.convert.projection import drives_left, projection_of
+from advdiff_sumo.maps.convert.repair import repair
+from advdiff_sumo.maps.convert.restore import restore_shapes
 from advdiff_sumo.maps.convert.sidecar import sidecar_path, write_sidecar
-from advdiff_sumo.maps.convert.source import SourceMap
+from advdiff_sumo.maps.convert.source import SourceLane, SourceMap
 from advdiff_sumo.maps.convert.widths import width_between, width_profile
 
 SPEED_MPS = {True: 13.89, False: 11.18}  # by driving on the left: 50 km/h in Singapore, 25 mph in Boston
@@ -31,8 +37,9 @@ class ConversionResult:
     Attributes:
         net: the SUMO net.
         sidecar: polygons beside it.
-        source: the map as read.
-        tracks: lanes and connectors after repair.
+        given: the map as read.
+        source: the map after repair.
+        tracks: its lanes and connectors with everything measured on them.
         layout: which parts of them became edge lanes.
         plan: the net as planned.
         doubles: ways that SUMO cannot hold beside another one between the same two lanes.
@@ -42,6 +49,7 @@ class ConversionResult:
 
     net: Path
     sidecar: Path
+    given: SourceMap
     source: SourceMap
     tracks: list[Track]
     layout: Layout
@@ -86,6 +94,7 @@ def convert_source(
 ) -> ConversionResult:
     """Convert a map already read; see :func:`convert_map`."""
     left = drives_left(source.location) if lefthand is None else lefthand
+    given, source = source, repair(source)
     tracks = measure_tracks(source, SPEED_MPS[left])
     layout = lay_out(
         [track.centre_m for track in tracks],
@@ -104,10 +113,11 @@ def convert_source(
             guess_signals=guess_signals,
             opendrive=out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr") if opendrive else None,
         )
+    layout.counts["lane shapes put back after netconvert"] = restore_shapes(out_net, plan)
     write_sidecar(source, sidecar_path(out_net))
     counts = source.notes + layout.counts
     return ConversionResult(
-        out_net, sidecar_path(out_net), source, tracks, layout, plan, doubles, counts, warnings
+        out_net, sidecar_path(out_net), given, source, tracks, layout, plan, doubles, counts, warnings
     )
 
 
@@ -117,11 +127,18 @@ def measure_tracks(source: SourceMap, default_speed_mps: float) -> list[Track]:
         Track(
             lane,
             lane.centre_m,
-            width_profile(lane.centre_m, lane.polygon),
+            _widths(lane),
             lane.speed_mps if lane.speed_mps is not None else default_speed_mps,
         )
         for lane in source.lanes
     ]
+
+
+def _widths(lane: SourceLane) -> FloatArray:
+    """Return the width profile of *lane*: as stated, else as measured on its polygon."""
+    if lane.width_m is not None:
+        return np.array([[0.5 * polyline.length(lane.centre_m), lane.width_m]])
+    return width_profile(lane.centre_m, lane.polygon)
 
 
 def neighbours_of(tracks: list[Track]) -> list[SideBySide]:

@@ -126,11 +126,16 @@ def _way_round(layout: Layout, piece: Piece) -> list[int]:
 def _even_out(layout: Layout, pairs: Sequence[SideBySide]) -> None:
     """Shorten the lanes of each edge so that they begin and end abreast; the rest lies inside the junctions."""
     beside = {(pair.right, pair.left): pair for pair in pairs}
+    followed, entered = {a for a, _ in layout.links}, {b for _, b in layout.links}
     for number, group in enumerate(layout.groups):
         starts, ends = _offsets(group, beside, 0), _offsets(group, beside, 1)
         shorter = []
         for piece, start, end in zip(group, starts, ends, strict=True):
-            new = _shortened(piece, max(starts) - start, end - min(ends))
+            whole_start = piece.from_m == 0.0 and piece.lane not in entered  # no way would draw what is taken off
+            whole_end = piece.to_m == layout.lengths_m[piece.lane] and piece.lane not in followed
+            new = _shortened(
+                piece, 0.0 if whole_start else max(starts) - start, 0.0 if whole_end else end - min(ends)
+            )
             layout.counts["lane ends shortened to even an edge"] += (new.from_m > piece.from_m) + (new.to_m < piece.to_m)
             shorter.append(new)
             layout.replace(piece, new)
@@ -151,6 +156,8 @@ def _offsets(group: list[Piece], beside: dict[tuple[int, int], SideBySide], side
 def _shortened(piece: Piece, at_start_m: float, at_end_m: float) -> Piece:
     cut = at_start_m + at_end_m
     room = min((1.0 - KEEP_SHARE) * piece.length_m, piece.length_m - SHORTEST_EDGE_M)
+    if cut <= 0.0:
+        return piece
     share = 1.0 if cut <= room else max(room, 0.0) / cut
     if cut * share < 0.1:
         return piece

@@ -66,3 +66,14 @@ def _drop_date(net: Path) -> None:
     start, end = text.find("<!--"), text.find("-->")
     if 0 <= start < end:
         net.write_text(text[:start].rstrip() + "\n" + text[end + 3 :].lstrip(), encoding="utf-8")
+
+
+EXPLAINED = {
+    "is not connected from any incoming edge": "the source has no lane that leads into this one; its neighbours in the "
+    "edge have, so it is entered by a lane change",
+    "Intersecting left turns": "the source's centre lines of two opposite turns cross; one of them yields",
+    "Ambiguity in turnarounds": "several edges leave a junction nearly opposite to one that enters it; no turnaround is "
+    "built in any case",
+    "Minor green from": "a guessed signal lets a turn go that yields to oncoming traffic",
+    "Speed of": "a turn is slower than the road before it, as its curvature demands",
+}

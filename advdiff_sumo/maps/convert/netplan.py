@@ -6,6 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Hashable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import shapely
@@ -111,6 +112,11 @@ class NetPlan:
     connections: tuple[ConnectionPlan, ...]
     lefthand: bool
     lane_of: dict[Piece, tuple[str, int]] = field(default_factory=dict)
+
+    @cached_property
+    def way_of(self) -> dict[tuple[str, int, str, int], ConnectionPlan]:
+        """Connections by the edge and lane that they leave and enter."""
+        return {(*connection.origin, *connection.target): connection for connection in self.connections}
 
 
 def plan_net(tracks: list[Track], layout: Layout, ways: list[Connection], lefthand: bool) -> NetPlan:

@@ -1,0 +1,97 @@
+"""``advdiff-sumo convert``: an HD map becomes a SUMO net."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.data.pickles import load_plain
+from advdiff_sumo.maps.convert import ConversionResult, convert_map, convert_source
+from advdiff_sumo.maps.convert.fidelity import measure
+from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
+from advdiff_sumo.maps.convert.report import fidelity_path, write_figures, write_page
+from advdiff_sumo.maps.convert.scenarionet_map import read_record_map
+from advdiff_sumo.sim.driving_test import driving_test
+
+_console = Console(highlight=False, soft_wrap=True)
+
+
+def convert(
+    map_file: Annotated[
+        Path | None, typer.Argument(metavar="MAP", help="Map expansion v1.3 (.json) or ScenarioNet record (.pkl).")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Net to be written, NAME.net.xml; with --all a folder.")
+    ] = None,
+    all_of: Annotated[
+        Path | None, typer.Option("--all", metavar="DATAROOT", help="Convert every map of a nuScenes data set.")
+    ] = None,
+    dataroot: Annotated[
+        Path | None, typer.Option(help="nuScenes data set whose logged poses are compared with the net.")
+    ] = None,
+    report: Annotated[bool, typer.Option(help="Write the page NAME.fidelity.html.")] = False,
+    lefthand: Annotated[
+        bool | None, typer.Option("--lefthand/--righthand", help="Side of the road; default: by the map's name.")
+    ] = None,
+    tls: Annotated[str, typer.Option(help="'guess': signals at busy junctions; 'map': only where the map has them.")] = "map",
+    opendrive: Annotated[bool, typer.Option(help="Write NAME.xodr too.")] = False,
+    drive: Annotated[int, typer.Option(min=0, help="Driving test of an hour with so many vehicles; 0: none.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the driving test.")] = 1,
+) -> None:
+    """Convert nuScenes HD maps to SUMO nets with exact centre lines, and measure how exact they are."""
+    if tls not in ("guess", "map"):
+        raise ConfigError(f"--tls {tls}: known are 'guess' and 'map'")
+    for source, net in _jobs(map_file, output, all_of):
+        result = _convert(source, net, lefthand, tls == "guess", opendrive)
+        figures: dict[str, Any] = measure(result).as_dict()
+        root = dataroot or all_of
+        if root is not None:
+            poses = ego_poses(root, result.source.location)
+            figures["logged_poses"] = compare_poses(result, np.vstack(list(poses.values())) if poses else np.empty((0, 3)))
+        if drive:
+            figures["driving_test"] = driving_test(result.net, vehicles=drive, seed=seed)
+        write_figures(figures, fidelity_path(net))
+        if report:
+            write_page(result, figures, fidelity_path(net, "html"))
+        _say(result, figures)
+
+
+def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> list[tuple[Path, Path]]:
+    """Return (map, net) pairs."""
+    if (map_file is None) == (all_of is None):
+        raise ConfigError("give either one MAP or --all DATAROOT")
+    if map_file is not None:
+        if output is None:
+            raise ConfigError("give the net to be written with -o NAME.net.xml")
+        name = output.name if output.name.endswith(".net.xml") else output.name.removesuffix(".xml") + ".net.xml"
+        return [(map_file, output.with_name(name))]
+    assert all_of is not None  # noqa: S101 - one of the two was given
+    maps = sorted((all_of / "maps" / "expansion").glob("*.json"))
+    if not maps:
+        raise ConfigError(f"{all_of} holds no maps/expansion/*.json; unpack the map expansion v1.3 there")
+    folder = output or Path("networks")
+    return [(path, folder / f"{path.stem}.net.xml") for path in maps]
+
+
+def _convert(source: Path, net: Path, lefthand: bool | None, guess: bool, opendrive: bool) -> ConversionResult:
+    if source.suffix == ".pkl":
+        record = read_record_map(load_plain(source), source)
+        return convert_source(record, net, lefthand=lefthand, guess_signals=guess, opendrive=opendrive)
+    return convert_map(source, net, lefthand=lefthand, guess_signals=guess, opendrive=opendrive)
+
+
+def _say(result: ConversionResult, figures: dict[str, Any]) -> None:
+    error = figures["centre_line_error_m"]["source_to_net"]
+    links = figures["connections"]
+    _console.print(
+        f"{result.net}: {figures['lanes']['edge_lanes']} lanes in {figures['lanes']['edges']} edges, centre lines off by "
+        f"{error['median']} m (median), {error['max']} m (largest), {links['kept'] + links['repaired']} of "
+        f"{links['links']} links, {len(figures['netconvert_warnings'])} kinds of netconvert warnings"
+    )
+    for sentence in result.source.warnings:
+        _console.print(f"note: {sentence}", markup=False)

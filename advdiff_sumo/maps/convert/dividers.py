@@ -1,0 +1,81 @@
+"""Pairs of lanes that share a dashed divider, as the source says; independent of how lanes are grouped."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.source import SourceMap
+
+STEP_M = 0.5
+REACH_M = 4.0  # the centre line of a lane lies at most this far from its divider
+SHARED_M = 4.0  # a divider must run between two lanes for this length
+PARALLEL = 0.9  # cosine of the largest angle between a lane and its divider
+
+
+def dashed_pairs(source: SourceMap) -> set[tuple[int, int]]:
+    """Return (left, right) lane numbers of every pair of one direction with a dashed divider between them.
+
+    Lane records that name their divider's nodes decide; where no lane does, the divider lines do.
+    """
+    named = _pairs_by_node(source)
+    return named if named else _pairs_by_line(source)
+
+
+def _pairs_by_node(source: SourceMap) -> set[tuple[int, int]]:
+    """Two lanes share a divider when at least two nodes of the one's left divider are in the other's right one."""
+    right_of: dict[str, list[int]] = {}
+    for number, lane in enumerate(source.lanes):
+        for node in sorted(lane.left_dashed):
+            right_of.setdefault(node, []).append(number)
+    shared: Counter[tuple[int, int]] = Counter()
+    for number, lane in enumerate(source.lanes):
+        for node in sorted(lane.right_dashed):
+            shared.update((number, other) for other in right_of.get(node, ()) if other != number)
+    return {pair for pair, nodes in shared.items() if nodes >= 2}
+
+
+def _pairs_by_line(source: SourceMap) -> set[tuple[int, int]]:
+    """For every place on a divider: the nearest lane on either side, if both run along it in one direction."""
+    road = [number for number, lane in enumerate(source.lanes) if not lane.is_connector]
+    if not road or not source.dashed_dividers:
+        return set()
+    samples = [polyline.resample(source.lanes[n].centre_m, STEP_M) for n in road]
+    xy = np.concatenate([points for points, _ in samples])
+    yaw = np.concatenate(
+        [polyline.heading(source.lanes[n].centre_m, s) for n, (_, s) in zip(road, samples, strict=True)]
+    )
+    lane = np.repeat(road, [len(s) for _, s in samples])
+    tree = cKDTree(xy)
+    metres: Counter[tuple[int, int]] = Counter()
+    for divider in source.dashed_dividers:
+        line = np.asarray(divider.coords)[:, :2]
+        points, s = polyline.resample(line, 1.0)
+        for point, along in zip(points, polyline.heading(line, s), strict=True):
+            near = np.asarray(tree.query_ball_point(point, REACH_M), dtype=np.int64)
+            pair = _beside(xy[near] - point, yaw[near], lane[near], float(along))
+            if pair is not None:
+                metres[pair] += 1
+    return {pair for pair, length in metres.items() if length >= SHARED_M}
+
+
+def _beside(delta: FloatArray, yaw: FloatArray, lane: FloatArray, along: float) -> tuple[int, int] | None:
+    """Return the (left, right) lanes nearest to a place on a divider with heading *along*, or None."""
+    ahead = np.cos(along) * delta[:, 0] + np.sin(along) * delta[:, 1]
+    aside = np.cos(along) * delta[:, 1] - np.sin(along) * delta[:, 0]
+    agree = np.cos(yaw - along)
+    abreast = (np.abs(ahead) <= STEP_M) & (np.abs(agree) >= PARALLEL)
+    found = []
+    for side in (1.0, -1.0):
+        mine = np.flatnonzero(abreast & (side * aside > 0))
+        if not len(mine):
+            return None
+        found.append(mine[np.abs(aside[mine]).argmin()])
+    left, right = (int(index) for index in found)
+    if lane[left] == lane[right] or agree[left] * agree[right] < 0:
+        return None
+    return (int(lane[left]), int(lane[right])) if agree[left] > 0 else (int(lane[right]), int(lane[left]))

@@ -1,0 +1,215 @@
+"""How well a written net holds the map that it was made from."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import shapely
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.convert import ConversionResult
+from advdiff_sumo.maps.convert.dividers import dashed_pairs
+from advdiff_sumo.maps.convert.netconvert import EXPLAINED
+from advdiff_sumo.maps.convert.netread import WrittenNet, read_net
+from advdiff_sumo.maps.convert.routability import routability
+from advdiff_sumo.maps.convert.widths import width_between
+
+STEP_M = 0.5
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """All figures, ready for JSON; lengths in m.
+
+    Attributes:
+        location: name of the place, as driving logs have it.
+        figures: nested plain values by topic.
+    """
+
+    location: str
+    figures: dict[str, Any] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {"location": self.location, **self.figures}
+
+
+def measure(result: ConversionResult) -> Fidelity:
+    """Return the figures of a conversion, measured on the net as netconvert wrote it."""
+    net = read_net(result.net)
+    lines = _lines_by_lane(result, net)
+    return Fidelity(
+        result.source.location,
+        {
+            "source": result.source.path.name,
+            "lanes": _lane_counts(result, net, lines),
+            "centre_line_error_m": _centre_line_errors(result, net, lines),
+            "width_error_m": _width_errors(result, net),
+            "connections": _connection_counts(result, net),
+            "lane_changes": lane_change_share(result),
+            "drivable_area": _overlap(result, net),
+            "mended_and_cut": dict(sorted(result.counts.items())),
+            "netconvert_warnings": warning_summary(result.netconvert_warnings),
+            "warnings": list(result.source.warnings),
+            "routability": routability(net.next_edges, {e.id: e.length_m for e in result.plan.edges}),
+        },
+    )
+
+
+def _lines_by_lane(result: ConversionResult, net: WrittenNet) -> dict[int, list[FloatArray]]:
+    """Return what the net draws of each source lane: edge lanes and the ways that run on it."""
+    lines: dict[int, list[FloatArray]] = defaultdict(list)
+    for piece, key in result.plan.lane_of.items():
+        if key in net.lanes:
+            lines[piece.lane].append(net.lanes[key][0])
+    for connection in result.plan.connections:
+        written = net.ways.get((*connection.origin, *connection.target))
+        for lane in {part.lane for part in connection.way.parts} if written else ():
+            lines[lane].append(written[0])  # type: ignore[index]  # the loop is empty when it is None
+    return lines
+
+
+def _lane_counts(result: ConversionResult, net: WrittenNet, lines: dict[int, list[FloatArray]]) -> dict[str, Any]:
+    lanes = result.source.lanes
+    lost = [lane.token for number, lane in enumerate(lanes) if number not in lines]
+    return {
+        "source_lanes": sum(not lane.is_connector for lane in lanes),
+        "source_connectors": sum(lane.is_connector for lane in lanes),
+        "edges": len(result.plan.edges),
+        "edge_lanes": len(net.lanes),
+        "connections": len(net.ways),
+        "junctions": len(result.plan.junctions),
+        "lost": lost,
+    }
+
+
+def _centre_line_errors(
+    result: ConversionResult, net: WrittenNet, lines: dict[int, list[FloatArray]]
+) -> dict[str, Any]:
+    """Return the distances source → net (is everything drawn?) and net → source (is nothing drawn that is not?)."""
+    source = [lane.centre_m for lane in result.source.lanes]
+    to_net = [_distances(line, lines[number]) for number, line in enumerate(source) if number in lines]
+    to_source = [_distances(shape, [source[n] for n in numbers]) for shape, numbers in _net_lines(result, net)]
+    return {"source_to_net": _spread(to_net), "net_to_source": _spread(to_source)}
+
+
+def _net_lines(result: ConversionResult, net: WrittenNet) -> Iterable[tuple[FloatArray, list[int]]]:
+    for piece, key in result.plan.lane_of.items():
+        if key in net.lanes:
+            yield net.lanes[key][0], [piece.lane]
+    for connection in result.plan.connections:
+        written = net.ways.get((*connection.origin, *connection.target))
+        if written:
+            yield written[0], list(connection.way.lanes)
+
+
+def _distances(line: FloatArray, truth: Sequence[FloatArray]) -> FloatArray:
+    """Return the distance of places every half metre on *line* to the nearest of *truth*."""
+    points, _ = polyline.resample(line, STEP_M)
+    return np.min([np.abs(polyline.project(other, points)[1]) for other in truth], axis=0)
+
+
+def _spread(values: Sequence[FloatArray]) -> dict[str, float]:
+    everything = np.concatenate(values) if values else np.zeros(1)
+    return {
+        "median": round(float(np.median(everything)), 4),
+        "p95": round(float(np.percentile(everything, 95)), 4),
+        "max": round(float(everything.max()), 4),
+    }
+
+
+def _width_errors(result: ConversionResult, net: WrittenNet) -> dict[str, Any]:
+    """Return |width in the net − median width of the polygon there|, and how much the source's widths vary."""
+    errors, within = [], []
+    for piece, key in result.plan.lane_of.items():
+        profile = result.tracks[piece.lane].widths
+        if key in net.lanes and len(profile):
+            errors.append(abs(net.lanes[key][1] - width_between(profile, piece.from_m, piece.to_m)))
+            inside = profile[(profile[:, 0] >= piece.from_m) & (profile[:, 0] <= piece.to_m), 1]
+            within.append(np.abs(inside - net.lanes[key][1]))
+    return {"of_the_median": _spread([np.array(errors)] if errors else []), "along_the_lane": _spread(within)}
+
+
+def _connection_counts(result: ConversionResult, net: WrittenNet) -> dict[str, Any]:
+    """Return which links of the source the net holds; a link is a step from one lane to the next on some way."""
+    held: set[tuple[int, int]] = set()
+    for connection in result.plan.connections:
+        if (*connection.origin, *connection.target) in net.ways:
+            lanes = connection.way.lanes
+            held |= set(zip(lanes[:-1], lanes[1:], strict=True))
+    links = result.layout.links
+    number = {lane.token: index for index, lane in enumerate(result.source.lanes)}
+    stated = {(number[a], number[b]) for a, b in result.given.links if a in number and b in number}
+    planned = {(*c.origin, *c.target) for c in result.plan.connections}
+    tokens = [lane.token for lane in result.source.lanes]
+    return {
+        "links": len(links),
+        "kept": sum(link in held for link in links if link in stated),
+        "repaired": sum(link in held for link in links if link not in stated),
+        "lost": [[tokens[a], tokens[b]] for a, b in links if (a, b) not in held],
+        "invented": sorted(map(list, set(net.ways) - planned), key=str),
+        "second_ways_left_out": [[tokens[n] for n in way.lanes] for way in result.doubles],
+    }
+
+
+def lane_change_share(result: ConversionResult) -> dict[str, Any]:
+    """Return how many pairs of lanes with a dashed divider between them are neighbours in one edge."""
+    neighbours: set[tuple[int, int]] = set()
+    for group in result.layout.groups:
+        neighbours |= {(left.lane, right.lane) for right, left in zip(group[:-1], group[1:], strict=True)}
+    pairs = dashed_pairs(result.source)
+    tokens = [lane.token for lane in result.source.lanes]
+    apart = sorted(pair for pair in pairs if pair not in neighbours)
+    share = 1.0 - len(apart) / len(pairs) if pairs else None
+    return {
+        "dashed_pairs": len(pairs),
+        "neighbours_in_one_edge": len(pairs) - len(apart),
+        "share": share if share is None else round(share, 4),
+        "apart": [[tokens[left], tokens[right]] for left, right in apart],
+    }
+
+
+def _overlap(result: ConversionResult, net: WrittenNet) -> dict[str, Any]:
+    """Return how the area of the net's lanes compares with the source's drivable area."""
+    strips = [
+        shapely.LineString(line).buffer(0.5 * width, cap_style="flat")
+        for line, width in (*net.lanes.values(), *net.ways.values())
+    ]
+    lanes = shapely.union_all(strips) if strips else shapely.MultiPolygon()
+    truth = result.source.drivable
+    if truth.is_empty:
+        return {"iou_of_lanes": None, "net_lanes_m2": round(lanes.area, 1)}
+    union = lanes.union(truth).area
+    return {
+        "iou_of_lanes": round(lanes.intersection(truth).area / union, 4),
+        "net_lanes_m2": round(lanes.area, 1),
+        "source_m2": round(truth.area, 1),
+        "side_car": "the drivable area itself, unchanged",
+    }
+
+
+def warning_summary(warnings: Iterable[str]) -> list[dict[str, Any]]:
+    """Return netconvert's warnings by kind, each with its number, an example and what it means."""
+    kinds: Counter[str] = Counter()
+    example: dict[str, str] = {}
+    for warning in warnings:
+        kind = re.sub(r"'[^']*'|-?\d+(\.\d+)?|\S+_\d+->\S+", "#", warning.removeprefix("Warning: "))
+        if "total messages of type" in kind:
+            continue
+        kinds[kind] += 1
+        example.setdefault(kind, warning)
+    return [
+        {
+            "kind": kind,
+            "count": count,
+            "example": example[kind],
+            "meaning": next((text for start, text in EXPLAINED.items() if start in kind), "not explained"),
+        }
+        for kind, count in sorted(kinds.items())
+    ]

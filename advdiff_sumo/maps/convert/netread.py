@@ -1,0 +1,72 @@
+"""Geometry of a written net, read back with sumolib: what the checks look at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import sumolib
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert.arcline import drop_repeats
+
+ConnectionKey = tuple[str, int, str, int]  # edge and lane that it leaves, edge and lane that it enters
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenNet:
+    """Centre lines and widths of a net.
+
+    Attributes:
+        lanes: by (edge, lane number) the centre line (N, 2) and the width in m of edge lanes.
+        ways: by connection the centre line (N, 2) and the width in m of its internal lanes, joined.
+        next_edges: edges that can be entered from each edge.
+    """
+
+    lanes: dict[tuple[str, int], tuple[FloatArray, float]]
+    ways: dict[ConnectionKey, tuple[FloatArray, float]]
+    next_edges: dict[str, list[str]]
+
+
+def read_net(path: Path) -> WrittenNet:
+    """Read the net at *path*."""
+    net = sumolib.net.readNet(str(path), withInternal=True)
+    edges = [edge for edge in net.getEdges() if edge.getFunction() == ""]
+    lanes = {
+        (lane.getEdge().getID(), lane.getIndex()): (_line(lane.getShape()), float(lane.getWidth()))
+        for edge in edges
+        for lane in edge.getLanes()
+    }
+    connections = [c for edge in edges for group in edge.getOutgoing().values() for c in group]
+    ways = {_key(connection): _way(net, connection) for connection in connections}
+    following = {edge.getID(): sorted(after.getID() for after in edge.getOutgoing()) for edge in edges}
+    return WrittenNet(lanes, ways, following)
+
+
+def _key(connection: Any) -> ConnectionKey:
+    origin, target = connection.getFromLane(), connection.getToLane()
+    return (origin.getEdge().getID(), origin.getIndex(), target.getEdge().getID(), target.getIndex())
+
+
+def _way(net: Any, connection: Any) -> tuple[FloatArray, float]:
+    """Return the internal lanes of a connection one after the other (a waiting place divides some)."""
+    points: list[Any] = []
+    width = float(connection.getFromLane().getWidth())
+    via = connection.getViaLaneID()
+    while via:
+        lane = net.getLane(via)
+        points += lane.getShape()
+        width = float(lane.getWidth())
+        following = lane.getOutgoing()
+        via = following[0].getViaLaneID() if following else ""
+    if not points:
+        points = [connection.getFromLane().getShape()[-1], connection.getToLane().getShape()[0]]
+    return _line(points), width
+
+
+def _line(points: Any) -> FloatArray:
+    line = np.asarray([point[:2] for point in points], dtype=np.float64)
+    kept = drop_repeats(line, 1e-4)
+    return kept if len(kept) > 1 else line[[0, -1]]

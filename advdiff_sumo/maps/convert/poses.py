@@ -1,0 +1,109 @@
+"""Do logged drives lie on the lanes of the net, as they lie on those of the HD map?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import LogError
+from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.convert import ConversionResult
+from advdiff_sumo.maps.convert.netread import read_net
+from advdiff_sumo.maps.convert.widths import DEFAULT_WIDTH_M, width_between
+
+NEAR_M = 15.0
+MAX_TURN_RAD = 1.0  # a lane that runs otherwise is not the one driven on
+TABLES = ("ego_pose", "sample_data", "sample", "scene", "log")
+
+
+def ego_poses(dataroot: Path, location: str) -> dict[str, FloatArray]:
+    """Return key-frame poses (N, 3) of x, y in m and yaw in rad by scene name, of all logs at *location*.
+
+    Raises:
+        LogError: the folder holds no nuScenes tables.
+    """
+    tables = _tables(dataroot)
+    logs = {row["token"] for row in tables["log"] if row["location"] == location}
+    scenes = {row["token"]: row["name"] for row in tables["scene"] if row["log_token"] in logs}
+    scene_of = {row["token"]: scenes.get(row["scene_token"]) for row in tables["sample"]}
+    poses = {row["token"]: row for row in tables["ego_pose"]}
+    found: dict[str, dict[str, tuple[float, float, float]]] = {}
+    for row in tables["sample_data"]:
+        name = scene_of.get(row["sample_token"])
+        if name and row["is_key_frame"]:
+            found.setdefault(name, {})[row["sample_token"]] = _pose(poses[row["ego_pose_token"]])
+    return {name: np.array(list(found[name].values())) for name in sorted(found)}
+
+
+def _tables(dataroot: Path) -> dict[str, list[dict[str, Any]]]:
+    folder = next((path.parent for path in sorted(dataroot.glob("v1.0-*/ego_pose.json"))), None)
+    if folder is None:
+        raise LogError(dataroot, "holds no v1.0-*/ego_pose.json", "give the root folder of a nuScenes data set")
+    try:
+        return {name: json.loads((folder / f"{name}.json").read_text(encoding="utf-8")) for name in TABLES}
+    except (OSError, ValueError) as error:
+        raise LogError(folder, f"a table cannot be read ({error})", "unpack the data set again") from None
+
+
+def _pose(row: dict[str, Any]) -> tuple[float, float, float]:
+    w, x, y, z = row["rotation"]
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return float(row["translation"][0]), float(row["translation"][1]), float(yaw)
+
+
+def compare_poses(result: ConversionResult, poses: FloatArray) -> dict[str, Any]:
+    """Return how many poses (N, 3) lie on a lane of the net, and how their offsets differ from the HD map's."""
+    if not len(poses):
+        return {"poses": 0}
+    net = read_net(result.net)
+    written = [*net.lanes.values(), *net.ways.values()]
+    tracks = result.tracks
+    source = [(t.centre_m, width_between(t.widths, 0.0, t.length_m, DEFAULT_WIDTH_M)) for t in tracks]
+    on_net, net_offset = nearest_offsets(written, poses)
+    on_map, map_offset = nearest_offsets(source, poses)
+    difference = np.abs(net_offset - map_offset)
+    return {
+        "poses": len(poses),
+        "on_a_lane_of_the_net": int(on_net.sum()),
+        "on_a_lane_of_the_map": int(on_map.sum()),
+        "lateral_offset_in_the_net_m": _spread(net_offset),
+        "lateral_offset_in_the_map_m": _spread(map_offset),
+        "difference_m": _spread(difference),
+        "differences_above_0.05_m": int((~(difference <= 0.05)).sum()),
+    }
+
+
+def nearest_offsets(lanes: Sequence[tuple[FloatArray, float]], poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (whether on a lane (N,), distance (N,) in m to the nearest centre line that runs the pose's way).
+
+    A pose is on a lane when its centre lies within half the lane's width of the centre line; NaN: no lane near.
+    """
+    tree = shapely.STRtree([shapely.LineString(line) for line, _ in lanes])
+    on = np.zeros(len(poses), dtype=bool)
+    offset = np.full(len(poses), np.nan)
+    for index, (x, y, yaw) in enumerate(poses):
+        for number in tree.query(shapely.Point(x, y), predicate="dwithin", distance=NEAR_M):
+            line, width = lanes[number]
+            s, aside = polyline.project(line, np.array([[x, y]]))
+            turn = abs((float(polyline.heading(line, s)[0]) - yaw + np.pi) % (2 * np.pi) - np.pi)
+            if turn <= MAX_TURN_RAD:
+                on[index] |= abs(aside[0]) <= 0.5 * width
+                offset[index] = np.nanmin((offset[index], abs(aside[0])))
+    return on, offset
+
+
+def _spread(values: FloatArray) -> dict[str, float | None]:
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return {"median": None, "p95": None, "max": None}
+    return {
+        "median": round(float(np.median(known)), 4),
+        "p95": round(float(np.percentile(known, 95)), 4),
+        "max": round(float(known.max()), 4),
+    }

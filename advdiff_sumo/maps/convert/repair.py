@@ -1,0 +1,117 @@
+"""Mend what geometry makes certain; count all of it."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import replace
+
+import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.source import SourceLane, SourceMap
+
+GAP_M = 0.5  # a lane that begins this near to the end of another one, in its direction, follows it
+SAME_WAY_RAD = 0.35
+TINY_M = 1.0  # netconvert cannot hold shorter edges
+SAME_LANE_M = 0.1  # two lanes that are nowhere farther apart are one
+LONGEST_CONNECTOR_M = 80.0
+
+
+def repair(source: SourceMap) -> SourceMap:
+    """Return *source* without duplicate lanes, with missing links added and junction lanes told from road lanes.
+
+    Counts go into ``notes``; each kind of repair that happened also gets a sentence in ``warnings``.
+    """
+    notes = Counter(source.notes)
+    lanes, links = _merge_duplicates(list(source.lanes), list(source.links), notes)
+    links = _add_links(lanes, links, notes)
+    _count_gaps(lanes, links, notes)
+    if not any(lane.is_connector for lane in lanes):
+        lanes = _mark_connectors(lanes, links, notes)
+    lanes = [_inside_if_tiny(lane, notes) for lane in lanes]
+    return replace(source, lanes=tuple(lanes), links=tuple(links), notes=notes)
+
+
+def _merge_duplicates(
+    lanes: list[SourceLane], links: list[tuple[str, str]], notes: Counter[str]
+) -> tuple[list[SourceLane], list[tuple[str, str]]]:
+    """Keep the first of lanes with one centre line and give it the links of the others."""
+    lines = [shapely.LineString(lane.centre_m) for lane in lanes]
+    starts = np.array([lane.centre_m[0] for lane in lanes])
+    kept_for: dict[str, str] = {}
+    for a, b in sorted(cKDTree(starts).query_pairs(SAME_LANE_M)):
+        one, other = lanes[a], lanes[b]
+        if one.token in kept_for or other.token in kept_for or one.is_connector != other.is_connector:
+            continue
+        same_end = np.hypot(*(one.centre_m[-1] - other.centre_m[-1])) <= SAME_LANE_M
+        if same_end and shapely.hausdorff_distance(lines[a], lines[b], densify=0.1) <= SAME_LANE_M:
+            kept_for[other.token] = one.token
+    notes["duplicate lanes merged"] += len(kept_for)
+    moved = [(kept_for.get(a, a), kept_for.get(b, b)) for a, b in links]
+    return [lane for lane in lanes if lane.token not in kept_for], list(dict.fromkeys(moved))
+
+
+def _add_links(
+    lanes: list[SourceLane], links: list[tuple[str, str]], notes: Counter[str]
+) -> list[tuple[str, str]]:
+    """Link each end without a link to the lanes that begin there in its direction, and each beginning likewise."""
+    starts = np.array([lane.centre_m[0] for lane in lanes])
+    ends = np.array([lane.centre_m[-1] for lane in lanes])
+    has_next, has_previous = {a for a, _ in links}, {b for _, b in links}
+    known = set(links)
+    added = []
+    for number, near in enumerate(cKDTree(starts).query_ball_point(ends, GAP_M)):
+        for other in sorted(near):
+            one, two = lanes[number], lanes[other]
+            open_ends = one.token not in has_next or two.token not in has_previous
+            kinds = one.is_connector and two.is_connector
+            if number != other and open_ends and not kinds and _in_line(one.centre_m, two.centre_m):
+                added.append((one.token, two.token))
+    new = [link for link in dict.fromkeys(added) if link not in known]
+    notes["links added by geometry"] += len(new)
+    return links + new
+
+
+def _in_line(before: FloatArray, after: FloatArray) -> bool:
+    """Return whether *after* goes on in the direction of *before*."""
+    last, first = before[-1] - before[-2], after[1] - after[0]
+    turn = np.arctan2(last[0] * first[1] - last[1] * first[0], float(last @ first))
+    return bool(abs(turn) <= SAME_WAY_RAD)
+
+
+def _count_gaps(lanes: list[SourceLane], links: list[tuple[str, str]], notes: Counter[str]) -> None:
+    line = {lane.token: lane.centre_m for lane in lanes}
+    gaps = [float(np.hypot(*(line[a][-1] - line[b][0]))) for a, b in links]
+    notes["gaps under 0.5 m bridged"] += sum(0.01 < gap <= GAP_M for gap in gaps)
+    notes["gaps over 0.5 m bridged by a straight line"] += sum(gap > GAP_M for gap in gaps)
+
+
+def _mark_connectors(
+    lanes: list[SourceLane], links: list[tuple[str, str]], notes: Counter[str]
+) -> list[SourceLane]:
+    """Tell junction lanes in a source that does not: short lanes on one of several ways on, or that others cross."""
+    after, before = defaultdict(set), defaultdict(set)
+    for a, b in links:
+        after[a].add(b)
+        before[b].add(a)
+    lines = [shapely.LineString(lane.centre_m) for lane in lanes]
+    left, _ = shapely.STRtree(lines).query(lines, predicate="crosses")
+    crossed = {lanes[int(number)].token for number in left}
+    marked = []
+    for lane in lanes:
+        forks = any(len(after[a]) > 1 for a in before[lane.token]) or any(len(before[b]) > 1 for b in after[lane.token])
+        inner = bool(after[lane.token]) and bool(before[lane.token])
+        short = polyline.length(lane.centre_m) <= LONGEST_CONNECTOR_M
+        marked.append(replace(lane, is_connector=inner and short and (forks or lane.token in crossed)))
+    notes["lanes taken for connectors"] += sum(lane.is_connector for lane in marked)
+    return marked
+
+
+def _inside_if_tiny(lane: SourceLane, notes: Counter[str]) -> SourceLane:
+    if lane.is_connector or polyline.length(lane.centre_m) >= TINY_M:
+        return lane
+    notes["lanes under a metre put inside a junction"] += 1
+    return replace(lane, is_connector=True)

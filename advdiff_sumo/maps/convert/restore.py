@@ -1,0 +1,63 @@
+"""Put back shapes that netconvert changed against the plan."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert.netplan import NetPlan
+from advdiff_sumo.maps.convert.plain_xml import shape_text
+
+SAME_M = 0.01
+LANE = re.compile(r'(<lane id="(?P<id>[^"]+)"[^>]* shape=")(?P<shape>[^"]*)(")')
+CONNECTION = re.compile(
+    r'<connection from="([^":]+)" to="([^"]+)" fromLane="(\d+)" toLane="(\d+)"[^>]* via="(?P<via>[^"]+)"'
+)
+DIVIDED = re.compile(r'<connection from="(:[^"]+)"[^>]* via="')
+
+
+def restore_shapes(net: Path, plan: NetPlan) -> int:
+    """Give each lane of *net* the ends that *plan* gives it; return how many had been moved.
+
+    A lane that begins inside its own junction and leaves it across another lane has no place where netconvert
+    would leave it alone, whatever the junction's shape; the ways from and to it move along with it. Ways that a
+    waiting place divides have two internal lanes and are left as they are.
+    """
+    text = net.read_text(encoding="utf-8")
+    planned = {f"{edge.id}_{index}": lane.shape_m for edge in plan.edges for index, lane in enumerate(edge.lanes)}
+    planned |= _internal_shapes(text, plan)
+    moved = 0
+
+    def put_back(match: re.Match[str]) -> str:
+        nonlocal moved
+        shape = planned.get(match["id"])
+        if shape is None or _same_ends(match["shape"], shape):
+            return match[0]
+        moved += 1
+        return match[1] + shape_text(shape) + match[4]
+
+    text = LANE.sub(put_back, text)
+    if moved:
+        net.write_text(text, encoding="utf-8")
+    return moved
+
+
+def _internal_shapes(text: str, plan: NetPlan) -> dict[str, FloatArray]:
+    """Return the planned shape of each internal lane that holds a whole way."""
+    divided = set(DIVIDED.findall(text))
+    shapes: dict[str, FloatArray] = {}
+    for match in CONNECTION.finditer(text):
+        origin, target, leaves, enters, via = match.groups()
+        way = plan.way_of.get((origin, int(leaves), target, int(enters)))
+        if way is not None and via.rpartition("_")[0] not in divided:
+            shapes[via] = way.shape_m
+    return shapes
+
+
+def _same_ends(text: str, shape: FloatArray) -> bool:
+    points = text.split()
+    ends = np.array([[float(v) for v in point.split(",")[:2]] for point in (points[0], points[-1])])
+    return bool(np.abs(ends - shape[[0, -1]]).max() <= SAME_M)

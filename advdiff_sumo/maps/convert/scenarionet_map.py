@@ -1,0 +1,153 @@
+"""The map of a ScenarioNet record (nuScenes, Waymo, …) as a source for the converter."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from shapely.geometry import Polygon
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.arcline import drop_repeats
+from advdiff_sumo.maps.convert.nuscenes_json import as_multi
+from advdiff_sumo.maps.convert.source import LaneUse, SourceLane, SourceMap
+
+KMH_MPS = 1.0 / 3.6
+MPH_MPS = 0.44704
+DEFAULT_WIDTH_M = 3.5
+LANE_TYPES = {
+    "LANE_SURFACE_STREET": LaneUse.CAR,
+    "LANE_SURFACE_UNSTRUCTURE": LaneUse.CAR,
+    "LANE_FREEWAY": LaneUse.CAR,
+    "LANE_UNKNOWN": LaneUse.CAR,
+    "LANE_BIKE_LANE": LaneUse.BICYCLE,
+    "LANE_BUS_LANE": LaneUse.BUS,
+}
+CONNECTOR_TYPES = frozenset({"LANE_SURFACE_UNSTRUCTURE"})
+
+
+def read_record_map(record: object, path: Path) -> SourceMap:
+    """Return the map of a ScenarioNet record that was loaded from *path*.
+
+    Lanes of type LANE_SURFACE_UNSTRUCTURE are connectors (ScenarioNet writes those of nuScenes so). The drivable
+    area is what the lanes cover; links come from ``entry_lanes`` and ``exit_lanes``.
+
+    Raises:
+        MapError: no ScenarioNet record, or a map without usable lanes.
+    """
+    features = record.get("map_features") if isinstance(record, Mapping) else None
+    if not isinstance(features, Mapping):
+        raise MapError(path, "is no ScenarioNet record ('map_features' is missing)", "give a record's .pkl file")
+    notes: Counter[str] = Counter()
+    rows = {str(name): row for name, row in features.items() if _is_lane(row)}
+    lanes = [lane for name, row in rows.items() if (lane := _lane(name, row, notes)) is not None]
+    if not lanes:
+        raise MapError(path, "holds no lane with a centre line", "give a record with a map")
+    known = {lane.token for lane in lanes}
+    areas = [_area(lane) for lane in lanes]
+    return SourceMap(
+        path=path,
+        location=_location(record, path),
+        lanes=tuple(lanes),
+        links=tuple(_links(rows, known, notes)),
+        drivable=as_multi(shapely.union_all(areas)),
+        crossings=tuple(_polygons(features, "CROSSWALK")),
+        walkways=tuple(_polygons(features, "SIDEWALK")),
+        notes=notes,
+    )
+
+
+def _is_lane(row: object) -> bool:
+    return isinstance(row, Mapping) and str(row.get("type")) in LANE_TYPES
+
+
+def _location(record: Mapping[str, Any], path: Path) -> str:
+    metadata = record.get("metadata")
+    place = metadata.get("map") if isinstance(metadata, Mapping) else None
+    return str(place) if place else path.stem
+
+
+def _lane(name: str, row: Mapping[str, Any], notes: Counter[str]) -> SourceLane | None:
+    centre = _points(row.get("polyline"))
+    if centre is None:
+        notes["lane without usable centre line"] += 1
+        return None
+    return SourceLane(
+        token=name,
+        is_connector=str(row["type"]) in CONNECTOR_TYPES,
+        centre_m=centre,
+        polygon=_polygon(row.get("polygon")),
+        use=LANE_TYPES[str(row["type"])],
+        speed_mps=_speed(row),
+        width_m=_width(row.get("width")),
+    )
+
+
+def _points(value: Any) -> FloatArray | None:
+    """Return the (N, 2) points of a centre line, or None where there are not two that are finite and apart."""
+    try:
+        line = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    if line.ndim != 2 or len(line) < 2 or line.shape[1] < 2 or not np.isfinite(line[:, :2]).all():
+        return None
+    line = drop_repeats(line[:, :2])
+    return line if len(line) > 1 and polyline.length(line) > 0.01 else None
+
+
+def _polygon(value: Any) -> Polygon | None:
+    ring = _points(value)
+    if ring is None or len(ring) < 3:
+        return None
+    parts = as_multi(shapely.make_valid(Polygon(ring)))
+    return max(parts.geoms, key=lambda part: part.area, default=None)
+
+
+def _speed(row: Mapping[str, Any]) -> float | None:
+    """Return the speed limit in m/s; a limit that is not positive means that there is none."""
+    for key, factor in (("speed_limit_kmh", KMH_MPS), ("speed_limit_mph", MPH_MPS)):
+        value = row.get(key)
+        if isinstance(value, int | float) and np.isfinite(value) and value > 0:
+            return float(value) * factor
+    return None
+
+
+def _width(value: Any) -> float | None:
+    """Return the median of the stated widths (left and right of the centre line, where given apart) in m."""
+    if value is None:
+        return None
+    widths = np.asarray(value, dtype=np.float64)
+    total = widths.sum(axis=1) if widths.ndim == 2 and widths.shape[1] == 2 else widths.ravel()
+    good = total[np.isfinite(total) & (total > 1.0) & (total < 12.0)]
+    return float(np.median(good)) if len(good) else None
+
+
+def _area(lane: SourceLane) -> shapely.Geometry:
+    if lane.polygon is not None:
+        return lane.polygon
+    return shapely.LineString(lane.centre_m).buffer(0.5 * (lane.width_m or DEFAULT_WIDTH_M), cap_style="flat")
+
+
+def _links(rows: Mapping[str, Mapping[str, Any]], known: set[str], notes: Counter[str]) -> list[tuple[str, str]]:
+    links: dict[tuple[str, str], None] = {}
+    for name, row in rows.items():
+        pairs = [(str(other), name) for other in row.get("entry_lanes") or []]
+        pairs += [(name, str(other)) for other in row.get("exit_lanes") or []]
+        for pair in pairs:
+            if pair[0] in known and pair[1] in known:
+                links[pair] = None
+            else:
+                notes["link to unknown lane"] += 1
+    return list(links)
+
+
+def _polygons(features: Mapping[str, Any], kind: str) -> list[Polygon]:
+    rows = [row for row in features.values() if isinstance(row, Mapping) and row.get("type") == kind]
+    found = [_polygon(row.get("polygon")) for row in rows]
+    return [polygon for polygon in found if polygon is not None]

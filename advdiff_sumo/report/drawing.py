@@ -85,15 +85,13 @@ def _traffic(axes: Axes, picture: Picture) -> None:
             *trail.xy_m.T, color=COLOURS[trail.role], linewidth=1.4, alpha=faint, zorder=3 + order * 1e-3
         )
     for box in picture.boxes:
-        alpha = 0.8 if box.role is Role.OTHER else 1.0 - 0.75 * box.age
-        colour = COLOURS[box.role]
-        axes.add_collection(
-            PolyCollection(
-                [box.corners_m], facecolors=colour, edgecolors="white", linewidths=0.6, alpha=alpha, zorder=4
-            )
-        )
+        colour, past = COLOURS[box.role], box.age > 0.0
+        alpha = 1.0 - 0.6 * box.age
+        face, edge = (colour, 0.35 * alpha) if past else (colour, alpha), (colour if past else "white", alpha)
+        outline = PolyCollection([box.corners_m], facecolors=face, edgecolors=edge, linewidths=0.8, zorder=4)
+        axes.add_collection(outline)
         nose = np.stack((box.centre_m, box.corners_m[:2].mean(axis=0)))
-        axes.plot(*nose.T, color="white", linewidth=0.9, alpha=alpha, zorder=4)
+        axes.plot(*nose.T, color=edge, linewidth=0.9, zorder=4)
         if box.label:
             _time(axes, picture, box)
 

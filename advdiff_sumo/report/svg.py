@@ -16,9 +16,10 @@ _CM = 100.0
 
 @dataclass(frozen=True)
 class SvgBox:
-    """One box: class names for the style sheet, opacity, outline and nose."""
+    """One box: class names for the style sheet, whether it is of an earlier moment, opacity, outline and nose."""
 
     role: str
+    past: bool
     opacity: str
     path: str
 
@@ -117,7 +118,7 @@ def _box(box: Box, view: View) -> SvgBox:
     """Return a box with a line from its middle to the middle of its front."""
     outline = line_data(np.concatenate((box.corners_m, box.corners_m[:1])), view, closed=True)
     nose = line_data(np.stack((box.centre_m, 0.5 * (box.corners_m[0] + box.corners_m[1]))), view)
-    return SvgBox(str(box.role), f"{1.0 - 0.75 * box.age:.2f}", outline + nose)
+    return SvgBox(str(box.role), box.age > 0.0, f"{1.0 - 0.6 * box.age:.2f}", outline + nose)
 
 
 def _label(box: Box, view: View, offset_m: float) -> SvgLabel:

@@ -89,7 +89,8 @@ def test_pictures_show_target_attacker_others_and_impact(two_episodes: Path) -> 
     # the view is centred on both paths, 85 to 120 m, 101 m, and 70 m wide: the impact is 35 + 12.5 m to the right
     x, y, half = 4750, 2333, 98
     # a box a second from 0 to 3 s for each of the two
-    assert hit.count('class="box target"') == hit.count('class="box attacker"') == 4
+    assert hit.count('class="box target past"') == hit.count('class="box attacker past"') == 3
+    assert hit.count('class="box target"') == hit.count('class="box attacker"') == 1
     assert re.findall(r'class="trail (\w+)"', hit) == ["attacker", "target"]
     assert hit.count('class="impact"') == 2  # in the picture and in the close-up
     assert f'd="M{x - half} {y - half}l' in hit

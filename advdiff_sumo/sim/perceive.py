@@ -16,8 +16,22 @@ def visible_ids(api: Any, name: str) -> frozenset[str]:
     seen = {other for other, _ in _pairs(vehicle.getLeader(name, _LOOK_AHEAD_M))}
     for mode in _NEIGHBOURS:
         seen.update(other for other, _ in vehicle.getNeighbors(name, mode))
-    seen.update(foe[0] for foe in vehicle.getJunctionFoes(name, _LOOK_AHEAD_M))
-    return frozenset(seen - {""})
+    seen |= _foes(api, name)
+    return frozenset(seen - {"", name})
+
+
+def _foes(api: Any, name: str) -> set[str]:
+    """Return who is in conflict with *name* at the next junctions; SUMO names some pairs on one side only."""
+    foes_of = api.vehicle.getJunctionFoes
+    found = {foe[0] for foe in foes_of(name, _LOOK_AHEAD_M)}
+    edge = api.vehicle.getRoadID(name)
+    if not edge:
+        return found
+    for incoming in api.junction.getIncomingEdges(api.edge.getToJunction(edge)):
+        for other in api.edge.getLastStepVehicleIDs(incoming):
+            if other not in found and any(foe[0] == name for foe in foes_of(other, _LOOK_AHEAD_M)):
+                found.add(other)
+    return found
 
 
 def _pairs(leader: Any) -> list[tuple[str, float]]:

@@ -116,7 +116,7 @@ class Session:
         try:
             self.api.simulationStep()
         except Exception as error:
-            raise SimulationError(f"SUMO stopped: {error}") from error
+            raise SimulationError(f"SUMO stopped: {_one_line(error)}") from error
 
     @property
     def time_s(self) -> float:
@@ -162,4 +162,8 @@ def _quiet() -> Iterator[Any]:
 
 def _cause(output: str, error: BaseException) -> str:
     lines = [line.removeprefix("Error:").strip() for line in output.splitlines() if line.startswith("Error:")]
-    return lines[0] if lines else str(error)
+    return lines[0] if lines else _one_line(error)
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())

@@ -92,55 +92,66 @@ def test_a_move_within_the_own_route_leaves_it(street: Path) -> None:
         assert s.pose("b")[0] == pytest.approx((150.0, -2.0))
 
 
-def crossing_traffic(s: Stage, actuator: Actuator | None, route: tuple[str, ...]) -> float:
-    """Drive a moved vehicle along the priority road; return the slowest speed of who comes from the south."""
-    s.add("b", ("WC", "CE"), at=20)
-    s.add("t", ("SC", "CN"), at=87, speed=9)
-    slowest = np.inf
-    if actuator is not None:
-        register(actuator.world, s.api, ["b", "t"])
-        actuator.take(0)
-    else:
+def from_the_south(s: Stage, actuator: Actuator | None, route: tuple[str, ...]) -> tuple[float, bool]:
+    """Move a vehicle at 10 m/s along the priority road of a crossing, to which an IDM car comes from the south.
+
+    Returns the slowest speed of that car before the crossing, and whether ``visible_ids`` named the other.
+    """
+    s.add("b", ("WC",), at=20)
+    s.add("t", ("SC", "CN"), at=105, speed=9)
+    if actuator is None:
         s.free("b")
         s.api.vehicle.setSpeedFactor("b", 20.0)
-    for k in range(80):
-        x = -62.0 + 1.0 * k
-        if actuator is not None:
-            actuator.predict_route(0, route)
-            move(actuator, s, 0, (x, -1.6), EAST, 10.0)
-        else:
+    else:
+        register(actuator.world, s.api, ["b", "t"])
+        actuator.take(0)
+    slowest, seen = np.inf, False
+    for x in np.arange(-70.0, -6.0):
+        if actuator is None:
             s.put("b", np.array((x, -1.6)), EAST)
-            s.api.vehicle.setSpeed("b", 10.0)
-            if route and x < -5.0:
-                s.api.vehicle.setRoute("b", list(route))
+            if route:
+                s.api.vehicle.setRoute("b", route)
             s.session.step()
-        if s.pose("t")[0][1] < 0.0:
-            slowest = min(slowest, s.api.vehicle.getSpeed("t"))
-    return slowest
+        else:
+            actuator.predict_route(0, route)
+            move(actuator, s, 0, (float(x), -1.6), EAST, 10.0)
+        slowest = min(slowest, s.api.vehicle.getSpeed("t"))
+        seen |= "b" in visible_ids(s.api, "t")
+    return slowest, seen
 
 
 def test_drivers_at_a_junction_yield_only_to_a_predicted_route(crossing: Path) -> None:
+    """Issue 6140 of SUMO."""
     with stage(crossing) as s:
-        assert crossing_traffic(s, None, ()) > 3.0
+        alone, _ = from_the_south(s, None, ())
+        assert s.pose("t")[0][1] > 0.0, "it drove across in front of the other"
     with stage(crossing) as s:
-        assert crossing_traffic(s, None, ("WC", "CE")) < 1.0
-    with stage(crossing) as s:
-        assert crossing_traffic(s, Actuator(s.api, World(), RoadMap.read(crossing)), ("WC", "CE")) < 1.0
+        yields, _ = from_the_south(s, None, ("WC", "CE"))
+        assert s.pose("t")[0][1] < -8.0, "it waits"
+        assert yields < 0.5 * alone
 
 
-def test_a_foe_at_a_junction_is_visible(crossing: Path) -> None:
+def test_the_actuators_predicted_route_makes_them_yield_and_visible_ids_says_why(crossing: Path) -> None:
     with stage(crossing) as s:
-        actuator = Actuator(s.api, World(), RoadMap.read(crossing))
-        s.add("b", ("WC", "CE"), at=90)
-        s.add("t", ("SC", "CN"), at=100, speed=9)
-        register(actuator.world, s.api, ["b", "t"])
-        actuator.take(0)
-        seen = []
-        for k in range(20):
-            actuator.predict_route(0, ("WC", "CE"))
-            move(actuator, s, 0, (-40.0 + k, -1.6), EAST, 10.0)
-            seen.append("b" in visible_ids(s.api, "t"))
-    assert seen[-1]
+        yields, seen = from_the_south(s, Actuator(s.api, World(), RoadMap.read(crossing)), ("WC", "CE"))
+        assert s.pose("t")[0][1] < -8.0
+    assert yields < 2.0
+    assert seen
+
+
+@pytest.mark.parametrize("minor", [("SC", "CN"), ("SC", "CW"), ("NC", "CS"), ("SC", "CE")])
+def test_sumo_names_some_foes_on_one_side_only_but_we_name_both(
+    crossing: Path, minor: tuple[str, str]
+) -> None:
+    with stage(crossing) as s:
+        s.add("b", ("WC", "CE"), at=95, speed=9)
+        s.add("t", minor, at=95, speed=9)
+        for _ in range(10):
+            s.step()
+        listed = {foe[0] for foe in s.api.vehicle.getJunctionFoes("t", 100.0)}
+        assert listed == (set() if minor in {("SC", "CN"), ("SC", "CW")} else {"b"})
+        assert visible_ids(s.api, "t") == {"b"}
+        assert visible_ids(s.api, "b") == {"t"}
 
 
 def test_a_vehicle_without_a_route_ahead_arrives_and_the_actuator_keeps_it(crossing: Path) -> None:
@@ -174,7 +185,6 @@ def test_the_speed_that_others_see_is_clipped_and_a_speed_factor_cures_it(street
             s.free("b")
             if factor is not None:
                 s.api.vehicle.setSpeedFactor("b", factor)
-                s.api.vehicle.setMaxSpeed("b", 90.0)
             for k in range(20):
                 s.put("b", np.array((30.0 + 2.5 * k, -4.8)), EAST)
                 s.session.step()
@@ -184,9 +194,18 @@ def test_the_speed_that_others_see_is_clipped_and_a_speed_factor_cures_it(street
     assert seen(20.0) == pytest.approx(25.0, abs=0.01)
 
 
+def test_a_new_maximum_speed_resets_the_speed_factor(street: Path) -> None:
+    with stage(street) as s:
+        s.add("b", EASTBOUND)
+        s.api.vehicle.setSpeedFactor("b", 20.0)
+        s.api.vehicle.setMaxSpeed("b", 90.0)
+        assert s.api.vehicle.getSpeedFactor("b") == 1.0
+
+
 def test_the_actuator_lets_others_see_the_true_speed_and_restores_the_limits(street: Path) -> None:
     with stage(street) as s:
         s.add("b", EASTBOUND)
+        s.api.vehicle.setSpeedFactor("b", 0.9)
         before = s.api.vehicle.getSpeedFactor("b"), s.api.vehicle.getMaxSpeed("b")
         actuator = actuator_on(s, street)
         actuator.take(0)
@@ -253,8 +272,9 @@ def test_off_the_road_there_is_no_lane_and_a_vehicle_that_is_not_moved_again_is_
         assert not read(world, s.api, NOBODY).size
         s.held.clear()
         s.step()
-        assert "b" in s.api.vehicle.getIDList()
-        assert read(world, s.api, NOBODY).tolist() == [0], "SUMO has lost it and we say so"
+        assert s.api.vehicle.getIDList() == ()
+        assert s.api.simulation.getArrivedIDList() == (), "without a word"
+        assert read(world, s.api, NOBODY).tolist() == [0], "but we say so"
 
 
 def test_off_the_road_neither_subscriptions_of_others_nor_a_saved_state_hold_it(
@@ -311,10 +331,12 @@ def test_the_actuator_inserts_on_a_lane_first_and_exactly_from_then_on(
             np.array([row]), np.array([[x, y]]), np.array([yaw]), np.array([5.0]), Controller.POLICY
         )
         actuator.insert(row, "car")
-        for k in range(5):
+        roads = []
+        for _ in range(5):
             move(actuator, s, row, (x, y), yaw)
-            assert s.api.vehicle.getRoadID("b") == ("" if k and abs(y) > 10 else s.api.vehicle.getRoadID("b"))
+            roads.append(s.api.vehicle.getRoadID("b"))  # would kill the process (see above)
             assert actuator.moved[row].inserted
+        assert roads[0] in ("WM", "MW")
         xy, seen = s.pose("b")
         np.testing.assert_allclose(xy, (x, y), atol=1e-6)
         assert abs(wrap_angle(seen - yaw)) < 1e-6

@@ -1,8 +1,9 @@
 """Moving vehicles by moveToXY, so that SUMO's drivers see them (measured traps: docs/sumo.md).
 
-Three rules that SUMO does not state: a vehicle must have been on a lane before it may be moved off the road;
-a moved vehicle loses its route unless it is given the edges that it is about to drive; and its speed, as
-others see it, is clipped to the lane's limit times its speed factor.
+Rules that SUMO does not state: a vehicle must have been on a lane before anything else; off the lanes nobody
+sees it, and with sublanes it can crash the process, so it is taken out of SUMO until it comes back to a lane (our
+own states go on); a moved vehicle loses its route unless it is given the edges that it is about to drive; and its
+speed, as others see it, is clipped to the lane's limit times its speed factor.
 """
 
 from __future__ import annotations
@@ -51,12 +52,20 @@ class Actuator:
         world: rows and states.
         road: the map.
         moved: row → what we changed in SUMO.
+        outside: rows that we move off the lanes, where SUMO has no use for them.
     """
 
     api: Any
     world: World
     road: RoadMap
     moved: dict[int, Moved] = field(default_factory=dict)
+    outside: set[int] = field(default_factory=set)
+    _entries: dict[int, int] = field(default_factory=dict)
+
+    @property
+    def ours(self) -> set[int]:
+        """Rows that we move, in SUMO or outside."""
+        return self.outside | self.moved.keys()
 
     def take(self, row: int) -> None:
         """Begin to move *row*, which is on a lane."""
@@ -101,6 +110,19 @@ class Actuator:
         except Exception as error:
             raise SimulationError(f"SUMO refuses to insert '{name}': {error}") from error
         self.moved[row] = Moved(1.0, _FREE_MAX_SPEED, inserted=False)
+        self.outside.discard(row)
+
+    def on_lanes(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> set[int]:
+        """Return those of *rows* that SUMO could have on a lane at poses (N, 2), (N,)."""
+        half = 0.5 * self.world.size_m[rows]
+        lanes, _, d, _ = self.road.locate_many(bumper_from_centre(xy_m, yaw_rad, 2.0 * half[:, 0]), yaw_rad)
+        return {
+            row
+            for row, lane, offset, beside in zip(
+                rows.tolist(), lanes, d.tolist(), half[:, 1].tolist(), strict=True
+            )
+            if lane is not None and abs(offset) <= 0.5 * self.road.lanes[lane].width_m + beside
+        }
 
     def settle(self, departed: Sequence[int]) -> None:
         """Free vehicles that SUMO has just inserted for us from its own limits."""
@@ -109,33 +131,39 @@ class Actuator:
                 self.take(row)
 
     def remove(self, row: int) -> None:
-        """Take *row* out of SUMO."""
+        """Take *row* off the scene."""
+        self.outside.discard(row)
+        self._out_of_sumo(row)
+
+    def leave_lanes(self) -> None:
+        """Take those out of SUMO that it has just lost off the lanes."""
+        for row in [r for r, m in self.moved.items() if m.inserted and not self.world.lane[r]]:
+            self._out_of_sumo(row)
+            self.outside.add(row)
+
+    def _out_of_sumo(self, row: int) -> None:
         if self.moved.pop(row, None) is not None:
             name = self.world.sumo_ids[row]
             self.api.vehicle.unsubscribe(name)  # else the next step stops at the unknown name
             self.api.vehicle.remove(name)
+            self.world.in_sumo.discard(row)
 
     def move(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> None:
-        """Put *rows* at poses (N, 2), (N,) in the next step; those being inserted wait for it."""
+        """Put *rows* at poses (N, 2), (N,) in the next step; those outside or being inserted are left alone."""
         bumper = bumper_from_centre(xy_m, yaw_rad, self.world.size_m[rows, 0])
         angle = sumo_from_yaw(yaw_rad)
-        move_to, names, lane, moved = (
-            self.api.vehicle.moveToXY,
-            self.world.sumo_ids,
-            self.world.lane,
-            self.moved,
-        )
+        move_to, names, moved = self.api.vehicle.moveToXY, self.world.sumo_ids, self.moved
         for row, (x, y), turn in zip(rows.tolist(), bumper.tolist(), angle.tolist(), strict=True):
-            state = moved[row]
-            if not state.inserted:
+            state = moved.get(row)
+            if state is None or not state.inserted:
                 continue
-            if state.route and not lane[row]:
-                state.route = ()  # it left its own route: let SUMO look everywhere, which also replaces the route
             move_to(names[row], "", -1, x, y, turn, _OWN_ROUTE if state.route else _ANY_EDGE)
 
     def predict_route(self, row: int, route: tuple[str, ...]) -> None:
         """Tell SUMO which edges *row* is about to drive, so that drivers at junctions yield to it (#6140)."""
-        state = self.moved[row]
+        state = self.moved.get(row)
+        if state is None:
+            return
         known = bool(route) and state.route[-len(route) :] == route
         if state.inserted and not known:
             state.route = route if route and self._set_route(self.world.sumo_ids[row], route) else ()
@@ -165,11 +193,9 @@ class Actuator:
         return lane.edge_id
 
     def _fresh_name(self, row: int) -> str:
-        name = self.world.sumo_ids[row]
-        if name in self.world.index and self.world.index[name] == row and self.api.vehicle.getIDCount():
-            known = set(self.api.vehicle.getIDList()) | set(self.api.vehicle.getLoadedIDList())
-            while name in known:
-                name += "~"
-        self.world.sumo_ids[row] = name
-        self.world.index[name] = row
+        """Return a name that SUMO has not had in this simulation; the first is the vehicle's own."""
+        count = self._entries.get(row, int(row in self.world.had_in_sumo))
+        self._entries[row] = count + 1
+        name = self.world.ids[row] + (f"~{count}" if count else "")
+        self.world.rename(row, name)
         return name

@@ -44,6 +44,13 @@ class Motion:
             self.rows[mask], self.xy_m[mask], self.yaw_rad[mask], self.speed_mps[mask], self.valid[mask]
         )
 
+    def span(self, start: int, stop: int) -> Motion:
+        """Return substeps *start* to *stop* (exclusive)."""
+        cut = slice(start, stop)
+        return Motion(
+            self.rows, self.xy_m[:, cut], self.yaw_rad[:, cut], self.speed_mps[:, cut], self.valid[:, cut]
+        )
+
     @staticmethod
     def join(first: Motion, second: Motion) -> Motion:
         """Return both; a row of *second* that *first* has too is dropped."""

@@ -42,8 +42,25 @@ def driving_test(
         SimulationError: SUMO stopped.
     """
     trips = _Trips(net, seed)
-    command = ["sumo", "-n", str(net), "--step-length", str(step_s), "--seed", str(seed), "--no-step-log", "true"]
-    command += ["--collision.action", "warn", "--collision.check-junctions", "true", "--collision.mingap-factor", "0"]
+    command = [
+        "sumo",
+        "-n",
+        str(net),
+        "--step-length",
+        str(step_s),
+        "--seed",
+        str(seed),
+        "--no-step-log",
+        "true",
+    ]
+    command += [
+        "--collision.action",
+        "warn",
+        "--collision.check-junctions",
+        "true",
+        "--collision.mingap-factor",
+        "0",
+    ]
     command += ["--no-warnings", "true", "--xml-validation", "never", "--max-depart-delay", "60"]
     with tempfile.TemporaryDirectory() as folder:
         statistics = Path(folder) / "statistics.xml"
@@ -163,7 +180,7 @@ def _pair(one: str, other: str) -> tuple[str, str]:
 
 def _emergency_brakings(statistics: Path) -> int:
     """Return SUMO's count, which it writes when it closes."""
-    element = ElementTree.parse(statistics).getroot().find("safety")
+    element = ElementTree.fromstring(statistics.read_bytes()).find("safety")
     return 0 if element is None else int(element.get("emergencyBraking", "0"))
 
 

@@ -39,14 +39,15 @@ class Handover:
     ) -> Motion:
         """Release the moved vehicles that *motion* leaves out; returns *motion* and those still being aligned."""
         planned = set(motion.rows.tolist())
-        left = [r for r, m in self.actuator.moved.items() if m.inserted and r not in planned and r != target]
+        inside = {row for row, state in self.actuator.moved.items() if state.inserted}
+        left = sorted((inside | self.actuator.outside) - planned - {target})
         if not left:
             return motion
         rows = np.array(left, dtype=np.int64)
         lanes, _, d, turned = self.road.locate_many(self.world.xy_m[rows], self.world.yaw_rad[rows])
         askew = []
         for row, lane, offset, angle in zip(left, lanes, d.tolist(), turned.tolist(), strict=True):
-            if self._fits(row, lane, offset, angle, steps * self.sim.step_s):
+            if row in inside and self._fits(row, lane, offset, angle, steps * self.sim.step_s):
                 self.actuator.release(row, self.route(row, routes))
                 self._routes.pop(row, None)
             else:

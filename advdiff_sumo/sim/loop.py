@@ -57,6 +57,7 @@ class Loop:
         self.standing: BoolArray | None = None
         self.signals: Mapping[str, str] = {}
         self.target_left = False
+        self.entering: set[int] = set()
         self.steps = 0
 
     # --- the beginning -----------------------------------------------------------------------------------
@@ -110,6 +111,8 @@ class Loop:
         """Play a log's history, so that everybody is in SUMO, at speed, at instant 0."""
         motion = self.context.history(self.sim)
         for k in range(motion.valid.shape[1]):
+            if k % self.sim.substeps == 0:
+                self._let_in(motion.span(k, k + self.sim.substeps))
             self._move(motion, k)
             self._advance()
 
@@ -138,6 +141,7 @@ class Loop:
         routes = self.episode.scene.routes
         motion = self.handover.settle(motion, self.target, period, routes)
         self.handover.predict(planned_ends(motion), routes)
+        self._let_in(motion)
         return motion
 
     def _step(self, motion: Motion, k: int) -> EndReason | None:
@@ -160,7 +164,7 @@ class Loop:
         there, gone = motion.rows[motion.valid[:, k]], motion.rows[~motion.valid[:, k]]
         rows = motion.valid[:, k]
         for row in gone.tolist():
-            if row in self.actuator.moved:
+            if row in self.actuator.ours:
                 self.actuator.remove(row)
                 self.world.remove([row])
         self.world.set_state(
@@ -174,23 +178,39 @@ class Loop:
     def _take_or_insert(self, row: int) -> None:
         if row in self.world.in_sumo:
             self.actuator.take(row)
-        elif self.world.ids[row] == self.episode.scene.target:
-            self.actuator.insert(row, TARGET_TYPE)
+        elif row not in self.entering:
+            self.actuator.outside.add(row)
         else:
-            self.actuator.insert(row, self.types[AgentClass(int(self.world.classes[row]))])
+            self.entering.discard(row)
+            is_target = self.world.ids[row] == self.episode.scene.target
+            agent_class = AgentClass(int(self.world.classes[row]))
+            self.actuator.insert(row, TARGET_TYPE if is_target else self.types[agent_class])
+
+    def _let_in(self, motion: Motion) -> None:
+        """Note which of the vehicles outside SUMO get onto a lane during *motion*."""
+        waiting = ~np.isin(motion.rows, list(self.actuator.moved)) & motion.valid.any(axis=1)
+        rows, valid = motion.rows[waiting], motion.valid[waiting]
+        self.entering = set()
+        if len(rows):
+            every = np.arange(len(rows))
+            for k in (valid.argmax(axis=1), valid.shape[1] - 1 - valid[:, ::-1].argmax(axis=1)):
+                poses = motion.xy_m[waiting][every, k], motion.yaw_rad[waiting][every, k]
+                self.entering |= self.actuator.on_lanes(rows, *poses)
 
     def _advance(self) -> None:
         """Let SUMO step and read what it did; our own states win for vehicles that we move."""
         self.session.step()
         departed = register(self.world, self.api, self.api.simulation.getDepartedIDList())
         self.actuator.settle(departed)
-        moved = self.actuator.moved
-        gone = read(self.world, self.api, moved.keys()).tolist()
-        self.target_left = self.target in gone
-        self.world.remove([row for row in gone if row not in moved])
+        moved, ours = self.actuator.moved, self.actuator.ours
+        gone = read(self.world, self.api, ours).tolist()
+        self.target_left = self.target in gone and self.target not in self.actuator.outside
+        self.world.remove([row for row in gone if row not in ours])
         for row in gone:
             if row in moved and moved[row].inserted:  # past its lane's end it has left SUMO, not the scene
                 moved.pop(row)
+                self.actuator.outside.add(row)
+        self.actuator.leave_lanes()
         self.recorder.note(self.api)
 
     def _touches(self, before: Frame, now: Frame) -> bool:
@@ -233,7 +253,8 @@ class Loop:
         others = rows != self.target
         if self.everywhere:
             return others
-        moved = np.array([row in self.actuator.moved for row in rows.tolist()], dtype=np.bool_)
+        ours = self.actuator.ours
+        moved = np.array([row in ours for row in rows.tolist()], dtype=np.bool_)
         radius = np.where(moved, self.sim.release_factor, 1.0) * self.sim.control_radius_m
         on_lane = np.array([bool(self.world.lane[row]) for row in rows.tolist()], dtype=np.bool_)
         free = ~np.isin(rows, self.context.rows())
@@ -242,7 +263,7 @@ class Loop:
     def _route(self, row: int) -> tuple[str, ...]:
         if row == self.target:
             return self.drive.route_ahead()
-        if row in self.actuator.moved:
+        if row in self.actuator.ours:
             return self.handover.route(row, self.episode.scene.routes)
         return remaining_route(self.api, self.world.sumo_ids[row])
 

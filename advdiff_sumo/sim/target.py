@@ -20,6 +20,7 @@ from advdiff_sumo.sim.guard import check_plan
 from advdiff_sumo.sim.natural import remaining_route
 from advdiff_sumo.sim.options import SimOptions
 from advdiff_sumo.sim.perceive import visible_ids
+from advdiff_sumo.sim.start import TARGET_TYPE
 from advdiff_sumo.sim.world import World
 
 _ARRIVAL_M = 6.0
@@ -90,6 +91,7 @@ class PlannerDrive:
             PlanRefusedError: its plan holds NaN or a jump, or is too short.
         """
         self._find_place()
+        self._come_back()
         view = self._view(scene)
         begun = time.perf_counter()
         made = self._ask(lambda: self.planner.plan(self.road, view, self._memory, self.rng))
@@ -137,6 +139,14 @@ class PlannerDrive:
             self.route = self.route[self.route.index(lane.edge_id) :]
             front = pose.s_m + 0.5 * float(self.world.size_m[self.row, 0])
             self._arrived = len(self.route) == 1 and lane.length_m - front < _ARRIVAL_M
+
+    def _come_back(self) -> None:
+        """Let SUMO have the target again once it is back on a lane."""
+        rows = np.array([self.row])
+        if self.row in self.actuator.outside and self.actuator.on_lanes(
+            rows, self.world.xy_m[rows], self.world.yaw_rad[rows]
+        ):
+            self.actuator.insert(self.row, TARGET_TYPE)
 
     def _view(self, scene: Scene) -> Scene:
         """Return *scene* without what a driver cannot know: the others' routes, and who is being moved."""

@@ -63,6 +63,7 @@ class World:
         sumo_ids: SUMO's name of each row; another one only after SUMO lost the vehicle and got it anew.
         index: row of each of SUMO's names.
         in_sumo: rows that SUMO has.
+        had_in_sumo: rows that SUMO has or had.
         lane: SUMO's lane of each row at the last read; "" off the road.
         xy_m, yaw_rad, speed_mps: present states, (capacity, …); NaN where absent.
         controller: (capacity,) values of :class:`Controller`.
@@ -73,6 +74,7 @@ class World:
         self.sumo_ids: list[str] = []
         self.index: dict[str, int] = {}
         self.in_sumo: set[int] = set()
+        self.had_in_sumo: set[int] = set()
         self.lane: list[str] = []
         self.classes = np.zeros(capacity, dtype=np.int64)
         self.size_m = np.zeros((capacity, 2))
@@ -102,6 +104,11 @@ class World:
     def row_of(self, name: str) -> int | None:
         """Return the row of *name*, or None when it was never there."""
         return self.index.get(name)
+
+    def rename(self, row: int, sumo_id: str) -> None:
+        """Note that SUMO has *row* under another name from now on."""
+        self.sumo_ids[row] = sumo_id
+        self.index[sumo_id] = row
 
     def set_state(
         self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray, who: Controller
@@ -147,6 +154,7 @@ def register(world: World, api: Any, names: Iterable[str]) -> list[int]:
         vclass = AgentClass(CLASS_OF_VCLASS.get(api.vehicle.getVehicleClass(name), AgentClass.CAR))
         row = world.add(name, vclass, api.vehicle.getLength(name), api.vehicle.getWidth(name))
         world.in_sumo.add(row)
+        world.had_in_sumo.add(row)
         rows.append(row)
     return rows
 

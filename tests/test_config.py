@@ -1,0 +1,126 @@
+"""Options: strict, frozen, with suggestions; TOML files and --set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import Field
+
+from advdiff_sumo.config import Options, read_toml, set_dotted
+from advdiff_sumo.core.errors import ConfigError, FileError, InputError
+from advdiff_sumo.sim.options import SimOptions
+
+
+class Inner(Options):
+    step_s: float = Field(0.1, gt=0.0)
+    name: str = "x"
+
+
+class Outer(Options):
+    inner: Inner = Inner()
+    count: int = 1
+    must: int = 0
+
+
+class Needy(Options):
+    wanted: int
+
+
+def test_values_are_taken() -> None:
+    got = Outer.parse({"inner": {"step_s": 0.2}, "count": 3})
+    assert (got.inner.step_s, got.inner.name, got.count) == (0.2, "x", 3)
+
+
+def test_options_are_frozen() -> None:
+    with pytest.raises(ValueError, match="frozen"):
+        Outer().count = 2  # type: ignore[misc] # that is the test
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"cuont": 1}, "run.toml: no option 'cuont'; did you mean 'count'?"),
+        ({"inner": {"stepS": 1}}, "run.toml: no option 'inner.stepS'; did you mean 'step_s'?"),
+        ({"inner": {"step-s": 1}}, "run.toml: no option 'inner.step-s'; did you mean 'step_s'?"),
+        ({"zzz": 1}, "run.toml: no option 'zzz'; known are: count, inner, must"),
+        ({"inner": {"step_s": -1.0}}, "run.toml: inner.step_s = -1.0: input should be greater than 0"),
+        ({"inner": {"step_s": float("nan")}}, "run.toml: inner.step_s = nan: input should be a finite number"),
+        ({"count": "many"}, "run.toml: count = 'many': input should be a valid integer"),
+        ({"inner": 3}, "run.toml: inner = 3: input should be a valid dictionary"),
+    ],
+)
+def test_what_is_wrong_gets_one_sentence(values: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        Outer.parse(values, "run.toml")
+    assert str(caught.value).startswith(sentence)
+    assert "\n" not in str(caught.value)
+    assert isinstance(caught.value, InputError)
+
+
+def test_a_missing_option_is_named() -> None:
+    with pytest.raises(ConfigError, match=r"options: option 'wanted' is missing"):
+        Needy.parse({})
+
+
+def test_a_models_own_rule_speaks() -> None:
+    with pytest.raises(ConfigError, match=r"model_step_s = 0\.55 is no whole multiple of 0\.1"):
+        SimOptions.parse({"model_step_s": 0.55})
+
+
+def test_dotted_assignments() -> None:
+    values: dict[str, Any] = {"sim": {"step_s": 0.1}}
+    for text in ("sim.step_s=0.2", "target.options.tau = 1.5", "name=IDM", "flag=true", "list=[1, 2]", 'q="3"', "e=a=b"):
+        set_dotted(values, text)
+    assert values == {
+        "sim": {"step_s": 0.2},
+        "target": {"options": {"tau": 1.5}},
+        "name": "IDM",
+        "flag": True,
+        "list": [1, 2],
+        "q": "3",
+        "e": "a=b",
+    }
+
+
+@pytest.mark.parametrize("text", ["sim.step_s", "=3", " =3", ""])
+def test_an_assignment_without_name_or_sign_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"expected NAME=VALUE, for example --set sim\.step_s=0\.1"):
+        set_dotted({}, text)
+
+
+def test_an_assignment_below_a_value_is_refused() -> None:
+    with pytest.raises(ConfigError, match="'step_s' is not a group of options"):
+        set_dotted({"sim": {"step_s": 0.1}}, "sim.step_s.more=1")
+
+
+def test_toml_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text("[sim]\nstep_s = 0.1\n")
+    assert read_toml(path) == {"sim": {"step_s": 0.1}}
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "no such file"),
+        (b"[sim\nstep_s = 1", "not valid TOML (Expected ']' at the end of a table declaration (at line 1, column 5))"),
+        (b"a = 1\na = 2\n", "line 2"),
+        (b"\xff\xfe", "not valid TOML"),
+    ],
+)
+def test_toml_that_cannot_be_read_names_file_and_place(tmp_path: Path, content: bytes | None, words: str) -> None:
+    path = tmp_path / "bad.toml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(FileError) as caught:
+        read_toml(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert words in str(caught.value)
+    assert caught.value.path == path
+
+
+def test_a_folder_is_no_toml_file(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="cannot be read"):
+        read_toml(tmp_path)

@@ -46,7 +46,10 @@ def test_options_are_frozen() -> None:
         ({"inner": {"step-s": 1}}, "run.toml: no option 'inner.step-s'; did you mean 'step_s'?"),
         ({"zzz": 1}, "run.toml: no option 'zzz'; known are: count, inner, must"),
         ({"inner": {"step_s": -1.0}}, "run.toml: inner.step_s = -1.0: input should be greater than 0"),
-        ({"inner": {"step_s": float("nan")}}, "run.toml: inner.step_s = nan: input should be a finite number"),
+        (
+            {"inner": {"step_s": float("nan")}},
+            "run.toml: inner.step_s = nan: input should be a finite number",
+        ),
         ({"count": "many"}, "run.toml: count = 'many': input should be a valid integer"),
         ({"inner": 3}, "run.toml: inner = 3: input should be a valid dictionary"),
     ],
@@ -71,7 +74,15 @@ def test_a_models_own_rule_speaks() -> None:
 
 def test_dotted_assignments() -> None:
     values: dict[str, Any] = {"sim": {"step_s": 0.1}}
-    for text in ("sim.step_s=0.2", "target.options.tau = 1.5", "name=IDM", "flag=true", "list=[1, 2]", 'q="3"', "e=a=b"):
+    for text in (
+        "sim.step_s=0.2",
+        "target.options.tau = 1.5",
+        "name=IDM",
+        "flag=true",
+        "list=[1, 2]",
+        'q="3"',
+        "e=a=b",
+    ):
         set_dotted(values, text)
     assert values == {
         "sim": {"step_s": 0.2},
@@ -105,12 +116,17 @@ def test_toml_is_read(tmp_path: Path) -> None:
     ("content", "words"),
     [
         (None, "no such file"),
-        (b"[sim\nstep_s = 1", "not valid TOML (Expected ']' at the end of a table declaration (at line 1, column 5))"),
+        (
+            b"[sim\nstep_s = 1",
+            "not valid TOML (Expected ']' at the end of a table declaration (at line 1, column 5))",
+        ),
         (b"a = 1\na = 2\n", "line 2"),
         (b"\xff\xfe", "not valid TOML"),
     ],
 )
-def test_toml_that_cannot_be_read_names_file_and_place(tmp_path: Path, content: bytes | None, words: str) -> None:
+def test_toml_that_cannot_be_read_names_file_and_place(
+    tmp_path: Path, content: bytes | None, words: str
+) -> None:
     path = tmp_path / "bad.toml"
     if content is not None:
         path.write_bytes(content)

@@ -43,7 +43,8 @@ def test_an_unknown_name_gets_a_suggestion() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["no_such_module_here:X", "fractions:NoSuchClass", "fractions:", ":Fraction", "fractions:Fraction.no"]
+    "name",
+    ["no_such_module_here:X", "fractions:NoSuchClass", "fractions:", ":Fraction", "fractions:Fraction.no"],
 )
 def test_what_cannot_be_imported_is_said_in_one_sentence(name: str) -> None:
     with pytest.raises(ConfigError, match=f"shape '{name}' cannot be imported: ") as caught:

@@ -16,6 +16,7 @@ from advdiff_sumo.sim.options import SimOptions
 from advdiff_sumo.sim.world import World
 
 _ALIGNED_RAD = 0.05  # SUMO turns a vehicle along its lane in the step after it takes over
+_STANDS_MPS = 0.5
 _PATIENCE_S = 8.0  # then SUMO gets it as it is, which is counted
 _LOOK_AHEAD_S, _MIN_LOOK_AHEAD_M = 1.0, 5.0
 _ROUTE_AHEAD_M = 200.0
@@ -44,10 +45,11 @@ class Handover:
         if not left:
             return motion
         rows = np.array(left, dtype=np.int64)
-        lanes, _, d, turned = self.road.locate_many(self.world.xy_m[rows], self.world.yaw_rad[rows])
+        lanes, s, d, turned = self.road.locate_many(self.world.xy_m[rows], self.world.yaw_rad[rows])
+        places = zip(s.tolist(), d.tolist(), turned.tolist(), strict=True)
         askew = []
-        for row, lane, offset, angle in zip(left, lanes, d.tolist(), turned.tolist(), strict=True):
-            if row in inside and self._fits(row, lane, offset, angle, steps * self.sim.step_s):
+        for row, lane, place in zip(left, lanes, places, strict=True):
+            if row in inside and self._fits(row, lane, place, steps * self.sim.step_s):
                 self.actuator.release(row, self.route(row, routes))
                 self._routes.pop(row, None)
             else:
@@ -56,9 +58,15 @@ class Handover:
             return motion
         return Motion.join(motion, self._align(np.array(askew, dtype=np.int64), steps))
 
-    def _fits(self, row: int, lane: str | None, offset_m: float, angle_rad: float, wait_s: float) -> bool:
+    def _fits(self, row: int, lane: str | None, place: tuple[float, float, float], wait_s: float) -> bool:
+        """Return whether SUMO would leave *row* as it stands at *place*: s, d and heading on *lane*."""
+        s_m, offset_m, angle_rad = place
         aligned = lane is not None and abs(angle_rad) <= _ALIGNED_RAD
-        if aligned and abs(offset_m) <= 0.5 * self.road.lanes[str(lane)].width_m:
+        if (
+            aligned
+            and abs(offset_m) <= 0.5 * self.road.lanes[str(lane)].width_m
+            and self._whole(row, str(lane), s_m)
+        ):
             self._waiting_s.pop(row, None)
             return True
         waited = self._waiting_s.get(row, 0.0) + wait_s
@@ -68,6 +76,14 @@ class Handover:
             self._waiting_s.pop(row)
             return True
         return False
+
+    def _whole(self, row: int, lane_id: str, s_m: float) -> bool:
+        """Return whether *row* is not in a turn: there SUMO bends its course to the bumper, half a metre off."""
+        lane = self.road.lanes[lane_id]
+        if lane.is_internal:
+            yaw = lane.line.segment_yaw_rad
+            return bool(abs(wrap_angle(yaw[-1] - yaw[0])) <= _ALIGNED_RAD)
+        return bool(s_m >= 0.5 * self.world.size_m[row, 0] or self.world.speed_mps[row] < _STANDS_MPS)
 
     def _align(self, rows: IntArray, steps: int) -> Motion:
         """Steer *rows* onto their lanes at their present speed, by pure pursuit."""

@@ -10,7 +10,12 @@ from hypothesis import strategies as st
 from advdiff_sumo.core.bicycle import Limits, clip_controls, rollout, step, wheelbase_m
 from advdiff_sumo.core.frames import wrap_angle
 
-SPEED, ACCEL, BEND, YAW = (st.floats(0.0, 40.0), st.floats(-9.0, 4.0), st.floats(-0.2, 0.2), st.floats(-3.14, 3.14))
+SPEED, ACCEL, BEND, YAW = (
+    st.floats(0.0, 40.0),
+    st.floats(-9.0, 4.0),
+    st.floats(-0.2, 0.2),
+    st.floats(-3.14, 3.14),
+)
 
 
 def drive(
@@ -64,7 +69,9 @@ def test_braking_stops_and_stays() -> None:
 
 
 @given(SPEED, ACCEL, BEND, st.floats(0.01, 2.0))
-def test_it_never_reverses_and_never_outruns_its_arc(speed: float, accel: float, bend: float, dt: float) -> None:
+def test_it_never_reverses_and_never_outruns_its_arc(
+    speed: float, accel: float, bend: float, dt: float
+) -> None:
     xy, yaw, after = drive(speed, accel, bend, dt)
     assert after >= 0.0
     arc = 0.5 * (speed + after) * dt if after > 0.0 or accel >= 0.0 else speed**2 / (2 * -accel)
@@ -95,13 +102,17 @@ def test_limits_by_hand() -> None:
 
 
 @given(SPEED, st.floats(-100, 100), st.floats(-10, 10), st.floats(2.0, 20.0))
-def test_clipped_controls_are_within_every_limit(speed: float, accel: float, bend: float, length: float) -> None:
+def test_clipped_controls_are_within_every_limit(
+    speed: float, accel: float, bend: float, length: float
+) -> None:
     limits = Limits()
-    a, k = clip_controls(
-        np.asarray(speed), np.asarray(accel), np.asarray(bend), np.asarray(length), limits
-    )
+    a, k = clip_controls(np.asarray(speed), np.asarray(accel), np.asarray(bend), np.asarray(length), limits)
     assert -limits.brake_mps2 <= a <= limits.accel_mps2
     assert abs(k) * speed**2 <= limits.lateral_mps2 + 1e-9
     assert abs(np.arctan(k * wheelbase_m(length))) <= limits.steer_rad + 1e-9
-    if -9 <= accel <= 4 and abs(bend) * max(speed, 0.1) ** 2 <= 6 and abs(bend) <= np.tan(0.6) / wheelbase_m(length):
+    if (
+        -9 <= accel <= 4
+        and abs(bend) * max(speed, 0.1) ** 2 <= 6
+        and abs(bend) <= np.tan(0.6) / wheelbase_m(length)
+    ):
         assert (a, k) == (accel, bend)

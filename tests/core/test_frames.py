@@ -16,7 +16,15 @@ PI = np.pi
 
 @pytest.mark.parametrize(
     ("sumo_deg", "yaw"),
-    [(90.0, 0.0), (0.0, PI / 2), (270.0, PI), (180.0, -PI / 2), (45.0, PI / 4), (120.0, -PI / 6), (360.0, PI / 2)],
+    [
+        (90.0, 0.0),
+        (0.0, PI / 2),
+        (270.0, PI),
+        (180.0, -PI / 2),
+        (45.0, PI / 4),
+        (120.0, -PI / 6),
+        (360.0, PI / 2),
+    ],
 )
 def test_sumo_counts_clockwise_from_north(sumo_deg: float, yaw: float) -> None:
     assert frames.yaw_from_sumo(sumo_deg) == pytest.approx(yaw, abs=1e-12)

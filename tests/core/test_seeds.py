@@ -40,7 +40,9 @@ def test_drawing_from_one_child_never_shifts_another() -> None:
     noisy = root.child("background").generator()
     noisy.random(1000)
     assert (root.child("target").generator().random(4) == before).all()
-    assert (root.child("target").generator().random(4) != root.child("background").generator().random(4)).all()
+    assert (
+        root.child("target").generator().random(4) != root.child("background").generator().random(4)
+    ).all()
 
 
 def test_children_look_independent() -> None:

@@ -51,8 +51,12 @@ def test_an_infeasible_reference_is_followed_within_the_limits(seed: int, speed:
     assert (np.diff(np.concatenate(([speed], pace))) <= LIMITS.accel_mps2 * STEP + 1e-9).all()
     assert (before - pace <= LIMITS.brake_mps2 * STEP + 1e-9).all()
     assert (pace >= 0.0).all()
-    assert (np.abs(turned) <= np.tan(LIMITS.steer_rad) / WHEELBASE * 0.5 * (before + pace) * STEP + 1e-9).all()
-    assert (np.abs(turned) * np.maximum(before, 0.1) ** 2 <= LIMITS.lateral_mps2 * (before + 0.4) * STEP + 1e-9).all()
+    assert (
+        np.abs(turned) <= np.tan(LIMITS.steer_rad) / WHEELBASE * 0.5 * (before + pace) * STEP + 1e-9
+    ).all()
+    assert (
+        np.abs(turned) * np.maximum(before, 0.1) ** 2 <= LIMITS.lateral_mps2 * (before + 0.4) * STEP + 1e-9
+    ).all()
     assert (moved <= 0.5 * (before + pace) * STEP + 1e-9).all()
 
 
@@ -92,7 +96,9 @@ def test_controls_beyond_the_limits_are_clipped() -> None:
     controls = Controls(np.full(10, 40.0), np.full(10, 1.5), 0.1)
     _, _, speed = drive_controls(start(2.0), controls, LENGTH, STEP, 10, LIMITS)
     np.testing.assert_allclose(np.diff(speed), 0.4, atol=1e-9)
-    accel, bend = clip_controls(np.asarray(2.0), np.asarray(40.0), np.tan(np.asarray(0.6)) / WHEELBASE, LENGTH, LIMITS)
+    accel, bend = clip_controls(
+        np.asarray(2.0), np.asarray(40.0), np.tan(np.asarray(0.6)) / WHEELBASE, LENGTH, LIMITS
+    )
     first = rollout(*start(2.0), np.atleast_1d(accel), np.atleast_1d(bend), STEP)
     one = drive_controls(start(2.0), controls, LENGTH, STEP, 1, LIMITS)
     np.testing.assert_allclose(one[0], first[0], atol=1e-12)

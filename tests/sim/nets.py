@@ -178,7 +178,9 @@ class Stage:
 
 
 @contextmanager
-def stage(net: Path, *, sublane_m: float = 0.4, otherwise: Mapping[str, object] | None = None) -> Iterator[Stage]:
+def stage(
+    net: Path, *, sublane_m: float = 0.4, otherwise: Mapping[str, object] | None = None
+) -> Iterator[Stage]:
     """Start SUMO on *net* as the package does."""
     types = (net.parent / TYPES,)
     options = Started(

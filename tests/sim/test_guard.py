@@ -54,7 +54,9 @@ def test_numbers_that_are_none_are_refused(field: str, value: float) -> None:
     plan = straight()
     wrong = getattr(plan, field).copy()
     wrong[2] = value
-    with pytest.raises(PlanRefusedError, match="it planned a trajectory that holds values that are not numbers"):
+    with pytest.raises(
+        PlanRefusedError, match="it planned a trajectory that holds values that are not numbers"
+    ):
         check_plan(replace(plan, **{field: wrong}), HERE, 0.5, "it")
 
 
@@ -125,7 +127,9 @@ def test_a_joint_plan_may_hold_nan_where_nobody_is() -> None:
 def test_a_joint_plans_jump_and_speed_are_refused_and_a_far_start_is_told() -> None:
     plan = joint()
     plan.tracks.xy_m[0, 1:] += 60.0
-    with pytest.raises(PlanRefusedError, match=r"a jump of more than 45\.5 m in 0\.5 s for vehicle 'u' at step 0"):
+    with pytest.raises(
+        PlanRefusedError, match=r"a jump of more than 45\.5 m in 0\.5 s for vehicle 'u' at step 0"
+    ):
         check_joint_plan(plan, np.zeros((2, 2)), "it")
     fast = joint()
     fast.tracks.speed_mps[1, 1] = -91.0
@@ -137,7 +141,11 @@ def test_a_joint_plans_jump_and_speed_are_refused_and_a_far_start_is_told() -> N
 
 
 @given(
-    st.floats(0.0, 90.0), st.floats(-np.pi, np.pi), st.floats(0.05, 0.5), st.integers(1, 40), st.floats(-1e4, 1e4)
+    st.floats(0.0, 90.0),
+    st.floats(-np.pi, np.pi),
+    st.floats(0.05, 0.5),
+    st.integers(1, 40),
+    st.floats(-1e4, 1e4),
 )
 def test_whatever_drives_below_the_bound_passes(
     speed: float, yaw: float, dt: float, steps: int, offset: float

@@ -36,7 +36,9 @@ def actuator_on(s: Stage, net: Path) -> Actuator:
     return Actuator(s.api, world, RoadMap.read(net))
 
 
-def move(actuator: Actuator, s: Stage, row: int, xy: tuple[float, float], yaw: float, speed: float = 0.0) -> None:
+def move(
+    actuator: Actuator, s: Stage, row: int, xy: tuple[float, float], yaw: float, speed: float = 0.0
+) -> None:
     """Move *row* as the loop does, one step."""
     rows = np.array([row])
     at, heading = np.array([xy], dtype=np.float64), np.array([yaw])
@@ -347,7 +349,10 @@ def test_the_actuator_inserts_on_a_lane_first_and_exactly_from_then_on(
 
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
-    x=st.floats(-50.0, 450.0), y=st.floats(-60.0, 60.0), yaw=st.floats(-np.pi, np.pi), speed=st.floats(0.0, 40.0)
+    x=st.floats(-50.0, 450.0),
+    y=st.floats(-60.0, 60.0),
+    yaw=st.floats(-np.pi, np.pi),
+    speed=st.floats(0.0, 40.0),
 )
 def test_any_place_can_be_inserted_at(street: Path, x: float, y: float, yaw: float, speed: float) -> None:
     with stage(street) as s:

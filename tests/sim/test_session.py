@@ -97,7 +97,10 @@ def test_a_bad_net_gives_sumos_own_sentence_and_prints_nothing(
     net = tmp_path / "bad.net.xml"
     if content is not None:
         net.write_text(content)
-    with pytest.raises(SimulationError, match="SUMO does not start: ") as caught, Session(SessionOptions(net, 1)):
+    with (
+        pytest.raises(SimulationError, match="SUMO does not start: ") as caught,
+        Session(SessionOptions(net, 1)),
+    ):
         pass
     message = str(caught.value)
     assert sentence in message
@@ -106,7 +109,9 @@ def test_a_bad_net_gives_sumos_own_sentence_and_prints_nothing(
     assert capfd.readouterr() == ("", "")
 
 
-def test_broken_demand_gives_one_line(street: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_broken_demand_gives_one_line(
+    street: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     demand = tmp_path / "cut.rou.xml"
     demand.write_text('<routes><vType id="x"/><vehicle id="a" depart="0"')
     with (
@@ -122,7 +127,9 @@ def test_a_net_that_ends_inside_a_tag_would_kill_sumo_but_the_map_refuses_it_fir
     net = tmp_path / "cut.net.xml"
     net.write_text("<net><edge")
     script = "import sys, libsumo; libsumo.start(['sumo', '-n', sys.argv[1], '--xml-validation', 'never'])"
-    done = subprocess.run([sys.executable, "-c", script, str(net)], capture_output=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(net)], capture_output=True, timeout=60, check=False
+    )
     assert done.returncode == -signal.SIGSEGV
     with pytest.raises(NetError, match="cut.net.xml"):
         RoadMap.read(net)

@@ -1,0 +1,179 @@
+"""Vehicles go back to SUMO without a jump in position, speed or heading."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from advdiff_sumo.core.frames import bumper_from_centre, wrap_angle
+from advdiff_sumo.core.record import Controller
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.actuate import Actuator
+from advdiff_sumo.sim.background import Motion
+from advdiff_sumo.sim.handover import Handover
+from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.sim.world import World, read, register
+from tests.sim.nets import LENGTH_M, Stage, stage
+
+STEP_S, PERIOD = 0.1, 5
+POSITION_M, SPEED_MPS, HEADING_RAD = 0.01, 0.5, 0.06
+
+
+@dataclass
+class Released:
+    """States (T, 4) x, y, yaw, speed of one vehicle at each step, and the step at which SUMO took over."""
+
+    states: np.ndarray
+    at: int
+    waited_s: float
+    rough: list[str]
+
+    def check_smooth(self) -> None:
+        """Assert that nothing jumps in the step in which SUMO takes over.
+
+        The position is that of the front bumper, by which SUMO steers; a change of heading swings the centre
+        about it.
+        """
+        xy, yaw, speed = self.states[:, :2], self.states[:, 2], self.states[:, 3]
+        bumper = bumper_from_centre(xy, yaw, np.full(len(yaw), LENGTH_M))
+        k = self.at
+        moved, top = np.hypot(*(bumper[k] - bumper[k - 1])), max(speed[k], speed[k - 1])
+        assert moved <= POSITION_M + STEP_S * top
+        assert moved >= STEP_S * min(speed[k], speed[k - 1]) - POSITION_M
+        assert abs(speed[k] - speed[k - 1]) <= SPEED_MPS
+        assert abs(wrap_angle(yaw[k] - yaw[k - 1])) <= HEADING_RAD
+
+
+def hand_over(
+    s: Stage,
+    road: RoadMap,
+    route: tuple[str, ...],
+    lane_id: str,
+    s_m: float,
+    d_m: float,
+    turn: float,
+    speed: float,
+) -> Released:
+    """Hold a vehicle along a lane for 1 s, *d_m* to its left and turned by *turn*, then plan for it no more."""
+    s.add("b", route, at=20.0)
+    world = World()
+    register(world, s.api, ["b"])
+    read(world, s.api, np.zeros(0, dtype=np.int64))
+    actuator = Actuator(s.api, world, road)
+    handover = Handover(world, actuator, road, SimOptions())
+    actuator.take(0)
+    rows, out = np.array([0]), []
+    routes = {"b": route}
+
+    def step() -> None:
+        s.session.step()
+        read(world, s.api, np.array(sorted(actuator.moved), dtype=np.int64))
+        assert np.isfinite(world.xy_m[0]).all()
+        out.append((*world.xy_m[0], world.yaw_rad[0], world.speed_mps[0]))
+
+    for k in range(10):
+        point, along = road.to_world(lane_id, s_m - (9 - k) * STEP_S * speed, d_m)
+        yaw = wrap_angle(along + turn)
+        world.set_state(rows, point[None], np.atleast_1d(yaw), np.array([speed]), Controller.POLICY)
+        if k in (0, 5):
+            handover.predict({0: (point, float(yaw))}, routes)
+        actuator.move(rows, point[None], np.atleast_1d(yaw))
+        step()
+    begun = len(out)
+    for _ in range(40):
+        motion = handover.settle(Motion.none(PERIOD), -1, PERIOD, routes)
+        if not motion.rows.size:
+            break
+        for k in range(PERIOD):
+            at = motion.xy_m[:, k], motion.yaw_rad[:, k]
+            world.set_state(rows, *at, motion.speed_mps[:, k], Controller.POLICY)
+            actuator.move(rows, *at)
+            step()
+    taken = len(out)
+    assert not actuator.moved
+    for _ in range(10):
+        step()
+    return Released(np.array(out), taken, STEP_S * (taken - begun), handover.rough)
+
+
+@pytest.mark.parametrize("speed", [0.0, 3.0, 12.0])
+@pytest.mark.parametrize("d_m", [0.0, 0.7, -1.2])
+def test_on_a_straight(street: Path, speed: float, d_m: float) -> None:
+    with stage(street) as s:
+        got = hand_over(s, RoadMap.read(street), ("WM", "ME"), "WM_0", 100.0, d_m, 0.0, speed)
+    got.check_smooth()
+    assert got.waited_s == 0.0
+
+
+@pytest.mark.parametrize("d_m", [0.0, 0.8, -0.8])
+def test_in_a_curve(bend: Path, d_m: float) -> None:
+    road = RoadMap.read(bend)
+    with stage(bend) as s:
+        got = hand_over(s, road, ("AB", "BZ"), "AB_0", 140.0, d_m, 0.0, 10.0)
+    got.check_smooth()
+    assert got.waited_s == 0.0
+
+
+@pytest.mark.parametrize("route", [("WC", "CE"), ("WC", "CN"), ("WC", "CS")])
+def test_on_a_junction(crossing: Path, route: tuple[str, str]) -> None:
+    road = RoadMap.read(crossing)
+    via = next(link.via for link in road.lanes["WC_0"].successors if link.to_lane.startswith(route[1]))
+    lane = via[-1]
+    with stage(crossing) as s:
+        got = hand_over(s, road, route, lane, 0.5 * road.lanes[lane].length_m, 0.0, 0.0, 4.0)
+    got.check_smooth()
+    turns = route != ("WC", "CE")
+    assert (got.waited_s > 0.0) is turns, "in a turn SUMO would swing it off its course: it waits for the end"
+    assert got.rough == []
+
+
+@pytest.mark.parametrize("turn", [0.3, -0.3, 0.8])
+def test_who_stands_askew_is_aligned_first(street: Path, turn: float) -> None:
+    with stage(street) as s:
+        got = hand_over(s, RoadMap.read(street), ("WM", "ME"), "WM_0", 100.0, 0.3, turn, 8.0)
+    got.check_smooth()
+    assert 0.0 < got.waited_s <= 8.0
+    assert got.rough == []
+
+
+def test_who_cannot_be_aligned_is_handed_back_all_the_same_and_counted(street: Path) -> None:
+    with stage(street) as s:
+        got = hand_over(s, RoadMap.read(street), ("WM", "ME"), "WM_0", 100.0, 0.0, 0.4, 0.0)
+    assert got.rough == ["b"]
+    assert got.waited_s == pytest.approx(8.0, abs=0.5)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    s_m=st.floats(60.0, 150.0),
+    d_m=st.floats(-1.5, 1.5),
+    turn=st.floats(-0.6, 0.6),
+    speed=st.floats(1.0, 13.0),
+    lane=st.integers(0, 1),
+)
+def test_any_offset_on_a_straight(
+    street: Path, s_m: float, d_m: float, turn: float, speed: float, lane: int
+) -> None:
+    with stage(street) as s:
+        got = hand_over(s, RoadMap.read(street), ("WM", "ME"), f"WM_{lane}", s_m, d_m, turn, speed)
+    if not got.rough:
+        got.check_smooth()
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    s_m=st.floats(60.0, 190.0),
+    d_m=st.floats(-1.5, 1.5),
+    turn=st.floats(-0.4, 0.4),
+    speed=st.floats(1.0, 12.0),
+)
+def test_any_offset_in_a_curve(bend: Path, s_m: float, d_m: float, turn: float, speed: float) -> None:
+    with stage(bend) as s:
+        got = hand_over(s, RoadMap.read(bend), ("AB", "BZ"), "AB_0", s_m, d_m, turn, speed)
+    if not got.rough:
+        got.check_smooth()

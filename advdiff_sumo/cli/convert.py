@@ -23,24 +23,32 @@ _console = Console(highlight=False, soft_wrap=True)
 
 def convert(
     map_file: Annotated[
-        Path | None, typer.Argument(metavar="MAP", help="Map expansion v1.3 (.json) or ScenarioNet record (.pkl).")
+        Path | None,
+        typer.Argument(metavar="MAP", help="Map expansion v1.3 (.json) or ScenarioNet record (.pkl)."),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Net to be written, NAME.net.xml; with --all a folder.")
+        Path | None,
+        typer.Option("--output", "-o", help="Net to be written, NAME.net.xml; with --all a folder."),
     ] = None,
     all_of: Annotated[
-        Path | None, typer.Option("--all", metavar="DATAROOT", help="Convert every map of a nuScenes data set.")
+        Path | None,
+        typer.Option("--all", metavar="DATAROOT", help="Convert every map of a nuScenes data set."),
     ] = None,
     dataroot: Annotated[
         Path | None, typer.Option(help="nuScenes data set whose logged poses are compared with the net.")
     ] = None,
     report: Annotated[bool, typer.Option(help="Write the page NAME.fidelity.html.")] = False,
     lefthand: Annotated[
-        bool | None, typer.Option("--lefthand/--righthand", help="Side of the road; default: by the map's name.")
+        bool | None,
+        typer.Option("--lefthand/--righthand", help="Side of the road; default: by the map's name."),
     ] = None,
-    tls: Annotated[str, typer.Option(help="'guess': signals at busy junctions; 'map': only where the map has them.")] = "map",
+    tls: Annotated[
+        str, typer.Option(help="'guess': signals at busy junctions; 'map': only where the map has them.")
+    ] = "map",
     opendrive: Annotated[bool, typer.Option(help="Write NAME.xodr too.")] = False,
-    drive: Annotated[int, typer.Option(min=0, help="Driving test of an hour with so many vehicles; 0: none.")] = 0,
+    drive: Annotated[
+        int, typer.Option(min=0, help="Driving test of an hour with so many vehicles; 0: none.")
+    ] = 0,
     seed: Annotated[int, typer.Option(help="Seed of the driving test.")] = 1,
 ) -> None:
     """Convert nuScenes HD maps to SUMO nets with exact centre lines, and measure how exact they are."""
@@ -52,7 +60,9 @@ def convert(
         root = dataroot or all_of
         if root is not None:
             poses = ego_poses(root, result.source.location)
-            figures["logged_poses"] = compare_poses(result, np.vstack(list(poses.values())) if poses else np.empty((0, 3)))
+            figures["logged_poses"] = compare_poses(
+                result, np.vstack(list(poses.values())) if poses else np.empty((0, 3))
+            )
         if drive:
             figures["driving_test"] = driving_test(result.net, vehicles=drive, seed=seed)
         write_figures(figures, fidelity_path(net))
@@ -68,7 +78,9 @@ def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> li
     if map_file is not None:
         if output is None:
             raise ConfigError("give the net to be written with -o NAME.net.xml")
-        name = output.name if output.name.endswith(".net.xml") else output.name.removesuffix(".xml") + ".net.xml"
+        name = (
+            output.name if output.name.endswith(".net.xml") else output.name.removesuffix(".xml") + ".net.xml"
+        )
         return [(map_file, output.with_name(name))]
     assert all_of is not None  # noqa: S101 - one of the two was given
     maps = sorted((all_of / "maps" / "expansion").glob("*.json"))
@@ -78,7 +90,9 @@ def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> li
     return [(path, folder / f"{path.stem}.net.xml") for path in maps]
 
 
-def _convert(source: Path, net: Path, lefthand: bool | None, guess: bool, opendrive: bool) -> ConversionResult:
+def _convert(
+    source: Path, net: Path, lefthand: bool | None, guess: bool, opendrive: bool
+) -> ConversionResult:
     if source.suffix == ".pkl":
         record = read_record_map(load_plain(source), source)
         return convert_source(record, net, lefthand=lefthand, guess_signals=guess, opendrive=opendrive)
@@ -89,9 +103,10 @@ def _say(result: ConversionResult, figures: dict[str, Any]) -> None:
     error = figures["centre_line_error_m"]["source_to_net"]
     links = figures["connections"]
     _console.print(
-        f"{result.net}: {figures['lanes']['edge_lanes']} lanes in {figures['lanes']['edges']} edges, centre lines off by "
-        f"{error['median']} m (median), {error['max']} m (largest), {links['kept'] + links['repaired']} of "
-        f"{links['links']} links, {len(figures['netconvert_warnings'])} kinds of netconvert warnings"
+        f"{result.net}: {figures['lanes']['edge_lanes']} lanes in {figures['lanes']['edges']} edges, "
+        f"centre lines off by {error['median']} m (median), {error['max']} m (largest), "
+        f"{links['kept'] + links['repaired']} of {links['links']} links, "
+        f"{len(figures['netconvert_warnings'])} kinds of netconvert warnings"
     )
     for sentence in result.source.warnings:
         _console.print(f"note: {sentence}", markup=False)

@@ -121,6 +121,8 @@ class _Tally:
     sumo_collisions: set[tuple[str, str]] = field(default_factory=set)
     box_contacts: set[tuple[str, str]] = field(default_factory=set)
     places: Counter[str] = field(default_factory=Counter)
+    stuck: Counter[str] = field(default_factory=Counter)
+    last_lane: dict[str, str] = field(default_factory=dict)
 
 
 def _drive(trips: _Trips, vehicles: int, duration_s: float, step_s: float) -> _Tally:
@@ -149,20 +151,25 @@ def _set_out(name: str, edges: list[str]) -> None:
 def _note(tally: _Tally, state: dict[str, dict[int, Any]], step_s: float, *, check: bool) -> None:
     tally.arrived += libsumo.simulation.getArrivedNumber()
     tally.teleports += libsumo.simulation.getStartingTeleportNumber()
-    tally.metres += step_s * sum(row[libsumo.VAR_SPEED] for row in state.values())
+    on_road = {
+        name: row for name, row in state.items() if row[libsumo.VAR_LANE_ID]
+    }  # the others are teleporting
+    tally.stuck.update(tally.last_lane[name] for name in libsumo.simulation.getStartingTeleportIDList())
+    tally.last_lane.update({name: row[libsumo.VAR_LANE_ID] for name, row in on_road.items()})
+    tally.metres += step_s * sum(row[libsumo.VAR_SPEED] for row in on_road.values())
     tally.vehicle_steps += len(state)
     tally.most_at_once = max(tally.most_at_once, len(state))
     for collision in libsumo.simulation.getCollisions():
         tally.sumo_collisions.add(_pair(collision.collider, collision.victim))
     if check:
-        new = _contacts(state) - tally.box_contacts
+        new = _contacts(on_road) - tally.box_contacts
         tally.places.update(str(state[first][libsumo.VAR_LANE_ID]) for first, _ in new)
         tally.box_contacts |= new
 
 
 def _contacts(state: dict[str, dict[int, Any]]) -> set[tuple[str, str]]:
-    """Return the pairs of cars whose boxes overlap; cars that are teleporting (off the road) are left out."""
-    names = sorted(name for name, row in state.items() if row[libsumo.VAR_LANE_ID])
+    """Return the pairs of cars whose boxes overlap."""
+    names = sorted(state)
     if len(names) < 2:
         return set()
     front = np.array([state[name][libsumo.VAR_POSITION] for name in names])
@@ -200,5 +207,6 @@ def _summary(tally: _Tally, brakings: int, vehicles: int, duration_s: float, ste
         "emergency_brakings_per_1000_km": round(1000.0 * brakings / kilometres, 3) if kilometres else None,
         "collisions_sumo": len(tally.sumo_collisions),
         "collisions_boxes": len(tally.box_contacts),
+        "places_of_teleports": dict(tally.stuck.most_common(10)),
         "places_of_contacts": dict(tally.places.most_common(10)),
     }

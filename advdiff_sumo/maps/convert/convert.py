@@ -81,7 +81,9 @@ def convert_map(
         NetError: netconvert refused the plan.
     """
     source = read_nuscenes_map(Path(map_json))
-    return convert_source(source, Path(out_net), lefthand=lefthand, guess_signals=guess_signals, opendrive=opendrive)
+    return convert_source(
+        source, Path(out_net), lefthand=lefthand, guess_signals=guess_signals, opendrive=opendrive
+    )
 
 
 def convert_source(
@@ -111,7 +113,9 @@ def convert_source(
             out_net,
             lefthand=left,
             guess_signals=guess_signals,
-            opendrive=out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr") if opendrive else None,
+            opendrive=out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr")
+            if opendrive
+            else None,
         )
     layout.counts["lane shapes put back after netconvert"] = restore_shapes(out_net, plan)
     write_sidecar(source, sidecar_path(out_net))
@@ -158,4 +162,6 @@ def _make_folder(out_net: Path) -> None:
     try:
         out_net.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FileError(out_net.parent, f"cannot be made ({error.strerror})", "choose another output path") from None
+        raise FileError(
+            out_net.parent, f"cannot be made ({error.strerror})", "choose another output path"
+        ) from None

@@ -17,13 +17,17 @@ CLEARANCE_M = 1.6  # centre lines nearer than this are in each other's way
 ABSORB_M = 20.0  # a lane of at most this length between two crossings may become part of one junction
 
 
-def join_crossing_ways(layout: Layout, lines_m: Sequence[FloatArray], keep: frozenset[int] = frozenset()) -> None:
+def join_crossing_ways(
+    layout: Layout, lines_m: Sequence[FloatArray], keep: frozenset[int] = frozenset()
+) -> None:
     """Join the junctions of ways that come near each other, where no edge would begin and end in one junction.
 
     Short lanes between the two are put inside the joined junction; where a longer one lies between, the junctions
     stay apart and the crossing is counted. Lanes in *keep* are not put inside.
     """
     ways = inner_parts(layout)
+    if len(ways) < 2:
+        return
     lines = [shapely.LineString(polyline.cut(lines_m[p.lane], p.from_m, p.to_m)) for p, _ in ways]
     left, right = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=CLEARANCE_M)
     order = sorted({(int(a), int(b)) for a, b in zip(left, right, strict=True) if a < b})

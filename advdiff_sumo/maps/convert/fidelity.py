@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
@@ -75,7 +76,9 @@ def _lines_by_lane(result: ConversionResult, net: WrittenNet) -> dict[int, list[
     return lines
 
 
-def _lane_counts(result: ConversionResult, net: WrittenNet, lines: dict[int, list[FloatArray]]) -> dict[str, Any]:
+def _lane_counts(
+    result: ConversionResult, net: WrittenNet, lines: dict[int, list[FloatArray]]
+) -> dict[str, Any]:
     lanes = result.source.lanes
     lost = [lane.token for number, lane in enumerate(lanes) if number not in lines]
     return {
@@ -95,7 +98,9 @@ def _centre_line_errors(
     """Return the distances source → net (is everything drawn?) and net → source (is nothing drawn that is not?)."""
     source = [lane.centre_m for lane in result.source.lanes]
     to_net = [_distances(line, lines[number]) for number, line in enumerate(source) if number in lines]
-    to_source = [_distances(shape, [source[n] for n in numbers]) for shape, numbers in _net_lines(result, net)]
+    to_source = [
+        _distances(shape, [source[n] for n in numbers]) for shape, numbers in _net_lines(result, net)
+    ]
     return {"source_to_net": _spread(to_net), "net_to_source": _spread(to_source)}
 
 
@@ -112,7 +117,7 @@ def _net_lines(result: ConversionResult, net: WrittenNet) -> Iterable[tuple[Floa
 def _distances(line: FloatArray, truth: Sequence[FloatArray]) -> FloatArray:
     """Return the distance of places every half metre on *line* to the nearest of *truth*."""
     points, _ = polyline.resample(line, STEP_M)
-    return np.min([np.abs(polyline.project(other, points)[1]) for other in truth], axis=0)
+    return np.asarray(np.min([np.abs(polyline.project(other, points)[1]) for other in truth], axis=0))
 
 
 def _spread(values: Sequence[FloatArray]) -> dict[str, float]:
@@ -142,7 +147,7 @@ def _connection_counts(result: ConversionResult, net: WrittenNet) -> dict[str, A
     for connection in result.plan.connections:
         if (*connection.origin, *connection.target) in net.ways:
             lanes = connection.way.lanes
-            held |= set(zip(lanes[:-1], lanes[1:], strict=True))
+            held |= set(itertools.pairwise(lanes))
     links = result.layout.links
     number = {lane.token: index for index, lane in enumerate(result.source.lanes)}
     stated = {(number[a], number[b]) for a, b in result.given.links if a in number and b in number}
@@ -162,7 +167,7 @@ def lane_change_share(result: ConversionResult) -> dict[str, Any]:
     """Return how many pairs of lanes with a dashed divider between them are neighbours in one edge."""
     neighbours: set[tuple[int, int]] = set()
     for group in result.layout.groups:
-        neighbours |= {(left.lane, right.lane) for right, left in zip(group[:-1], group[1:], strict=True)}
+        neighbours |= {(left.lane, right.lane) for right, left in itertools.pairwise(group)}
     pairs = dashed_pairs(result.source)
     tokens = [lane.token for lane in result.source.lanes]
     apart = sorted(pair for pair in pairs if pair not in neighbours)

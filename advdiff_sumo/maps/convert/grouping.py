@@ -28,7 +28,10 @@ def group_pieces(layout: Layout, pairs: Sequence[SideBySide]) -> list[list[Piece
     left_of: dict[Piece, Piece] = {}
     right_of: dict[Piece, Piece] = {}
     for match in _matches(layout, pairs):
-        if match.left not in layout.pieces[match.left.lane] or match.right not in layout.pieces[match.right.lane]:
+        if (
+            match.left not in layout.pieces[match.left.lane]
+            or match.right not in layout.pieces[match.right.lane]
+        ):
             continue
         if match.right in left_of or match.left in right_of:
             layout.counts["neighbours with another neighbour already"] += 1
@@ -62,7 +65,10 @@ def _make_room(layout: Layout, match: _Match, grouped: frozenset[Piece]) -> bool
 
     Short pieces that would are put inside the junction instead.
     """
-    (left_start, left_end), (right_start, right_end) = layout.junctions(match.left), layout.junctions(match.right)
+    (left_start, left_end), (right_start, right_end) = (
+        layout.junctions(match.left),
+        layout.junctions(match.right),
+    )
     starts, ends = {left_start, right_start}, {left_end, right_end}
     if starts & ends:
         return False

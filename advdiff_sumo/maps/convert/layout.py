@@ -91,7 +91,9 @@ def _break_loops(layout: Layout, is_connector: Sequence[bool]) -> None:
             return
         piece = min(looped, key=lambda p: (-p.length_m, p))
         way = _way_round(layout, piece)
-        fit = [c for c in way if is_connector[c] and not layout.pieces[c] and layout.lengths_m[c] >= PROMOTE_M]
+        fit = [
+            c for c in way if is_connector[c] and not layout.pieces[c] and layout.lengths_m[c] >= PROMOTE_M
+        ]
         if fit:
             best = max(fit, key=lambda c: (layout.lengths_m[c], -c))
             layout.pieces[best] = [Piece(best, CUT_M, layout.lengths_m[best] - CUT_M)]
@@ -131,12 +133,16 @@ def _even_out(layout: Layout, pairs: Sequence[SideBySide]) -> None:
         starts, ends = _offsets(group, beside, 0), _offsets(group, beside, 1)
         shorter = []
         for piece, start, end in zip(group, starts, ends, strict=True):
-            whole_start = piece.from_m == 0.0 and piece.lane not in entered  # no way would draw what is taken off
+            whole_start = (
+                piece.from_m == 0.0 and piece.lane not in entered
+            )  # no way would draw what is taken off
             whole_end = piece.to_m == layout.lengths_m[piece.lane] and piece.lane not in followed
             new = _shortened(
                 piece, 0.0 if whole_start else max(starts) - start, 0.0 if whole_end else end - min(ends)
             )
-            layout.counts["lane ends shortened to even an edge"] += (new.from_m > piece.from_m) + (new.to_m < piece.to_m)
+            layout.counts["lane ends shortened to even an edge"] += (new.from_m > piece.from_m) + (
+                new.to_m < piece.to_m
+            )
             shorter.append(new)
             layout.replace(piece, new)
         layout.groups[number] = shorter

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -99,7 +100,9 @@ def _abreast(samples: _Samples, first: IntArray, second: IntArray, widths_m: Flo
     return np.asarray(fits & (turn <= MAX_TURN_RAD) & (samples.lane[first] != samples.lane[second]))
 
 
-def _pairs(samples: _Samples, right: IntArray, left: IntArray, lines: Sequence[FloatArray]) -> list[SideBySide]:
+def _pairs(
+    samples: _Samples, right: IntArray, left: IntArray, lines: Sequence[FloatArray]
+) -> list[SideBySide]:
     keys = samples.lane[left] * len(lines) + samples.lane[right]
     order = np.lexsort((samples.s[right], keys))
     keys, left, right = keys[order], left[order], right[order]
@@ -117,7 +120,7 @@ def _pairs(samples: _Samples, right: IntArray, left: IntArray, lines: Sequence[F
 def _runs(keys: IntArray) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(keys)) + 1
     bounds = [0, *edges.tolist(), len(keys)]
-    return [(a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True) if b > a]
+    return [(a, b) for a, b in itertools.pairwise(bounds) if b > a]
 
 
 def _monotone(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -130,4 +133,4 @@ def _monotone(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 def _is_dense(s: FloatArray) -> bool:
-    return len(s) >= 0.6 * (s[-1] - s[0]) / STEP_M
+    return bool(len(s) >= 0.6 * (s[-1] - s[0]) / STEP_M)

@@ -51,11 +51,16 @@ def run_netconvert(
     }
     if opendrive is not None:
         options["opendrive-output"] = str(opendrive)
-    command = [sumolib.checkBinary("netconvert"), *(f"--{name}={value}" for name, value in sorted(options.items()))]
+    command = [
+        sumolib.checkBinary("netconvert"),
+        *(f"--{name}={value}" for name, value in sorted(options.items())),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     if done.returncode != 0 or not out_net.exists():
-        raise NetError(out_net, "netconvert refused the plan: " + " ".join(lines[:3]), "this is a fault of the converter")
+        raise NetError(
+            out_net, "netconvert refused the plan: " + " ".join(lines[:3]), "this is a fault of the converter"
+        )
     _drop_date(out_net)
     return tuple(line for line in lines if line.startswith("Warning"))
 
@@ -72,8 +77,8 @@ EXPLAINED = {
     "is not connected from any incoming edge": "the source has no lane that leads into this one; its neighbours in the "
     "edge have, so it is entered by a lane change",
     "Intersecting left turns": "the source's centre lines of two opposite turns cross; one of them yields",
-    "Ambiguity in turnarounds": "several edges leave a junction nearly opposite to one that enters it; no turnaround is "
-    "built in any case",
+    "Ambiguity in turnarounds": "several edges leave a junction nearly opposite to one that enters it; turnarounds "
+    "are not built in any case",
     "Minor green from": "a guessed signal lets a turn go that yields to oncoming traffic",
     "Speed of": "a turn is slower than the road before it, as its curvature demands",
 }

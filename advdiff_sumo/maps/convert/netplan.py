@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 import shapely
 from shapely.geometry import LineString, MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
 from advdiff_sumo.core.arrays import FloatArray
@@ -173,7 +174,9 @@ def _source(track: Track, piece: Piece) -> str:
     return f"{track.lane.token}:{piece.from_m:.3f}:{piece.to_m:.3f}"
 
 
-def _connection_plan(tracks: list[Track], lane_of: dict[Piece, tuple[str, int]], way: Connection) -> ConnectionPlan:
+def _connection_plan(
+    tracks: list[Track], lane_of: dict[Piece, tuple[str, int]], way: Connection
+) -> ConnectionPlan:
     parts = [polyline.cut(tracks[p.lane].centre_m, p.from_m, p.to_m) for p in way.parts]
     if not parts:  # lanes that meet without anything between them
         end = polyline.at(tracks[way.origin.lane].centre_m, way.origin.to_m)
@@ -244,7 +247,9 @@ def junction_shape(strips: list[Polygon], bars: list[Polygon], lanes: list[LineS
     """
     whole = _closed(shapely.union_all([*strips, *bars])).union(shapely.union_all(bars))
     slits = shapely.union_all([_slit(lane) for lane in lanes])
-    if isinstance(whole.difference(slits), MultiPolygon):  # a lane runs right across: lead the shape around its far end
+    if isinstance(
+        whole.difference(slits), MultiPolygon
+    ):  # a lane runs right across: lead the shape around its far end
         whole = shapely.union_all([whole, *(lane.buffer(COLLAR_M) for lane in lanes)])
     parts = [part for part in shapely.get_parts(whole.difference(slits)) if part.area > 0]
     best = max(parts, key=lambda part: (sum(part.distance(bar) < SLIT_M for bar in bars), part.area))
@@ -267,9 +272,9 @@ def _without_holes(polygon: Polygon) -> Polygon:
     return polygon
 
 
-def _closed(shape: shapely.Geometry) -> Polygon:
+def _closed(shape: BaseGeometry) -> Polygon:
     for gap in (0.0, 0.5, 1.5, 4.0):
         closed = shape.buffer(gap, join_style="mitre").buffer(-gap, join_style="mitre") if gap else shape
         if isinstance(closed, Polygon) and not closed.is_empty:
-            return Polygon(closed.simplify(0.05).exterior)
-    return Polygon(shape.convex_hull.buffer(0.01).exterior)
+            return Polygon(shapely.get_exterior_ring(closed.simplify(0.05)))
+    return Polygon(shapely.get_exterior_ring(shape.convex_hull.buffer(0.01)))

@@ -52,10 +52,14 @@ def load_json(path: Path) -> dict[str, Any]:
     try:
         size = path.stat().st_size
         if size > MAX_FILE_BYTES:
-            raise MapError(path, f"{size / 1e6:.0f} MB is more than any map expansion has", "give a city's JSON file")
+            raise MapError(
+                path, f"{size / 1e6:.0f} MB is more than any map expansion has", "give a city's JSON file"
+            )
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise MapError(path, f"cannot be read ({error.strerror})", "give the path of an existing JSON file") from None
+        raise MapError(
+            path, f"cannot be read ({error.strerror})", "give the path of an existing JSON file"
+        ) from None
     except (ValueError, RecursionError) as error:
         raise MapError(path, f"is no JSON text ({error})", "give a file of maps/expansion") from None
     _check_layers(path, data)
@@ -124,7 +128,9 @@ class _Reader:
     def _rows(self, layer: str) -> list[Row]:
         rows = self.data.get(layer) or []
         if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-            raise MapError(self.path, f"layer '{layer}' is no list of records", "give an unchanged expansion file")
+            raise MapError(
+                self.path, f"layer '{layer}' is no list of records", "give an unchanged expansion file"
+            )
         return rows
 
     def _by_token(self, layer: str) -> dict[str, Row]:
@@ -134,7 +140,9 @@ class _Reader:
             if token is None:
                 self.notes[f"{layer} without token"] += 1
             elif token in table:
-                self.warn(f"duplicate {layer} token", f"{layer} token {token!r} occurs twice; the first one is used")
+                self.warn(
+                    f"duplicate {layer} token", f"{layer} token {token!r} occurs twice; the first one is used"
+                )
             else:
                 table[str(token)] = row
         return table
@@ -144,7 +152,10 @@ class _Reader:
         for row in self._rows("node"):
             token, x, y = row.get("token"), row.get("x"), row.get("y")
             if not _finite(x, y):
-                self.warn("node not finite", f"node {token!r} has no finite x and y; polygons that use it are left out")
+                self.warn(
+                    "node not finite",
+                    f"node {token!r} has no finite x and y; polygons that use it are left out",
+                )
             elif token is not None:
                 nodes[str(token)] = (float(x), float(y))  # type: ignore[arg-type]  # checked by _finite
         return nodes
@@ -167,17 +178,26 @@ class _Reader:
         if outer is None or len(outer) < 3:
             self.notes["polygon with under three nodes"] += outer is not None
             return None
-        rings = [self._points(hole.get("node_tokens") or [], f"polygon {token!r}") for hole in row.get("holes") or []]
+        rings = [
+            self._points(hole.get("node_tokens") or [], f"polygon {token!r}")
+            for hole in row.get("holes") or []
+        ]
         polygon = Polygon(outer, [ring for ring in rings if ring is not None and len(ring) >= 3])
         return self._mended(polygon, token)
 
     def _mended(self, polygon: Polygon, token: Any) -> Polygon | None:
         if polygon.is_valid:
             return polygon if polygon.area > 0 else None
-        self.warn("polygon crosses itself", f"polygon {token!r} crosses itself; its largest valid part is used")
+        self.warn(
+            "polygon crosses itself", f"polygon {token!r} crosses itself; its largest valid part is used"
+        )
         parts = [p for p in shapely.get_parts(shapely.make_valid(polygon)) if isinstance(p, Polygon)]
-        parts += [q for p in shapely.get_parts(shapely.make_valid(polygon)) for q in getattr(p, "geoms", [])
-                  if isinstance(q, Polygon)]
+        parts += [
+            q
+            for p in shapely.get_parts(shapely.make_valid(polygon))
+            for q in getattr(p, "geoms", [])
+            if isinstance(q, Polygon)
+        ]
         return max(parts, key=lambda part: part.area, default=None)
 
     def _lanes(self, layer: str, is_connector: bool) -> list[SourceLane]:
@@ -185,7 +205,9 @@ class _Reader:
         for row in self._rows(layer):
             token = row.get("token")
             if token is None or str(token) in found:
-                self.warn(f"{layer} token unusable", f"{layer} token {token!r} is null or occurs twice; left out")
+                self.warn(
+                    f"{layer} token unusable", f"{layer} token {token!r} is null or occurs twice; left out"
+                )
                 continue
             lane = self._lane(str(token), row, is_connector)
             if lane is not None:
@@ -227,11 +249,18 @@ class _Reader:
                     links[pair] = None
                 else:
                     lost = pair[0] if pair[0] not in known else pair[1]
-                    self.warn("link to unknown lane", f"connectivity of {token!r} names lane {lost!r}, which is not usable")
+                    self.warn(
+                        "link to unknown lane",
+                        f"connectivity of {token!r} names lane {lost!r}, which is not usable",
+                    )
         return list(links)
 
     def _areas(self, layer: str, wanted: Any = lambda _row: True) -> list[Polygon]:
-        found = [self._polygon(row["polygon_token"]) for row in self._rows(layer) if wanted(row) and row.get("polygon_token")]
+        found = [
+            self._polygon(row["polygon_token"])
+            for row in self._rows(layer)
+            if wanted(row) and row.get("polygon_token")
+        ]
         return [polygon for polygon in found if polygon is not None]
 
     def _drivable(self) -> MultiPolygon:
@@ -250,13 +279,18 @@ class _Reader:
     def _signals(self) -> list[Signal]:
         """Place lights by the stop line that lists them, else by their line (poses are zero in one city)."""
         stop_of = {
-            str(light): row for row in self._rows("stop_line") for light in row.get("traffic_light_tokens") or []
+            str(light): row
+            for row in self._rows("stop_line")
+            for light in row.get("traffic_light_tokens") or []
         }
         found = []
         for row in self._rows("traffic_light"):
             at = self._signal_place(row, stop_of.get(str(row.get("token"))))
             if at is None:
-                self.warn("traffic light without place", f"traffic light {row.get('token')!r} has neither stop line nor line")
+                self.warn(
+                    "traffic light without place",
+                    f"traffic light {row.get('token')!r} has neither stop line nor line",
+                )
             else:
                 found.append(Signal(str(row.get("token")), at))
         return found

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 from advdiff_sumo.maps.convert.neighbours import SideBySide
 
-UNEVEN_M = 10.0  # neighbours whose ends differ by less are evened out at the junction, beyond it the longer is cut
+UNEVEN_M = (
+    10.0  # neighbours whose ends differ by less are evened out at the junction, beyond it the longer is cut
+)
 CUT_M = 1.0  # length of the internal lane that bridges a cut
 
 
@@ -45,7 +47,9 @@ def cut_lanes(
 Mark = tuple[float, bool]  # arc length, whether a neighbour ends (rather than begins) there
 
 
-def _own_marks(lengths_m: Sequence[float], pairs: Sequence[SideBySide], uneven_m: float) -> list[tuple[int, Mark]]:
+def _own_marks(
+    lengths_m: Sequence[float], pairs: Sequence[SideBySide], uneven_m: float
+) -> list[tuple[int, Mark]]:
     """Return (lane, mark) where a neighbour comes or goes in the middle of a lane."""
     marks: list[tuple[int, Mark]] = []
     for pair in pairs:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from xml.etree import ElementTree as ET  # noqa: S405 - writes only, nothing is parsed here
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
@@ -26,12 +26,11 @@ def write_plain_xml(plan: NetPlan, folder: Path, location: str, projection: str 
     degrees.
     """
     nodes = [*([_location(plan, projection)] if projection else []), *map(_node, plan.junctions)]
-    files = {
+    return {
         "node-files": _file(folder / "plain.nod.xml", "nodes", nodes),
         "edge-files": _file(folder / "plain.edg.xml", "edges", (_edge(e, location) for e in plan.edges)),
         "connection-files": _file(folder / "plain.con.xml", "connections", _connections(plan)),
     }
-    return files
 
 
 def _file(path: Path, root: str, elements: Iterable[ET.Element]) -> Path:

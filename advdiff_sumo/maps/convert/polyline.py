@@ -43,7 +43,7 @@ def cut(line: FloatArray, from_m: float, to_m: float) -> FloatArray:
 
 
 def project(line: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return arc length (M,) and signed offset (M,) (left positive) of the nearest place on *line* to *points* (M, 2)."""
+    """Return where *points* (M, 2) are nearest to *line*: arc length (M,) and signed offset (M,), left positive."""
     start, step = line[:-1], np.diff(line, axis=0)
     squared = np.maximum((step**2).sum(1), 1e-18)
     delta = points[:, None, :] - start  # (M, N-1, 2)

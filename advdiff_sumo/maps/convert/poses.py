@@ -44,7 +44,9 @@ def ego_poses(dataroot: Path, location: str) -> dict[str, FloatArray]:
 def _tables(dataroot: Path) -> dict[str, list[dict[str, Any]]]:
     folder = next((path.parent for path in sorted(dataroot.glob("v1.0-*/ego_pose.json"))), None)
     if folder is None:
-        raise LogError(dataroot, "holds no v1.0-*/ego_pose.json", "give the root folder of a nuScenes data set")
+        raise LogError(
+            dataroot, "holds no v1.0-*/ego_pose.json", "give the root folder of a nuScenes data set"
+        )
     try:
         return {name: json.loads((folder / f"{name}.json").read_text(encoding="utf-8")) for name in TABLES}
     except (OSError, ValueError) as error:
@@ -79,7 +81,9 @@ def compare_poses(result: ConversionResult, poses: FloatArray) -> dict[str, Any]
     }
 
 
-def nearest_offsets(lanes: Sequence[tuple[FloatArray, float]], poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+def nearest_offsets(
+    lanes: Sequence[tuple[FloatArray, float]], poses: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return (whether on a lane (N,), distance (N,) in m to the nearest centre line that runs the pose's way).
 
     A pose is on a lane when its centre lies within half the lane's width of the centre line; NaN: no lane near.

@@ -17,7 +17,9 @@ def projection_of(location: str) -> str | None:
     latitudes and longitudes follow.
     """
     origin = ORIGINS_DEG.get(location)
-    return f"+proj=aeqd +lat_0={origin[0]} +lon_0={origin[1]} +R=6378137 +units=m +no_defs" if origin else None
+    return (
+        f"+proj=aeqd +lat_0={origin[0]} +lon_0={origin[1]} +R=6378137 +units=m +no_defs" if origin else None
+    )
 
 
 def drives_left(location: str) -> bool:

@@ -102,7 +102,9 @@ def _mark_connectors(
     crossed = {lanes[int(number)].token for number in left}
     marked = []
     for lane in lanes:
-        forks = any(len(after[a]) > 1 for a in before[lane.token]) or any(len(before[b]) > 1 for b in after[lane.token])
+        forks = any(len(after[a]) > 1 for a in before[lane.token]) or any(
+            len(before[b]) > 1 for b in after[lane.token]
+        )
         inner = bool(after[lane.token]) and bool(before[lane.token])
         short = polyline.length(lane.centre_m) <= LONGEST_CONNECTOR_M
         marked.append(replace(lane, is_connector=inner and short and (forks or lane.token in crossed)))

@@ -55,7 +55,9 @@ def write_figures(figures: Mapping[str, Any], path: Path) -> None:
 def write_page(result: ConversionResult, figures: Mapping[str, Any], path: Path) -> None:
     """Write the page about a conversion: the overlay picture and every figure."""
     template = jinja2.Environment(autoescape=True).from_string(PAGE)
-    topics = [(topic.replace("_", " "), _rows(value)) for topic, value in figures.items() if topic != "location"]
+    topics = [
+        (topic.replace("_", " "), _rows(value)) for topic, value in figures.items() if topic != "location"
+    ]
     page = template.render(location=result.source.location, picture=_picture(result), topics=topics)
     path.write_text(page + "\n", encoding="utf-8")
 
@@ -63,11 +65,15 @@ def write_page(result: ConversionResult, figures: Mapping[str, Any], path: Path)
 def _rows(value: Any, prefix: str = "") -> list[tuple[str, str]]:
     """Return nested values as (name, text) rows; long lists are cut, the JSON file has them whole."""
     if isinstance(value, Mapping):
-        return [row for key, inner in value.items() for row in _rows(inner, f"{prefix}{key} ".replace("_", " "))]
+        return [
+            row for key, inner in value.items() for row in _rows(inner, f"{prefix}{key} ".replace("_", " "))
+        ]
     if isinstance(value, list) and value and isinstance(value[0], Mapping):
         return [row for number, inner in enumerate(value) for row in _rows(inner, f"{prefix}{number + 1} ")]
     if isinstance(value, list):
-        shown = ", ".join(" → ".join(map(str, v[:6])) if isinstance(v, list) else str(v) for v in value[:LONGEST_LIST])
+        shown = ", ".join(
+            " → ".join(map(str, v[:6])) if isinstance(v, list) else str(v) for v in value[:LONGEST_LIST]
+        )
         more = f" … ({len(value)} in all)" if len(value) > LONGEST_LIST else ""
         return [(prefix.strip(), (shown + more) or "none")]
     return [(prefix.strip(), "not measured" if value is None else str(value))]

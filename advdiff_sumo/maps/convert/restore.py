@@ -27,7 +27,9 @@ def restore_shapes(net: Path, plan: NetPlan) -> int:
     waiting place divides have two internal lanes and are left as they are.
     """
     text = net.read_text(encoding="utf-8")
-    planned = {f"{edge.id}_{index}": lane.shape_m for edge in plan.edges for index, lane in enumerate(edge.lanes)}
+    planned = {
+        f"{edge.id}_{index}": lane.shape_m for edge in plan.edges for index, lane in enumerate(edge.lanes)
+    }
     planned |= _internal_shapes(text, plan)
     moved = 0
 

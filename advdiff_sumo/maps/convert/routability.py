@@ -14,7 +14,9 @@ def strong_parts(next_edges: Mapping[str, Sequence[str]]) -> list[list[str]]:
     """Return the strongly connected parts of the edges, largest first, ties by name."""
     names = sorted(next_edges)
     number = {name: index for index, name in enumerate(names)}
-    pairs = np.array([(number[a], number[b]) for a in names for b in next_edges[a]], dtype=np.int64).reshape(-1, 2)
+    pairs = np.array([(number[a], number[b]) for a in names for b in next_edges[a]], dtype=np.int64).reshape(
+        -1, 2
+    )
     graph = csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(names), len(names)))
     _, label = connected_components(graph, directed=True, connection="strong")
     parts: dict[int, list[str]] = {}

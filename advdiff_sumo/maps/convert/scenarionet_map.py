@@ -42,8 +42,10 @@ def read_record_map(record: object, path: Path) -> SourceMap:
         MapError: no ScenarioNet record, or a map without usable lanes.
     """
     features = record.get("map_features") if isinstance(record, Mapping) else None
-    if not isinstance(features, Mapping):
-        raise MapError(path, "is no ScenarioNet record ('map_features' is missing)", "give a record's .pkl file")
+    if not isinstance(record, Mapping) or not isinstance(features, Mapping):
+        raise MapError(
+            path, "is no ScenarioNet record ('map_features' is missing)", "give a record's .pkl file"
+        )
     notes: Counter[str] = Counter()
     rows = {str(name): row for name, row in features.items() if _is_lane(row)}
     lanes = [lane for name, row in rows.items() if (lane := _lane(name, row, notes)) is not None]
@@ -134,7 +136,9 @@ def _area(lane: SourceLane) -> shapely.Geometry:
     return shapely.LineString(lane.centre_m).buffer(0.5 * (lane.width_m or DEFAULT_WIDTH_M), cap_style="flat")
 
 
-def _links(rows: Mapping[str, Mapping[str, Any]], known: set[str], notes: Counter[str]) -> list[tuple[str, str]]:
+def _links(
+    rows: Mapping[str, Mapping[str, Any]], known: set[str], notes: Counter[str]
+) -> list[tuple[str, str]]:
     links: dict[tuple[str, str], None] = {}
     for name, row in rows.items():
         pairs = [(str(other), name) for other in row.get("entry_lanes") or []]

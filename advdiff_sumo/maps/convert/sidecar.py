@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from xml.etree import ElementTree as ET  # noqa: S405 - writes only, nothing is parsed here
+from xml.etree import ElementTree as ET
 
 import numpy as np
-import shapely
+from shapely.coords import CoordinateSequence
 from shapely.geometry import Polygon
 
 from advdiff_sumo.maps.convert.plain_xml import shape_text
@@ -37,14 +37,16 @@ def write_sidecar(source: SourceMap, path: Path) -> None:
     root = ET.Element("additional")
     for number, (kind, ring) in enumerate(_rings(source)):
         colour, layer = STYLE[kind]
-        row = ET.SubElement(root, "poly", id=f"{kind}_{number}", type=kind, color=colour, fill="1", layer=layer)
+        row = ET.SubElement(
+            root, "poly", id=f"{kind}_{number}", type=kind, color=colour, fill="1", layer=layer
+        )
         row.set("shape", shape_text(np.asarray(ring)[:-1, :2]))
         ET.SubElement(row, "param", key="location", value=source.location)
     ET.indent(root)
     ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 
 
-def _rings(source: SourceMap) -> Iterator[tuple[str, shapely.CoordinateSequence]]:
+def _rings(source: SourceMap) -> Iterator[tuple[str, CoordinateSequence]]:
     areas: list[tuple[str, list[Polygon]]] = [
         ("drivable_area", list(source.drivable.geoms)),
         ("carpark_area", list(source.carparks)),

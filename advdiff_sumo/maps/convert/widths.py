@@ -28,7 +28,7 @@ def width_profile(centre_m: FloatArray, polygon: Polygon | None, step_m: float =
     points, yaw = polyline.at(centre_m, s), polyline.heading(centre_m, s)
     normal = REACH_M * np.stack((-np.sin(yaw), np.cos(yaw)), axis=-1)
     rays = shapely.linestrings(np.stack((points - normal, points + normal), axis=1))
-    inside = shapely.intersection(rays, polygon)
+    inside = np.asarray(shapely.intersection(rays, polygon), dtype=object)
     widths = np.array([_through(part, point) for part, point in zip(inside, points, strict=True)])
     good = (widths >= NARROWEST_M) & (widths <= WIDEST_M)
     return np.stack((s[good], widths[good]), axis=-1)
@@ -42,7 +42,9 @@ def _through(chords: shapely.Geometry, point: FloatArray) -> float:
     return float(best.length) if best is not None and best.distance(place) < 0.5 else 0.0
 
 
-def width_between(profile: FloatArray, from_m: float, to_m: float, default_m: float = DEFAULT_WIDTH_M) -> float:
+def width_between(
+    profile: FloatArray, from_m: float, to_m: float, default_m: float = DEFAULT_WIDTH_M
+) -> float:
     """Return the median width between two arc lengths; *default_m* where the profile is empty."""
     if not len(profile):
         return default_m

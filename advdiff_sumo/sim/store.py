@@ -93,6 +93,7 @@ class RunFolder:
         elif path.is_dir() and any(child.name != _PARTS for child in path.iterdir()):
             raise FileError(path, "is a folder that holds other files", "choose a new --out")
         try:
+            folder._take_apart()
             (path / _PARTS).mkdir(parents=True, exist_ok=True)
             _replace(path / "run.toml", tomli_w.dumps(settings).encode())
         except OSError as error:
@@ -128,23 +129,30 @@ class RunFolder:
                     f"{self.path}: that run had {key} = {old.get(key)!r}, not {new.get(key)!r}; "
                     "leave that option out, or choose a new --out"
                 )
-        self._take_apart()
-        had = max(self.done(), default=-1) + 1
+        had = max(self.done() or self._in_tables(), default=-1) + 1
         if had > new["episodes"]:
             raise ConfigError(
                 f"{self.path}: that run has {had} episodes; ask for as many, or choose a new --out"
             )
 
+    def _in_tables(self) -> list[int]:
+        """Return the numbers of the episodes of a finished run."""
+        if not all((self.path / f"{table}.parquet").exists() for table in TABLES):
+            return []
+        numbers = pq.read_table(self.path / "episodes.parquet", columns=["episode"])["episode"]
+        return [int(number) for number in numbers.to_pylist()]
+
     def _take_apart(self) -> None:
         """Make parts of a finished run's tables again, so that none of its episodes is run or lost."""
-        if (self.path / _PARTS).exists() or not all((self.path / f"{t}.parquet").exists() for t in TABLES):
+        numbers = self._in_tables()
+        if (self.path / _PARTS).exists() or not numbers:
             return
         aside = self.path / f"{_PARTS}.aside"
         shutil.rmtree(aside, ignore_errors=True)
         aside.mkdir()
         for table in TABLES:
             whole = pq.read_table(self.path / f"{table}.parquet")
-            for number in pq.read_table(self.path / "episodes.parquet")["episode"].to_pylist():
+            for number in numbers:
                 part = whole.filter(pc.field("episode") == number).combine_chunks()
                 _write(aside / f"{number:06d}.{table}.parquet", part)
                 (aside / f"{number:06d}.done").touch()

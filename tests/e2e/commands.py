@@ -1,0 +1,68 @@
+"""Commands as a user types them, in processes of their own, and what they leave on disk."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+MODULE = (sys.executable, "-m", "advdiff_sumo")
+SAME_BYTES = ("episodes.parquet", "states.parquet", "collisions.parquet")
+TINY = (
+    *("--horizon", "4", "--set", "scene.warmup_s=10"),
+    *("--set", "scene.scenes_per_warmup=2", "--set", "scene.min_neighbours=1"),
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a command ended.
+
+    Attributes:
+        code: exit code.
+        out: standard output.
+        err: standard error.
+    """
+
+    code: int
+    out: str
+    err: str
+
+
+def environment(hash_seed: int = 0) -> dict[str, str]:
+    """Return this process's environment, with another order of Python's sets."""
+    return {**os.environ, "PYTHONHASHSEED": str(hash_seed), "COLUMNS": "100", "NO_COLOR": "1"}
+
+
+def advdiff(*words: object, cwd: Path, hash_seed: int = 0, program: tuple[str, ...] = MODULE) -> Outcome:
+    """Run a command to its end."""
+    done = subprocess.run(
+        [*program, *map(str, words)],
+        cwd=cwd,
+        env=environment(hash_seed),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+def begin(*words: object, cwd: Path, hash_seed: int = 0) -> subprocess.Popen[str]:
+    """Start a command."""
+    pipe = subprocess.PIPE
+    command = [*MODULE, *map(str, words)]
+    return subprocess.Popen(command, cwd=cwd, env=environment(hash_seed), stdout=pipe, stderr=pipe, text=True)
+
+
+def bytes_of(folder: Path) -> dict[str, bytes]:
+    """Return the files that the same options and seed must give again."""
+    return {name: (folder / name).read_bytes() for name in SAME_BYTES}
+
+
+def everything(folder: Path) -> dict[str, bytes | None]:
+    """Return all that lies in *folder*: files with their content, folders; Python's own caches left out."""
+    found = (path for path in sorted(folder.rglob("*")) if "__pycache__" not in path.parts)
+    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in found}

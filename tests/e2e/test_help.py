@@ -1,0 +1,42 @@
+"""What the commands say about themselves."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from advdiff_sumo import __version__
+from tests.e2e.commands import advdiff
+
+SCRIPT = Path(sys.executable).parent / "advdiff-sumo"
+
+
+def test_version_of_the_console_script(tmp_path: Path) -> None:
+    done = advdiff("--version", cwd=tmp_path, program=(str(SCRIPT),))
+    assert (done.code, done.out, done.err) == (0, f"advdiff-sumo {__version__}\n", "")
+
+
+def test_verbs_are_listed(tmp_path: Path) -> None:
+    done = advdiff("--help", cwd=tmp_path)
+    assert done.code == 0
+    for verb in ("run", "convert"):
+        assert f" {verb} " in done.out
+
+
+@pytest.mark.parametrize(
+    ("verb", "words"),
+    [
+        ("run", ("default: 10", "default: 20", "downtown", "lane_graph", "replay", "--resume", "run.toml")),
+        ("convert", ("default: by the map's name", "ScenarioNet", "--all", "--dataroot")),
+    ],
+)
+def test_help_teaches(tmp_path: Path, verb: str, words: tuple[str, ...]) -> None:
+    done = advdiff(verb, "--help", cwd=tmp_path)
+    assert (done.code, done.err) == (0, "")
+    text = " ".join(done.out.replace("│", " ").split())
+    for word in words:
+        assert word in text, word
+    assert f"advdiff-sumo {verb} " in text  # a command to copy
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,89 @@
+"""Ctrl-C and a kill in the middle of a run lose nothing that had finished."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from advdiff_sumo.sim.store import TABLES
+from tests.e2e.commands import TINY, advdiff, begin, bytes_of
+from tests.e2e.conftest import PLANNERS
+
+EPISODES = 4
+RUN = (
+    *("run", "--net", "grid.net.xml", "--target", "our_planners:Patient", "--background", "replay"),
+    *("--episodes", EPISODES, *TINY, "--out", "run"),
+)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(grid: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run to compare with."""
+    folder = _place(grid, tmp_path_factory.mktemp("undisturbed"))
+    done = advdiff(*RUN, cwd=folder, hash_seed=1)
+    assert done.code == 0, done.err
+    return folder / "run"
+
+
+@pytest.fixture
+def waiting(grid: Path, tmp_path: Path) -> Iterator[tuple[Path, subprocess.Popen[str]]]:
+    """A run in its third episode of four, and the folder that it works in."""
+    folder = _place(grid, tmp_path)
+    (folder / "hold").touch()
+    process = begin(*RUN, cwd=folder, hash_seed=2)
+    until = time.monotonic() + 120.0
+    while len(list((folder / "run" / "parts").glob("*.done"))) < 2:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    time.sleep(0.2)  # into the third episode
+    yield folder, process
+    process.kill()
+    process.communicate()
+
+
+def test_ctrl_c_keeps_what_has_finished(
+    waiting: tuple[Path, subprocess.Popen[str]], undisturbed: Path
+) -> None:
+    folder, process = waiting
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert said.splitlines() == ["interrupted; what had finished is kept"]
+    whole = pq.read_table(undisturbed / "episodes.parquet")
+    assert pq.read_table(folder / "run" / "episodes.parquet").equals(whole.slice(0, 2))
+    for table in TABLES:
+        pq.read_table(folder / "run" / f"{table}.parquet")
+    assert (folder / "run" / "report.html").stat().st_size > 0
+    _resume(folder, undisturbed)
+
+
+def test_a_killed_run_can_be_resumed(waiting: tuple[Path, subprocess.Popen[str]], undisturbed: Path) -> None:
+    folder, process = waiting
+    process.kill()
+    process.communicate(timeout=60)
+    assert process.returncode == -signal.SIGKILL
+    assert not (folder / "run" / "episodes.parquet").exists()
+    _resume(folder, undisturbed)
+
+
+def _resume(folder: Path, undisturbed: Path) -> None:
+    (folder / "hold").unlink()
+    done = advdiff("run", "--resume", "--out", "run", cwd=folder, hash_seed=3)
+    assert done.code == 0, done.err
+    assert f"{EPISODES} episodes" in done.out
+    assert bytes_of(folder / "run") == bytes_of(undisturbed)
+    assert not (folder / "run" / "parts").exists()
+    assert not list((folder / "run").glob("*.aside"))
+
+
+def _place(grid: Path, folder: Path) -> Path:
+    (folder / "grid.net.xml").write_bytes(grid.read_bytes())
+    (folder / "our_planners.py").write_text(PLANNERS)
+    return folder

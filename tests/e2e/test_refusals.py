@@ -1,0 +1,305 @@
+"""Bad input: exit code 2, one sentence that names the culprit and the remedy, nothing lost or created."""
+
+from __future__ import annotations
+
+import gzip
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import sumolib
+
+from tests.e2e.commands import Outcome, advdiff, everything
+from tests.e2e.conftest import sentence
+
+Refused = Callable[..., str]
+GRID = ("run", "--net", "grid.net.xml", "--episodes", "1", "--horizon", "2", "--out", "out")
+STREET = '<nodes><node id="A" x="0" y="0"/><node id="B" x="100" y="0"/><node id="C" x="200" y="0"/></nodes>'
+
+
+def _says(said: str, *words: str) -> None:
+    for word in words:
+        assert word in said, f"{word!r} is not in: {said}"
+
+
+def _netconvert(folder: Path, edges: str) -> None:
+    (folder / "a.nod.xml").write_text(STREET)
+    (folder / "a.edg.xml").write_text(f"<edges>{edges}</edges>")
+    files = ("-n", "a.nod.xml", "-e", "a.edg.xml", "-o", "other.net.xml")
+    command = [sumolib.checkBinary("netconvert"), *files, "--no-turnarounds", "true"]
+    subprocess.run(command, check=True, capture_output=True, cwd=folder)
+
+
+# --- nets ------------------------------------------------------------------------------------------------
+
+
+def test_a_missing_net_in_a_process_of_its_own(workplace: Path) -> None:
+    before = everything(workplace)
+    said = sentence(advdiff("run", "--net", "none.net.xml", "--out", "out", cwd=workplace))
+    _says(said, "none.net.xml: no such net", "downtown-left")
+    assert everything(workplace) == before
+
+
+def test_a_net_that_ends_in_the_middle(workplace: Path, refused: Refused) -> None:
+    net = workplace / "grid.net.xml"
+    text = net.read_text()
+    net.write_text(text[: len(text) // 2])
+    _says(refused(*GRID), "grid.net.xml: ", "line ", "truncated", "anew")
+    net.write_bytes(gzip.compress(text.encode())[:2000])
+    _says(refused(*GRID), "grid.net.xml: ", "gzip data are cut off")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"<routes><vType id='a'/></routes>", ("not a SUMO net", "<routes>", "<net>")),
+        (bytes(range(256)) * 8, ("not readable as XML", "anew")),
+        (b"", ("not readable as XML", "line 1", "anew")),
+    ],
+    ids=["another kind of XML", "binary", "empty"],
+)
+def test_a_file_that_is_no_net(
+    workplace: Path, refused: Refused, content: bytes, words: tuple[str, ...]
+) -> None:
+    (workplace / "other.net.xml").write_bytes(content)
+    _says(refused("run", "--net", "other.net.xml", "--out", "out"), "other.net.xml: ", *words)
+
+
+def test_a_folder_is_no_net(workplace: Path, refused: Refused) -> None:
+    (workplace / "other.net.xml").mkdir()
+    _says(refused("run", "--net", "other.net.xml"), "other.net.xml: is no file", "give a .net.xml")
+
+
+@pytest.mark.parametrize(
+    ("edges", "words"),
+    [
+        ('<edge id="AB" from="A" to="B" allow="pedestrian"/>', ("no lane that is open to motor vehicles",)),
+        ('<edge id="AB" from="A" to="B"/>', ("no route that a car could drive", "connected edges")),
+    ],
+    ids=["a footpath", "one dead edge"],
+)
+def test_a_net_without_a_drivable_route(
+    workplace: Path, refused: Refused, edges: str, words: tuple[str, ...]
+) -> None:
+    _netconvert(workplace, edges)
+    _says(refused("run", "--net", "other.net.xml", "--out", "out"), "other.net.xml: ", *words)
+
+
+# --- names and options -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--target", "IDMN"), ("unknown target 'IDMN'", "did you mean 'IDM'?")),
+        (("--target", "zzz"), ("unknown target 'zzz'", "known are: ", "Krauss", "lane_graph")),
+        (("--background", "replai"), ("unknown background 'replai'", "did you mean 'replay'?")),
+        (("--set", "scene.warmup=3"), ("no option 'scene.warmup'", "did you mean 'warmup_s'?")),
+        (("--set", "sceen.warmup_s=3"), ("no option 'sceen'", "did you mean 'scene'?")),
+        (("--set", "sim.step_s=7"), ("sim.step_s = 7", "less than or equal to 0.5")),
+        (("--set", "sim.step_s=fast"), ("sim.step_s = 'fast'", "valid number")),
+        (("--set", "sim.step_s=0.3"), ("model_step_s = 0.5 is no whole multiple of 0.3",)),
+        (("--set", "warmup"), ("--set warmup", "NAME=VALUE", "for example")),
+        (("--set", "seed.a=1"), ("seed", "valid integer")),
+        (("--set", "target_options.tauu=1"), ("options of target 'IDM'", "did you mean 'tau'?")),
+        (("--set", "target_options.tau=-1"), ("tau = -1", "greater than 0")),
+        (("--set", "target_options.lane_change=LC13"), ("lane_change = 'LC13'", "'LC2013', 'SL2015'")),
+        (("--set", "background_options.a=1"), ("options of background 'sumo'", "no option 'a'")),
+        (("--horizon", "-3"), ("horizon_s = -3", "greater than 0")),
+        (("--horizon", "nan"), ("horizon_s = nan", "finite")),
+        (("--episodes", "0"), ("episodes = 0", "greater than or equal to 1")),
+        (("--seed", "-1"), ("seed = -1", "greater than or equal to 0")),
+        (("--episodes", "abc"), ("'--episodes'", "valid integer", "advdiff-sumo run --help")),
+        (("--horizont", "3"), ("--horizont", "--horizon")),
+        (("--horizon",), ("'--horizon' requires an argument",)),
+        (("more",), ("unexpected", "more", "advdiff-sumo run --help")),
+        (("--scenes", ".", "--demand", "a.rou.xml"), ("demand and scenes cannot go together",)),
+        (("--resume", "--set", "sim.step_s"), ("--set sim.step_s", "NAME=VALUE")),
+    ],
+    ids=lambda words: " ".join(words) if isinstance(words, tuple) and words[0].startswith("-") else "",
+)
+def test_an_option_that_cannot_be(
+    refused: Refused, words: tuple[str, ...], expected: tuple[str, ...]
+) -> None:
+    _says(refused(*GRID, *words), *expected)
+
+
+def test_an_unknown_verb(refused: Refused) -> None:
+    _says(refused("rum"), "'rum'", "'run'", "advdiff-sumo --help")
+
+
+def test_a_lane_change_model_that_does_not_fit_sublanes(refused: Refused) -> None:
+    quick = (
+        "--set",
+        "scene.warmup_s=5",
+        "--set",
+        "scene.min_neighbours=0",
+        "--set",
+        "scene.scenes_per_warmup=1",
+    )
+    said = refused(*GRID, *quick, "--set", "target_options.lane_change=LC2013")
+    _says(said, "LC2013", "sim.lateral_resolution_m = 0", "SL2015")
+
+
+def test_traffic_without_a_target(refused: Refused) -> None:
+    words = ("--set", "scene.warmup_s=5", "--set", "scene.min_neighbours=900", "--set", "scene.spacing_s=1")
+    _says(refused(*GRID, *words), "grid.net.xml: no vehicle with 900 others", "lower scene.min_neighbours")
+
+
+# --- configuration files ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b'net = "downtown"\nepisodes = = 3\n', ("not valid TOML", "line 2, column 12", "correct that line")),
+        (b"episods = 3\n", ("no option 'episods'", "did you mean 'episodes'?")),
+        (b"[options]\nsead = 3\n", ("no option 'sead'", "did you mean 'seed'?")),
+        (b"options = 3\n", ("[options] is not a table",)),
+        (b"\xff\xfe\x00", ("not valid TOML",)),
+    ],
+)
+def test_a_malformed_configuration(
+    workplace: Path, refused: Refused, content: bytes, words: tuple[str, ...]
+) -> None:
+    (workplace / "own.toml").write_bytes(content)
+    _says(refused("run", "--config", "own.toml", "--out", "out"), "own.toml: ", *words)
+
+
+def test_no_configuration(workplace: Path, refused: Refused) -> None:
+    _says(refused("run", "--config", "none.toml"), "none.toml: no such file")
+    _says(refused("run", "--config", "."), "cannot be read", "directory")
+
+
+# --- where results go ------------------------------------------------------------------------------------
+
+
+def test_a_folder_that_cannot_be_written(workplace: Path, refused: Refused) -> None:
+    (workplace / "file").write_text("mine")
+    _says(refused(*GRID[:-1], "file/below"), "file/below: cannot be written", "another --out")
+    _says(refused(*GRID[:-1], "file"), "file: cannot be written", "another --out")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc on this system")
+def test_a_folder_where_nobody_may_write(refused: Refused) -> None:
+    _says(refused(*GRID[:-1], "/proc/advdiff/new"), "/proc/advdiff/new: cannot be written", "another --out")
+
+
+def test_a_folder_that_holds_something_else(workplace: Path, refused: Refused) -> None:
+    (workplace / "out").mkdir()
+    (workplace / "out" / "thesis.tex").write_text("mine")
+    _says(refused(*GRID), "out: ", "holds other files", "new --out")
+    _says(refused(*GRID, "--resume"), "out: ", "holds other files", "new --out")
+
+
+def test_a_folder_that_holds_another_run(downtown_run: Path, refused: Refused) -> None:
+    before = everything(downtown_run)
+    words = ("run", "--episodes", "2", "--out", downtown_run)
+    _says(refused(*words), "already holds a run", "new --out", "--resume")
+    _says(refused(*words, "--resume", "--seed", "7"), "that run had seed = 0, not 7")
+    _says(refused("run", "--out", downtown_run, "--resume", "--episodes", "1"), "has 2 episodes")
+    assert everything(downtown_run) == before
+
+
+def test_resume_needs_a_folder(refused: Refused) -> None:
+    _says(refused("run", "--resume"), "--resume", "add its folder with --out")
+
+
+# --- demand and logs -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (
+            '<routes><vehicle id="a" depart="0"><route edges="x y"/></vehicle></routes>',
+            ("another net", "'x'"),
+        ),
+        (
+            '<routes><vehicle id="a" depart="0"><route edges="x',
+            ("not well-formed", "line 1", "export it again"),
+        ),
+        ("<routes/>", ("no vehicle, trip or flow", "give demand")),
+        ("time,vehicle\n0,1\n", ("not well-formed",)),
+    ],
+    ids=["of another net", "truncated", "empty", "no XML"],
+)
+def test_demand_that_cannot_be_used(
+    workplace: Path, refused: Refused, content: str, words: tuple[str, ...]
+) -> None:
+    (workplace / "own.rou.xml").write_text(content)
+    _says(refused(*GRID, "--demand", "own.rou.xml"), "own.rou.xml: ", *words)
+
+
+def test_demand_that_is_not_there(workplace: Path, refused: Refused) -> None:
+    _says(refused(*GRID, "--demand", "none.rou.xml"), "none.rou.xml: no such demand file", ".sumocfg")
+    _says(refused(*GRID, "--demand", "."), "is no file", ".rou.xml")
+    (workplace / "own.sumocfg").write_text('<c><input><route-files value="gone.rou.xml"/></input></c>')
+    _says(refused(*GRID, "--demand", "own.sumocfg"), "gone.rou.xml: no such", "own.sumocfg names it")
+    (workplace / "own.sumocfg").write_text('<c><input><net-file value="grid.net.xml"/></input></c>')
+    _says(refused(*GRID, "--demand", "own.sumocfg"), "own.sumocfg: names no route-files")
+
+
+def test_scenes_that_are_no_log(workplace: Path, refused: Refused) -> None:
+    _says(refused(*GRID, "--scenes", "none"), "none: no such log", "nuScenes")
+    (workplace / "notes").mkdir()
+    (workplace / "notes" / "today.txt").write_text("rain")
+    _says(refused(*GRID, "--scenes", "notes"), "notes: holds no driving log", "v1.0-*")
+    (workplace / "notes" / "today.pkl").write_bytes(b"no pickle at all")
+    _says(refused(*GRID, "--scenes", "notes/today.pkl"), "today.pkl")
+
+
+@pytest.mark.data
+def test_a_log_of_another_net(adv_data: Path, refused: Refused) -> None:
+    said = refused(*GRID, "--scenes", adv_data / "nuscenes-mini")
+    _says(said, "grid.net.xml: ", "none of the log's drives is on this net", "convert")
+
+
+# --- a user's own classes --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "words"),
+    [
+        ("--target", "our_planners:Missing", ("cannot be imported", "'Missing'")),
+        ("--target", "no_such_module:Class", ("cannot be imported", "no_such_module")),
+        ("--target", "our_planners:Nothing", ("is no planner", "lacks start and plan")),
+        ("--target", "our_planners:Broken", ("RuntimeError: no weights found", "correct it")),
+        ("--target", "our_planners:time", ("'our_planners:time'",)),
+        ("--background", "our_planners:Nothing", ("is no policy", "lacks start and plan")),
+        ("--background", "half:Done", ("'half:Done'", "SyntaxError")),
+    ],
+)
+def test_a_class_that_cannot_be_used(
+    workplace: Path, refused: Refused, option: str, name: str, words: tuple[str, ...]
+) -> None:
+    (workplace / "half.py").write_text("class Done(:\n")
+    _says(refused(*GRID, option, name), *words)
+
+
+# --- convert ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ((), ("MAP", "--all")),
+        (("none.json",), ("-o NAME.net.xml",)),
+        (("none.json", "-o", "new.net.xml"), ("none.json",)),
+        (("our_planners.py", "-o", "new.net.xml"), ("our_planners.py",)),
+        (("--all", "."), ("maps/expansion",)),
+        (("none.json", "-o", "new.net.xml", "--tls", "on"), ("--tls on", "guess")),
+    ],
+)
+def test_a_map_that_cannot_be_converted(
+    refused: Refused, words: tuple[str, ...], expected: tuple[str, ...]
+) -> None:
+    _says(refused("convert", *words), *expected)
+
+
+def test_several_lines_of_a_cause_are_one_line_for_the_user(
+    here: Callable[..., Outcome], workplace: Path
+) -> None:
+    (workplace / "loud.py").write_text("raise RuntimeError('one\\ntwo')\n")
+    assert "one two" in sentence(here(*GRID, "--target", "loud:Class"))

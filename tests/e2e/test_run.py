@@ -1,0 +1,86 @@
+"""``advdiff-sumo run`` on the shipped downtown: files, columns, and the same bytes again."""
+
+from __future__ import annotations
+
+import itertools
+import tomllib
+from pathlib import Path
+
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+
+from advdiff_sumo.sim.store import TABLES
+from tests.e2e.commands import TINY, advdiff, bytes_of
+
+ARROW = {"str": "string", "int64": "int64", "float64": "double", "bool": "bool"}
+
+
+def test_the_folder_holds_what_the_page_says(downtown_run: Path) -> None:
+    names = {path.name for path in downtown_run.iterdir()}
+    assert names == {"run.toml", "report.html", *(f"{table}.parquet" for table in TABLES)}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_columns_are_the_documented_ones(downtown_run: Path, name: str) -> None:
+    table = pq.read_table(downtown_run / f"{name}.parquet")
+    documented = {column: ARROW[about.dtype] for column, about in TABLES[name].items()}
+    assert dict(zip(table.column_names, map(str, table.schema.types), strict=True)) == documented
+    for column, about in TABLES[name].items():
+        assert about.nullable or table[column].null_count == 0, column
+        if about.dtype == "float64":
+            assert pc.sum(pc.is_nan(table[column])).as_py() in (0, None), column
+
+
+def test_tables_agree_with_each_other(downtown_run: Path) -> None:
+    episodes = pq.read_table(downtown_run / "episodes.parquet").to_pylist()
+    states = pq.read_table(downtown_run / "states.parquet").to_pylist()
+    assert [row["episode"] for row in episodes] == [0, 1]
+    for row in episodes:
+        own = [s for s in states if s["episode"] == row["episode"]]
+        target = [s for s in own if s["is_target"]]
+        assert [s["step"] for s in target] == list(range(len(target)))
+        assert target[0]["time_s"] == 0.0
+        assert target[-1]["time_s"] == pytest.approx(row["duration_s"], abs=0.11)
+        assert len({s["agent"] for s in own}) == row["agents"]
+        assert len({s["agent"] for s in target}) == 1
+        assert row["end"] in {"horizon", "collision", "arrived"}
+        driven = sum(
+            ((b["x_m"] - a["x_m"]) ** 2 + (b["y_m"] - a["y_m"]) ** 2) ** 0.5
+            for a, b in itertools.pairwise(target)
+        )
+        assert driven == pytest.approx(row["distance_m"], abs=0.5)
+
+
+def test_the_summary_names_the_folder(downtown_run: Path) -> None:
+    said = (downtown_run.parent / "said.txt").read_text()
+    assert "2 episodes" in said
+    assert "target collides" in said
+    assert "first/report.html" in said
+
+
+def test_options_and_versions_are_written_down(downtown_run: Path) -> None:
+    settings = tomllib.loads((downtown_run / "run.toml").read_text())
+    assert settings["options"]["scene"]["warmup_s"] == 10.0
+    assert (settings["options"]["net"], settings["options"]["horizon_s"]) == ("downtown", 4.0)
+    assert settings["run"]["advdiff_sumo"]
+    assert settings["run"]["libsumo"]
+
+
+def test_run_toml_gives_the_same_bytes_in_another_process(downtown_run: Path) -> None:
+    again = downtown_run.parent / "again"
+    done = advdiff("run", "--config", "first/run.toml", "--out", again, cwd=again.parent, hash_seed=2)
+    assert done.code == 0, done.err
+    assert bytes_of(again) == bytes_of(downtown_run)
+    assert (again / "run.toml").read_bytes() == (downtown_run / "run.toml").read_bytes()
+
+
+def test_another_seed_is_another_run(grid: Path, tmp_path: Path) -> None:
+    words = ("run", "--net", grid, "--episodes", 1, *TINY)
+    for seed, hash_seed, out in ((1, 1, "one"), (1, 2, "same"), (2, 1, "two")):
+        done = advdiff(*words, "--seed", seed, "--out", out, cwd=tmp_path, hash_seed=hash_seed)
+        assert done.code == 0, done.err
+    one, same, two = (bytes_of(tmp_path / name) for name in ("one", "same", "two"))
+    assert one == same
+    assert one["states.parquet"] != two["states.parquet"]
+    assert one["episodes.parquet"] != two["episodes.parquet"]

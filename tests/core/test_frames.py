@@ -33,7 +33,8 @@ def test_sumo_counts_clockwise_from_north(sumo_deg: float, yaw: float) -> None:
 
 @pytest.mark.parametrize(
     ("angle", "wrapped"),
-    [(0.0, 0.0), (PI, PI), (-PI, PI), (3 * PI, PI), (-3 * PI, PI), (2 * PI, 0.0), (1.5 * PI, -0.5 * PI), (7.0, 7.0 - 2 * PI)],
+    [(0.0, 0.0), (PI, PI), (-PI, PI), (3 * PI, PI), (-3 * PI, PI), (2 * PI, 0.0), (1.5 * PI, -0.5 * PI),
+     (7.0, 7.0 - 2 * PI)],
 )  # fmt: skip
 def test_wrapping_by_hand(angle: float, wrapped: float) -> None:
     assert frames.wrap_angle(angle) == pytest.approx(wrapped, abs=1e-12)

@@ -70,7 +70,7 @@ def test_impossible_controls_are_refused(accel: tuple[float, float]) -> None:
 def test_the_bound_on_jumps_is_sharp() -> None:
     bound = MAX_SPEED_MPS * 0.1 + SLACK_M  # 9.5 m in 0.1 s
     for jump, refused in ((bound - 1e-6, False), (bound + 1e-6, True)):
-        xy = np.tile(HERE + (jump, 0.0), (5, 1))
+        xy = np.tile(HERE + np.array((jump, 0.0)), (5, 1))
         plan = Trajectory(xy, np.zeros(5), np.zeros(5), 0.1)
         if refused:
             with pytest.raises(PlanRefusedError, match=r"jump of 9\.5 m in 0\.1 s"):

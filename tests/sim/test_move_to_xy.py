@@ -126,7 +126,7 @@ def test_drivers_at_a_junction_yield_only_to_a_predicted_route(crossing: Path) -
     """Issue 6140 of SUMO."""
     with stage(crossing) as s:
         alone, _ = from_the_south(s, None, ())
-        assert s.pose("t")[0][1] > 0.0, "it drove across in front of the other"
+        assert s.pose("t")[0][1] > -5.0, "it drove across in front of the other"
     with stage(crossing) as s:
         yields, _ = from_the_south(s, None, ("WC", "CE"))
         assert s.pose("t")[0][1] < -8.0, "it waits"

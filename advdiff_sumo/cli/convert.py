@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 from rich.console import Console
 
 from advdiff_sumo.core.errors import ConfigError
-from advdiff_sumo.data.pickles import load_plain
-from advdiff_sumo.maps.convert import ConversionResult, convert_map, convert_source
-from advdiff_sumo.maps.convert.fidelity import measure
-from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
-from advdiff_sumo.maps.convert.report import fidelity_path, write_figures, write_page
-from advdiff_sumo.maps.convert.scenarionet_map import read_record_map
-from advdiff_sumo.sim.driving_test import driving_test
+
+if TYPE_CHECKING:
+    from advdiff_sumo.maps.convert import ConversionResult
 
 _console = Console(highlight=False, soft_wrap=True)
 
@@ -43,7 +39,7 @@ def convert(
         typer.Option("--lefthand/--righthand", help="Side of the road; default: by the map's name."),
     ] = None,
     tls: Annotated[
-        str, typer.Option(help="'guess': signals at busy junctions; 'map': only where the map has them.")
+        str, typer.Option(help="'guess': signals at large junctions; 'map': only where the map has them.")
     ] = "map",
     opendrive: Annotated[bool, typer.Option(help="Write NAME.xodr too.")] = False,
     drive: Annotated[
@@ -51,7 +47,15 @@ def convert(
     ] = 0,
     seed: Annotated[int, typer.Option(help="Seed of the driving test.")] = 1,
 ) -> None:
-    """Convert nuScenes HD maps to SUMO nets with exact centre lines, and measure how exact they are."""
+    """Convert nuScenes HD maps to SUMO nets with exact centre lines, and measure how exact they are.
+
+    Example: advdiff-sumo convert boston-seaport.json -o networks/boston-seaport.net.xml --report
+    """
+    from advdiff_sumo.maps.convert.fidelity import measure  # late: --help needs neither SUMO nor plots
+    from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
+    from advdiff_sumo.maps.convert.report import fidelity_path, write_figures, write_page
+    from advdiff_sumo.sim.driving_test import driving_test
+
     if tls not in ("guess", "map"):
         raise ConfigError(f"--tls {tls}: known are 'guess' and 'map'")
     for source, net in _jobs(map_file, output, all_of):
@@ -93,6 +97,10 @@ def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> li
 def _convert(
     source: Path, net: Path, lefthand: bool | None, guess: bool, opendrive: bool
 ) -> ConversionResult:
+    from advdiff_sumo.data.pickles import load_plain  # late, as above
+    from advdiff_sumo.maps.convert import convert_map, convert_source
+    from advdiff_sumo.maps.convert.scenarionet_map import read_record_map
+
     if source.suffix == ".pkl":
         record = read_record_map(load_plain(source), source)
         return convert_source(record, net, lefthand=lefthand, guess_signals=guess, opendrive=opendrive)

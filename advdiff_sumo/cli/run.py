@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -13,8 +13,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from advdiff_sumo.config import read_toml, set_dotted
 from advdiff_sumo.core.errors import ConfigError
-from advdiff_sumo.sim.run import Run, RunOptions
-from advdiff_sumo.sim.store import RunFolder
+
+if TYPE_CHECKING:
+    from advdiff_sumo.sim.run import Run, RunOptions
 
 _RUNS = Path("runs")
 
@@ -64,13 +65,17 @@ def run(
 ) -> None:
     """Run episodes of a tested vehicle in traffic, and write what happened.
 
-    Without options: ten episodes of SUMO's IDM driver in the shipped downtown.
+    Without options: ten episodes of SUMO's IDM driver in the shipped downtown. Another example:
+
+    advdiff-sumo run --net city.net.xml --target lane_graph --background replay --episodes 50
 
     The folder of results holds run.toml (repeats the run: advdiff-sumo run --config run.toml),
     episodes.parquet, collisions.parquet, states.parquet, timing.parquet and report.html.
     """
-    from advdiff_sumo.cli.summary import print_summary  # late: --help and refusals need no plots
+    from advdiff_sumo.cli.summary import print_summary  # late: --help needs neither SUMO nor plots
     from advdiff_sumo.report import write_report
+    from advdiff_sumo.sim.run import Run
+    from advdiff_sumo.sim.store import RunFolder
 
     given = {
         "net": net,
@@ -126,6 +131,8 @@ def _progress(console: Console) -> Progress:
 
 def _options(config: Path | None, given: Mapping[str, Any], assignments: list[str]) -> RunOptions:
     """Return the options of the file, then of the command line, then of ``--set``; later ones win."""
+    from advdiff_sumo.sim.run import RunOptions  # late, as above
+
     values: dict[str, Any] = {}
     if config is not None:
         content = read_toml(config)

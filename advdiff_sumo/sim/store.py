@@ -140,7 +140,7 @@ class RunFolder:
         if not all((self.path / f"{table}.parquet").exists() for table in TABLES):
             return []
         numbers = pq.read_table(self.path / "episodes.parquet", columns=["episode"])["episode"]
-        return [int(number) for number in numbers.to_pylist()]
+        return [number for number in numbers.to_pylist() if number is not None]
 
     def _take_apart(self) -> None:
         """Make parts of a finished run's tables again, so that none of its episodes is run or lost."""

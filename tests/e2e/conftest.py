@@ -72,7 +72,7 @@ class Broken:
 def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A net of nine junctions with two-lane streets."""
     net = tmp_path_factory.mktemp("grid") / "grid.net.xml"
-    shape = ["--grid", "--grid.number", "3", "--grid.length", "120", "--grid.attach-length", "120"]
+    shape = ["--grid", "--grid.number", "3", "--grid.length", "100", "--grid.attach-length", "100"]
     command = [sumolib.checkBinary("netgenerate"), *shape, "--default.lanenumber", "2", "-o", str(net)]
     subprocess.run(command, check=True, capture_output=True)
     return net

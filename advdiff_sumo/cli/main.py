@@ -47,7 +47,7 @@ def main() -> None:
     if os.getcwd() not in sys.path:  # noqa: PTH109 - sys.path holds text
         sys.path.insert(0, os.getcwd())  # noqa: PTH109 - a user's own planner may lie here, as with python -m
     try:
-        code = app(standalone_mode=False)
+        code = app(prog_name="advdiff-sumo", standalone_mode=False)
     except AdvdiffError as error:
         _refuse(str(error))
     except typer.TyperException as error:

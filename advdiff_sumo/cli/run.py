@@ -24,17 +24,22 @@ def run(
     net: Annotated[
         str | None,
         typer.Option(
-            help="SUMO net (.net.xml, .net.xml.gz), or a shipped one: downtown, downtown-left, motorway."
+            help="SUMO net (.net.xml, .net.xml.gz), or a shipped one: downtown, downtown-left, motorway.",
+            show_default="downtown",
         ),
     ] = None,
     target: Annotated[
         str | None,
         typer.Option(
-            help="What drives the tested vehicle: IDM, Krauss, EIDM, …, lane_graph, or package.module:Class."
+            help="What drives the tested vehicle: IDM, Krauss, EIDM, …, lane_graph, or package.module:Class.",
+            show_default="IDM",
         ),
     ] = None,
     background: Annotated[
-        str | None, typer.Option(help="What moves the others: sumo, replay, or package.module:Class.")
+        str | None,
+        typer.Option(
+            help="What moves the others: sumo, replay, or package.module:Class.", show_default="sumo"
+        ),
     ] = None,
     episodes: Annotated[int | None, typer.Option(help="How many episodes.", show_default="10")] = None,
     horizon: Annotated[

@@ -28,8 +28,22 @@ def test_verbs_are_listed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("verb", "words"),
     [
-        ("run", ("default: 10", "default: 20", "downtown", "lane_graph", "replay", "--resume", "run.toml")),
-        ("convert", ("default: by the map's name", "ScenarioNet", "--all", "--dataroot")),
+        (
+            "run",
+            (
+                "default: (10)",
+                "default: (20)",
+                "default: (downtown)",
+                "lane_graph",
+                "replay",
+                "--resume",
+                "run.toml",
+            ),
+        ),
+        (
+            "convert",
+            ("default: by the map's name", "default: no-report", "ScenarioNet", "--all", "--dataroot"),
+        ),
     ],
 )
 def test_help_teaches(tmp_path: Path, verb: str, words: tuple[str, ...]) -> None:
@@ -38,5 +52,7 @@ def test_help_teaches(tmp_path: Path, verb: str, words: tuple[str, ...]) -> None
     text = " ".join(done.out.replace("│", " ").split())
     for word in words:
         assert word in text, word
-    assert f"advdiff-sumo {verb} " in text  # a command to copy
+    assert (
+        len([start for start in text.split(f"advdiff-sumo {verb} ")[1:] if start[0] != "["]) > 0
+    )  # an example
     assert list(tmp_path.iterdir()) == []

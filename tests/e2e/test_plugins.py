@@ -16,7 +16,7 @@ from tests.e2e.commands import TINY, Outcome
     [
         ("Raises", "planner_error", ("our_planners:Raises", "RuntimeError", "out of ideas")),
         ("NotANumber", "plan_refused", ("our_planners:NotANumber", "not numbers")),
-        ("Jumps", "plan_refused", ("our_planners:Jumps", "a jump of 50.0 m")),
+        ("Jumps", "plan_refused", ("our_planners:Jumps", "planned a jump of 70.7 m in 0.1 s")),
     ],
 )
 def test_a_failing_planner(

@@ -40,6 +40,7 @@ CROSSING = (
 </edges>""",
 )
 BEND_RADIUS_M = 60.0
+BEND_CORNER_RAD = 0.5 * np.pi / 30  # between the straight pieces of its arc
 TYPES = "types.add.xml"
 CAR = f"""<additional>
 <vType id="car" carFollowModel="IDM" length="{LENGTH_M}" width="{WIDTH_M}" sigma="0" speedDev="0"/>

@@ -56,7 +56,11 @@ def drive(net: Path, routes: Path, folder: Path, end_s: float, seed: int) -> dic
     trips, vehicles, safety, teleports = (
         root.find(key).attrib for key in ("vehicleTripStatistics", "vehicles", "safety", "teleports")
     )
-    warnings = [w for w in re.findall(r"Warning: (.*)", log.read_text()) if "Teleport" in w or "colli" in w]
+    warnings = [
+        w
+        for w in re.findall(r"Warning: (.*)", log.read_text())
+        if any(k in w for k in ("Teleport", "colli", "emergency"))
+    ]
     return {
         "inserted": float(vehicles.get("inserted", 0)),
         "waiting": float(vehicles.get("waiting", 0)),

@@ -143,7 +143,7 @@ def test_motorway_has_three_lanes_and_more(networks: Path) -> None:
     net = sumolib.net.readNet(str(networks / "motorway.net.xml"))
     lanes = {e.getID(): e.getLaneNumber() for e in net.getEdges() if e.getSpeed() > 100 / 3.6}
     assert len(lanes) == 16 + 13  # sections eastbound and westbound
-    assert set(lanes.values()) == {3, 4}
+    assert set(lanes.values()) == {3, 4, 5}
     weave = net.getEdge("E4-E5")
     assert {e.getID() for e in weave.getIncoming()} == {"E3-E4", "J1-E4"}
     assert {e.getID() for e in weave.getOutgoing()} == {"E5-E6", "E5-J2"}

@@ -85,7 +85,7 @@ class Ramp:
     leaves: bool  # True for an off-ramp
     left: bool = False
     aside_m: float = 0.0
-    speed_mps: float = 16.67
+    speed_mps: float = 22.22
 
 
 def lay_ramps(plan: Plan, ramps: Sequence[Ramp]) -> None:

@@ -35,7 +35,7 @@ FEDERATION = Street(
     "Federation Road",
     ("S_R", "R1", "R2", "R3", "R4", "R5", "R6", "R7", "N_R"),
     ahead=3, back=3, speed_mps=13.89, priority=10, median_m=3.3, width_m=3.3, pocket_m=34.0,
-    changes={"R4": (2, 2)}, drops={("R1", "S_R"): (70.0, 2)},
+    changes={"R5": (2, 2)}, drops={("R1", "S_R"): (70.0, 2)},
     pockets=frozenset({("S_R", "R1"), ("R2", "R1"), ("R1", "R2"), ("R4", "R3"), ("R3", "R4"), ("R5", "R4"),
                        ("R4", "R5"), ("R6", "R5"), ("R6", "R7"), ("N_R", "R7")}),
 )  # fmt: skip
@@ -67,7 +67,7 @@ STREETS = (
     Street("Tailor Street", ("Q1", "Q2", "Q3"), speed_mps=8.33, priority=3),
     Street("Tailor Street North", ("Q4", "Q5", "Q6", "Q7"), speed_mps=8.33, priority=3),
     Street("Station Street", ("S_S", "S1", "S2", "S3", "S4", "S5"), priority=6),
-    Street("Station Street North", ("S7", "N_S"), priority=6),
+    Street("Station Street North", ("S7", "N_S"), priority=4),
     Street("Cooper Street", ("T1", "T2", "T3", "T4"), priority=4),
     Street("Cooper Street North", ("T5", "T6", "T7"), speed_mps=8.33, priority=3),
     Street("Bay Crescent", ("V4", (704, 330), (708, 390), (680, 448), "U6"), speed_mps=8.33, priority=2),

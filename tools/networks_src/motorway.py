@@ -48,18 +48,18 @@ EASTBOUND = _carriageway(
     "E",
     (
         Section(0.0, right=1, speed_mps=DERESTRICTED),
-        Section(260.0, speed_mps=DERESTRICTED),  # lane drop, 4 to 3
-        Section(470.0, right=1),
+        Section(180.0, speed_mps=DERESTRICTED),  # lane drop, 4 to 3
+        Section(330.0, right=1),
         Section(680.0),  # 3: exit 1
         Section(1020.0, right=1),  # 4: entry 1, weave
         Section(1400.0),  # 5: exit 2
-        Section(1740.0, right=1),  # 6: entry 2
-        Section(1940.0),
-        Section(2010.0, left=1),
-        Section(2190.0),  # 9: service area exit
-        Section(2710.0, left=1),  # 10: service area entry
-        Section(2960.0),
-        Section(3070.0, right=1),
+        Section(1750.0, right=1),  # 6: entry 2
+        Section(1800.0, left=1, right=1),
+        Section(1950.0, left=1),
+        Section(2150.0),  # 9: service area exit
+        Section(2750.0, left=1),  # 10: service area entry
+        Section(2880.0, left=1, right=1),
+        Section(2980.0, right=1),
         Section(3260.0),  # 13: exit 3
         Section(3600.0, right=1, speed_mps=DERESTRICTED),  # 14: entry 3
         Section(3800.0, speed_mps=DERESTRICTED),
@@ -69,15 +69,15 @@ WESTBOUND = _carriageway(
     "W",
     (
         Section(AXIS.length_m, speed_mps=DERESTRICTED),
-        Section(3800.0, right=1),
+        Section(3930.0, right=1),
         Section(3630.0),  # 2: exit 3
         Section(3290.0, right=1),  # 3: entry 3
-        Section(3080.0),
-        Section(2940.0, left=1),
-        Section(2710.0),  # 6: service area exit
-        Section(2190.0, left=1),  # 7: service area entry
-        Section(1940.0),
-        Section(1500.0, right=1),
+        Section(3150.0, left=1, right=1),
+        Section(3060.0, left=1),
+        Section(2750.0),  # 6: service area exit
+        Section(2150.0, left=1),  # 7: service area entry
+        Section(1880.0),
+        Section(1700.0, right=1),
         Section(1295.0),  # 10: exit 1
         Section(945.0, right=1, speed_mps=DERESTRICTED),  # 11: entry 1
         Section(700.0, speed_mps=DERESTRICTED),
@@ -89,20 +89,27 @@ PLACES: dict[str, tuple[float, float]] = {  # station along the axis, offset to 
     "K2": (1570, -195), "F2": (1570, -330), "J3": (3430, -75), "K3": (3430, -190), "KE": (3860, -200),
     "N1": (1120, 75), "M1": (1120, 190), "MW": (700, 200), "G1": (1120, 330), "N3": (3460, 75),
     "M3": (3460, 190), "ME": (3900, 200), "G3": (3460, 330),
-    "S1": (2330, -20), "S2": (2330, 20), "S3": (2570, -20), "S4": (2570, 20),
+    "S1": (2350, -20), "S2": (2350, 20), "S3": (2550, -20), "S4": (2550, 20),
 }  # fmt: skip
 SIGNALS = ("K1", "K2", "K3", "M1", "M3")
 RIGHT_BEFORE_LEFT = ("S2", "S3")
+
+
+def _link(name: str, course: tuple[str, ...]) -> Street:
+    """A link road: two lanes from the ramps to the signals, one in the other direction and beyond."""
+    return Street(name, course, ahead=2, speed_mps=13.89, priority=4, changes={course[1]: (1, 1)})
+
+
 STREETS = (
     Street(
-        "Valley Road", ("KW", "K1", "K2", (2000, -250), (2600, -270), "K3", "KE"), speed_mps=19.44, priority=6
+        "Valley Road", ("KW", "K1", "K2", (2000, -250), (2600, -270), "K3", "KE"), speed_mps=16.67, priority=6
     ),
-    Street("Hill Road", ("MW", "M1", (1700, 250), (2600, 240), "M3", "ME"), speed_mps=19.44, priority=6),
-    Street("Mill Link", ("J1", "K1", "F1"), speed_mps=13.89, priority=4),
-    Street("Ford Link", ("J2", "K2", "F2"), speed_mps=13.89, priority=4),
-    Street("Vale Link", ("J3", "K3"), speed_mps=13.89, priority=4),
-    Street("Ridge Link", ("N1", "M1", "G1"), speed_mps=13.89, priority=4),
-    Street("Moor Link", ("N3", "M3", "G3"), speed_mps=13.89, priority=4),
+    Street("Hill Road", ("MW", "M1", (1700, 250), (2600, 240), "M3", "ME"), speed_mps=16.67, priority=6),
+    _link("Mill Link", ("J1", "K1", "F1")),
+    _link("Ford Link", ("J2", "K2", "F2")),
+    _link("Vale Link", ("J3", "K3")),
+    _link("Ridge Link", ("N1", "M1", "G1")),
+    _link("Moor Link", ("N3", "M3", "G3")),
     Street("Services South", ("S1", "S3"), speed_mps=8.33, priority=3),
     Street("Services North", ("S4", "S2"), speed_mps=8.33, priority=3),
     Street("Services West", ("S1", "S2"), speed_mps=8.33, priority=3),

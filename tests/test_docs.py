@@ -1,0 +1,76 @@
+"""Pages that say what the code says, and links that lead somewhere."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from advdiff_sumo.core.errors import EpisodeFailure
+from advdiff_sumo.core.record import EndReason
+from advdiff_sumo.sim.store import TABLES
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def tool(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_page_of_columns_is_up_to_date(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["write_outputs_doc.py", "--check"])
+    assert tool("write_outputs_doc").main() == 0, capsys.readouterr().out
+
+
+def test_a_stale_page_is_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    module = tool("write_outputs_doc")
+    page = tmp_path / "outputs.md"
+    page.write_text(module.PAGE.read_text().replace("| `step` |", "| `instant` |"))
+    monkeypatch.setattr(module, "PAGE", page)
+    monkeypatch.setattr(sys, "argv", ["write_outputs_doc.py", "--check"])
+    assert module.main() == 1
+    assert "is behind the code" in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", ["write_outputs_doc.py"])
+    assert module.main() == 0
+    assert page.read_text() == (ROOT / "docs" / "outputs.md").read_text()
+
+
+def test_a_page_without_a_place_for_a_table_is_refused() -> None:
+    with pytest.raises(ValueError, match="places for"):
+        tool("write_outputs_doc").filled("<!-- columns of episodes -->\n<!-- end -->")
+
+
+def test_words_of_the_tables_are_explained() -> None:
+    page = (ROOT / "docs" / "outputs.md").read_text()
+    for table in TABLES:
+        assert f"## `{table}.parquet`" in page
+    for word in (*EndReason, *(kind.kind for kind in EpisodeFailure.__subclasses__())):
+        assert f"`{word}`" in page
+
+
+def test_every_link_leads_somewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    pages = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]
+    assert pages
+    assert [line for page in pages for line in tool("check_links").broken(page)] == []
+
+
+def test_the_changelog_knows_this_version() -> None:
+    from advdiff_sumo import __version__
+
+    headings = re.findall(r"^## \[(.+?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert headings[0] == "Unreleased"
+    assert __version__ in (ROOT / "pyproject.toml").read_text()

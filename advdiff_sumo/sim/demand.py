@@ -107,25 +107,19 @@ def _trips(
     edges = [e for e in sorted(road.edges) if _drivable(road, e)]
     if not edges:
         raise NetError(road.path, "holds no lane that a car may drive", "give a net with passenger lanes")
-    lane_km = sum(road.edges[e].length_m * len(road.edges[e].lane_ids) for e in edges) / 1000.0
-    present = int(np.clip(options.density_per_km * lane_km, 4, options.max_vehicles))
-    weights = np.array([road.edges[e].length_m * len(road.edges[e].lane_ids) for e in edges])
+    lane_m = np.array([road.edges[e].length_m * len(road.edges[e].lane_ids) for e in edges])
+    present = int(np.clip(options.density_per_km * lane_m.sum() / 1000.0, 4, options.max_vehicles))
     sources = [e for e in road.source_edges() if _drivable(road, e)] or edges
+    capacity = np.array([road.edges[e].speed_mps * len(road.edges[e].lane_ids) for e in sources])
     inflow = max(int(present * duration_s / _MEAN_TRIP_S), 1)
-    starts = rng.choice(len(edges), size=present, p=weights / weights.sum())
-    found = 0
-    for pick in starts:
-        trip = _trip(road, edges[pick], 0.0, True, options, rng)
-        found += trip is not None
-        if trip:
-            yield trip
-    for depart in np.sort(rng.uniform(0.0, duration_s, size=inflow)):
-        trip = _trip(road, sources[int(rng.integers(len(sources)))], float(depart), False, options, rng)
-        found += trip is not None
-        if trip:
-            yield trip
-    if not found:
+    starts = [(edges[k], 0.0, True) for k in rng.choice(len(edges), present, p=lane_m / lane_m.sum())]
+    entries = rng.choice(len(sources), inflow, p=capacity / capacity.sum())
+    departs = np.sort(rng.uniform(0.0, duration_s, size=inflow)).tolist()
+    starts += [(sources[k], depart, False) for k, depart in zip(entries, departs, strict=True)]
+    trips = [trip for start in starts if (trip := _trip(road, *start, options, rng)) is not None]
+    if not trips:
         raise NetError(road.path, "holds no drivable route", "give a net in which edges are connected")
+    yield from trips
 
 
 def _trip(

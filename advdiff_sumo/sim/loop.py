@@ -21,7 +21,7 @@ from advdiff_sumo.sim.handover import Handover
 from advdiff_sumo.sim.natural import remaining_route
 from advdiff_sumo.sim.perceive import read_signals, watch_signals
 from advdiff_sumo.sim.recorder import Recorder
-from advdiff_sumo.sim.seed_scene import PlacedTraffic
+from advdiff_sumo.sim.seed_scene import PlacedTraffic, SavedTraffic
 from advdiff_sumo.sim.session import Session
 from advdiff_sumo.sim.start import TARGET_TYPE
 from advdiff_sumo.sim.target import PlannerDrive, SumoDrive
@@ -58,6 +58,7 @@ class Loop:
         self.signals: Mapping[str, str] = {}
         self.target_left = False
         self.entering: set[int] = set()
+        self.demand_brings: set[int] = set()
         self.steps = 0
 
     # --- the beginning -----------------------------------------------------------------------------------
@@ -161,12 +162,14 @@ class Loop:
         return EndReason.ARRIVED if self.drive.arrived() else None
 
     def _move(self, motion: Motion, k: int) -> None:
-        there, gone = motion.rows[motion.valid[:, k]], motion.rows[~motion.valid[:, k]]
         rows = motion.valid[:, k]
-        for row in gone.tolist():
+        for row in motion.rows[~rows].tolist():
             if row in self.actuator.ours:
                 self.actuator.remove(row)
                 self.world.remove([row])
+        if self.demand_brings:
+            rows = rows & ~np.isin(motion.rows, list(self.demand_brings - self.world.had_in_sumo))
+        there = motion.rows[rows]
         self.world.set_state(
             there, motion.xy_m[rows, k], motion.yaw_rad[rows, k], motion.speed_mps[rows, k], Controller.POLICY
         )
@@ -187,7 +190,9 @@ class Loop:
             self.actuator.insert(row, TARGET_TYPE if is_target else self.types[agent_class])
 
     def _let_in(self, motion: Motion) -> None:
-        """Note which of the vehicles outside SUMO get onto a lane during *motion*."""
+        """Note which of the vehicles outside SUMO get onto a lane during *motion*, and which SUMO will bring."""
+        if isinstance(self.episode.scene.start, SavedTraffic):
+            self.demand_brings = set(motion.rows.tolist()) - self.world.had_in_sumo
         waiting = ~np.isin(motion.rows, list(self.actuator.moved)) & motion.valid.any(axis=1)
         rows, valid = motion.rows[waiting], motion.valid[waiting]
         self.entering = set()

@@ -12,6 +12,8 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.control import with_control
+from advdiff_sumo.maps.convert.dividers import dashed_pairs
 from advdiff_sumo.maps.convert.layout import lay_out
 from advdiff_sumo.maps.convert.layout_state import Layout
 from advdiff_sumo.maps.convert.neighbours import SideBySide, find_side_by_side
@@ -73,7 +75,7 @@ def convert_map(
         map_json: nuScenes map expansion v1.3.
         out_net: net to be written, NAME.net.xml.
         lefthand: whether traffic keeps left; None: as is usual at the map's place.
-        guess_signals: let netconvert guess signals where the map has none.
+        guess_signals: put signals at large junctions where the map has none.
         opendrive: also write NAME.xodr.
 
     Raises:
@@ -102,17 +104,16 @@ def convert_source(
         [track.centre_m for track in tracks],
         [track.lane.is_connector for track in tracks],
         _numbered_links(source),
-        neighbours_of(tracks),
+        neighbours_of(tracks, dashed_pairs(source)),
     )
     ways, doubles = find_connections(layout)
-    plan = plan_net(tracks, layout, ways, left)
+    plan = with_control(plan_net(tracks, layout, ways, left), source, guess_signals)
     _make_folder(out_net)
     with tempfile.TemporaryDirectory() as folder:
         warnings = run_netconvert(
             write_plain_xml(plan, Path(folder), source.location, projection_of(source.location)),
             out_net,
             lefthand=left,
-            guess_signals=guess_signals,
             opendrive=out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr")
             if opendrive
             else None,
@@ -145,11 +146,13 @@ def _widths(lane: SourceLane) -> FloatArray:
     return width_profile(lane.centre_m, lane.polygon)
 
 
-def neighbours_of(tracks: list[Track]) -> list[SideBySide]:
-    """Return the pairs of road lanes (no connectors) that run side by side."""
+def neighbours_of(tracks: list[Track], dashed: set[tuple[int, int]]) -> list[SideBySide]:
+    """Return the pairs of road lanes (no connectors) that run side by side; *dashed* share a divider."""
     road = [number for number, track in enumerate(tracks) if not track.lane.is_connector]
     widths = [width_between(tracks[n].widths, 0.0, tracks[n].length_m) for n in road]
-    pairs = find_side_by_side([tracks[n].centre_m for n in road], widths)
+    index = {number: position for position, number in enumerate(road)}
+    known = {(index[a], index[b]) for a, b in dashed if a in index and b in index}
+    pairs = find_side_by_side([tracks[n].centre_m for n in road], widths, known)
     return [SideBySide(road[p.left], road[p.right], p.left_m, p.right_m) for p in pairs]
 
 

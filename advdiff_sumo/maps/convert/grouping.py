@@ -10,8 +10,8 @@ from advdiff_sumo.maps.convert.layout_state import Layout
 from advdiff_sumo.maps.convert.neighbours import SideBySide
 from advdiff_sumo.maps.convert.pieces import CUT_M, UNEVEN_M, Piece
 
-KEEP_SHARE = 0.25  # pieces of an edge run abreast over at least this share of the longer one
-ABSORB_M = 20.0  # a piece of at most this length may go inside a junction for the sake of lane changes
+KEEP_SHARE = 0.2  # pieces of an edge run abreast over at least this share of the longer one
+ABSORB_M = 25.0  # a piece of at most this length may go inside a junction for the sake of lane changes
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def _matches(layout: Layout, pairs: Sequence[SideBySide]) -> list[_Match]:
                 overlap = min(end, right.to_m) - max(start, right.from_m)
                 uneven = max(abs(start - right.from_m), abs(end - right.to_m))
                 shorter, longer = sorted((right.length_m, end - start))
-                alike = overlap >= 0.5 * shorter and overlap >= KEEP_SHARE * longer
+                alike = overlap >= 0.3 * shorter and overlap >= KEEP_SHARE * longer
                 if alike and uneven <= UNEVEN_M + 2 * CUT_M:
                     found.append(_Match(left, right, overlap))
     return sorted(found, key=lambda m: (-m.overlap_m, m.left, m.right))

@@ -14,7 +14,7 @@ from advdiff_sumo.maps.convert.neighbours import SideBySide
 from advdiff_sumo.maps.convert.pieces import CUT_M, Piece, cut_lanes
 
 SHORTEST_EDGE_M = 1.0  # netconvert moves the ends of shorter edges
-STUB_M = 6.0  # length of the edge at the open end of a connector
+STUB_M = 2.5  # length of the edge at the open end of a connector
 PROMOTE_M = 4.0  # a connector at least this long may become an edge of its own
 
 
@@ -96,7 +96,10 @@ def _break_loops(layout: Layout, is_connector: Sequence[bool]) -> None:
         ]
         if fit:
             best = max(fit, key=lambda c: (layout.lengths_m[c], -c))
-            layout.pieces[best] = [Piece(best, CUT_M, layout.lengths_m[best] - CUT_M)]
+            middle = (
+                0.5 * layout.lengths_m[best]
+            )  # short, so that ways that cross it elsewhere cross an internal lane
+            layout.pieces[best] = [Piece(best, middle - 0.5 * STUB_M, middle + 0.5 * STUB_M)]
             layout.counts["connectors made edges to part junctions"] += 1
         else:
             layout.pieces[piece.lane].remove(piece)

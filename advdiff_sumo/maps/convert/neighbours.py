@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.maps.convert import polyline
 
 STEP_M = 1.0
 MAX_TURN_RAD = 0.35  # beyond this two lanes do not run in one direction
 SIDE_SLACK_M = 0.9  # how far the distance of two centre lines may be off the mean of their widths
-MIN_OVERLAP_M = 4.0
+KNOWN_SLACK_M = 2.5  # the same for lanes that share a divider
+MIN_OVERLAP_M, KNOWN_OVERLAP_M = 3.0, 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +58,9 @@ class _Samples:
     lane: IntArray
 
 
-def find_side_by_side(lines: Sequence[FloatArray], widths_m: Sequence[float]) -> list[SideBySide]:
+def find_side_by_side(
+    lines: Sequence[FloatArray], widths_m: Sequence[float], known: Collection[tuple[int, int]] = ()
+) -> list[SideBySide]:
     """Return all pairs of neighbouring lanes of one direction, ordered by lane numbers.
 
     Two places are abreast when one lies across the other's heading at about half the sum of both widths and the
@@ -66,15 +69,19 @@ def find_side_by_side(lines: Sequence[FloatArray], widths_m: Sequence[float]) ->
     Args:
         lines: centre lines (N_i, 2).
         widths_m: mean width of each lane.
+        known: (left, right) lanes that share a divider, for which distances are judged less strictly.
     """
     if len(lines) < 2:
         return []
     samples = _sample(lines)
-    pairs = cKDTree(samples.xy).query_pairs(1.3 * max(widths_m) + SIDE_SLACK_M, output_type="ndarray")
+    pairs = cKDTree(samples.xy).query_pairs(max(widths_m) + KNOWN_SLACK_M, output_type="ndarray")
     first = np.concatenate((pairs[:, 0], pairs[:, 1]))
     second = np.concatenate((pairs[:, 1], pairs[:, 0]))
-    keep = _abreast(samples, first, second, np.asarray(widths_m))
-    return _pairs(samples, first[keep], second[keep], lines)
+    keys = samples.lane[second] * len(lines) + samples.lane[first]
+    sure = np.isin(keys, [left * len(lines) + right for left, right in sorted(known)])
+    slack = np.where(sure, KNOWN_SLACK_M, SIDE_SLACK_M)
+    keep = _abreast(samples, first, second, np.asarray(widths_m), slack)
+    return _pairs(samples, first[keep], second[keep], lines, known)
 
 
 def _sample(lines: Sequence[FloatArray]) -> _Samples:
@@ -88,7 +95,9 @@ def _sample(lines: Sequence[FloatArray]) -> _Samples:
     return _Samples(np.concatenate(xy), np.concatenate(yaw), np.concatenate(s), np.concatenate(lane))
 
 
-def _abreast(samples: _Samples, first: IntArray, second: IntArray, widths_m: FloatArray) -> FloatArray:
+def _abreast(
+    samples: _Samples, first: IntArray, second: IntArray, widths_m: FloatArray, slack_m: FloatArray
+) -> BoolArray:
     """Return whether place *second* lies abreast on the left of place *first*."""
     delta = samples.xy[second] - samples.xy[first]
     cos, sin = np.cos(samples.yaw[first]), np.sin(samples.yaw[first])
@@ -96,12 +105,16 @@ def _abreast(samples: _Samples, first: IntArray, second: IntArray, widths_m: Flo
     aside = cos * delta[:, 1] - sin * delta[:, 0]
     turn = np.abs((samples.yaw[second] - samples.yaw[first] + np.pi) % (2 * np.pi) - np.pi)
     expected = 0.5 * (widths_m[samples.lane[first]] + widths_m[samples.lane[second]])
-    fits = (np.abs(along) <= 0.5 * STEP_M + 0.1) & (np.abs(aside - expected) <= SIDE_SLACK_M)
+    fits = (np.abs(along) <= 0.5 * STEP_M + 0.1) & (aside > 1.0) & (np.abs(aside - expected) <= slack_m)
     return np.asarray(fits & (turn <= MAX_TURN_RAD) & (samples.lane[first] != samples.lane[second]))
 
 
 def _pairs(
-    samples: _Samples, right: IntArray, left: IntArray, lines: Sequence[FloatArray]
+    samples: _Samples,
+    right: IntArray,
+    left: IntArray,
+    lines: Sequence[FloatArray],
+    known: Collection[tuple[int, int]],
 ) -> list[SideBySide]:
     keys = samples.lane[left] * len(lines) + samples.lane[right]
     order = np.lexsort((samples.s[right], keys))
@@ -112,7 +125,8 @@ def _pairs(
         s_left, s_right = _monotone(samples.s[left[start:stop]], samples.s[right[start:stop]])
         pair = SideBySide(lane_left, lane_right, s_left, s_right)
         shorter = min(polyline.length(lines[lane_left]), polyline.length(lines[lane_right]))
-        if len(s_left) > 1 and _is_dense(s_right) and pair.overlap_m >= min(MIN_OVERLAP_M, 0.5 * shorter):
+        least = KNOWN_OVERLAP_M if (lane_left, lane_right) in known else min(MIN_OVERLAP_M, 0.5 * shorter)
+        if len(s_left) > 1 and _is_dense(s_right) and pair.overlap_m >= least:
             found.append(pair)
     return found
 

@@ -19,7 +19,6 @@ def run_netconvert(
     out_net: Path,
     *,
     lefthand: bool,
-    guess_signals: bool,
     opendrive: Path | None = None,
 ) -> tuple[str, ...]:
     """Write *out_net* from plain XML and return netconvert's warnings, one a line.
@@ -28,7 +27,6 @@ def run_netconvert(
         files: plain XML files by option name.
         out_net: net to be written.
         lefthand: whether traffic keeps left.
-        guess_signals: let netconvert put signals at large junctions.
         opendrive: also write the net as OpenDRIVE.
 
     Raises:
@@ -41,7 +39,10 @@ def run_netconvert(
         "precision": PRECISION,
         "no-turnarounds": "true",
         "lefthand": "true" if lefthand else "false",
-        "tls.guess": "true" if guess_signals else "false",
+        "aggregate-warnings": "-1",
+        "tls.guess": "false",
+        "tls.layout": "incoming",
+        "tls.default-type": "actuated",
         "junctions.limit-turn-speed": "-1",
         "geometry.max-angle.fix": "false",
         "geometry.min-radius": "0",
@@ -76,6 +77,7 @@ def _drop_date(net: Path) -> None:
 EXPLAINED = {
     "is not connected from any incoming edge": "the source has no lane that leads into this one; its neighbours in the "
     "edge have, so it is entered by a lane change",
+    "Custom shape has distance": "netconvert had moved the end of that lane; its shape was put back afterwards",
     "Intersecting left turns": "the source's centre lines of two opposite turns cross; one of them yields",
     "Ambiguity in turnarounds": "several edges leave a junction nearly opposite to one that enters it; turnarounds "
     "are not built in any case",

@@ -75,6 +75,7 @@ class EdgePlan:
     origin: str
     target: str
     lanes: tuple[LanePlan, ...]
+    priority: int = 1
 
     @property
     def length_m(self) -> float:

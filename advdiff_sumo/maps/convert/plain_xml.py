@@ -70,7 +70,7 @@ def _edge(edge: EdgePlan, location: str) -> ET.Element:
     middle = edge.lanes[len(edge.lanes) // 2]
     element = ET.Element(
         "edge",
-        {"id": edge.id, "from": edge.origin, "to": edge.target, "priority": "1"},
+        {"id": edge.id, "from": edge.origin, "to": edge.target, "priority": str(edge.priority)},
         numLanes=str(len(edge.lanes)),
         speed=f"{max(lane.speed_mps for lane in edge.lanes):.2f}",
         length=f"{edge.length_m:.3f}",

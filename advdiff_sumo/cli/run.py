@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -94,6 +96,8 @@ def run(
     }
     if resume:
         config = config or _begun(out)
+    if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
     prepared = Run.prepare(_options(config, given, assign or []), gui)
     folder = RunFolder.create(out or _free_folder(prepared), prepared.settings, resume)
     console = Console()

@@ -255,7 +255,7 @@ class Loop:
         )
 
     def _movable(self, rows: IntArray, gap_m: FloatArray) -> BoolArray:
-        others = rows != self.target
+        others: BoolArray = rows != self.target
         if self.everywhere:
             return others
         ours = self.actuator.ours

@@ -1,0 +1,230 @@
+"""Closed-loop episodes on the shipped downtown, with the real SUMO."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.frames import bumper_from_centre, wrap_angle, yaw_from_sumo
+from advdiff_sumo.core.plan import Controls, JointPlan, Trajectory
+from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.planners.base import SumoDriver
+from advdiff_sumo.sim.natural import NaturalTraffic
+from advdiff_sumo.sim.options import SceneOptions, SimOptions
+from advdiff_sumo.sim.seed_scene import SeedScene
+from tests.sim.scenes import StraightOn, episode, running
+
+
+@pytest.fixture(scope="module")
+def road(networks: Path) -> RoadMap:
+    return RoadMap.read(networks / "downtown.net.xml")
+
+
+@pytest.fixture(scope="module")
+def scene(road: RoadMap) -> SeedScene:
+    options = SceneOptions.parse({"warmup_s": 15.0, "scenes_per_warmup": 1})
+    return NaturalTraffic(road, None, options, SimOptions.parse({}), 8.0, SeedTree(3)).batch(0)[0]
+
+
+def continuous(record: EpisodeRecord, slack_m: float = 0.6, slack_rad: float = 0.35) -> None:
+    """Nobody jumps: not while driven by SUMO, not while moved, and not when handed over."""
+    tracks = record.tracks
+    both = tracks.valid[:, 1:] & tracks.valid[:, :-1]
+    stride = np.linalg.norm(np.diff(tracks.xy_m, axis=1), axis=-1)
+    expected = np.maximum(np.abs(tracks.speed_mps[:, 1:]), np.abs(tracks.speed_mps[:, :-1])) * tracks.dt_s
+    assert (stride[both] <= expected[both] + slack_m).all()
+    assert (np.abs(wrap_angle(np.diff(tracks.yaw_rad, axis=1)))[both] <= slack_rad).all()
+
+
+def test_a_sumo_driven_episode_begins_at_the_scene_and_lasts_its_horizon(
+    scene: SeedScene, road: RoadMap
+) -> None:
+    record, timing = episode(scene, road).run()
+    assert record.end == EndReason.HORIZON
+    assert record.tracks.steps == 51
+    assert record.tracks.ids[record.target] == scene.target
+    assert record.teleports == 0
+    assert timing.wall_s > 0.0
+    for name in set(record.tracks.ids) & set(scene.history.ids):
+        start = record.tracks.xy_m[record.tracks.index[name], 0]
+        np.testing.assert_allclose(start, scene.history.xy_m[scene.history.index[name], -1], atol=1e-6)
+    assert set(np.unique(record.controller)) <= {Controller.ABSENT, Controller.SUMO}
+    continuous(record)
+
+
+def test_a_sumo_driver_reports_what_it_sees_and_a_planner_does_not(scene: SeedScene, road: RoadMap) -> None:
+    record, _ = episode(scene, road, horizon_s=1.0).run()
+    assert record.visible is not None
+    assert len(record.visible) == record.tracks.steps
+    assert set().union(*record.visible) - {scene.target}
+    record, timing = episode(scene, road, target="lane_graph", horizon_s=1.0).run()
+    assert record.visible is None
+    assert len(timing.target_plans_s) == 2
+
+
+def test_the_driver_model_makes_a_difference(scene: SeedScene, road: RoadMap) -> None:
+    cautious = SumoDriver("IDM", params={"tau": 3.0, "speedFactor": 0.5})
+    brisk = SumoDriver("IDM", params={"tau": 0.8, "speedFactor": 1.2})
+    slow, fast = (episode(scene, road, target=driver).run()[0] for driver in (cautious, brisk))
+    assert np.nanmean(slow.tracks.speed_mps[slow.target]) < np.nanmean(fast.tracks.speed_mps[fast.target])
+
+
+def test_a_lane_change_model_without_sublanes_needs_them_off(scene: SeedScene, road: RoadMap) -> None:
+    driver = SumoDriver("IDM", lane_change="LC2013")
+    with pytest.raises(ConfigError, match="lateral_resolution_m = 0"):
+        episode(scene, road, target=driver).run()
+    record, _ = episode(scene, road, target=driver, horizon_s=1.0, lateral_resolution_m=0.0).run()
+    assert record.end == EndReason.HORIZON
+
+
+def test_replay_follows_the_log_in_the_record_and_in_sumo(
+    scene: SeedScene, road: RoadMap, tmp_path: Path
+) -> None:
+    with running(episode(scene, road, background="replay", horizon_s=6.0), tmp_path) as loop:
+        loop.run(40)
+        world, api = loop.world, loop.api
+        rows = np.array(sorted(row for row, moved in loop.actuator.moved.items() if moved.inserted))
+        shown = np.array([api.vehicle.getPosition(world.sumo_ids[row]) for row in rows])
+        turned = yaw_from_sumo(np.array([api.vehicle.getAngle(world.sumo_ids[row]) for row in rows]))
+        ours = bumper_from_centre(world.xy_m[rows], world.yaw_rad[rows], world.size_m[rows, 0])
+        record = loop.record(EndReason.HORIZON, None)
+    assert len(rows) >= 5
+    np.testing.assert_allclose(shown, ours, atol=1e-6)
+    np.testing.assert_allclose(wrap_angle(turned - world.yaw_rad[rows]), 0.0, atol=1e-6)
+    moved = (record.controller == Controller.POLICY).any(axis=1)
+    for row in np.flatnonzero(moved):
+        name = record.tracks.ids[row]
+        log = scene.log.index[name]
+        there = record.tracks.valid[row] & scene.log.valid[log, : record.tracks.steps]
+        gap = record.tracks.xy_m[row, there] - scene.log.xy_m[log, : record.tracks.steps][there]
+        assert np.abs(gap).max() < 1e-6
+
+
+def test_vehicles_are_taken_over_and_handed_back_without_a_jump(
+    scene: SeedScene, road: RoadMap
+) -> None:
+    policy = StraightOn(until_s=1.0)
+    record, _ = episode(scene, road, background=policy, control_radius_m=40.0, horizon_s=8.0).run()
+    assert record.failure is None
+    who = record.controller
+    assert ((who[:, 1:] == Controller.POLICY) & (who[:, :-1] == Controller.SUMO)).any()
+    assert ((who[:, 1:] == Controller.SUMO) & (who[:, :-1] == Controller.POLICY)).any()
+    continuous(record)
+
+
+def test_the_policy_moves_only_what_is_near_the_target(scene: SeedScene, road: RoadMap) -> None:
+    record, _ = episode(scene, road, background=StraightOn(), control_radius_m=25.0, horizon_s=3.0).run()
+    tracks = record.tracks
+    begun = (record.controller[:, 1:] == Controller.POLICY) & (record.controller[:, :-1] == Controller.SUMO)
+    gap = np.linalg.norm(tracks.xy_m - tracks.xy_m[record.target], axis=-1)
+    assert (gap[:, :-1][begun] <= 25.0 + 1e-9).all()
+
+
+def test_the_same_episode_gives_the_same_record(scene: SeedScene, road: RoadMap) -> None:
+    first, second = (
+        episode(scene, road, target="lane_graph", background=StraightOn(), horizon_s=3.0).run()[0]
+        for _ in range(2)
+    )
+    np.testing.assert_array_equal(first.tracks.xy_m, second.tracks.xy_m)
+    np.testing.assert_array_equal(first.controller, second.controller)
+
+
+class Straight:
+    """A planner that drives on, or does something that it must not do."""
+
+    def __init__(self, fault: str = "") -> None:
+        self.fault = fault
+
+    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> int:
+        return 0
+
+    def plan(self, road: RoadMap, scene: Scene, memory: int, rng: np.random.Generator) -> Any:
+        assert scene.routes[scene.target]
+        assert not any(route for k, route in enumerate(scene.routes) if k != scene.target)
+        assert not scene.movable.any()
+        if memory >= 2 and self.fault == "raises":
+            raise RuntimeError("out of ideas")
+        if memory >= 2 and self.fault == "nan":
+            return Controls(np.full(10, np.nan), np.zeros(10), 0.1), memory + 1
+        if memory >= 2 and self.fault == "jump":
+            here = scene.history.xy_m[scene.target, -1]
+            there = here + np.array([[100.0, 0.0], [100.0, 0.0]])
+            return Trajectory(there, np.zeros(2), np.zeros(2), 0.5), memory + 1
+        if memory >= 2 and self.fault == "nonsense":
+            return "straight on", memory + 1
+        return Controls(np.zeros(10), np.zeros(10), 0.1), memory + 1
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "words"),
+    [
+        ("raises", "planner_error", "raised RuntimeError: out of ideas"),
+        ("nan", "plan_refused", "not numbers"),
+        ("jump", "plan_refused", "jump of 100"),
+        ("nonsense", "plan_refused", "not a Trajectory or Controls"),
+    ],
+)
+def test_a_faulty_planner_ends_the_episode_as_a_typed_failure(
+    scene: SeedScene, road: RoadMap, fault: str, kind: str, words: str
+) -> None:
+    record, _ = episode(scene, road, target=Straight(fault), horizon_s=4.0).run()
+    assert record.end == EndReason.FAILED
+    assert record.failure is not None
+    assert record.failure.kind == kind
+    assert words in record.failure.message
+    assert record.failure.time_s == pytest.approx(1.0)
+    assert record.tracks.steps == 11
+
+
+class Broken(StraightOn):
+    """A policy that plans for the target, or a jump."""
+
+    def __init__(self, fault: str) -> None:
+        super().__init__()
+        self.fault = fault
+
+    def plan(self, road: RoadMap, scene: Scene, memory: None, rng: np.random.Generator) -> Any:
+        plan, _ = super().plan(road, scene, memory, rng)
+        tracks = plan.tracks
+        if self.fault == "jump":
+            return JointPlan(replace(tracks, xy_m=tracks.xy_m + 200.0)), None
+        if self.fault == "nan":
+            return JointPlan(replace(tracks, yaw_rad=np.full_like(tracks.yaw_rad, np.nan))), None
+        return JointPlan(replace(tracks, ids=(scene.target_id, *tracks.ids[1:]))), None
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [("jump", "planned a jump"), ("nan", "not a number"), ("target", "planned for the target")],
+)
+def test_a_faulty_policy_is_refused_before_sumo_sees_it(
+    scene: SeedScene, road: RoadMap, fault: str, words: str
+) -> None:
+    record, _ = episode(scene, road, background=Broken(fault), horizon_s=2.0).run()
+    assert record.failure is not None
+    assert record.failure.kind == "plan_refused"
+    assert words in record.failure.message
+
+
+def test_a_collision_ends_the_episode(scene: SeedScene, road: RoadMap) -> None:
+    record, _ = episode(
+        scene, road, target=Straight(), background=StraightOn(0.0), horizon_s=8.0, stop_at_collision=True
+    ).run()
+    assert record.end in {EndReason.COLLISION, EndReason.HORIZON}
+    if record.end == EndReason.COLLISION:
+        assert record.tracks.steps <= 81
+
+
+def test_the_target_arrives_at_the_end_of_its_route(scene: SeedScene, road: RoadMap) -> None:
+    name = scene.target
+    short = replace(scene, routes={**scene.routes, name: scene.routes[name][:1]})
+    record, _ = episode(short, road, target="lane_graph", horizon_s=60.0).run()
+    assert record.end == EndReason.ARRIVED

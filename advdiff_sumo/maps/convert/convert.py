@@ -20,6 +20,7 @@ from advdiff_sumo.maps.convert.neighbours import SideBySide, find_side_by_side
 from advdiff_sumo.maps.convert.netconvert import run_netconvert
 from advdiff_sumo.maps.convert.netplan import NetPlan, Track, plan_net
 from advdiff_sumo.maps.convert.nuscenes_json import read_nuscenes_map
+from advdiff_sumo.maps.convert.opendrive import write_opendrive
 from advdiff_sumo.maps.convert.paths import Connection, find_connections
 from advdiff_sumo.maps.convert.plain_xml import write_plain_xml
 from advdiff_sumo.maps.convert.projection import drives_left, projection_of
@@ -114,10 +115,10 @@ def convert_source(
             write_plain_xml(plan, Path(folder), source.location, projection_of(source.location)),
             out_net,
             lefthand=left,
-            opendrive=out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr")
-            if opendrive
-            else None,
         )
+    if opendrive:
+        xodr = out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr")
+        write_opendrive(plan, xodr, source.location, projection_of(source.location))
     layout.counts["lane shapes put back after netconvert"] = restore_shapes(out_net, plan)
     write_sidecar(source, sidecar_path(out_net))
     counts = source.notes + layout.counts

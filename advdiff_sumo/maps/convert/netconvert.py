@@ -19,7 +19,6 @@ def run_netconvert(
     out_net: Path,
     *,
     lefthand: bool,
-    opendrive: Path | None = None,
 ) -> tuple[str, ...]:
     """Write *out_net* from plain XML and return netconvert's warnings, one a line.
 
@@ -27,7 +26,6 @@ def run_netconvert(
         files: plain XML files by option name.
         out_net: net to be written.
         lefthand: whether traffic keeps left.
-        opendrive: also write the net as OpenDRIVE.
 
     Raises:
         NetError: netconvert refused the plan.
@@ -50,8 +48,6 @@ def run_netconvert(
         "output.street-names": "false",
         "xml-validation": "never",
     }
-    if opendrive is not None:
-        options["opendrive-output"] = str(opendrive)
     command = [
         sumolib.checkBinary("netconvert"),
         *(f"--{name}={value}" for name, value in sorted(options.items())),

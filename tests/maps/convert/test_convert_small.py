@@ -138,22 +138,6 @@ def test_bus_lane_is_for_buses(tmp_path: Path) -> None:
     assert sum(not lane.allows("passenger") and lane.allows("bus") for lane in lanes) == 1
 
 
-def test_opendrive_comes_back_with_the_same_lanes(tmp_path: Path) -> None:
-    import subprocess
-
-    result = converted(two_lane_road(), tmp_path, opendrive=True)
-    again = tmp_path / "again.net.xml"
-    command = ["netconvert", "--opendrive-files", str(tmp_path / "small.xodr"), "-o", str(again)]
-    done = subprocess.run(
-        [sumolib.checkBinary(command[0]), *command[1:], "--offset.disable-normalization", "true"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert len(read_net(again).lanes) == len(read_net(result.net).lanes)
-
-
 @settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     lanes=st.integers(1, 4),

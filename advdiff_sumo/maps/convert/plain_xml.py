@@ -12,6 +12,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, JunctionPlan, NetPlan
 from advdiff_sumo.maps.convert.source import LaneUse
 
+NOBODY = "custom2"  # a vehicle class that nothing uses
 ALLOWED = {
     LaneUse.CAR: "",
     LaneUse.BUS: "bus coach taxi emergency",
@@ -105,6 +106,8 @@ def _connection(connection: ConnectionPlan) -> ET.Element:
     element.set("fromLane", str(connection.origin[1]))
     element.set("toLane", str(connection.target[1]))
     element.set("shape", shape_text(connection.shape_m))
+    for side in ("changeLeft", "changeRight"):  # ways of two lanes may come together inside a junction
+        element.set(side, NOBODY)
     if np.isfinite(connection.speed_mps):
         element.set("speed", f"{connection.speed_mps:.2f}")
     if connection.source:

@@ -21,7 +21,7 @@ from advdiff_sumo.data import open_log
 from advdiff_sumo.data.base import LogReader
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.rows import collision_rows, episode_row
-from advdiff_sumo.planners.base import Target
+from advdiff_sumo.planners.base import SumoDriver, Target
 from advdiff_sumo.planners.registry import TARGETS, make_target
 from advdiff_sumo.sim.demand_files import DemandFiles, read_demand
 from advdiff_sumo.sim.episode import Episode
@@ -29,6 +29,7 @@ from advdiff_sumo.sim.logs import LoggedTraffic
 from advdiff_sumo.sim.natural import NaturalTraffic
 from advdiff_sumo.sim.options import SceneOptions, SimOptions
 from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.sim.start import lane_change_model
 from advdiff_sumo.sim.store import RunFolder
 from advdiff_sumo.traffic.base import TrafficPolicy
 from advdiff_sumo.traffic.registry import POLICIES, make_policy
@@ -99,6 +100,8 @@ class Run:
         names = TARGETS.canonical(options.target), POLICIES.canonical(options.background)
         target = _made(f"target '{names[0]}'", make_target, names[0], options.target_options)
         policy = _made(f"background '{names[1]}'", make_policy, names[1], options.background_options)
+        if isinstance(target, SumoDriver):
+            lane_change_model(target, options.sim)
         if options.demand and options.scenes:
             raise ConfigError("demand and scenes cannot go together: a log brings its own traffic")
         road = RoadMap.read(find_net(options.net))

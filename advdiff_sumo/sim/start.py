@@ -101,18 +101,26 @@ def _write_types(scene: SeedScene, target: Target, sim: SimOptions, path: Path) 
 def _driver(target: Target, sim: SimOptions) -> dict[str, str]:
     if not isinstance(target, SumoDriver):
         return {"carFollowModel": "IDM", "speedDev": "0"}
-    sublane = sim.lateral_resolution_m > 0.0
-    model = target.lane_change
-    if not sublane and model == _SUBLANE_MODEL:
-        model = _LANE_MODEL  # the default without sublanes
-    if sublane and model != _SUBLANE_MODEL:
-        raise ConfigError(
-            f"lane-change model {model} does not drive on sublanes; set sim.lateral_resolution_m = 0 or use SL2015"
-        )
     own = {
         key: f"{value:g}" if isinstance(value, float) else str(value) for key, value in target.params.items()
     }
+    model = lane_change_model(target, sim)
     return {"speedDev": "0", "carFollowModel": target.car_following, "laneChangeModel": model, **own}
+
+
+def lane_change_model(target: SumoDriver, sim: SimOptions) -> str:
+    """Return the lane-change model for *target*; without sublanes LC2013 stands in for the default SL2015.
+
+    Raises:
+        ConfigError: the model does not go with the sublane setting.
+    """
+    sublanes = sim.lateral_resolution_m > 0.0
+    if sublanes and target.lane_change != _SUBLANE_MODEL:
+        raise ConfigError(
+            f"lane-change model {target.lane_change} does not drive on sublanes; "
+            "set sim.lateral_resolution_m = 0 or use SL2015"
+        )
+    return target.lane_change if sublanes or target.lane_change != _SUBLANE_MODEL else _LANE_MODEL
 
 
 def _with_target_type(state_xml: bytes, target_id: str, target: Target) -> bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -213,8 +214,17 @@ def _has_route(stretch: _Stretch, road: RoadMap, row: int, min_route_m: float) -
     name = world.ids[row]
     if api.vehicle.getVehicleClass(name) != "passenger" or api.vehicle.getStops(name):
         return False
-    length = sum(road.edges[edge].length_m for edge in remaining_route(api, name))
-    return length - float(api.vehicle.getLanePosition(name)) >= min_route_m
+    route = remaining_route(api, name)
+    length = sum(road.edges[edge].length_m for edge in route)
+    long_enough = length - float(api.vehicle.getLanePosition(name)) >= min_route_m
+    return long_enough and not any(_turns_round(road, a, b) for a, b in pairwise(route))
+
+
+def _turns_round(road: RoadMap, before: str, after: str) -> bool:
+    """Return whether one gets from *before* to *after* by turning round: SUMO does so on the spot, a car cannot."""
+    links = (link for lane in road.edges[before].lane_ids for link in road.lanes[lane].successors)
+    directions = {link.direction for link in links if road.lanes[link.to_lane].edge_id == after}
+    return bool(directions) and directions <= {"t", "T"}
 
 
 def _near(frames: list[Frame], target: int, radius_m: float) -> IntArray:

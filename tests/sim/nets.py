@@ -48,7 +48,7 @@ CAR = f"""<additional>
 </additional>"""
 
 
-def build(folder: Path, nodes: str, edges: str, name: str = "tiny") -> Path:
+def build(folder: Path, nodes: str, edges: str, name: str = "tiny", turnarounds: bool = False) -> Path:
     """Write a net from plain XML, coordinates as given."""
     (folder / f"{name}.nod.xml").write_text(nodes)
     (folder / f"{name}.edg.xml").write_text(edges)
@@ -58,7 +58,7 @@ def build(folder: Path, nodes: str, edges: str, name: str = "tiny") -> Path:
         "--edge-files": folder / f"{name}.edg.xml",
         "--output-file": net,
         "--offset.disable-normalization": "true",
-        "--no-turnarounds": "true",
+        "--no-turnarounds": str(not turnarounds).lower(),
         "--no-warnings": "true",
         "--xml-validation": "never",
     }

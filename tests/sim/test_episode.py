@@ -108,9 +108,7 @@ def test_replay_follows_the_log_in_the_record_and_in_sumo(
         assert np.abs(gap).max() < 1e-6
 
 
-def test_vehicles_are_taken_over_and_handed_back_without_a_jump(
-    scene: SeedScene, road: RoadMap
-) -> None:
+def test_vehicles_are_taken_over_and_handed_back_without_a_jump(scene: SeedScene, road: RoadMap) -> None:
     policy = StraightOn(until_s=1.0)
     record, _ = episode(scene, road, background=policy, control_radius_m=40.0, horizon_s=8.0).run()
     assert record.failure is None

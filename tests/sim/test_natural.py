@@ -10,9 +10,10 @@ import pytest
 from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.natural import NaturalTraffic
+from advdiff_sumo.sim.natural import NaturalTraffic, _turns_round
 from advdiff_sumo.sim.options import SceneOptions, SimOptions
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
+from tests.sim import nets
 
 OPTIONS = {"warmup_s": 15.0, "scenes_per_warmup": 2, "spacing_s": 5.0}
 
@@ -79,3 +80,10 @@ def test_another_batch_is_other_traffic(scenes: list[SeedScene], road: RoadMap) 
 def test_a_net_without_such_a_target_is_refused_with_the_remedy(road: RoadMap) -> None:
     with pytest.raises(SceneError, match=r"no vehicle with 500 others near it.*lower scene\.min_neighbours"):
         source(road, min_neighbours=500, spacing_s=0.2, density_per_km=1.0, warmup_s=5.0).batch(0)
+
+
+def test_a_route_that_turns_round_on_the_spot_is_told_from_one_that_goes_on(tmp_path: Path) -> None:
+    road = RoadMap.read(nets.build(tmp_path, *nets.STREET, turnarounds=True))
+    assert _turns_round(road, "ME", "EM")
+    assert _turns_round(road, "WM", "MW")
+    assert not _turns_round(road, "WM", "ME")

@@ -30,9 +30,9 @@ class Broken:
 
     def plan(
         self,
-        road: RoadMap,  # noqa: ARG002 - the contract
+        road: RoadMap,
         scene: Scene,
-        memory: Any,  # noqa: ARG002 - the contract
+        memory: Any,
         rng: np.random.Generator,
     ) -> Any:
         self.calls += 1

@@ -22,11 +22,11 @@ from advdiff_sumo.core.frames import bumper_from_centre, sumo_from_yaw
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.shipped import find_net
 from advdiff_sumo.planners.registry import make_target
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.loop import Loop
 from advdiff_sumo.sim.options import SimOptions
-from advdiff_sumo.sim.run import shipped_networks
 from advdiff_sumo.sim.seed_scene import PlacedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session, SessionOptions
 from advdiff_sumo.sim.start import prepare
@@ -154,7 +154,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--net", type=Path, default=shipped_networks() / "downtown.net.xml")
+    parser.add_argument("--net", type=Path, default=find_net("downtown"))
     parser.add_argument("--moved", type=int, nargs="+", default=[5, 20, 80])
     arguments = parser.parse_args()
     road = RoadMap.read(arguments.net)

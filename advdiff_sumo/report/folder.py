@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 
 from advdiff_sumo.core.errors import FileError, NetError
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.shipped import SHIPPED_NETS, find_net
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
 from advdiff_sumo.report.states import EpisodeStates, states_of
 
@@ -144,9 +145,8 @@ def _road(folder: Path, settings: Mapping[str, Any]) -> tuple[RoadMap | None, st
 
 def _net_candidates(folder: Path, named: str) -> tuple[Path, ...]:
     """Return where the net may be: as named, beside ``run.toml``, among the shipped ones."""
-    package = Path(__file__).resolve().parents[1]
-    shipped = (package / "networks", package.parent / "networks") if Path(named).name == named else ()
-    return Path(named), folder / Path(named).name, *(root / f"{named}.net.xml" for root in shipped)
+    shipped = (find_net(named),) if named in SHIPPED_NETS else ()
+    return Path(named), folder / Path(named).name, *shipped
 
 
 def _first_line(error: Exception) -> str:

@@ -15,11 +15,12 @@ from pydantic import Field
 
 from advdiff_sumo import __version__
 from advdiff_sumo.config import Options
-from advdiff_sumo.core.errors import AdvdiffError, ConfigError, FileError, NetError, SceneError
+from advdiff_sumo.core.errors import AdvdiffError, ConfigError, NetError, SceneError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data import open_log
 from advdiff_sumo.data.base import LogReader
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.shipped import find_net, net_name
 from advdiff_sumo.metrics.rows import collision_rows, episode_row
 from advdiff_sumo.planners.base import SumoDriver, Target
 from advdiff_sumo.planners.registry import TARGETS, make_target
@@ -35,7 +36,6 @@ from advdiff_sumo.traffic.base import TrafficPolicy
 from advdiff_sumo.traffic.registry import POLICIES, make_policy
 
 _Made = TypeVar("_Made")
-SHIPPED_NETS = ("downtown", "downtown-left", "motorway")
 
 
 class RunOptions(Options):
@@ -207,40 +207,6 @@ def _made(what: str, make: Callable[..., _Made], name: str, options: Mapping[str
         raise
     except Exception as error:  # a user's own class may raise anything, also while it is imported
         raise ConfigError(f"{what} cannot be made: {type(error).__name__}: {error}; correct it") from error
-
-
-def find_net(net: str) -> Path:
-    """Return the file behind a path or the name of a shipped net.
-
-    Raises:
-        NetError: there is no such file.
-    """
-    if net in SHIPPED_NETS:
-        return shipped_networks() / f"{net}.net.xml"
-    path = Path(net)
-    if not path.exists():
-        raise NetError(path, "no such net", f"give a .net.xml file or one of {', '.join(SHIPPED_NETS)}")
-    if not path.is_file():
-        raise NetError(path, "is no file", "give a .net.xml file")
-    return path.resolve()
-
-
-def net_name(net: str) -> str:
-    """Return *net* as it is written down: a shipped net by name, another one by its full path."""
-    return net if net in SHIPPED_NETS else str(Path(net).resolve())
-
-
-def shipped_networks() -> Path:
-    """Return the folder of the nets that ship with the package.
-
-    Raises:
-        FileError: the installation lacks them.
-    """
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package / "networks", package.parent / "networks"):
-        if (folder / "downtown.net.xml").is_file():
-            return folder
-    raise FileError(package / "networks", "the shipped nets are missing", "install the package again")
 
 
 def git_revision() -> str:

@@ -1,0 +1,43 @@
+"""Where nets are: the ones that ship with the package by name, others by path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from advdiff_sumo.core.errors import FileError, NetError
+
+SHIPPED_NETS = ("downtown", "downtown-left", "motorway")
+
+
+def find_net(net: str) -> Path:
+    """Return the file behind a path or the name of a shipped net.
+
+    Raises:
+        NetError: there is no such file.
+    """
+    if net in SHIPPED_NETS:
+        return shipped_networks() / f"{net}.net.xml"
+    path = Path(net)
+    if not path.exists():
+        raise NetError(path, "no such net", f"give a .net.xml file or one of {', '.join(SHIPPED_NETS)}")
+    if not path.is_file():
+        raise NetError(path, "is no file", "give a .net.xml file")
+    return path.resolve()
+
+
+def net_name(net: str) -> str:
+    """Return *net* as it is written down: a shipped net by name, another one by its full path."""
+    return net if net in SHIPPED_NETS else str(Path(net).resolve())
+
+
+def shipped_networks() -> Path:
+    """Return the folder of the nets that ship with the package.
+
+    Raises:
+        FileError: the installation lacks them.
+    """
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "networks", package.parent / "networks"):
+        if (folder / "downtown.net.xml").is_file():
+            return folder
+    raise FileError(package / "networks", "the shipped nets are missing", "install the package again")

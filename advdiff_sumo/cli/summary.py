@@ -18,7 +18,11 @@ def print_summary(console: Console, folder: Path, missing: int) -> None:
     rows = pq.read_table(folder / "episodes.parquet").to_pylist()
     timing = pq.read_table(folder / "timing.parquet").to_pylist()
     finished = [row for row in rows if row["end"] != "failed"]
-    table = Table(title=f"{len(rows)} episodes", title_justify="left", show_header=False)
+    table = Table(
+        title=f"{len(rows)} episodes, rates with 95 % Wilson intervals",
+        title_justify="left",
+        show_header=False,
+    )
     for name, value in _lines(rows, finished, timing):
         table.add_row(name, value)
     console.print(table)
@@ -43,7 +47,7 @@ def _lines(
     for who in ("target", "background"):
         if any(row[f"{who}_plan_p50_s"] is not None for row in timing):
             p50, p99 = (_median(timing, f"{who}_plan_p{share}_s", "s", "{:.4f}") for share in (50, 99))
-            lines.append((f"plan of the {who}, median and 99 %", f"{p50}, {p99}"))
+            lines.append((f"{who}'s plan, median and 99 %", f"{p50}, {p99}"))
     return lines
 
 
@@ -51,7 +55,7 @@ def _rate(count: int, total: int) -> str:
     if not total:
         return "no episodes"
     low, high = wilson(count, total)
-    return f"{count} of {total} = {100 * count / total:.1f} %  (95 %: {100 * low:.1f} to {100 * high:.1f} %)"
+    return f"{100 * count / total:.1f} %  \\[{100 * low:.1f}, {100 * high:.1f}]  {count} of {total}"
 
 
 def _median(rows: list[dict[str, Any]], column: str, unit: str, form: str = "{:.2f}") -> str:

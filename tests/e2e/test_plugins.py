@@ -26,7 +26,7 @@ def test_a_failing_planner(
     done = here("run", "--net", "grid.net.xml", "--target", target, "--episodes", 2, *TINY, "--out", "run")
     assert done.code == 0, done.err
     assert "Traceback" not in done.out + done.err
-    assert "2 of 2 = 100.0 %" in next(line for line in done.out.splitlines() if "failed episodes" in line)
+    assert "2 of 2" in next(line for line in done.out.splitlines() if "failed episodes" in line)
     rows = pq.read_table(workplace / "run" / "episodes.parquet").to_pylist()
     assert [(row["episode"], row["end"], row["failure_kind"]) for row in rows] == [
         (0, "failed", kind),

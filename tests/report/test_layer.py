@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -64,3 +65,14 @@ def test_dashes_lie_between_two_lanes_of_an_edge(layer: MapLayer) -> None:
         sides = [np.sign(pose.d_m) for pose in near[:2]]
         assert edges[0] == edges[1]
         assert sides[0] != sides[1]
+
+
+def test_blocks_between_streets_stay_open_when_the_view_cuts_the_net(networks: Path) -> None:
+    road = RoadMap.read(networks / "downtown.net.xml")
+    layer = MapLayer(road)
+    view = View.around(np.array([[386.0, 400.0], [474.0, 496.0]]), 10.0, 50.0, 1.5)
+    rings = [shapely.Polygon(ring) for ring in layer.streets(view).areas]
+    drawn = reduce(shapely.symmetric_difference, rings)  # the fill rule is even-odd
+    there = road.drivable & shapely.box(*view.rectangle)
+    assert drawn.area == pytest.approx(there.area, rel=0.01)
+    assert not drawn.covers(shapely.Point(444.5, 448.2))

@@ -1,54 +1,215 @@
-"""The OpenDRIVE file against the plan, and netconvert as an outside reader."""
+"""The OpenDRIVE file, evaluated independently, against the plan; netconvert and ASAM's checker as outside readers."""
 
 from __future__ import annotations
 
+import os
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 import sumolib
 from defusedxml import ElementTree
-from small_maps import crossroads, two_lane_road
+from opendrive_eval import EvaluatedRoad, evaluate
+from small_maps import MapBuilder, crossroads, two_lane_road
 
-from advdiff_sumo.maps.convert import convert_map
-from advdiff_sumo.maps.convert.netread import read_net
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert import ConversionResult, convert_map, polyline
+from advdiff_sumo.maps.convert.arcline import drop_repeats
+from advdiff_sumo.maps.convert.reference_line import end_yaw, smooth, start_yaw
 
-
-def test_reference_lines_start_where_lanes_do(tmp_path: Path) -> None:
-    path = crossroads().write(tmp_path / "m.json")
-    result = convert_map(path, tmp_path / "m.net.xml", opendrive=True)
-    root = ElementTree.fromstring((tmp_path / "m.xodr").read_bytes())
-    roads = {road.get("name"): road for road in root.iterfind("road")}
-    assert len(roads) == len(result.plan.connections) + sum(len(edge.lanes) for edge in result.plan.edges)
-    for edge in result.plan.edges:
-        for index, lane in enumerate(edge.lanes):
-            road = roads[f"{edge.id}_{index}"]
-            first = next(road.iter("geometry"))
-            assert (float(first.get("x")), float(first.get("y"))) == pytest.approx(
-                tuple(lane.shape_m[0]), abs=1e-5
-            )
-            total = sum(float(piece.get("length")) for piece in road.iter("geometry"))
-            assert total == pytest.approx(float(road.get("length")), abs=1e-4)
-            offset, width = road.find("lanes/laneOffset"), next(road.iter("width"))
-            assert float(offset.get("a")) == pytest.approx(0.5 * float(width.get("a")))
+TOLERANCE_M = 0.1
 
 
-def test_netconvert_reads_it_back(tmp_path: Path) -> None:
-    path = two_lane_road().write(tmp_path / "m.json")
-    result = convert_map(path, tmp_path / "m.net.xml", opendrive=True)
-    again = tmp_path / "again.net.xml"
-    command = [
-        sumolib.checkBinary("netconvert"),
-        "--opendrive-files",
-        str(tmp_path / "m.xodr"),
-        "-o",
-        str(again),
-    ]
-    done = subprocess.run(
-        [*command, "--offset.disable-normalization", "true"], capture_output=True, text=True, check=False
-    )
+def both(path: Path, folder: Path) -> tuple[ConversionResult, Path]:
+    """Convert the map at *path* and return the result and the OpenDRIVE file."""
+    result = convert_map(path, folder / "m.net.xml", opendrive=True)
+    return result, folder / "m.xodr"
+
+
+def distance(a: FloatArray, b: FloatArray) -> float:
+    """Return how far two lines are from each other, in both directions, ends included."""
+    one, other = (drop_repeats(line, 1e-6) for line in (a, b))
+    there = polyline.project(one, polyline.resample(other, 0.5)[0])[1]
+    back = polyline.project(other, polyline.resample(one, 0.5)[0])[1]
+    return float(max(np.abs(there).max(), np.abs(back).max()))
+
+
+def thinned(line: FloatArray) -> FloatArray:
+    """Return every 20th point (0.1 m on arcs) and the end."""
+    return line if len(line) < 40 else np.vstack((line[:-1:20], line[-1:]))
+
+
+def planned_lines(result: ConversionResult) -> dict[str, FloatArray]:
+    """Return what each road should follow, by its name."""
+    lanes = {
+        f"{edge.id}_{index}": lane.shape_m
+        for edge in result.plan.edges
+        for index, lane in enumerate(edge.lanes)
+    }
+    for way in result.plan.connections:
+        origin, target = (f"{edge}_{index}" for edge, index in (way.origin, way.target))
+        ends = (lanes[origin][-1:], way.shape_m, lanes[target][:1])
+        lanes[f"{origin}->{target}"] = drop_repeats(np.vstack(ends), 1e-6)
+    return lanes
+
+
+def check_file(result: ConversionResult, xodr: Path) -> None:
+    """Every lane and way is there, follows the plan over its whole length, and joins what it should join."""
+    roads = evaluate(xodr)
+    planned = planned_lines(result)
+    by_name = {road.name: road for road in roads.values()}
+    assert by_name.keys() == planned.keys()
+    assert len(roads) == len(planned)
+    for name, road in by_name.items():
+        assert distance(thinned(road.centre_m), planned[name]) <= 0.03
+        assert road.jumps_m <= 1e-4
+        assert road.kinks_rad <= 1e-4
+    for road in roads.values():
+        if "->" in road.name:
+            check_joints(roads, road)
+
+
+def check_joints(roads: dict[str, EvaluatedRoad], way: EvaluatedRoad) -> None:
+    """Centre and borders of a way go on from those of its lanes, and so does its name."""
+    before, after = roads[str(way.predecessor)], roads[str(way.successor)]
+    assert way.name == f"{before.name}->{after.name}"
+    for first, second in ((before, way), (way, after)):
+        for side in ("centre_m", "left_m", "right_m"):
+            gap = getattr(second, side)[0] - getattr(first, side)[-1]
+            assert float(np.hypot(*gap)) <= 0.001
+
+
+def imported(xodr: Path, folder: Path) -> tuple[dict[str, FloatArray], dict[tuple[str, str], FloatArray]]:
+    """Return what netconvert makes of a file: inner borders by road id, ways by road ids."""
+    command = [sumolib.checkBinary("netconvert"), "--opendrive-files", str(xodr), "--precision", "4"]
+    command += ["--plain-output-prefix", str(folder / "plain"), "--offset.disable-normalization", "true"]
+    command += ["--opendrive.internal-shapes", "true", "--opendrive.import-all-lanes", "true"]
+    command += ["--no-turnarounds", "true", "-o", str(folder / "again.net.xml")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    net, before = read_net(again), read_net(result.net)
-    assert (len(net.lanes), len(net.ways)) == (len(before.lanes), len(before.ways))
-    ys = sorted({round(float(line[0, 1]), 1) for line, _ in net.lanes.values()})
-    assert ys == [100.0, 103.5]
+    nodes = {node.id: [(float(node.x), float(node.y))] for node in _rows(folder, "nod", "node")}
+    edges = {}
+    for edge in _rows(folder, "edg", "edge"):
+        shape = _points(edge.shape) if edge.hasAttribute("shape") and edge.shape else None
+        ends = np.array(nodes[edge.attr_from] + nodes[edge.to])
+        edges[edge.id.lstrip("-")] = ends if shape is None else shape
+    ways = {
+        (row.attr_from.lstrip("-"), row.to.lstrip("-")): _points(row.shape)
+        for row in _rows(folder, "con", "connection")
+        if row.hasAttribute("to") and row.to
+    }
+    return edges, ways
+
+
+def _rows(folder: Path, kind: str, tag: str) -> list[object]:
+    return list(sumolib.xml.parse(str(folder / f"plain.{kind}.xml"), tag))
+
+
+def _points(text: str) -> FloatArray:
+    return np.array([[float(v) for v in point.split(",")[:2]] for point in text.split()])
+
+
+def check_import(xodr: Path, folder: Path) -> None:
+    """Whatever netconvert reads, before it cuts lanes at junctions of its own, lies within a decimetre."""
+    roads = evaluate(xodr)
+    edges, ways = imported(xodr, folder)
+    assert set(edges) == {number for number, road in roads.items() if "->" not in road.name}
+    joined = {(str(r.predecessor), str(r.successor)): r for r in roads.values() if "->" in r.name}
+    assert set(ways) == set(joined)
+    for number, line in edges.items():
+        assert distance(line, thinned(roads[number].left_m)) <= TOLERANCE_M
+    for pair, line in ways.items():
+        assert distance(line, thinned(joined[pair].centre_m)) <= TOLERANCE_M
+
+
+def curved() -> MapBuilder:
+    """Return two lanes of different widths in a double bend, with a kink of 0.1 rad at the second joint."""
+    road = MapBuilder()
+    end = road.lane("a", (0.0, 0.0, 0.3), "LSR", [12.0, 7.0, 9.0], 25.0)
+    end = road.lane("a-b", end, "RSL", [6.0, 0.0, 5.0], 7.0, connector=True)
+    road.lane("b", (end[0], end[1], end[2] + 0.1), "RSL", [11.0, 3.0, 14.0], 40.0)
+    road.link("a", "a-b", "b")
+    return road
+
+
+MAPS = {"two lanes": two_lane_road, "crossing": crossroads, "double bend": curved}
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_every_lane_lies_where_planned(name: str, tmp_path: Path) -> None:
+    check_file(*both(MAPS[name]().write(tmp_path / "m.json"), tmp_path))
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_netconvert_reads_it_back(name: str, tmp_path: Path) -> None:
+    _, xodr = both(MAPS[name]().write(tmp_path / "m.json"), tmp_path)
+    check_import(xodr, tmp_path)
+
+
+def test_lane_without_way_out_touches_no_junction(tmp_path: Path) -> None:
+    _, xodr = both(crossroads().write(tmp_path / "m.json"), tmp_path)
+    roads = evaluate(xodr)
+    left = {road.predecessor for road in roads.values() if "->" in road.name}
+    ends = {number for number, road in roads.items() if "->" not in road.name and road.successor is None}
+    assert ends == {number for number, road in roads.items() if "->" not in road.name} - left
+    assert len(ends) == 2
+
+
+def test_left_hand_traffic_is_told_in_the_header(tmp_path: Path) -> None:
+    path = crossroads().write(tmp_path / "m.json")
+    for left in (True, False):
+        convert_map(path, tmp_path / "m.net.xml", lefthand=left, opendrive=True)
+        header = ElementTree.fromstring((tmp_path / "m.xodr").read_bytes()).find("header")
+        assert [row.get("value") for row in header.iter("userData")] == (["left"] if left else [])
+
+
+def test_quarter_circle_of_chords_becomes_one_arc() -> None:
+    angle = np.linspace(0.0, 0.5 * np.pi, 49)
+    line = 10.0 * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=1)
+    assert start_yaw(line) == pytest.approx(0.0, abs=1e-9)
+    assert end_yaw(line) == pytest.approx(0.5 * np.pi, abs=1e-9)
+    stretches = smooth(line, 0.0, 0.5 * np.pi)
+    assert sum(stretch.length_m for stretch in stretches) == pytest.approx(5.0 * np.pi, rel=2e-3)
+    longest = max(stretches, key=lambda stretch: stretch.length_m)
+    assert longest.curvature == pytest.approx(0.1, rel=5e-3)
+    assert longest.length_m > 10.0
+
+
+def test_given_yaws_are_met_and_the_line_stays_in_place() -> None:
+    line = np.array([[0.0, 0.0], [20.0, 0.0]])
+    stretches = smooth(line, 0.1, -0.05)
+    assert stretches[0].yaw_rad == pytest.approx(0.1)
+    last = stretches[-1]
+    assert last.yaw_rad + last.length_m * last.curvature == pytest.approx(-0.05)
+    assert max(abs(stretch.y) for stretch in stretches) <= 0.02
+
+
+@pytest.mark.data
+def test_a_real_map(adv_data: Path, tmp_path: Path) -> None:
+    name = adv_data / "nuscenes-mini" / "maps" / "expansion" / "singapore-onenorth.json"
+    result, xodr = both(name, tmp_path)
+    check_file(result, xodr)
+    check_import(xodr, tmp_path)
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_the_checker_of_asam_finds_nothing(name: str, tmp_path: Path) -> None:
+    """Runs qc_opendrive (pip install asam-qc-opendrive, in an environment of its own) where ADVDIFF_QC names it."""
+    checker = os.environ.get("ADVDIFF_QC")
+    if not checker:
+        pytest.skip("ADVDIFF_QC does not name the program qc_opendrive of asam-qc-opendrive")
+    _, xodr = both(MAPS[name]().write(tmp_path / "m.json"), tmp_path)
+    config = tmp_path / "qc.xml"
+    config.write_text(
+        f'<Config><Param name="InputFile" value="{xodr}"/><CheckerBundle application="xodrBundle">'
+        f'<Param name="resultFile" value="{tmp_path / "out.xqar"}"/></CheckerBundle></Config>',
+        encoding="utf-8",
+    )
+    done = subprocess.run([checker, "-c", str(config)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    report = ElementTree.fromstring((tmp_path / "out.xqar").read_bytes())
+    checks = list(report.iter("Checker"))
+    assert [issue.get("description") for issue in report.iter("Issue")] == []
+    assert sum(check.get("status") == "completed" for check in checks) >= 20
+    assert not [check.get("checkerId") for check in checks if check.get("status") == "error"]

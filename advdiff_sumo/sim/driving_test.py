@@ -21,6 +21,9 @@ from advdiff_sumo.core.errors import NetError, SimulationError
 LENGTH_M, WIDTH_M = 4.6, 1.9
 CHECK_S = 0.5  # how often boxes are compared
 SHORTEST_TRIP_M = 200.0
+SHORTEST_ORIGIN_M = (
+    20.0  # room for a car to set out from; SUMO puts cars into each other on edges shorter than a car
+)
 TRIES = 20
 VTYPE = "driving_test_car"
 OVERLAP_M = 0.05  # boxes that share less only touch
@@ -82,6 +85,7 @@ class _Trips:
         self._random = random.Random(seed)  # noqa: S311 - traffic, not secrets
         edges = [edge for edge in self._net.getEdges() if edge.allows("passenger")]
         self._edges = sorted(edges, key=lambda edge: edge.getID())
+        self._origins = [edge for edge in self._edges if edge.getLength() >= SHORTEST_ORIGIN_M]
         self._pool = self._find_pool(net)
 
     def _find_pool(self, net: Path) -> list[tuple[list[str], float]]:
@@ -98,7 +102,9 @@ class _Trips:
         return pool
 
     def _route(self) -> tuple[list[str], float] | None:
-        origin, target = self._random.choice(self._edges), self._random.choice(self._edges)
+        if not self._origins:
+            return None
+        origin, target = self._random.choice(self._origins), self._random.choice(self._edges)
         way, length = self._net.getShortestPath(origin, target, vClass="passenger")
         if way is None or length < SHORTEST_TRIP_M:
             return None

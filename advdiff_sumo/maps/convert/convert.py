@@ -16,6 +16,7 @@ from advdiff_sumo.maps.convert.control import with_control
 from advdiff_sumo.maps.convert.dividers import dashed_pairs
 from advdiff_sumo.maps.convert.layout import lay_out
 from advdiff_sumo.maps.convert.layout_state import Layout
+from advdiff_sumo.maps.convert.narrow import Ends, unseen_conflicts
 from advdiff_sumo.maps.convert.neighbours import SideBySide, find_side_by_side
 from advdiff_sumo.maps.convert.netconvert import run_netconvert
 from advdiff_sumo.maps.convert.netplan import NetPlan, Track, plan_net
@@ -110,12 +111,7 @@ def convert_source(
     ways, doubles = find_connections(layout)
     plan = with_control(plan_net(tracks, layout, ways, left), source, guess_signals)
     _make_folder(out_net)
-    with tempfile.TemporaryDirectory() as folder:
-        warnings = run_netconvert(
-            write_plain_xml(plan, Path(folder), source.location, projection_of(source.location)),
-            out_net,
-            lefthand=left,
-        )
+    warnings = _build(plan, source.location, out_net, left, layout.counts)
     if opendrive:
         xodr = out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr")
         write_opendrive(plan, xodr, source.location, projection_of(source.location))
@@ -125,6 +121,22 @@ def convert_source(
     return ConversionResult(
         out_net, sidecar_path(out_net), given, source, tracks, layout, plan, doubles, counts, warnings
     )
+
+
+def _build(
+    plan: NetPlan, location: str, out_net: Path, lefthand: bool, counts: Counter[str]
+) -> tuple[str, ...]:
+    """Write the net; a second time where netconvert lets ways go together that are too near each other."""
+    with tempfile.TemporaryDirectory() as folder:
+
+        def build(prohibitions: list[tuple[Ends, Ends]]) -> tuple[str, ...]:
+            files = write_plain_xml(plan, Path(folder), location, projection_of(location), prohibitions)
+            return run_netconvert(files, out_net, lefthand=lefthand)
+
+        warnings = build([])
+        unseen = unseen_conflicts(plan, out_net)
+        counts["conflicts in junctions added to netconvert's"] = len(unseen)
+        return build(unseen) if unseen else warnings
 
 
 def measure_tracks(source: SourceMap, default_speed_mps: float) -> list[Track]:

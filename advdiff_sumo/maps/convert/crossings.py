@@ -11,7 +11,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.absorb import absorb
 from advdiff_sumo.maps.convert.layout_state import Layout
-from advdiff_sumo.maps.convert.pieces import Piece
+from advdiff_sumo.maps.convert.pieces import CUT_M, Piece
 
 CLEARANCE_M = 1.6  # centre lines nearer than this are in each other's way
 ABSORB_M = 20.0  # a lane of at most this length between two crossings may become part of one junction
@@ -22,8 +22,8 @@ def join_crossing_ways(
 ) -> None:
     """Join the junctions of ways that come near each other, where no edge would begin and end in one junction.
 
-    Short lanes between the two are put inside the joined junction; where a longer one lies between, the junctions
-    stay apart and the crossing is counted. Lanes in *keep* are not put inside.
+    Short lanes between the two are put inside the joined junction, longer ones are divided once they are grouped;
+    where neither can be, the junctions stay apart and the crossing is counted. Lanes in *keep* are not put inside.
     """
     ways = inner_parts(layout)
     if len(ways) < 2:
@@ -38,15 +38,44 @@ def join_crossing_ways(
 
 
 def _join(layout: Layout, junctions: set[Hashable], keep: frozenset[int]) -> None:
-    grouped = frozenset(piece for group in layout.groups if len(group) > 1 for piece in group)
     between = layout.between(junctions)
-    grouped |= frozenset(piece for piece in between if piece.lane in keep)
-    if between and not absorb(layout, between, ABSORB_M, grouped):
+    divisible = _divisible(layout, between)
+    inside = [piece for piece in between if not any(piece in group for group in divisible)]
+    grouped = frozenset(piece for group in layout.groups if len(group) > 1 for piece in group)
+    grouped |= frozenset(piece for piece in inside if piece.lane in keep)
+    if inside and not absorb(layout, inside, ABSORB_M, grouped):
         layout.counts["crossing ways in different junctions"] += 1
         return
-    layout.groups = [group for group in layout.groups if group[0] not in between]
+    layout.groups = [group for group in layout.groups if group[0] not in inside]
+    for group in divisible:
+        _divide(layout, group)
     layout.joints.join(sorted(junctions, key=repr))
     layout.counts["junctions joined where ways cross"] += 1
+
+
+def _divisible(layout: Layout, between: Sequence[Piece]) -> list[list[Piece]]:
+    """Return the edges among *between* that are long enough for a junction of their own in their middle."""
+    long = [group for group in layout.groups if all(p.length_m > ABSORB_M for p in group)]
+    return [group for group in long if group[0] in between]
+
+
+def _divide(layout: Layout, group: list[Piece]) -> None:
+    """Part an edge in its middle, so that it does not begin and end in one junction."""
+    first, second = [], []
+    for piece in group:
+        middle = 0.5 * (piece.from_m + piece.to_m)
+        before = Piece(piece.lane, piece.from_m, middle - 0.5 * CUT_M)
+        after = Piece(piece.lane, middle + 0.5 * CUT_M, piece.to_m)
+        own = layout.pieces[piece.lane]
+        own[own.index(piece) : own.index(piece) + 1] = [before, after]
+        layout.joints.join(((piece, 0), (before, 0)))
+        layout.joints.join(((piece, 1), (after, 1)))
+        first.append(before)
+        second.append(after)
+    layout.joints.join([*((p, 1) for p in first), *((p, 0) for p in second)])
+    at = layout.groups.index(group)
+    layout.groups[at : at + 1] = [first, second]
+    layout.counts["edges divided to join junctions where ways cross"] += 1
 
 
 def inner_parts(layout: Layout) -> list[tuple[Piece, Hashable]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict, deque
 from collections.abc import Hashable, Sequence
+from dataclasses import replace
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
@@ -136,19 +137,47 @@ def _even_out(layout: Layout, pairs: Sequence[SideBySide]) -> None:
         starts, ends = _offsets(group, beside, 0), _offsets(group, beside, 1)
         shorter = []
         for piece, start, end in zip(group, starts, ends, strict=True):
-            whole_start = (
-                piece.from_m == 0.0 and piece.lane not in entered
-            )  # no way would draw what is taken off
-            whole_end = piece.to_m == layout.lengths_m[piece.lane] and piece.lane not in followed
-            new = _shortened(
-                piece, 0.0 if whole_start else max(starts) - start, 0.0 if whole_end else end - min(ends)
-            )
+            new = _shortened(piece, max(starts) - start, end - min(ends))
+            new = _keep_open_end(layout, piece, new, 0) if piece.lane not in entered else new
+            new = _keep_open_end(layout, piece, new, 1) if piece.lane not in followed else new
             layout.counts["lane ends shortened to even an edge"] += (new.from_m > piece.from_m) + (
                 new.to_m < piece.to_m
             )
             shorter.append(new)
             layout.replace(piece, new)
         layout.groups[number] = shorter
+    layout.groups += _open_ends_left(layout)
+
+
+def _keep_open_end(layout: Layout, piece: Piece, new: Piece, side: int) -> Piece:
+    """Keep what is taken off at the rim of the map, where no way would draw it: as a piece of its own, if it is long.
+
+    Args:
+        layout: what is being built; a piece that is kept is added to it.
+        piece: the piece as it was.
+        new: the piece as it is to be.
+        side: the open end, 0 for the beginning of the lane and 1 for its end.
+    """
+    own = layout.pieces[piece.lane]
+    taken = new.from_m - piece.from_m if side == 0 else piece.to_m - new.to_m
+    if taken <= 0.0 or own[-side] != piece:
+        return new
+    if taken < CUT_M + SHORTEST_EDGE_M:
+        return replace(new, from_m=piece.from_m) if side == 0 else replace(new, to_m=piece.to_m)
+    if side == 0:
+        rest = Piece(piece.lane, piece.from_m, new.from_m - CUT_M)
+    else:
+        rest = Piece(piece.lane, new.to_m + CUT_M, piece.to_m)
+    own.insert(0 if side == 0 else len(own), rest)
+    layout.joints.join(((piece, side), (rest, 1 - side)))
+    layout.counts["open ends cut off to even an edge"] += 1
+    return new
+
+
+def _open_ends_left(layout: Layout) -> list[list[Piece]]:
+    """Return pieces in no group yet, each as a group of its own."""
+    grouped = {piece for group in layout.groups for piece in group}
+    return [[piece] for piece in layout.all_pieces() if piece not in grouped]
 
 
 def _offsets(group: list[Piece], beside: dict[tuple[int, int], SideBySide], side: int) -> list[float]:

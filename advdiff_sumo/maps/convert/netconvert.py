@@ -39,7 +39,7 @@ def run_netconvert(
         "lefthand": "true" if lefthand else "false",
         "aggregate-warnings": "-1",
         "tls.guess": "false",
-        "tls.layout": "incoming",
+        "tls.layout": "opposites",
         "tls.default-type": "actuated",
         "junctions.limit-turn-speed": "-1",
         "geometry.max-angle.fix": "false",

@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, JunctionPlan, NetPlan
 from advdiff_sumo.maps.convert.source import LaneUse
 
@@ -20,17 +21,23 @@ ALLOWED = {
 }
 
 
-def write_plain_xml(plan: NetPlan, folder: Path, location: str, projection: str | None) -> dict[str, Path]:
+def write_plain_xml(
+    plan: NetPlan,
+    folder: Path,
+    location: str,
+    projection: str | None,
+    prohibitions: Iterable[tuple[Ends, Ends]] = (),
+) -> dict[str, Path]:
     """Write node, edge and connection files into *folder*; return them by netconvert's option name.
 
     A *projection* goes into the location element, as netconvert's option ``--proj`` would read the coordinates as
-    degrees.
+    degrees. *prohibitions* tell pairs of ways of which the second yields to the first.
     """
     nodes = [*([_location(plan, projection)] if projection else []), *map(_node, plan.junctions)]
     return {
         "node-files": _file(folder / "plain.nod.xml", "nodes", nodes),
         "edge-files": _file(folder / "plain.edg.xml", "edges", (_edge(e, location) for e in plan.edges)),
-        "connection-files": _file(folder / "plain.con.xml", "connections", _connections(plan)),
+        "connection-files": _file(folder / "plain.con.xml", "connections", _connections(plan, prohibitions)),
     }
 
 
@@ -92,9 +99,11 @@ def _edge(edge: EdgePlan, location: str) -> ET.Element:
     return element
 
 
-def _connections(plan: NetPlan) -> Iterable[ET.Element]:
+def _connections(plan: NetPlan, prohibitions: Iterable[tuple[Ends, Ends]]) -> Iterable[ET.Element]:
     for connection in plan.connections:
         yield _connection(connection)
+    for first, second in prohibitions:
+        yield ET.Element("prohibition", prohibitor="->".join(first), prohibited="->".join(second))
     leaving = {connection.origin[0] for connection in plan.connections}
     for edge in plan.edges:
         if edge.id not in leaving:  # tells netconvert not to invent ways on
@@ -106,6 +115,7 @@ def _connection(connection: ConnectionPlan) -> ET.Element:
     element.set("fromLane", str(connection.origin[1]))
     element.set("toLane", str(connection.target[1]))
     element.set("shape", shape_text(connection.shape_m))
+    element.set("contPos", "0")  # who yields waits before the junction, not within reach of those that pass
     for side in ("changeLeft", "changeRight"):  # ways of two lanes may come together inside a junction
         element.set(side, NOBODY)
     if np.isfinite(connection.speed_mps):

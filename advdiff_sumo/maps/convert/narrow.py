@@ -1,0 +1,87 @@
+"""Ways through a junction that come too near each other for netconvert to notice: one of them has to yield."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import shapely
+from defusedxml import ElementTree
+
+from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.netplan import ConnectionPlan, NetPlan
+
+BODIES_M = 2.2  # two cars side by side with 0.3 m between them
+Ends = tuple[str, str]  # edges that a way leaves and enters
+Key = tuple[str, int, str, int]  # the same with lanes
+
+
+def unseen_conflicts(plan: NetPlan, net: Path) -> list[tuple[Ends, Ends]]:
+    """Return (who goes first, who yields) for ways that lie too near for two cars, which *net* lets go together.
+
+    netconvert finds who conflicts with whom from the order of the edges around a junction. So it takes two turns
+    that pass each other in a narrow neck for free of conflict, and some that cross where one edge enters a junction
+    between the ends of another. The way that turns less goes first.
+    """
+    inside: dict[str, list[ConnectionPlan]] = defaultdict(list)
+    target = {edge.id: edge.target for edge in plan.edges}
+    for connection in plan.connections:
+        inside[target[connection.origin[0]]].append(connection)
+    known = _known_conflicts(net)
+    found: set[tuple[Ends, Ends]] = set()
+    for name in sorted(inside):
+        for one, other in _near(inside[name]):
+            if frozenset((_key(one), _key(other))) not in known:
+                first, second = sorted((one, other), key=lambda way: (_turn(way), way.origin, way.target))
+                found.add((_ends(first), _ends(second)))
+    return sorted(pair for pair in found if pair[::-1] not in found or pair < pair[::-1])
+
+
+def _near(ways: list[ConnectionPlan]) -> Iterator[tuple[ConnectionPlan, ConnectionPlan]]:
+    """Yield ways from different edges that come too near; into one edge only if they cross."""
+    lines = [shapely.LineString(way.shape_m) for way in ways]
+    near = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=BODIES_M)
+    for a, b in zip(*near.tolist(), strict=True):
+        apart = ways[a].target[0] != ways[b].target[0] or lines[a].crosses(lines[b])
+        if a < b and ways[a].origin[0] != ways[b].origin[0] and apart:
+            yield ways[a], ways[b]
+
+
+def _known_conflicts(net: Path) -> set[frozenset[Key]]:
+    """Return the pairs of connections of which one yields to the other in a written net."""
+    root = ElementTree.parse(net).getroot()
+    links: dict[str, dict[int, Key]] = defaultdict(dict)
+    for row in root.iter("connection"):
+        if row.get("via") and not row.get("from").startswith(":"):
+            junction, edge, lane = row.get("via")[1:].rsplit("_", 2)
+            links[junction][int(edge) + int(lane)] = (
+                row.get("from"),
+                int(row.get("fromLane")),
+                row.get("to"),
+                int(row.get("toLane")),
+            )
+    known = set()
+    for junction in root.iter("junction"):
+        own = links[junction.get("id")]
+        for request in junction.iter("request"):
+            here = own.get(int(request.get("index")))
+            for index, foe in enumerate(reversed(request.get("foes"))):
+                if foe == "1" and here is not None and index in own:
+                    known.add(frozenset((here, own[index])))
+    return known
+
+
+def _key(way: ConnectionPlan) -> Key:
+    return (*way.origin, *way.target)
+
+
+def _turn(way: ConnectionPlan) -> float:
+    """Return by how much a way turns, in whole degrees."""
+    start, end = polyline.heading(way.shape_m, np.array([0.0, polyline.length(way.shape_m)]))
+    return round(float(np.degrees(abs((end - start + np.pi) % (2.0 * np.pi) - np.pi))))
+
+
+def _ends(way: ConnectionPlan) -> Ends:
+    return way.origin[0], way.target[0]

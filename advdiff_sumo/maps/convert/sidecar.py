@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
+import shapely
 from shapely.coords import CoordinateSequence
 from shapely.geometry import Polygon
 
@@ -14,6 +15,7 @@ from advdiff_sumo.maps.convert.plain_xml import shape_text
 from advdiff_sumo.maps.convert.source import SourceMap
 
 HOLE = "drivable_area_hole"
+GRID_M = 0.001  # coordinates lie on this grid, so that no polygon crosses itself once its numbers are rounded
 STYLE = {
     "drivable_area": ("120,120,120", "-10"),
     HOLE: ("255,255,255", "-9"),
@@ -54,7 +56,8 @@ def _rings(source: SourceMap) -> Iterator[tuple[str, CoordinateSequence]]:
         ("ped_crossing", list(source.crossings)),
     ]
     for kind, polygons in areas:
-        for polygon in polygons:
+        rounded = (shapely.set_precision(polygon, GRID_M) for polygon in polygons)
+        for polygon in (part for whole in rounded for part in shapely.get_parts(whole)):
             yield kind, polygon.exterior.coords
             for hole in polygon.interiors if kind == "drivable_area" else ():
                 yield HOLE, hole.coords

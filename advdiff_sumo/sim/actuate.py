@@ -16,7 +16,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.errors import SimulationError
-from advdiff_sumo.core.frames import bumper_from_centre, sumo_from_yaw
+from advdiff_sumo.core.frames import bumper_from_centre, sumo_from_yaw, unit
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.world import World
 
@@ -151,6 +151,8 @@ class Actuator:
     def move(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> None:
         """Put *rows* at poses (N, 2), (N,) in the next step; those outside or being inserted are left alone."""
         bumper = bumper_from_centre(xy_m, yaw_rad, self.world.size_m[rows, 0])
+        if self.road.lefthand:
+            bumper = self._mirrored(bumper, yaw_rad)
         angle = sumo_from_yaw(yaw_rad)
         move_to, names, moved = self.api.vehicle.moveToXY, self.world.sumo_ids, self.moved
         for row, (x, y), turn in zip(rows.tolist(), bumper.tolist(), angle.tolist(), strict=True):
@@ -158,6 +160,19 @@ class Actuator:
             if state is None or not state.inserted:
                 continue
             move_to(names[row], "", -1, x, y, turn, _OWN_ROUTE if state.route else _ANY_EDGE)
+
+    def _mirrored(self, bumper_xy_m: FloatArray, yaw_rad: FloatArray) -> FloatArray:
+        """Return front-bumper points (N, 2) on the other side of their lanes' centre lines.
+
+        With traffic on the left, SUMO counts lateral positions to the right, but moveToXY still sets them to the
+        left: others would see the vehicle on the wrong side of its lane, and a released one would jump there.
+        """
+        lanes, _, d, turned = self.road.locate_many(bumper_xy_m, yaw_rad)
+        width = np.array([self.road.lanes[lane].width_m if lane is not None else 0.0 for lane in lanes])
+        inside = np.abs(d) <= 0.5 * width  # NaN compares as False
+        along = unit(np.where(inside, yaw_rad - turned, 0.0))
+        left = np.stack((-along[:, 1], along[:, 0]), axis=-1)
+        return bumper_xy_m - 2.0 * np.where(inside, d, 0.0)[:, None] * left
 
     def predict_route(self, row: int, route: tuple[str, ...]) -> None:
         """Tell SUMO which edges *row* is about to drive, so that drivers at junctions yield to it (#6140)."""

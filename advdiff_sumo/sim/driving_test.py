@@ -21,8 +21,8 @@ from advdiff_sumo.core.errors import NetError, SimulationError
 LENGTH_M, WIDTH_M = 4.6, 1.9
 CHECK_S = 0.5  # how often boxes are compared
 SHORTEST_TRIP_M = 200.0
-SHORTEST_ORIGIN_M = (
-    20.0  # room for a car to set out from; SUMO puts cars into each other on edges shorter than a car
+SHORTEST_END_M = (
+    20.0  # of the edges where trips begin and end; SUMO puts cars into each other on edges shorter than a car
 )
 TRIES = 20
 VTYPE = "driving_test_car"
@@ -36,7 +36,7 @@ def driving_test(
 ) -> dict[str, Any]:
     """Return what happened to *vehicles* cars at a time on random trips.
 
-    Cars drive from a random edge to one that can be reached from it; when one arrives the next sets out. Teleports
+    Cars drive from a random edge of 20 m and more to another that can be reached from it; when one arrives the next sets out. Teleports
     (after 300 s of waiting), emergency braking and collisions are SUMO's own counts; besides, the boxes of all
     cars are compared with each other twice a second.
 
@@ -85,7 +85,7 @@ class _Trips:
         self._random = random.Random(seed)  # noqa: S311 - traffic, not secrets
         edges = [edge for edge in self._net.getEdges() if edge.allows("passenger")]
         self._edges = sorted(edges, key=lambda edge: edge.getID())
-        self._origins = [edge for edge in self._edges if edge.getLength() >= SHORTEST_ORIGIN_M]
+        self._ends = [edge for edge in self._edges if edge.getLength() >= SHORTEST_END_M]
         self._pool = self._find_pool(net)
 
     def _find_pool(self, net: Path) -> list[tuple[list[str], float]]:
@@ -102,9 +102,9 @@ class _Trips:
         return pool
 
     def _route(self) -> tuple[list[str], float] | None:
-        if not self._origins:
+        if not self._ends:
             return None
-        origin, target = self._random.choice(self._origins), self._random.choice(self._edges)
+        origin, target = self._random.choice(self._ends), self._random.choice(self._ends)
         way, length = self._net.getShortestPath(origin, target, vClass="passenger")
         if way is None or length < SHORTEST_TRIP_M:
             return None

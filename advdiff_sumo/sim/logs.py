@@ -17,6 +17,7 @@ from advdiff_sumo.sim.options import SceneOptions, SimOptions
 from advdiff_sumo.sim.seed_scene import PlacedTraffic, SeedScene
 
 _ON_LANE_M, _ALONG_LANE_RAD = 1.5, 0.6
+_ALIGNED_RAD = 0.1
 _MIN_FUTURE_S = 6.0
 _BEYOND_LOG_M = 300.0
 _FIT_SHARE, _FIT_M = 0.8, 3.0
@@ -65,7 +66,17 @@ class LoggedTraffic:
         last = drive.tracks.steps - 1 - round(_MIN_FUTURE_S / dt)
         there = drive.tracks.valid[drive.ego]
         stride = max(1, round(self.scene.stride_s / dt))
-        return [k for k in range(first, last + 1, stride) if there[k - first : k + 1].all()]
+        complete = [k for k in range(first, last + 1, stride) if there[k - first : k + 1].all()]
+        return [k for k in complete if self._on_lane(drive, k)]
+
+    def _on_lane(self, drive: LogScene, now: int) -> bool:
+        """Return whether the ego is on a lane and along it, where SUMO can take it over without a jump."""
+        xy, yaw = drive.tracks.xy_m[drive.ego, now], float(drive.tracks.yaw_rad[drive.ego, now])
+        pose = self.road.locate(xy, yaw)
+        if pose is None or self.road.lanes[pose.lane_id].is_internal:
+            return False
+        beside = abs(pose.d_m) <= 0.5 * self.road.lanes[pose.lane_id].width_m
+        return beside and abs(pose.yaw_error_rad) <= _ALIGNED_RAD
 
     def _scene(self, drive: LogScene, now: int) -> SeedScene | None:
         tracks = drive.tracks

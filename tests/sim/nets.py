@@ -48,7 +48,14 @@ CAR = f"""<additional>
 </additional>"""
 
 
-def build(folder: Path, nodes: str, edges: str, name: str = "tiny", turnarounds: bool = False) -> Path:
+def build(
+    folder: Path,
+    nodes: str,
+    edges: str,
+    name: str = "tiny",
+    turnarounds: bool = False,
+    lefthand: bool = False,
+) -> Path:
     """Write a net from plain XML, coordinates as given."""
     (folder / f"{name}.nod.xml").write_text(nodes)
     (folder / f"{name}.edg.xml").write_text(edges)
@@ -59,6 +66,7 @@ def build(folder: Path, nodes: str, edges: str, name: str = "tiny", turnarounds:
         "--output-file": net,
         "--offset.disable-normalization": "true",
         "--no-turnarounds": str(not turnarounds).lower(),
+        "--lefthand": str(lefthand).lower(),
         "--no-warnings": "true",
         "--xml-validation": "never",
     }

@@ -18,6 +18,7 @@ from advdiff_sumo.sim.background import Motion
 from advdiff_sumo.sim.handover import Handover
 from advdiff_sumo.sim.options import SimOptions
 from advdiff_sumo.sim.world import World, read, register
+from tests.sim import nets
 from tests.sim.nets import BEND_CORNER_RAD, LENGTH_M, Stage, stage
 
 STEP_S, PERIOD = 0.1, 5
@@ -109,6 +110,15 @@ def hand_over(
 def test_on_a_straight(street: Path, speed: float, d_m: float) -> None:
     with stage(street) as s:
         got = hand_over(s, RoadMap.read(street), ("WM", "ME"), "WM_0", 100.0, d_m, 0.0, speed)
+    got.check_smooth()
+    assert got.waited_s == 0.0
+
+
+@pytest.mark.parametrize("d_m", [0.0, 0.7, -1.2])
+def test_on_a_straight_with_traffic_on_the_left(tmp_path: Path, d_m: float) -> None:
+    net = nets.build(tmp_path, *nets.STREET, lefthand=True)
+    with stage(net) as s:
+        got = hand_over(s, RoadMap.read(net), ("WM", "ME"), "WM_0", 100.0, d_m, 0.0, 12.0)
     got.check_smooth()
     assert got.waited_s == 0.0
 

@@ -77,7 +77,7 @@ class PlannerDrive:
         self.planning_s: list[float] = []
         self._memory: Any = None
         self._states: State | None = None
-        self._arrived = False
+        self._left_m = np.inf  # to the end of the route, once on its last edge
 
     def start(self, scene: Scene) -> None:
         """Let the planner prepare."""
@@ -111,6 +111,7 @@ class PlannerDrive:
         if self._states is None:
             return
         xy, yaw, speed = (part[k] for part in self._states)
+        self._left_m -= float(speed) * self.sim.step_s
         rows = np.array([self.row])
         self.world.set_state(rows, xy, yaw, speed, Controller.PLANNER)
         self.actuator.move(rows, xy[None], np.atleast_1d(yaw))
@@ -120,8 +121,8 @@ class PlannerDrive:
         return None
 
     def arrived(self) -> bool:
-        """Return whether it had reached the end of its route at the last plan."""
-        return self._arrived
+        """Return whether it has reached the end of its route."""
+        return self._left_m < _ARRIVAL_M
 
     def route_ahead(self) -> tuple[str, ...]:
         """Return its remaining edges."""
@@ -138,7 +139,7 @@ class PlannerDrive:
         if not lane.is_internal and lane.edge_id in self.route:
             self.route = self.route[self.route.index(lane.edge_id) :]
             front = pose.s_m + 0.5 * float(self.world.size_m[self.row, 0])
-            self._arrived = len(self.route) == 1 and lane.length_m - front < _ARRIVAL_M
+            self._left_m = lane.length_m - front if len(self.route) == 1 else np.inf
 
     def _come_back(self) -> None:
         """Let SUMO have the target again once it is back on a lane."""

@@ -226,3 +226,18 @@ def test_the_target_arrives_at_the_end_of_its_route(scene: SeedScene, road: Road
     short = replace(scene, routes={**scene.routes, name: scene.routes[name][:1]})
     record, _ = episode(short, road, target="lane_graph", horizon_s=60.0).run()
     assert record.end == EndReason.ARRIVED
+
+
+def test_a_fast_target_arrives_before_it_runs_off_the_net(networks: Path) -> None:
+    motorway = RoadMap.read(networks / "motorway.net.xml")
+    options = SceneOptions.parse({"warmup_s": 15.0, "scenes_per_warmup": 1, "min_speed_mps": 25.0})
+    start = NaturalTraffic(motorway, None, options, SimOptions.parse({}), 4.0, SeedTree(1)).batch(0)[0]
+    route = start.routes[start.target][:1]
+    short = replace(start, routes={**start.routes, start.target: route})
+    record, _ = episode(short, motorway, target="lane_graph", horizon_s=60.0).run()
+    assert record.end == EndReason.ARRIVED
+    place = motorway.locate(record.tracks.xy_m[record.target, -1], record.tracks.yaw_rad[record.target, -1])
+    assert place is not None
+    lane = motorway.lanes[place.lane_id]
+    assert lane.edge_id == route[0]
+    assert place.s_m + 2.5 <= lane.length_m

@@ -33,7 +33,10 @@ def sample_path(pieces: Sequence[Mapping[str, Any]], sagitta_m: float = SAGITTA_
         points += _piece(piece, sagitta_m)
     last = pieces[-1].get("end_pose")
     if last is not None:
-        points.append((float(last[0]), float(last[1])))
+        try:
+            points.append((float(last[0]), float(last[1])))
+        except (TypeError, LookupError, ValueError):
+            raise ValueError("malformed end_pose of an arc-line piece") from None
     line = np.array(points, dtype=np.float64)
     if not np.isfinite(line).all():
         raise ValueError("a coordinate is not finite")
@@ -48,6 +51,8 @@ def _piece(piece: Mapping[str, Any], sagitta_m: float) -> list[tuple[float, floa
         turns = [TURN[letter] for letter in piece["shape"]]
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"malformed arc-line piece ({error})") from None
+    if not all(map(math.isfinite, (x, y, yaw, *lengths))):
+        raise ValueError("a number of an arc-line piece is not finite")
     if len(turns) != 3 or len(lengths) != 3 or min(lengths) < 0 or (any(turns) and not radius > 0):
         raise ValueError("malformed arc-line piece (three segments and a positive radius are needed)")
     points = [(x, y)]

@@ -25,7 +25,7 @@ _FIT_SHARE, _FIT_M = 0.8, 3.0
 
 @dataclass(frozen=True)
 class LoggedTraffic:
-    """A source of seed scenes: every ``stride_s`` of every drive that fits the net.
+    """A source of seed scenes: every ``stride_s`` or more of every drive that fits the net.
 
     Attributes:
         road: the net.
@@ -66,17 +66,27 @@ class LoggedTraffic:
         last = drive.tracks.steps - 1 - round(_MIN_FUTURE_S / dt)
         there = drive.tracks.valid[drive.ego]
         stride = max(1, round(self.scene.stride_s / dt))
-        complete = [k for k in range(first, last + 1, stride) if there[k - first : k + 1].all()]
-        return [k for k in complete if self._on_lane(drive, k)]
+        starts: list[int] = []
+        for k in range(first, last + 1):
+            due = not starts or k >= starts[-1] + stride
+            if due and there[k - first : k + 1].all() and self._on_lane(drive, k):
+                starts.append(k)
+        return starts
 
     def _on_lane(self, drive: LogScene, now: int) -> bool:
         """Return whether the ego is on a lane and along it, where SUMO can take it over without a jump."""
         xy, yaw = drive.tracks.xy_m[drive.ego, now], float(drive.tracks.yaw_rad[drive.ego, now])
         pose = self.road.locate(xy, yaw)
-        if pose is None or self.road.lanes[pose.lane_id].is_internal:
+        if pose is None:
             return False
-        beside = abs(pose.d_m) <= 0.5 * self.road.lanes[pose.lane_id].width_m
-        return beside and abs(pose.yaw_error_rad) <= _ALIGNED_RAD
+        lane = self.road.lanes[pose.lane_id]
+        bend = float(np.ptp(np.unwrap(lane.line.segment_yaw_rad)))
+        beside = abs(pose.d_m) <= 0.5 * lane.width_m
+        return (
+            beside
+            and abs(pose.yaw_error_rad) <= _ALIGNED_RAD
+            and not (lane.is_internal and bend > _ALIGNED_RAD)
+        )
 
     def _scene(self, drive: LogScene, now: int) -> SeedScene | None:
         tracks = drive.tracks

@@ -133,13 +133,31 @@ class _Reader:
             )
         return rows
 
+    def _list(self, row: Row, key: str) -> list[Any]:
+        """Return the list *key* of a record; an absent one is empty."""
+        value = row.get(key)
+        if not isinstance(value, list | None):
+            place = f"record {row.get('token')!r}" if "token" in row else "a record"
+            raise MapError(self.path, f"'{key}' of {place} is no list", "give an unchanged expansion file")
+        return value or []
+
+    def _records(self, row: Row, key: str) -> list[Row]:
+        """Return the list *key* of a record, whose items must be records too."""
+        items = self._list(row, key)
+        if not all(isinstance(item, dict) for item in items):
+            place = f"record {row.get('token')!r}" if "token" in row else "a record"
+            raise MapError(
+                self.path, f"'{key}' of {place} is no list of records", "give an unchanged expansion file"
+            )
+        return items
+
     def _by_token(self, layer: str) -> dict[str, Row]:
         table: dict[str, Row] = {}
         for row in self._rows(layer):
             token = row.get("token")
             if token is None:
                 self.notes[f"{layer} without token"] += 1
-            elif token in table:
+            elif str(token) in table:
                 self.warn(
                     f"duplicate {layer} token", f"{layer} token {token!r} occurs twice; the first one is used"
                 )
@@ -174,13 +192,13 @@ class _Reader:
         if row is None:
             self.warn("unknown polygon", f"polygon {token!r} does not exist")
             return None
-        outer = self._points(row.get("exterior_node_tokens") or [], f"polygon {token!r}")
+        outer = self._points(self._list(row, "exterior_node_tokens"), f"polygon {token!r}")
         if outer is None or len(outer) < 3:
             self.notes["polygon with under three nodes"] += outer is not None
             return None
         rings = [
-            self._points(hole.get("node_tokens") or [], f"polygon {token!r}")
-            for hole in row.get("holes") or []
+            self._points(self._list(hole, "node_tokens"), f"polygon {token!r}")
+            for hole in self._records(row, "holes")
         ]
         polygon = Polygon(outer, [ring for ring in rings if ring is not None and len(ring) >= 3])
         return self._mended(polygon, token)
@@ -220,7 +238,7 @@ class _Reader:
             self.warn("lane without arc line", f"lane {token!r} has no arc line and is left out")
             return None
         try:
-            centre = drop_repeats(sample_path(pieces))
+            centre = drop_repeats(sample_path(_records_only(pieces)))
         except ValueError as error:
             self.warn("lane with unusable arc line", f"lane {token!r} is left out: {error}")
             return None
@@ -233,8 +251,8 @@ class _Reader:
             centre_m=centre,
             polygon=self._polygon(row["polygon_token"]) if row.get("polygon_token") else None,
             use=USES.get(str(row.get("lane_type", "CAR")).upper(), LaneUse.CAR),
-            left_dashed=_dashed_nodes(row.get("left_lane_divider_segments")),
-            right_dashed=_dashed_nodes(row.get("right_lane_divider_segments")),
+            left_dashed=_dashed_nodes(self._records(row, "left_lane_divider_segments")),
+            right_dashed=_dashed_nodes(self._records(row, "right_lane_divider_segments")),
         )
 
     def _links(self, known: set[str]) -> list[tuple[str, str]]:
@@ -242,8 +260,8 @@ class _Reader:
         links: dict[tuple[str, str], None] = {}
         for token, sides in self.data["connectivity"].items():
             sides = sides if isinstance(sides, dict) else {}
-            pairs = [(str(other), token) for other in sides.get("incoming") or []]
-            pairs += [(token, str(other)) for other in sides.get("outgoing") or []]
+            pairs = [(str(other), token) for other in self._list(sides, "incoming")]
+            pairs += [(token, str(other)) for other in self._list(sides, "outgoing")]
             for pair in pairs:
                 if pair[0] in known and pair[1] in known:
                     links[pair] = None
@@ -264,7 +282,7 @@ class _Reader:
         return [polygon for polygon in found if polygon is not None]
 
     def _drivable(self) -> MultiPolygon:
-        tokens = [token for row in self._rows("drivable_area") for token in row.get("polygon_tokens") or []]
+        tokens = [token for row in self._rows("drivable_area") for token in self._list(row, "polygon_tokens")]
         parts = [part for part in map(self._polygon, tokens) if part is not None]
         return as_multi(shapely.union_all(parts)) if parts else MultiPolygon()
 
@@ -281,7 +299,7 @@ class _Reader:
         stop_of = {
             str(light): row
             for row in self._rows("stop_line")
-            for light in row.get("traffic_light_tokens") or []
+            for light in self._list(row, "traffic_light_tokens")
         }
         found = []
         for row in self._rows("traffic_light"):
@@ -301,13 +319,13 @@ class _Reader:
             if area is not None:
                 return Point(area.centroid)
         line = self.line_rows.get(str(row.get("line_token")))
-        points = self._points(line.get("node_tokens") or [], "a traffic light") if line else None
+        points = self._points(self._list(line, "node_tokens"), "a traffic light") if line else None
         return Point(np.mean(points, axis=0)) if points else None
 
     def _dashed(self) -> list[LineString]:
         lines: list[LineString] = []
         for row in self._rows("lane_divider"):
-            segments = row.get("lane_divider_segments") or []
+            segments = self._records(row, "lane_divider_segments")
             run: list[Any] = []
             for segment in [*segments, None]:
                 if segment is not None and "DASHED" in str(segment.get("segment_type")):
@@ -325,10 +343,15 @@ def as_multi(shape: shapely.Geometry) -> MultiPolygon:
     return MultiPolygon(parts)
 
 
-def _dashed_nodes(segments: Sequence[Row] | None) -> frozenset[str]:
+def _dashed_nodes(rows: Sequence[Row]) -> frozenset[str]:
     """Return the node names of the dashed part of a divider; the solid part may not be crossed."""
-    rows = segments or []
     return frozenset(str(row.get("node_token")) for row in rows if "DASHED" in str(row.get("segment_type")))
+
+
+def _records_only(pieces: object) -> list[Row]:
+    if not isinstance(pieces, list) or not all(isinstance(piece, dict) for piece in pieces):
+        raise ValueError("it is no list of arc-line pieces")
+    return pieces
 
 
 def _finite(*values: object) -> bool:

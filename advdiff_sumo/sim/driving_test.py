@@ -32,11 +32,19 @@ READ = (libsumo.VAR_POSITION, libsumo.VAR_ANGLE, libsumo.VAR_SPEED, libsumo.VAR_
 
 
 def driving_test(
-    net: Path, *, vehicles: int = 300, duration_s: float = 3600.0, step_s: float = 0.5, seed: int = 1
+    net: Path,
+    *,
+    vehicles: int = 300,
+    duration_s: float = 3600.0,
+    step_s: float = 0.5,
+    seed: int = 1,
+    in_all: bool = False,
 ) -> dict[str, Any]:
-    """Return what happened to *vehicles* cars at a time on random trips.
+    """Return what happened to *vehicles* cars on random trips: so many at a time, or *in_all* evenly over the duration.
 
-    Cars drive from a random edge of 20 m and more to another that can be reached from it; when one arrives the next sets out. Teleports
+    Cars drive from a random edge of 20 m and more to another that can be reached from it; when one arrives the
+    next sets out. A fragment of a town jams with too many at a time, however good the net: see ``vehicles_per_km``.
+    Teleports
     (after 300 s of waiting), emergency braking and collisions are SUMO's own counts; besides, the boxes of all
     cars are compared with each other twice a second.
 
@@ -69,12 +77,16 @@ def driving_test(
         statistics = Path(folder) / "statistics.xml"
         libsumo.start([*command, "--statistic-output", str(statistics)])
         try:
-            tally = _drive(trips, vehicles, duration_s, step_s)
+            tally = _drive(trips, vehicles, duration_s, step_s, in_all=in_all)
         except libsumo.TraCIException as error:
             raise SimulationError(f"{net}: SUMO stopped the driving test ({error})") from None
         finally:
             libsumo.close()
-        return _summary(tally, _emergency_brakings(statistics), vehicles, duration_s, step_s)
+        return _summary(tally, _emergency_brakings(statistics), vehicles, duration_s, step_s) | {
+            "vehicles_in_all": in_all,
+            "lane_km": round(trips.lane_km, 2),
+            "vehicles_per_km": round(tally.vehicle_steps * step_s / duration_s / trips.lane_km, 2),
+        }
 
 
 class _Trips:
@@ -87,6 +99,12 @@ class _Trips:
         self._edges = sorted(edges, key=lambda edge: edge.getID())
         self._ends = [edge for edge in self._edges if edge.getLength() >= SHORTEST_END_M]
         self._pool = self._find_pool(net)
+
+    @property
+    def lane_km(self) -> float:
+        """Length of all lanes for cars, without those in junctions, in km."""
+        lanes = [lane for edge in self._edges for lane in edge.getLanes() if lane.allows("passenger")]
+        return float(sum(lane.getLength() for lane in lanes)) / 1000.0
 
     def _find_pool(self, net: Path) -> list[tuple[list[str], float]]:
         """Return a pool of routes; a few hundred are enough for an hour."""
@@ -131,14 +149,16 @@ class _Tally:
     last_lane: dict[str, str] = field(default_factory=dict)
 
 
-def _drive(trips: _Trips, vehicles: int, duration_s: float, step_s: float) -> _Tally:
+def _drive(trips: _Trips, vehicles: int, duration_s: float, step_s: float, *, in_all: bool) -> _Tally:
     libsumo.vehicletype.copy("DEFAULT_VEHTYPE", VTYPE)
     libsumo.vehicletype.setLength(VTYPE, LENGTH_M)
     libsumo.vehicletype.setWidth(VTYPE, WIDTH_M)
     tally, number = _Tally(), 0
     every = max(1, round(CHECK_S / step_s))
     for step in range(round(duration_s / step_s)):
-        missing = vehicles - libsumo.vehicle.getIDCount() - len(libsumo.simulation.getPendingVehicles())
+        on_the_way = libsumo.vehicle.getIDCount() + len(libsumo.simulation.getPendingVehicles())
+        due = int(vehicles * step * step_s / duration_s) + 1
+        missing = due - number if in_all else vehicles - on_the_way
         for _ in range(min(missing, SET_OUT_PER_STEP)):
             _set_out(f"car{number}", trips.draw())
             number += 1

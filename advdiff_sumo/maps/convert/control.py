@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import shapely
 from shapely.geometry import Point, Polygon
 
+from advdiff_sumo.maps.convert.narrow import long_conflicts
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.source import SourceMap
 
@@ -30,7 +31,8 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
 
     A junction with a light on one of its approaches is signalled. Stop signs on all approaches make an all-way
     stop, on some of them (and yield signs) those approaches yield. With *guess_signals* junctions of at least
-    three approaches with four lanes, whose ways cross, are signalled too.
+    three approaches with four lanes, whose ways cross, are signalled too. Signals serve opposite approaches together
+    unless ways of theirs run along each other.
     """
     control = _read(plan.edges, source)
     approaches: dict[str, list[EdgePlan]] = defaultdict(list)
@@ -43,11 +45,13 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
         for name, edges in approaches.items()
     }
     minor = control.stops | control.yields
+    long = long_conflicts(plan)
     return replace(
         plan,
         edges=tuple(replace(edge, priority=MINOR if edge.id in minor else MAJOR) for edge in plan.edges),
         junctions=tuple(
-            replace(j, kind=kinds.get(j.id) or j.kind) if j.kind == "priority" else j for j in plan.junctions
+            replace(j, kind=kinds.get(j.id) or j.kind, one_by_one=j.id in long) if j.kind == "priority" else j
+            for j in plan.junctions
         ),
     )
 

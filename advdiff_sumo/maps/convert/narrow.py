@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
@@ -14,6 +15,7 @@ from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, NetPlan
 
 BODIES_M = 2.2  # two cars side by side with 0.3 m between them
+LONG_M = 12.0  # a crossing at 20° or more is shorter
 Ends = tuple[str, str]  # edges that a way leaves and enters
 Key = tuple[str, int, str, int]  # the same with lanes
 
@@ -39,6 +41,31 @@ def unseen_conflicts(plan: NetPlan, net: Path) -> list[tuple[Ends, Ends]]:
     return sorted(pair for pair in found if pair[::-1] not in found or pair < pair[::-1])
 
 
+def long_conflicts(plan: NetPlan) -> set[str]:
+    """Return the junctions with ways of different edges that run close to each other, bodies touching, for long.
+
+    SUMO takes a conflict of two ways for a spot where they cross; two opposite turns that meet at a flat angle over
+    many metres must not be green together. Ways into one edge merge and are left aside.
+    """
+    target = {edge.id: edge.target for edge in plan.edges}
+    inside: dict[str, list[ConnectionPlan]] = defaultdict(list)
+    for connection in plan.connections:
+        inside[target[connection.origin[0]]].append(connection)
+    return {
+        name
+        for name, ways in inside.items()
+        if any(
+            one.target[0] != other.target[0] and _shared_m(one, other) > LONG_M for one, other in _near(ways)
+        )
+    }
+
+
+def _shared_m(one: ConnectionPlan, other: ConnectionPlan) -> float:
+    """Return the length of *one* that lies in the way of *other*."""
+    near = shapely.LineString(other.shape_m).buffer(BODIES_M)
+    return float(shapely.LineString(one.shape_m).intersection(near).length)
+
+
 def _near(ways: list[ConnectionPlan]) -> Iterator[tuple[ConnectionPlan, ConnectionPlan]]:
     """Yield ways from different edges that come too near; into one edge only if they cross."""
     lines = [shapely.LineString(way.shape_m) for way in ways]
@@ -51,23 +78,23 @@ def _near(ways: list[ConnectionPlan]) -> Iterator[tuple[ConnectionPlan, Connecti
 
 def _known_conflicts(net: Path) -> set[frozenset[Key]]:
     """Return the pairs of connections of which one yields to the other in a written net."""
-    root = ElementTree.parse(net).getroot()
+    root: Any = ElementTree.fromstring(net.read_bytes())
     links: dict[str, dict[int, Key]] = defaultdict(dict)
     for row in root.iter("connection"):
-        if row.get("via") and not row.get("from").startswith(":"):
-            junction, edge, lane = row.get("via")[1:].rsplit("_", 2)
+        if row.get("via") and not row.attrib["from"].startswith(":"):
+            junction, edge, lane = row.attrib["via"][1:].rsplit("_", 2)
             links[junction][int(edge) + int(lane)] = (
-                row.get("from"),
-                int(row.get("fromLane")),
-                row.get("to"),
-                int(row.get("toLane")),
+                row.attrib["from"],
+                int(row.attrib["fromLane"]),
+                row.attrib["to"],
+                int(row.attrib["toLane"]),
             )
     known = set()
     for junction in root.iter("junction"):
-        own = links[junction.get("id")]
+        own = links[junction.attrib["id"]]
         for request in junction.iter("request"):
-            here = own.get(int(request.get("index")))
-            for index, foe in enumerate(reversed(request.get("foes"))):
+            here = own.get(int(request.attrib["index"]))
+            for index, foe in enumerate(reversed(request.attrib["foes"])):
                 if foe == "1" and here is not None and index in own:
                     known.add(frozenset((here, own[index])))
     return known

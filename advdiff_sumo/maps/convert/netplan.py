@@ -56,7 +56,7 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class LanePlan:
-    """One lane of an edge."""
+    """One lane of an edge; *no_change_up* and *no_change_down* forbid changes to the next higher and lower index."""
 
     piece: Piece
     shape_m: FloatArray
@@ -65,6 +65,8 @@ class LanePlan:
     use: LaneUse
     source: str
     widths: str
+    no_change_up: bool = False
+    no_change_down: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +99,13 @@ class ConnectionPlan:
 
 @dataclass(frozen=True, eq=False)
 class JunctionPlan:
-    """A junction."""
+    """A junction; *one_by_one* lets a signal there serve one approach at a time."""
 
     id: str
     xy_m: tuple[float, float]
     shape: Polygon
     kind: str
+    one_by_one: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +142,7 @@ def plan_net(tracks: list[Track], layout: Layout, ways: list[Connection], leftha
             f"e{number}",
             names[joints.find((group[0], 0))],
             names[joints.find((group[0], 1))],
-            tuple(_lane_plan(tracks[piece.lane], piece) for piece in ordered),
+            tuple(_lane_plan(tracks[piece.lane], piece, lefthand) for piece in ordered),
         )
         edges.append(edge)
         lane_of.update({piece: (edge.id, index) for index, piece in enumerate(ordered)})
@@ -156,7 +159,7 @@ def _junction_names(layout: Layout, joints: Joints) -> dict[Hashable, str]:
     return names
 
 
-def _lane_plan(track: Track, piece: Piece) -> LanePlan:
+def _lane_plan(track: Track, piece: Piece, lefthand: bool) -> LanePlan:
     inside = track.widths[(track.widths[:, 0] >= piece.from_m) & (track.widths[:, 0] <= piece.to_m)]
     varies = len(inside) > 1 and float(np.ptp(inside[:, 1])) > VARIES_M
     profile = " ".join(f"{s - piece.from_m:.1f}:{w:.2f}" for s, w in inside) if varies else ""
@@ -168,6 +171,8 @@ def _lane_plan(track: Track, piece: Piece) -> LanePlan:
         track.lane.use,
         _source(track, piece),
         profile,
+        track.lane.right_solid if lefthand else track.lane.left_solid,
+        track.lane.left_solid if lefthand else track.lane.right_solid,
     )
 
 

@@ -253,6 +253,8 @@ class _Reader:
             use=USES.get(str(row.get("lane_type", "CAR")).upper(), LaneUse.CAR),
             left_dashed=_dashed_nodes(self._records(row, "left_lane_divider_segments")),
             right_dashed=_dashed_nodes(self._records(row, "right_lane_divider_segments")),
+            left_solid=_is_solid(row.get("left_lane_divider_segments")),
+            right_solid=_is_solid(row.get("right_lane_divider_segments")),
         )
 
     def _links(self, known: set[str]) -> list[tuple[str, str]]:
@@ -346,6 +348,12 @@ def as_multi(shape: shapely.Geometry) -> MultiPolygon:
 def _dashed_nodes(rows: Sequence[Row]) -> frozenset[str]:
     """Return the node names of the dashed part of a divider; the solid part may not be crossed."""
     return frozenset(str(row.get("node_token")) for row in rows if "DASHED" in str(row.get("segment_type")))
+
+
+def _is_solid(segments: Sequence[Row] | None) -> bool:
+    """Return whether a divider is named solid and nowhere dashed."""
+    kinds = [str(row.get("segment_type")) for row in segments or []]
+    return any("SOLID" in kind for kind in kinds) and not any("DASHED" in kind for kind in kinds)
 
 
 def _records_only(pieces: object) -> list[Row]:

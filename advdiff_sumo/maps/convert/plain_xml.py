@@ -64,7 +64,7 @@ def _location(plan: NetPlan, projection: str) -> ET.Element:
 
 def _node(junction: JunctionPlan) -> ET.Element:
     x, y = junction.xy_m
-    return ET.Element(
+    row = ET.Element(
         "node",
         id=junction.id,
         x=f"{x:.4f}",
@@ -72,6 +72,9 @@ def _node(junction: JunctionPlan) -> ET.Element:
         type=junction.kind,
         shape=shape_text(np.asarray(junction.shape.exterior.coords)[:-1]),
     )
+    if junction.one_by_one:
+        row.set("tlLayout", "incoming")
+    return row
 
 
 def _edge(edge: EdgePlan, location: str) -> ET.Element:
@@ -92,6 +95,9 @@ def _edge(edge: EdgePlan, location: str) -> ET.Element:
         row.set("shape", shape_text(lane.shape_m))
         if ALLOWED[lane.use]:
             row.set("allow", ALLOWED[lane.use])
+        for side, forbidden in (("changeLeft", lane.no_change_up), ("changeRight", lane.no_change_down)):
+            if forbidden:  # SUMO's left is the higher index, on whichever side the traffic keeps
+                row.set(side, NOBODY)
         _param(row, "source", lane.source)
         if lane.widths:
             _param(row, "widths", lane.widths)

@@ -33,6 +33,7 @@ class SourceLane:
         speed_mps: speed limit, or None where the source has none.
         width_m: width that the source states, or None (then it is measured on the polygon).
         left_dashed, right_dashed: node names of the dashed divider on that side.
+        left_solid, right_solid: whether the divider on that side must not be crossed anywhere.
     """
 
     token: str
@@ -44,6 +45,8 @@ class SourceLane:
     width_m: float | None = None
     left_dashed: frozenset[str] = frozenset()
     right_dashed: frozenset[str] = frozenset()
+    left_solid: bool = False
+    right_solid: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,168 @@
+"""Who goes first: stop lines, lights, solid dividers and narrow places on hand-made maps."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sumolib
+from small_maps import MapBuilder, crossroads, two_lane_road
+
+from advdiff_sumo.maps.convert import convert_map
+
+AT_WEST = [
+    (88.0, 98.0),
+    (90.0, 98.0),
+    (90.0, 102.0),
+    (88.0, 102.0),
+]  # where lane "west" of the crossroads ends
+AT_SOUTH = [(98.0, 88.0), (102.0, 88.0), (102.0, 90.0), (98.0, 90.0)]
+
+
+def stop_line(
+    road: MapBuilder, kind: str, points: list[tuple[float, float]], light: str | None = None
+) -> None:
+    row = {"token": f"stop{len(road.data['stop_line'])}", "polygon_token": road.polygon(points)}
+    tokens = [light] if light else []
+    road.data["stop_line"].append({**row, "stop_line_type": kind, "traffic_light_tokens": tokens})
+
+
+def net_of(road: MapBuilder, folder: Path, **options: bool) -> Any:
+    result = convert_map(road.write(folder / "small.json"), folder / "small.net.xml", **options)
+    return sumolib.net.readNet(str(result.net), withInternal=True, withPrograms=True)
+
+
+def crossing(net: Any) -> Any:
+    """Return the only junction with more than one approach."""
+    (node,) = [
+        node for node in net.getNodes() if len(node.getIncoming()) > 1 and node.getType() != "internal"
+    ]
+    return node
+
+
+def states(node: Any) -> dict[str, set[str]]:
+    """Return the right of way of the links of each approach, by the source lane of the approach."""
+    found: dict[str, set[str]] = {}
+    for link in node.getConnections():
+        if link.getFrom().getFunction() == "":
+            lane = link.getFromLane().getParam("source").split(":")[0]
+            found.setdefault(lane, set()).add(link.getState())
+    return found
+
+
+def test_stop_sign_on_one_approach(tmp_path: Path) -> None:
+    road = crossroads()
+    stop_line(road, "STOP_SIGN", AT_WEST)
+    node = crossing(net_of(road, tmp_path))
+    assert node.getType() == "priority_stop"
+    assert states(node) == {"west": {"s"}, "south": {"M"}}
+
+
+def test_stop_signs_on_all_approaches(tmp_path: Path) -> None:
+    road = crossroads()
+    stop_line(road, "STOP_SIGN", AT_WEST)
+    stop_line(road, "STOP_SIGN", AT_SOUTH)
+    node = crossing(net_of(road, tmp_path))
+    assert node.getType() == "allway_stop"
+    assert states(node) == {"west": {"w"}, "south": {"w"}}
+
+
+@pytest.mark.parametrize(("at", "first", "second"), [(AT_WEST, "south", "west"), (AT_SOUTH, "west", "south")])
+def test_yield_sign(tmp_path: Path, at: list[tuple[float, float]], first: str, second: str) -> None:
+    road = crossroads()
+    stop_line(road, "YIELD", at)
+    found = states(crossing(net_of(road, tmp_path)))
+    assert found[second] == {"m"}
+    assert "M" in found[first]
+
+
+@pytest.mark.parametrize("kind", ["PED_CROSSING", "TURN_STOP"])
+def test_other_stop_lines_change_nothing(tmp_path: Path, kind: str) -> None:
+    plain = states(crossing(net_of(crossroads(), tmp_path)))
+    road = crossroads()
+    stop_line(road, kind, AT_WEST)
+    assert states(crossing(net_of(road, tmp_path))) == plain
+
+
+def test_light_by_its_stop_line(tmp_path: Path) -> None:
+    road = crossroads()
+    stop_line(road, "TRAFFIC_LIGHT", AT_WEST, light="light")
+    road.data["traffic_light"].append({"token": "light", "line_token": ""})
+    net = net_of(road, tmp_path)
+    assert crossing(net).getType() == "traffic_light"
+    (light,) = net.getTrafficLights()
+    (program,) = light.getPrograms().values()
+    links = {link[0].getParam("source").split(":")[0]: link[2] for link in light.getConnections()}
+    assert set(links) == {"west", "south"}
+    for phase in program.getPhases():  # crossing approaches are never green together
+        assert not {phase.state[links["west"]], phase.state[links["south"]]} <= {"G"}
+
+
+@pytest.mark.parametrize(("x", "kind"), [(90.0, "traffic_light"), (80.0, "priority")])
+def test_light_by_its_own_line_counts_within_six_metres(tmp_path: Path, x: float, kind: str) -> None:
+    road = crossroads()
+    nodes = [road.node(x, 98.0), road.node(x, 102.0)]
+    road.data["line"].append({"token": "line", "node_tokens": nodes})
+    road.data["traffic_light"].append({"token": "light", "line_token": "line"})
+    assert crossing(net_of(road, tmp_path)).getType() == kind
+
+
+@pytest.mark.parametrize(("wide", "kind"), [(True, "traffic_light"), (False, "priority")])
+def test_signals_are_guessed_at_large_junctions_only(tmp_path: Path, wide: bool, kind: str) -> None:
+    road = crossroads()
+    end = road.straight("opposite", (160.0, 110.0, math.pi), 50.0)
+    road.straight("opposite-on", end, 20.0, connector=True)
+    road.straight("west-out", (90.0, 110.0, math.pi), 50.0)
+    road.link("opposite", "opposite-on", "west-out")
+    if wide:
+        end = road.straight("west2", (40.0, 96.5, 0.0), 50.0)
+        road.straight("west2-on", end, 20.0, connector=True)
+        road.straight("east2", (110.0, 96.5, 0.0), 50.0)
+        road.link("west2", "west2-on", "east2")
+    assert crossing(net_of(road, tmp_path, guess_signals=True)).getType() == kind
+
+
+@pytest.mark.parametrize(("lefthand", "side"), [(False, "changeRight"), (True, "changeLeft")])
+def test_solid_divider_forbids_the_change(tmp_path: Path, lefthand: bool, side: str) -> None:
+    road = two_lane_road()  # "a" lies left of "b"
+    road.data["lane"][0]["right_lane_divider_segments"] = [
+        {"node_token": road.node(x, 101.75), "segment_type": "SINGLE_SOLID_WHITE"} for x in (100.0, 180.0)
+    ]
+    result = convert_map(road.write(tmp_path / "small.json"), tmp_path / "n.net.xml", lefthand=lefthand)
+    lanes = [
+        lane
+        for edge in sumolib.xml.parse(str(result.net), "edge")
+        for lane in edge.lane
+        if any(p.value.startswith("a:") or p.value.startswith("b:") for p in lane.param or [])
+    ]
+    assert len(lanes) == 2
+    for lane in lanes:
+        is_a = lane.param[0].value.startswith("a:")
+        for attribute in ("changeLeft", "changeRight"):
+            assert lane.hasAttribute(attribute) == (is_a and attribute == side)
+
+
+def test_ways_that_pass_too_near_yield(tmp_path: Path) -> None:
+    road = MapBuilder()
+    for name, y, yaw, x in (("on", 100.0, 0.0, 40.0), ("back", 101.2, math.pi, 190.0)):
+        end = road.straight(f"{name}-in", (x, y, yaw), 60.0)
+        road.straight(f"{name}-way", end, 30.0, connector=True)
+        road.straight(f"{name}-out", (end[0] + 30.0 * math.cos(yaw), y, yaw), 60.0)
+        road.link(f"{name}-in", f"{name}-way", f"{name}-out")
+    result = convert_map(road.write(tmp_path / "small.json"), tmp_path / "small.net.xml")
+    assert result.counts["conflicts in junctions added to netconvert's"] == 1
+    node = crossing(sumolib.net.readNet(str(result.net), withInternal=True))
+    assert node.areFoes(0, 1)
+    assert sorted(state for own in states(node).values() for state in own) == ["M", "m"]
+
+
+def test_open_end_that_juts_out_becomes_a_piece_of_its_own(tmp_path: Path) -> None:
+    result = convert_map(two_lane_road(lead_m=8.0).write(tmp_path / "small.json"), tmp_path / "small.net.xml")
+    assert result.counts["open ends cut off to even an edge"] == 1
+    edges = sumolib.net.readNet(str(result.net)).getEdges()
+    assert sorted((e.getLaneNumber(), round(e.getLength())) for e in edges)[0] == (1, 7)
+    for edge in result.plan.edges:
+        lengths = [lane.piece.length_m for lane in edge.lanes]
+        assert max(lengths) - min(lengths) < 1.0

@@ -14,6 +14,7 @@ from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, Junction
 from advdiff_sumo.maps.convert.source import LaneUse
 
 NOBODY = "custom2"  # a vehicle class that nothing uses
+CHANGE_M = 5.0  # on an edge shorter than a car, who merges behind it cannot foresee a lane change
 ALLOWED = {
     LaneUse.CAR: "",
     LaneUse.BUS: "bus coach taxi emergency",
@@ -95,8 +96,10 @@ def _edge(edge: EdgePlan, location: str) -> ET.Element:
         row.set("shape", shape_text(lane.shape_m))
         if ALLOWED[lane.use]:
             row.set("allow", ALLOWED[lane.use])
-        for side, forbidden in (("changeLeft", lane.no_change_up), ("changeRight", lane.no_change_down)):
-            if forbidden:  # SUMO's left is the higher index, on whichever side the traffic keeps
+        for side, solid in (("changeLeft", lane.no_change_up), ("changeRight", lane.no_change_down)):
+            if (
+                solid or edge.length_m < CHANGE_M
+            ):  # SUMO's left is the higher index, on whichever side the traffic keeps
                 row.set(side, NOBODY)
         _param(row, "source", lane.source)
         if lane.widths:

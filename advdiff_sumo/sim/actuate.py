@@ -22,6 +22,7 @@ from advdiff_sumo.sim.world import World
 
 _ANY_EDGE, _OWN_ROUTE = 2, 3  # moveToXY's keepRoute: exact position; 3 looks for a lane on the own route only
 _FREE_SPEED_FACTOR, _FREE_MAX_SPEED = 20.0, 90.0
+_SAME_PLACE_M = 0.2
 _NO_CHECKS = 0  # SUMO's speed mode and lane-change mode without any
 _USUAL_SPEED_MODE, _USUAL_LANE_CHANGE_MODE = 31, 1621
 
@@ -147,6 +148,12 @@ class Actuator:
             self.api.vehicle.unsubscribe(name)  # else the next step stops at the unknown name
             self.api.vehicle.remove(name)
             self.world.in_sumo.discard(row)
+
+    def holds(self, row: int, lane: str | None, d_m: float) -> bool:
+        """Return whether SUMO has *row* on *lane*, *d_m* to its left: where lanes overlap it may not."""
+        name = self.world.sumo_ids[row]
+        beside = float(self.api.vehicle.getLateralLanePosition(name)) * (-1.0 if self.road.lefthand else 1.0)
+        return self.world.lane[row] == lane and abs(beside - d_m) <= _SAME_PLACE_M
 
     def move(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> None:
         """Put *rows* at poses (N, 2), (N,) in the next step; those outside or being inserted are left alone."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.bicycle import Limits, clip_controls, step
-from advdiff_sumo.core.frames import unit, wrap_angle
+from advdiff_sumo.core.frames import bumper_from_centre, unit, wrap_angle
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background import Motion
@@ -45,11 +45,19 @@ class Handover:
         if not left:
             return motion
         rows = np.array(left, dtype=np.int64)
-        lanes, s, d, turned = self.road.locate_many(self.world.xy_m[rows], self.world.yaw_rad[rows])
+        xy, yaw = self.world.xy_m[rows], self.world.yaw_rad[rows]
+        lanes, s, d, turned = self.road.locate_many(xy, yaw)
+        fronts, _, beside, _ = self.road.locate_many(
+            bumper_from_centre(xy, yaw, self.world.size_m[rows, 0]), yaw
+        )
+        held = [
+            row in inside and self.actuator.holds(row, front, offset)
+            for row, front, offset in zip(left, fronts, beside.tolist(), strict=True)
+        ]
         places = zip(s.tolist(), d.tolist(), turned.tolist(), strict=True)
         askew = []
-        for row, lane, place in zip(left, lanes, places, strict=True):
-            if row in inside and self._fits(row, lane, place, steps * self.sim.step_s):
+        for row, lane, place, sure in zip(left, lanes, places, held, strict=True):
+            if row in inside and self._fits(row, lane, place, sure, steps * self.sim.step_s):
                 self.actuator.release(row, self.route(row, routes))
                 self._routes.pop(row, None)
             else:
@@ -58,10 +66,15 @@ class Handover:
             return motion
         return Motion.join(motion, self._align(np.array(askew, dtype=np.int64), steps))
 
-    def _fits(self, row: int, lane: str | None, place: tuple[float, float, float], wait_s: float) -> bool:
-        """Return whether SUMO would leave *row* as it stands at *place*: s, d and heading on *lane*."""
+    def _fits(
+        self, row: int, lane: str | None, place: tuple[float, float, float], sure: bool, wait_s: float
+    ) -> bool:
+        """Return whether SUMO would leave *row* as it stands at *place*: s, d and heading on *lane*.
+
+        *sure*: SUMO has it on that very lane.
+        """
         s_m, offset_m, angle_rad = place
-        aligned = lane is not None and abs(angle_rad) <= _ALIGNED_RAD
+        aligned = sure and lane is not None and abs(angle_rad) <= _ALIGNED_RAD
         if (
             aligned
             and abs(offset_m) <= 0.5 * self.road.lanes[str(lane)].width_m

@@ -77,16 +77,10 @@ class LoggedTraffic:
         """Return whether the ego is on a lane and along it, where SUMO can take it over without a jump."""
         xy, yaw = drive.tracks.xy_m[drive.ego, now], float(drive.tracks.yaw_rad[drive.ego, now])
         pose = self.road.locate(xy, yaw)
-        if pose is None:
-            return False
-        lane = self.road.lanes[pose.lane_id]
-        bend = float(np.ptp(np.unwrap(lane.line.segment_yaw_rad)))
-        beside = abs(pose.d_m) <= 0.5 * lane.width_m
-        return (
-            beside
-            and abs(pose.yaw_error_rad) <= _ALIGNED_RAD
-            and not (lane.is_internal and bend > _ALIGNED_RAD)
-        )
+        if pose is None or self.road.lanes[pose.lane_id].is_internal:
+            return False  # on a junction lanes overlap, and SUMO may take another one
+        beside = abs(pose.d_m) <= 0.5 * self.road.lanes[pose.lane_id].width_m
+        return beside and abs(pose.yaw_error_rad) <= _ALIGNED_RAD
 
     def _scene(self, drive: LogScene, now: int) -> SeedScene | None:
         tracks = drive.tracks

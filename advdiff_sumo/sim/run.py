@@ -80,7 +80,7 @@ class Run:
         target: what drives the tested vehicle.
         policy: what moves the others.
         names: of target and background, as the registries spell them.
-        gui: open sumo-gui; no option of the run, since it does not change the result.
+        gui: open sumo-gui in place of libsumo; the same loop, though traci may differ in the last digits.
     """
 
     options: RunOptions

@@ -71,8 +71,8 @@ def _drop_date(net: Path) -> None:
 
 
 EXPLAINED = {
-    "to avoid dead-end": "lane changes are forbidden by a solid divider or on an edge shorter than a car, but a lane that "
-    "leads nowhere can only be left by one, so it stays allowed there",
+    "to avoid dead-end": "lane changes are forbidden by a solid divider or on an edge shorter than a car, but a lane "
+    "that leads nowhere can only be left by one, so it stays allowed there",
     "is not connected from any incoming edge": "the source has no lane that leads into this one; its neighbours in the "
     "edge have, so it is entered by a lane change",
     "Custom shape has distance": "netconvert had moved the end of that lane; its shape was put back afterwards",

@@ -19,6 +19,7 @@ BEND_OFF_M = 0.02  # bending an end to a given yaw moves the line by at most thi
 BEND_M = (1.0, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01, 0.005)  # tried in this order
 STRAIGHT_RAD = 1e-6
 SHORTEST_M = 1e-6
+STUB_M = 0.1  # corners nearer to an end are left out: they would turn the whole lane's border there
 SAGITTA_M = 0.004  # chords that lie nearer to their arc are taken for chords of an arc
 SAME_PER_M = 1e-6
 
@@ -41,7 +42,7 @@ def end_yaw(line: FloatArray) -> float:
 
 def start_yaw(line: FloatArray) -> float:
     """Return the yaw in rad in which *line* (N, 2) begins, likewise."""
-    step = np.diff(line[:3], axis=0)
+    step = np.diff(_without_stubs(line)[:3], axis=0)
     yaw = np.arctan2(step[:, 1], step[:, 0])
     if len(step) < 2:
         return float(yaw[0])
@@ -54,8 +55,15 @@ def start_yaw(line: FloatArray) -> float:
 
 def smooth(line: FloatArray, from_yaw: float, to_yaw: float) -> list[Stretch]:
     """Return stretches without a kink that follow *line* (N, 2) to ``BEND_OFF_M`` and have its ends and these yaws."""
-    bent = _bent(_bent(line, from_yaw)[::-1], _wrapped(to_yaw + math.pi))[::-1]
+    bent = _bent(_bent(_without_stubs(line), from_yaw)[::-1], _wrapped(to_yaw + math.pi))[::-1]
     return _merged(_filleted(_without_straight_corners(bent)))
+
+
+def _without_stubs(line: FloatArray) -> FloatArray:
+    s = polyline.stations(line)
+    kept = (s > STUB_M) & (s < s[-1] - STUB_M)
+    kept[[0, -1]] = True
+    return np.asarray(line[kept])
 
 
 def _bent(line: FloatArray, yaw: float) -> FloatArray:

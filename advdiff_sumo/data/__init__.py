@@ -24,4 +24,6 @@ def open_log(path: Path) -> LogReader:
         return NuScenesReader(path)
     if path.suffix == ".pkl" or (path.is_dir() and any(path.glob("*.pkl"))):
         return ScenarioNetReader(path)
-    raise LogError(path, "holds no driving log", "give a folder with v1.0-*/ tables or ScenarioNet .pkl records")
+    raise LogError(
+        path, "holds no driving log", "give a folder with v1.0-*/ tables or ScenarioNet .pkl records"
+    )

@@ -42,7 +42,9 @@ def unit(yaw_rad: FloatArray) -> FloatArray:
     return np.stack((np.cos(yaw_rad), np.sin(yaw_rad)), axis=-1)
 
 
-def local_from_world(xy_m: FloatArray, origin_xy_m: FloatArray, origin_yaw_rad: float) -> FloatArray:
+def local_from_world(
+    xy_m: FloatArray, origin_xy_m: FloatArray, origin_yaw_rad: FloatArray | float
+) -> FloatArray:
     """Return points (…, 2) in the frame at *origin_xy_m* whose x axis points along *origin_yaw_rad*."""
     cos, sin = np.cos(origin_yaw_rad), np.sin(origin_yaw_rad)
     delta = xy_m - origin_xy_m

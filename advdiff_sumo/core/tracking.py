@@ -6,7 +6,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.bicycle import Limits, clip_controls, step, wheelbase_m
-from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.core.frames import local_from_world, wrap_angle
 from advdiff_sumo.core.plan import Controls, Trajectory
 
 _CROSS_GAIN = 0.6  # 1/(m s): curvature × speed per metre of lateral error
@@ -91,7 +91,7 @@ def track(state: State, reference: State, length_m: FloatArray, step_s: float, l
 def _controls(state: State, last: State, goal: State, dt_s: float) -> tuple[FloatArray, FloatArray]:
     """Return acceleration and curvature that lead from *state* towards *goal*; all arrays (…,)."""
     xy, yaw, speed = state
-    offset = _local(last[0], xy, yaw)
+    offset = local_from_world(last[0], xy, yaw)
     reference_step = np.maximum(0.5 * (last[2] + goal[2]) * dt_s, 1e-6)
     feed_bend = np.where(reference_step > 1e-3, wrap_angle(goal[1] - last[1]) / reference_step, 0.0)
     heading = wrap_angle(last[1] - yaw)
@@ -100,14 +100,6 @@ def _controls(state: State, last: State, goal: State, dt_s: float) -> tuple[Floa
     bend = feed_bend + near * (_CROSS_GAIN * offset[..., 1] + _HEADING_GAIN * heading) / pace
     accel = (goal[2] - last[2]) / dt_s + _ALONG_GAIN * offset[..., 0] + _SPEED_GAIN * (last[2] - speed)
     return accel, bend
-
-
-def _local(xy_m: FloatArray, origin_xy_m: FloatArray, origin_yaw_rad: FloatArray) -> FloatArray:
-    cos, sin = np.cos(origin_yaw_rad), np.sin(origin_yaw_rad)
-    delta = xy_m - origin_xy_m
-    return np.stack(
-        (cos * delta[..., 0] + sin * delta[..., 1], cos * delta[..., 1] - sin * delta[..., 0]), -1
-    )
 
 
 def _stacked(states: list[State]) -> State:

@@ -12,7 +12,7 @@ from advdiff_sumo.core.errors import ConfigError, SimulationError
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.planners.base import SumoDriver, Target
 from advdiff_sumo.sim.options import SimOptions
-from advdiff_sumo.sim.seed_scene import PlacedTraffic, SavedTraffic, SeedScene
+from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import SessionOptions
 from advdiff_sumo.sim.world import VCLASS_OF_CLASS
 
@@ -139,8 +139,3 @@ def _mean(factor: float | str) -> float:
     """Return a speed factor's number, or the mean of SUMO's "normc(mean,…)"."""
     found = re.search(r"[\d.]+", str(factor))
     return float(found.group()) if found else 1.0
-
-
-def is_placed(scene: SeedScene) -> bool:
-    """Return whether the scene's vehicles are placed by their poses."""
-    return isinstance(scene.start, PlacedTraffic)

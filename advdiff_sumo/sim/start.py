@@ -132,7 +132,20 @@ def _with_target_type(state_xml: bytes, target_id: str, target: Target) -> bytes
     vehicle.set("type", TARGET_TYPE)
     wanted = target.params.get("speedFactor", 1.0) if isinstance(target, SumoDriver) else 1.0
     vehicle.set("speedFactor", f"{_mean(wanted):.4f}")
+    for saved in root.iter("vehicle"):
+        _forget_advices(saved)
     return bytes(tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _forget_advices(vehicle: Element) -> None:
+    """Leave of a saved lane-change state only its flags, the first number.
+
+    The speed advices that follow it were given in the step before. SUMO 1.28 writes each one's ownership in a form
+    that it cannot read back, so that the advice is heeded or not as memory happens to lie.
+    """
+    state = vehicle.get("lcStateBase", "").split()
+    if len(state) > 1:
+        vehicle.set("lcStateBase", state[0])
 
 
 def _mean(factor: float | str) -> float:

@@ -81,6 +81,8 @@ class EpisodeRecord:
         signals: T mappings, traffic light → state string.
         sumo_collisions: SUMO's own list.
         teleports: vehicles that SUMO teleported.
+        rough_handovers: vehicles that SUMO got back although they stood askew in their lane.
+        skipped_agents: agents of a log left to SUMO, which had them out of reach of where the log goes on.
         failure: set when ``end`` is FAILED.
     """
 
@@ -96,4 +98,6 @@ class EpisodeRecord:
     signals: tuple[Mapping[str, str], ...] = ()
     sumo_collisions: tuple[SumoCollision, ...] = ()
     teleports: int = 0
+    rough_handovers: int = 0
+    skipped_agents: int = 0
     failure: Failure | None = field(default=None)

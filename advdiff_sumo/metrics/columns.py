@@ -76,6 +76,10 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "ours_only": _count("pairs at an instant whose boxes overlap and that SUMO does not list"),
     "sumo_disagreements": _count("sumo_only plus ours_only"),
     "teleports": _count("vehicles that SUMO teleported"),
+    "rough_handovers": _count("times SUMO got a vehicle back askew, as it could not be aligned within 8 s"),
+    "skipped_agents": _count(
+        "agents of a log left to SUMO, as SUMO had them out of reach of where the log goes on"
+    ),
     "min_ttc_s": _real("s", "least time to collision of boxes at constant velocity, up to 10 s"),
     "min_ttc_partner": _text("the vehicle it was with"),
     "min_lane_ttc_s": _real("s", "least time to collision with the vehicle ahead in the lane, up to 10 s"),

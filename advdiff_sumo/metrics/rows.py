@@ -45,6 +45,8 @@ def episode_row(
         "ours_only": m.sumo.ours_only,
         "sumo_disagreements": m.sumo.sumo_only + m.sumo.ours_only,
         "teleports": record.teleports,
+        "rough_handovers": record.rough_handovers,
+        "skipped_agents": record.skipped_agents,
         **_criticality_values(record, m.criticality),
         **vars(m.comfort),
         "bv_collisions": len(m.background),

@@ -291,6 +291,8 @@ class Loop:
             route=episode.scene.routes.get(episode.scene.target, ()),
             end=end,
             visible=record.visible if isinstance(episode.target, SumoDriver) else None,
+            rough_handovers=len(self.handover.rough),
+            skipped_agents=len(self.background.skipped),
             failure=failure,
         )
 

@@ -212,6 +212,39 @@ def test_a_faulty_policy_is_refused_before_sumo_sees_it(
     assert words in record.failure.message
 
 
+class Exact(StraightOn):
+    """A log of vehicles that stand turned by *turn*, *away_m* from where they are, for the first second."""
+
+    def __init__(self, turn: float, away_m: float) -> None:
+        super().__init__(speed_mps=0.0, until_s=1.0)
+        self.turn, self.away_m = turn, away_m
+
+    def plan(self, road: RoadMap, scene: Scene, memory: None, rng: np.random.Generator) -> Any:
+        tracks = super().plan(road, scene, memory, rng)[0].tracks
+        turn = self.turn if scene.time_s == 0.0 else 0.0  # it stays turned after that
+        return JointPlan(
+            replace(tracks, xy_m=tracks.xy_m + self.away_m, yaw_rad=tracks.yaw_rad + turn), exact=True
+        ), None
+
+
+def test_vehicles_that_sumo_gets_back_askew_are_counted(scene: SeedScene, road: RoadMap) -> None:
+    near: dict[str, Any] = {"background": Exact(0.4, 0.0), "control_radius_m": 40.0}
+    record, _ = episode(scene, road, horizon_s=7.0, **near).run()
+    assert record.rough_handovers == 0  # they wait for 8 s to come straight, which they cannot, standing
+    record, _ = episode(scene, road, horizon_s=11.0, **near).run()
+    moved = (record.controller == Controller.POLICY).any(axis=1)
+    assert 1 <= record.rough_handovers <= moved.sum()
+    assert record.skipped_agents == 0
+
+
+def test_agents_that_sumo_has_elsewhere_are_counted_and_left_alone(scene: SeedScene, road: RoadMap) -> None:
+    near: dict[str, Any] = {"background": Exact(0.0, 60.0), "control_radius_m": 40.0}
+    record, _ = episode(scene, road, horizon_s=0.5, **near).run()
+    gap = np.linalg.norm(record.tracks.xy_m[:, 0] - record.tracks.xy_m[record.target, 0], axis=-1)
+    assert record.skipped_agents == (gap <= 40.0).sum() - 1  # all but the target
+    assert not (record.controller == Controller.POLICY).any()
+
+
 def test_a_collision_ends_the_episode(scene: SeedScene, road: RoadMap) -> None:
     record, _ = episode(
         scene, road, target=Straight(), background=StraightOn(0.0), horizon_s=8.0, stop_at_collision=True

@@ -7,12 +7,12 @@ import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.config import read_toml, set_dotted
 from advdiff_sumo.core.errors import ConfigError
 
@@ -23,52 +23,19 @@ _RUNS = Path("runs")
 
 
 def run(
-    net: Annotated[
-        str | None,
-        typer.Option(
-            help="SUMO net (.net.xml, .net.xml.gz), or a shipped one: downtown, downtown-left, motorway.",
-            show_default="downtown",
-        ),
-    ] = None,
-    target: Annotated[
-        str | None,
-        typer.Option(
-            help="What drives the tested vehicle: IDM, Krauss, EIDM, …, lane_graph, or package.module:Class.",
-            show_default="IDM",
-        ),
-    ] = None,
-    background: Annotated[
-        str | None,
-        typer.Option(
-            help="What moves the others: sumo, replay, or package.module:Class.", show_default="sumo"
-        ),
-    ] = None,
-    episodes: Annotated[int | None, typer.Option(help="How many episodes.", show_default="10")] = None,
-    horizon: Annotated[
-        float | None, typer.Option(help="Longest duration of an episode, in seconds.", show_default="20")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Same seed, same bytes.", show_default="0")] = None,
-    demand: Annotated[
-        Path | None,
-        typer.Option(help="Route file (.rou.xml) or .sumocfg of the net; without it traffic is made up."),
-    ] = None,
-    scenes: Annotated[
-        Path | None,
-        typer.Option(help="Driving log to start from: a nuScenes dataset root or ScenarioNet records."),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for the results.", show_default="runs/NET-TARGET-BACKGROUND-sSEED"),
-    ] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="TOML file with options, such as a run's own run.toml.")
-    ] = None,
-    assign: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="Any other option, as NAME=VALUE: --set sim.control_radius_m=80."),
-    ] = None,
-    gui: Annotated[bool, typer.Option("--gui", help="Watch in sumo-gui (needs a display).")] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run in --out.")] = False,
+    net: flags.Net = None,
+    target: flags.Target = None,
+    background: flags.Background = None,
+    episodes: flags.Episodes = None,
+    horizon: flags.Horizon = None,
+    seed: flags.Seed = None,
+    demand: flags.Demand = None,
+    scenes: flags.Scenes = None,
+    out: flags.Out = None,
+    config: flags.Config = None,
+    assign: flags.Assign = None,
+    gui: flags.Gui = False,
+    resume: flags.Resume = False,
 ) -> None:
     """Run episodes of a tested vehicle in traffic, and write what happened.
 

@@ -1,0 +1,53 @@
+"""The options of ``advdiff-sumo run``; all are empty by default, so that a file's values show through."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import typer
+
+Net: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="SUMO net (.net.xml, .net.xml.gz), or a shipped one: downtown, downtown-left, motorway.",
+        show_default="downtown",
+    ),
+]
+Target: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="What drives the tested vehicle: IDM, Krauss, EIDM, …, lane_graph, or package.module:Class.",
+        show_default="IDM",
+    ),
+]
+Background: TypeAlias = Annotated[
+    str | None,
+    typer.Option(help="What moves the others: sumo, replay, or package.module:Class.", show_default="sumo"),
+]
+Episodes: TypeAlias = Annotated[int | None, typer.Option(help="How many episodes.", show_default="10")]
+Horizon: TypeAlias = Annotated[
+    float | None, typer.Option(help="Longest duration of an episode, in seconds.", show_default="20")
+]
+Seed: TypeAlias = Annotated[int | None, typer.Option(help="Same seed, same bytes.", show_default="0")]
+Demand: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(help="Route file (.rou.xml) or .sumocfg of the net; without it traffic is made up."),
+]
+Scenes: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(help="Driving log to start from: a nuScenes dataset root or ScenarioNet records."),
+]
+Out: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(help="Folder for the results.", show_default="runs/NET-TARGET-BACKGROUND-sSEED"),
+]
+Config: TypeAlias = Annotated[
+    Path | None, typer.Option(help="TOML file with options, such as a run's own run.toml.")
+]
+Assign: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Any other option, as NAME=VALUE: --set sim.control_radius_m=80."),
+]
+Gui: TypeAlias = Annotated[bool, typer.Option("--gui", help="Watch in sumo-gui (needs a display).")]
+Resume: TypeAlias = Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run in --out.")]

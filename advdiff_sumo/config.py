@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -36,23 +37,70 @@ class Options(BaseModel):
 
 def _sentence(model: type[BaseModel], error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
-    key = ".".join(str(part) for part in first["loc"]) or "value"
+    path, value = first["loc"], first["input"]
+    key = _dotted(path)
     if first["type"] == "extra_forbidden":
-        return f"no option '{key}'; {did_you_mean(str(first['loc'][-1]), _known(model, first['loc'][:-1]))}"
+        return f"no option '{key}'; {_remedy(model, path)}"
     if first["type"] == "missing":
         return f"option '{key}' is missing"
+    if first["type"] == "model_type":
+        inside = _dotted((*path, next(iter(_group(model, path).model_fields))))
+        return f"{key} = {_short(value)}: that is a group of options; set one of them, such as {inside}"
     message = first["msg"].removeprefix("Value error, ")
-    return f"{key} = {first['input']!r}: {message[0].lower()}{message[1:]}"
+    if first["type"] == "value_error" and isinstance(
+        value, Mapping
+    ):  # a rule about several options names them
+        return f"{key}: {message}" if key else message
+    return f"{key or 'value'} = {_short(value)}: {message[0].lower()}{message[1:]}"
+
+
+def _remedy(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
+    """Return the nearest name, which is the same one in another group where there is such."""
+    same = [name for name in _leaves(model) if name.rpartition(".")[2] == str(path[-1]).rpartition(".")[2]]
+    return (
+        did_you_mean(_dotted(path), same) if same else did_you_mean(str(path[-1]), _known(model, path[:-1]))
+    )
+
+
+def _dotted(path: tuple[int | str, ...]) -> str:
+    return ".".join(str(part) for part in path)
+
+
+def _short(value: Any) -> str:
+    """Return *value* as Python writes it, long ones cut, groups of options as "{...}"."""
+    form = reprlib.Repr()
+    form.maxdict, form.maxlist, form.maxstring, form.maxother = 0, 4, 40, 40
+    return form.repr(value)
+
+
+def _group(model: type[BaseModel], path: tuple[int | str, ...]) -> type[BaseModel]:
+    """Return the model of the group of options at *path*, as far as there are groups."""
+    for part in path:
+        inner = _groups(model).get(str(part))
+        if inner is None:
+            break
+        model = inner
+    return model
+
+
+def _groups(model: type[BaseModel]) -> dict[str, type[BaseModel]]:
+    annotations = {name: info.annotation for name, info in model.model_fields.items()}
+    return {
+        name: kind
+        for name, kind in annotations.items()
+        if isinstance(kind, type) and issubclass(kind, BaseModel)
+    }
 
 
 def _known(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
-    for part in path:
-        info = model.model_fields.get(str(part))
-        inner = info.annotation if info else None
-        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
-            break
-        model = inner
-    return list(model.model_fields)
+    return list(_group(model, path).model_fields)
+
+
+def _leaves(model: type[BaseModel]) -> list[str]:
+    """Return the dotted names of all options of *model* and its groups."""
+    groups = _groups(model)
+    own = [name for name in model.model_fields if name not in groups]
+    return own + [f"{name}.{leaf}" for name, group in groups.items() for leaf in _leaves(group)]
 
 
 def read_toml(path: Path) -> dict[str, Any]:

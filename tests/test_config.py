@@ -51,7 +51,13 @@ def test_options_are_frozen() -> None:
             "run.toml: inner.step_s = nan: input should be a finite number",
         ),
         ({"count": "many"}, "run.toml: count = 'many': input should be a valid integer"),
-        ({"inner": 3}, "run.toml: inner = 3: input should be a valid dictionary"),
+        (
+            {"inner": 3},
+            "run.toml: inner = 3: that is a group of options; set one of them, such as inner.step_s",
+        ),
+        ({"step_s": 1}, "run.toml: no option 'step_s'; did you mean 'inner.step_s'?"),
+        ({"inner": {"count": 1}}, "run.toml: no option 'inner.count'; did you mean 'count'?"),
+        ({"inner.step_s": 1}, "run.toml: no option 'inner.step_s'; write it without quotation marks"),
     ],
 )
 def test_what_is_wrong_gets_one_sentence(values: dict[str, Any], sentence: str) -> None:
@@ -60,6 +66,32 @@ def test_what_is_wrong_gets_one_sentence(values: dict[str, Any], sentence: str) 
     assert str(caught.value).startswith(sentence)
     assert "\n" not in str(caught.value)
     assert isinstance(caught.value, InputError)
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        (
+            {"model_step_s": 0.55, "history_s": 2.0, "release_factor": 1.5},
+            "options: model_step_s = 0.55 is no whole multiple of 0.1",
+        ),
+        ({"step_s": {"a": 1, "b": [2] * 90}}, "options: step_s = {...}: input should be a valid number"),
+        ({"step_s": [7] * 90}, "options: step_s = [7, 7, 7, 7, ...]: input should be a valid number"),
+    ],
+)
+def test_long_values_are_not_echoed(values: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        SimOptions.parse(values)
+    assert str(caught.value) == sentence
+
+
+def test_a_rule_about_a_group_names_the_group() -> None:
+    class Whole(Options):
+        sim: SimOptions = SimOptions()
+
+    with pytest.raises(ConfigError) as caught:
+        Whole.parse({"sim": {"model_step_s": 0.55, "release_factor": 1.5}})
+    assert str(caught.value) == "options: sim: model_step_s = 0.55 is no whole multiple of 0.1"
 
 
 def test_a_missing_option_is_named() -> None:

@@ -57,9 +57,11 @@ def _sentence(model: type[BaseModel], error: ValidationError) -> str:
 def _remedy(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
     """Return the nearest name, which is the same one in another group where there is such."""
     same = [name for name in _leaves(model) if name.rpartition(".")[2] == str(path[-1]).rpartition(".")[2]]
-    return (
-        did_you_mean(_dotted(path), same) if same else did_you_mean(str(path[-1]), _known(model, path[:-1]))
-    )
+    if _dotted(path) in same:
+        return "write it without quotation marks: a name with a dot in quotation marks is another one"
+    if same:
+        return did_you_mean(_dotted(path), same)
+    return did_you_mean(str(path[-1]), _known(model, path[:-1]))
 
 
 def _dotted(path: tuple[int | str, ...]) -> str:

@@ -19,6 +19,7 @@ from advdiff_sumo.maps.lanes import Edge, Junction, Lane, LanePose, Link
 from advdiff_sumo.maps.locate import LaneIndex, poses_of
 from advdiff_sumo.maps.matching import RouteMatcher
 from advdiff_sumo.maps.paths import LanePath, PathFinder
+from advdiff_sumo.maps.pieces import PieceTable, build_pieces
 from advdiff_sumo.maps.read_net import RawNet, base_name, read_raw_net
 from advdiff_sumo.maps.routing import EdgeGraph
 from advdiff_sumo.maps.sidecar import read_sidecar, sidecar_of
@@ -302,6 +303,12 @@ class RoadMap:
             self._vector_indices[key] = VectorIndex(lanes, self.area.smooth_rings(), *key)
         xy = np.asarray(xy_m, dtype=np.float64)
         return self._vector_indices[key].crop(xy, float(yaw_rad), radius_m, max_polylines)
+
+    @cached_property
+    def pieces(self) -> PieceTable:
+        """The map as the learned model sees it."""
+        rings = self.area.smooth_rings()
+        return build_pieces(self.lanes, self.links.values(), self.junctions, rings, self.lefthand)
 
     # --- fringe ------------------------------------------------------------------------------------------
 

@@ -1,0 +1,255 @@
+"""The map as a table of short pieces with features, from which every agent takes its nearest ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.polylines import Polyline, without_repeats
+from advdiff_sumo.maps.lanes import Junction, Lane, Link
+
+POINTS = 6
+"""N: points of a piece."""
+PIECE_M = 20.0
+"""Longest piece; longer lines are cut into equal parts."""
+LANE_SLOTS, EDGE_SLOTS = 28, 12
+NEAR = LANE_SLOTS + EDGE_SLOTS
+"""K: pieces an agent sees."""
+RADIUS_M = 60.0
+"""Farthest point of a piece that is seen."""
+_AHEAD = 0.4
+_SHORTEST_M = 0.05
+_SIGNAL_CODES = {"r": 1, "R": 1, "u": 1, "U": 1, "y": 2, "Y": 2, "g": 3, "G": 3}
+
+
+class Feature(IntEnum):
+    """Columns of :attr:`PieceTable.features`, raw SI."""
+
+    WIDTH_M = 0
+    SPEED_MPS = 1
+    IS_LANE = 2
+    IS_INTERNAL = 3
+    IS_ROAD_EDGE = 4
+    YIELDS = 5
+    TURN = 6
+    STOP_SIGN = 7
+    FOR_CARS = 8
+    RESERVED = 9
+
+
+@dataclass(frozen=True)
+class PieceTable:
+    """All pieces of one map: M pieces of N points, G signalled links; lanes come before road edges.
+
+    Attributes:
+        xy_m: (M, N, 2) evenly spaced points in driving direction; a road edge has the road on its left.
+        features: (M, F) values in the order of :class:`Feature`.
+        signal: (M,) index into :attr:`signal_links`, −1 where no signal counts.
+        signal_links: G pairs of traffic light id and index in its state string.
+    """
+
+    xy_m: FloatArray
+    features: FloatArray
+    signal: IntArray
+    signal_links: tuple[tuple[str, int], ...]
+
+    def rows_near(self, xy_m: FloatArray, yaw_rad: FloatArray) -> NDArray[np.int32]:
+        """Return the pieces (S, K) that agents at *xy_m* (S, 2) heading *yaw_rad* (S,) see, −1 padded.
+
+        The first 28 columns hold lanes, the other 12 road edges, each nearest first, with a point within
+        60 m. What lies ahead counts as nearer than it is (distance along the heading × 0.4), so that a driver
+        in a dense junction still sees the lane it will be on in 6 s.
+        """
+        xy, yaw = np.asarray(xy_m, dtype=np.float64), np.asarray(yaw_rad, dtype=np.float64)
+        out = np.full((len(xy), NEAR), -1, dtype=np.int32)
+        if len(xy):
+            self._fill(out[:, :LANE_SLOTS], self._lanes, xy, yaw)
+            self._fill(out[:, LANE_SLOTS:], self._edges, xy, yaw)
+        return out
+
+    def signal_states(self, signals: Mapping[str, str]) -> NDArray[np.uint8]:
+        """Return the state (G,) of each signalled link: 0 unknown or off, 1 red, 2 yellow, 3 green.
+
+        Args:
+            signals: id of each traffic light → its state string as SUMO writes it.
+        """
+        states = np.zeros(len(self.signal_links), dtype=np.uint8)
+        for row, (name, index) in enumerate(self.signal_links):
+            text = signals.get(name, "")
+            states[row] = _SIGNAL_CODES.get(text[index], 0) if index < len(text) else 0
+        return states
+
+    @cached_property
+    def _lanes(self) -> _Search:
+        return _Search.of(self.xy_m, self.features[:, Feature.IS_LANE] > 0.0)
+
+    @cached_property
+    def _edges(self) -> _Search:
+        return _Search.of(self.xy_m, self.features[:, Feature.IS_ROAD_EDGE] > 0.0)
+
+    def _fill(self, out: NDArray[np.int32], search: _Search, xy: FloatArray, yaw: FloatArray) -> None:
+        agent, piece = search.candidates(xy)
+        distance, cost = _distances(self.xy_m[piece], xy[agent], yaw[agent])
+        seen = distance <= RADIUS_M
+        agent, piece, cost = agent[seen], piece[seen], cost[seen]
+        order = np.lexsort((piece, cost, agent))
+        agent, piece = agent[order], piece[order]
+        rank = np.arange(len(agent)) - np.searchsorted(agent, agent)
+        kept = rank < out.shape[1]
+        out[agent[kept], rank[kept]] = piece[kept]
+
+
+@dataclass(frozen=True)
+class _Search:
+    """A search tree over the middles of some pieces."""
+
+    rows: IntArray
+    reach_m: float
+    tree: cKDTree | None
+
+    @staticmethod
+    def of(xy_m: FloatArray, wanted: BoolArray) -> _Search:
+        rows = np.flatnonzero(wanted)
+        if len(rows) == 0:
+            return _Search(rows, 0.0, None)
+        points = xy_m[rows]
+        middle = 0.5 * (points.min(axis=1) + points.max(axis=1))
+        reach = float(np.linalg.norm(points - middle[:, None], axis=-1).max())
+        return _Search(rows, reach, cKDTree(middle))
+
+    def candidates(self, xy_m: FloatArray) -> tuple[IntArray, IntArray]:
+        """Return pairs (C,), (C,) of agent and piece that may be within the radius."""
+        none = np.zeros(0, dtype=np.int64)
+        if self.tree is None:
+            return none, none
+        found = self.tree.query_ball_point(xy_m, RADIUS_M + self.reach_m)
+        counts = np.array([len(rows) for rows in found])
+        if counts.sum() == 0:
+            return none, none
+        picked = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in found])
+        return np.repeat(np.arange(len(xy_m)), counts), self.rows[picked]
+
+
+def _distances(points: FloatArray, xy: FloatArray, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the distance (C,) of each agent to the points (C, N, 2) of a piece, and the same with less ahead."""
+    dx, dy = points[..., 0] - xy[:, None, 0], points[..., 1] - xy[:, None, 1]
+    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    squared = dx**2 + dy**2
+    ahead = np.maximum(dx * cos + dy * sin, 0.0)
+    cost = squared - (1.0 - _AHEAD**2) * ahead**2
+    return np.sqrt(squared.min(axis=1)), np.sqrt(np.maximum(cost.min(axis=1), 0.0))
+
+
+def build_pieces(
+    lanes: Mapping[str, Lane],
+    links: Iterable[Link],
+    junctions: Mapping[str, Junction],
+    rings: Iterable[FloatArray],
+    lefthand: bool,
+) -> PieceTable:
+    """Return the table of a map.
+
+    Args:
+        lanes: all lanes; those for pedestrians or rails alone are left out.
+        links: connections between non-internal lanes.
+        junctions: for who yields to whom under a signal.
+        rings: closed boundaries (P, 2) of the drivable area, area on the left.
+        lefthand: whether traffic keeps left, and turns round to the right.
+    """
+    links = list(links)
+    signal_links = tuple(
+        sorted({(x.tls_id, x.tls_index) for x in links if x.tls_id is not None and x.tls_index is not None})
+    )
+    marks = _Marks(junctions, {pair: row for row, pair in enumerate(signal_links)}, lefthand)
+    through = {name: link for link in reversed(links) for name in link.via}
+    xy: list[FloatArray] = []
+    rows: list[list[float]] = []
+    signal: list[int] = []
+    for lane in _shown(lanes):
+        pieces = _cut(lane.line)
+        link = through.get(lane.id) if lane.is_internal else _representative(lane.successors)
+        for number in range(len(pieces)):
+            said = link if lane.is_internal or number == len(pieces) - 1 else None
+            rows.append(marks.lane(lane, said))
+            signal.append(marks.signal(said))
+        xy += pieces
+    for ring in rings:
+        pieces = _cut(Polyline.of(ring)) if len(without_repeats(ring)) > 2 else []
+        xy += pieces
+        rows += [_EDGE_ROW] * len(pieces)
+        signal += [-1] * len(pieces)
+    return PieceTable(
+        np.array(xy, dtype=np.float64).reshape(-1, POINTS, 2),
+        np.array(rows, dtype=np.float64).reshape(-1, len(Feature)),
+        np.array(signal, dtype=np.int64),
+        signal_links,
+    )
+
+
+_EDGE_ROW = [1.0 if column == Feature.IS_ROAD_EDGE else 0.0 for column in Feature]
+
+
+@dataclass(frozen=True)
+class _Marks:
+    """What signs, arrows and signals say about pieces."""
+
+    junctions: Mapping[str, Junction]
+    signal_rows: Mapping[tuple[str, int], int]
+    lefthand: bool
+
+    def lane(self, lane: Lane, link: Link | None) -> list[float]:
+        """Return the features of a piece of *lane* at which *link* counts."""
+        row = [0.0] * len(Feature)
+        row[Feature.WIDTH_M], row[Feature.SPEED_MPS] = lane.width_m, lane.speed_mps
+        row[Feature.IS_LANE], row[Feature.IS_INTERNAL] = 1.0, float(lane.is_internal)
+        row[Feature.FOR_CARS] = float(lane.permits("passenger"))
+        if link is not None:
+            turns = {self._turn(x) for x in ((link,) if lane.is_internal else lane.successors)}
+            row[Feature.TURN] = turns.pop() if len(turns) == 1 else 0.0
+            row[Feature.YIELDS] = float(self._yields(link))
+            row[Feature.STOP_SIGN] = float(link.state in "sw")
+        return row
+
+    def signal(self, link: Link | None) -> int:
+        """Return the row of the signal of *link*, or −1."""
+        if link is None or link.tls_id is None or link.tls_index is None:
+            return -1
+        return self.signal_rows[link.tls_id, link.tls_index]
+
+    def _turn(self, link: Link) -> float:
+        around = -1.0 if self.lefthand else 1.0
+        return {"l": 1.0, "L": 1.0, "r": -1.0, "R": -1.0, "t": around, "T": around}.get(link.direction, 0.0)
+
+    def _yields(self, link: Link) -> bool:
+        junction = self.junctions.get(link.junction_id)
+        if link.tls_id is None or junction is None:
+            return link.yields
+        return bool(junction.response.get(link.request_index))  # a turn that goes with the opposite green
+
+
+def _shown(lanes: Mapping[str, Lane]) -> Iterator[Lane]:
+    roads = {lane.edge_id for lane in lanes.values() if lane.is_drivable}
+    for lane in lanes.values():
+        if lane.is_drivable or (lane.edge_id in roads and "bicycle" in lane.allows):
+            yield lane
+
+
+def _representative(links: tuple[Link, ...]) -> Link | None:
+    """Return the straight link, else the first, else None."""
+    return next((link for link in links if link.direction == "s"), links[0] if links else None)
+
+
+def _cut(line: Polyline) -> list[FloatArray]:
+    """Return *line* in equal parts of at most 20 m, each as N evenly spaced points."""
+    if line.length_m < _SHORTEST_M:
+        return []
+    parts = max(1, int(np.ceil(line.length_m / PIECE_M - 1e-9)))
+    share = np.linspace(0.0, 1.0, POINTS)
+    return list(line.at((np.arange(parts)[:, None] + share) * (line.length_m / parts))[0])

@@ -6,13 +6,17 @@ AdvdiffError
 │   ├── NetError          a SUMO net or its side-car cannot be used
 │   ├── MapError          an HD map cannot be converted
 │   ├── LogError          a driving log cannot be read
+│   ├── WeightsError      a checkpoint or weights file cannot be used
+│   ├── DataError         a window file cannot be used
 │   ├── SceneError        no usable seed scene could be made
 │   ├── ConfigError       an option has no such name or value
 │   └── UnknownNameError  no planner, policy, … of that name
 ├── MissingExtraError     an optional dependency is not installed
+├── TrainingError         a training cannot go on: a loss or gradient is not a number
 └── EpisodeFailure        one episode could not be finished; the run goes on
     ├── PlanRefusedError  a plan holds NaN, a jump or another physical impossibility
     ├── PlannerError      the planner or policy raised
+    ├── OutOfMemoryFailure  the planner or policy asked for more memory than a worker may have
     └── SimulationError   SUMO refused or stopped
 """
 
@@ -51,6 +55,14 @@ class LogError(FileError):
     """A driving log cannot be read."""
 
 
+class WeightsError(FileError):
+    """A checkpoint or weights file cannot be used."""
+
+
+class DataError(FileError):
+    """A window file cannot be used."""
+
+
 class SceneError(InputError):
     """No usable seed scene could be made."""
 
@@ -74,6 +86,10 @@ class MissingExtraError(AdvdiffError):
         super().__init__(f"{feature} needs an optional package: pip install 'advdiff-sumo[{extra}]'")
 
 
+class TrainingError(AdvdiffError):
+    """A training cannot go on; the message names the step and what was wrong there."""
+
+
 class EpisodeFailure(AdvdiffError):  # noqa: N818 - the record of a failure, shown as such in the results
     """One episode could not be finished; the run records why and goes on."""
 
@@ -90,6 +106,12 @@ class PlannerError(EpisodeFailure):
     """The planner or policy raised an exception."""
 
     kind = "planner_error"
+
+
+class OutOfMemoryFailure(EpisodeFailure):
+    """The planner or policy asked for more memory than there is, or than a worker of a sweep may have."""
+
+    kind = "out_of_memory"
 
 
 class SimulationError(EpisodeFailure):

@@ -56,11 +56,13 @@ class Failure:
         kind: word of the error class, such as "plan_refused".
         message: one sentence.
         time_s: when, since the episode's start.
+        trace: where the planner or policy raised, as Python tells it; "" where it did not.
     """
 
     kind: str
     message: str
     time_s: float
+    trace: str = ""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,13 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.bicycle import Limits
-from advdiff_sumo.core.errors import AdvdiffError, EpisodeFailure, PlannerError, PlanRefusedError
+from advdiff_sumo.core.errors import (
+    AdvdiffError,
+    EpisodeFailure,
+    OutOfMemoryFailure,
+    PlannerError,
+    PlanRefusedError,
+)
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
@@ -144,6 +150,8 @@ class Background:
             raise
         except AdvdiffError:
             raise
+        except MemoryError as error:
+            raise OutOfMemoryFailure(f"background '{self.name}' ran out of memory: {error}") from error
         except Exception as error:
             raise PlannerError(f"background '{self.name}' raised {type(error).__name__}: {error}") from error
 

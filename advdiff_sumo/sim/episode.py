@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -79,7 +80,10 @@ class Episode:
                     loop.start()
                     end = loop.run(self._steps())
                 except EpisodeFailure as error:
-                    end, failure = EndReason.FAILED, Failure(error.kind, str(error), loop.time_s)
+                    end, failure = (
+                        EndReason.FAILED,
+                        Failure(error.kind, str(error), loop.time_s, _trace(error)),
+                    )
                 record = loop.record(end, failure)
         timing = Timing(time.perf_counter() - begun, *loop.planning_s())
         return record, timing
@@ -89,3 +93,9 @@ class Episode:
         if not isinstance(self.scene.start, SavedTraffic) or getattr(self.policy, "everywhere", False):
             longest = min(longest, self.scene.horizon_s)
         return round(longest / self.sim.step_s)
+
+
+def _trace(error: EpisodeFailure) -> str:
+    """Return where the planner or policy raised; "" when the failure was found by ourselves."""
+    cause = error.__cause__
+    return "".join(traceback.format_exception(cause)) if cause is not None else ""

@@ -97,18 +97,10 @@ class Run:
         Raises:
             InputError: one of its kinds; a sentence that names the culprit.
         """
+        target, policy = target_of(options), policy_of(options)
+        check_together(options, target)
         names = TARGETS.canonical(options.target), POLICIES.canonical(options.background)
-        target = _made(f"target '{names[0]}'", make_target, names[0], options.target_options)
-        policy = _made(f"background '{names[1]}'", make_policy, names[1], options.background_options)
-        if isinstance(target, SumoDriver):
-            lane_change_model(target, options.sim)
-        if options.demand and options.scenes:
-            raise ConfigError("demand and scenes cannot go together: a log brings its own traffic")
-        road = RoadMap.read(find_net(options.net))
-        if not any(road.edge_graph().successors.values()):
-            raise NetError(
-                road.path, "has no route that a car could drive", "give a net with connected edges"
-            )
+        road = read_road(options.net)
         run = Run(options, road, target, policy, names, gui)
         _ = run.demand, run.log
         return run
@@ -130,15 +122,25 @@ class Run:
             InputError: the demand or the log does not fit the net, or has no usable scene.
         """
         options = self.options
-        seed = SeedTree(options.seed).child("scenes")
         if self.log is not None:
+            seed = SeedTree(options.seed).child("scenes")
             yield from LoggedTraffic(self.road, self.log, options.scene, options.sim, seed).scenes()
             return
-        source = NaturalTraffic(self.road, self.demand, options.scene, options.sim, options.horizon_s, seed)
         number = 0
         while True:
-            yield from source.batch(number)
+            yield from self.scene_batch(number)
             number += 1
+
+    def scene_batch(self, number: int) -> list[SeedScene]:
+        """Return the scenes of stretch *number* of SUMO traffic, ``scene.scenes_per_warmup`` of them.
+
+        Raises:
+            SceneError: the traffic never has a usable target.
+        """
+        options = self.options
+        seed = SeedTree(options.seed).child("scenes")
+        source = NaturalTraffic(self.road, self.demand, options.scene, options.sim, options.horizon_s, seed)
+        return source.batch(number)
 
     def into(self, folder: RunFolder, tell: Callable[[Mapping[str, Any]], None]) -> int:
         """Run the episodes that *folder* lacks and put its tables together, also after an interrupt.
@@ -167,8 +169,9 @@ class Run:
             raise SceneError(f"{self.road.path}: no seed scene was found")
         return len(numbers)
 
-    def _one(self, number: int, scene: SeedScene, folder: RunFolder) -> Mapping[str, Any]:
-        episode = Episode(
+    def episode(self, number: int, scene: SeedScene) -> Episode:
+        """Return episode *number* of this run, which starts in *scene*."""
+        return Episode(
             number=number,
             scene=scene,
             road=self.road,
@@ -180,7 +183,9 @@ class Run:
             seed=SeedTree(self.options.seed).child("episode", number),
             gui=self.gui,
         )
-        record, timing = episode.run()
+
+    def _one(self, number: int, scene: SeedScene, folder: RunFolder) -> Mapping[str, Any]:
+        record, timing = self.episode(number, scene).run()
         row = episode_row(record, self.road)
         folder.add(record, row, collision_rows(record, self.road), timing)
         return {**row, "wall_s": timing.wall_s}
@@ -193,11 +198,54 @@ class Run:
         for key in ("demand", "scenes"):
             if dumped[key]:
                 dumped[key] = str(Path(dumped[key]).resolve())
-        versions = {name: version(name) for name in ("libsumo", "numpy", "shapely", "torch", "pyarrow")}
-        return {
-            "run": {"advdiff_sumo": __version__, "revision": git_revision(), **versions},
-            "options": dumped,
-        }
+        return {"run": versions(), "options": dumped}
+
+
+def target_of(options: RunOptions) -> Target:
+    """Return the target that *options* name.
+
+    Raises:
+        InputError: there is none of that name, its options do not fit, or it cannot be made.
+    """
+    name = TARGETS.canonical(options.target)
+    return _made(f"target '{name}'", make_target, name, options.target_options)
+
+
+def policy_of(options: RunOptions) -> TrafficPolicy:
+    """Return the background policy that *options* name; errors as in :func:`target_of`."""
+    name = POLICIES.canonical(options.background)
+    return _made(f"background '{name}'", make_policy, name, options.background_options)
+
+
+def check_together(options: RunOptions, target: Target) -> None:
+    """Check what each option alone does not show.
+
+    Raises:
+        ConfigError: two options contradict each other.
+    """
+    if isinstance(target, SumoDriver):
+        lane_change_model(target, options.sim)
+    if options.demand and options.scenes:
+        raise ConfigError("demand and scenes cannot go together: a log brings its own traffic")
+
+
+def read_road(net: str) -> RoadMap:
+    """Read a net, by path or shipped name, on which a run is possible.
+
+    Raises:
+        NetError: it is missing or damaged, or no car could drive anywhere in it.
+    """
+    road = RoadMap.read(find_net(net))
+    if not any(road.edge_graph().successors.values()):
+        raise NetError(road.path, "has no route that a car could drive", "give a net with connected edges")
+    return road
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that results depend on."""
+    names = ("libsumo", "numpy", "shapely", "torch", "pyarrow")
+    known = {name: version(name) for name in names}
+    return {"advdiff_sumo": __version__, "revision": git_revision(), **known}
 
 
 def _made(what: str, make: Callable[..., _Made], name: str, options: Mapping[str, Any]) -> _Made:

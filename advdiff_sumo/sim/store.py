@@ -171,10 +171,8 @@ class RunFolder:
     ) -> None:
         """Write one finished episode; it counts only once all of it is on disk."""
         base = self.path / _PARTS / f"{record.episode:06d}"
-        rows = {"episodes": [dict(episode)], "collisions": collisions, "timing": [timing_row(record, timing)]}
-        for table, content in rows.items():
-            _write(base.with_suffix(f".{table}.parquet"), _table(content, TABLES[table]))
-        _write(base.with_suffix(".states.parquet"), states_table(record))
+        for name, table in episode_tables(record, episode, collisions, timing).items():
+            _write(base.with_suffix(f".{name}.parquet"), table)
         base.with_suffix(".done").touch()
 
     def consolidate(self, finished: bool) -> None:
@@ -186,9 +184,21 @@ class RunFolder:
         numbers = self.done()
         for table, columns in TABLES.items():
             parts = (self.path / _PARTS / f"{n:06d}.{table}.parquet" for n in numbers)
-            _write_all(self.path / f"{table}.parquet", parts, _schema(columns))
+            _write_all(self.path / f"{table}.parquet", parts, schema_of(columns))
         if finished:
             shutil.rmtree(self.path / _PARTS)
+
+
+def episode_tables(
+    record: EpisodeRecord,
+    episode: Mapping[str, Any],
+    collisions: list[dict[str, Any]],
+    timing: Timing,
+) -> dict[str, pa.Table]:
+    """Return what one episode adds to each of ``TABLES``."""
+    rows = {"episodes": [dict(episode)], "collisions": collisions, "timing": [timing_row(record, timing)]}
+    tables = {name: table_of(content, TABLES[name]) for name, content in rows.items()}
+    return {**tables, "states": states_table(record)}
 
 
 def states_table(record: EpisodeRecord) -> pa.Table:
@@ -213,7 +223,7 @@ def states_table(record: EpisodeRecord) -> pa.Table:
         "controller": movers[record.controller[agent, step]],
         "is_target": agent == record.target,
     }
-    return pa.table(columns, schema=_schema(STATE_COLUMNS))
+    return pa.table(columns, schema=schema_of(STATE_COLUMNS))
 
 
 def timing_row(record: EpisodeRecord, timing: Timing) -> dict[str, Any]:
@@ -235,12 +245,14 @@ def _percentile(values: tuple[float, ...], share: float) -> float | None:
     return float(np.percentile(values, share)) if values else None
 
 
-def _schema(columns: Mapping[str, Column]) -> pa.Schema:
+def schema_of(columns: Mapping[str, Column]) -> pa.Schema:
+    """Return the Arrow schema of *columns*."""
     return pa.schema([pa.field(name, _ARROW[column.dtype]) for name, column in columns.items()])
 
 
-def _table(rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> pa.Table:
-    return pa.Table.from_pylist(rows, schema=_schema(columns))
+def table_of(rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> pa.Table:
+    """Return *rows* as a table of *columns*."""
+    return pa.Table.from_pylist(rows, schema=schema_of(columns))
 
 
 def _write(path: Path, table: pa.Table) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from advdiff_sumo.core.bicycle import Limits
-from advdiff_sumo.core.errors import AdvdiffError, PlannerError, PlanRefusedError
+from advdiff_sumo.core.errors import AdvdiffError, OutOfMemoryFailure, PlannerError, PlanRefusedError
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.tracking import State, drive_plan
@@ -159,5 +159,7 @@ class PlannerDrive:
             return call()
         except (AdvdiffError, KeyboardInterrupt):
             raise
+        except MemoryError as error:
+            raise OutOfMemoryFailure(f"target '{self.name}' ran out of memory: {error}") from error
         except Exception as error:
             raise PlannerError(f"target '{self.name}' raised {type(error).__name__}: {error}") from error

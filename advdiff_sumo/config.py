@@ -6,7 +6,7 @@ import reprlib
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -78,7 +78,9 @@ def _short(value: Any) -> str:
 def _group(model: type[BaseModel], path: tuple[int | str, ...]) -> type[BaseModel]:
     """Return the model of the group of options at *path*, as far as there are groups."""
     for part in path:
-        inner = _groups(model).get(str(part))
+        if isinstance(part, int):
+            continue  # a place in a list of groups
+        inner = _groups(model).get(part)
         if inner is None:
             break
         model = inner
@@ -86,12 +88,13 @@ def _group(model: type[BaseModel], path: tuple[int | str, ...]) -> type[BaseMode
 
 
 def _groups(model: type[BaseModel]) -> dict[str, type[BaseModel]]:
-    annotations = {name: info.annotation for name, info in model.model_fields.items()}
-    return {
-        name: kind
-        for name, kind in annotations.items()
-        if isinstance(kind, type) and issubclass(kind, BaseModel)
-    }
+    """Return the fields of *model* that hold a group of options, or several of one kind."""
+    found = {}
+    for name, info in model.model_fields.items():
+        for kind in (info.annotation, *get_args(info.annotation)):
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                found[name] = kind
+    return found
 
 
 def _known(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:

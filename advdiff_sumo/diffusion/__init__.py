@@ -1,0 +1,1 @@
+"""Noise schedule, sampling and guidance."""

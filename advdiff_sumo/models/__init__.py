@@ -1,0 +1,1 @@
+"""Networks of the traffic model; tensors in, tensors out, without SUMO."""

@@ -1,0 +1,72 @@
+"""What the networks read: scenes padded to one number of agents."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class SceneBatch:
+    """B scenes of A agents, H instants of past, T of future, K map pieces of N points; padding is 0 and masked.
+
+    Positions are metres from the scene's origin (x east, y north), yaw radians counter-clockwise from east.
+
+    Attributes:
+        past: (B, A, H, 4) x, y, yaw, speed; the last instant is now.
+        past_valid: (B, A, H) whether the agent was there.
+        size: (B, A, 2) length and width.
+        classes: (B, A) values of ``AgentClass``.
+        present: (B, A) the agent is real and there now.
+        moved: (B, A) it is a vehicle, whose future is modelled.
+        parked: (B, A) it never moves in its log; for statistics only, no network reads it.
+        map_xy: (B, A, K, N, 2) pieces in the agent's own frame now (x forward, y left), lanes first, then edges.
+        map_features: (B, A, K, F) their columns, as in ``maps.pieces``, with the signal's state.
+        map_valid: (B, A, K) whether the piece is real.
+        future: (B, A, T, 4) what happened, 0 where unknown; all 0 at run time.
+        future_valid: (B, A, T) whether it is known.
+    """
+
+    past: Tensor
+    past_valid: Tensor
+    size: Tensor
+    classes: Tensor
+    present: Tensor
+    moved: Tensor
+    parked: Tensor
+    map_xy: Tensor
+    map_features: Tensor
+    map_valid: Tensor
+    future: Tensor
+    future_valid: Tensor
+
+    @property
+    def pose(self) -> Tensor:
+        """(B, A, 4) x, y, yaw and speed now."""
+        return self.past[:, :, -1]
+
+    @property
+    def scenes(self) -> int:
+        """Number of scenes B."""
+        return int(self.past.shape[0])
+
+    @property
+    def agents(self) -> int:
+        """Number of agents A, padding included."""
+        return int(self.past.shape[1])
+
+    def to(self, device: torch.device | str) -> SceneBatch:
+        """Return the batch on *device*."""
+        return SceneBatch(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
+
+    def repeat(self, times: int) -> SceneBatch:
+        """Return each scene *times* times in a row: scene b becomes rows b·times … b·times + times − 1."""
+        return SceneBatch(
+            **{f.name: getattr(self, f.name).repeat_interleave(times, dim=0) for f in fields(self)}
+        )
+
+    def rows(self, rows: Tensor | slice) -> SceneBatch:
+        """Return the scenes at *rows*."""
+        return SceneBatch(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})

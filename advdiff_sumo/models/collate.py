@@ -1,0 +1,210 @@
+"""Scenes as tensors: from window files for training, from live histories at run time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.data.files import WindowFile
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.options import FUTURE_STEPS, MODEL_STEP_S
+
+_SIGNALS = 3  # red, yellow, green
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Augmentation: vehicles are put a little beside their true state, and still shall do what they did.
+
+    So the model learns to come back to its lane from where its own errors lead.
+
+    Attributes:
+        share: of the vehicles that are displaced.
+        lateral_m: deviation of the displacement to the side.
+        yaw_rad: deviation of the heading.
+        speed_mps: deviation of the speed of vehicles that move.
+    """
+
+    share: float = 0.4
+    lateral_m: float = 0.3
+    yaw_rad: float = 0.04
+    speed_mps: float = 0.4
+
+
+@dataclass(frozen=True)
+class _Map:
+    """A map table: M pieces of N points."""
+
+    xy_m: NDArray[np.floating[Any]]
+    features: NDArray[np.floating[Any]]
+    signal: IntArray
+
+
+@dataclass(frozen=True)
+class _Agents:
+    """Padded agents (B, A, …) in one frame per scene, and the states (B, G) of the signals."""
+
+    past: FloatArray
+    past_valid: BoolArray
+    future: FloatArray
+    future_valid: BoolArray
+    size: FloatArray
+    classes: IntArray
+    parked: BoolArray
+    present: BoolArray
+    near: IntArray
+    signals: IntArray
+
+
+def collate(
+    windows: WindowFile,
+    rows: IntArray,
+    rng: np.random.Generator | None = None,
+    jitter: Jitter | None = None,
+) -> SceneBatch:
+    """Return windows *rows* as a batch.
+
+    Args:
+        windows: a window file.
+        rows: (B,) windows.
+        rng: for the augmentation.
+        jitter: how to displace vehicles; None: not at all.
+    """
+    rows = np.asarray(rows, dtype=np.int64)
+    first, last = windows.offset[rows], windows.offset[rows + 1]
+    agents = int((last - first).max())
+    index = first[:, None] + np.arange(agents)
+    present = index < last[:, None]
+    index = np.where(present, index, first[:, None])
+    made = _Agents(
+        past=windows.past[index].astype(np.float64),
+        past_valid=windows.past_valid[index] & present[..., None],
+        future=windows.future[index].astype(np.float64),
+        future_valid=windows.future_valid[index] & present[..., None],
+        size=windows.size[index].astype(np.float64),
+        classes=windows.classes[index].astype(np.int64),
+        parked=windows.parked[index] & present,
+        present=present & windows.past_valid[index, -1],
+        near=np.where(present[..., None], windows.near[index], -1),
+        signals=windows.signals[rows].astype(np.int64),
+    )
+    if jitter is not None and rng is not None:
+        made = _displaced(made, rng, jitter)
+    table = _Map(windows.map_xy, windows.map_features, windows.map_signal.astype(np.int64))
+    return _assemble(made, table)
+
+
+def scene_batch(
+    history: Tracks,
+    map_xy: FloatArray,
+    map_features: FloatArray,
+    map_signal: IntArray,
+    near: IntArray,
+    signal_states: IntArray,
+) -> SceneBatch:
+    """Return one live scene as a batch of one, with nothing known of the future.
+
+    Args:
+        history: (A, H) states; every agent is there at the last instant.
+        map_xy: (M, N, 2) pieces of the map.
+        map_features: (M, F) their columns.
+        map_signal: (M,) their signals, −1 without.
+        near: (A, K) pieces near each agent, −1 padded.
+        signal_states: (G,) 0 unknown, 1 red, 2 yellow, 3 green.
+    """
+    agents = history.agents
+    states = np.concatenate((history.xy_m, history.yaw_rad[..., None], history.speed_mps[..., None]), axis=-1)
+    made = _Agents(
+        past=states[None],
+        past_valid=history.valid[None],
+        future=np.zeros((1, agents, FUTURE_STEPS, 4)),
+        future_valid=np.zeros((1, agents, FUTURE_STEPS), dtype=np.bool_),
+        size=history.size_m[None],
+        classes=history.classes[None],
+        parked=np.zeros((1, agents), dtype=np.bool_),
+        present=history.valid[None, :, -1],
+        near=near[None],
+        signals=np.asarray(signal_states, dtype=np.int64)[None],
+    )
+    return _assemble(made, _Map(map_xy, map_features, map_signal))
+
+
+def _assemble(agents: _Agents, table: _Map) -> SceneBatch:
+    past, future = agents.past.copy(), agents.future.copy()
+    origin = past[:, :1, -1, :2].copy()
+    past[..., :2] -= origin[:, :, None]
+    future[..., :2] -= origin[:, :, None]
+    past[~agents.past_valid] = 0.0
+    future[~agents.future_valid] = 0.0
+    map_xy, map_valid = _seen(agents, table)
+    return SceneBatch(
+        past=_floats(past),
+        past_valid=torch.from_numpy(agents.past_valid),
+        size=_floats(np.where(agents.present[..., None], agents.size, 1.0)),
+        classes=torch.from_numpy(agents.classes),
+        present=torch.from_numpy(agents.present),
+        moved=torch.from_numpy(agents.present & (agents.classes != AgentClass.PEDESTRIAN)),
+        parked=torch.from_numpy(agents.parked),
+        map_xy=_floats(map_xy),
+        map_features=_floats(_features(agents, table) * map_valid[..., None]),
+        map_valid=torch.from_numpy(map_valid),
+        future=_floats(future),
+        future_valid=torch.from_numpy(agents.future_valid),
+    )
+
+
+def _seen(agents: _Agents, table: _Map) -> tuple[FloatArray, BoolArray]:
+    """Return the pieces (B, A, K, N, 2) in each agent's frame, and which are real."""
+    valid = (agents.near >= 0) & agents.present[..., None]
+    world = table.xy_m[np.maximum(agents.near, 0)].astype(np.float64)
+    now = agents.past[:, :, -1]
+    delta = world - now[:, :, None, None, :2]
+    cos, sin = np.cos(now[..., 2])[:, :, None, None], np.sin(now[..., 2])[:, :, None, None]
+    x, y = delta[..., 0], delta[..., 1]
+    local = np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
+    return np.where(valid[..., None, None], local, 0.0), valid
+
+
+def _features(agents: _Agents, table: _Map) -> FloatArray:
+    """Return the pieces' columns (B, A, K, F + 3), the signal's state one-hot behind them."""
+    near = np.maximum(agents.near, 0)
+    signal = table.signal[near]
+    states = np.zeros_like(near)
+    if agents.signals.shape[1]:
+        scenes = np.arange(len(near))[:, None, None]
+        states = np.where(signal >= 0, agents.signals[scenes, np.maximum(signal, 0)], 0)
+    lit = states[..., None] == np.arange(1, _SIGNALS + 1)
+    return np.concatenate((table.features[near].astype(np.float64), lit), axis=-1)
+
+
+def _displaced(agents: _Agents, rng: np.random.Generator, jitter: Jitter) -> _Agents:
+    """Return *agents* with some vehicles beside their true state; the past bends towards it over its two seconds."""
+    shape = agents.present.shape
+    draw = rng.standard_normal((3, *shape))
+    vehicle = agents.present & (agents.classes != AgentClass.PEDESTRIAN)
+    hit = (rng.random(shape) < jitter.share) & vehicle & (agents.past[:, :, -1, 3] > 1.0)
+    side, turn, faster = (hit * draw[k] for k in range(3))
+    steps = agents.past.shape[2]
+    share = np.linspace(0.0, 1.0, steps)
+    yaw = agents.past[:, :, -1:, 2]
+    past = agents.past.copy()
+    past[..., 0] -= share * np.sin(yaw) * jitter.lateral_m * side[..., None]
+    past[..., 1] += share * np.cos(yaw) * jitter.lateral_m * side[..., None]
+    past[..., 2] += share * jitter.yaw_rad * turn[..., None]
+    past[..., 3] = np.maximum(past[..., 3] + share * jitter.speed_mps * faster[..., None], 0.0)
+    return _Agents(**{**agents.__dict__, "past": past})
+
+
+def _floats(array: FloatArray) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
+
+
+def model_history(history: Tracks) -> bool:
+    """Return whether *history* has the spacing that the networks were made for."""
+    return abs(history.dt_s - MODEL_STEP_S) < 1e-9

@@ -1,0 +1,112 @@
+"""Context encoder E(m, past) → (h, prior of z), Sec. III-B."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import one_hot
+
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.gaussian import Gaussian
+from advdiff_sumo.models.geometry import into_frame, relative_features
+from advdiff_sumo.models.interaction import InteractionNet
+from advdiff_sumo.models.options import CLASSES, HISTORY_STEPS, PIECE_FEATURES, PIECE_POINTS, ModelOptions
+
+_STATE = 6
+_SCALE = (0.25, 0.1, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Context:
+    """What is known of every vehicle before its future.
+
+    Attributes:
+        h: (B, A, D) state embedding, the map and the others included.
+        prior: p(z | h), (B, A, Z).
+    """
+
+    h: Tensor
+    prior: Gaussian
+
+
+class MapEncoder(nn.Module):
+    """Embeds each map piece and pools them by attention from the agent's state."""
+
+    feature_scale: Tensor
+
+    def __init__(self, options: ModelOptions) -> None:
+        super().__init__()
+        width = options.hidden
+        self.heads = options.heads
+        self.register_buffer("feature_scale", torch.tensor(_SCALE), persistent=False)
+        self.piece = nn.Sequential(
+            nn.Linear(2 * PIECE_POINTS + PIECE_FEATURES, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
+        )
+        self.query = nn.Linear(width, width)
+        self.key = nn.Linear(width, width, bias=False)
+        self.value = nn.Linear(width, width, bias=False)
+        self.out = nn.Linear(width, width)
+
+    def forward(self, h: Tensor, batch: SceneBatch) -> Tensor:
+        """Return (B, A, D): what the map around each agent says to its state *h*."""
+        columns = batch.map_features * self.feature_scale
+        pieces = self.piece(torch.cat((0.05 * batch.map_xy.flatten(-2), columns), dim=-1))
+        query = self._heads(self.query(h))
+        key = self._heads(self.key(pieces))
+        value = self._heads(self.value(pieces))
+        score = torch.einsum("bahd,bakhd->bahk", query, key) * key.shape[-1] ** -0.5
+        mask = batch.map_valid[:, :, None]
+        weight = torch.softmax(score.masked_fill(~mask, -1e9), dim=-1) * mask
+        pooled = torch.einsum("bahk,bakhd->bahd", weight, value).flatten(-2)
+        out: Tensor = self.out(pooled)
+        return out
+
+    def _heads(self, x: Tensor) -> Tensor:
+        return x.reshape(*x.shape[:-1], self.heads, -1)
+
+
+class ContextEncoder(nn.Module):
+    """MLP over the past, map pooling, interaction net, prior over z."""
+
+    def __init__(self, options: ModelOptions) -> None:
+        super().__init__()
+        width = options.hidden
+        self.state = nn.Sequential(
+            nn.Linear(HISTORY_STEPS * _STATE + 2 + CLASSES, width), nn.ReLU(), nn.Linear(width, width)
+        )
+        self.map = MapEncoder(options)
+        self.norm = nn.LayerNorm(width)
+        self.mix = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width))
+        self.interaction = InteractionNet(width, options)
+        self.prior = nn.Linear(width, 2 * options.latent)
+
+    def forward(self, batch: SceneBatch) -> Context:
+        """Return embeddings and the prior of every agent; the same whatever the world's frame."""
+        state = self.state(past_features(batch))
+        h = self.norm(state + self.map(state, batch))
+        h = (h + self.mix(h)) * batch.present[..., None]
+        pose = batch.pose
+        relative = relative_features(pose[..., :2], pose[..., 2], pose[..., 3])
+        h = self.interaction(h, relative, batch.present)
+        return Context(h, gaussian_head(self.prior(h)))
+
+
+def gaussian_head(raw: Tensor) -> Gaussian:
+    """Return a Gaussian of raw numbers (…, 2 Z); variances are kept between e⁻⁸ and e⁴."""
+    mean, logvar = raw.chunk(2, dim=-1)
+    return Gaussian(mean, 6.0 * torch.tanh(logvar / 6.0) - 2.0)
+
+
+def past_features(batch: SceneBatch) -> Tensor:
+    """Return (B, A, H·6 + 8): the past in the agent's own frame, its size and class."""
+    now = batch.pose[:, :, None]
+    xy = 0.1 * into_frame(batch.past[..., :2], now[..., :2], now[..., 2].expand(batch.past.shape[:-1]))
+    turn = batch.past[..., 2] - now[..., 2]
+    valid = batch.past_valid
+    columns = (xy[..., 0], xy[..., 1], torch.cos(turn), torch.sin(turn), 0.1 * batch.past[..., 3])
+    states = torch.stack(columns, dim=-1) * valid[..., None]
+    history = torch.cat((states, valid[..., None].to(states.dtype)), dim=-1).flatten(-2)
+    kind = one_hot(batch.classes, CLASSES).to(states.dtype)
+    return torch.cat((history, 0.2 * batch.size, kind), dim=-1)

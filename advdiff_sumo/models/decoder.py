@@ -1,0 +1,127 @@
+"""Autoregressive trajectory decoder D(z, h): interaction net → action → bicycle model → GRU (Sec. III-B)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.bicycle import controls, step
+from advdiff_sumo.models.geometry import into_frame, relative_features
+from advdiff_sumo.models.interaction import InteractionNet
+from advdiff_sumo.models.options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
+
+_MOTION = 6
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """Joint futures, first instant one model step after now, in the scene's frame.
+
+    Attributes:
+        xy: (B, A, T, 2) box centres.
+        yaw: (B, A, T) headings.
+        speed: (B, A, T) speeds.
+        accel: (B, A, T) acceleration held up to each instant.
+        curvature: (B, A, T) curvature held up to each instant.
+    """
+
+    xy: Tensor
+    yaw: Tensor
+    speed: Tensor
+    accel: Tensor
+    curvature: Tensor
+
+    def states(self) -> Tensor:
+        """Return (B, A, T, 4) x, y, yaw, speed."""
+        return torch.cat((self.xy, self.yaw[..., None], self.speed[..., None]), dim=-1)
+
+
+@dataclass(frozen=True)
+class Forced:
+    """Agents whose future is given, such as a target that replays its log; the others react to it.
+
+    Attributes:
+        states: (B, A, T, 4) x, y, yaw, speed.
+        mask: (B, A, T) where they are given.
+    """
+
+    states: Tensor
+    mask: Tensor
+
+
+class Decoder(nn.Module):
+    """Twelve steps of half a second; every vehicle sees where the others have got to in the same rollout."""
+
+    def __init__(self, options: ModelOptions) -> None:
+        super().__init__()
+        self.options = options
+        width = options.hidden
+        self.start = nn.Linear(width + options.latent, width)
+        self.node = nn.Linear(width + options.latent + _MOTION, width)
+        self.interaction = InteractionNet(width, options, options.decoder_layers)
+        self.action = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 2))
+        self.memory = nn.GRUCell(width + 2, width)
+
+    def forward(
+        self,
+        z: Tensor,
+        h: Tensor,
+        batch: SceneBatch,
+        steps: int = FUTURE_STEPS,
+        forced: Forced | None = None,
+    ) -> Rollout:
+        """Return the futures that latents lead to.
+
+        Agents that are no vehicles keep their velocity.
+
+        Args:
+            z: (B, A, Z) latents.
+            h: (B, A, D) embeddings of the context.
+            batch: the scenes.
+            steps: model steps to roll out.
+            forced: agents whose future is given.
+        """
+        memory = torch.tanh(self.start(torch.cat((h, z), dim=-1)))
+        pose = batch.pose
+        xy, yaw, speed = pose[..., :2], pose[..., 2], pose[..., 3].clamp(min=0.0)
+        states = []
+        for k in range(steps):
+            raw, mixed = self._act(memory, z, batch, xy, yaw, speed)
+            accel, curvature = controls(raw, speed, batch.size[..., 0], self.options)
+            accel, curvature = accel * batch.moved, curvature * batch.moved
+            xy, yaw, speed = step(xy, yaw, speed, accel, curvature, MODEL_STEP_S)
+            if forced is not None:
+                xy, yaw, speed = _force(forced, k, xy, yaw, speed)
+            memory = self._remember(mixed, accel, curvature, memory)
+            states.append((xy, yaw, speed, accel, curvature))
+        return Rollout(*(torch.stack(column, dim=2) for column in zip(*states, strict=True)))
+
+    def _act(
+        self, memory: Tensor, z: Tensor, batch: SceneBatch, xy: Tensor, yaw: Tensor, speed: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        pose = batch.pose
+        moved = 0.05 * into_frame(xy, pose[..., :2], pose[..., 2])
+        turn = yaw - pose[..., 2]
+        columns = (torch.cos(turn), torch.sin(turn), 0.1 * speed, 0.1 * (speed - pose[..., 3]))
+        motion = torch.cat((moved, torch.stack(columns, dim=-1)), dim=-1)
+        node = torch.relu(self.node(torch.cat((memory, z, motion), dim=-1)))
+        mixed = self.interaction(node, relative_features(xy, yaw, speed), batch.present)
+        return self.action(mixed), mixed
+
+    def _remember(self, mixed: Tensor, accel: Tensor, curvature: Tensor, memory: Tensor) -> Tensor:
+        done = torch.stack((0.25 * accel, 10.0 * curvature), dim=-1)
+        inputs = torch.cat((mixed, done), dim=-1)
+        new: Tensor = self.memory(inputs.flatten(0, 1), memory.flatten(0, 1))
+        return new.reshape(memory.shape)
+
+
+def _force(forced: Forced, k: int, xy: Tensor, yaw: Tensor, speed: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    given, mask = forced.states[:, :, k], forced.mask[:, :, k]
+    return (
+        torch.where(mask[..., None], given[..., :2], xy),
+        torch.where(mask, given[..., 2], yaw),
+        torch.where(mask, given[..., 3], speed),
+    )

@@ -1,0 +1,133 @@
+"""Noise prediction network: a 1-D U-Net over z̃ with z concatenated and AdaGN (Sec. III-B)."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import interpolate
+
+from advdiff_sumo.models.options import ModelOptions
+
+_GROUPS = 8
+_STEP_WIDTH = 64
+
+
+def sinusoidal(k: Tensor, width: int) -> Tensor:
+    """Return the sinusoidal encoding φ(k) (B, width) of diffusion steps *k* (B,)."""
+    half = width // 2
+    rates = torch.exp(-math.log(1e4) * torch.arange(half, device=k.device, dtype=torch.float32) / half)
+    angle = k.to(torch.float32)[:, None] * rates
+    return torch.cat((torch.sin(angle), torch.cos(angle)), dim=-1)
+
+
+class AdaGN(nn.Module):
+    """AdaGN(h, k, f) = h_s (k_s GroupNorm(f) + k_b), with h_s affine in h and (k_s, k_b) = MLP(φ(k)).
+
+    Begins as GroupNorm alone: h_s = k_s = 1 and k_b = 0.
+    """
+
+    def __init__(self, channels: int, hidden: int) -> None:
+        super().__init__()
+        self.norm = nn.GroupNorm(_GROUPS, channels, affine=False)
+        self.state = nn.Linear(hidden, channels)
+        self.step = nn.Sequential(
+            nn.Linear(_STEP_WIDTH, _STEP_WIDTH), nn.SiLU(), nn.Linear(_STEP_WIDTH, 2 * channels)
+        )
+        last = self.step[-1]
+        assert isinstance(last, nn.Linear)  # noqa: S101 - tells the type checker what stands there
+        for layer, bias in ((self.state, [1.0]), (last, [1.0, 0.0])):
+            nn.init.normal_(layer.weight, std=0.02)
+            layer.bias.data = torch.tensor(bias).repeat_interleave(channels)
+
+    def forward(self, features: Tensor, h: Tensor, step: Tensor) -> Tensor:
+        """Return normalised features (M, C, L).
+
+        Args:
+            features: (M, C, L) feature maps.
+            h: (M, D) state embeddings.
+            step: (B, 64) encoded diffusion steps; scene b has M / B rows one after the other.
+        """
+        made = self.step(step).repeat_interleave(len(features) // len(step), dim=0)
+        scale, shift = made[..., None].chunk(2, dim=1)
+        out: Tensor = self.state(h)[..., None] * (scale * self.norm(features) + shift)
+        return out
+
+
+class ResidualBlock(nn.Module):
+    """Two convolutions with AdaGN before each, and a way past them."""
+
+    def __init__(self, before: int, after: int, hidden: int) -> None:
+        super().__init__()
+        self.first_norm = AdaGN(before, hidden)
+        self.first = nn.Conv1d(before, after, 3, padding=1)
+        self.second_norm = AdaGN(after, hidden)
+        self.second = nn.Conv1d(after, after, 3, padding=1)
+        self.past = nn.Conv1d(before, after, 1) if before != after else nn.Identity()
+
+    def forward(self, x: Tensor, h: Tensor, step: Tensor) -> Tensor:
+        """Return (M, after, L)."""
+        y = self.first(nn.functional.silu(self.first_norm(x, h, step)))
+        y = self.second(nn.functional.silu(self.second_norm(y, h, step)))
+        out: Tensor = self.past(x) + y
+        return out
+
+
+class Denoiser(nn.Module):
+    """ε(z̃ᵏ, k, z, h), agent by agent; what agents know of each other is in z and h.
+
+    Args:
+        options: sizes.
+        shape: (C, L) of what is diffused: (1, Z) for latents, (C, T) for trajectories; L a multiple of 4.
+    """
+
+    def __init__(self, options: ModelOptions, shape: tuple[int, int]) -> None:
+        super().__init__()
+        self.shape = shape
+        channels, length = shape
+        full, half, quarter = options.channels
+        self.condition = nn.Identity() if length == options.latent else nn.Linear(options.latent, length)
+        width = options.hidden
+        self.into = nn.Conv1d(channels + 1, full, 3, padding=1)
+        self.down = nn.ModuleList(
+            (
+                ResidualBlock(full, full, width),
+                ResidualBlock(full, half, width),
+                ResidualBlock(half, quarter, width),
+            )
+        )
+        self.middle = ResidualBlock(quarter, quarter, width)
+        self.up = nn.ModuleList(
+            (ResidualBlock(quarter + half, half, width), ResidualBlock(half + full, full, width))
+        )
+        self.norm = nn.GroupNorm(_GROUPS, full)
+        self.out = nn.Conv1d(full, channels, 3, padding=1)
+        nn.init.zeros_(self.out.weight)
+        nn.init.constant_(self.out.bias, 0.0)  # type: ignore[arg-type] # a bias is there by default
+
+    def forward(self, x: Tensor, k: Tensor, z: Tensor, h: Tensor) -> Tensor:
+        """Return the predicted noise (B, A, C, L).
+
+        Args:
+            x: (B, A, C, L) noisy latents or trajectories.
+            k: (B,) diffusion steps, 1 … K.
+            z: (B, A, Z) condition from the context encoder.
+            h: (B, A, D) embeddings of the context.
+        """
+        scenes, agents = x.shape[:2]
+        step = sinusoidal(k, _STEP_WIDTH)
+        state = h.flatten(0, 1)
+        condition = self.condition(z).flatten(0, 1)[:, None]
+        y = self._unet(torch.cat((x.flatten(0, 1), condition), dim=1), state, step)
+        return y.reshape(scenes, agents, *x.shape[2:])
+
+    def _unet(self, x: Tensor, h: Tensor, step: Tensor) -> Tensor:
+        first = self.down[0](self.into(x), h, step)
+        second = self.down[1](nn.functional.avg_pool1d(first, 2), h, step)
+        third = self.down[2](nn.functional.avg_pool1d(second, 2), h, step)
+        y = self.middle(third, h, step)
+        y = self.up[0](torch.cat((interpolate(y, scale_factor=2.0), second), dim=1), h, step)
+        y = self.up[1](torch.cat((interpolate(y, scale_factor=2.0), first), dim=1), h, step)
+        out: Tensor = self.out(nn.functional.silu(self.norm(y)))
+        return out

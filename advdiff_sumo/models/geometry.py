@@ -1,0 +1,55 @@
+"""Frames and relative poses of tensors."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+
+def wrap_angle(angle: Tensor) -> Tensor:
+    """Return *angle* in [−π, π)."""
+    return torch.remainder(angle + math.pi, 2.0 * math.pi) - math.pi
+
+
+def rotate(xy: Tensor, yaw: Tensor) -> Tensor:
+    """Return vectors (…, 2) turned by *yaw* (…,) counter-clockwise."""
+    cos, sin = torch.cos(yaw), torch.sin(yaw)
+    x, y = xy[..., 0], xy[..., 1]
+    return torch.stack((cos * x - sin * y, sin * x + cos * y), dim=-1)
+
+
+def into_frame(xy: Tensor, origin: Tensor, yaw: Tensor) -> Tensor:
+    """Return points (…, 2) as seen from a pose at *origin* (…, 2) that looks along *yaw* (…,)."""
+    return rotate(xy - origin, -yaw)
+
+
+RELATIVE_FEATURES = 9
+
+
+def relative_features(xy: Tensor, yaw: Tensor, speed: Tensor) -> Tensor:
+    """Return how every agent looks from every other, free of the world's frame.
+
+    Args:
+        xy: (B, A, 2) positions.
+        yaw: (B, A) headings.
+        speed: (B, A) speeds.
+
+    Returns:
+        (B, A, A, 9); entry [b, i, j] is agent j seen from i: position / 20 m, its compressed distance, unit
+        heading, velocity and velocity difference / 10 m/s in i's frame.
+    """
+    cos, sin = torch.cos(yaw), torch.sin(yaw)
+    delta = xy[:, None] - xy[:, :, None]
+    ci, si = cos[:, :, None], sin[:, :, None]
+    dx = ci * delta[..., 0] + si * delta[..., 1]
+    dy = ci * delta[..., 1] - si * delta[..., 0]
+    cj, sj = cos[:, None], sin[:, None]
+    turn_cos, turn_sin = ci * cj + si * sj, ci * sj - si * cj
+    vj = 0.1 * speed[:, None]
+    vx, vy = vj * turn_cos, vj * turn_sin
+    vi = (0.1 * speed)[:, :, None].expand_as(vx)
+    near = torch.exp(-0.1 * torch.sqrt(dx * dx + dy * dy + 1e-6))
+    columns = (0.05 * dx, 0.05 * dy, near, turn_cos, turn_sin, vx, vy, vx - vi, vi)
+    return torch.stack(columns, dim=-1)

@@ -1,0 +1,87 @@
+"""Interaction net: fully connected graph layers over the agents of a scene (Sec. III-B)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from advdiff_sumo.models.geometry import RELATIVE_FEATURES
+from advdiff_sumo.models.options import ModelOptions
+
+
+class EdgeEncoder(nn.Module):
+    """Embeds relative poses once for all layers of a net."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.net = nn.Sequential(
+            nn.Linear(RELATIVE_FEATURES, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
+        )
+
+    def forward(self, relative: Tensor) -> Tensor:
+        """Return (B, A, A, E) of relative features (B, A, A, 9)."""
+        out: Tensor = self.net(relative)
+        return out
+
+
+class InteractionLayer(nn.Module):
+    """One graph layer: each agent gathers, by attention, messages made of both ends and their relative pose."""
+
+    def __init__(self, width: int, edge: int, message: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.receiver = nn.Linear(width, message)
+        self.sender = nn.Linear(width, message, bias=False)
+        self.edge = nn.Linear(edge, message, bias=False)
+        self.score = nn.Linear(message, heads, bias=False)
+        self.out = nn.Linear(message, width)
+        self.norm = nn.LayerNorm(width)
+        self.mix = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width))
+
+    def forward(self, h: Tensor, edges: Tensor, mask: Tensor) -> Tensor:
+        """Return new embeddings (B, A, D).
+
+        Args:
+            h: (B, A, D) embeddings.
+            edges: (B, A, A, E) embedded relative poses.
+            mask: (B, A) who takes part.
+        """
+        message = torch.relu(self.edge(edges) + self.receiver(h)[:, :, None] + self.sender(h)[:, None])
+        score = self.score(message).masked_fill(~mask[:, None, :, None], -1e9)
+        weight = torch.softmax(score, dim=2) * mask[:, None, :, None]
+        split = message.reshape(*message.shape[:-1], self.heads, -1)
+        gathered = (weight[..., None] * split).sum(2).flatten(-2)
+        mixed = self.norm(h + self.out(gathered))
+        new: Tensor = mixed + self.mix(mixed)
+        return new * mask[..., None]
+
+
+class InteractionNet(nn.Module):
+    """Graph layers one after the other, sharing the embedded relative poses.
+
+    Args:
+        width: of the embeddings.
+        options: widths of edges and messages, heads.
+        layers: their number; None: as the options say.
+    """
+
+    def __init__(self, width: int, options: ModelOptions, layers: int | None = None) -> None:
+        super().__init__()
+        count = options.interaction_layers if layers is None else layers
+        self.edges = EdgeEncoder(options.edge)
+        self.layers = nn.ModuleList(
+            InteractionLayer(width, options.edge, options.message, options.heads) for _ in range(count)
+        )
+
+    def forward(self, h: Tensor, relative: Tensor, mask: Tensor) -> Tensor:
+        """Return embeddings (B, A, D) that know of the other agents.
+
+        Args:
+            h: (B, A, D) embeddings.
+            relative: (B, A, A, 9) from ``relative_features``.
+            mask: (B, A) who takes part.
+        """
+        edges = self.edges(relative)
+        for layer in self.layers:
+            h = layer(h, edges, mask)
+        return h

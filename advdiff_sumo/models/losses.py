@@ -1,0 +1,116 @@
+"""Reconstruction, KL and differentiable collision penalties.
+
+Vehicles are five discs along their length, as in TrafficSim (Suo et al. 2021, doi:10.1109/CVPR46437.2021.01026):
+two vehicles touch where discs overlap, and the penalty falls linearly to zero where they are just apart.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import smooth_l1_loss
+
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.geometry import into_frame, wrap_angle
+
+DISCS = 5
+_ROAD_EDGE = 4
+_FAR_M = 1e3
+
+
+def reconstruction(rollout: Rollout, batch: SceneBatch) -> Tensor:
+    """Return (B, A, T) the error of a rollout against what happened: Huber on metres, heading and speed.
+
+    Positions count along and across the true heading, across with five times the weight: half a metre beside the
+    lane is worse than half a metre further on it.
+    """
+    future = batch.future
+    error = into_frame(rollout.xy, future[..., :2], future[..., 2]) * rollout.xy.new_tensor((1.0, 5.0))
+    place = smooth_l1_loss(error, torch.zeros_like(error), reduction="none", beta=1.0).sum(-1)
+    turn = wrap_angle(rollout.yaw - future[..., 2])
+    heading = smooth_l1_loss(5.0 * turn, torch.zeros_like(turn), reduction="none")
+    speed = smooth_l1_loss(rollout.speed, future[..., 3], reduction="none")
+    known = batch.future_valid & batch.moved[..., None]
+    return torch.where(known, place + heading + 0.5 * speed, 0.0)
+
+
+def discs(xy: Tensor, yaw: Tensor, size: Tensor) -> tuple[Tensor, Tensor]:
+    """Return centres (…, 5, 2) and radius (…,) of the discs that stand for a box.
+
+    Args:
+        xy: (…, 2) box centres.
+        yaw: (…,) headings.
+        size: (…, 2) length and width.
+    """
+    length, radius = size[..., 0], 0.5 * size[..., 1]
+    offsets = torch.linspace(-1.0, 1.0, DISCS, device=xy.device, dtype=xy.dtype)
+    along = (0.5 * length - radius).clamp(min=0.0)[..., None] * offsets
+    ahead = torch.stack((torch.cos(yaw), torch.sin(yaw)), dim=-1)
+    return xy[..., None, :] + along[..., None] * ahead[..., None, :], radius
+
+
+def pair_overlap(rollout: Rollout, size: Tensor, present: Tensor) -> Tensor:
+    """Return (B, A, A, T) overlap of every two agents in [0, 1]: 1 − d / (r_i + r_j), zero where discs are apart.
+
+    Args:
+        rollout: futures.
+        size: (B, A, 2) length and width.
+        present: (B, A) who is there.
+    """
+    gap, reach = pair_distance(rollout, size)
+    overlap = (1.0 - gap / reach).clamp(min=0.0)
+    others = present[:, :, None] & present[:, None]
+    others = others & ~torch.eye(present.shape[1], dtype=torch.bool, device=present.device)
+    return torch.where(others[..., None], overlap, 0.0)
+
+
+def pair_distance(rollout: Rollout, size: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the smallest distance of disc centres (B, A, A, T) and the sums of radii (B, A, A, 1)."""
+    steps = rollout.xy.shape[2]
+    centres, radius = discs(rollout.xy, rollout.yaw, size[:, :, None].expand(-1, -1, steps, -1))
+    mine, yours = centres[:, :, None, :, :, None], centres[:, None, :, :, None]
+    squared = (mine - yours).square().sum(-1).flatten(-2).amin(-1)
+    wide = radius[:, :, 0]
+    return torch.sqrt(squared + 1e-9), (wide[:, :, None] + wide[:, None])[..., None]
+
+
+def edge_clearance(xy: Tensor, batch: SceneBatch) -> Tensor:
+    """Return signed distances (B, A, M) of points to the nearest road edge; positive on the road, large without one.
+
+    Args:
+        xy: (B, A, M, 2) points in the scene's frame.
+        batch: their scenes; each agent's own map pieces are searched.
+    """
+    pose = batch.pose[:, :, None]
+    local = into_frame(xy, pose[..., :2], pose[..., 2].expand(xy.shape[:-1]))
+    return clearance_in_frame(local, batch)
+
+
+def clearance_in_frame(local: Tensor, batch: SceneBatch) -> Tensor:
+    """Return :func:`edge_clearance` of points (B, A, M, 2) that are already in each agent's own frame now."""
+    is_edge = batch.map_valid & (batch.map_features[..., _ROAD_EDGE] > 0.5)
+    first, last = batch.map_xy[..., :-1, :].flatten(2, 3), batch.map_xy[..., 1:, :].flatten(2, 3)
+    usable = is_edge[..., None].expand(*is_edge.shape, batch.map_xy.shape[3] - 1).flatten(2)
+    along = last - first
+    delta = local[:, :, :, None] - first[:, :, None]
+    squared = along.square().sum(-1).clamp(min=1e-6)[:, :, None]
+    share = ((delta * along[:, :, None]).sum(-1) / squared).clamp(0.0, 1.0)
+    away = delta - share[..., None] * along[:, :, None]
+    distance = torch.sqrt(away.square().sum(-1) + 1e-9)
+    distance = distance.masked_fill(~usable[:, :, None], _FAR_M)
+    nearest, which = distance.min(dim=-1)
+    cross = along[:, :, None, :, 0] * delta[..., 1] - along[:, :, None, :, 1] * delta[..., 0]
+    side = cross.gather(-1, which[..., None]).squeeze(-1)
+    return torch.where(side >= 0.0, nearest, -nearest)
+
+
+def off_road(rollout: Rollout, batch: SceneBatch) -> Tensor:
+    """Return (B, A, T) how far a vehicle's discs are over the road's edge, as a share of its width, at most 2."""
+    steps = rollout.xy.shape[2]
+    size = batch.size[:, :, None].expand(-1, -1, steps, -1)
+    centres, radius = discs(rollout.xy, rollout.yaw, size)
+    clear = edge_clearance(centres[..., ::2, :].flatten(2, 3), batch)
+    clear = clear.reshape(*radius.shape, -1)
+    over = ((radius[..., None] - clear) / (2.0 * radius[..., None].clamp(min=0.1))).clamp(0.0, 2.0)
+    return torch.where(batch.moved[..., None], over.amax(-1), 0.0)

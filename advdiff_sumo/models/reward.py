@@ -1,0 +1,83 @@
+"""Reward model Q(s, a) with s = (h, z) and a = μ, target and background labelled apart (Sec. III-C)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import one_hot
+
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.geometry import relative_features
+from advdiff_sumo.models.interaction import InteractionNet
+from advdiff_sumo.models.options import ModelOptions
+
+_LABELS = 3  # target, background vehicle, other
+
+
+@dataclass(frozen=True)
+class RewardState:
+    """What of Q does not depend on the action; computed once a plan.
+
+    Attributes:
+        node: (B, A, R) embedded (h, z) and label.
+        relative: (B, A, A, 9) relative poses.
+        present: (B, A) who is there.
+        target: (B,) row of the tested vehicle.
+    """
+
+    node: Tensor
+    relative: Tensor
+    present: Tensor
+    target: Tensor
+
+
+class RewardModel(nn.Module):
+    """Deep Q-network over the agents of a scene; the action is every vehicle's latent.
+
+    The latent is the scaled one that the denoiser works on. The value is read from the target's node and the
+    mean of all.
+    """
+
+    def __init__(self, options: ModelOptions) -> None:
+        super().__init__()
+        width = options.reward_hidden
+        self.state = nn.Linear(options.hidden + options.latent + _LABELS, width)
+        self.action = nn.Linear(options.latent, width, bias=False)
+        self.mix = nn.Sequential(nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        self.interaction = InteractionNet(width, options)
+        self.value = nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, 1))
+
+    def prepare(self, h: Tensor, z: Tensor, batch: SceneBatch, target: Tensor) -> RewardState:
+        """Return the part that does not depend on the action.
+
+        Args:
+            h: (B, A, D) embeddings.
+            z: (B, A, Z) condition from the context encoder.
+            batch: the scenes.
+            target: (B,) row of the tested vehicle.
+        """
+        agents = torch.arange(batch.agents, device=h.device)
+        label = torch.where(batch.moved, 1, 2)
+        label = torch.where(agents == target[:, None], 0, label)
+        kind = one_hot(label, _LABELS).to(h.dtype)
+        pose = batch.pose
+        relative = relative_features(pose[..., :2], pose[..., 2], pose[..., 3])
+        return RewardState(self.state(torch.cat((h, z, kind), dim=-1)), relative, batch.present, target)
+
+    def value_of(self, state: RewardState, mu: Tensor) -> Tensor:
+        """Return Q (B,) of actions *mu* (B, A, Z); what the target's row of it says is ignored."""
+        rows = torch.arange(mu.shape[1], device=mu.device)
+        free = (rows != state.target[:, None]) & state.present
+        node = self.mix(state.node + self.action(mu) * free[..., None])
+        node = self.interaction(node * state.present[..., None], state.relative, state.present)
+        own = node[torch.arange(len(node), device=node.device), state.target]
+        count = state.present.sum(1, keepdim=True).clamp(min=1)
+        pooled = (node * state.present[..., None]).sum(1) / count
+        out: Tensor = self.value(torch.cat((own, pooled), dim=-1)).squeeze(-1)
+        return out
+
+    def forward(self, h: Tensor, z: Tensor, mu: Tensor, batch: SceneBatch, target: Tensor) -> Tensor:
+        """Return Q (B,) of states (h, z) and actions *mu* (B, A, Z)."""
+        return self.value_of(self.prepare(h, z, batch, target), mu)

@@ -12,6 +12,7 @@ from rich.console import Console
 from advdiff_sumo import __version__
 from advdiff_sumo.cli.convert import convert
 from advdiff_sumo.cli.run import run
+from advdiff_sumo.cli.train import train
 from advdiff_sumo.core.errors import AdvdiffError
 
 INPUT_ERROR, INTERRUPTED = 2, 130
@@ -25,6 +26,7 @@ app = typer.Typer(
 )
 app.command("run")(run)
 app.command("convert")(convert)
+app.command("train")(train)
 
 
 def _version(wanted: bool) -> None:

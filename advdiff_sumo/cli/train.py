@@ -1,0 +1,164 @@
+"""``advdiff-sumo train``."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from advdiff_sumo.core.errors import FileError, UnknownNameError
+
+if TYPE_CHECKING:
+    from advdiff_sumo.training.checkpoint import Progress as State
+    from advdiff_sumo.training.loop import Job, Tell
+    from advdiff_sumo.training.presets import StageName, TrainOptions
+
+
+def train(
+    stage: Annotated[str, typer.Argument(help="traffic, denoiser, joint or reward, in this order.")],
+    data: Annotated[
+        list[Path], typer.Option(help="Window file, or a folder of them; may be given several times.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint, curves and metrics.")],
+    init: Annotated[
+        Path | None,
+        typer.Option(help="Weights to begin with: a .safetensors file, or the --out of an earlier stage."),
+    ] = None,
+    val: Annotated[
+        list[Path] | None,
+        typer.Option(help="Window files to judge on, instead of some drives of --data.", show_default=False),
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option(help="paper or small: a set of hyper-parameters.", show_default="small")
+    ] = None,
+    codec: Annotated[
+        str | None,
+        typer.Option(help="What the denoiser works on: latent or trajectory.", show_default="latent"),
+    ] = None,
+    assign: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Any hyper-parameter, as NAME=VALUE: --set batch_size=16."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Same seed, same bytes (on the CPU).")] = 0,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    threads: Annotated[int | None, typer.Option(min=1, help="CPU threads.", show_default="all")] = None,
+    max_minutes: Annotated[
+        float, typer.Option(min=0.0, help="Stop after that time; --resume goes on.", show_default="none")
+    ] = math.inf,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in --out.")] = False,
+) -> None:
+    """Train one stage of the model on window files.
+
+    advdiff-sumo train traffic --data windows --out runs/traffic
+
+    advdiff-sumo train denoiser --data windows --init runs/traffic --out runs/denoiser
+
+    --out gets weights.safetensors (the best on held-out drives), checkpoint.safetensors (for --resume),
+    metrics.jsonl, curves.png and events for TensorBoard. Ctrl-C saves and leaves.
+    """
+    import torch  # late: --help needs no PyTorch
+
+    from advdiff_sumo.training.presets import STAGES
+    from advdiff_sumo.training.setup import Plan, prepare
+
+    name = next((known for known in STAGES if known == stage), None)
+    if name is None:
+        raise UnknownNameError("stage", stage, STAGES)
+    if threads is not None:
+        torch.set_num_threads(threads)
+    assignments = [*(assign or []), *([f'codec="{codec}"'] if codec else [])]
+    options = _options(name, preset, assignments, out if resume else None)
+    plan = Plan(
+        stage=name,
+        data=tuple(data),
+        out=out,
+        options=options,
+        init=init,
+        val=tuple(val or ()),
+        seed=seed,
+        device=device,
+        max_minutes=max_minutes,
+    )
+    job = prepare(plan)
+    _claim(out, resume)
+    _train(job, resume, Console(stderr=True, highlight=False))
+
+
+def _options(
+    name: StageName, preset_name: str | None, assignments: list[str], begun: Path | None
+) -> TrainOptions:
+    """Return the options given, or those of the training *begun* where none are given."""
+    from advdiff_sumo.training import checkpoint
+    from advdiff_sumo.training.presets import TrainOptions, preset
+
+    if begun is not None and preset_name is None and not assignments:
+        progress, _ = checkpoint.load(begun)
+        return TrainOptions.parse(progress.options, str(begun / checkpoint.NAME))
+    return preset(preset_name or "small", name, assignments)
+
+
+def _claim(out: Path, resume: bool) -> None:
+    """Make the folder; refuse one that holds anything, unless that is a training to go on with."""
+    if resume:
+        return
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        held = sorted(path.name for path in out.iterdir())
+    except OSError as error:
+        raise FileError(out, f"cannot be used ({error.strerror})", "choose another --out") from None
+    if held:
+        raise FileError(out, f"is not empty ({held[0]})", "choose another --out, or add --resume")
+
+
+def _train(job: Job, resume: bool, console: Console) -> None:
+    from advdiff_sumo.training import history
+    from advdiff_sumo.training.loop import Trainer
+
+    events = history.open_events(job.out / "events", 0)
+    if events is None:
+        console.print("no TensorBoard events: pip install 'advdiff-sumo[train]' adds them", style="yellow")
+    with _bar(console) as bar:
+        trainer = Trainer(job, events or history.NoEvents(), _teller(bar, job))
+        if resume:
+            trainer.resume()
+        progress = trainer.run()
+    _say(console, job, progress)
+
+
+def _bar(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
+def _teller(bar: Progress, job: Job) -> Tell:
+    """Return what shows the progress: epochs, the loss, the last held-out figure, time left."""
+    task = bar.add_task(job.stage.name)
+
+    def tell(state: State, per_epoch: int, terms: dict[str, float]) -> None:
+        held = f" · held out {state.history[-1]['held_out'][job.stage.monitor]:.3f}" if state.history else ""
+        bar.update(
+            task,
+            total=per_epoch * job.options.epochs,
+            completed=state.step,
+            description=f"epoch {state.epoch + 1} · loss {terms['loss']:.3f}{held}",
+        )
+
+    return tell
+
+
+def _say(console: Console, job: Job, state: State) -> None:
+    if not state.done:
+        console.print(f"stopped in epoch {state.epoch + 1}; go on with --resume --out {job.out}")
+        return
+    figures = state.history[state.best_epoch - 1]["held_out"]
+    shown = ", ".join(f"{name} {value:.3f}" for name, value in sorted(figures.items()))
+    console.print(f"{job.out / 'weights.safetensors'}: best of epoch {state.best_epoch}: {shown}")

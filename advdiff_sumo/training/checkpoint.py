@@ -1,0 +1,115 @@
+"""One file with everything that a training needs to go on: tensors, and JSON in the header. No pickle."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from advdiff_sumo.core.errors import WeightsError
+
+FORMAT = "advdiff-training-1"
+NAME = "checkpoint.safetensors"
+_HEADER = "advdiff"
+
+
+@dataclass
+class Progress:
+    """Where a training stands.
+
+    Attributes:
+        stage: its name.
+        options: every hyper-parameter, as plain values.
+        data: hash of the training data and of the weights it began with.
+        epoch: epochs finished.
+        batch: batches finished of the epoch that runs.
+        step: steps of the optimiser done.
+        sums: running sums of the loss terms over the epoch that runs, with their weights.
+        best: best figure of the monitor so far.
+        best_epoch: the epoch it was reached in.
+        history: one record for each finished epoch.
+        done: the training has ended (all epochs, or stopped early).
+    """
+
+    stage: str
+    options: dict[str, Any]
+    data: str
+    epoch: int = 0
+    batch: int = 0
+    step: int = 0
+    sums: dict[str, tuple[float, float]] = field(default_factory=dict)
+    best: float | None = None
+    best_epoch: int = 0
+    history: list[dict[str, Any]] = field(default_factory=list)
+    done: bool = False
+
+
+def save(folder: Path, progress: Progress, groups: Mapping[str, Mapping[str, Tensor]]) -> None:
+    """Write the checkpoint aside and rename it, so that a kill leaves the old or the new one whole.
+
+    Raises:
+        WeightsError: the folder cannot be written.
+    """
+    tensors = {
+        f"{group}/{name}": value.detach().contiguous().cpu().clone()
+        for group, named in groups.items()
+        for name, value in named.items()
+    }
+    header = {"format": FORMAT, "progress": vars(progress)}
+    aside = folder / f".{NAME}"
+    try:
+        # one key alone: safetensors writes several in an order that changes from run to run
+        save_file(tensors, aside, metadata={_HEADER: json.dumps(header, sort_keys=True)})
+        aside.replace(folder / NAME)
+    except (OSError, SafetensorError) as error:
+        raise WeightsError(folder / NAME, f"cannot be written ({error})") from None
+
+
+def load(folder: Path) -> tuple[Progress, dict[str, dict[str, Tensor]]]:
+    """Read a checkpoint.
+
+    Returns:
+        Where the training stood, and its tensors by group and name, on the CPU.
+
+    Raises:
+        WeightsError: there is none, or it is damaged or of another format.
+    """
+    path = folder / NAME
+    if not path.is_file():
+        raise WeightsError(path, "no such checkpoint", "start the training without --resume")
+    groups: dict[str, dict[str, Tensor]] = {}
+    try:
+        with safe_open(path, framework="pt") as stored:
+            header = json.loads((stored.metadata() or {}).get(_HEADER, "{}"))
+            if header.get("format") != FORMAT:
+                raise WeightsError(path, "is no checkpoint of a training", "name the --out of a training")
+            for key in stored.keys():  # noqa: SIM118 - safetensors' handle is no mapping
+                group, _, name = key.partition("/")
+                groups.setdefault(group, {})[name] = stored.get_tensor(key)
+            progress = Progress(**header["progress"])
+    except (SafetensorError, OSError, ValueError, TypeError, KeyError) as error:
+        raise WeightsError(path, f"cannot be read ({error})", "start the training afresh") from None
+    progress.sums = {name: (value, weight) for name, (value, weight) in progress.sums.items()}
+    return progress, groups
+
+
+def optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
+    """Return the optimiser's moments, named "parameter number.moment"."""
+    state: dict[int, dict[str, Tensor]] = optimiser.state_dict()["state"]
+    return {f"{number}.{name}": value for number, moments in state.items() for name, value in moments.items()}
+
+
+def restore_optimiser(optimiser: torch.optim.Optimizer, tensors: Mapping[str, Tensor]) -> None:
+    """Give an optimiser the moments that :func:`optimiser_tensors` returned."""
+    state: dict[int, dict[str, Tensor]] = {}
+    for key, value in tensors.items():
+        number, _, name = key.partition(".")
+        state.setdefault(int(number), {})[name] = value
+    optimiser.load_state_dict({**optimiser.state_dict(), "state": state})

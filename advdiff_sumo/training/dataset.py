@@ -1,0 +1,165 @@
+"""Window files as one data set: which windows are held out, and in what order the others are seen."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.data.files import WindowFile, read_windows, window_paths
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.collate import Jitter, collate
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class WindowSet:
+    """Windows of several files; window number n is row ``row[n]`` of file ``file[n]``.
+
+    Attributes:
+        files: the files, opened.
+        file: (n,) which file.
+        row: (n,) which window of it.
+        agents: (n,) number of agents.
+        digest: sha256 over the files' contents, whatever their names and order.
+    """
+
+    files: tuple[WindowFile, ...]
+    file: IntArray
+    row: IntArray
+    agents: IntArray
+    digest: str
+
+    def __len__(self) -> int:
+        """Return the number of windows."""
+        return len(self.row)
+
+    def subset(self, numbers: IntArray) -> WindowSet:
+        """Return the windows with these numbers."""
+        return WindowSet(self.files, self.file[numbers], self.row[numbers], self.agents[numbers], self.digest)
+
+    def batch(
+        self, numbers: IntArray, rng: np.random.Generator | None = None, jitter: Jitter | None = None
+    ) -> SceneBatch:
+        """Return the windows with these numbers, padded to the largest of them.
+
+        Args:
+            numbers: which windows.
+            rng: source of the noise in the poses.
+            jitter: how strong it is; None: none.
+        """
+        parts, order = [], []
+        for index in np.unique(self.file[numbers]):
+            chosen = np.flatnonzero(self.file[numbers] == index)
+            parts.append(collate(self.files[index], self.row[numbers[chosen]], rng, jitter))
+            order.append(chosen)
+        return parts[0] if len(parts) == 1 else join(parts).rows(_inverse(np.concatenate(order)))
+
+
+def read_window_set(paths: Iterable[Path]) -> WindowSet:
+    """Read window files.
+
+    Args:
+        paths: files, and folders of such files.
+
+    Raises:
+        FileError: one is missing or no window file, or there is no window at all.
+    """
+    found = sorted(set(window_paths(list(paths))))
+    files = tuple(read_windows(path) for path in found)
+    counts = [file.windows for file in files]
+    if not sum(counts):
+        raise FileError(found[0], "holds no window", "build it from more driving")
+    agents = np.concatenate([np.diff(file.offset) for file in files])
+    digest = hashlib.sha256("".join(sorted(_hash(path) for path in found)).encode()).hexdigest()
+    return WindowSet(
+        files,
+        np.repeat(np.arange(len(files)), counts),
+        np.concatenate([np.arange(count) for count in counts]),
+        agents.astype(np.int64),
+        digest,
+    )
+
+
+def split(windows: WindowSet, share: float, seed: int) -> tuple[WindowSet, WindowSet]:
+    """Part the windows by drives, so that no drive is on both sides.
+
+    A drive's side follows from its name, the file's source and map, and *seed*: more files move none of the others.
+
+    Args:
+        windows: all of them.
+        share: about what share of the drives is held out.
+        seed: which ones.
+
+    Returns:
+        The windows to train on, and those held out.
+
+    Raises:
+        ConfigError: there is only one drive.
+    """
+    tree = SeedTree(seed, ("held-out",))
+    names = np.array([_drive(windows.files[f], r) for f, r in zip(windows.file, windows.row, strict=True)])
+    rank = {name: tree.child(name).integer(53) / 2.0**53 for name in sorted(set(names))}
+    if len(rank) < 2:
+        raise ConfigError("all windows are of one drive, so none can be held out; add more data, or --val")
+    ordered = sorted(rank, key=lambda name: (rank[name], name))
+    out = [name for name in ordered[:-1] if rank[name] < share] or ordered[:1]
+    held = np.isin(names, out)
+    return windows.subset(np.flatnonzero(~held)), windows.subset(np.flatnonzero(held))
+
+
+def batches(windows: WindowSet, size: int, rng: np.random.Generator | None = None) -> list[IntArray]:
+    """Return the windows' numbers, cut into batches of scenes with about as many agents.
+
+    Args:
+        windows: what is batched.
+        size: windows in a batch; the last one may have fewer.
+        rng: shuffles windows and batches; None: by number of agents, always alike.
+    """
+    spread = rng.uniform(0.0, 4.0, len(windows)) if rng is not None else np.zeros(len(windows))
+    order = np.argsort(windows.agents + spread, kind="stable")
+    cut = [order[start : start + size] for start in range(0, len(order), size)]
+    return [cut[i] for i in rng.permutation(len(cut))] if rng is not None else cut
+
+
+def join(parts: Sequence[SceneBatch]) -> SceneBatch:
+    """Return the scenes of several batches as one, padded to the most agents."""
+    agents = max(part.agents for part in parts)
+    names = [f.name for f in fields(SceneBatch)]
+    return SceneBatch(**{n: torch.cat([_padded(getattr(p, n), agents) for p in parts]) for n in names})
+
+
+def nearest(batch: SceneBatch, agents: int) -> SceneBatch:
+    """Return the scenes with their first *agents* agents, which are those nearest to the focal one."""
+    if batch.agents <= agents:
+        return batch
+    return SceneBatch(**{f.name: getattr(batch, f.name)[:, :agents] for f in fields(SceneBatch)})
+
+
+def _padded(value: Tensor, agents: int) -> Tensor:
+    missing = agents - value.shape[1]
+    if not missing:
+        return value
+    return torch.cat((value, value.new_zeros(value.shape[0], missing, *value.shape[2:])), dim=1)
+
+
+def _inverse(order: IntArray) -> Tensor:
+    return torch.from_numpy(np.argsort(order))
+
+
+def _drive(file: WindowFile, row: int) -> str:
+    return f"{file.source}|{file.map_name}|{file.scene_names[file.scene[row]]}"
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

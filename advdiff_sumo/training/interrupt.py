@@ -1,0 +1,46 @@
+"""Ctrl-C while training: the step that runs is finished and saved, then the program leaves."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Wish:
+    """Whether the user wants to stop; set by the signal, asked for between two steps."""
+
+    def __init__(self) -> None:
+        self.stop = False
+
+    def __bool__(self) -> bool:
+        return self.stop
+
+
+@contextmanager
+def graceful() -> Iterator[Wish]:
+    """Turn the first Ctrl-C (or SIGTERM) into a wish to stop; the second one acts at once, as usual.
+
+    Outside the main thread, where Python allows no handlers, the wish is never set.
+    """
+    wish = Wish()
+    if threading.current_thread() is not threading.main_thread():
+        yield wish
+        return
+    before = {number: signal.getsignal(number) for number in _SIGNALS}
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        wish.stop = True
+        signal.signal(number, before[signal.Signals(number)])
+
+    for number in _SIGNALS:
+        signal.signal(number, note)
+    try:
+        yield wish
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,186 @@
+"""Every hyper-parameter of every stage, and the two sets of them that have a name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal
+
+from pydantic import Field
+
+from advdiff_sumo.config import Options, set_dotted
+from advdiff_sumo.core.errors import UnknownNameError
+from advdiff_sumo.models.codec import CodecName
+from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.training.rates import ScheduleName
+
+StageName = Literal["traffic", "denoiser", "joint", "reward"]
+STAGES: tuple[StageName, ...] = ("traffic", "denoiser", "joint", "reward")
+
+
+class ElboOptions(Options):
+    """The ELBO (Sec. III-B), per vehicle; its reconstruction is ``models.losses.reconstruction``.
+
+    Attributes:
+        kl_weight: weight of the KL divergence of a latent against the mean reconstruction error of a step.
+        kl_anneal_share: share of the training over which that weight rises from a hundredth of it.
+        free_nats: KL of each of the latent's numbers that costs nothing.
+        prior_weight: weight of a second reconstruction, from a draw of the prior; 0: none.
+    """
+
+    kl_weight: float = Field(0.02, ge=0.0)
+    kl_anneal_share: float = Field(0.3, ge=0.0, le=1.0)
+    free_nats: float = Field(0.0, ge=0.0)
+    prior_weight: float = Field(0.0, ge=0.0)
+
+
+class CollisionOptions(Options):
+    """P_coll of the joint stage (Sec. III-B).
+
+    Attributes:
+        vehicles: weight of the five-disc overlap between vehicles.
+        road: weight of the overlap with the road's edge.
+        prior_samples: trajectories decoded from the prior count beside those from the posterior.
+        noise: weight of the noise loss.
+    """
+
+    vehicles: float = Field(1.0, ge=0.0)
+    road: float = Field(0.5, ge=0.0)
+    prior_samples: bool = True
+    noise: float = Field(1.0, ge=0.0)
+
+
+class RewardOptions(Options):
+    """Pretraining of Q (Sec. III-C).
+
+    Attributes:
+        discount: γ a transition.
+        execute: model steps l that a transition executes.
+        returns: transitions of one plan whose rewards are summed before Q takes over (n-step targets); 1 is
+            the paper's target.
+        transitions: experiences taken from one window one after another, while its log lasts.
+        candidates: latents of the prior over which the maximum of Q is taken.
+        target_decay: share of the old target network that a step keeps.
+        reach_m: gap at which the reward for being near has fallen to 1/e.
+        vehicles: weight of the overlap of background vehicles with each other in the reward.
+        road: weight of their overlap with the road's edge.
+        prior, noise, diffusion: shares of the sources of the random latents z̃: the prior, N(0, 1), the denoiser.
+        sampling_steps: DDIM steps where the denoiser is the source.
+    """
+
+    discount: float = Field(0.9, ge=0.0, lt=1.0)
+    execute: int = Field(2, ge=1, le=12)
+    returns: int = Field(1, ge=1, le=12)
+    transitions: int = Field(2, ge=1, le=12)
+    candidates: int = Field(6, ge=1, le=64)
+    target_decay: float = Field(0.995, ge=0.0, lt=1.0)
+    reach_m: float = Field(2.0, gt=0.0)
+    vehicles: float = Field(0.5, ge=0.0)
+    road: float = Field(0.2, ge=0.0)
+    prior: float = Field(0.4, ge=0.0)
+    noise: float = Field(0.3, ge=0.0)
+    diffusion: float = Field(0.3, ge=0.0)
+    sampling_steps: int = Field(10, ge=1, le=1000)
+
+
+class JitterOptions(Options):
+    """How far vehicles are put beside their true state, see ``models.collate.Jitter``."""
+
+    share: float = Field(0.4, ge=0.0, le=1.0)
+    lateral_m: float = Field(0.3, ge=0.0)
+    yaw_rad: float = Field(0.04, ge=0.0)
+    speed_mps: float = Field(0.4, ge=0.0)
+
+
+class TrainOptions(Options):
+    """Options of one stage's training.
+
+    Attributes:
+        epochs: passes over the training windows.
+        batch_size: windows in a step.
+        learning_rate: of Adam, at its highest.
+        schedule: how it changes, see ``training.rates``.
+        gradient_clip: largest norm of the gradient.
+        ema_decay: of the moving average of the weights.
+        patience_epochs: epochs without progress on held-out windows after which it stops; 0: never.
+        max_agents: agents of a window that are looked at in training, those nearest to its focal one.
+        held_out: about what share of the drives is held out.
+        split_seed: which ones; the same in all stages, whatever their seed.
+        held_out_windows: most windows that an epoch's evaluation looks at.
+        checkpoint_minutes: time between two checkpoints within an epoch.
+        codec: space in which the diffusion works: "latent", or "trajectory", the paper's ablation traj2traj;
+            None: that of the weights begun with, latent for new ones.
+        diffusion_steps: K of the noise schedule, where the denoiser is new.
+        noise_schedule: its kind.
+        scale_windows: windows over which the diffused numbers are standardised.
+        model: sizes of the networks, where they are new.
+    """
+
+    epochs: int = Field(200, ge=1)
+    batch_size: int = Field(8, ge=1)
+    learning_rate: float = Field(5e-4, gt=0.0)
+    schedule: ScheduleName = "constant"
+    gradient_clip: float = Field(5.0, gt=0.0)
+    ema_decay: float = Field(0.999, ge=0.0, lt=1.0)
+    patience_epochs: int = Field(20, ge=0)
+    max_agents: int = Field(24, ge=2)
+    held_out: float = Field(0.1, gt=0.0, lt=1.0)
+    split_seed: int = Field(0, ge=0)
+    held_out_windows: int = Field(1024, ge=1)
+    checkpoint_minutes: float = Field(5.0, ge=0.0)
+    codec: CodecName | None = None
+    diffusion_steps: int = Field(100, ge=1, le=10_000)
+    noise_schedule: Literal["cosine", "linear"] = "cosine"
+    scale_windows: int = Field(2048, ge=1)
+    model: ModelOptions = ModelOptions()
+    jitter: JitterOptions = JitterOptions()
+    elbo: ElboOptions = ElboOptions()
+    collision: CollisionOptions = CollisionOptions()
+    reward: RewardOptions = RewardOptions()
+
+
+_SMALL: dict[str, Any] = {
+    "batch_size": 32,
+    "learning_rate": 1e-3,
+    "schedule": "one-cycle",
+    "patience_epochs": 0,
+    "held_out_windows": 512,
+    "ema_decay": 0.998,
+    "max_agents": 16,
+}
+_EPOCHS: Mapping[StageName, int] = {"traffic": 12, "denoiser": 20, "joint": 4, "reward": 6}
+_PAPER: dict[str, Any] = {"epochs": 200, "batch_size": 8, "learning_rate": 5e-4, "schedule": "constant"}
+_PAPER_REWARD: dict[str, Any] = {"epochs": 100, "learning_rate": 1e-3}
+PRESETS = ("paper", "small")
+
+
+def preset(name: str, stage: StageName, assignments: Iterable[str] = ()) -> TrainOptions:
+    """Return the options of a preset.
+
+    Args:
+        name: "paper" (Sec. IV, Implementation Details) or "small" (two CPU cores, about an hour in all).
+        stage: the stage that they are for.
+        assignments: changes, each as NAME=VALUE with dots between the levels.
+
+    Raises:
+        UnknownNameError: there is no such preset.
+        ConfigError: an assignment names no option, or its value is out of bounds.
+    """
+    if name not in PRESETS:
+        raise UnknownNameError("preset", name, PRESETS)
+    values: dict[str, Any] = _paper(stage) if name == "paper" else _small(stage)
+    for assignment in assignments:
+        set_dotted(values, assignment)
+    return TrainOptions.parse(values, "--set")
+
+
+def _paper(stage: StageName) -> dict[str, Any]:
+    return {**_PAPER, **(_PAPER_REWARD if stage == "reward" else {})}
+
+
+def _small(stage: StageName) -> dict[str, Any]:
+    values = {**_SMALL, "epochs": _EPOCHS[stage]}
+    if stage == "joint":
+        values |= {"learning_rate": 2e-4, "elbo": {"kl_anneal_share": 0.0}}
+    if stage == "reward":
+        values |= {"reward": {"returns": 3}}
+    return values

@@ -1,0 +1,202 @@
+"""From options and files to a training that can run."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from advdiff_sumo import __version__
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
+from advdiff_sumo.training.checkpoint import Progress
+from advdiff_sumo.training.dataset import WindowSet, batches, read_window_set, split
+from advdiff_sumo.training.denoiser import DenoiserStage, measure_scale
+from advdiff_sumo.training.joint import JointStage
+from advdiff_sumo.training.loop import Job
+from advdiff_sumo.training.presets import STAGES, StageName, TrainOptions
+from advdiff_sumo.training.stage import Stage
+from advdiff_sumo.training.traffic import TrafficStage
+
+WEIGHTS = "weights.safetensors"
+_NEEDS: Mapping[StageName, tuple[StageName, ...]] = {
+    "traffic": (),
+    "denoiser": ("traffic",),
+    "joint": ("traffic", "denoiser"),
+    "reward": ("traffic", "denoiser"),
+}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the user asked for.
+
+    Attributes:
+        stage: which stage.
+        data: window files and folders of them.
+        out: folder of everything that is written.
+        options: hyper-parameters.
+        init: weights to begin with; None: new ones, which only the stage "traffic" can do.
+        val: window files to judge on; none: some drives of the data are held out.
+        seed: of everything that is random.
+        device: "auto", "cpu" or "cuda".
+        max_minutes: stop after that time.
+    """
+
+    stage: StageName
+    data: tuple[Path, ...]
+    out: Path
+    options: TrainOptions
+    init: Path | None = None
+    val: tuple[Path, ...] = ()
+    seed: int = 0
+    device: str = "auto"
+    max_minutes: float = math.inf
+    card: Mapping[str, Any] = field(default_factory=dict)
+
+
+def prepare(plan: Plan) -> Job:
+    """Return the training that *plan* describes, with nothing trained or written yet.
+
+    Raises:
+        FileError: data or weights cannot be read.
+        ConfigError: they do not fit the stage.
+    """
+    device = choose_device(plan.device)
+    bundle = _bundle(plan)
+    windows = read_window_set(plan.data)
+    options = plan.options.model_copy(update={"model": bundle.options.model, "codec": bundle.options.codec})
+    train, held_out = _sides(plan, windows)
+    bundle.to(device)
+    if plan.stage == "denoiser":
+        _measure(bundle, train, options, device)
+    stage = _stage(plan.stage, bundle, options)
+
+    def keep(progress: Progress) -> None:
+        save_bundle(stage.bundle(), plan.out / WEIGHTS, _stages(bundle, plan.stage), _card(plan, progress))
+
+    source = hashlib.sha256(f"{windows.digest}{held_out.digest}{_hash(plan.init)}".encode()).hexdigest()
+    return Job(stage, options, train, held_out, plan.out, plan.seed, device, source, keep, plan.max_minutes)
+
+
+def choose_device(name: str) -> torch.device:
+    """Return the device *name*; "auto" is CUDA where there is one.
+
+    Raises:
+        ConfigError: no such device.
+    """
+    there = torch.cuda.is_available()
+    if name not in ("auto", "cpu", "cuda"):
+        raise ConfigError(f"--device {name}: choose auto, cpu or cuda")
+    if name == "cuda" and not there:
+        raise ConfigError("--device cuda: PyTorch sees no CUDA device; choose cpu or auto")
+    return torch.device("cuda" if there and name != "cpu" else "cpu")
+
+
+def _bundle(plan: Plan) -> Bundle:
+    options = plan.options
+    wanted = BundleOptions(
+        model=options.model,
+        codec=options.codec or "latent",
+        diffusion_steps=options.diffusion_steps,
+        schedule=options.noise_schedule,
+    )
+    if plan.init is None:
+        if _NEEDS[plan.stage]:
+            raise ConfigError(
+                f"the stage '{plan.stage}' needs weights of the stage '{_NEEDS[plan.stage][-1]}': name them with --init"
+            )
+        return new_bundle(wanted, SeedTree(plan.seed, ("weights",)).integer())
+    begun = load_bundle(_weights(plan.init))
+    missing = [name for name in _NEEDS[plan.stage] if name not in begun.stages]
+    if missing:
+        raise ConfigError(
+            f"{plan.init}: holds {_listed(begun.stages)}, but the stage '{plan.stage}' needs '{missing[0]}'; "
+            f"train that first: advdiff-sumo train {missing[0]}"
+        )
+    return _fitted(plan, begun, wanted.model_copy(update={"codec": options.codec or begun.options.codec}))
+
+
+def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions) -> Bundle:
+    """Return *begun*, with a new denoiser where that is to work on something else; refuse what cannot be."""
+    if plan.stage == "reward" and begun.options.codec != "latent":
+        raise ConfigError(
+            f"{plan.init}: its denoiser works on trajectories, but the reward model needs latents"
+        )
+    if plan.stage != "denoiser":
+        if begun.options.codec != wanted.codec:
+            raise ConfigError(
+                f"{plan.init}: its denoiser works on the codec '{begun.options.codec}', not '{wanted.codec}'"
+            )
+        return begun
+    if "denoiser" in begun.stages and begun.options.codec == wanted.codec:
+        return begun
+    options = wanted.model_copy(update={"model": begun.options.model})
+    made = new_bundle(options, SeedTree(plan.seed, ("weights",)).integer())
+    made.traffic.load_state_dict(begun.traffic.state_dict())
+    made.reward.load_state_dict(begun.reward.state_dict())
+    return replace(made, stages=tuple(name for name in begun.stages if name == "traffic"))
+
+
+def _weights(path: Path) -> Path:
+    return path / WEIGHTS if path.is_dir() else path
+
+
+def _sides(plan: Plan, windows: WindowSet) -> tuple[WindowSet, WindowSet]:
+    if plan.val:
+        return windows, read_window_set(plan.val)
+    return split(windows, plan.options.held_out, plan.options.split_seed)
+
+
+def _measure(bundle: Bundle, windows: WindowSet, options: TrainOptions, device: torch.device) -> None:
+    count = min(len(windows), options.scale_windows)
+    chosen = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
+    few = windows.subset(chosen)
+    made = (few.batch(numbers).to(device) for numbers in batches(few, 32))
+    measure_scale(bundle, made, torch.Generator().manual_seed(options.split_seed))
+
+
+def _stage(name: StageName, bundle: Bundle, options: TrainOptions) -> Stage:
+    if name == "traffic":
+        return TrafficStage(bundle, options.elbo)
+    if name == "denoiser":
+        return DenoiserStage(bundle)
+    if name == "joint":
+        return JointStage(bundle, options.elbo, options.collision)
+    from advdiff_sumo.training.reward import RewardStage  # TEMP
+
+    return RewardStage(bundle, options.reward)
+
+
+def _stages(bundle: Bundle, name: StageName) -> tuple[str, ...]:
+    """Return the stages that weights have behind them once *name* is trained; later ones no longer fit."""
+    earlier = STAGES[: STAGES.index(name)]
+    return (*(stage for stage in bundle.stages if stage in earlier), name)
+
+
+def _card(plan: Plan, progress: Progress) -> dict[str, Any]:
+    return {
+        **plan.card,
+        "stage": plan.stage,
+        "version": __version__,
+        "seed": plan.seed,
+        "data": progress.data,
+        "epoch": progress.epoch,
+        "options": progress.options,
+        "held_out": progress.history[-1]["held_out"],
+    }
+
+
+def _listed(stages: tuple[str, ...]) -> str:
+    return "no trained stage" if not stages else "the stages " + ", ".join(stages)
+
+
+def _hash(path: Path | None) -> str:
+    return "" if path is None else hashlib.sha256(_weights(path).read_bytes()).hexdigest()

@@ -1,0 +1,134 @@
+"""Stage "traffic": context encoder, posterior and decoder by the ELBO (Sec. III-B, Training)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.gaussian import Gaussian
+from advdiff_sumo.models.losses import reconstruction
+from advdiff_sumo.models.traffic import TrafficModel
+from advdiff_sumo.training.displacement import displacement
+from advdiff_sumo.training.presets import ElboOptions
+from advdiff_sumo.training.stage import Moment, Tally
+
+_KL_START = 0.01
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """What the traffic model makes of windows whose future is known.
+
+    Attributes:
+        context: h and prior.
+        posterior: q(z | τ, h).
+        z: a draw from it.
+        rollout: what that draw leads to.
+    """
+
+    context: Context
+    posterior: Gaussian
+    z: Tensor
+    rollout: Rollout
+
+
+class TrafficStage:
+    """Trains the traffic VAE.
+
+    Args:
+        bundle: its traffic model is trained in place.
+        options: weights of the terms.
+    """
+
+    name = "traffic"
+    monitor = "loss"
+
+    def __init__(self, bundle: Bundle, options: ElboOptions) -> None:
+        self._bundle, self.options = bundle, options
+        self.module: nn.Module = bundle.traffic
+        self.beside: nn.Module = nn.Module()
+
+    def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
+        """Return the negative ELBO and its parts."""
+        model, options = self._bundle.traffic, self.options
+        encoded = encode(model, batch, moment.generator)
+        terms = elbo(encoded, batch, options, kl_share(moment.progress, options))
+        if options.prior_weight > 0.0:
+            drawn = encoded.context.prior.sample(moment.generator)
+            rollout = model.decoder(drawn, encoded.context.h, batch)
+            terms["prior_reconstruction"] = known_mean(reconstruction(rollout, batch), batch)
+            terms["loss"] = terms["loss"] + options.prior_weight * terms["prior_reconstruction"]
+        return terms
+
+    def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
+        """Return the loss at the full weight of KL, and displacements from posterior and prior."""
+        model = self._bundle.traffic
+        encoded = encode(model, batch, generator)
+        terms = elbo(encoded, batch, self.options, 1.0)
+        tally = {name: (float(value) * batch.scenes, float(batch.scenes)) for name, value in terms.items()}
+        context = encoded.context
+        for name, z in (("posterior", encoded.posterior.mean), ("prior", context.prior.mean)):
+            found = displacement(model.decoder(z, context.h, batch), batch)
+            tally[f"{name}_ade_m"], tally[f"{name}_fde_m"] = found.ade_sum(), found.fde_sum()
+        return tally
+
+    def after_step(self, moment: Moment) -> None:
+        """Do nothing."""
+
+    def bundle(self) -> Bundle:
+        """Return the bundle with the trained model."""
+        return self._bundle
+
+
+def encode(model: TrafficModel, batch: SceneBatch, generator: torch.Generator) -> Encoded:
+    """Return context, posterior, a draw of it and what it leads to."""
+    context = model.encoder(batch)
+    posterior = model.posterior(batch, context.h)
+    z = posterior.sample(generator)
+    return Encoded(context, posterior, z, model.decoder(z, context.h, batch))
+
+
+def elbo(encoded: Encoded, batch: SceneBatch, options: ElboOptions, kl_share: float) -> dict[str, Tensor]:
+    """Return the negative ELBO as "loss", with "reconstruction" and "kl".
+
+    Args:
+        encoded: of :func:`encode`.
+        batch: the windows.
+        options: weights.
+        kl_share: share of the KL's weight that counts by now.
+    """
+    error = known_mean(reconstruction(encoded.rollout, batch), batch)
+    divergence = encoded.posterior.kl(encoded.context.prior)  # (B, A, Z)
+    who = modelled(batch)
+    kl = masked_mean(divergence.sum(-1), who)
+    paid = masked_mean(divergence.clamp(min=options.free_nats).sum(-1), who) if options.free_nats else kl
+    loss = error + kl_share * options.kl_weight * paid
+    return {"loss": loss, "reconstruction": error, "kl": kl}
+
+
+def kl_share(progress: float, options: ElboOptions) -> float:
+    """Return the share of the KL's weight at *progress* of the training: from a hundredth straight up to 1."""
+    if progress >= options.kl_anneal_share:
+        return 1.0
+    return _KL_START + (1.0 - _KL_START) * progress / options.kl_anneal_share
+
+
+def modelled(batch: SceneBatch) -> Tensor:
+    """Return (B, A) vehicles of whose future something is known."""
+    return batch.moved & batch.future_valid.any(-1)
+
+
+def known_mean(value: Tensor, batch: SceneBatch) -> Tensor:
+    """Return the mean of *value* (B, A, T) over the known instants of vehicles."""
+    return masked_mean(value, batch.future_valid & batch.moved[..., None])
+
+
+def masked_mean(value: Tensor, mask: Tensor) -> Tensor:
+    """Return the mean of *value* where *mask*; 0 where that is nowhere."""
+    return torch.where(mask, value, 0.0).sum() / mask.sum().clamp(min=1)

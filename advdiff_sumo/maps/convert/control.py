@@ -10,6 +10,7 @@ from shapely.geometry import Point, Polygon
 
 from advdiff_sumo.maps.convert.narrow import long_conflicts
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
+from advdiff_sumo.maps.convert.roundabouts import find_rings
 from advdiff_sumo.maps.convert.source import SourceMap
 
 NEAR_M = 6.0  # a stop line or light within this of the end of a lane is that lane's
@@ -31,14 +32,16 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
 
     A junction with a light on one of its approaches is signalled. Stop signs on all approaches make an all-way
     stop, on some of them (and yield signs) those approaches yield. With *guess_signals* junctions of at least
-    three approaches with four lanes, whose ways cross, are signalled too. Signals serve opposite approaches together
-    unless ways of theirs run along each other.
+    three approaches with four lanes, whose ways cross, are signalled too, but for those of roundabouts. Signals serve
+    opposite approaches together unless ways of theirs run along each other.
     """
     control = _read(plan.edges, source)
     approaches: dict[str, list[EdgePlan]] = defaultdict(list)
     for edge in plan.edges:
         approaches[edge.target].append(edge)
-    crossing = _crossing(plan) if guess_signals else set()
+    rings = find_rings(plan)
+    round_about = {name for ring in rings for name in ring.junctions}
+    crossing = _crossing(plan) - round_about if guess_signals else set()
     kinds = {
         name: _kind([edge.id for edge in edges], control)
         or ("traffic_light" if name in crossing and _is_large(edges) else None)
@@ -53,6 +56,7 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
             replace(j, kind=kinds.get(j.id) or j.kind, one_by_one=j.id in long) if j.kind == "priority" else j
             for j in plan.junctions
         ),
+        rings=rings,
     )
 
 

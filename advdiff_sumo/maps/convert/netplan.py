@@ -108,6 +108,14 @@ class JunctionPlan:
     one_by_one: bool = False
 
 
+@dataclass(frozen=True)
+class Ring:
+    """A roundabout: the edges round its island in driving direction, and the junctions at which they begin."""
+
+    edges: tuple[str, ...]
+    junctions: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class NetPlan:
     """All parts of a net, ready to be written as plain XML."""
@@ -117,6 +125,7 @@ class NetPlan:
     connections: tuple[ConnectionPlan, ...]
     lefthand: bool
     lane_of: dict[Piece, tuple[str, int]] = field(default_factory=dict)
+    rings: tuple[Ring, ...] = ()
 
     @cached_property
     def way_of(self) -> dict[tuple[str, int, str, int], ConnectionPlan]:

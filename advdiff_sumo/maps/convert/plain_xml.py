@@ -10,7 +10,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.narrow import Ends
-from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, JunctionPlan, NetPlan
+from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, JunctionPlan, NetPlan, Ring
 from advdiff_sumo.maps.convert.source import LaneUse
 
 NOBODY = "custom2"  # a vehicle class that nothing uses
@@ -37,7 +37,11 @@ def write_plain_xml(
     nodes = [*([_location(plan, projection)] if projection else []), *map(_node, plan.junctions)]
     return {
         "node-files": _file(folder / "plain.nod.xml", "nodes", nodes),
-        "edge-files": _file(folder / "plain.edg.xml", "edges", (_edge(e, location) for e in plan.edges)),
+        "edge-files": _file(
+            folder / "plain.edg.xml",
+            "edges",
+            [*(_edge(e, location) for e in plan.edges), *map(_roundabout, plan.rings)],
+        ),
         "connection-files": _file(folder / "plain.con.xml", "connections", _connections(plan, prohibitions)),
     }
 
@@ -106,6 +110,10 @@ def _edge(edge: EdgePlan, location: str) -> ET.Element:
             _param(row, "widths", lane.widths)
     _param(element, "location", location)
     return element
+
+
+def _roundabout(ring: Ring) -> ET.Element:
+    return ET.Element("roundabout", nodes=" ".join(ring.junctions), edges=" ".join(ring.edges))
 
 
 def _connections(plan: NetPlan, prohibitions: Iterable[tuple[Ends, Ends]]) -> Iterable[ET.Element]:

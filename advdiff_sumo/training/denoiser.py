@@ -52,7 +52,7 @@ class DenoiserStage:
         """Return the noise loss at steps spread over the schedule, and the displacement of one sample."""
         return judge(self._bundle, batch, generator)
 
-    def after_step(self, moment: Moment) -> None:
+    def after_step(self) -> None:
         """Do nothing."""
 
     def bundle(self) -> Bundle:

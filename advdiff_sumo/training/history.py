@@ -44,7 +44,7 @@ def open_events(folder: Path, step: int) -> Events | None:
         from torch.utils.tensorboard import SummaryWriter  # late: an optional package, and slow to import
     except ImportError:
         return None
-    writer: Events = SummaryWriter(str(folder), purge_step=step or None)  # type: ignore[no-untyped-call]  # torch's writer is not annotated
+    writer: Events = SummaryWriter(str(folder), purge_step=step or None)
     return writer
 
 

@@ -50,7 +50,7 @@ class JointStage:
         weight = float(batch.scenes)
         return tally | {name: (float(value) * weight, weight) for name, value in terms.items()}
 
-    def after_step(self, moment: Moment) -> None:
+    def after_step(self) -> None:
         """Do nothing."""
 
     def bundle(self) -> Bundle:

@@ -157,12 +157,12 @@ class Trainer:
         terms = stage.loss(batch, moment)
         self.optimiser.zero_grad(set_to_none=True)
         _finite(terms, progress)
-        terms["loss"].backward()
+        torch.autograd.backward(terms["loss"])
         norm = torch.nn.utils.clip_grad_norm_(self.parameters, options.gradient_clip)
         _finite({"gradient": norm}, progress)
         self.optimiser.step()
         self.ema.update(progress.step)
-        stage.after_step(moment)
+        stage.after_step()
         self._note(terms, len(numbers))
 
     def _note(self, terms: dict[str, Tensor], windows: int) -> None:

@@ -22,6 +22,7 @@ from advdiff_sumo.training.denoiser import DenoiserStage, measure_scale
 from advdiff_sumo.training.joint import JointStage
 from advdiff_sumo.training.loop import Job
 from advdiff_sumo.training.presets import STAGES, StageName, TrainOptions
+from advdiff_sumo.training.reward import RewardStage
 from advdiff_sumo.training.stage import Stage
 from advdiff_sumo.training.traffic import TrafficStage
 
@@ -170,8 +171,6 @@ def _stage(name: StageName, bundle: Bundle, options: TrainOptions) -> Stage:
         return DenoiserStage(bundle)
     if name == "joint":
         return JointStage(bundle, options.elbo, options.collision)
-    from advdiff_sumo.training.reward import RewardStage  # TEMP
-
     return RewardStage(bundle, options.reward)
 
 

@@ -59,7 +59,7 @@ class Stage(Protocol):
         """Judge a held-out batch, without gradients."""
         ...
 
-    def after_step(self, moment: Moment) -> None:
+    def after_step(self) -> None:
         """Do what follows a step of the optimiser."""
         ...
 

@@ -78,7 +78,7 @@ class TrafficStage:
             tally[f"{name}_ade_m"], tally[f"{name}_fde_m"] = found.ade_sum(), found.fde_sum()
         return tally
 
-    def after_step(self, moment: Moment) -> None:
+    def after_step(self) -> None:
         """Do nothing."""
 
     def bundle(self) -> Bundle:

@@ -1,0 +1,162 @@
+"""Experiences (s, a, r, s') of Q: from logs with a random target and random latents, or from a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from advdiff_sumo.models.advance import advance
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.decoder import Forced, Rollout
+from advdiff_sumo.training.dataset import join
+from advdiff_sumo.training.denoiser import diffused, schedule_of
+from advdiff_sumo.training.payoff import Payoff, payoffs
+from advdiff_sumo.training.presets import RewardOptions
+
+
+@dataclass(frozen=True)
+class Experience:
+    """B experiences.
+
+    Attributes:
+        state: scenes s.
+        target: (B,) row of the tested vehicle.
+        action: (B, A, Z) scaled latents a.
+        gain: (B,) what is known of the value: discounted rewards of the stretches that were executed.
+        remains: (B,) what Q(s', ·) is multiplied with: γⁿ, or 0 after contact.
+        after: scenes s'.
+        weight: (B,) 1, or 0 where the experience does not count.
+    """
+
+    state: SceneBatch
+    target: Tensor
+    action: Tensor
+    gain: Tensor
+    remains: Tensor
+    after: SceneBatch
+    weight: Tensor
+
+
+def gathered(parts: Sequence[Experience]) -> Experience:
+    """Return several experiences as one, padded to the most agents."""
+    agents = max(part.state.agents for part in parts)
+    action = [torch.nn.functional.pad(p.action, (0, 0, 0, agents - p.state.agents)) for p in parts]
+    flat = {
+        f.name: torch.cat([getattr(part, f.name) for part in parts])
+        for f in fields(Experience)
+        if f.name in ("target", "gain", "remains", "weight")
+    }
+    state, after = join([part.state for part in parts]), join([part.after for part in parts])
+    return Experience(state=state, after=after, action=torch.cat(action), **flat)
+
+
+def value_of(rewards: Sequence[Payoff], discount: float) -> tuple[Tensor, Tensor]:
+    """Return the value (B,) that stretches of rewards give, and the factor (B,) of what comes after them.
+
+    Values are scaled by 1 − γ, so that a reward of 1 for ever is a value of 1. Contact is for ever: an episode
+    ends with it, and being near would otherwise be worth more than hitting.
+    """
+    gain = torch.zeros_like(rewards[0].reward)
+    factor = torch.ones_like(gain)
+    for one in rewards:
+        share = torch.where(one.contact, 1.0, 1.0 - discount)
+        gain = gain + factor * share * one.reward
+        factor = factor * torch.where(one.contact, 0.0, discount)
+    return gain, factor
+
+
+def observed(
+    state: SceneBatch, path: Rollout, target: Tensor, action: Tensor, options: RewardOptions
+) -> Experience:
+    """Return the experience of a plan that has been executed, in a run or in a log.
+
+    Args:
+        state: scenes when it was made.
+        path: (B, A, T) what then happened, T = n · ``options.execute`` steps; all of it counts.
+        target: (B,) row of the tested vehicle.
+        action: (B, A, Z) scaled latents of the plan.
+        options: weights, discount.
+    """
+    steps = path.xy.shape[2]
+    rewards = payoffs(path, state, target, options, steps // options.execute)
+    gain, remains = value_of(rewards, options.discount)
+    after = advance(state, path, steps)
+    return Experience(state, target, action, gain, remains, after, torch.ones_like(gain))
+
+
+def pick_target(batch: SceneBatch, steps: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Return a random target (B,) among vehicles whose next *steps* are known, and whether there is one (B,)."""
+    usable = batch.moved & ~batch.parked & batch.future_valid[:, :, :steps].all(-1)
+    weight = usable.float() + 1e-9 * batch.present.float()
+    drawn = torch.multinomial(weight.cpu(), 1, generator=generator).squeeze(1).to(batch.past.device)
+    return drawn, usable.gather(1, drawn[:, None]).squeeze(1)
+
+
+def random_action(
+    bundle: Bundle, context: Context, options: RewardOptions, generator: torch.Generator
+) -> Tensor:
+    """Return scaled latents (B, A, Z); each scene's are all of one source, drawn by the options' shares."""
+    shares = torch.tensor([options.prior, options.noise, options.diffusion])
+    scenes = context.h.shape[0]
+    source = torch.multinomial(shares, scenes, replacement=True, generator=generator)
+    out = prior_action(bundle, context, generator)
+    noise = torch.randn(out.shape, generator=generator).to(out)
+    out = torch.where((source == 1).to(out.device)[:, None, None], noise, out)
+    rows = torch.nonzero(source == 2).squeeze(1).to(out.device)
+    if len(rows):
+        steps = min(options.sampling_steps, schedule_of(bundle).steps)
+        out[rows] = diffused(bundle, _rows(context, rows), steps, generator)[:, :, 0]
+    return out
+
+
+def prior_action(bundle: Bundle, context: Context, generator: torch.Generator) -> Tensor:
+    """Return scaled latents (B, A, Z) of the prior."""
+    return bundle.codec.scale(context.prior.sample(generator)[:, :, None])[:, :, 0]
+
+
+def decoded(bundle: Bundle, action: Tensor, context: Context, batch: SceneBatch, target: Tensor) -> Rollout:
+    """Return what scaled latents (B, A, Z) lead to while the target replays its log, as far as that is known."""
+    rows = torch.arange(batch.agents, device=target.device) == target[:, None]
+    forced = Forced(batch.future, rows[..., None] & batch.future_valid)
+    z = bundle.codec.unscale(action[:, :, None])[:, :, 0]
+    path: Rollout = bundle.traffic.decoder(z, context.h, batch, forced=forced)
+    return path
+
+
+@torch.no_grad()
+def from_logs(
+    bundle: Bundle, batch: SceneBatch, options: RewardOptions, generator: torch.Generator
+) -> Iterator[Experience]:
+    """Yield experiences one after another in the same scenes, ``options.execute`` steps apart.
+
+    Each lasts n = ``options.returns`` stretches of one plan; the next one begins after the first stretch.
+    """
+    steps = options.execute * options.returns
+    target, alive = pick_target(batch, steps, generator)
+    row = torch.arange(batch.scenes, device=target.device)
+    for number in range(options.transitions):
+        if number * options.execute + steps > batch.future.shape[2]:
+            return
+        alive = alive & batch.future_valid[row, target, :steps].all(-1)
+        context = bundle.traffic.encoder(batch)
+        action = random_action(bundle, context, options, generator)
+        path = decoded(bundle, action, context, batch, target)
+        made = observed(batch, _first(path, steps), target, action, options)
+        yield Experience(made.state, target, action, made.gain, made.remains, made.after, alive.to(made.gain))
+        first = payoffs(path, batch, target, options, 1)[0]
+        alive = alive & ~first.contact
+        batch = advance(batch, path, options.execute)
+
+
+def _first(path: Rollout, steps: int) -> Rollout:
+    return Rollout(*(value[:, :, :steps] for value in vars(path).values()))
+
+
+def _rows(context: Context, rows: Tensor) -> Context:
+    prior = type(context.prior)(context.prior.mean[rows], context.prior.logvar[rows])
+    return Context(context.h[rows], prior)

@@ -1,0 +1,115 @@
+"""Rewards of Q: R = R_adv − P_coll over a stretch of executed steps (Sec. III-C)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.geometry import wrap_angle
+from advdiff_sumo.models.losses import discs, off_road, pair_overlap
+from advdiff_sumo.training.presets import RewardOptions
+
+_BETWEEN = 4
+"""Instants a model step at which contact is looked for: at 0.5 s fast cars would pass through each other."""
+
+
+@dataclass(frozen=True)
+class Payoff:
+    """What a stretch of the executed plan was worth.
+
+    Attributes:
+        reward: (B,) R_adv − P_coll; R_adv is 1 on contact.
+        contact: (B,) whether a background vehicle touched the target.
+    """
+
+    reward: Tensor
+    contact: Tensor
+
+
+def payoffs(
+    path: Rollout, batch: SceneBatch, target: Tensor, options: RewardOptions, stretches: int
+) -> list[Payoff]:
+    """Return the payoff of each of the first stretches of ``options.execute`` steps.
+
+    Args:
+        path: executed or planned states (B, A, T), T at least stretches × execute; the target's are its own.
+        batch: the scenes before.
+        target: (B,) row of the tested vehicle.
+        options: reach and weights.
+        stretches: how many.
+    """
+    steps = options.execute * stretches
+    cut = Rollout(*(value[:, :, :steps] for value in vars(path).values()))
+    gap = (
+        target_gap(finer(cut, batch), batch, target).amin(1).unflatten(1, (stretches, -1)).amin(-1)
+    )  # (B, S)
+    near = torch.exp(-gap.clamp(min=0.0) / options.reach_m)
+    vehicles = _among_background(cut, batch, target).reshape(shape).amax(-1)
+    road = _off_road(cut, batch, target).reshape(shape).amax(-1)
+    reward = near - options.vehicles * vehicles.clamp(max=1.0) - options.road * road.clamp(max=1.0)
+    return [Payoff(reward[:, i], gap[:, i] <= 0.0) for i in range(stretches)]
+
+
+def finer(path: Rollout, batch: SceneBatch) -> Rollout:
+    """Return *path* with positions and headings at four instants a step, straight between its own."""
+    now = batch.pose[:, :, None]
+    share = torch.arange(1, _BETWEEN + 1, device=path.xy.device, dtype=path.xy.dtype) / _BETWEEN
+
+    def between(start: Tensor, change: Tensor) -> Tensor:
+        shape = share.reshape(-1, *([1] * (start.dim() - 3)))
+        return (start[:, :, :, None] + shape * change[:, :, :, None]).flatten(2, 3)
+
+    xy = torch.cat((now[..., :2], path.xy[:, :, :-1]), dim=2)
+    yaw = torch.cat((now[..., 2], path.yaw[:, :, :-1]), dim=2)
+    speed = path.speed.repeat_interleave(_BETWEEN, dim=2)
+    return Rollout(between(xy, path.xy - xy), between(yaw, wrap_angle(path.yaw - yaw)), speed, speed, speed)
+
+
+def target_gap(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor:
+    """Return the gap (B, A, T) in metres of each background vehicle's discs to the target's; below 0: contact.
+
+    Large for the target itself, for who is not there, is no vehicle, or is parked.
+    """
+    steps = path.xy.shape[2]
+    centres, radius = discs(path.xy, path.yaw, batch.size[:, :, None].expand(-1, -1, steps, -1))
+    row = torch.arange(len(target), device=target.device)
+    own, own_radius = centres[row, target], radius[row, target]  # (B, T, 5, 2), (B, T)
+    apart = (centres[..., :, None, :] - own[:, None, :, None]).square().sum(-1).flatten(-2).amin(-1)
+    gap = torch.sqrt(apart + 1e-9) - radius - own_radius[:, None]
+    return torch.where(background(batch, target)[..., None], gap, 1e3)
+
+
+def background(batch: SceneBatch, target: Tensor) -> Tensor:
+    """Return (B, A) the vehicles that can attack: there, not parked, not the target."""
+    agents = torch.arange(batch.agents, device=target.device)
+    return batch.moved & batch.present & ~batch.parked & (agents != target[:, None])
+
+
+def _among_background(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor:
+    """Return (B, T) overlap summed over pairs without the target; pairs that overlap before it begins are left out."""
+    agents = torch.arange(batch.agents, device=target.device)
+    others = batch.present & (agents != target[:, None])
+    moving = background(batch, target)
+    overlap = pair_overlap(path, batch.size, others)
+    before = pair_overlap(standing(batch), batch.size, others) > 0.0
+    counted = moving[:, :, None] & others[:, None] & ~before.squeeze(-1)
+    pairs = torch.where(counted[..., None], overlap, 0.0)
+    both = torch.where((moving[:, :, None] & moving[:, None])[..., None], 0.5, 1.0)
+    return (both * pairs).sum((1, 2))
+
+
+def _off_road(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor:
+    """Return (B, T) overlap with the road's edge, beyond that before it begins, summed over background vehicles."""
+    over = off_road(path, batch) - off_road(standing(batch), batch)
+    return torch.where(background(batch, target)[..., None], over.clamp(min=0.0), 0.0).sum(1)
+
+
+def standing(batch: SceneBatch) -> Rollout:
+    """Return the present states as a future of one instant."""
+    pose = batch.pose[:, :, None]
+    nothing = torch.zeros_like(pose[..., 0])
+    return Rollout(pose[..., :2], pose[..., 2], pose[..., 3], nothing, nothing)

@@ -1,4 +1,4 @@
-"""Roundabouts of a planned net: who circulates goes first. netconvert sees only those with long edges itself."""
+"""Roundabouts of a planned net: who circulates goes first. netconvert's own search misses some."""
 
 from __future__ import annotations
 

@@ -10,31 +10,43 @@ import numpy as np
 import pytest
 import shapely
 import sumolib
+from defusedxml import ElementTree
 from small_maps import MapBuilder, Pose, step
 
 from advdiff_sumo.maps.convert import convert_map
+from advdiff_sumo.maps.convert.plain_xml import write_plain_xml
 from advdiff_sumo.maps.convert.roundabouts import _turns_evenly
 
 MIDDLE, TURN_M = 200.0, 10.0
 
 
 class Circle(MapBuilder):
-    """A roundabout with four arms: lanes "ring0" … round it, "in0" … towards it and "out0" … away from it."""
+    """A roundabout: lanes "ring0" … round it, "in0" … towards it and "out0" … away from it."""
 
-    def __init__(self, radius_m: float, *, left: bool, gap_deg: float = 25.0) -> None:
+    def __init__(self, radius_m: float, *, left: bool, arms: int = 4, gap_deg: float = 25.0) -> None:
         """Make one in which a lane ends *gap_deg* before each arm and the next begins as far behind it."""
         super().__init__()
-        self.gap_rad = math.radians(gap_deg)
+        self.gap_rad, self.arms = math.radians(gap_deg), arms
         self.radius_m, self.side = radius_m, -1.0 if left else 1.0
-        for arm in range(4):
+        for arm in range(arms):
             self._arm(arm)
-        for arm in range(4):
-            self.link(f"in{arm}", f"enter{arm}", f"ring{arm}", f"leave{(arm + 1) % 4}", f"out{(arm + 1) % 4}")
-            self.link(f"ring{arm}", f"on{(arm + 1) % 4}", f"ring{(arm + 1) % 4}")
+        for arm in range(arms):
+            self.link(
+                f"in{arm}", f"enter{arm}", f"ring{arm}", f"leave{(arm + 1) % arms}", f"out{(arm + 1) % arms}"
+            )
+            self.link(f"ring{arm}", f"on{(arm + 1) % arms}", f"ring{(arm + 1) % arms}")
+
+    def second_entry(self) -> None:
+        """Let a second lane into "ring0", along its tangent."""
+        first = self._on_ring(self.gap_rad)
+        start = turned(step(turned(first), "S", 25.0, 1.0))
+        self._place("tangent", start, "S", 25.0, connector=True)
+        self._place("second", turned(step(turned(start), "S", 60.0, 1.0)), "S", 60.0)
+        self.link("second", "tangent", "ring0")
 
     def _arm(self, arm: int) -> None:
-        at = 0.5 * math.pi * arm
-        around = (0.5 * math.pi - 2.0 * self.gap_rad) * self.radius_m
+        at = 2.0 * math.pi * arm / self.arms
+        around = (2.0 * math.pi / self.arms - 2.0 * self.gap_rad) * self.radius_m
         self._place(f"ring{arm}", self._on_ring(at + self.gap_rad), "L", around, self.radius_m)
         across = 2.0 * self.gap_rad * self.radius_m
         self._place(f"on{arm}", self._on_ring(at - self.gap_rad), "L", across, self.radius_m, connector=True)
@@ -84,20 +96,38 @@ def first_and_second(net: Any) -> tuple[set[str], set[str]]:
 
 
 @pytest.mark.parametrize("left", [False, True])
-@pytest.mark.parametrize(("radius_m", "gap_deg"), [(12.0, 25.0), (12.0, 42.0), (25.0, 25.0), (25.0, 42.0)])
-def test_who_circulates_goes_first(tmp_path: Path, radius_m: float, gap_deg: float, left: bool) -> None:
-    path = Circle(radius_m, left=left, gap_deg=gap_deg).write(tmp_path / "m.json")
+@pytest.mark.parametrize(("arms", "gap_deg"), [(4, 25.0), (4, 38.0), (3, 52.0)])
+def test_who_circulates_goes_first(tmp_path: Path, arms: int, gap_deg: float, left: bool) -> None:
+    path = Circle(12.0, left=left, arms=arms, gap_deg=gap_deg).write(tmp_path / "m.json")
     result = convert_map(path, tmp_path / "m.net.xml", lefthand=left, guess_signals=True)
     (ring,) = result.plan.rings
     sources = {e.id: e.lanes[0].source.split(":")[0] for e in result.plan.edges}
     order = [sources[edge] for edge in ring.edges]
-    assert sorted(order) == ["ring0", "ring1", "ring2", "ring3"]
     at = order.index("ring0")
-    assert (order[at:] + order[:at]) == ["ring0", "ring1", "ring2", "ring3"]
+    assert (order[at:] + order[:at]) == [f"ring{k}" for k in range(arms)]
     assert {e.origin for e in result.plan.edges if e.id in ring.edges} == set(ring.junctions)
     net = sumolib.net.readNet(str(result.net), withInternal=True)
-    assert first_and_second(net) == ({f"ring{k}" for k in range(4)}, {f"in{k}" for k in range(4)})
+    assert first_and_second(net) == ({f"ring{k}" for k in range(arms)}, {f"in{k}" for k in range(arms)})
     assert {node.getType() for node in net.getNodes()} <= {"priority", "dead_end", "internal"}
+
+
+@pytest.mark.parametrize("left", [False, True])
+def test_an_arm_with_two_entries(tmp_path: Path, left: bool) -> None:
+    road = Circle(20.0, left=left)
+    road.second_entry()
+    result = convert_map(road.write(tmp_path / "m.json"), tmp_path / "m.net.xml", lefthand=left)
+    net = sumolib.net.readNet(str(result.net), withInternal=True)
+    yielding = {"second", *(f"in{k}" for k in range(4))}
+    assert first_and_second(net) == ({f"ring{k}" for k in range(4)}, yielding)
+
+
+def test_netconvert_is_told(tmp_path: Path) -> None:
+    plan = convert_map(Circle(12.0, left=False).write(tmp_path / "m.json"), tmp_path / "m.net.xml").plan
+    edges = ElementTree.parse(write_plain_xml(plan, tmp_path, "somewhere", None)["edge-files"])
+    (row,) = edges.iter("roundabout")
+    (ring,) = plan.rings
+    assert tuple(row.attrib["edges"].split()) == ring.edges
+    assert tuple(row.attrib["nodes"].split()) == ring.junctions
 
 
 def test_a_lane_across_the_island_makes_it_none(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from advdiff_sumo import __version__
 from advdiff_sumo.cli.convert import convert
+from advdiff_sumo.cli.data import data
 from advdiff_sumo.cli.run import run
 from advdiff_sumo.cli.train import train
 from advdiff_sumo.core.errors import AdvdiffError
@@ -26,6 +27,7 @@ app = typer.Typer(
 )
 app.command("run")(run)
 app.command("convert")(convert)
+app.add_typer(data)
 app.command("train")(train)
 
 

@@ -242,7 +242,7 @@ def _index_problem(windows: WindowFile, value: Mapping[str, Any]) -> str:
         return "offset does not divide the agents into windows"
     limits = {"near": len(windows.map_xy), "map_signal": windows.signals.shape[1]}
     for name, limit in limits.items():
-        if value[name].size and not (-1 <= value[name].min() and value[name].max() < limit):
+        if value[name].size and not (value[name].min() >= -1 and value[name].max() < limit):
             return f"{name} points outside its table of {limit}"
     scenes = windows.scene
     if scenes.size and not (scenes.min() >= 0 and scenes.max() < len(windows.scene_names)):

@@ -107,14 +107,14 @@ class Session:
         with _quiet(), contextlib.suppress(Exception):
             self.api.close()
 
-    def step(self) -> None:
-        """Let SUMO do one step.
+    def step(self, until_s: float = 0.0) -> None:
+        """Let SUMO do one step, or all steps up to *until_s* on its clock.
 
         Raises:
             SimulationError: SUMO gave up.
         """
         try:
-            self.api.simulationStep()
+            self.api.simulationStep(until_s)
         except Exception as error:
             raise SimulationError(f"SUMO stopped: {_one_line(error)}") from error
 

@@ -1,0 +1,222 @@
+"""Window files out of natural SUMO traffic on many nets: planned, made by workers, kept when complete."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import as_completed
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from pebble import ProcessExpired, ProcessPool
+from pydantic import Field
+
+from advdiff_sumo.config import Options
+from advdiff_sumo.core.errors import AdvdiffError, FileError, NetError, SimulationError
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.data.arrays import WindowFileBuilder
+from advdiff_sumo.data.files import SUFFIX, read_header, write_windows
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.read_net import base_name
+from advdiff_sumo.maps.shipped import SHIPPED_NETS, find_net
+from advdiff_sumo.sim.simulate_nets import net_kind, write_random_net
+from advdiff_sumo.sim.simulate_run import cut, record
+
+SHARD_WINDOWS, RUN_WINDOWS = 300, 200
+_MOST_RUNS, _NET_TRIES = 8, 5
+_NETS = "nets"
+
+
+class SimulateOptions(Options):
+    """What to simulate.
+
+    Attributes:
+        windows: how many windows in all.
+        nets: nets given by path or shipped name.
+        random_share: share of the windows that come from nets made up for them.
+        seed: same seed, same bytes, whatever the number of workers.
+        workers: processes.
+    """
+
+    windows: int = Field(24_000, ge=1)
+    nets: tuple[str, ...] = SHIPPED_NETS
+    random_share: float = Field(0.5, ge=0.0, le=1.0)
+    seed: int = 0
+    workers: int = Field(2, ge=1, le=256)
+
+
+@dataclass(frozen=True)
+class Shard:
+    """One file to be made: windows of one net.
+
+    Attributes:
+        name: of the file, without suffix.
+        net: file of the net; None for one to be made up.
+        seed: the shard's node of the seed tree.
+        windows: how many.
+    """
+
+    name: str
+    net: Path | None
+    seed: SeedTree
+    windows: int
+
+    @property
+    def recipe(self) -> str:
+        """What the file's bytes depend on, as text in its header."""
+        net = self.net.name if self.net is not None else "random"
+        return json.dumps([self.name, net, self.seed.root, *self.seed.path, self.windows])
+
+
+@dataclass(frozen=True)
+class ShardResult:
+    """What became of a shard: its windows, or why it failed."""
+
+    shard: Shard
+    windows: int
+    problem: str = ""
+
+
+def plan(options: SimulateOptions) -> list[Shard]:
+    """Return the shards of *options*, given and made-up nets in turn.
+
+    Raises:
+        NetError: a net does not exist.
+    """
+    nets = [find_net(net) for net in options.nets] if options.random_share < 1.0 else []
+    if not nets and options.random_share < 1.0:
+        raise NetError(Path("--net"), "no net was given", "name one, or ask for made-up nets alone")
+    count = max(1, round(options.windows / SHARD_WINDOWS))
+    sizes = [options.windows * (k + 1) // count - options.windows * k // count for k in range(count)]
+    seed, given, shards = SeedTree(options.seed).child("simulate"), 0, list[Shard]()
+    for number, size in enumerate(sizes):
+        node = seed.child(number)
+        made_up = int((number + 1) * options.random_share) > int(number * options.random_share)
+        if made_up:
+            name, net = f"{net_kind(node.child('net'))}-{options.seed}-{number:04d}", None
+        else:
+            net = nets[given % len(nets)]
+            name, given = f"{base_name(net)}-{options.seed}-{number:04d}", given + 1
+        shards.append(Shard(name, net, node, size))
+    return shards
+
+
+def simulate(options: SimulateOptions, out: Path, tell: Callable[[ShardResult], None]) -> list[ShardResult]:
+    """Make the shards of *options* that *out* lacks.
+
+    Args:
+        options: what to simulate.
+        out: folder of the files; made-up nets are kept in its sub-folder ``nets``.
+        tell: called with each shard as it is finished or found.
+
+    Returns:
+        All shards in their order.
+
+    Raises:
+        InputError: a net cannot be used, or *out* holds files made with other options.
+        SimulationError: shards failed; the others are complete.
+    """
+    shards = plan(options)
+    for net in sorted({shard.net for shard in shards if shard.net is not None}):
+        RoadMap.read(net)
+    kept = {shard.name for shard in shards if _is_complete(shard, out)}
+    (out / _NETS).mkdir(parents=True, exist_ok=True)
+    done: dict[str, ShardResult] = {}
+    for shard in shards:
+        if shard.name in kept:
+            done[shard.name] = ShardResult(shard, shard.windows)
+            tell(done[shard.name])
+    for result in _made([s for s in shards if s.name not in kept], out, options.workers):
+        done[result.shard.name] = result
+        tell(result)
+    results = [done[shard.name] for shard in shards]
+    failed = [result for result in results if result.problem]
+    if failed:
+        raise SimulationError(
+            f"{len(failed)} of {len(results)} files could not be made, the first because: {failed[0].problem}"
+        )
+    return results
+
+
+def _made(shards: list[Shard], out: Path, workers: int) -> Iterator[ShardResult]:
+    if not shards:
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPool(min(workers, len(shards)), initializer=_ignore_interrupts, context=context) as pool:
+        futures = {pool.schedule(make_shard, args=(shard, out)): shard for shard in shards}
+        try:
+            for future in as_completed(futures):
+                shard = futures[future]
+                try:
+                    yield ShardResult(shard, future.result())
+                except (AdvdiffError, ProcessExpired) as error:
+                    yield ShardResult(shard, 0, f"{shard.name}: {error}")
+        except BaseException:
+            pool.stop()
+            raise
+
+
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C to the parent, which stops its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def make_shard(shard: Shard, out: Path) -> int:
+    """Simulate *shard*, write its file into *out* and return its number of windows.
+
+    Raises:
+        SimulationError: SUMO stopped, or the net never has traffic.
+        NetError: the net cannot be used.
+    """
+    road = _road(_random_net(shard, out) if shard.net is None else shard.net)
+    builder = WindowFileBuilder(
+        road.pieces, road.name, "advdiff-sumo data simulate", {"recipe": shard.recipe, "net": _said(shard)}
+    )
+    share = min(RUN_WINDOWS, -(-shard.windows // 2))
+    for run in range(_MOST_RUNS):
+        seed = shard.seed.child("run", run)
+        found = list(cut(record(road, seed), road, seed, f"{shard.name}-{run}"))
+        wanted = min(share, shard.windows - len(builder.windows))
+        rng = seed.child("choice").generator()
+        picked = sorted(rng.permutation(len(found))[:wanted].tolist())
+        builder.windows += [found[k] for k in picked]
+        if len(builder.windows) == shard.windows:
+            break
+    if not builder.windows:
+        raise SimulationError(f"{road.path}: {_MOST_RUNS} simulations brought no window with moving traffic")
+    write_windows(out / f"{shard.name}{SUFFIX}", builder.build())
+    return len(builder.windows)
+
+
+def _said(shard: Shard) -> str:
+    return shard.net.name if shard.net is not None else f"{_NETS}/{shard.name}.net.xml"
+
+
+def _random_net(shard: Shard, out: Path) -> Path:
+    path = out / _NETS / f"{shard.name}.net.xml"
+    for attempt in range(_NET_TRIES):
+        seed = shard.seed.child("net", *((attempt,) if attempt else ()))
+        try:
+            road = RoadMap.read(write_random_net(seed, path))
+        except NetError:
+            continue
+        if len(road.edge_graph().strongly_connected()) > 1 or net_kind(seed) == "motorway":
+            return path
+    raise NetError(path, "no usable net could be made up", "take another --seed")
+
+
+@lru_cache(maxsize=4)
+def _road(path: Path) -> RoadMap:
+    return RoadMap.read(path)
+
+
+def _is_complete(shard: Shard, out: Path) -> bool:
+    path = out / f"{shard.name}{SUFFIX}"
+    if not path.exists():
+        return False
+    if read_header(path).get("recipe") != shard.recipe:
+        raise FileError(path, "was made with other options", "choose another --out, or delete it")
+    return True

@@ -1,0 +1,148 @@
+"""One simulation run of natural traffic, cut into windows."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.boxes import corners, overlap
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.data.arrays import WindowArrays, crop, window_arrays
+from advdiff_sumo.data.files import DT_S, FUTURE, PAST
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.session import Session, SessionOptions
+from advdiff_sumo.sim.simulate_demand import PARKED, write_mixed_demand
+from advdiff_sumo.sim.world import Frame, World, read, register, stack
+
+WARMUP_S, RECORD_S = 20.0, 50.0
+_EVERY_S = 2.0
+_MOST_FOCAL = 24
+_APART = 10  # nearest agents of a window that may not be the focal agent of another one at that instant
+_MOVING_M = 1.0
+_STILL_KEPT = 0.1
+_MIN_MOVING, _MIN_MOVING_SHARE = 2, 0.12
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Natural traffic at 2 Hz; A agents, L instants.
+
+    Attributes:
+        tracks: (A, L) states.
+        parked: (A,) whether the vehicle stands at the kerb throughout.
+        signals: L mappings, traffic light → state string.
+    """
+
+    tracks: Tracks
+    parked: BoolArray
+    signals: tuple[Mapping[str, str], ...]
+
+
+def record(road: RoadMap, seed: SeedTree) -> Recording:
+    """Return 50 s of natural traffic on *road* after 20 s of warm-up; *seed* decides all.
+
+    Raises:
+        SimulationError: SUMO refused the net or stopped.
+        NetError: the net has no route.
+    """
+    with tempfile.TemporaryDirectory(prefix="advdiff-") as folder:
+        demand = write_mixed_demand(
+            road, WARMUP_S + RECORD_S, seed.child("demand"), Path(folder) / "demand.rou.xml"
+        )
+        options = SessionOptions(net=road.path, seed=seed.child("sumo").integer(), routes=(demand,))
+        with Session(options) as session:
+            return _recorded(session)
+
+
+def _recorded(session: Session) -> Recording:
+    world = World(512)
+    frames: list[Frame] = []
+    signals: list[Mapping[str, str]] = []
+    lights = sorted(session.api.trafficlight.getIDList())
+    session.step(WARMUP_S)
+    for number in range(round(RECORD_S / DT_S) + 1):
+        session.step(WARMUP_S + DT_S * (number + 1))
+        register(world, session.api, sorted(set(session.api.vehicle.getIDList()) - world.index.keys()))
+        world.remove(read(world, session.api, ()))
+        frames.append(world.frame())
+        signals.append({name: session.api.trafficlight.getRedYellowGreenState(name) for name in lights})
+    rows = np.arange(len(world))
+    tracks, _ = stack(world, frames, rows, 0.0, DT_S)
+    named = np.array([name.startswith(PARKED) for name in tracks.ids], dtype=np.bool_)
+    return Recording(tracks, named & (_extent_m(tracks.xy_m) < 0.5), tuple(signals))
+
+
+def _extent_m(xy_m: FloatArray) -> FloatArray:
+    """Return how far apart (A,) the positions (A, L, 2) of each agent lie, at most, along x or y."""
+    low = np.where(np.isnan(xy_m), np.inf, xy_m).min(axis=1, initial=np.inf)
+    high = np.where(np.isnan(xy_m), -np.inf, xy_m).max(axis=1, initial=-np.inf)
+    return np.asarray(np.maximum(high - low, 0.0).max(axis=1))
+
+
+def cut(recording: Recording, road: RoadMap, seed: SeedTree, name: str) -> Iterator[WindowArrays]:
+    """Yield windows of *recording*: every 2 s some focal vehicles whose crops overlap little.
+
+    Focal vehicles are drawn, moving ones first. Windows in which hardly anybody moves are thinned, and
+    those in which vehicles overlap are left out: SUMO's lane model lets boxes touch where a driver would not.
+    """
+    rng = seed.child("windows").generator()
+    tracks = recording.tracks
+    stride = round(_EVERY_S / DT_S)
+    for now in range(PAST - 1, tracks.steps - FUTURE // 2, stride):
+        moving = _moving(tracks, now)
+        for rows in _crops(recording, now, moving, rng):
+            busy = moving[rows]
+            still = busy.sum() < _MIN_MOVING or busy.mean() < _MIN_MOVING_SHARE
+            if (still and rng.random() >= _STILL_KEPT) or _touching(tracks, rows, now):
+                continue
+            yield window_arrays(
+                tracks, now, rows, recording.parked, road.pieces, recording.signals[now], name
+            )
+
+
+def _moving(tracks: Tracks, now: int) -> BoolArray:
+    """Return which agents (A,) move by a metre or more in the 6 s that follow, or are fast now."""
+    span = tracks.xy_m[:, now : now + FUTURE + 1]
+    with np.errstate(invalid="ignore"):
+        return np.asarray((_extent_m(span) > _MOVING_M) | (tracks.speed_mps[:, now] > _MOVING_M))
+
+
+def _crops(recording: Recording, now: int, moving: BoolArray, rng: np.random.Generator) -> Iterator[IntArray]:
+    """Yield the rows of windows at instant *now*, the focal agent first."""
+    tracks = recording.tracks
+    xy = tracks.xy_m[:, now]
+    there = tracks.valid[:, now] & tracks.valid[:, now + 1] & ~recording.parked
+    order = rng.permutation(np.flatnonzero(there))
+    order = order[np.argsort(~moving[order] & (rng.random(len(order)) < 0.9), kind="stable")]
+    taken: set[int] = set()
+    made = 0
+    for focal in order.tolist():
+        if focal in taken:
+            continue
+        rows = crop(xy, focal)
+        taken.update(rows[:_APART].tolist())
+        yield rows
+        made += 1
+        if made == _MOST_FOCAL:
+            return
+
+
+def _touching(tracks: Tracks, rows: IntArray, now: int) -> bool:
+    """Return whether two boxes of the window share area at any of its instants."""
+    span = slice(now - PAST + 1, now + FUTURE + 1)
+    a, b = np.triu_indices(len(rows), k=1)
+    xy, size = tracks.xy_m[rows, span], tracks.size_m[rows]
+    reach = 0.5 * np.linalg.norm(size, axis=-1)
+    with np.errstate(invalid="ignore"):
+        near = (np.linalg.norm(xy[a] - xy[b], axis=-1) < (reach[a] + reach[b])[:, None]).any(axis=1)
+    if not near.any():
+        return False
+    a, b = a[near], b[near]
+    boxes = corners(xy, tracks.yaw_rad[rows, span], size[:, None] - 0.2)
+    return bool(overlap(boxes[a], boxes[b]).any())

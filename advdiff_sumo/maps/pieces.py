@@ -130,10 +130,11 @@ class _Search:
         if self.tree is None:
             return none, none
         found = self.tree.query_ball_point(xy_m, RADIUS_M + self.reach_m)
-        counts = np.array([len(rows) for rows in found])
+        parts = [np.asarray(rows, dtype=np.int64) for rows in found]
+        counts = np.array([len(rows) for rows in parts])
         if counts.sum() == 0:
             return none, none
-        picked = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in found])
+        picked = np.concatenate(parts)
         return np.repeat(np.arange(len(xy_m)), counts), self.rows[picked]
 
 

@@ -149,13 +149,13 @@ def _made(shards: list[Shard], out: Path, workers: int) -> Iterator[ShardResult]
         futures = {pool.schedule(make_shard, args=(shard, out)): shard for shard in shards}
         try:
             for future in as_completed(futures):
-                shard = futures[future]
+                shard = futures[future]  # type: ignore[index] # as_completed gives back what it was given
                 try:
                     yield ShardResult(shard, future.result())
                 except (AdvdiffError, ProcessExpired) as error:
                     yield ShardResult(shard, 0, f"{shard.name}: {error}")
         except BaseException:
-            pool.stop()
+            pool.stop()  # type: ignore[no-untyped-call] # pebble leaves it without types
             raise
 
 

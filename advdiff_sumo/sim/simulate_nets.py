@@ -201,4 +201,5 @@ def _call(program: str, options: Sequence[str], made: Path) -> None:
 
 
 def _elements(path: Path, tag: str) -> list[ET.Element]:
-    return list(parse_xml(path).getroot().iterfind(tag))
+    root = parse_xml(path).getroot()
+    return [] if root is None else list(root.iterfind(tag))

@@ -48,12 +48,12 @@ class StreetPlan:
         nodes, edges, links = Element("nodes"), Element("edges"), Element("connections")
         for name, xy in self.nodes.items():
             kind = {"type": self.types[name]} if name in self.types else {}
-            SubElement(nodes, "node", id=name, x=f"{xy[0]:.3f}", y=f"{xy[1]:.3f}", **kind)
+            SubElement(nodes, "node", {"id": name, "x": f"{xy[0]:.3f}", "y": f"{xy[1]:.3f}", **kind})
         for edge in self.edges:
             shape = {} if edge.shape_m is None else {"shape": _text(edge.shape_m)}
             values = {"from": edge.start, "to": edge.end, "numLanes": str(edge.lanes)} | shape
             values |= {"speed": f"{edge.speed_mps:.2f}", "priority": str(edge.priority)}
-            SubElement(edges, "edge", id=edge.id, width=f"{width_m:.2f}", **values)
+            SubElement(edges, "edge", {"id": edge.id, "width": f"{width_m:.2f}", **values})
         for start, end, from_lane, to_lane in self.connections:
             ends = {"from": start, "to": end, "fromLane": str(from_lane), "toLane": str(to_lane)}
             SubElement(links, "connection", ends)

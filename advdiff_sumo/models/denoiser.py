@@ -10,8 +10,8 @@ from torch.nn.functional import interpolate
 
 from advdiff_sumo.models.options import ModelOptions
 
-_GROUPS = 8
-_STEP_WIDTH = 64
+GROUPS = 8
+STEP_WIDTH = 64
 
 
 def sinusoidal(k: Tensor, width: int) -> Tensor:
@@ -30,10 +30,10 @@ class AdaGN(nn.Module):
 
     def __init__(self, channels: int, hidden: int) -> None:
         super().__init__()
-        self.norm = nn.GroupNorm(_GROUPS, channels, affine=False)
+        self.norm = nn.GroupNorm(GROUPS, channels, affine=False)
         self.state = nn.Linear(hidden, channels)
         self.step = nn.Sequential(
-            nn.Linear(_STEP_WIDTH, _STEP_WIDTH), nn.SiLU(), nn.Linear(_STEP_WIDTH, 2 * channels)
+            nn.Linear(STEP_WIDTH, STEP_WIDTH), nn.SiLU(), nn.Linear(STEP_WIDTH, 2 * channels)
         )
         last = self.step[-1]
         assert isinstance(last, nn.Linear)  # noqa: S101 - tells the type checker what stands there
@@ -101,7 +101,7 @@ class Denoiser(nn.Module):
         self.up = nn.ModuleList(
             (ResidualBlock(quarter + half, half, width), ResidualBlock(half + full, full, width))
         )
-        self.norm = nn.GroupNorm(_GROUPS, full)
+        self.norm = nn.GroupNorm(GROUPS, full)
         self.out = nn.Conv1d(full, channels, 3, padding=1)
         nn.init.zeros_(self.out.weight)
         nn.init.constant_(self.out.bias, 0.0)  # type: ignore[arg-type] # a bias is there by default
@@ -116,7 +116,7 @@ class Denoiser(nn.Module):
             h: (B, A, D) embeddings of the context.
         """
         scenes, agents = x.shape[:2]
-        step = sinusoidal(k, _STEP_WIDTH)
+        step = sinusoidal(k, STEP_WIDTH)
         state = h.flatten(0, 1)
         condition = self.condition(z).flatten(0, 1)[:, None]
         y = self._unet(torch.cat((x.flatten(0, 1), condition), dim=1), state, step)

@@ -43,10 +43,10 @@ class InteractionLayer(nn.Module):
 
         Args:
             h: (B, A, D) embeddings.
-            edges: (B, A, A, E) embedded relative poses.
+            edges: (B, A, A, M) what relative poses add to the messages, from :attr:`edge`.
             mask: (B, A) who takes part.
         """
-        message = torch.relu(self.edge(edges) + self.receiver(h)[:, :, None] + self.sender(h)[:, None])
+        message = torch.relu(edges + self.receiver(h)[:, :, None] + self.sender(h)[:, None])
         score = self.score(message).masked_fill(~mask[:, None, :, None], -1e9)
         weight = torch.softmax(score, dim=2) * mask[:, None, :, None]
         split = message.reshape(*message.shape[:-1], self.heads, -1)
@@ -81,7 +81,18 @@ class InteractionNet(nn.Module):
             relative: (B, A, A, 9) from ``relative_features``.
             mask: (B, A) who takes part.
         """
+        return self.mix(h, self.prepare(relative), mask)
+
+    def prepare(self, relative: Tensor) -> list[Tensor]:
+        """Return for each layer what relative poses (B, A, A, 9) add to the messages; free of the embeddings."""
         edges = self.edges(relative)
-        for layer in self.layers:
-            h = layer(h, edges, mask)
+        return [layer.edge(edges) for layer in self._layers()]
+
+    def mix(self, h: Tensor, edges: list[Tensor], mask: Tensor) -> Tensor:
+        """Return :meth:`forward` of embeddings *h* (B, A, D) with *edges* prepared beforehand."""
+        for layer, edge in zip(self._layers(), edges, strict=True):
+            h = layer(h, edge, mask)
         return h
+
+    def _layers(self) -> list[InteractionLayer]:
+        return [layer for layer in self.layers if isinstance(layer, InteractionLayer)]

@@ -22,13 +22,13 @@ class RewardState:
 
     Attributes:
         node: (B, A, R) embedded (h, z) and label.
-        relative: (B, A, A, 9) relative poses.
+        edges: for each layer, what relative poses add to its messages.
         present: (B, A) who is there.
         target: (B,) row of the tested vehicle.
     """
 
     node: Tensor
-    relative: Tensor
+    edges: list[Tensor]
     present: Tensor
     target: Tensor
 
@@ -64,14 +64,15 @@ class RewardModel(nn.Module):
         kind = one_hot(label, _LABELS).to(h.dtype)
         pose = batch.pose
         relative = relative_features(pose[..., :2], pose[..., 2], pose[..., 3])
-        return RewardState(self.state(torch.cat((h, z, kind), dim=-1)), relative, batch.present, target)
+        node = self.state(torch.cat((h, z, kind), dim=-1))
+        return RewardState(node, self.interaction.prepare(relative), batch.present, target)
 
     def value_of(self, state: RewardState, mu: Tensor) -> Tensor:
         """Return Q (B,) of actions *mu* (B, A, Z); what the target's row of it says is ignored."""
         rows = torch.arange(mu.shape[1], device=mu.device)
         free = (rows != state.target[:, None]) & state.present
         node = self.mix(state.node + self.action(mu) * free[..., None])
-        node = self.interaction(node * state.present[..., None], state.relative, state.present)
+        node = self.interaction.mix(node * state.present[..., None], state.edges, state.present)
         own = node[torch.arange(len(node), device=node.device), state.target]
         count = state.present.sum(1, keepdim=True).clamp(min=1)
         pooled = (node * state.present[..., None]).sum(1) / count

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -61,6 +61,27 @@ def crop(
     away[focal] = -1.0
     order = np.argsort(np.where(np.isnan(away), np.inf, away), kind="stable")[:limit]
     return np.asarray(order[away[order] <= radius_m], dtype=np.int64)
+
+
+def crops(xy_m: FloatArray, order: IntArray, most: int, apart: int = 10) -> Iterator[NDArray[np.int64]]:
+    """Yield crops around several agents of one instant that overlap little.
+
+    Args:
+        xy_m: (A, 2) present positions, NaN where absent.
+        order: candidates for the focal agent, first come first served.
+        most: how many crops at most.
+        apart: the nearest agents of a crop, so many with the focal one, get no crop of their own.
+    """
+    taken: set[int] = set()
+    made = 0
+    for focal in order.tolist():
+        if made == most:
+            return
+        if focal not in taken:
+            rows = crop(xy_m, focal)
+            taken.update(rows[:apart].tolist())
+            made += 1
+            yield rows
 
 
 def window_arrays(

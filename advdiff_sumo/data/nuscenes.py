@@ -7,7 +7,7 @@ lies 1.385 m ahead of it (docs/data.md).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -87,6 +87,18 @@ class NuScenesReader:
     def scenes(self) -> Iterator[LogScene]:
         """Yield all scenes."""
         return map(self.read, self.names())
+
+    def instants(self, name: str) -> Mapping[str, int]:
+        """Return sample token → instant of the tracks of scene *name*.
+
+        Raises:
+            UnknownNameError: there is no such scene.
+        """
+        names = self.names()
+        if name not in names:
+            raise UnknownNameError("scene", name, names)
+        frames = self._joined.keyframes[names.index(name)]
+        return {token: int(slot) for token, slot in zip(frames.tokens, frames.slot, strict=True)}
 
     @cached_property
     def folder(self) -> Path:

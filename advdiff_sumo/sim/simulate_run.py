@@ -13,17 +13,16 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import corners, overlap
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.core.seeds import SeedTree
-from advdiff_sumo.data.arrays import WindowArrays, crop, window_arrays
+from advdiff_sumo.data.arrays import WindowArrays, crops, window_arrays
 from advdiff_sumo.data.files import DT_S, FUTURE, PAST
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.session import Session, SessionOptions
 from advdiff_sumo.sim.simulate_demand import PARKED, write_mixed_demand
 from advdiff_sumo.sim.world import Frame, World, read, register, stack
 
-WARMUP_S, RECORD_S = 20.0, 50.0
-_EVERY_S = 2.0
+WARMUP_S, RECORD_S = 16.0, 28.0
+_EVERY_S = 1.5
 _MOST_FOCAL = 24
-_APART = 10  # nearest agents of a window that may not be the focal agent of another one at that instant
 _MOVING_M = 1.0
 _STILL_KEPT = 0.1
 _MIN_MOVING, _MIN_MOVING_SHARE = 2, 0.12
@@ -45,7 +44,7 @@ class Recording:
 
 
 def record(road: RoadMap, seed: SeedTree) -> Recording:
-    """Return 50 s of natural traffic on *road* after 20 s of warm-up; *seed* decides all.
+    """Return 28 s of natural traffic on *road* after 16 s of warm-up; *seed* decides all.
 
     Raises:
         SimulationError: SUMO refused the net or stopped.
@@ -86,7 +85,7 @@ def _extent_m(xy_m: FloatArray) -> FloatArray:
 
 
 def cut(recording: Recording, road: RoadMap, seed: SeedTree, name: str) -> Iterator[WindowArrays]:
-    """Yield windows of *recording*: every 2 s some focal vehicles whose crops overlap little.
+    """Yield windows of *recording*: every 1.5 s some focal vehicles whose crops overlap little.
 
     Focal vehicles are drawn, moving ones first. Windows in which hardly anybody moves are thinned, and
     those in which vehicles overlap are left out: SUMO's lane model lets boxes touch where a driver would not.
@@ -94,9 +93,10 @@ def cut(recording: Recording, road: RoadMap, seed: SeedTree, name: str) -> Itera
     rng = seed.child("windows").generator()
     tracks = recording.tracks
     stride = round(_EVERY_S / DT_S)
-    for now in range(PAST - 1, tracks.steps - FUTURE // 2, stride):
+    for now in range(PAST - 1, tracks.steps - FUTURE, stride):
         moving = _moving(tracks, now)
-        for rows in _crops(recording, now, moving, rng):
+        order = _focal_order(recording, now, moving, rng)
+        for rows in crops(tracks.xy_m[:, now], order, _MOST_FOCAL):
             busy = moving[rows]
             still = busy.sum() < _MIN_MOVING or busy.mean() < _MIN_MOVING_SHARE
             if (still and rng.random() >= _STILL_KEPT) or _touching(tracks, rows, now):
@@ -113,24 +113,12 @@ def _moving(tracks: Tracks, now: int) -> BoolArray:
         return np.asarray((_extent_m(span) > _MOVING_M) | (tracks.speed_mps[:, now] > _MOVING_M))
 
 
-def _crops(recording: Recording, now: int, moving: BoolArray, rng: np.random.Generator) -> Iterator[IntArray]:
-    """Yield the rows of windows at instant *now*, the focal agent first."""
+def _focal_order(recording: Recording, now: int, moving: BoolArray, rng: np.random.Generator) -> IntArray:
+    """Return the vehicles that may be focal at instant *now* in a random order, moving ones mostly first."""
     tracks = recording.tracks
-    xy = tracks.xy_m[:, now]
     there = tracks.valid[:, now] & tracks.valid[:, now + 1] & ~recording.parked
     order = rng.permutation(np.flatnonzero(there))
-    order = order[np.argsort(~moving[order] & (rng.random(len(order)) < 0.9), kind="stable")]
-    taken: set[int] = set()
-    made = 0
-    for focal in order.tolist():
-        if focal in taken:
-            continue
-        rows = crop(xy, focal)
-        taken.update(rows[:_APART].tolist())
-        yield rows
-        made += 1
-        if made == _MOST_FOCAL:
-            return
+    return np.asarray(order[np.argsort(~moving[order] & (rng.random(len(order)) < 0.9), kind="stable")])
 
 
 def _touching(tracks: Tracks, rows: IntArray, now: int) -> bool:

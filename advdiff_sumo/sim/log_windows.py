@@ -1,0 +1,284 @@
+"""Window files out of driving logs, on nets that were given or are converted from the logs' own maps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.errors import ConfigError, LogError, SceneError
+from advdiff_sumo.core.resample import resample
+from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.data import LogReader, LogScene, NuScenesReader, ScenarioNetReader
+from advdiff_sumo.data.arrays import WindowArrays, WindowFileBuilder, crop, crops, window_arrays
+from advdiff_sumo.data.files import DT_S, FUTURE, PAST, SUFFIX, WindowFile, write_windows
+from advdiff_sumo.data.pickles import load_plain
+from advdiff_sumo.data.runs import RunReader
+from advdiff_sumo.data.scenarionet import map_offset_m, read_record
+from advdiff_sumo.data.splits import in_split, prediction_windows
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.convert import convert_map, convert_source
+from advdiff_sumo.maps.convert.scenarionet_map import read_record_map
+from advdiff_sumo.maps.shipped import find_net
+from advdiff_sumo.sim.logs import fits
+
+_SOURCE = "advdiff-sumo data build"
+_MOST_FOCAL = 8
+_SEEN = 4  # instants of past and of future that a focal agent other than the ego must have
+_MOVING_M = 1.0
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """Which windows are taken.
+
+    Attributes:
+        stride_s: time between two windows of a drive.
+        others: whether moving vehicles other than the ego become focal agents too.
+        split: published nuScenes split, or None for all scenes.
+        challenge: take the windows of nuScenes' prediction challenge and no others.
+    """
+
+    stride_s: float = DT_S
+    others: bool = True
+    split: str | None = None
+    challenge: bool = False
+
+
+@dataclass
+class Built:
+    """What became of the logs.
+
+    Attributes:
+        files: path → windows in it.
+        drives: windows of each drive, in the order of the logs.
+        skipped: drives that are on none of the nets.
+    """
+
+    files: dict[Path, int] = field(default_factory=dict)
+    drives: dict[str, int] = field(default_factory=dict)
+    skipped: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Nets:
+    """Nets to choose from, and where converted ones are kept.
+
+    Attributes:
+        given: by the user.
+        converted: folder for nets converted from the logs' own maps; None: nothing is converted.
+    """
+
+    given: tuple[RoadMap, ...]
+    converted: Path | None
+    made: dict[Path, RoadMap] = field(default_factory=dict)
+
+    def of(self, drive: LogScene, reader: LogReader) -> RoadMap | None:
+        """Return the net that *drive* was driven on, or None."""
+        named = [road for road in self.given if road.name == drive.location]
+        for road in named or self.given:
+            if fits(road, drive):
+                return road
+        if isinstance(reader, RunReader) and not self.given:
+            return self._read(find_net(reader.net))
+        source = None if self.converted is None else _map_of(drive, reader)
+        if source is None or self.converted is None:
+            return None
+        net = self.converted / f"{source.stem}.net.xml"
+        if not net.exists():
+            _convert(source, net)
+        road = self._read(net)
+        return road if fits(road, drive) else None
+
+    def _read(self, net: Path) -> RoadMap:
+        if net not in self.made:
+            self.made[net] = RoadMap.read(net)
+        return self.made[net]
+
+
+def build(
+    logs: Sequence[tuple[Path, LogReader]],
+    nets: Nets,
+    options: BuildOptions,
+    out: Path,
+    tell: Callable[[str, int], None],
+) -> Built:
+    """Write the windows of all drives in *logs*, one file a net.
+
+    Args:
+        logs: logs with their readers.
+        nets: nets to choose from.
+        options: which windows.
+        out: a ``.safetensors`` file where all drives are on one net, or a folder.
+        tell: called with each drive's name and its number of windows.
+
+    Raises:
+        InputError: a log or a net cannot be used, or no drive is on any of the nets.
+    """
+    built, builders = Built(), dict[Path, WindowFileBuilder]()
+    for path, reader in logs:
+        for drive, focal in _drives(path, reader, options):
+            if nets.converted is not None and isinstance(reader, ScenarioNetReader):
+                drive = _in_record_frame(drive)
+            road = nets.of(drive, reader)
+            if road is None:
+                built.skipped.append(drive.name)
+                tell(drive.name, 0)
+                continue
+            source = f"{_SOURCE} ({drive.source.name})"
+            builder = builders.setdefault(road.path, WindowFileBuilder(road.pieces, road.name, source))
+            before = len(builder.windows)
+            builder.windows += log_windows(drive, road, options, focal)
+            built.drives[drive.name] = len(builder.windows) - before
+            tell(drive.name, built.drives[drive.name])
+    made = {b.map_name: b.build() for b in builders.values() if b.windows}
+    if not made:
+        raise SceneError(_nothing(logs, nets, built))
+    for path, windows in _placed(out, made):
+        write_windows(path, windows)
+        built.files[path] = windows.windows
+    return built
+
+
+def log_windows(
+    drive: LogScene,
+    road: RoadMap,
+    options: BuildOptions,
+    focal: Sequence[tuple[int, str]] | None = None,
+) -> Iterator[WindowArrays]:
+    """Yield the windows of *drive* on *road* that have their whole future within the drive.
+
+    Args:
+        drive: at any spacing; resampled to 0.5 s where its own differs.
+        road: the net it was driven on.
+        options: the stride, and whether others than the ego are focal.
+        focal: (instant, agent) pairs to take and no others; windows may then end with the drive.
+    """
+    tracks = drive.tracks if abs(drive.tracks.dt_s - DT_S) < 1e-9 else resample(drive.tracks, DT_S)
+    if focal is not None:
+        for now, name in focal:
+            row = tracks.index.get(name)
+            if row is not None and now < tracks.steps and tracks.valid[row, now]:
+                rows = crop(tracks.xy_m[:, now], row)
+                yield window_arrays(tracks, now, rows, drive.parked, road.pieces, {}, drive.name)
+        return
+    stride = max(1, round(options.stride_s / DT_S))
+    for now in range(PAST - 1, tracks.steps - FUTURE, stride):
+        order = _focal_order(tracks, now, drive, options.others)
+        for rows in crops(tracks.xy_m[:, now], order, _MOST_FOCAL):
+            yield window_arrays(tracks, now, rows, drive.parked, road.pieces, {}, drive.name)
+
+
+def _focal_order(tracks: Tracks, now: int, drive: LogScene, others: bool) -> IntArray:
+    """Return the ego, where it is there, then other vehicles that move and are seen long enough."""
+    past = tracks.valid[:, now - PAST + 1 : now + 1].sum(axis=1)
+    future = tracks.valid[:, now + 1 : now + 1 + FUTURE].sum(axis=1)
+    moves = _moved_m(tracks.xy_m[:, now : now + 1 + FUTURE]) > _MOVING_M
+    on_wheels = tracks.classes != AgentClass.PEDESTRIAN
+    usable: BoolArray = (past >= _SEEN) & (future >= _SEEN) & moves & on_wheels & ~drive.parked
+    usable = usable & tracks.valid[:, now] & others
+    usable[drive.ego] = False
+    first = [drive.ego] if tracks.valid[drive.ego, now] else []
+    return np.concatenate((first, np.flatnonzero(usable))).astype(np.int64)
+
+
+def _moved_m(xy_m: FloatArray) -> FloatArray:
+    away = np.linalg.norm(xy_m - xy_m[:, :1], axis=-1)
+    return np.asarray(np.nan_to_num(away).max(axis=1))
+
+
+def _drives(
+    path: Path, reader: LogReader, options: BuildOptions
+) -> Iterator[tuple[LogScene, list[tuple[int, str]] | None]]:
+    """Yield the drives of the split, with the challenge's windows where these are asked for."""
+    if not isinstance(reader, NuScenesReader):
+        if options.split or options.challenge:
+            wanted = "--challenge" if options.challenge else f"--split {options.split}"
+            raise ConfigError(f"{wanted} goes with the tables of nuScenes only, and {path} is another log")
+        yield from ((drive, None) for drive in reader.scenes())
+        return
+    wanted_windows = prediction_windows(_root(reader)) if options.challenge else None
+    names = [
+        name
+        for name in reader.names()
+        if (options.split is None or in_split(name, options.split, options.challenge))
+        and (wanted_windows is None or name in wanted_windows)
+    ]
+    if not names:
+        raise SceneError(
+            f"{path}: none of its scenes is in the split '{options.split}'; choose another --split"
+        )
+    for name in names:
+        focal = None
+        if wanted_windows is not None:
+            focal = _instants(reader.instants(name), wanted_windows[name], name, path)
+        yield reader.read(name), focal
+
+
+def _instants(
+    instants: Mapping[str, int], wanted: Sequence[tuple[str, str]], name: str, path: Path
+) -> list[tuple[int, str]]:
+    unknown = next((sample for _, sample in wanted if sample not in instants), None)
+    if unknown is not None:
+        problem = f"the prediction challenge names sample {unknown}, which {name} does not have"
+        raise LogError(path, problem, "use tables and map expansion of one release")
+    return [(instants[sample], instance) for instance, sample in wanted]
+
+
+def _root(reader: NuScenesReader) -> Path:
+    return reader.folder.parent
+
+
+def _map_of(drive: LogScene, reader: LogReader) -> Path | None:
+    """Return the file that holds the map of *drive*, or None."""
+    if isinstance(reader, ScenarioNetReader):
+        return drive.source
+    if isinstance(reader, NuScenesReader):
+        path = _root(reader) / "maps" / "expansion" / f"{drive.location}.json"
+        if not path.exists():
+            raise LogError(path, "no such map", "unpack the map expansion v1.3 there, or give a --net")
+        return path
+    return None
+
+
+def _in_record_frame(drive: LogScene) -> LogScene:
+    """Return *drive* where its record's own map is: nuScenes records are moved to the first pose."""
+    offset = map_offset_m(read_record(drive.source))
+    if offset is None:
+        return drive
+    return replace(drive, tracks=replace(drive.tracks, xy_m=drive.tracks.xy_m - offset))
+
+
+def _convert(source: Path, net: Path) -> None:
+    if source.suffix == ".pkl":
+        convert_source(read_record_map(load_plain(source), source), net)
+    else:
+        convert_map(source, net)
+
+
+def _placed(out: Path, made: Mapping[str, WindowFile]) -> Iterator[tuple[Path, WindowFile]]:
+    if out.suffix == SUFFIX:
+        if len(made) > 1:
+            raise ConfigError(
+                f"--out {out}: the drives are on {len(made)} nets ({', '.join(sorted(made))}) and a file holds "
+                "one; name a folder"
+            )
+        out.parent.mkdir(parents=True, exist_ok=True)
+        yield out, next(iter(made.values()))
+        return
+    out.mkdir(parents=True, exist_ok=True)
+    yield from ((out / f"{name}{SUFFIX}", made[name]) for name in sorted(made))
+
+
+def _nothing(logs: Sequence[tuple[Path, LogReader]], nets: Nets, built: Built) -> str:
+    first = logs[0][0]
+    if built.skipped and not nets.given and nets.converted is None:
+        return f"{first}: no net was given for its drives; name one with --net, or add --convert"
+    if built.skipped:
+        return (
+            f"{first}: none of the {len(built.skipped)} drives is on the nets; give the net of the log's map"
+        )
+    return f"{first}: no drive is long enough for a window of 8 s"

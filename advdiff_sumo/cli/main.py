@@ -10,9 +10,13 @@ import typer
 from rich.console import Console
 
 from advdiff_sumo import __version__
+from advdiff_sumo.cli.compare import compare
 from advdiff_sumo.cli.convert import convert
 from advdiff_sumo.cli.data import data
+from advdiff_sumo.cli.replay import replay
+from advdiff_sumo.cli.results import results
 from advdiff_sumo.cli.run import run
+from advdiff_sumo.cli.sweep import sweep
 from advdiff_sumo.cli.train import train
 from advdiff_sumo.core.errors import AdvdiffError
 
@@ -27,6 +31,10 @@ app = typer.Typer(
 )
 app.command("run")(run)
 app.command("convert")(convert)
+app.command("sweep")(sweep)
+app.command("results")(results)
+app.command("compare")(compare)
+app.command("replay")(replay)
 app.add_typer(data)
 app.command("train")(train)
 

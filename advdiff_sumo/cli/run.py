@@ -70,7 +70,7 @@ def run(
     console = Console()
     rows: list[Mapping[str, Any]] = []
     try:
-        with _progress(console) as progress:
+        with progress_bar(console) as progress:
             task = progress.add_task(
                 "episodes", total=prepared.options.episodes, completed=len(folder.done())
             )
@@ -95,7 +95,8 @@ def _begun(out: Path | None) -> Path | None:
     return settings if settings.exists() else None
 
 
-def _progress(console: Console) -> Progress:
+def progress_bar(console: Console) -> Progress:
+    """Return the bar of a run or a sweep."""
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),

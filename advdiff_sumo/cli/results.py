@@ -1,0 +1,70 @@
+"""``advdiff-sumo results``."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+
+class Form(StrEnum):
+    """How the answer to a query is written."""
+
+    table = "table"
+    csv = "csv"
+    json = "json"
+
+
+def results(
+    folder: Annotated[Path, typer.Argument(help="Folder of a sweep, finished or not.", show_default=False)],
+    sql: Annotated[
+        str | None,
+        typer.Option(help="Query over episodes, states, collisions, timing, failures (needs the extra sql)."),
+    ] = None,
+    form: Annotated[Form, typer.Option("--format", help="Of the answer to --sql.")] = Form.table,
+    junit: Annotated[Path | None, typer.Option(help="Write JUnit XML here, for CI.")] = None,
+    fail_if: Annotated[
+        str | None, typer.Option(help='Exit with code 1 if so, for example "collision_rate > 0.05".')
+    ] = None,
+) -> None:
+    """Put a sweep's episodes together and say what they came to.
+
+    advdiff-sumo results runs/planners --sql "select target, avg(target_collision::int) from episodes group by 1"
+
+    Without --sql: rates with intervals, failures, findings (near-duplicates among the collisions taken as one), the
+    twenty worst episodes, and coverage. Works while a sweep is running, too.
+    """
+    from advdiff_sumo.cli.sweep_results import conclude, condition_of, must_be_sweep  # late: --help is quick
+    from advdiff_sumo.sweep.consolidate import tables_of
+
+    condition = condition_of(fail_if)
+    store, plan = must_be_sweep(folder)
+    missing = tables_of(store, plan)
+    console = Console()
+    if sql is None:
+        conclude(console, store, plan, missing, condition, junit)
+        return
+    from advdiff_sumo.sweep.sql import query
+
+    _write(console, query(store.path, sql), form)
+
+
+def _write(console: Console, answer: Any, form: Form) -> None:
+    if form is Form.csv:
+        from pyarrow import csv
+
+        csv.write_csv(answer, sys.stdout.buffer)
+    elif form is Form.json:
+        import json
+
+        typer.echo(json.dumps(answer.to_pylist(), default=str))
+    else:
+        table = Table(*answer.column_names)
+        for row in answer.to_pylist():
+            table.add_row(*("" if value is None else str(value) for value in row.values()))
+        console.print(table)

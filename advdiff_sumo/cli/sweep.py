@@ -1,0 +1,211 @@
+"""``advdiff-sumo sweep``."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import tempfile
+from collections.abc import Mapping
+from contextlib import ExitStack
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from advdiff_sumo.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from advdiff_sumo.sweep.executors import Executor
+    from advdiff_sumo.sweep.plan import Plan
+    from advdiff_sumo.sweep.run import Todo
+    from advdiff_sumo.sweep.store import Store
+    from advdiff_sumo.sweep.tasks import Failed, Limits
+
+_RUNS = Path("runs")
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class ExecutorName(StrEnum):
+    """Who runs the episodes."""
+
+    serial = "serial"
+    process = "process"
+    ray = "ray"
+
+
+def sweep(
+    file: Annotated[
+        Path | None, typer.Argument(help="Sweep file; may be left out with --resume.", show_default=False)
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Episodes at a time.", show_default="one a core")
+    ] = None,
+    executor: Annotated[
+        ExecutorName, typer.Option(help="This process (to debug), processes, or a Ray cluster.")
+    ] = ExecutorName.process,
+    ray_address: Annotated[
+        str | None, typer.Option(help="Ray cluster, HOST:PORT or auto; without it one is started here.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results.", show_default="runs/NAME-OF-FILE")
+    ] = None,
+    resume: Annotated[
+        Path | None, typer.Option(help="Go on in this folder: run only what is missing or damaged.")
+    ] = None,
+    timeout: Annotated[
+        float, typer.Option(min=0.1, help="Longest time for one episode, in seconds of the clock.")
+    ] = 300.0,
+    limit: Annotated[int | None, typer.Option(min=1, help="Only the first so many episodes.")] = None,
+    memory: Annotated[
+        int, typer.Option(min=0, help="Most memory of a worker, in MB; 0 for no limit.")
+    ] = 4000,
+    retries: Annotated[
+        int, typer.Option(min=0, help="Try an episode again so often when its worker died.")
+    ] = 2,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="With --resume: run failed episodes again.")
+    ] = False,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Check everything, count, measure a few episodes, write nothing."),
+    ] = False,
+    junit: Annotated[Path | None, typer.Option(help="Write JUnit XML here, for CI.")] = None,
+    fail_if: Annotated[
+        str | None, typer.Option(help='Exit with code 1 if so, for example "collision_rate > 0.05".')
+    ] = None,
+) -> None:
+    """Run many episodes in parallel: nets × seed scenes × targets × backgrounds × seeds.
+
+    advdiff-sumo sweep scenarios/sweeps/planners.toml --workers 8
+
+    A worker that crashes, hangs or eats memory loses one episode, which is recorded as failed. Ctrl-C, a kill or
+    a power cut lose the episodes in flight: advdiff-sumo sweep --resume DIR runs what is missing.
+    """
+    for name in _ONE_THREAD:  # before numpy comes; sums of several threads differ in their last digits
+        os.environ[name] = "1"
+    from advdiff_sumo.cli.sweep_results import conclude, condition_of  # late: --help needs no simulator
+    from advdiff_sumo.sweep.plan import plan_sweep
+    from advdiff_sumo.sweep.run import Todo, open_store, run_sweep
+
+    signal.signal(signal.SIGTERM, _as_ctrl_c)
+    condition = condition_of(fail_if)
+    console = Console()
+    store = _begun(resume)
+    spec = _spec(file, store)
+    plan = plan_sweep(spec)
+    slots = workers or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else workers or 2
+    with ExitStack() as stack:
+        limits = _limits(stack, timeout, memory)
+        if dry_run:
+            _tell_estimate(console, plan, Todo.of(plan, store, limit, retry_failed), slots, limits)
+            return
+        done_by = _executor(executor, slots, ray_address, plan, limits)
+        path = resume or out or _free_folder(file)
+        store = open_store(path, spec, done_by.slots, resume is not None)
+        todo = Todo.of(plan, store, limit, retry_failed)
+        with _Progress(console, todo) as progress:
+            missing = run_sweep(plan, store, todo, done_by, retries, progress.tell)
+    conclude(console, store, plan, missing, condition, junit)
+
+
+def _as_ctrl_c(*_signal: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _begun(resume: Path | None) -> Store | None:
+    from advdiff_sumo.sweep.store import Store
+
+    return None if resume is None else Store.open(resume)
+
+
+def _spec(file: Path | None, store: Store | None) -> Any:
+    """Return what is asked: the file's, or that of the sweep to go on with; both must agree."""
+    from advdiff_sumo.sweep.spec import SweepSpec
+    from advdiff_sumo.sweep.store import must_equal
+
+    if file is None:
+        if store is None:
+            raise ConfigError("no sweep file was given; scenarios/sweeps/quick.toml is a small one")
+        return store.spec()
+    spec = SweepSpec.read(file)
+    if store is not None:
+        must_equal(store.path, store.spec(), spec)
+    return spec
+
+
+def _limits(stack: ExitStack, timeout: float, memory: int) -> Limits:
+    from advdiff_sumo.sweep.tasks import Limits
+
+    logs = Path(tempfile.mkdtemp(prefix="advdiff-sweep-"))
+    stack.callback(shutil.rmtree, logs, ignore_errors=True)
+    return Limits(timeout_s=timeout, memory_mb=memory, tasks=250, recycle_share=0.5, logs=logs)
+
+
+def _executor(name: ExecutorName, workers: int, address: str | None, plan: Plan, limits: Limits) -> Executor:
+    from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
+
+    if address is not None and name is not ExecutorName.ray:
+        raise ConfigError("--ray-address goes with --executor ray; add it, or leave the address out")
+    if name is ExecutorName.serial:
+        return SerialExecutor()
+    if name is ExecutorName.process:
+        return ProcessExecutor(workers, limits)
+    from advdiff_sumo.sweep.on_ray import RayExecutor
+    from advdiff_sumo.sweep.plan import needed_nets
+
+    return RayExecutor(address, workers, limits, needed_nets(plan))
+
+
+def _tell_estimate(console: Console, plan: Plan, todo: Todo, workers: int, limits: Limits) -> None:
+    from advdiff_sumo.cli.sweep_results import duration
+    from advdiff_sumo.sweep.estimate import estimate
+    from advdiff_sumo.sweep.executors import ProcessExecutor
+
+    console.print(f"{len(plan.jobs)} episodes in {len(plan.cells)} runs; {len(todo.jobs)} to do")
+    with ProcessExecutor(1, limits) as executor:
+        found = estimate(plan, todo.jobs, executor)
+    if found is not None:
+        console.print(
+            f"about {duration(found.total_s(workers))} on {workers} workers with a core each: "
+            f"{found.batches} × {found.scene_s:.1f} s for seed scenes, "
+            f"{found.episodes} × {found.episode_s:.1f} s for episodes (measured just now)",
+            soft_wrap=True,
+        )
+
+
+def _free_folder(file: Path | None) -> Path:
+    name = file.stem if file is not None else "sweep"
+    path, number = _RUNS / name, 2
+    while path.exists():
+        path, number = _RUNS / f"{name}-{number}", number + 1
+    return path
+
+
+class _Progress:
+    """The bar; counts collisions and failures."""
+
+    def __init__(self, console: Console, todo: Todo) -> None:
+        from advdiff_sumo.cli.run import progress_bar
+
+        self._bar = progress_bar(console)
+        self._todo = todo
+        self._hits = self._failed = 0
+
+    def __enter__(self) -> _Progress:
+        self._bar.start()
+        total = len(self._todo.jobs) + self._todo.done
+        self._task = self._bar.add_task("episodes", total=total, completed=self._todo.done)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+    def tell(self, row: Mapping[str, Any] | None, failed: Failed | None) -> None:
+        """Count one episode."""
+        self._hits += bool(row and row["target_collision"])
+        self._failed += failed is not None
+        words = f"episodes · {self._hits} collisions · {self._failed} failed"
+        self._bar.update(self._task, advance=1, description=words)

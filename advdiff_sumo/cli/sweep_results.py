@@ -1,0 +1,216 @@
+"""What is printed of a sweep, and what becomes the exit code."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.metrics.severity import worst_first
+from advdiff_sumo.sweep.columns import job_row
+from advdiff_sumo.sweep.condition import Condition, Undefined
+from advdiff_sumo.sweep.consolidate import read_rows
+from advdiff_sumo.sweep.coverage import bands, coverage
+from advdiff_sumo.sweep.figures import FIGURE_NAMES, Figures, Rate, by_kind
+from advdiff_sumo.sweep.files import write_whole
+from advdiff_sumo.sweep.findings import Finding, findings
+from advdiff_sumo.sweep.junit import junit_xml
+from advdiff_sumo.sweep.plan import Plan
+from advdiff_sumo.sweep.store import Store
+
+CONDITION_MET = 1
+_WORST, _FINDINGS = 20, 12
+
+Row = Mapping[str, Any]
+
+
+def condition_of(text: str | None) -> Condition | None:
+    """Return the condition of ``--fail-if``.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    return None if text is None else Condition(text, FIGURE_NAMES)
+
+
+def conclude(
+    console: Console,
+    store: Store,
+    plan: Plan,
+    missing: int,
+    condition: Condition | None,
+    junit: Path | None,
+) -> None:
+    """Print what the sweep came to, write JUnit XML, and leave with code 1 where the condition is met."""
+    episodes, failures = read_rows(store.path, "episodes"), read_rows(store.path, "failures")
+    overall = Figures.of(episodes, failures, missing)
+    _print(console, plan, episodes, failures, overall)
+    said = None if condition is None else _verdict(condition, overall)
+    if junit is not None:
+        timing = {row["episode"]: row["wall_s"] for row in read_rows(store.path, "timing")}
+        told = None if condition is None else (condition.text, said)
+        junit.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(junit, junit_xml(episodes, failures, timing, told))
+    console.print(f"results: {store.path}", soft_wrap=True)
+    if said is not None:
+        console.print(f"[red]{said}[/red]", soft_wrap=True)
+        raise typer.Exit(CONDITION_MET)
+
+
+def _verdict(condition: Condition, figures: Figures) -> str | None:
+    """Return why the condition is met; None where it is not."""
+    named = figures.named()
+    try:
+        met = condition.holds(named)
+    except Undefined as error:
+        return f"--fail-if {condition.text}: {error} is undefined, no episode has it"
+    if not met:
+        return None
+    values = (f"{name} = {named[name]:.4g}" for name in sorted(FIGURE_NAMES) if name in condition.names)
+    return f"--fail-if {condition.text}: {', '.join(values) or 'always so'}"
+
+
+def _print(console: Console, plan: Plan, episodes: list[Row], failures: list[Row], overall: Figures) -> None:
+    _print_rates(console, episodes, failures, overall)
+    if overall.missing:
+        console.print(f"[yellow]{overall.missing} episodes have not been run[/yellow]")
+    if failures:
+        _print_failures(console, failures)
+    found = findings(episodes)
+    if found:
+        _print_findings(console, found)
+    if episodes:
+        _print_worst(console, worst_first(episodes)[:_WORST])
+        _print_coverage(console, plan, episodes)
+
+
+def _print_rates(console: Console, episodes: list[Row], failures: list[Row], overall: Figures) -> None:
+    table = _table(
+        f"{overall.episodes} episodes; rates in % with 95 % Wilson intervals",
+        *("target", "background", "net", "n", "collides", "at fault", "arrives", "failed"),
+    )
+    columns = ("target", "target_options", "background", "background_options", "net")
+    for key, figures in by_kind(episodes, failures, columns).items():
+        target, target_options, background, background_options, net = key
+        table.add_row(
+            target + _short(target_options),
+            background + _short(background_options),
+            Path(net).name.split(".net.xml")[0],
+            *_cells(figures),
+        )
+    table.add_section()
+    table.add_row("all", "", "", *_cells(overall))
+    console.print(table)
+
+
+def _cells(figures: Figures) -> list[str]:
+    names = ("collision_rate", "fault_rate", "completion_rate", "failure_rate")
+    return [str(figures.episodes), *(rate_text(figures.rates[name]) for name in names)]
+
+
+def rate_text(rate: Rate) -> str:
+    """Return a rate with its interval, in percent."""
+    if rate.share is None or rate.low is None or rate.high is None:
+        return "–"
+    return f"{100 * rate.share:.1f} \\[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
+
+
+def _print_failures(console: Console, failures: list[Row]) -> None:
+    table = _table("failed episodes", "kind", "count", "the first of them", "repeat it")
+    first = {row["kind"]: row for row in reversed(failures)}
+    for kind, count in sorted(Counter(row["kind"] for row in failures).items()):
+        table.add_row(kind, str(count), first[kind]["message"], first[kind]["command"])
+    console.print(table)
+
+
+def _print_findings(console: Console, found: Sequence[Finding]) -> None:
+    total = sum(len(finding.episodes) for finding in found)
+    title = f"{total} collisions are {len(found)} findings"
+    table = _table(title, "collisions", "type", "where", "at fault", "targets", "the worst of them")
+    for finding in found[:_FINDINGS]:
+        table.add_row(
+            str(len(finding.episodes)),
+            finding.type,
+            finding.junction_type,
+            _counts(finding.at_fault),
+            _counts(finding.targets),
+            str(finding.worst["key"]),
+        )
+    console.print(table)
+    if len(found) > _FINDINGS:
+        console.print(f"… and {len(found) - _FINDINGS} more")
+
+
+def _print_worst(console: Console, rows: Sequence[Row]) -> None:
+    table = _table(
+        f"the {len(rows)} worst episodes", "key", "target", "background", "what", "TTC", "clearance"
+    )
+    for row in rows:
+        what = row["end"]
+        if row["target_collision"]:
+            what = f"{row['collision_type']}, at fault: {row['at_fault']}"
+        values = (_value(row["min_ttc_s"], "s"), _value(row["min_clearance_m"], "m"))
+        table.add_row(row["key"], row["target"], row["background"], what, *values)
+    console.print(table)
+
+
+def _print_coverage(console: Console, plan: Plan, episodes: list[Row]) -> None:
+    attacks = [job_row(plan.jobs[0], options)["attack"] for options in plan.cells]
+    tried = coverage(episodes, attacks, plan.junction_types)
+    table = _table(
+        f"coverage: {100 * tried.share:.0f} % of {len(tried.cells)} combinations; collisions / episodes",
+        *("attack", "junction", *bands()),
+    )
+    for attack in tried.attacks:
+        for junction in tried.junctions:
+            cells = (tried.cells[attack, junction, band] for band in bands())
+            counts = (f"{c.collisions} / {c.episodes}" if c.episodes else "–" for c in cells)
+            table.add_row(attack, junction, *counts)
+    console.print(table)
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left")
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    return table
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in counts.items())
+
+
+def _short(options: str) -> str:
+    return "" if options == "{}" else " " + options.strip("{}").replace('"', "")
+
+
+def _value(value: float | None, unit: str) -> str:
+    return "–" if value is None else f"{value:.2f} {unit}"
+
+
+def duration(seconds: float) -> str:
+    """Return a duration as people say it."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400.0 else f"{seconds / 3600:.1f} h"
+
+
+def must_be_sweep(folder: Path) -> tuple[Store, Plan]:
+    """Open the sweep in *folder* with its plan.
+
+    Raises:
+        InputError: there is none, or its nets are no longer there.
+    """
+    from advdiff_sumo.sweep.plan import plan_sweep
+
+    store = Store.open(folder)
+    plan = plan_sweep(store.spec())
+    if not plan.jobs:
+        raise ConfigError(f"{folder}: that sweep has no episodes")
+    return store, plan

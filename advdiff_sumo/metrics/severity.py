@@ -1,0 +1,42 @@
+"""Which episodes are worst: the order of reports, findings and lists."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeAlias
+
+Row: TypeAlias = Mapping[str, Any]
+
+_FAULT_ORDER = {"target": 0, "unclear": 1, "other": 2}
+
+
+def is_failure(row: Row) -> bool:
+    """Return whether the episode could not be finished."""
+    return bool(row["end"] == "failed")
+
+
+def worst_first(rows: Iterable[Row]) -> list[Row]:
+    """Return the episodes by severity.
+
+    Collisions (those the target caused first, then by relative speed), failures, then the others from the
+    least time to collision to the largest, then by clearance.
+
+    Args:
+        rows: of ``episodes.parquet``.
+    """
+    return sorted(rows, key=severity)
+
+
+def severity(row: Row) -> tuple[float, ...]:
+    """Return what :func:`worst_first` sorts by."""
+    number = float(row["episode"])
+    if row["target_collision"]:
+        return 0.0, _FAULT_ORDER.get(row["at_fault"], 3), -_known(row["relative_speed_mps"], 0.0), number
+    if is_failure(row):
+        return 1.0, number
+    return 2.0, _known(row["min_ttc_s"]), _known(row["min_clearance_m"]), number
+
+
+def _known(value: float | None, otherwise: float = math.inf) -> float:
+    return otherwise if value is None or math.isnan(value) else value

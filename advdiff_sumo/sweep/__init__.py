@@ -1,0 +1,1 @@
+"""Sweeps: many episodes over workers that may die, with results that survive."""

@@ -1,0 +1,120 @@
+"""``--fail-if "collision_rate > 0.05"``: comparisons of figures, and nothing else."""
+
+from __future__ import annotations
+
+import ast
+import operator
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from advdiff_sumo.core.errors import ConfigError, did_you_mean
+
+_COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+}
+_ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
+_LONGEST = 500
+
+
+class Undefined(Exception):  # noqa: N818 - a figure without a sample, not a fault
+    """A figure that the condition asks for is undefined."""
+
+
+class Condition:
+    """A condition over named figures: comparisons, ``and``, ``or``, ``not``, + − × / and numbers.
+
+    Attributes:
+        text: as given.
+        names: figures that it asks for.
+    """
+
+    def __init__(self, text: str, names: frozenset[str]) -> None:
+        """Check *text*; *names* are the figures that there are.
+
+        Raises:
+            ConfigError: it is no condition, or names an unknown figure.
+        """
+        self.text = text
+        if len(text) > _LONGEST:
+            raise ConfigError(f"--fail-if: longer than {_LONGEST} characters; split it")
+        try:
+            self._tree = ast.parse(text.strip(), mode="eval").body
+        except (SyntaxError, ValueError, RecursionError, MemoryError):
+            raise _refused(text, "is no condition") from None
+        _must_be_condition(self._tree, text, names)
+        self.names = frozenset(node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name))
+
+    def holds(self, figures: Mapping[str, float | None]) -> bool:
+        """Return whether the condition is true of *figures*.
+
+        Raises:
+            Undefined: a figure that decides has no value.
+            ConfigError: it divides by zero.
+        """
+        try:
+            return bool(_value(self._tree, figures))
+        except ZeroDivisionError:
+            raise ConfigError(f"--fail-if {self.text}: divides by zero") from None
+
+
+def _must_be_condition(node: ast.AST, text: str, names: frozenset[str]) -> None:
+    if isinstance(node, ast.BoolOp):
+        for part in node.values:
+            _must_be_condition(part, text, names)
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+        _must_be_condition(node.operand, text, names)
+    elif isinstance(node, ast.Compare) and all(type(op) in _COMPARE for op in node.ops):
+        for part in (node.left, *node.comparators):
+            _must_be_number(part, text, names)
+    else:
+        raise _refused(text, "compares nothing")
+
+
+def _must_be_number(node: ast.AST, text: str, names: frozenset[str]) -> None:
+    if isinstance(node, ast.Name):
+        if node.id not in names:
+            raise ConfigError(f"--fail-if {text}: no figure '{node.id}'; {did_you_mean(node.id, names)}")
+    elif isinstance(node, ast.BinOp) and type(node.op) in _ARITHMETIC:
+        _must_be_number(node.left, text, names)
+        _must_be_number(node.right, text, names)
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+        _must_be_number(node.operand, text, names)
+    elif not (isinstance(node, ast.Constant) and type(node.value) in (int, float)):
+        raise _refused(text, "holds something that is neither a figure nor a number")
+
+
+def _value(node: Any, figures: Mapping[str, float | None]) -> Any:
+    if isinstance(node, ast.BoolOp):
+        parts = (_value(part, figures) for part in node.values)
+        return all(parts) if isinstance(node.op, ast.And) else any(parts)
+    if isinstance(node, ast.UnaryOp):
+        inner = _value(node.operand, figures)
+        return not inner if isinstance(node.op, ast.Not) else -inner
+    if isinstance(node, ast.Compare):
+        values = [_value(part, figures) for part in (node.left, *node.comparators)]
+        pairs = zip(node.ops, values, values[1:], strict=False)
+        return all(_COMPARE[type(op)](a, b) for op, a, b in pairs)
+    if isinstance(node, ast.BinOp):
+        return _ARITHMETIC[type(node.op)](_value(node.left, figures), _value(node.right, figures))
+    if isinstance(node, ast.Constant):
+        return node.value
+    found = figures[node.id]
+    if found is None:
+        raise Undefined(node.id)
+    return found
+
+
+def _refused(text: str, problem: str) -> ConfigError:
+    return ConfigError(
+        f"--fail-if {text}: {problem}; write it like collision_rate > 0.05 and episodes >= 100"
+    )

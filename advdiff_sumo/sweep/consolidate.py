@@ -1,0 +1,157 @@
+"""Puts the episodes of a sweep together in one file a table, in the sweep's order."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.metrics.columns import Column
+from advdiff_sumo.sim.store import schema_of, table_of
+from advdiff_sumo.sweep.columns import FAILURE_COLUMNS, SWEEP_TABLES, job_row
+from advdiff_sumo.sweep.files import checksum_of, settle, unwritable, write_whole
+from advdiff_sumo.sweep.parts import Part
+from advdiff_sumo.sweep.plan import Job, Plan
+from advdiff_sumo.sweep.store import Store
+
+_ROWS_TOGETHER = 100_000
+_SEAL = "tables.json"
+
+
+def consolidate(store: Store, plan: Plan) -> int:
+    """Write the tables of all episodes that are there; return how many are missing.
+
+    The same episodes give the same bytes, whoever ran them and in whatever order; ``timing`` apart.
+
+    Raises:
+        FileError: the tables cannot be written.
+    """
+    missing = 0
+    folder = store.path
+    with contextlib.ExitStack() as stack:
+        writers = {name: stack.enter_context(_Table(folder, name)) for name in SWEEP_TABLES}
+        for job in plan.jobs:
+            part = store.read(job.key)
+            if part is None:
+                missing += 1
+                continue
+            for name, table in _rows(part, job, plan, folder).items():
+                writers[name].add(table)
+    seal = {"missing": missing, "files": {n: checksum_of(folder / f"{n}.parquet") for n in SWEEP_TABLES}}
+    write_whole(folder / _SEAL, json.dumps(seal, indent=1).encode())
+    return missing
+
+
+def tables_of(store: Store, plan: Plan) -> int:
+    """Make sure that the tables are there and whole; return how many episodes are missing.
+
+    They are put together again when one is missing or damaged, or when episodes have come since.
+    """
+    try:
+        seal = json.loads((store.path / _SEAL).read_text(encoding="utf-8"))
+        whole = all(checksum_of(store.path / f"{n}.parquet") == seal["files"][n] for n in SWEEP_TABLES)
+    except (OSError, ValueError, KeyError, TypeError):
+        whole, seal = False, {}
+    if whole and seal["missing"] == sum(not store.has(job.key) for job in plan.jobs):
+        return int(seal["missing"])
+    return consolidate(store, plan)
+
+
+def read_rows(folder: Path, table: str) -> list[dict[str, Any]]:
+    """Return the rows of a table of a sweep.
+
+    Raises:
+        FileError: it is missing or damaged.
+    """
+    path = folder / f"{table}.parquet"
+    try:
+        rows: list[dict[str, Any]] = pq.read_table(path).to_pylist()
+    except (OSError, pa.ArrowException) as error:
+        raise FileError(path, f"cannot be read ({error})", "repeat advdiff-sumo results") from None
+    return rows
+
+
+def _rows(part: Part, job: Job, plan: Plan, folder: Path) -> dict[str, pa.Table]:
+    own = job_row(job, plan.options(job))
+    tables: dict[str, pa.Table] = {}
+    for name, table in part.tables.items():
+        told = table.drop_columns(["episode"])
+        leading = own if name == "episodes" else {"episode": job.index}
+        tables[name] = _led(told, leading, SWEEP_TABLES[name])
+    if part.failed is not None:
+        command = f"advdiff-sumo replay {job.key} --sweep {folder}"
+        row = {**own, **vars(part.failed), "command": command}
+        tables["failures"] = table_of([row], FAILURE_COLUMNS)
+    return tables
+
+
+def _led(table: pa.Table, leading: Mapping[str, Any], columns: Mapping[str, Column]) -> pa.Table:
+    """Return *table* with the same *leading* values in front of each row."""
+    schema = schema_of(columns)
+    n = table.num_rows
+    arrays = [
+        pa.array(np.full(n, value)) if isinstance(value, int) else pa.array([value] * n, pa.string())
+        for value in leading.values()
+    ]
+    front = pa.table(arrays, names=list(leading))
+    for name in table.column_names:
+        front = front.append_column(name, table[name])
+    return front.select(schema.names).cast(schema)
+
+
+class _Table:
+    """One table that is being written, aside first."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self.path, self.schema = folder / f"{name}.parquet", schema_of(SWEEP_TABLES[name])
+        self.aside = self.path.with_name(self.path.name + ".aside")
+        self._held: list[pa.Table] = []
+        self._rows = 0
+        self._writer: Any = None
+
+    def __enter__(self) -> _Table:
+        try:
+            self._writer = pq.ParquetWriter(self.aside, self.schema, compression="zstd")
+        except OSError as error:
+            raise unwritable(self.path, error) from None
+        return self
+
+    def add(self, table: pa.Table) -> None:
+        """Take rows; they are written in groups of a size that does not depend on when they came."""
+        self._held.append(table)
+        self._rows += table.num_rows
+        if self._rows >= _ROWS_TOGETHER:
+            self._flush()
+
+    def _flush(self) -> None:
+        if self._held:
+            try:
+                self._writer.write_table(pa.concat_tables(self._held).combine_chunks())
+            except OSError as error:
+                raise unwritable(self.path, error) from None
+        self._held, self._rows = [], 0
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        try:
+            if kind is None:
+                self._flush()
+            self._writer.close()
+            if kind is None:
+                with self.aside.open("rb+") as file:
+                    os.fsync(file.fileno())
+                settle(self.aside, self.path)
+                return
+        except OSError as failed:
+            if kind is None:
+                raise unwritable(self.path, failed) from None
+        finally:
+            with contextlib.suppress(OSError):
+                self.aside.unlink()

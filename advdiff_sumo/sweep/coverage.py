@@ -1,0 +1,84 @@
+"""What was tried: attack × kind of junction × speed, and what has not been."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+from typing import Any, TypeAlias
+
+from advdiff_sumo.metrics.severity import is_failure
+
+Row: TypeAlias = Mapping[str, Any]
+
+#: Upper ends of the bands of the target's speed; the last one is open.
+SPEED_BANDS_MPS = (5.0, 10.0, 15.0)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One combination.
+
+    Attributes:
+        episodes: finished ones whose critical moment was of this kind.
+        collisions: how many of these hit.
+    """
+
+    episodes: int
+    collisions: int
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Counts of all combinations that could have come up.
+
+    Attributes:
+        attacks: asked for.
+        junctions: kinds of junction on the nets, and road.
+        cells: (attack, junction, band of speed) → counts; empty ones included.
+    """
+
+    attacks: tuple[str, ...]
+    junctions: tuple[str, ...]
+    cells: Mapping[tuple[str, str, str], Cell]
+
+    @property
+    def share(self) -> float:
+        """Share of the combinations that have an episode."""
+        return sum(cell.episodes > 0 for cell in self.cells.values()) / len(self.cells) if self.cells else 0.0
+
+    def empty(self) -> list[tuple[str, str, str]]:
+        """Return the combinations without an episode."""
+        return [key for key, cell in self.cells.items() if not cell.episodes]
+
+
+def bands() -> tuple[str, ...]:
+    """Return the names of the bands of speed."""
+    ends = ("0", *(f"{end:g}" for end in SPEED_BANDS_MPS))
+    inner = [f"{low}-{high} m/s" for low, high in pairwise(ends)]
+    return (*inner, f"over {ends[-1]} m/s")
+
+
+def coverage(episodes: Sequence[Row], attacks: Sequence[str], junction_types: Sequence[str]) -> Coverage:
+    """Count the finished *episodes* by attack, kind of junction and speed at their critical moment.
+
+    Args:
+        episodes: rows of a sweep's ``episodes``.
+        attacks: those that were asked for.
+        junction_types: those that the nets have.
+    """
+    finished = [row for row in episodes if not is_failure(row) and row["critical_speed_mps"] is not None]
+    names = tuple(dict.fromkeys(attacks))
+    junctions = (*sorted({*junction_types, *(str(r["junction_type"]) for r in finished)} - {"road"}), "road")
+    counts = {key: [0, 0] for key in product(names, junctions, bands())}
+    for row in finished:
+        key = (str(row["attack"]), str(row["junction_type"]), _band(float(row["critical_speed_mps"])))
+        counted = counts.setdefault(key, [0, 0])
+        counted[0] += 1
+        counted[1] += bool(row["target_collision"])
+    return Coverage(names, junctions, {key: Cell(*counted) for key, counted in counts.items()})
+
+
+def _band(speed_mps: float) -> str:
+    place = sum(abs(speed_mps) >= end for end in SPEED_BANDS_MPS)
+    return bands()[place]

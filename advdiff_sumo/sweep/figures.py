@@ -1,0 +1,108 @@
+"""Rates of a sweep with their intervals, for its summary and for conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any, TypeAlias
+
+from advdiff_sumo.metrics.intervals import wilson
+from advdiff_sumo.metrics.severity import is_failure
+
+Row: TypeAlias = Mapping[str, Any]
+
+_RATES = {
+    "collision_rate": lambda row: bool(row["target_collision"]),
+    "fault_rate": lambda row: row["at_fault"] == "target",
+    "completion_rate": lambda row: bool(row["route_completed"]),
+}
+_MEDIANS = ("min_ttc_s", "min_pet_s", "min_clearance_m", "max_drac_mps2", "brake_max_mps2", "jerk_max_mps3")
+#: Every name that a condition may use.
+FIGURE_NAMES = frozenset(
+    {"episodes", "finished", "collisions", "failures", "missing"}
+    | {f"{rate}{end}" for rate in (*_RATES, "failure_rate") for end in ("", "_low", "_high")}
+    | {f"median_{column}" for column in _MEDIANS}
+)
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How often something happened, with its 95 % Wilson interval.
+
+    Attributes:
+        count: how often.
+        total: out of how many.
+        low: lower end; None without a sample.
+        high: upper end; None without a sample.
+    """
+
+    count: int
+    total: int
+    low: float | None
+    high: float | None
+
+    @staticmethod
+    def of(count: int, total: int) -> Rate:
+        """Return the rate of *count* in *total*."""
+        low, high = wilson(count, total) if total else (None, None)
+        return Rate(count, total, low, high)
+
+    @property
+    def share(self) -> float | None:
+        """The observed share; None without a sample."""
+        return self.count / self.total if self.total else None
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What a sweep, or a part of it, came to.
+
+    Attributes:
+        episodes: with a row, finished or not, and those that failed without one.
+        rates: by name; those of failures out of all episodes, the others out of the finished ones.
+        medians: over the finished episodes in which the value is defined.
+        missing: episodes that have not been run.
+    """
+
+    episodes: int
+    rates: Mapping[str, Rate]
+    medians: Mapping[str, float | None]
+    missing: int = 0
+
+    @staticmethod
+    def of(episodes: Sequence[Row], failures: Sequence[Row], missing: int = 0) -> Figures:
+        """Return the figures of rows of ``episodes`` and ``failures``."""
+        finished = [row for row in episodes if not is_failure(row)]
+        total = len(finished) + len(failures)
+        rates = {name: Rate.of(sum(map(test, finished)), len(finished)) for name, test in _RATES.items()}
+        rates["failure_rate"] = Rate.of(len(failures), total)
+        values = {c: [row[c] for row in finished if row[c] is not None] for c in _MEDIANS}
+        medians = {name: float(median(found)) if found else None for name, found in values.items()}
+        return Figures(total, rates, medians, missing)
+
+    def named(self) -> dict[str, float | None]:
+        """Return every figure of ``FIGURE_NAMES``."""
+        collisions, failures = self.rates["collision_rate"], self.rates["failure_rate"]
+        named: dict[str, float | None] = {
+            "episodes": self.episodes,
+            "finished": collisions.total,
+            "collisions": collisions.count,
+            "failures": failures.count,
+            "missing": self.missing,
+        }
+        for name, rate in self.rates.items():
+            named |= {name: rate.share, f"{name}_low": rate.low, f"{name}_high": rate.high}
+        return named | {f"median_{name}": value for name, value in self.medians.items()}
+
+
+def by_kind(
+    episodes: Sequence[Row], failures: Sequence[Row], columns: Sequence[str]
+) -> dict[tuple[str, ...], Figures]:
+    """Return the figures of each combination of values of *columns*, in the order of first appearance."""
+    kinds: dict[tuple[str, ...], tuple[list[Row], list[Row]]] = {}
+    for which, rows in enumerate((episodes, failures)):
+        for row in rows:
+            key = tuple(str(row[column]) for column in columns)
+            kinds.setdefault(key, ([], []))[which].append(row)
+    return {key: Figures.of(*rows) for key, rows in kinds.items()}

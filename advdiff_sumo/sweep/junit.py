@@ -1,0 +1,78 @@
+"""JUnit XML: what continuous integration reads."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+Row: TypeAlias = Mapping[str, Any]
+
+_FORBIDDEN = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def junit_xml(
+    episodes: Sequence[Row],
+    failures: Sequence[Row],
+    timing: Mapping[int, float],
+    condition: tuple[str, str | None] | None,
+) -> bytes:
+    """Return one test case an episode: a collision is a failure, an episode that could not be finished an error.
+
+    Args:
+        episodes: rows of ``episodes``.
+        failures: rows of ``failures``.
+        timing: episode → wall-clock seconds.
+        condition: the text of ``--fail-if`` and, where it fails, what it came to; a test case of its own.
+    """
+    root = Element("testsuites", name="advdiff-sumo")
+    broken = {int(row["episode"]): row for row in failures}
+    suites: dict[str, list[Row]] = {}
+    rows = {int(row["episode"]): row for row in (*failures, *episodes)}
+    for number in sorted(rows):
+        suites.setdefault(_suite(rows[number]), []).append(rows[number])
+    for name, members in suites.items():
+        suite = SubElement(root, "testsuite", name=_clean(name))
+        for row in members:
+            _case(suite, row, broken.get(int(row["episode"])), timing)
+        _count(suite)
+    if condition is not None:
+        suite = SubElement(root, "testsuite", name="fail-if")
+        case = SubElement(suite, "testcase", classname="fail-if", name=_clean(condition[0]))
+        if condition[1] is not None:
+            SubElement(case, "failure", message=_clean(condition[1]), type="fail-if")
+        _count(suite)
+    for name in ("tests", "failures", "errors"):
+        root.set(name, str(sum(int(suite.get(name, "0")) for suite in root)))
+    indent(root)
+    return bytes(tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _suite(row: Row) -> str:
+    options = [row[name] if row[name] != "{}" else "" for name in ("target_options", "background_options")]
+    return f"{row['net']} · {row['target']}{options[0]} · {row['background']}{options[1]} · seed {row['root_seed']}"
+
+
+def _case(suite: Element, row: Row, broken: Row | None, timing: Mapping[int, float]) -> None:
+    seconds = timing.get(int(row["episode"]), 0.0)
+    name = f"scene {row['number']} ({row['key']})"
+    case = SubElement(suite, "testcase", classname=suite.get("name", ""), name=name, time=f"{seconds:.3f}")
+    if broken is not None:
+        error = SubElement(case, "error", type=str(broken["kind"]), message=_clean(str(broken["message"])))
+        error.text = _clean(f"{broken['log_tail']}\n{broken['command']}")
+    elif row["target_collision"]:
+        said = f"{row['collision_type']} after {row['collision_time_s']:.1f} s, at fault: {row['at_fault']}"
+        SubElement(case, "failure", type=str(row["collision_type"]), message=_clean(said))
+
+
+def _count(suite: Element) -> None:
+    cases = list(suite)
+    suite.set("tests", str(len(cases)))
+    suite.set("failures", str(sum(case.find("failure") is not None for case in cases)))
+    suite.set("errors", str(sum(case.find("error") is not None for case in cases)))
+
+
+def _clean(text: str) -> str:
+    """Return *text* without characters that XML cannot hold."""
+    return _FORBIDDEN.sub("?", text)

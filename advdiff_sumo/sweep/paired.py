@@ -1,0 +1,205 @@
+"""Two sweeps over the same seed scenes, episode by episode."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from scipy.stats import binomtest
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import ConfigError, did_you_mean
+from advdiff_sumo.metrics.severity import is_failure
+from advdiff_sumo.sweep.figures import Rate
+
+Row: TypeAlias = Mapping[str, Any]
+
+_KIND = ("target", "target_options", "background", "background_options")
+_VALUES = ("min_ttc_s", "min_pet_s", "min_clearance_m", "max_drac_mps2", "brake_max_mps2", "route_progress_m")
+_RESAMPLES, _AT_ONCE = 10_000, 250
+_CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class RateChange:
+    """How a rate differs between the two.
+
+    Attributes:
+        a: in the first sweep's episodes of the pairs.
+        b: in the second's.
+        only_a: pairs in which it happened in the first alone.
+        only_b: in the second alone.
+        low: lower end of the 95 % bootstrap interval of the difference b − a.
+        high: upper end.
+        p: exact McNemar test, two-sided (doi:10.1007/BF02295996); 1 without discordant pairs.
+    """
+
+    a: Rate
+    b: Rate
+    only_a: int
+    only_b: int
+    low: float
+    high: float
+    p: float
+
+
+@dataclass(frozen=True)
+class ValueChange:
+    """How a value differs over the pairs in which both have it.
+
+    Attributes:
+        pairs: how many.
+        mean: of the differences b − a.
+        low: lower end of its 95 % bootstrap interval.
+        high: upper end.
+    """
+
+    pairs: int
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two sweeps, paired.
+
+    Attributes:
+        pairs: episodes that both finished.
+        scenes: seed scenes among them; the bootstrap draws these.
+        unpaired: episodes of either sweep without a finished counterpart.
+        rates: by name.
+        values: by column; those without a pair are left out.
+    """
+
+    pairs: int
+    scenes: int
+    unpaired: int
+    rates: Mapping[str, RateChange]
+    values: Mapping[str, ValueChange]
+
+
+def choose(rows: Sequence[Row], conditions: Sequence[str], what: str) -> list[Row]:
+    """Return the rows that meet each ``column=value``.
+
+    Raises:
+        ConfigError: a column does not exist, or nothing is left.
+    """
+    chosen = list(rows)
+    for condition in conditions:
+        column, equals, value = condition.partition("=")
+        if rows and (not equals or column not in rows[0]):
+            raise ConfigError(f"{what} {condition}: expected COLUMN=VALUE; {did_you_mean(column, rows[0])}")
+        chosen = [row for row in chosen if str(row[column]) == value]
+    if not chosen:
+        raise ConfigError(f"{what} {' '.join(conditions)}: no episode of that sweep is so".replace("  ", " "))
+    return chosen
+
+
+def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Comparison:
+    """Pair the finished episodes of two sweeps by seed scene, and by what else both vary.
+
+    Args:
+        first: rows of ``episodes`` of the one.
+        second: of the other.
+        seed: of the bootstrap.
+
+    Raises:
+        ConfigError: they share no seed scene, or several episodes of one of them would be one side of a pair.
+    """
+    columns = ("scene_key", *_shared(first, second))
+    a, b = _indexed(first, columns, "first"), _indexed(second, columns, "second")
+    keys = [key for key in a if key in b]
+    if not keys:
+        raise ConfigError(
+            "the two sweeps share no seed scene; compare sweeps of the same nets, seeds, horizon_s, sim and scene"
+        )
+    pairs = [(a[key], b[key]) for key in keys if not is_failure(a[key]) and not is_failure(b[key])]
+    scenes = [key[0] for key in keys if not is_failure(a[key]) and not is_failure(b[key])]
+    if not pairs:
+        raise ConfigError("no seed scene was finished in both sweeps")
+    draw = _Draws(scenes, seed)
+    return Comparison(
+        pairs=len(pairs),
+        scenes=draw.scenes,
+        unpaired=len(first) + len(second) - 2 * len(pairs),
+        rates={
+            "collisions": _rate(pairs, draw, lambda row: bool(row["target_collision"])),
+            "… target at fault": _rate(pairs, draw, lambda row: row["at_fault"] == "target"),
+            "route completed": _rate(pairs, draw, lambda row: bool(row["route_completed"])),
+        },
+        values=_values(pairs, draw),
+    )
+
+
+def _shared(first: Sequence[Row], second: Sequence[Row]) -> list[str]:
+    """Return the columns that tell episodes of a scene apart in the same way in both sweeps."""
+    groups = (_KIND[:2], _KIND[2:])
+    shared: list[str] = []
+    for group in groups:
+        sides = [{tuple(row[column] for column in group) for row in rows} for rows in (first, second)]
+        if sides[0] == sides[1]:
+            shared.extend(group)
+    return shared
+
+
+def _indexed(rows: Sequence[Row], columns: Sequence[str], which: str) -> dict[tuple[str, ...], Row]:
+    keys = [tuple(str(row[column]) for column in columns) for row in rows]
+    if len(set(keys)) < len(keys):
+        raise ConfigError(
+            f"the {which} sweep has several episodes for one seed scene; choose among them, for example "
+            "--a target=IDM --b target=lane_graph"
+        )
+    return dict(zip(keys, rows, strict=True))
+
+
+class _Draws:
+    """Bootstrap over seed scenes: episodes of one scene are drawn together."""
+
+    def __init__(self, scenes: Sequence[str], seed: int) -> None:
+        names = list(dict.fromkeys(scenes))
+        place = {name: k for k, name in enumerate(names)}
+        self.scenes = len(names)
+        self.scene_of = np.array([place[name] for name in scenes])
+        self._rng_seed = seed
+
+    def interval(self, differences: FloatArray, chosen: FloatArray) -> tuple[float, float]:
+        """Return the percentile interval of the mean of *differences*, which are of the pairs *chosen*."""
+        scene = self.scene_of[chosen]
+        total = np.bincount(scene, weights=differences, minlength=self.scenes)
+        count = np.bincount(scene, minlength=self.scenes).astype(np.float64)
+        there = count > 0
+        total, count = total[there], count[there]
+        rng = np.random.default_rng(self._rng_seed)
+        n, means = len(total), []
+        for _ in range(_RESAMPLES // _AT_ONCE):
+            times = rng.multinomial(n, np.full(n, 1.0 / n), size=_AT_ONCE)
+            means.append((times @ total) / (times @ count))
+        tail = 50.0 * (1.0 - _CONFIDENCE)
+        low, high = np.percentile(np.concatenate(means), [tail, 100.0 - tail])
+        return float(low), float(high)
+
+
+def _rate(pairs: Sequence[tuple[Row, Row]], draw: _Draws, happened: Callable[[Row], bool]) -> RateChange:
+    flags = np.array([[happened(a), happened(b)] for a, b in pairs], dtype=np.float64)
+    both = Counter((bool(a), bool(b)) for a, b in flags)
+    only_a, only_b = both[(True, False)], both[(False, True)]
+    p = float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
+    low, high = draw.interval(flags[:, 1] - flags[:, 0], np.arange(len(pairs)))
+    n = len(pairs)
+    rates = [Rate.of(int(flags[:, side].sum()), n) for side in (0, 1)]
+    return RateChange(rates[0], rates[1], only_a, only_b, low, high, p)
+
+
+def _values(pairs: Sequence[tuple[Row, Row]], draw: _Draws) -> dict[str, ValueChange]:
+    changes = {}
+    for column in _VALUES:
+        chosen = [k for k, (a, b) in enumerate(pairs) if a[column] is not None and b[column] is not None]
+        if chosen:
+            found = np.array([float(pairs[k][1][column]) - float(pairs[k][0][column]) for k in chosen])
+            low, high = draw.interval(found, np.array(chosen))
+            changes[column] = ValueChange(len(chosen), float(found.mean()), low, high)
+    return changes

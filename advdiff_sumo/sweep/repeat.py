@@ -1,0 +1,108 @@
+"""One episode of a sweep again, exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from advdiff_sumo.core.errors import ConfigError, FileError, SceneError
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.sim.episode import Timing
+from advdiff_sumo.sim.run import Run
+from advdiff_sumo.sim.scene_file import scene_from_bytes
+from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.sweep.content import file_digest, net_files
+from advdiff_sumo.sweep.parts import Part
+from advdiff_sumo.sweep.plan import Job, Plan, plan_sweep
+from advdiff_sumo.sweep.store import SETTINGS, Store
+from advdiff_sumo.sweep.work import part_of, run_of
+
+_SHORTEST_KEY = 6
+_SAME = ("episodes", "collisions", "states")
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """An episode that was run again.
+
+    Attributes:
+        run: the run that it belongs to.
+        record: what happened.
+        timing: how long it took.
+        same: whether all values equal the stored ones; None when nothing was stored.
+    """
+
+    run: Run
+    record: EpisodeRecord
+    timing: Timing
+    same: bool | None
+
+
+def sweep_with(key: str, folder: Path | None, among: Path) -> tuple[Store, Plan, Job]:
+    """Return the sweep that has the episode *key*, and the episode.
+
+    Args:
+        key: of the episode, or how it begins.
+        folder: of the sweep; None to look through the folders in *among*.
+        among: where sweeps usually are.
+
+    Raises:
+        InputError: no sweep has it.
+    """
+    if len(key) < _SHORTEST_KEY:
+        raise ConfigError(
+            f"'{key}' is too short for the key of an episode; give {_SHORTEST_KEY} digits or more"
+        )
+    if folder is not None:
+        store = Store.open(folder)
+        plan = plan_sweep(store.spec())
+        return store, plan, plan.find(key)
+    for found in sorted(among.glob(f"*/{SETTINGS}")):
+        store = Store(found.parent)
+        plan = plan_sweep(store.spec())
+        if any(job.key.startswith(key) for job in plan.jobs):
+            return store, plan, plan.find(key)
+    raise ConfigError(f"no sweep in {among} has an episode '{key}'; name its folder with --sweep")
+
+
+def repeat(store: Store, plan: Plan, job: Job, gui: bool = False) -> Repeated:
+    """Run *job* again in this process.
+
+    Raises:
+        InputError: its seed scene cannot be made again.
+    """
+    options = plan.options(job)
+    run = run_of(options, file_digest(*net_files(options.net)))
+    run = replace(run, gui=gui)
+    record, timing = run.episode(job.number, _scene(store, run, job)).run()
+    return Repeated(run, record, timing, _same(store.read(job.key), part_of(run, record, timing)))
+
+
+def settings_for(job: Job, run: Run) -> dict[str, Any]:
+    """Return the ``run.toml`` of a folder that holds just *job*."""
+    settings = run.settings
+    return {**settings, "options": {**settings["options"], "episodes": job.number + 1}}
+
+
+def _scene(store: Store, run: Run, job: Job) -> SeedScene:
+    """Return the seed scene, out of the store where it is still there; else it is made again."""
+    kept = store.read_scenes(job.batch)
+    if kept is not None and job.place < len(kept):
+        return scene_from_bytes(kept[job.place], run.road.path)
+    if run.log is None:
+        return run.scene_batch(job.number // run.options.scene.scenes_per_warmup)[job.place]
+    made = next(islice(run.seed_scenes(), job.place, None), None)
+    if made is None:
+        raise SceneError(f"{run.options.scenes}: has no seed scene number {job.place + 1}")
+    return made
+
+
+def _same(stored: Part | None, again: Part) -> bool | None:
+    if stored is None or not stored.tables:
+        return None
+    try:
+        return all(stored.tables[name].equals(again.tables[name]) for name in _SAME)
+    except KeyError as lacking:
+        raise FileError(Path("episode"), f"lacks the table {lacking}", "resume the sweep") from None

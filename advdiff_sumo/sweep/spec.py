@@ -1,0 +1,205 @@
+"""A sweep file: a grid of nets, targets and backgrounds, a list of cases, or both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import Field, field_validator
+
+from advdiff_sumo.config import Options, read_toml
+from advdiff_sumo.core.errors import AdvdiffError, ConfigError
+from advdiff_sumo.maps.shipped import net_name
+from advdiff_sumo.sim.options import SceneOptions, SimOptions
+from advdiff_sumo.sim.run import RunOptions
+
+
+class Choice(Options):
+    """One target or background of the grid, or several that differ in their options.
+
+    Attributes:
+        name: as ``--target`` or ``--background`` take it.
+        options: its options, the same for all.
+        vary: option → the values it takes; all combinations are tried.
+    """
+
+    name: str
+    options: dict[str, Any] = Field(default_factory=dict)
+    vary: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
+
+    def combinations(self, where: str) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield the name with each combination of options.
+
+        Raises:
+            ConfigError: an option has no value, or stands in ``options`` too.
+        """
+        for key, values in self.vary.items():
+            if not values:
+                raise ConfigError(f"{where}.vary.{key} is empty; give it a value or leave it out")
+            if key in self.options:
+                raise ConfigError(f"{where}: '{key}' stands in options and in vary; leave one out")
+        for values in product(*self.vary.values()):
+            yield self.name, {**self.options, **dict(zip(self.vary, values, strict=True))}
+
+
+class NetChoice(Options):
+    """Where seed scenes come from.
+
+    Attributes:
+        net: a SUMO net, or the name of a shipped one.
+        demand: route file or SUMO configuration; empty: traffic is generated.
+        scenes: root of a driving log; empty: scenes come out of SUMO traffic.
+    """
+
+    net: str
+    demand: str = ""
+    scenes: str = ""
+
+
+class Grid(Options):
+    """Every net with every target and every background.
+
+    Attributes:
+        nets: names, files, or tables with ``net``, ``demand`` and ``scenes``.
+        targets: what drives the tested vehicle.
+        backgrounds: what moves the others.
+    """
+
+    nets: tuple[NetChoice, ...] = (NetChoice(net="downtown"),)
+    targets: tuple[Choice, ...] = ()
+    backgrounds: tuple[Choice, ...] = ()
+
+    @field_validator("nets", mode="before")
+    @classmethod
+    def _plain_nets(cls, value: Any) -> Any:
+        return [{"net": v} if isinstance(v, str) else v for v in value] if isinstance(value, list) else value
+
+    @field_validator("targets", "backgrounds", mode="before")
+    @classmethod
+    def _plain_names(cls, value: Any) -> Any:
+        return [{"name": v} if isinstance(v, str) else v for v in value] if isinstance(value, list) else value
+
+
+class Case(Options):
+    """One entry of the list: the options of ``advdiff-sumo run``; what it leaves out is the sweep's.
+
+    Attributes are those of :class:`~advdiff_sumo.sim.run.RunOptions`.
+    """
+
+    net: str = "downtown"
+    target: str = "IDM"
+    target_options: dict[str, Any] = Field(default_factory=dict)
+    background: str = "sumo"
+    background_options: dict[str, Any] = Field(default_factory=dict)
+    demand: str = ""
+    scenes: str = ""
+    seed: int | None = Field(None, ge=0)
+    episodes: int | None = Field(None, ge=1)
+
+
+_Place = TypeVar("_Place", NetChoice, Case)
+
+
+class SweepSpec(Options):
+    """A sweep as its file says.
+
+    Attributes:
+        episodes: seed scenes for each net and seed.
+        horizon_s: longest duration of an episode.
+        seeds: roots of the random numbers.
+        sim: steps and radii.
+        scene: how seed scenes are chosen.
+        grid: tried in all combinations.
+        cases: tried as they are.
+    """
+
+    episodes: int = Field(10, ge=1)
+    horizon_s: float = Field(20.0, gt=0.0, le=3600.0)
+    seeds: tuple[int, ...] = (0,)
+    sim: SimOptions = SimOptions()
+    scene: SceneOptions = SceneOptions()
+    grid: Grid | None = None
+    cases: tuple[Case, ...] = ()
+
+    @staticmethod
+    def read(path: Path) -> SweepSpec:
+        """Read a sweep file.
+
+        Raises:
+            FileError: it is missing or no TOML.
+            ConfigError: a key is misspelt or a value impossible, or it asks for nothing.
+        """
+        return SweepSpec.of(read_toml(path), str(path))
+
+    @staticmethod
+    def of(values: Mapping[str, Any], where: str) -> SweepSpec:
+        """Check *values*; *where* they come from begins the message."""
+        spec = SweepSpec.parse(values, where)
+        try:
+            next(spec.cells())
+        except StopIteration:
+            raise ConfigError(f"{where}: asks for no episode; add a [grid] or [[cases]]") from None
+        except AdvdiffError as error:
+            raise ConfigError(f"{where}: {error}") from None
+        return spec._absolute()
+
+    def _absolute(self) -> SweepSpec:
+        """Return the same with files by their full path, so that it means the same in any folder."""
+        grid = self.grid
+        if grid is not None:
+            grid = grid.model_copy(update={"nets": tuple(_absolute(net) for net in grid.nets)})
+        return self.model_copy(update={"grid": grid, "cases": tuple(_absolute(case) for case in self.cases)})
+
+    def cells(self) -> Iterator[RunOptions]:
+        """Yield the runs that the sweep is made of, the grid's first.
+
+        Raises:
+            ConfigError: a part of the grid is empty.
+        """
+        if not self.seeds:
+            raise ConfigError("seeds is empty; give at least one, such as seeds = [0]")
+        if self.grid is not None:
+            yield from self._grid_cells(self.grid)
+        for case in self.cases:
+            own = case.model_dump(exclude={"seed", "episodes"})
+            for seed in self.seeds if case.seed is None else (case.seed,):
+                yield self._cell(seed, case.episodes or self.episodes, own)
+
+    def _grid_cells(self, grid: Grid) -> Iterator[RunOptions]:
+        for name in ("nets", "targets", "backgrounds"):
+            if not getattr(grid, name):
+                raise ConfigError(f"the grid is empty: grid.{name} has no entry; name at least one")
+        targets = list(_all(grid.targets, "grid.targets"))
+        backgrounds = list(_all(grid.backgrounds, "grid.backgrounds"))
+        for net, seed, target, background in product(grid.nets, self.seeds, targets, backgrounds):
+            own = {
+                **net.model_dump(),
+                "target": target[0],
+                "target_options": target[1],
+                "background": background[0],
+                "background_options": background[1],
+            }
+            yield self._cell(seed, self.episodes, own)
+
+    def _cell(self, seed: int, episodes: int, own: Mapping[str, Any]) -> RunOptions:
+        return RunOptions(
+            **own,
+            seed=seed,
+            episodes=episodes,
+            horizon_s=self.horizon_s,
+            sim=self.sim,
+            scene=self.scene,
+        )
+
+
+def _absolute(place: _Place) -> _Place:
+    files = {name: getattr(place, name) for name in ("demand", "scenes")}
+    found = {name: str(Path(file).resolve()) for name, file in files.items() if file}
+    return place.model_copy(update={"net": net_name(place.net), **found})
+
+
+def _all(choices: Sequence[Choice], where: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    for k, choice in enumerate(choices):
+        yield from choice.combinations(f"{where}.{k}")

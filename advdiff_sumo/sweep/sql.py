@@ -1,0 +1,33 @@
+"""SQL over the tables of a sweep, through DuckDB."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+
+from advdiff_sumo.core.errors import ConfigError, MissingExtraError
+from advdiff_sumo.sweep.columns import SWEEP_TABLES
+
+
+def query(folder: Path, sql: str) -> pa.Table:
+    """Return the answer to *sql* over the views episodes, states, collisions, timing and failures.
+
+    Raises:
+        MissingExtraError: DuckDB is not installed.
+        ConfigError: the query is wrong.
+    """
+    try:
+        import duckdb  # late: an extra
+    except ImportError:
+        raise MissingExtraError("results --sql", "sql") from None
+    with duckdb.connect(":memory:", config={"threads": 1}) as base:
+        for name in SWEEP_TABLES:
+            base.read_parquet(str(folder / f"{name}.parquet")).create_view(name)
+        try:
+            answer = base.sql(sql)
+            if answer is None:
+                raise ConfigError(f"--sql: {sql} asks for nothing; begin with select")
+            return answer.to_arrow_table()
+        except duckdb.Error as error:
+            raise ConfigError(f"--sql: {error}") from None

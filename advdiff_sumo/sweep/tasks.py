@@ -1,0 +1,111 @@
+"""What goes to a worker and what comes back; plain values that any process or machine can read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeAlias
+
+from advdiff_sumo.sim.run import RunOptions
+
+
+@dataclass(frozen=True)
+class SceneTask:
+    """Make the seed scenes of one batch.
+
+    Attributes:
+        key: of the batch.
+        options: of a run that they belong to.
+        number: of the stretch of traffic; 0 for a driving log.
+        scenes: how many are wanted.
+        net_digest: of the net, so that one that was changed meanwhile is noticed.
+    """
+
+    key: str
+    options: RunOptions
+    number: int
+    scenes: int
+    net_digest: str
+
+
+@dataclass(frozen=True)
+class EpisodeTask:
+    """Run one episode.
+
+    Attributes:
+        key: of the episode.
+        options: of the run that it belongs to.
+        number: of the episode in that run.
+        scene: its seed scene, see :mod:`advdiff_sumo.sim.scene_file`.
+        net_digest: as above.
+    """
+
+    key: str
+    options: RunOptions
+    number: int
+    scene: bytes
+    net_digest: str
+
+
+Task: TypeAlias = SceneTask | EpisodeTask
+
+
+@dataclass(frozen=True)
+class Failed:
+    """Why a task came to nothing, or an episode could not be finished.
+
+    Attributes:
+        kind: one word, see ``docs/sweeps.md``.
+        message: one sentence.
+        log_tail: the last lines that the worker said, or where the planner raised.
+        attempts: how often it was tried.
+    """
+
+    kind: str
+    message: str
+    log_tail: str = ""
+    attempts: int = 1
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a task: its product or a failure.
+
+    Attributes:
+        key: of the task.
+        product: scenes, or the one file of a finished episode.
+        failed: set when there is no product.
+        wall_s: how long it took.
+    """
+
+    key: str
+    product: tuple[bytes, ...] = ()
+    failed: Failed | None = None
+    wall_s: float = 0.0
+
+    def tried(self, attempts: int) -> Outcome:
+        """Return the same with the number of attempts noted in its failure."""
+        return self if self.failed is None else replace(self, failed=replace(self.failed, attempts=attempts))
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a worker may take.
+
+    Attributes:
+        timeout_s: wall-clock of one task.
+        memory_mb: private memory of a worker; 0 for no limit.
+        tasks: a worker is replaced after so many.
+        recycle_share: and before its next task once it holds this share of ``memory_mb``.
+        logs: folder for what workers say, a file a task.
+    """
+
+    timeout_s: float
+    memory_mb: int
+    tasks: int
+    recycle_share: float
+    logs: Path
+
+    def log_of(self, key: str) -> Path:
+        """Return the file that the worker of task *key* writes to."""
+        return self.logs / f"{key}.log"

@@ -1,0 +1,168 @@
+"""What a worker does: one task after the other, with its nets, planners and policies kept loaded."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+import time
+import traceback
+from collections.abc import Mapping
+from functools import lru_cache
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from advdiff_sumo.core.errors import AdvdiffError, NetError, SceneError
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.columns import Column
+from advdiff_sumo.metrics.rows import collision_rows, episode_row
+from advdiff_sumo.planners.base import Target
+from advdiff_sumo.sim.episode import Timing
+from advdiff_sumo.sim.run import Run, RunOptions, policy_of, read_road, target_of
+from advdiff_sumo.sim.scene_file import scene_from_bytes, scene_to_bytes
+from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.sim.store import episode_tables, table_of
+from advdiff_sumo.sweep.content import file_digest, net_files
+from advdiff_sumo.sweep.parts import Part
+from advdiff_sumo.sweep.situation import SITUATION_COLUMNS, situation
+from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Outcome, SceneTask, Task
+from advdiff_sumo.traffic.base import TrafficPolicy
+
+WORKER_COLUMNS: Mapping[str, Column] = {
+    "worker": Column("int64", "", "process number of the worker", False),
+    "rss_mb": Column("float64", "MB", "memory that the worker held after the episode", False),
+    "peak_mb": Column("float64", "MB", "the most that it ever held", False),
+}
+#: Kind of failure that ends the sweep: there is no room for SUMO's own files.
+NO_ROOM = "no_room"
+
+
+def perform(task: Task) -> Outcome:
+    """Do *task*; whatever goes wrong short of the process's death comes back as a failure."""
+    one_thread()
+    begun = time.perf_counter()
+    try:
+        product = _scenes(task) if isinstance(task, SceneTask) else (_episode(task),)
+    except MemoryError as error:
+        failed = Failed("out_of_memory", f"the worker ran out of memory: {error}", traceback.format_exc())
+    except AdvdiffError as error:
+        failed = Failed(_kind(error), str(error))
+    except OSError as error:
+        kind = NO_ROOM if error.errno == errno.ENOSPC else "error"
+        failed = Failed(kind, f"{type(error).__name__}: {error}", traceback.format_exc())
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - any fault of a plug-in is a record, never the end
+        failed = Failed("error", f"{type(error).__name__}: {error}", traceback.format_exc())
+    else:
+        return Outcome(task.key, product, None, time.perf_counter() - begun)
+    return Outcome(task.key, (), failed, time.perf_counter() - begun)
+
+
+def run_of(options: RunOptions, net_digest: str) -> Run:
+    """Return the run of *options*; its net, target and policy are those that this process has loaded already."""
+    road = _road(options.net, net_digest)
+    names = options.target, options.background
+    target = _target(names[0], _Plain(options, options.target_options))
+    policy = _policy(names[1], _Plain(options, options.background_options))
+    return Run(options, road, target, policy, names)
+
+
+def part_of(run: Run, record: EpisodeRecord, timing: Timing) -> Part:
+    """Return what is kept of an episode of *run*."""
+    row = episode_row(record, run.road)
+    tables = episode_tables(record, row, collision_rows(record, run.road), timing)
+    episodes = _beside(tables["episodes"], [situation(record, row, run.road)], SITUATION_COLUMNS)
+    failure = record.failure
+    failed = None if failure is None else Failed(failure.kind, failure.message, failure.trace)
+    timed = _beside(
+        tables["timing"], [{"worker": os.getpid(), "rss_mb": rss_mb(), "peak_mb": peak_mb()}], WORKER_COLUMNS
+    )
+    return Part({**tables, "episodes": episodes, "timing": timed}, failed)
+
+
+def _beside(table: pa.Table, rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> pa.Table:
+    """Return *table* with *columns* of *rows* added."""
+    more = table_of(rows, columns)
+    for name in more.column_names:
+        table = table.append_column(more.schema.field(name), more[name])
+    return table
+
+
+def _scenes(task: SceneTask) -> tuple[bytes, ...]:
+    road = _road(task.options.net, task.net_digest)
+    plain = task.options.model_copy(update={"target": "IDM", "target_options": {}})
+    run = Run(plain, road, target_of(plain), _policy("sumo", _Plain(plain, {})), ("IDM", "sumo"))
+    made = islice(run.seed_scenes(), task.scenes) if plain.scenes else iter(run.scene_batch(task.number))
+    return tuple(scene_to_bytes(scene) for scene in made)
+
+
+def _episode(task: EpisodeTask) -> bytes:
+    run = run_of(task.options, task.net_digest)
+    scene: SeedScene = scene_from_bytes(task.scene, run.road.path)
+    record, timing = run.episode(task.number, scene).run()
+    return part_of(run, record, timing).to_bytes()
+
+
+def _kind(error: AdvdiffError) -> str:
+    return "no_scene" if isinstance(error, SceneError) else "input_error"
+
+
+class _Plain:
+    """Options as an argument of a cache: equal when the target's or policy's own options are."""
+
+    def __init__(self, options: RunOptions, own: dict[str, Any]) -> None:
+        self.options, self.own, self._text = options, own, repr(sorted(own.items()))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Plain) and self._text == other._text
+
+    def __hash__(self) -> int:
+        return hash(self._text)
+
+
+@lru_cache(maxsize=4)
+def _road(net: str, digest: str) -> RoadMap:
+    files = net_files(net)
+    if file_digest(*files) != digest:
+        raise NetError(
+            files[0], "is not the net that the sweep began with", "begin a new sweep for the new net"
+        )
+    return read_road(net)
+
+
+@lru_cache(maxsize=8)
+def _target(name: str, plain: _Plain) -> Target:
+    return target_of(plain.options.model_copy(update={"target": name, "target_options": plain.own}))
+
+
+@lru_cache(maxsize=8)
+def _policy(name: str, plain: _Plain) -> TrafficPolicy:
+    return policy_of(plain.options.model_copy(update={"background": name, "background_options": plain.own}))
+
+
+def one_thread() -> None:
+    """Let torch and Arrow compute on one thread: sums of several threads differ in their last digits."""
+    pa.set_cpu_count(1)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
+
+
+def rss_mb() -> float:
+    """Return the memory that this process holds; 0 where the system does not tell."""
+    return _status_mb("VmRSS:")
+
+
+def peak_mb() -> float:
+    """Return the most memory that this process ever held; 0 where the system does not tell."""
+    return _status_mb("VmHWM:")
+
+
+def _status_mb(name: str) -> float:
+    try:
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return 0.0
+    return next((int(line.split()[1]) / 1024.0 for line in lines if line.startswith(name)), 0.0)

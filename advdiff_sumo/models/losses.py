@@ -17,6 +17,7 @@ from advdiff_sumo.models.geometry import into_frame, wrap_angle
 DISCS = 5
 _ROAD_EDGE = 4
 _FAR_M = 1e3
+_CORNER = 1e-3
 
 
 def reconstruction(rollout: Rollout, batch: SceneBatch) -> Tensor:
@@ -99,10 +100,12 @@ def clearance_in_frame(local: Tensor, batch: SceneBatch) -> Tensor:
     away = delta - share[..., None] * along[:, :, None]
     distance = torch.sqrt(away.square().sum(-1) + 1e-9)
     distance = distance.masked_fill(~usable[:, :, None], _FAR_M)
-    nearest, which = distance.min(dim=-1)
     cross = along[:, :, None, :, 0] * delta[..., 1] - along[:, :, None, :, 1] * delta[..., 0]
-    side = cross.gather(-1, which[..., None]).squeeze(-1)
-    return torch.where(side >= 0.0, nearest, -nearest)
+    aside = cross / squared.sqrt()
+    # both segments of a corner are equally near; the one that sees the point more from the side knows the side
+    which = (distance - _CORNER * aside.abs()).argmin(dim=-1, keepdim=True)
+    nearest, side = distance.gather(-1, which), aside.gather(-1, which)
+    return torch.where((side >= 0.0) | (nearest >= _FAR_M), nearest, -nearest).squeeze(-1)
 
 
 def off_road(rollout: Rollout, batch: SceneBatch) -> Tensor:

@@ -44,9 +44,8 @@ def payoffs(
     """
     steps = options.execute * stretches
     cut = Rollout(*(value[:, :, :steps] for value in vars(path).values()))
-    gap = (
-        target_gap(finer(cut, batch), batch, target).amin(1).unflatten(1, (stretches, -1)).amin(-1)
-    )  # (B, S)
+    shape = (batch.scenes, stretches, -1)
+    gap = target_gap(finer(cut, batch), batch, target).amin(1).reshape(shape).amin(-1)  # (B, S)
     near = torch.exp(-gap.clamp(min=0.0) / options.reach_m)
     vehicles = _among_background(cut, batch, target).reshape(shape).amax(-1)
     road = _off_road(cut, batch, target).reshape(shape).amax(-1)

@@ -22,7 +22,7 @@ from advdiff_sumo.data.files import SUFFIX, read_header, write_windows
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.read_net import base_name
 from advdiff_sumo.maps.shipped import SHIPPED_NETS, find_net
-from advdiff_sumo.sim.simulate_nets import net_kind, write_random_net
+from advdiff_sumo.sim.simulate_nets import KINDS, write_random_net
 from advdiff_sumo.sim.simulate_run import cut, record
 
 SHARD_WINDOWS, RUN_WINDOWS = 300, 200
@@ -55,12 +55,14 @@ class Shard:
     Attributes:
         name: of the file, without suffix.
         net: file of the net; None for one to be made up.
+        kind: of the net to be made up; "" for a given one.
         seed: the shard's node of the seed tree.
         windows: how many.
     """
 
     name: str
     net: Path | None
+    kind: str
     seed: SeedTree
     windows: int
 
@@ -91,16 +93,13 @@ def plan(options: SimulateOptions) -> list[Shard]:
         raise NetError(Path("--net"), "no net was given", "name one, or ask for made-up nets alone")
     count = max(1, round(options.windows / SHARD_WINDOWS))
     sizes = [options.windows * (k + 1) // count - options.windows * k // count for k in range(count)]
-    seed, given, shards = SeedTree(options.seed).child("simulate"), 0, list[Shard]()
+    seed, shards = SeedTree(options.seed).child("simulate"), list[Shard]()
     for number, size in enumerate(sizes):
-        node = seed.child(number)
-        made_up = int((number + 1) * options.random_share) > int(number * options.random_share)
-        if made_up:
-            name, net = f"{net_kind(node.child('net'))}-{options.seed}-{number:04d}", None
-        else:
-            net = nets[given % len(nets)]
-            name, given = f"{base_name(net)}-{options.seed}-{number:04d}", given + 1
-        shards.append(Shard(name, net, node, size))
+        before, after = (int(n * options.random_share + 1e-9) for n in (number, number + 1))
+        net = None if after > before else nets[(number - before) % len(nets)]
+        kind = "" if net is not None else KINDS[before % len(KINDS)]
+        name = f"{kind or base_name(net or Path())}-{options.seed}-{number:04d}"
+        shards.append(Shard(name, net, kind, seed.child(number), size))
     return shards
 
 
@@ -200,10 +199,10 @@ def _random_net(shard: Shard, out: Path) -> Path:
     for attempt in range(_NET_TRIES):
         seed = shard.seed.child("net", *((attempt,) if attempt else ()))
         try:
-            road = RoadMap.read(write_random_net(seed, path))
+            road = RoadMap.read(write_random_net(shard.kind, seed, path))
         except NetError:
             continue
-        if len(road.edge_graph().strongly_connected()) > 1 or net_kind(seed) == "motorway":
+        if len(road.edge_graph().strongly_connected()) > 1 or shard.kind == "motorway":
             return path
     raise NetError(path, "no usable net could be made up", "take another --seed")
 

@@ -16,9 +16,10 @@ from advdiff_sumo.sim.simulate_drivers import KINDS, DriverType, driver_types
 
 PARKED = "parked"
 """Beginning of the names of vehicles that stand at the kerb from the start."""
-_DENSITY_PER_KM = (3.0, 26.0)
+_DENSITY_PER_KM = (4.0, 36.0)
 _MOST_VEHICLES = 420
 _MEAN_TRIP_S = 120.0
+_SHORT_SHARE, _SHORT_TRIP_M, _LONG_TRIP_M = 0.35, 90.0, 600.0
 _FAST_MPS = 17.0
 _CITY_ONLY = frozenset({"bicycle"})
 _STOPPING_SHARE = 0.03
@@ -110,7 +111,8 @@ def _vehicle(
     vclass = driver.attributes["vClass"]
     if driver.kind in _CITY_ONLY and road.edges[edge].speed_mps > _FAST_MPS:
         return None
-    route = road.random_route(edge, 500.0 + rng.exponential(700.0), rng, vclass=vclass)
+    least = _SHORT_TRIP_M if rng.random() < _SHORT_SHARE else _LONG_TRIP_M
+    route = road.random_route(edge, least + rng.exponential(least), rng, vclass=vclass)
     if len(route) < 2:
         return None
     where = {"departPos": "base"} if depart_s is not None else {"departPos": "random_free"}

@@ -18,8 +18,8 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.sim.simulate_motorway import motorway_plan
 from advdiff_sumo.sim.simulate_plan import PlanEdge, StreetPlan, bend
 
-KINDS = ("grid", "spider", "rand", "motorway")
-_KIND_SHARES = (0.4, 0.2, 0.28, 0.12)
+KINDS = ("grid", "rand", "spider", "grid", "motorway", "rand", "grid", "spider")
+"""Kinds of the nets that are made up one after the other."""
 _TIMEOUT_S = 120
 _JUNCTIONS = ("priority", "traffic_light", "right_before_left", "allway_stop", "priority_stop")
 _SPEEDS_MPS = (8.33, 11.11, 13.89, 16.67, 19.44)
@@ -28,20 +28,13 @@ _SPREAD_M = 10.0
 _WAVES_M = ((140.0, 500.0), (700.0, 2000.0))  # streets, motorways
 
 
-def net_kind(seed: SeedTree) -> str:
-    """Return the kind of net that :func:`write_random_net` makes of *seed*."""
-    rng = seed.child("kind").generator()
-    return str(rng.choice(KINDS, p=_KIND_SHARES))
-
-
-def write_random_net(seed: SeedTree, path: Path) -> Path:
-    """Write a net that depends on *seed* alone to *path*; a third of them drive on the left.
+def write_random_net(kind: str, seed: SeedTree, path: Path) -> Path:
+    """Write a net of one of :data:`KINDS` that depends on *seed* alone to *path*; a third drive on the left.
 
     Raises:
         NetError: netgenerate or netconvert refused.
     """
     rng = seed.generator()
-    kind = net_kind(seed)
     lefthand = bool(rng.random() < 1 / 3)
     with tempfile.TemporaryDirectory(prefix="advdiff-") as name:
         folder = Path(name)
@@ -178,6 +171,7 @@ def _convert(plan: StreetPlan, folder: Path, path: Path, lefthand: bool, rng: np
         "offset.disable-normalization": "true",
         "default.junctions.radius": f"{rng.uniform(3.0, 9.0):.1f}",
         "junctions.internal-link-detail": "8",
+        "junctions.limit-turn-speed": "4",  # m/s²
         "junctions.corner-detail": "6",
         "tls.left-green.time": str(rng.choice((0, 6))),
         "tls.green.time": str(rng.integers(12, 26)),

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.boxes import corners, overlap
+from advdiff_sumo.core.frames import unit, wrap_angle
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.arrays import WindowArrays, crops, window_arrays
@@ -26,6 +28,9 @@ _MOST_FOCAL = 24
 _MOVING_M = 1.0
 _STILL_KEPT = 0.1
 _MIN_MOVING, _MIN_MOVING_SHARE = 2, 0.12
+_LIMITS, _GRIP = Limits(), 1.7
+_TIGHTEST_1PM, _SHORT_WAY_M = 0.3, 0.3
+_MOST_ASIDE_M, _MOST_ASTRAY_M = 0.9, 1.2  # in half a second
 
 
 @dataclass(frozen=True)
@@ -87,8 +92,9 @@ def _extent_m(xy_m: FloatArray) -> FloatArray:
 def cut(recording: Recording, road: RoadMap, seed: SeedTree, name: str) -> Iterator[WindowArrays]:
     """Yield windows of *recording*: every 1.5 s some focal vehicles whose crops overlap little.
 
-    Focal vehicles are drawn, moving ones first. Windows in which hardly anybody moves are thinned, and
-    those in which vehicles overlap are left out: SUMO's lane model lets boxes touch where a driver would not.
+    Focal vehicles are drawn, moving ones first. Windows in which hardly anybody moves are thinned. Left out
+    are those in which boxes overlap, as SUMO's lane model allows where a driver would not, and those in which
+    a vehicle does what none can: SUMO turns and shifts vehicles sideways while they stand.
     """
     rng = seed.child("windows").generator()
     tracks = recording.tracks
@@ -100,6 +106,8 @@ def cut(recording: Recording, road: RoadMap, seed: SeedTree, name: str) -> Itera
             busy = moving[rows]
             still = busy.sum() < _MIN_MOVING or busy.mean() < _MIN_MOVING_SHARE
             if (still and rng.random() >= _STILL_KEPT) or _touching(tracks, rows, now):
+                continue
+            if not _drivable(tracks, rows, now):
                 continue
             yield window_arrays(
                 tracks, now, rows, recording.parked, road.pieces, recording.signals[now], name
@@ -134,3 +142,20 @@ def _touching(tracks: Tracks, rows: IntArray, now: int) -> bool:
     a, b = a[near], b[near]
     boxes = corners(xy, tracks.yaw_rad[rows, span], size[:, None] - 0.2)
     return bool(overlap(boxes[a], boxes[b]).any())
+
+
+def _drivable(tracks: Tracks, rows: IntArray, now: int) -> bool:
+    """Return whether every vehicle of the window moves as a vehicle can."""
+    span = slice(now - PAST + 1, now + FUTURE + 1)
+    xy, yaw, speed = tracks.xy_m[rows, span], tracks.yaw_rad[rows, span], tracks.speed_mps[rows, span]
+    step = np.diff(xy, axis=1)
+    way, turn = np.linalg.norm(step, axis=-1), wrap_angle(np.diff(yaw, axis=1))
+    along = unit(yaw[:, :-1] + 0.5 * turn)
+    ahead = (step * along).sum(-1)
+    aside = np.abs(step[..., 1] * along[..., 0] - step[..., 0] * along[..., 1])
+    bend = np.abs(turn) / np.maximum(way, _SHORT_WAY_M)
+    with np.errstate(invalid="ignore"):  # NaN compares as False
+        bad = (np.abs(np.diff(speed, axis=1)) > _LIMITS.brake_mps2 * DT_S) | (aside > _MOST_ASIDE_M)
+        bad |= np.abs(ahead - 0.5 * DT_S * (speed[:, 1:] + speed[:, :-1])) > _MOST_ASTRAY_M
+        bad |= (bend > _TIGHTEST_1PM) | (bend * (way / DT_S) ** 2 > _LIMITS.lateral_mps2 * _GRIP)
+    return not bad.any()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from advdiff_sumo.core.errors import ConfigError
 
@@ -71,6 +73,95 @@ def simulate(
         results = simulated(options, out, tell)
     made = sum(result.windows for result in results)
     _say.print(f"{out}: {made} windows in {len(results)} files", markup=False)
+
+
+@data.command()
+def build(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG...", help="nuScenes dataset roots, ScenarioNet records or folders of runs."
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Window file (.safetensors) where all drives are on one net, or a folder.")
+    ],
+    net: Annotated[
+        list[str] | None,
+        typer.Option(help="Net of the log's map; may be given several times.", show_default="of the run"),
+    ] = None,
+    convert: Annotated[
+        bool, typer.Option("--convert", help="Convert the logs' own maps; the nets go to --out/nets.")
+    ] = False,
+    split: Annotated[
+        str | None,
+        typer.Option(
+            help="Scenes of a nuScenes split: train, val, train_val, mini_train, mini_val.",
+            show_default="all scenes",
+        ),
+    ] = None,
+    challenge: Annotated[
+        bool, typer.Option("--challenge", help="The windows of nuScenes' prediction challenge alone.")
+    ] = False,
+    stride: Annotated[float, typer.Option(min=0.5, help="Seconds between windows.")] = 0.5,
+    ego_only: Annotated[
+        bool, typer.Option("--ego-only", help="Windows around the recording vehicle alone.")
+    ] = False,
+) -> None:
+    """Cut driving logs into training windows, each drive on the net of its map.
+
+    advdiff-sumo data build nuscenes --convert --out windows/nuscenes
+
+    advdiff-sumo data build runs/downtown-IDM-sumo-s0 --out windows/runs
+    """
+    from advdiff_sumo.data import open_log  # late, as above
+    from advdiff_sumo.maps import RoadMap
+    from advdiff_sumo.maps.shipped import find_net
+    from advdiff_sumo.sim.log_windows import BuildOptions, Nets
+    from advdiff_sumo.sim.log_windows import build as built
+
+    is_file = out.suffix == ".safetensors"
+    if out.is_dir() if is_file else out.is_file():
+        raise ConfigError(f"--out {out} is a {'folder' if is_file else 'file'}; name another place")
+    if abs(2.0 * stride - round(2.0 * stride)) > 1e-9:
+        raise ConfigError(f"--stride {stride:g}: windows are spaced by multiples of 0.5 s")
+    readers = [(path, open_log(path)) for path in logs]
+    converted = (out.parent if is_file else out) / "nets" if convert else None
+    nets = Nets(tuple(RoadMap.read(find_net(name)) for name in net or ()), converted)
+    options = BuildOptions(stride, not ego_only, split, challenge)
+    with _progress() as progress:
+        task = progress.add_task("drives", total=None)
+        found = built(readers, nets, options, out, lambda *_: progress.update(task, advance=1))
+        progress.update(task, total=len(found.drives) + len(found.skipped))
+    for path, count in found.files.items():
+        _say.print(f"{path}: {count} windows", markup=False)
+    if found.skipped:
+        names = ", ".join(found.skipped[:5]) + (", …" if len(found.skipped) > 5 else "")
+        _say.print(f"note: {len(found.skipped)} drives are on none of the nets: {names}", markup=False)
+
+
+@data.command()
+def stats(
+    places: Annotated[list[Path], typer.Argument(metavar="PLACE...", help="Window files or folders.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Print what is in window files: counts, classes, speeds, accelerations, curvatures, gaps.
+
+    advdiff-sumo data stats windows
+    """
+    from advdiff_sumo.data.files import read_windows, window_paths  # late, as above
+    from advdiff_sumo.data.stats import window_stats
+
+    found = window_stats(read_windows(path) for path in window_paths(places))
+    if as_json:
+        typer.echo(json.dumps(found, indent=1))
+        return
+    table = Table("", "")
+    for name, value in found.items():
+        parts = value if isinstance(value, dict) else {"": value}
+        text = "  ".join(f"{key} {part:g}".strip() for key, part in parts.items())
+        table.add_row(name.replace("_", " "), text)
+    Console().print(table)
 
 
 def _progress() -> Progress:

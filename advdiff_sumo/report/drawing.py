@@ -17,7 +17,8 @@ from matplotlib.patheffects import withStroke
 
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.report.folder import FinishedRun
-from advdiff_sumo.report.layer import MapLayer, Streets
+from advdiff_sumo.report.layer import Streets
+from advdiff_sumo.report.nets import Nets
 from advdiff_sumo.report.picture import Box, Picture, Role, picture_of
 
 COLOURS = {Role.TARGET: "#12824a", Role.ATTACKER: "#d95f02", Role.OTHER: "#8c9ba8"}
@@ -38,7 +39,7 @@ def figure(folder: Path, episode: int, path: Path) -> Path:
     row, states = run.row(episode), run.states(episode)
     if states is None:
         raise FileError(folder, f"holds no states of episode {episode}", "choose another episode")
-    layer = None if run.road is None else MapLayer(run.road)
+    layer = Nets(run).layer(str(row["net"]))
     drawn = draw(picture_of(states, row, run.collisions_of(episode), layer))
     try:
         _save(drawn, path)

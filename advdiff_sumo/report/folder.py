@@ -1,9 +1,9 @@
-"""Reads a finished run folder; no other part of the report touches its files."""
+"""Reads the folder of a finished run or sweep; no other part of the report touches its files."""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -11,9 +11,7 @@ from typing import Any, TypeAlias
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from advdiff_sumo.core.errors import FileError, NetError
-from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.maps.shipped import SHIPPED_NETS, find_net
+from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
 from advdiff_sumo.report.states import EpisodeStates, states_of
 
@@ -23,55 +21,64 @@ STATE_COLUMNS = (
     *("episode", "step", "time_s", "agent", "class", "length_m", "width_m"),
     *("x_m", "y_m", "yaw_rad", "speed_mps", "is_target"),
 )
-_REMEDY = "give the folder of a finished run"
+#: What a sweep's episodes have beside a run's; a run's get the values of its options.
+JOB_COLUMNS = (
+    *("key", "scene_key", "net", "target", "target_options"),
+    *("background", "background_options", "attack", "root_seed"),
+)
+_REMEDY = "give the folder of a finished run or sweep"
 
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """What a run folder holds, without the states, which are read an episode at a time.
+    """What the folder of a run or sweep holds, without the states, which are read an episode at a time.
 
     Attributes:
         folder: the folder.
-        settings: content of ``run.toml``.
-        episodes: rows of ``episodes.parquet`` by episode.
+        settings: content of ``run.toml`` or ``sweep.toml``.
+        is_sweep: which of the two.
+        episodes: rows of ``episodes.parquet`` by episode, with ``JOB_COLUMNS``.
         collisions: rows of ``collisions.parquet``.
-        road: the net; None when it could not be read.
-        road_problem: why not, as a sentence; "" when it was read.
     """
 
     folder: Path
     settings: Mapping[str, Any]
+    is_sweep: bool
     episodes: tuple[Row, ...]
     collisions: tuple[Row, ...]
-    road: RoadMap | None
-    road_problem: str
 
     @staticmethod
     def read(folder: Path) -> FinishedRun:
-        """Read the folder of a finished or interrupted run.
+        """Read the folder of a finished or interrupted run or sweep.
 
         Raises:
-            FileError: a file of the run is missing, damaged or of another version.
+            FileError: a file of it is missing, damaged or of another version.
         """
-        settings = _settings(folder / "run.toml")
-        episodes = _table(folder / "episodes.parquet", EPISODE_COLUMNS).to_pylist()
+        is_sweep = (folder / "sweep.toml").exists()
+        settings = _settings(folder / ("sweep.toml" if is_sweep else "run.toml"))
+        episodes = _table(folder / "episodes.parquet", EPISODE_COLUMNS, JOB_COLUMNS).to_pylist()
         collisions = _table(folder / "collisions.parquet", COLLISION_COLUMNS).to_pylist()
         _require(folder / "states.parquet", STATE_COLUMNS)
-        road, problem = _road(folder, settings)
-        ordered = tuple(sorted(episodes, key=lambda row: int(row["episode"])))
-        return FinishedRun(folder, settings, ordered, tuple(collisions), road, problem)
+        options = _options(settings)
+        rows = [_with_job(row, options) for row in sorted(episodes, key=lambda row: int(row["episode"]))]
+        return FinishedRun(folder, settings, is_sweep, tuple(rows), tuple(collisions))
 
     @property
     def options(self) -> Mapping[str, Any]:
-        """The run's options; empty when ``run.toml`` has none."""
-        found = self.settings.get("options", {})
-        return found if isinstance(found, Mapping) else {}
+        """The options of the run or the content of the sweep's file; empty when there are none."""
+        return _options(self.settings)
+
+    @property
+    def planned(self) -> int | None:
+        """How many episodes a run was to have; None where that is not known."""
+        planned = self.options.get("episodes")
+        return planned if isinstance(planned, int) and not self.is_sweep else None
 
     def row(self, episode: int) -> Row:
         """Return the row of *episode*.
 
         Raises:
-            FileError: the run has no such episode.
+            FileError: there is no such episode.
         """
         for row in self.episodes:
             if row["episode"] == episode:
@@ -92,10 +99,34 @@ class FinishedRun:
         """
         path = self.folder / "states.parquet"
         try:
-            table = pq.read_table(path, columns=list(STATE_COLUMNS), filters=[("episode", "==", episode)])
+            there = set(pq.read_schema(path).names)
+            columns = [*STATE_COLUMNS, *({"controller"} & there)]
+            table = pq.read_table(path, columns=columns, filters=[("episode", "==", episode)])
         except (OSError, pa.ArrowException) as error:
             raise FileError(path, f"is damaged ({_first_line(error)})", _REMEDY) from None
         return states_of(table)
+
+    def logs(self) -> Iterator[tuple[str, str]]:
+        """Yield (net, root of the driving log) of all places whose seed scenes came from a log."""
+        options = self.options
+        grid = options.get("grid") or {}
+        for place in (options, *grid.get("nets", ()), *options.get("cases", ())):
+            if isinstance(place, Mapping) and place.get("scenes"):
+                yield str(place.get("net", "")), str(place["scenes"])
+
+
+def _options(settings: Mapping[str, Any]) -> Mapping[str, Any]:
+    found = settings.get("sweep", settings.get("options", {}))
+    return found if isinstance(found, Mapping) else {}
+
+
+def _with_job(row: Row, options: Mapping[str, Any]) -> Row:
+    """Return *row* with the run's options where it lacks the columns of a sweep."""
+    if "target" in row:
+        return row
+    own = {name: str(options.get(name, "?")) for name in ("net", "target", "background")}
+    blank = {"target_options": "{}", "background_options": "{}", "attack": own["background"]}
+    return {**row, **own, **blank, "key": "", "scene_key": "", "root_seed": options.get("seed")}
 
 
 def _settings(path: Path) -> Mapping[str, Any]:
@@ -107,15 +138,16 @@ def _settings(path: Path) -> Mapping[str, Any]:
         raise FileError(path, f"cannot be read ({_first_line(error)})", _REMEDY) from None
 
 
-def _table(path: Path, columns: Iterable[str]) -> pa.Table:
-    _require(path, columns)
+def _table(path: Path, columns: Iterable[str], welcome: Iterable[str] = ()) -> pa.Table:
+    """Return *columns* of a table, and those of *welcome* that it has."""
+    present = _require(path, columns)
     try:
-        return pq.read_table(path, columns=list(columns))
+        return pq.read_table(path, columns=[*columns, *(name for name in welcome if name in present)])
     except (OSError, pa.ArrowException) as error:
         raise FileError(path, f"is damaged ({_first_line(error)})", _REMEDY) from None
 
 
-def _require(path: Path, columns: Iterable[str]) -> None:
+def _require(path: Path, columns: Iterable[str]) -> set[str]:
     try:
         present = set(pq.read_schema(path).names)
     except FileNotFoundError:
@@ -126,27 +158,7 @@ def _require(path: Path, columns: Iterable[str]) -> None:
     if lacking:
         problem = f"lacks the columns {', '.join(lacking)}"
         raise FileError(path, problem, "repeat the run with this version of advdiff-sumo")
-
-
-def _road(folder: Path, settings: Mapping[str, Any]) -> tuple[RoadMap | None, str]:
-    """Return the run's net, or None and why it cannot be drawn."""
-    options = settings.get("options", {})
-    named = options.get("net") if isinstance(options, Mapping) else None
-    if not isinstance(named, str) or not named:
-        return None, "run.toml names no net"
-    path = next((p for p in _net_candidates(folder, named) if p.is_file()), None)
-    if path is None:
-        return None, f"the net {named} is no longer there"
-    try:
-        return RoadMap.read(path), ""
-    except NetError as error:
-        return None, str(error)
-
-
-def _net_candidates(folder: Path, named: str) -> tuple[Path, ...]:
-    """Return where the net may be: as named, beside ``run.toml``, among the shipped ones."""
-    shipped = (find_net(named),) if named in SHIPPED_NETS else ()
-    return Path(named), folder / Path(named).name, *shipped
+    return present
 
 
 def _first_line(error: Exception) -> str:

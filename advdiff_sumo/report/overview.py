@@ -37,8 +37,19 @@ class Place:
 
 @dataclass(frozen=True)
 class Overview:
-    """The map for the template, in centimetres: drivable area, trails, places, width, width by height."""
+    """The map for the template, in centimetres.
 
+    Attributes:
+        name: of the net.
+        view_box: of the whole.
+        area: drivable area, "" without a map.
+        trails: paths of the targets.
+        places: where they collided.
+        size: width.
+        aspect: width by height.
+    """
+
+    name: str
     view_box: str
     area: str
     trails: tuple[str, ...]
@@ -48,11 +59,12 @@ class Overview:
 
 
 def overview_of(
-    layer: MapLayer | None, target_trails: Sequence[FloatArray], rows: Iterable[Mapping[str, Any]]
+    name: str, layer: MapLayer | None, target_trails: Sequence[FloatArray], rows: Iterable[Mapping[str, Any]]
 ) -> Overview:
     """Return the overview.
 
     Args:
+        name: of the net.
         layer: the net, or None to show the part that was driven, without streets.
         target_trails: (K, 2) paths of the targets.
         rows: rows of ``episodes.parquet``.
@@ -67,6 +79,7 @@ def overview_of(
         if len(xy) > 1
     ]
     return Overview(
+        name=name,
         view_box=view_box(view, view),
         area="" if streets is None else lines_data(streets.areas, view, closed=True),
         trails=tuple(line_data(xy, view) for xy in thin),

@@ -3,42 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.report.charts import charts_of
-from advdiff_sumo.report.folder import FinishedRun, Row
-from advdiff_sumo.report.layer import MapLayer
-from advdiff_sumo.report.overview import overview_of
-from advdiff_sumo.report.picture import picture_of
+from advdiff_sumo.report.blocks import streets_block
+from advdiff_sumo.report.folder import FinishedRun
+from advdiff_sumo.report.histograms import histograms
+from advdiff_sumo.report.labels import Labels
+from advdiff_sumo.report.matrix import matrix_of
+from advdiff_sumo.report.naturals import Naturals
+from advdiff_sumo.report.nets import Nets, place_name
+from advdiff_sumo.report.overview import Overview, overview_of
 from advdiff_sumo.report.rates import headline
-from advdiff_sumo.report.select import pictured, worst_first
-from advdiff_sumo.report.series import series_of
-from advdiff_sumo.report.svg import svg_picture
+from advdiff_sumo.report.samples import samples_by_background
+from advdiff_sumo.report.sections import Section, Sections
+from advdiff_sumo.report.select import worst_first
+from advdiff_sumo.report.templates import templates
 
-#: Pictures beyond this many bytes are left out, the least severe episodes first.
-PICTURE_BYTES = 8_000_000
-_DASH = "–"
-_NO_BREAK = "\u00a0"
-
-
-@dataclass(frozen=True)
-class Section:
-    """One episode's part of the page: its number, its HTML, and where the target drove (T, 2)."""
-
-    episode: int
-    html: str
-    target_xy_m: FloatArray
+#: Nets that get a map of their own, those with the most collisions first.
+MOST_MAPS = 6
 
 
 def write_report(folder: Path) -> Path:
-    """Write ``report.html`` into the folder of a finished or interrupted run and return its path.
+    """Write ``report.html`` into the folder of a finished or interrupted run or sweep and return its path.
 
     Raises:
         FileError: a file of the run is missing or damaged, or the report cannot be written.
@@ -56,56 +45,66 @@ def write_report(folder: Path) -> Path:
 
 def report_html(run: FinishedRun) -> str:
     """Return the page of *run*."""
-    templates = _templates()
-    layer = None if run.road is None else MapLayer(run.road)
+    labels, nets, naturals = Labels(run.episodes), Nets(run), Naturals(run)
     ordered = worst_first(run.episodes)
-    wanted = pictured(ordered)
-    sections = list(_within_budget(_sections(run, layer, wanted, templates)))
-    shown = {section.episode for section in sections}
-    return templates.get_template("page.html").render(
-        run=run,
-        name=run.folder.resolve().name,
-        planned=run.options.get("episodes"),
-        settings=list(_flat(run.settings)),
-        rates=headline(run.episodes),
-        overview=overview_of(layer, [s.target_xy_m for s in sections], run.episodes),
-        episodes=ordered,
-        shown=shown,
-        left_out=len(wanted) - len(sections),
-        sections=[s.html for s in sections],
+    places = list(dict.fromkeys(str(row["net"]) for row in ordered))
+    sections = list(Sections(run, nets, naturals, labels, places).of(ordered))
+    maps = _maps(run, nets, sections)
+    streets = _streets(nets, places, sections)
+    return (
+        templates()
+        .get_template("page.html")
+        .render(
+            run=run,
+            name=run.folder.resolve().name,
+            labels=labels,
+            targets=sorted({labels.target(row) for row in run.episodes}),
+            backgrounds=sorted({labels.background(row) for row in run.episodes}),
+            places=[place_name(net) for net in places],
+            settings=list(_flat(run.settings)),
+            rates=headline(run.episodes),
+            matrix=matrix_of(run.episodes, labels),
+            histograms=histograms(samples_by_background(run, naturals, labels)),
+            maps=maps,
+            problems=[nets.problems[net] for net in sorted(nets.problems)],
+            episodes=ordered,
+            pictures=[s.html for s in sections if s.html],
+            pictured={s.episode for s in sections if s.html},
+            played={s.episode for s in sections if s.block},
+            left_out=sum(s.left_out for s in sections),
+            blocks=[(f"e{s.episode}", s.block) for s in sections if s.block] + streets,
+            index=[s.facts for s in sections if s.block],
+        )
     )
 
 
-def _sections(
-    run: FinishedRun, layer: MapLayer | None, rows: list[Row], templates: Environment
-) -> Iterator[Section]:
-    template = templates.get_template("episode.html")
-    for row in rows:
-        number = int(row["episode"])
-        states, contacts = run.states(number), run.collisions_of(number)
-        if states is None:
-            yield Section(number, template.render(row=row, picture=None, contacts=contacts), np.zeros((0, 2)))
-            continue
-        picture = picture_of(states, row, contacts, layer)
-        html = template.render(
-            row=row,
-            picture=picture,
-            svg=svg_picture(picture),
-            charts=charts_of(series_of(states, picture.attacker), row["collision_time_s"]),
-            contacts=contacts,
-            target_id=states.tracks.ids[states.target],
-        )
-        yield Section(number, html, states.tracks.xy_m[states.target])
-
-
-def _within_budget(sections: Iterator[Section]) -> Iterator[Section]:
-    """Yield sections until ``PICTURE_BYTES`` are used up; the first one always."""
-    used = 0
+def _trails(sections: list[Section]) -> dict[str, list[FloatArray]]:
+    trails: dict[str, list[FloatArray]] = {}
     for section in sections:
-        used += len(section.html.encode())
-        if used > PICTURE_BYTES and used > len(section.html.encode()):
-            return
-        yield section
+        if section.html or section.block:
+            trails.setdefault(section.net, []).append(section.target_xy_m)
+    return trails
+
+
+def _maps(run: FinishedRun, nets: Nets, sections: list[Section]) -> list[Overview]:
+    """Return the maps of the nets, those with the most collisions first."""
+    trails = _trails(sections)
+    rows = {net: [row for row in run.episodes if row["net"] == net] for net in trails}
+    busiest = sorted(trails, key=lambda net: (-sum(bool(r["target_collision"]) for r in rows[net]), net))
+    return [
+        overview_of(place_name(net), nets.layer(net), trails[net], rows[net]) for net in busiest[:MOST_MAPS]
+    ]
+
+
+def _streets(nets: Nets, places: list[str], sections: list[Section]) -> list[tuple[str, str]]:
+    """Return (id, block) of the streets of each net that an episode to be played was driven on."""
+    found = []
+    for number, net in enumerate(places):
+        paths = [s.target_xy_m for s in sections if s.block and s.net == net]
+        layer = nets.layer(net)
+        if paths and layer is not None:
+            found.append((f"net-{number}", streets_block(layer, paths)))
+    return found
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
@@ -116,38 +115,3 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
             yield from _flat(value, f"{name}.")
         else:
             yield name, str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def _templates() -> Environment:
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"number": number, "percent": percent, "words": words, "yes_no": yes_no}
-    return environment
-
-
-def number(value: float | None, digits: int = 1, unit: str = "") -> str:
-    """Return *value* with a typographic minus and its unit; a dash for None and NaN."""
-    if value is None or not np.isfinite(value):
-        return _DASH
-    text = f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0.0: no minus before a zero
-    return f"{text}{_NO_BREAK}{unit}" if unit else text
-
-
-def percent(share: float | None, digits: int = 1) -> str:
-    """Return a share as a percentage; a dash for None."""
-    return _DASH if share is None else f"{100.0 * share:.{digits}f}{_NO_BREAK}%"
-
-
-def words(name: str | None) -> str:
-    """Return a table's word as one reads it (``rear_end_struck`` → "rear end struck"); a dash for None."""
-    return name.replace("_", " ") if name else _DASH
-
-
-def yes_no(flag: bool | None) -> str:
-    """Return "yes" or "no"; a dash for None."""
-    return _DASH if flag is None else ("yes" if flag else "no")

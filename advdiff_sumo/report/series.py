@@ -26,6 +26,8 @@ class Series:
         speed_mps: of the target.
         attacker_mps: speed of the attacker; NaN without one.
         accel_mps2: longitudinal acceleration of the target, smoothed as for the comfort figures.
+        jerk_mps3: its derivative, smoothed likewise.
+        attacker_accel_mps2: acceleration of the attacker; NaN without one.
         gap_m: distance between the target's box and the nearest other one.
         ttc_s: least time to collision of boxes at constant velocity, up to 10 s.
     """
@@ -34,6 +36,8 @@ class Series:
     speed_mps: FloatArray
     attacker_mps: FloatArray
     accel_mps2: FloatArray
+    jerk_mps3: FloatArray
+    attacker_accel_mps2: FloatArray
     gap_m: FloatArray
     ttc_s: FloatArray
 
@@ -42,18 +46,29 @@ def series_of(states: EpisodeStates, attacker: str | None) -> Series:
     """Return the series of one episode; *attacker* is an id or None."""
     tracks, target = states.tracks, states.target
     row = None if attacker is None else tracks.index.get(attacker)
+    attacker_mps = np.full(tracks.steps, np.nan) if row is None else tracks.speed_mps[row]
     return Series(
         times_s=tracks.times_s,
         speed_mps=tracks.speed_mps[target],
-        attacker_mps=np.full(tracks.steps, np.nan) if row is None else tracks.speed_mps[row],
+        attacker_mps=attacker_mps,
         accel_mps2=acceleration(tracks.speed_mps[target], tracks.dt_s),
+        jerk_mps3=derivative(tracks.speed_mps[target], tracks.dt_s, 2),
+        attacker_accel_mps2=acceleration(attacker_mps, tracks.dt_s),
         gap_m=nearest_gap(tracks, target),
         ttc_s=_least(time_to_collision(tracks, target)),
     )
 
 
 def acceleration(speed_mps: FloatArray, dt_s: float) -> FloatArray:
-    """Return (T,) derivatives of *speed_mps* by local parabolas; NaN in stretches of fewer than five values."""
+    """Return (T,) accelerations, as :func:`derivative`."""
+    return derivative(speed_mps, dt_s, 1)
+
+
+def derivative(speed_mps: FloatArray, dt_s: float, order: int) -> FloatArray:
+    """Return (T,) derivatives of *speed_mps*, 1 acceleration, 2 jerk, by local polynomials as the comfort figures.
+
+    NaN in stretches of fewer than five values.
+    """
     result = np.full(len(speed_mps), np.nan)
     there = np.concatenate(([False], np.isfinite(speed_mps), [False]))
     edges = np.flatnonzero(np.diff(there.astype(np.int64))).reshape(-1, 2)
@@ -61,7 +76,8 @@ def acceleration(speed_mps: FloatArray, dt_s: float) -> FloatArray:
         count = int(stop - start)
         if count >= _LEAST_WINDOW:
             window = min(WINDOW, count - 1 + count % 2)
-            result[start:stop] = savgol_filter(speed_mps[start:stop], window, 2, deriv=1, delta=dt_s)
+            part = speed_mps[start:stop]
+            result[start:stop] = savgol_filter(part, window, order + 1, deriv=order, delta=dt_s)
     return result
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.scene import AgentClass, Tracks
@@ -20,10 +21,12 @@ class EpisodeStates:
     Attributes:
         tracks: (A, T) states at SUMO's step, agents in the order of the table.
         target: row of the tested vehicle.
+        moved: rows of those that the background policy ever moved.
     """
 
     tracks: Tracks
     target: int
+    moved: frozenset[int] = frozenset()
 
 
 def states_of(table: pa.Table) -> EpisodeStates | None:
@@ -56,7 +59,14 @@ def states_of(table: pa.Table) -> EpisodeStates | None:
         t0_s=0.0,
         dt_s=_step_s(step, _real(table, "time_s")),
     )
-    return EpisodeStates(tracks, index[names[int(np.argmax(is_target))]])
+    return EpisodeStates(tracks, index[names[int(np.argmax(is_target))]], _moved(table, agent))
+
+
+def _moved(table: pa.Table, agent: IntArray) -> frozenset[int]:
+    if "controller" not in table.column_names:
+        return frozenset()
+    by_policy = np.asarray(pc.equal(table["controller"], pa.scalar("policy")).to_numpy(), dtype=np.bool_)
+    return frozenset(np.unique(agent[by_policy]).tolist())
 
 
 def _real(table: pa.Table, column: str) -> FloatArray:

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.report import page, write_report
-from advdiff_sumo.report.page import number, percent
+from advdiff_sumo.report import sections, write_report
+from advdiff_sumo.report.templates import number, percent
 
-VOID = {"meta", "br", "rect", "circle", "path", "use"}
+VOID = {"meta", "br", "rect", "circle", "path", "use", "input"}
 
 
 class Outline(HTMLParser):
@@ -138,7 +138,8 @@ def test_odd_names_are_escaped(make_folder: Callable[..., Path], rows: Any) -> N
     episodes = [rows.struck(0, odd, scene=odd, fault_reason=odd)]
     states = rows.drive(0, odd, 90.0, 101.0, 5.0) + rows.drive(0, 'e"><b>', 85.0, 101.0, 10.0, target=True)
     outline = _read(make_folder(episodes, states, options={"target": odd, "net": odd}))
-    assert [tag for tag, _ in outline.tags].count("script") == 1  # our own
+    scripts = [attrs.get("id") for tag, attrs in outline.tags if tag == "script"]
+    assert scripts == ["index", "e0", None, None]  # data, uPlot and our own
     assert odd in outline.text
     assert any(odd in label for label in outline.values("aria-label"))
 
@@ -206,7 +207,7 @@ def test_size_is_bounded(
     folder = make_folder(episodes, states)
     whole = _read(folder)
     assert sum(tag == "article" for tag, _ in whole.tags) == 4
-    monkeypatch.setattr(page, "PICTURE_BYTES", 20_000)
+    monkeypatch.setattr(sections, "PICTURE_BYTES", 20_000)
     cut = _read(folder)
     kept = [attrs["id"] for tag, attrs in cut.tags if tag == "article"]
     assert kept == ["episode-3", "episode-2"][: len(kept)]

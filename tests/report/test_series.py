@@ -62,9 +62,10 @@ def test_time_to_collision_falls_with_time() -> None:
 def test_charts_say_what_they_show() -> None:
     tracks = _tracks([[0.0, 1.0, 2.0]], [0.0], [10.0])
     charts = charts_of(series_of(EpisodeStates(tracks, 0), None), contact_s=0.2)
-    speed, accel, gap, ttc = charts
+    speed, accel, jerk, gap, ttc = charts
+    assert jerk.summary == "Jerk: nothing to show"
     assert speed.summary.startswith("Speed of the target: least 10.0 m/s at 0.0 s")
-    assert [len(chart.curves) for chart in charts] == [1, 0, 0, 0]
+    assert [len(chart.curves) for chart in charts] == [1, 0, 0, 0, 0]
     assert accel.summary == "Acceleration: nothing to show"
     assert gap.title == "Gap to the nearest (m)"
     assert ttc.contact_x == "328.0"  # the right end of the plot: 340 − 12

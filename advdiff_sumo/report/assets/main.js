@@ -1,0 +1,27 @@
+// Puts the page together once it is there.
+
+function begin() {
+  const table = document.getElementById("episodes"), root = document.getElementById("player");
+  if (!table || !root) return;
+  const rows = new EpisodeTable(table, document.getElementById("filter"));
+  const facts = JSON.parse(document.getElementById("index").textContent);
+  const player = new Player(root, new Map(facts.map((one) => [one.number, one])), () => rows.playable());
+  root.player = player; // for the console, and for tests
+  document.addEventListener("click", (event) => {
+    const link = event.target.closest("[data-play]");
+    if (!link) return;
+    event.preventDefault();
+    player.load(Number(link.dataset.play));
+    root.scrollIntoView({ block: "nearest" });
+    root.focus({ preventScroll: true });
+  });
+  const wanted = () => Number(/^#play-(\d+)$/.exec(location.hash)?.[1] ?? NaN);
+  addEventListener("hashchange", () => { if (wanted() !== player.number) player.load(wanted()); });
+  const first = Number.isNaN(wanted()) ? facts[0]?.number : wanted();
+  if (typeof DecompressionStream === "undefined") {
+    root.querySelector("[data-part=title]").textContent = "This browser is too old for the player; the pictures below need none.";
+  } else if (facts.length) {
+    player.load(player.index.has(first) ? first : facts[0].number);
+  }
+}
+begin();

@@ -1,0 +1,50 @@
+"""The nets that a run or sweep was made on, read when they are first drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from advdiff_sumo.core.errors import NetError
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.shipped import SHIPPED_NETS, find_net
+from advdiff_sumo.report.folder import FinishedRun
+from advdiff_sumo.report.layer import MapLayer
+
+
+class Nets:
+    """Layers by the name that the episodes give their net, and why some are not there."""
+
+    def __init__(self, run: FinishedRun) -> None:
+        self._folder = run.folder
+        self._layers: dict[str, MapLayer | None] = {}
+        self.problems: dict[str, str] = {}
+
+    def layer(self, name: str) -> MapLayer | None:
+        """Return the net called *name*; None when it cannot be drawn, and ``problems`` says why."""
+        if name not in self._layers:
+            self._layers[name] = self._read(name)
+        return self._layers[name]
+
+    def _read(self, name: str) -> MapLayer | None:
+        if name in ("", "?"):
+            self.problems[name] = "run.toml names no net"
+            return None
+        path = next((p for p in self._candidates(name) if p.is_file()), None)
+        if path is None:
+            self.problems[name] = f"the net {name} is no longer there"
+            return None
+        try:
+            return MapLayer(RoadMap.read(path))
+        except NetError as error:
+            self.problems[name] = str(error)
+            return None
+
+    def _candidates(self, name: str) -> tuple[Path, ...]:
+        """Return where the net may be: as named, beside the tables, among the shipped ones."""
+        shipped = (find_net(name),) if name in SHIPPED_NETS else ()
+        return Path(name), self._folder / Path(name).name, *shipped
+
+
+def place_name(net: str) -> str:
+    """Return a net's name as one reads it, without folder and endings."""
+    return Path(net).name.removesuffix(".gz").removesuffix(".xml").removesuffix(".net")

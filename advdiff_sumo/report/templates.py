@@ -1,0 +1,87 @@
+"""The page's templates, styles and scripts, and how numbers are written in them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+ASSETS = Path(__file__).parent / "assets"
+_SCRIPTS = ("decode.js", "scene.js", "charts.js", "player.js", "table.js", "main.js")
+_DASH = "–"
+_NO_BREAK = "\u00a0"
+
+
+def templates() -> Environment:
+    """Return the environment of the templates, with filters for numbers and words."""
+    environment = Environment(
+        loader=FileSystemLoader(ASSETS),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "number": number,
+        "percent": percent,
+        "words": words,
+        "yes_no": yes_no,
+        "title": title,
+        "as_json": as_json,
+    }
+    environment.globals |= {"asset": _asset, "scripts": _scripts}
+    return environment
+
+
+def number(value: float | None, digits: int = 1, unit: str = "") -> str:
+    """Return *value* with a typographic minus and its unit; a dash for None and NaN."""
+    if value is None or not np.isfinite(value):
+        return _DASH
+    text = f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0.0: no minus before a zero
+    return f"{text}{_NO_BREAK}{unit}" if unit else text
+
+
+def percent(share: float | None, digits: int = 1) -> str:
+    """Return a share as a percentage; a dash for None."""
+    return _DASH if share is None else f"{100.0 * share:.{digits}f}{_NO_BREAK}%"
+
+
+def words(name: str | None) -> str:
+    """Return a table's word as one reads it (``rear_end_struck`` → "rear end struck"); a dash for None."""
+    return name.replace("_", " ") if name else _DASH
+
+
+def yes_no(flag: bool | None) -> str:
+    """Return "yes" or "no"; a dash for None."""
+    return _DASH if flag is None else ("yes" if flag else "no")
+
+
+def title(row: Mapping[str, Any]) -> str:
+    """Return what happened in an episode, a row of ``episodes.parquet``, in a few words."""
+    if row["target_collision"]:
+        return f"{words(row['collision_type'])} at {number(row['collision_time_s'], 1, 's')}"
+    if row["end"] == "failed":
+        return f"failed ({words(row['failure_kind'])})"
+    if row["min_ttc_s"] is not None:
+        return f"no collision, least time to collision {number(row['min_ttc_s'], 2, 's')}"
+    return "no collision"
+
+
+def as_json(value: Any) -> Markup:
+    """Return *value* as JSON that may stand in a script element."""
+    text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return Markup(text.replace("<", "\\u003c"))  # noqa: S704 - no tag can begin in it
+
+
+def _asset(name: str) -> Markup:
+    return Markup((ASSETS / name).read_text(encoding="utf-8").strip())  # noqa: S704 - our own file
+
+
+def _scripts() -> Markup:
+    parts = (ASSETS.joinpath(name).read_text(encoding="utf-8") for name in _SCRIPTS)
+    return Markup('"use strict";\n{\n' + "\n".join(parts) + "}")  # noqa: S704 - our own files

@@ -19,9 +19,10 @@ POLICIES = Registry(
     builtins={
         "sumo": "advdiff_sumo.traffic.sumo:SumoTraffic",
         "replay": "advdiff_sumo.traffic.replay:Replay",
+        "diffusion": "advdiff_sumo.traffic.diffusion.policy:DiffusionTraffic",
     },
 )
-"""``sumo``, ``replay``, and plug-ins of the group ``advdiff_sumo.policies``."""
+"""``sumo``, ``replay``, ``diffusion``, and plug-ins of the group ``advdiff_sumo.policies``."""
 
 
 def make_policy(name: str, options: Mapping[str, Any]) -> TrafficPolicy:

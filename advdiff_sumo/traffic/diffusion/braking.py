@@ -1,0 +1,214 @@
+"""Brakes planned vehicles along their own paths where plans would run through each other or a stop line.
+
+Who brakes: of two whose boxes would meet, the one that has the other before its front; both where neither or both
+have. Nobody brakes for a vehicle that comes from behind, and attackers never brake for the target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.boxes import axis_gaps
+from advdiff_sumo.core.frames import unit, wrap_angle
+from advdiff_sumo.traffic.diffusion.futures import Futures
+
+LADDER_MPS2 = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 8.5)
+"""Decelerations that are tried, the mildest that helps is taken; before them the plan itself."""
+GAP_M = 1.0
+"""Room that is kept before and behind a vehicle, where there is any."""
+SIDE_M = 0.15
+"""Room that is kept on each side."""
+_SAME_BEARING = 0.15
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Braked:
+    """What became of the plans.
+
+    Attributes:
+        futures: with new speeds where somebody had to brake.
+        rows: (N,) who had to.
+        unsolved: (N,) whose box still meets another one's, however hard it brakes.
+    """
+
+    futures: Futures
+    rows: BoolArray
+    unsolved: BoolArray
+
+
+def brake(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray) -> Braked:
+    """Return *futures* in which no two boxes meet, as far as braking can do it.
+
+    Args:
+        futures: plans and predictions of N road users.
+        may: (N,) whose speeds may be changed.
+        minds: (N, N) whether the first gives way to the second at all.
+        stop_m: (N,) distance along the own path that must not be passed; inf for none.
+    """
+    made = futures.copy()
+    path = _Paths(futures)
+    braked, unsolved = np.zeros(len(may), dtype=np.bool_), np.zeros(len(may), dtype=np.bool_)
+    for _ in range(_ROUNDS):
+        pairs = _conflicts(made, minds & may[:, None])
+        late = may & (path.length_m(made) > stop_m) & ~unsolved
+        rows = np.flatnonzero(pairs.any(axis=1) | late)
+        if not len(rows):
+            break
+        changed = False
+        for row in rows.tolist():
+            others = np.flatnonzero(pairs[row])
+            ok, moved = _ease(made, path, row, others, float(stop_m[row]))
+            unsolved[row] = not ok
+            braked[row] |= moved
+            changed |= moved
+        if not changed:
+            break
+    return Braked(made, braked, unsolved & braked)
+
+
+class _Paths:
+    """The planned paths of N road users, kept while their speeds change."""
+
+    def __init__(self, futures: Futures) -> None:
+        self.xy_m, self.yaw_rad = futures.xy_m, futures.yaw_rad
+        self.s_m = futures.travelled_m()
+
+    def length_m(self, futures: Futures) -> FloatArray:
+        """Return (N,) how far *futures* get."""
+        return np.asarray(futures.travelled_m()[:, -1])
+
+    def at(self, row: int, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return points (…, 2) and headings (…,) of the path of *row* at *s_m* (…,), clamped to it."""
+        s = self.s_m[row]
+        piece = np.clip(np.searchsorted(s, s_m, side="right") - 1, 0, len(s) - 2)
+        share = np.clip((s_m - s[piece]) / np.maximum(s[piece + 1] - s[piece], 1e-9), 0.0, 1.0)
+        xy, yaw = self.xy_m[row], self.yaw_rad[row]
+        turned = yaw[piece] + share * wrap_angle(yaw[piece + 1] - yaw[piece])
+        return xy[piece] + share[..., None] * (xy[piece + 1] - xy[piece]), turned
+
+
+def _conflicts(futures: Futures, minds: BoolArray) -> BoolArray:
+    """Return (N, N) whether the first has to brake for the second."""
+    xy, yaw = futures.halves()
+    reach = 0.5 * np.hypot(*futures.size_m.T) + 0.5 * GAP_M
+    out = np.zeros_like(minds)
+    either = np.triu(minds | minds.T, k=1)
+    apart = np.linalg.norm(xy[:, None] - xy[None], axis=-1).min(axis=-1)
+    first, second = np.nonzero(either & (apart < reach[:, None] + reach))
+    if not len(first):
+        return out
+    half = 0.5 * futures.size_m
+    room = _room(futures, first, second)
+    gaps = _gaps(xy[first], yaw[first], half[first], xy[second], yaw[second], half[second], room[:, None])
+    meets = gaps < 0.0
+    hit = meets.any(axis=1) & ~_now_inside(futures, first, second)
+    first, second, when = first[hit], second[hit], meets[hit].argmax(axis=1)
+    offset = xy[second, when] - xy[first, when]
+    offset /= np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
+    mine = (offset * unit(yaw[first, when])).sum(-1)
+    yours = -(offset * unit(yaw[second, when])).sum(-1)
+    out[first, second] = mine >= yours - _SAME_BEARING
+    out[second, first] = yours >= mine - _SAME_BEARING
+    return out & minds
+
+
+def _room(futures: Futures, first: IntArray, second: IntArray) -> FloatArray:
+    """Return (P, 2) the margin along and across for each pair; none where they are nearer than that already."""
+    half = 0.5 * futures.size_m
+    wide = np.tile((GAP_M, SIDE_M), (len(first), 1))
+    now = _gaps(
+        futures.xy_m[first, 0],
+        futures.yaw_rad[first, 0],
+        half[first],
+        futures.xy_m[second, 0],
+        futures.yaw_rad[second, 0],
+        half[second],
+        wide,
+    )
+    return np.where((now < 0.0)[:, None], 0.0, wide)
+
+
+def _now_inside(futures: Futures, first: IntArray, second: IntArray) -> BoolArray:
+    """Return (P,) which boxes overlap already; braking cannot part them."""
+    half = 0.5 * futures.size_m
+    poses = (futures.xy_m[:, 0], futures.yaw_rad[:, 0], half)
+    none = np.zeros((len(first), 2))
+    return np.asarray(_gaps(*(p[first] for p in poses), *(p[second] for p in poses), none) < 0.0)
+
+
+def _gaps(
+    xy_a: FloatArray,
+    yaw_a: FloatArray,
+    half_a: FloatArray,
+    xy_b: FloatArray,
+    yaw_b: FloatArray,
+    half_b: FloatArray,
+    room: FloatArray,
+) -> FloatArray:
+    """Return the separation (P, …) of boxes, those of the first grown by *room*; half sizes are (P, 2)."""
+    extra = (1,) * (xy_a.ndim - 2)
+    grown = half_a.reshape(len(half_a), *extra, 2) + room
+    other = half_b.reshape(len(half_b), *extra, 2)
+    return np.asarray(axis_gaps(xy_b - xy_a, yaw_a, grown, yaw_b, other)[0].max(-1))
+
+
+def _ease(
+    futures: Futures, path: _Paths, row: int, others: IntArray, stop_m: float
+) -> tuple[bool, bool]:
+    """Let *row* brake as mildly as keeps it clear, in place; returns whether it is, and whether it changed."""
+    driven = _ladder(futures, row)  # (C, T)
+    clear = driven[:, -1] <= stop_m
+    free = np.full(len(driven), np.inf)
+    if len(others):
+        free = _clear_steps(futures, path, row, others, driven)
+        clear &= np.isinf(free)
+    best = int(clear.argmax()) if clear.any() else int(np.argmax(free + 1e-3 * np.arange(len(free))))
+    if not clear.any() and not len(others):
+        best = len(driven) - 1
+    if best == 0:
+        return bool(clear[0]), False
+    xy, yaw = path.at(row, driven[best])
+    before = np.concatenate(([0.0], driven[best][:-1]))
+    futures.put(row, xy, yaw, _speeds(driven[best] - before, futures.dt_s))
+    return bool(clear[best]), True
+
+
+def _ladder(futures: Futures, row: int) -> FloatArray:
+    """Return distances driven (C, T): by the plan as it is, then by the plan or a deceleration, what is less."""
+    planned = futures.travelled_m()[row, 1:]
+    speed = futures.speed_mps[row, 0]
+    time = futures.dt_s * np.arange(1, futures.steps + 1)
+    rate = np.array(LADDER_MPS2)[:, None]
+    moving = np.minimum(time, speed / np.maximum(rate, 1e-9))
+    braked = speed * moving - 0.5 * rate * moving**2
+    return np.vstack((planned, np.minimum(planned, braked)))
+
+
+def _clear_steps(
+    futures: Futures, path: _Paths, row: int, others: IntArray, driven: FloatArray
+) -> FloatArray:
+    """Return (C,) the half step at which a ladder's rung first meets one of *others*; inf where it never does."""
+    begin = np.hstack((np.zeros((len(driven), 1)), driven[:, :-1]))
+    halves = np.empty((len(driven), 2 * futures.steps))
+    halves[:, ::2], halves[:, 1::2] = 0.5 * (begin + driven), driven
+    xy, yaw = path.at(row, halves)
+    all_xy, all_yaw = futures.halves()
+    room = _room(futures, np.full(len(others), row), others)
+    half = 0.5 * futures.size_m
+    meets = np.zeros(halves.shape, dtype=np.bool_)
+    for other, wide in zip(others.tolist(), room, strict=True):
+        turned = np.broadcast_to(all_yaw[other], yaw.shape)
+        meets |= axis_gaps(all_xy[other] - xy, yaw, half[row] + wide, turned, half[other])[0].max(-1) < 0.0
+    return np.where(meets.any(axis=1), meets.argmax(axis=1), np.inf)
+
+
+def _speeds(stride_m: FloatArray, dt_s: float) -> FloatArray:
+    """Return speeds (T,) at the instants of a plan that drives *stride_m* (T,) up to each of them."""
+    mean = stride_m / dt_s
+    last = max(0.0, 1.5 * mean[-1] - 0.5 * mean[-2]) if len(mean) > 1 else mean[-1]
+    speed = np.append(0.5 * (mean[:-1] + mean[1:]), last)
+    return np.where(stride_m > 1e-6, speed, 0.0)

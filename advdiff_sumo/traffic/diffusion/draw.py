@@ -1,0 +1,125 @@
+"""Draws the joint future of a view: DDIM over latents, guided or not, then the decoder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.diffusion.sampler import draw, sample
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.losses import off_road, pair_overlap
+from advdiff_sumo.traffic.diffusion.networks import Networks
+from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
+from advdiff_sumo.traffic.diffusion.view import View
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A drawn plan.
+
+    Attributes:
+        rollout: joint future of the view's agents, a batch of one.
+        noise: id → starting noise that led to it.
+        attackers: ids that were guided.
+        latents: (A, Z) what the decoder was given, scaled.
+    """
+
+    rollout: Rollout
+    noise: Mapping[str, FloatArray]
+    attackers: tuple[str, ...]
+    latents: Tensor
+
+
+def draw_plan(
+    networks: Networks,
+    options: DiffusionOptions,
+    view: View,
+    noise: Mapping[str, FloatArray],
+    attackers: tuple[str, ...],
+    seed: int,
+) -> Drawn:
+    """Return a joint future of *view*.
+
+    Args:
+        networks: the trained networks.
+        options: of the policy.
+        view: what they see.
+        noise: id → starting noise of the last plan.
+        attackers: ids that were guided last; they stay where they still can do something.
+        seed: of the random numbers, which are drawn on the CPU.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    batch = view.batch.to(networks.device)
+    with torch.no_grad():
+        context = encode(networks, batch)
+    start = _start(options, view, noise, networks.bundle.options.model.latent, generator)
+    condition = context.prior.mean
+    many, h, z = batch, context.h, condition
+    if options.samples > 1:
+        many = batch.repeat(options.samples)
+        h, z = (part.expand(options.samples, -1, -1) for part in (h, z))
+    x = sample(
+        networks.denoiser.condition(z, h),
+        start.to(networks.device),
+        networks.schedule,
+        networks.sampling,
+        generator,
+        None,
+    )
+    rollout = decode(networks, x, h, many)
+    best = _most_plausible(rollout, many) if options.samples > 1 else 0
+    kept = start[best, :, 0].numpy().astype(np.float64)
+    return Drawn(
+        rollout=_only(rollout, best),
+        noise={name: kept[row] for row, name in enumerate(view.ids)},
+        attackers=attackers,
+        latents=x[best, :, 0],
+    )
+
+
+def encode(networks: Networks, batch: SceneBatch) -> Context:
+    """Return embeddings and prior of *batch*."""
+    context: Context = networks.bundle.traffic.encoder(batch)
+    return context
+
+
+def decode(networks: Networks, x: Tensor, h: Tensor, batch: SceneBatch) -> Rollout:
+    """Return the futures of scaled latents *x* (B, A, 1, Z)."""
+    z = networks.codec.unscale(x)[:, :, 0]
+    return networks.decoder.whole(z, h, batch)[0]
+
+
+def _start(
+    options: DiffusionOptions,
+    view: View,
+    noise: Mapping[str, FloatArray],
+    latent: int,
+    generator: torch.Generator,
+) -> Tensor:
+    """Return standard normal noise (samples, A, 1, Z); the first sample goes on from the last plan's."""
+    fresh = draw(torch.zeros(options.samples, len(view.ids), 1, latent), generator)
+    share = options.persistence
+    for row, name in enumerate(view.ids):
+        if name in noise:
+            old = torch.from_numpy(noise[name]).to(fresh.dtype)
+            fresh[0, row, 0] = share * old + (1.0 - share**2) ** 0.5 * fresh[0, row, 0]
+    return fresh
+
+
+def _most_plausible(rollout: Rollout, batch: SceneBatch) -> int:
+    """Return the sample in which vehicles overlap each other and leave the road least."""
+    with torch.no_grad():
+        touching = pair_overlap(rollout, batch.size, batch.present).amax(dim=(2, 3)).sum(1)
+        return int((touching + off_road(rollout, batch).amax(2).sum(1)).argmin())
+
+
+def _only(rollout: Rollout, scene: int) -> Rollout:
+    cut = slice(scene, scene + 1)
+    return Rollout(rollout.xy[cut], rollout.yaw[cut], rollout.speed[cut], rollout.accel[cut], rollout.curvature[cut])

@@ -1,0 +1,104 @@
+"""The trained networks, ready to plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+
+import torch
+
+from advdiff_sumo.core.errors import ConfigError, WeightsError
+from advdiff_sumo.diffusion.fast_decoder import FastDecoder
+from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
+from advdiff_sumo.diffusion.sampler import Sampling
+from advdiff_sumo.diffusion.schedule import Schedule
+from advdiff_sumo.models.bundle import Bundle, load_bundle
+from advdiff_sumo.models.codec import LatentCodec
+from advdiff_sumo.models.reward_file import load_reward
+from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
+
+
+@dataclass(frozen=True)
+class Networks:
+    """Networks of one bundle on one device.
+
+    Attributes:
+        bundle: all of them, frozen.
+        codec: between latents and what is diffused.
+        denoiser: for the steps of one ladder.
+        decoder: of whole scenes and of some of their rows.
+        schedule: what the denoiser was trained with.
+        sampling: how plans are drawn.
+        device: where they are.
+    """
+
+    bundle: Bundle
+    codec: LatentCodec
+    denoiser: FastDenoiser
+    decoder: FastDecoder
+    schedule: Schedule
+    sampling: Sampling
+    device: torch.device
+
+
+def networks_of(options: DiffusionOptions) -> Networks:
+    """Return the networks that *options* name, and give PyTorch its threads; read once a process.
+
+    Raises:
+        WeightsError: a file is missing, damaged, or holds networks that this policy cannot use.
+        ConfigError: no such device, or more steps than the networks were trained with.
+    """
+    device = _device(options.device)
+    torch.set_num_threads(options.threads)
+    path = Path(options.weights) if options.weights else shipped_weights()
+    return _networks(str(path), options.reward, device, options.steps, options.family, options.eta)
+
+
+def shipped_weights() -> Path:
+    """Return the path of the shipped networks."""
+    return Path(str(files("advdiff_sumo"))) / "weights" / "traffic.safetensors"
+
+
+@lru_cache(maxsize=2)
+def _networks(
+    path: str, reward: str, device: torch.device, steps: int, family: str, eta: float
+) -> Networks:
+    bundle = load_bundle(Path(path))
+    if reward:
+        bundle = replace(bundle, reward=load_reward(Path(reward), bundle))
+    codec = bundle.codec
+    if not isinstance(codec, LatentCodec):
+        raise WeightsError(Path(path), "diffuses trajectories, not latents", "give weights of codec latent")
+    schedule = Schedule(bundle.options.diffusion_steps, bundle.options.schedule)
+    if steps > schedule.steps:
+        raise ConfigError(
+            f"options of background 'diffusion': steps = {steps}: "
+            f"the networks were trained with {schedule.steps}; ask for at most so many"
+        )
+    bundle = bundle.frozen().to(device)
+    return Networks(
+        bundle=bundle,
+        codec=codec,
+        denoiser=FastDenoiser(bundle.denoiser, schedule.ladder(steps)[:-1]),
+        decoder=FastDecoder(bundle.traffic.decoder),
+        schedule=schedule,
+        sampling=Sampling(steps=steps, family="printed" if family == "printed" else "consistent", eta=eta),
+        device=device,
+    )
+
+
+def _device(name: str) -> torch.device:
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(
+            f"options of background 'diffusion': device = '{name}' cannot be used ({reason}); "
+            "leave it at auto, or name cpu or cuda"
+        ) from None
+    return device

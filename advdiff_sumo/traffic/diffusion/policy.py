@@ -1,0 +1,174 @@
+"""The background policy ``diffusion``: encode, sample with guidance, decode, keep it plausible (Alg. 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.options import MODEL_STEP_S
+from advdiff_sumo.traffic.diffusion.draw import Drawn, draw_plan
+from advdiff_sumo.traffic.diffusion.futures import Futures, coasting, join
+from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead, lanes_ahead
+from advdiff_sumo.traffic.diffusion.networks import Networks, networks_of
+from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
+from advdiff_sumo.traffic.diffusion.safeguard import Guarded, Watched, safeguard
+from advdiff_sumo.traffic.diffusion.view import View, look
+
+if TYPE_CHECKING:
+    from advdiff_sumo.maps import RoadMap
+
+_LEAVES_M, _LEAVES_S = 12.0, 2.0
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What a policy remembers from plan to plan.
+
+    Attributes:
+        noise: id → starting noise of the vehicle, (Z,).
+        attackers: ids that were guided last.
+        plan: the last plan, at its own clock.
+        driven: model steps of it that have been driven when the next plan is asked for.
+    """
+
+    noise: Mapping[str, FloatArray] = field(default_factory=dict)
+    attackers: tuple[str, ...] = ()
+    plan: Tracks | None = None
+    driven: int = 0
+
+
+class DiffusionTraffic:
+    """Moves the background by guided latent diffusion; options are those of :class:`DiffusionOptions`.
+
+    Vehicles that come to where the road ends are left to SUMO, which takes them off the net.
+    """
+
+    Options: ClassVar[type[DiffusionOptions]] = DiffusionOptions
+
+    def __init__(self, **options: Any) -> None:
+        """Check the options and read the networks.
+
+        Raises:
+            ConfigError: an option has no such name or value.
+            WeightsError: the networks are missing or unusable.
+        """
+        self.options = DiffusionOptions.parse(options, "options of background 'diffusion'")
+        self.networks: Networks = networks_of(self.options)
+
+    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Memory:  # noqa: ARG002 - the contract
+        """Return an empty memory, and let the map make its table of pieces."""
+        _ = road.pieces
+        return Memory()
+
+    def plan(
+        self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
+    ) -> tuple[JointPlan, Memory]:
+        """Return the futures of all movable vehicles, 6 s at 2 Hz, and the memory for the next plan."""
+        kept = _rest(memory, scene, self.options.replan)
+        if kept is not None:
+            return JointPlan(kept), replace(memory, driven=memory.driven + 1)
+        return self._afresh(road, scene, memory, rng)
+
+    def _afresh(
+        self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
+    ) -> tuple[JointPlan, Memory]:
+        lanes = self._lanes(road, scene)
+        view = look(road, scene, _leaving(scene, lanes))
+        seed = int(rng.integers(2**62))
+        if not view.moved.any():
+            empty = Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=scene.time_s + MODEL_STEP_S)
+            return JointPlan(empty), replace(memory, plan=None)
+        drawn = draw_plan(self.networks, self.options, view, memory.noise, memory.attackers, seed)
+        guarded = guard(road, view, drawn, lanes)
+        tracks = _tracks(view, guarded.futures)
+        return JointPlan(tracks), Memory(drawn.noise, drawn.attackers, tracks, 1)
+
+    def _lanes(self, road: RoadMap, scene: Scene) -> dict[int, LaneAhead | None]:
+        rows = np.flatnonzero(scene.movable & scene.history.valid[:, -1])
+        now = scene.history
+        found = lanes_ahead(
+            road, now.xy_m[rows, -1], now.yaw_rad[rows, -1], [scene.routes[row] for row in rows.tolist()]
+        )
+        return dict(zip(rows.tolist(), found, strict=True))
+
+
+def guard(road: RoadMap, view: View, drawn: Drawn, lanes: Mapping[int, LaneAhead | None]) -> Guarded:
+    """Return the plans *drawn* for *view* made plausible, among everybody else's predictions."""
+    seen = futures_of(view, drawn.rollout)
+    scene = view.scene
+    rest = np.setdiff1d(np.flatnonzero(scene.history.valid[:, -1]), view.rows)
+    now = scene.history
+    others = coasting(
+        now.xy_m[rest, -1], now.yaw_rad[rest, -1], now.speed_mps[rest, -1], now.size_m[rest], seen.steps, seen.dt_s
+    )
+    more = np.zeros(len(rest), dtype=np.bool_)
+    watched = Watched(
+        planned=np.concatenate((view.moved, more)),
+        attacker=np.concatenate((np.isin(view.ids, drawn.attackers), more)),
+        target=0,
+        lanes=[lanes.get(row) for row in (*view.rows.tolist(), *rest.tolist())],
+        signals=scene.signals,
+    )
+    return safeguard(road, join(seen, others), watched)
+
+
+def futures_of(view: View, rollout: Rollout) -> Futures:
+    """Return the first scene of *rollout* in the world's frame, with the present in front."""
+    now = view.scene.history.rows(view.rows)
+    origin = now.xy_m[0, -1]
+    xy, yaw, speed = (
+        part[0].detach().cpu().numpy().astype(np.float64) for part in (rollout.xy, rollout.yaw, rollout.speed)
+    )
+    return Futures(
+        np.concatenate((now.xy_m[:, -1:], xy + origin), axis=1),
+        np.concatenate((now.yaw_rad[:, -1:], yaw), axis=1),
+        np.concatenate((now.speed_mps[:, -1:], speed), axis=1),
+        now.size_m,
+        MODEL_STEP_S,
+    )
+
+
+def _leaving(scene: Scene, lanes: Mapping[int, LaneAhead | None]) -> BoolArray:
+    """Return (agents,) which vehicles are about to drive off the net's end."""
+    out = np.zeros(scene.history.agents, dtype=np.bool_)
+    for row, lane in lanes.items():
+        if lane is not None:
+            speed = max(float(scene.history.speed_mps[row, -1]), 0.0)
+            out[row] = lane.end_m < _LEAVES_M + _LEAVES_S * speed
+    return out
+
+
+def _tracks(view: View, futures: Futures) -> Tracks:
+    """Return the plans of the moved vehicles."""
+    rows = np.flatnonzero(view.moved)
+    now = view.scene.history.rows(view.rows[rows])
+    return Tracks(
+        ids=now.ids,
+        classes=now.classes,
+        size_m=now.size_m,
+        xy_m=futures.xy_m[rows, 1:],
+        yaw_rad=futures.yaw_rad[rows, 1:],
+        speed_mps=futures.speed_mps[rows, 1:],
+        valid=np.ones((len(rows), futures.steps), dtype=np.bool_),
+        t0_s=view.scene.time_s + futures.dt_s,
+        dt_s=futures.dt_s,
+    )
+
+
+def _rest(memory: Memory, scene: Scene, replan: int) -> Tracks | None:
+    """Return what is left of the last plan, where it shall be driven on and names everybody that may be moved."""
+    plan = memory.plan
+    if plan is None or memory.driven >= replan or plan.steps <= memory.driven:
+        return None
+    late = abs(plan.t0_s + (memory.driven - 1) * plan.dt_s - scene.time_s) > 1e-6
+    movable = {name for name, free in zip(scene.history.ids, scene.movable, strict=True) if free}
+    if late or movable != set(plan.ids):
+        return None
+    return plan.window(memory.driven, plan.steps)

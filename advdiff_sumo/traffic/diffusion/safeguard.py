@@ -1,0 +1,144 @@
+"""Keeps sampled plans plausible by construction; applied to every plan, guided or not.
+
+In this order: a vehicle whose plan leaves the road follows its lane instead; one that stands and has nowhere to
+go stands exactly still; plans are braked (``braking``) where boxes would meet or a red light would be passed.
+Attackers are left alone towards the target, and signals do not bind them; everybody else behaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.boxes import corners
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.diffusion.braking import brake
+from advdiff_sumo.traffic.diffusion.futures import Futures, standing
+from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead, follow
+
+OFF_SHARE = 0.25
+"""Added share of the box off the road, within the next seconds, that sends a vehicle back to its lane."""
+_OFF_STEPS = (1, 2, 3, 4, 6)
+_STANDS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 0.3, 3
+_STOP_BRAKE_MPS2, _YELLOW_BRAKE_MPS2 = 6.0, 3.0
+_BEFORE_LINE_M = 1.0
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What the safeguard knows of N road users.
+
+    Attributes:
+        planned: (N,) whose futures are plans; the others' are predictions and stay.
+        attacker: (N,) who is guided against the target.
+        target: row of the target.
+        lanes: what each would follow, where asked for.
+        signals: states of the traffic lights.
+    """
+
+    planned: BoolArray
+    attacker: BoolArray
+    target: int
+    lanes: Sequence[LaneAhead | None]
+    signals: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """Plans after the safeguard and what it did, each (N,).
+
+    Attributes:
+        futures: the plans.
+        lane: follows its lane, as its plan would have left the road.
+        held: stands still.
+        braked: was slowed down.
+        unsolved: its box meets another one however hard it brakes.
+    """
+
+    futures: Futures
+    lane: BoolArray
+    held: BoolArray
+    braked: BoolArray
+    unsolved: BoolArray
+
+
+def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
+    """Return plausible plans near *futures*."""
+    made = futures.copy()
+    off = leaves_road(road, made, watched.planned)
+    for row in np.flatnonzero(off).tolist():
+        off[row] = _back_to_lane(made, row, watched.lanes[row])
+    moved = made.travelled_m()[:, min(_NOWHERE_STEPS, made.steps)]
+    held = watched.planned & (made.speed_mps[:, 0] < _STANDS_MPS) & (moved < _NOWHERE_M)
+    standing(made, held)
+    may = watched.planned & ~held
+    result = brake(made, may, _minds(watched), stop_distances(made, watched, may))
+    return Guarded(result.futures, off, held, result.rows, result.unsolved)
+
+
+def _minds(watched: Watched) -> BoolArray:
+    """Return (N, N) whether the first gives way to the second: everybody to all, but attackers to the target."""
+    count = len(watched.planned)
+    minds = ~np.eye(count, dtype=np.bool_)
+    minds[watched.attacker, watched.target] = False
+    return minds
+
+
+def leaves_road(road: RoadMap, futures: Futures, rows: BoolArray) -> BoolArray:
+    """Return (N,) which of *rows* (N,) plan to leave the drivable area, beyond what they have off it now."""
+    out = np.zeros(futures.agents, dtype=np.bool_)
+    picked = np.flatnonzero(rows)
+    if not len(picked):
+        return out
+    steps = np.array([0, *(k for k in _OFF_STEPS if k <= futures.steps)])
+    size = np.repeat(futures.size_m[picked, None], len(steps), axis=1)
+    boxes = corners(futures.xy_m[picked][:, steps], futures.yaw_rad[picked][:, steps], size)
+    inside = road.covers(boxes).all(axis=(1, 2))
+    rest = ~inside
+    if rest.any():
+        share = road.off_road_share(boxes[rest].reshape(-1, 4, 2)).reshape(-1, len(steps))
+        out[picked[rest]] = (share[:, 1:] - share[:, :1]).max(axis=1) > OFF_SHARE
+    return out
+
+
+def _back_to_lane(futures: Futures, row: int, lane: LaneAhead | None) -> bool:
+    """Let *row* follow its lane, in place; a vehicle on no lane stops on its path. Returns whether it has one."""
+    xy, yaw, speed = futures.xy_m[row, 0], futures.yaw_rad[row, 0], futures.speed_mps[row, 0]
+    if lane is None:
+        return False
+    length = float(futures.size_m[row, 0])
+    plan = follow(lane, xy, float(yaw), max(float(speed), 0.0), length, futures.steps, futures.dt_s)
+    futures.put(row, *plan)
+    return True
+
+
+def stop_distances(futures: Futures, watched: Watched, rows: BoolArray) -> FloatArray:
+    """Return (N,) how far each of *rows* may go before a red light; inf for none, and for attackers.
+
+    A yellow light counts where it asks for no more than comfortable braking, and a red one where the vehicle can
+    stop at all: who is over the line, or too near to stop, goes on, as in real traffic.
+    """
+    stop = np.full(futures.agents, np.inf)
+    for row in np.flatnonzero(rows & ~watched.attacker).tolist():
+        lane = watched.lanes[row]
+        for distance, link in lane.stops[:1] if lane is not None else ():
+            room = distance - 0.5 * futures.size_m[row, 0] - _BEFORE_LINE_M
+            need = 0.5 * futures.speed_mps[row, 0] ** 2 / max(room, 0.1)
+            if need <= _limit(_state(watched.signals, link.tls_id, link.tls_index)) and room > -_BEFORE_LINE_M:
+                stop[row] = max(room, 0.0)
+    return stop
+
+
+def _limit(state: str) -> float:
+    """Return the deceleration up to which a driver stops at a light of that state."""
+    if state in ("r", "u"):
+        return _STOP_BRAKE_MPS2
+    return _YELLOW_BRAKE_MPS2 if state in ("y", "Y") else -1.0
+
+
+def _state(signals: Mapping[str, str], light: str | None, index: int | None) -> str:
+    text = signals.get(light or "", "")
+    return text[index] if index is not None and index < len(text) else ""

@@ -37,7 +37,7 @@ def compare(
         store, plan = must_be_sweep(folder)
         tables_of(store, plan)
         sides.append(choose(read_rows(store.path, "episodes"), conditions or [], what))
-    _print(Console(), paired(*sides))
+    _print(Console(), paired(sides[0], sides[1]))
 
 
 def _print(console: Console, found: Comparison) -> None:

@@ -96,19 +96,26 @@ def sweep(
     store = _begun(resume)
     spec = _spec(file, store)
     plan = plan_sweep(spec)
-    slots = workers or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else workers or 2
+    slots = workers or _cores()
     with ExitStack() as stack:
         limits = _limits(stack, timeout, memory)
         if dry_run:
             _tell_estimate(console, plan, Todo.of(plan, store, limit, retry_failed), slots, limits)
             return
-        done_by = _executor(executor, slots, ray_address, plan, limits)
+        done_by = _executor(executor, workers if ray_address else slots, ray_address, plan, limits)
         path = resume or out or _free_folder(file)
         store = open_store(path, spec, done_by.slots, resume is not None)
         todo = Todo.of(plan, store, limit, retry_failed)
         with _Progress(console, todo) as progress:
             missing = run_sweep(plan, store, todo, done_by, retries, progress.tell)
     conclude(console, store, plan, missing, condition, junit)
+
+
+def _cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _as_ctrl_c(*_signal: object) -> None:
@@ -144,7 +151,9 @@ def _limits(stack: ExitStack, timeout: float, memory: int) -> Limits:
     return Limits(timeout_s=timeout, memory_mb=memory, tasks=250, recycle_share=0.5, logs=logs)
 
 
-def _executor(name: ExecutorName, workers: int, address: str | None, plan: Plan, limits: Limits) -> Executor:
+def _executor(
+    name: ExecutorName, workers: int | None, address: str | None, plan: Plan, limits: Limits
+) -> Executor:
     from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
 
     if address is not None and name is not ExecutorName.ray:
@@ -152,7 +161,7 @@ def _executor(name: ExecutorName, workers: int, address: str | None, plan: Plan,
     if name is ExecutorName.serial:
         return SerialExecutor()
     if name is ExecutorName.process:
-        return ProcessExecutor(workers, limits)
+        return ProcessExecutor(workers or 1, limits)
     from advdiff_sumo.sweep.on_ray import RayExecutor
     from advdiff_sumo.sweep.plan import needed_nets
 

@@ -76,7 +76,9 @@ def _verdict(condition: Condition, figures: Figures) -> str | None:
     return f"--fail-if {condition.text}: {', '.join(values) or 'always so'}"
 
 
-def _print(console: Console, plan: Plan, episodes: list[Row], failures: list[Row], overall: Figures) -> None:
+def _print(
+    console: Console, plan: Plan, episodes: Sequence[Row], failures: Sequence[Row], overall: Figures
+) -> None:
     _print_rates(console, episodes, failures, overall)
     if overall.missing:
         console.print(f"[yellow]{overall.missing} episodes have not been run[/yellow]")
@@ -90,7 +92,9 @@ def _print(console: Console, plan: Plan, episodes: list[Row], failures: list[Row
         _print_coverage(console, plan, episodes)
 
 
-def _print_rates(console: Console, episodes: list[Row], failures: list[Row], overall: Figures) -> None:
+def _print_rates(
+    console: Console, episodes: Sequence[Row], failures: Sequence[Row], overall: Figures
+) -> None:
     table = _table(
         f"{overall.episodes} episodes; rates in % with 95 % Wilson intervals",
         *("target", "background", "net", "n", "collides", "at fault", "arrives", "failed"),
@@ -121,7 +125,7 @@ def rate_text(rate: Rate) -> str:
     return f"{100 * rate.share:.1f} \\[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
 
 
-def _print_failures(console: Console, failures: list[Row]) -> None:
+def _print_failures(console: Console, failures: Sequence[Row]) -> None:
     table = _table("failed episodes", "kind", "count", "the first of them", "repeat it")
     first = {row["kind"]: row for row in reversed(failures)}
     for kind, count in sorted(Counter(row["kind"] for row in failures).items()):
@@ -160,7 +164,7 @@ def _print_worst(console: Console, rows: Sequence[Row]) -> None:
     console.print(table)
 
 
-def _print_coverage(console: Console, plan: Plan, episodes: list[Row]) -> None:
+def _print_coverage(console: Console, plan: Plan, episodes: Sequence[Row]) -> None:
     attacks = [job_row(plan.jobs[0], options)["attack"] for options in plan.cells]
     tried = coverage(episodes, attacks, plan.junction_types)
     table = _table(

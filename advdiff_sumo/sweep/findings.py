@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 
-from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.metrics.severity import worst_first
 
 Row: TypeAlias = Mapping[str, Any]
@@ -78,20 +78,20 @@ def _clusters(rows: list[Row]) -> Iterator[list[Row]]:
     labels = np.ones(len(points), dtype=np.int64)
     if len(points) > 1:
         tree = linkage(points, method="complete", metric="chebyshev")
-        labels = fcluster(tree, t=1.0, criterion="distance")
+        labels = fcluster(tree, t=1.0, criterion="distance").astype(np.int64)
     label_of_row = labels[member_of]
     for label in sorted(set(label_of_row.tolist()), key=label_of_row.tolist().index):
         yield [row for row, own in zip(rows, label_of_row, strict=True) if own == label]
 
 
-def _points(features: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _points(features: FloatArray) -> tuple[FloatArray, IntArray]:
     """Return distinct points and which one each row is; coarser where there are very many."""
     points, member_of = np.unique(features, axis=0, return_inverse=True)
     coarse = _COARSE
     while len(points) > _MOST_POINTS:
         points, member_of = np.unique(np.round(features / coarse) * coarse, axis=0, return_inverse=True)
         coarse *= 2.0
-    return points, member_of.reshape(-1)
+    return points, member_of.reshape(-1).astype(np.int64)
 
 
 def _features(row: Row) -> list[float]:

@@ -15,7 +15,7 @@ from multiprocessing import parent_process
 from pathlib import Path
 
 from advdiff_sumo.sweep.tasks import Failed, Limits, Outcome, Task
-from advdiff_sumo.sweep.work import perform, rss_mb
+from advdiff_sumo.sweep.work import data_bytes, perform, rss_mb
 
 #: Exit code of a worker that makes room for a fresh one.
 RECYCLED = 75
@@ -33,14 +33,17 @@ def prepare_worker(limits: Limits) -> None:
 
 
 def bound_memory(memory_mb: int) -> None:
-    """Let this process have no more than *memory_mb* of private memory; 0 leaves it alone.
+    """Let this process have no more than *memory_mb* of private memory in addition; 0 leaves it alone.
 
-    The bound is on what can be written to: address space that libraries merely reserve does not count.
+    The bound is on what can be written to: address space that libraries merely reserve does not count. A bound
+    that is there already stays.
     """
     if memory_mb and sys.platform != "win32":
         import resource
 
-        resource.setrlimit(resource.RLIMIT_DATA, (memory_mb * _MB, memory_mb * _MB))
+        if resource.getrlimit(resource.RLIMIT_DATA)[0] == resource.RLIM_INFINITY:
+            most = memory_mb * _MB + data_bytes()
+            resource.setrlimit(resource.RLIMIT_DATA, (most, most))
 
 
 def guarded(task: Task, limits: Limits) -> Outcome:

@@ -166,9 +166,9 @@ class _Draws:
         self.scene_of = np.array([place[name] for name in scenes])
         self._rng_seed = seed
 
-    def interval(self, differences: FloatArray, chosen: FloatArray) -> tuple[float, float]:
+    def interval(self, differences: FloatArray, chosen: Sequence[int]) -> tuple[float, float]:
         """Return the percentile interval of the mean of *differences*, which are of the pairs *chosen*."""
-        scene = self.scene_of[chosen]
+        scene = self.scene_of[np.asarray(chosen)]
         total = np.bincount(scene, weights=differences, minlength=self.scenes)
         count = np.bincount(scene, minlength=self.scenes).astype(np.float64)
         there = count > 0
@@ -188,7 +188,7 @@ def _rate(pairs: Sequence[tuple[Row, Row]], draw: _Draws, happened: Callable[[Ro
     both = Counter((bool(a), bool(b)) for a, b in flags)
     only_a, only_b = both[(True, False)], both[(False, True)]
     p = float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
-    low, high = draw.interval(flags[:, 1] - flags[:, 0], np.arange(len(pairs)))
+    low, high = draw.interval(flags[:, 1] - flags[:, 0], range(len(pairs)))
     n = len(pairs)
     rates = [Rate.of(int(flags[:, side].sum()), n) for side in (0, 1)]
     return RateChange(rates[0], rates[1], only_a, only_b, low, high, p)
@@ -200,6 +200,6 @@ def _values(pairs: Sequence[tuple[Row, Row]], draw: _Draws) -> dict[str, ValueCh
         chosen = [k for k, (a, b) in enumerate(pairs) if a[column] is not None and b[column] is not None]
         if chosen:
             found = np.array([float(pairs[k][1][column]) - float(pairs[k][0][column]) for k in chosen])
-            low, high = draw.interval(found, np.array(chosen))
+            low, high = draw.interval(found, chosen)
             changes[column] = ValueChange(len(chosen), float(found.mean()), low, high)
     return changes

@@ -28,6 +28,7 @@ def query(folder: Path, sql: str) -> pa.Table:
             answer = base.sql(sql)
             if answer is None:
                 raise ConfigError(f"--sql: {sql} asks for nothing; begin with select")
-            return answer.to_arrow_table()
+            table: pa.Table = answer.to_arrow_table()
+            return table
         except duckdb.Error as error:
             raise ConfigError(f"--sql: {error}") from None

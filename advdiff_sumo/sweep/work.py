@@ -160,6 +160,11 @@ def peak_mb() -> float:
     return _status_mb("VmHWM:")
 
 
+def data_bytes() -> int:
+    """Return the private memory that this process may write to; 0 where the system does not tell."""
+    return int(_status_mb("VmData:") * (1 << 20))
+
+
 def _status_mb(name: str) -> float:
     try:
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()

@@ -1,0 +1,143 @@
+"""A Ray cluster as executor: the same tasks and outcomes, on several machines."""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import importlib
+import math
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from advdiff_sumo.core.errors import ConfigError, MissingExtraError
+from advdiff_sumo.maps.shipped import shipped_networks
+from advdiff_sumo.sweep.files import write_whole
+from advdiff_sumo.sweep.guarded import bound_memory, guarded, lost
+from advdiff_sumo.sweep.tasks import Failed, Limits, Outcome, Task
+
+
+class RayExecutor(AbstractContextManager["RayExecutor"]):
+    """Workers of a Ray cluster, or of one that is started on this machine.
+
+    Nets travel with the tasks. Demand files, driving logs and a user's own planners must be on every machine.
+    """
+
+    def __init__(
+        self, address: str | None, workers: int | None, limits: Limits, nets: tuple[Path, ...]
+    ) -> None:
+        """Take the settings; nothing starts before ``with``, except that *workers* None asks the cluster.
+
+        Args:
+            address: HOST:PORT or "auto"; None starts Ray here.
+            workers: tasks at a time; None: one a core of the cluster.
+            limits: of a worker.
+            nets: files that other machines may lack.
+
+        Raises:
+            MissingExtraError: Ray is not installed.
+        """
+        self._ray = _import_ray()
+        self.address, self.limits, self.nets = address, limits, nets
+        self.slots = workers or 1
+        self._count_cores = workers is None
+        self._running: dict[Any, Task] = {}
+        self._do: Any = None
+        self._assets: Any = None
+
+    def __enter__(self) -> RayExecutor:
+        """Join the cluster, or start one.
+
+        Raises:
+            ConfigError: the cluster cannot be reached.
+        """
+        ray = self._ray
+        own: dict[str, Any] = {} if self.address else {"num_cpus": self.slots, "include_dashboard": False}
+        try:
+            ray.init(self.address, log_to_driver=False, logging_level="error", **own)
+        except Exception as error:  # noqa: BLE001 - Ray raises plain ones, too
+            where = f"--ray-address {self.address}" if self.address else "--executor ray"
+            raise ConfigError(f"{where}: no cluster ({_first_line(error)}); see docs/sweeps.md") from None
+        if self._count_cores:
+            self.slots = max(1, int(ray.cluster_resources().get("CPU", 1)))
+        assets = {str(p): p.read_bytes() for p in self.nets if p.parent != shipped_networks()}
+        self._assets = ray.put(assets)
+        self._do = ray.remote(num_cpus=1, max_retries=0, max_calls=self.limits.tasks)(on_worker)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leave the cluster; what was running there is ended."""
+        if kind is not None:
+            for reference in self._running:
+                self._ray.cancel(reference, force=True)
+        self._ray.shutdown()
+
+    def submit(self, task: Task) -> None:
+        """Give *task* to the cluster."""
+        self._running[self._do.remote(task, self.limits, self._assets)] = task
+
+    def wait(self) -> Outcome:
+        """Wait for any task."""
+        (reference,), _ = self._ray.wait(list(self._running), num_returns=1)
+        task = self._running.pop(reference)
+        try:
+            made: Outcome = self._ray.get(reference)
+        except self._ray.exceptions.RayTaskError as error:
+            return Outcome(task.key, (), Failed("error", _first_line(error), str(error)))
+        except self._ray.exceptions.RayError as error:  # the worker or its whole machine is gone
+            return lost(task.key, self.limits, f"was lost ({type(error).__name__})")
+        return made
+
+
+def on_worker(task: Task, limits: Limits, assets: Mapping[str, bytes]) -> Outcome:
+    """Do *task* on a worker of a cluster, where files may lie elsewhere."""
+    bound_memory(limits.memory_mb)
+    limits.logs.mkdir(parents=True, exist_ok=True)
+    net = task.options.net
+    if net in assets and not _holds(Path(net), assets[net]):
+        here = str(_unpacked(Path(net), assets))
+        task = replace(task, options=task.options.model_copy(update={"net": here}))
+    return guarded(task, replace(limits, recycle_share=math.inf))  # Ray replaces its workers itself
+
+
+def _holds(path: Path, content: bytes) -> bool:
+    try:
+        return path.read_bytes() == content
+    except OSError:
+        return False
+
+
+def _unpacked(net: Path, assets: Mapping[str, bytes]) -> Path:
+    """Write *net* and what belongs to it into this machine's temporary folder; return the net there."""
+    belonging = {
+        Path(name).name: content for name, content in assets.items() if Path(name).parent == net.parent
+    }
+    text = b"".join(belonging[name] for name in sorted(belonging))
+    folder = Path(
+        tempfile.gettempdir(), f"advdiff-nets-{hashlib.sha256(text).hexdigest()[:16]}-{os.getpid()}"
+    )
+    folder.mkdir(exist_ok=True)
+    for name, content in belonging.items():
+        if not _holds(folder / name, content):
+            write_whole(folder / name, content)
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder / net.name
+
+
+def _import_ray() -> Any:
+    try:
+        return importlib.import_module("ray")
+    except ImportError:
+        raise MissingExtraError("--executor ray", "ray") from None
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

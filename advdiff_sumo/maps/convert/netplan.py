@@ -56,7 +56,20 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class LanePlan:
-    """One lane of an edge; *no_change_up* and *no_change_down* forbid changes to the next higher and lower index."""
+    """One lane of an edge.
+
+    Attributes:
+        piece: part of the source lane.
+        shape_m: (N, 2) centre line.
+        width_m: median width, all that a SUMO lane can have.
+        speed_mps: speed limit.
+        use: who may drive there.
+        source: where it comes from, "token:from:to".
+        widths: rows (K, 2) of arc length from the lane's beginning and width in m, both ends among them, linear
+            between them; no rows where the width hardly varies.
+        no_change_up: changes to the next higher index are forbidden.
+        no_change_down: changes to the next lower index are forbidden.
+    """
 
     piece: Piece
     shape_m: FloatArray
@@ -64,7 +77,7 @@ class LanePlan:
     speed_mps: float
     use: LaneUse
     source: str
-    widths: str
+    widths: FloatArray
     no_change_up: bool = False
     no_change_down: bool = False
 
@@ -169,9 +182,6 @@ def _junction_names(layout: Layout, joints: Joints) -> dict[Hashable, str]:
 
 
 def _lane_plan(track: Track, piece: Piece, lefthand: bool) -> LanePlan:
-    inside = track.widths[(track.widths[:, 0] >= piece.from_m) & (track.widths[:, 0] <= piece.to_m)]
-    varies = len(inside) > 1 and float(np.ptp(inside[:, 1])) > VARIES_M
-    profile = " ".join(f"{s - piece.from_m:.1f}:{w:.2f}" for s, w in inside) if varies else ""
     return LanePlan(
         piece,
         polyline.cut(track.centre_m, piece.from_m, piece.to_m),
@@ -179,10 +189,23 @@ def _lane_plan(track: Track, piece: Piece, lefthand: bool) -> LanePlan:
         track.speed_mps,
         track.lane.use,
         _source(track, piece),
-        profile,
+        _profile(track, piece),
         track.lane.right_solid if lefthand else track.lane.left_solid,
         track.lane.left_solid if lefthand else track.lane.right_solid,
     )
+
+
+def _profile(track: Track, piece: Piece) -> FloatArray:
+    """Return the widths along *piece*; no rows where they vary little."""
+    s = track.widths[:, 0]
+    inside = s[(s > piece.from_m) & (s < piece.to_m)]
+    if not len(inside):
+        return np.empty((0, 2))
+    stations = np.concatenate(([piece.from_m], inside, [piece.to_m]))
+    widths = np.interp(stations, s, track.widths[:, 1])
+    if float(np.ptp(widths)) <= VARIES_M:
+        return np.empty((0, 2))
+    return np.stack((stations - piece.from_m, widths), axis=-1)
 
 
 def _source(track: Track, piece: Piece) -> str:

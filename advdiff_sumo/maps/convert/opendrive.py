@@ -2,6 +2,7 @@
 
 netconvert's own export draws the lanes of an edge as a bundle beside one reference line, which moves uneven lanes by
 metres; here every lane and every way through a junction is a road of its own with its centre line as reference line.
+A width that varies along a lane is written as it varies.
 Format: ASAM OpenDRIVE 1.7.0, https://www.asam.net/standards/detail/opendrive.
 """
 
@@ -23,6 +24,7 @@ from advdiff_sumo.maps.convert.source import LaneUse
 LANE_TYPE = {LaneUse.CAR: "driving", LaneUse.BUS: "bus", LaneUse.BICYCLE: "biking"}
 FIRST_ROAD, FIRST_WAY = 10_000, 500_000  # ids; a city has some thousand lanes
 TOUCH_M = 1e-6
+STEEPEST = 0.5  # change of a lane's width per metre; readers draw steeper borders in bends decimetres off
 LaneKey = tuple[str, int]
 
 
@@ -83,7 +85,8 @@ def _lanes(root: ET.Element, plan: NetPlan, road_of: dict[LaneKey, str], junctio
         for index, lane in enumerate(edge.lanes):
             line = smooth(lane.shape_m, start_yaw(lane.shape_m), end_yaw(lane.shape_m))
             number, name = road_of[edge.id, index], f"{edge.id}_{index}"
-            road = _Road(number, name, "-1", line, _widths(lane), lane.speed_mps, LANE_TYPE[lane.use])
+            widths = _widths(lane, sum(stretch.length_m for stretch in line))
+            road = _Road(number, name, "-1", line, widths, lane.speed_mps, LANE_TYPE[lane.use])
             links = {}  # a reader may invent ways for a lane that touches a junction without any
             if (edge.id, index) in entered:
                 links["predecessor"] = {"elementType": "junction", "elementId": junction[edge.origin]}
@@ -92,8 +95,16 @@ def _lanes(root: ET.Element, plan: NetPlan, road_of: dict[LaneKey, str], junctio
             ET.SubElement(_add(root, road, links), "userData", code="edge", value=edge.id)
 
 
-def _widths(lane: LanePlan) -> tuple[tuple[float, float], ...]:
-    return ((0.0, lane.width_m),)
+def _widths(lane: LanePlan, length_m: float = 1.0) -> tuple[tuple[float, float], ...]:
+    """Return the widths along a road of *length_m* for *lane*; smoothing the line has changed its length a little.
+
+    Where a lane flares at its mouth faster than ``STEEPEST``, it keeps that slope from its narrower side.
+    """
+    if not len(lane.widths):
+        return ((0.0, lane.width_m),)
+    s, measured = lane.widths.T
+    width = np.min(measured + STEEPEST * np.abs(s[:, None] - s), axis=1)
+    return tuple(zip((s * (length_m / s[-1])).tolist(), width.tolist(), strict=True))
 
 
 def _ways(root: ET.Element, plan: NetPlan, road_of: dict[LaneKey, str], junction: dict[str, str]) -> None:

@@ -106,8 +106,8 @@ def _edge(edge: EdgePlan, location: str) -> ET.Element:
             ):  # SUMO's left is the higher index, on whichever side the traffic keeps
                 row.set(side, NOBODY)
         _param(row, "source", lane.source)
-        if lane.widths:
-            _param(row, "widths", lane.widths)
+        if len(lane.widths):
+            _param(row, "widths", " ".join(f"{s:.1f}:{width:.2f}" for s, width in lane.widths))
     _param(element, "location", location)
     return element
 

@@ -13,6 +13,8 @@ from advdiff_sumo import __version__
 from advdiff_sumo.cli.compare import compare
 from advdiff_sumo.cli.convert import convert
 from advdiff_sumo.cli.data import data
+from advdiff_sumo.cli.doctor import doctor
+from advdiff_sumo.cli.export import export
 from advdiff_sumo.cli.replay import replay
 from advdiff_sumo.cli.results import results
 from advdiff_sumo.cli.run import run
@@ -37,6 +39,8 @@ app.command("compare")(compare)
 app.command("replay")(replay)
 app.add_typer(data)
 app.command("train")(train)
+app.command("export")(export)
+app.command("doctor")(doctor)
 
 
 def _version(wanted: bool) -> None:

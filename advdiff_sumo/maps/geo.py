@@ -17,6 +17,11 @@ class Projection:
     def __init__(self, location: Location) -> None:
         self._location = location
 
+    @property
+    def proj4(self) -> str | None:
+        """PROJ string whose metres are the net's own; None without a projection or where the net is moved from it."""
+        return None if np.any(self._location.offset_xy_m) else self._location.proj
+
     @cached_property
     def _proj(self) -> pyproj.Proj | None:
         return None if self._location.proj is None else pyproj.Proj(self._location.proj)

@@ -1,0 +1,234 @@
+"""What ``advdiff-sumo doctor`` looks at: each check says what it found and, if something is wrong, what to do."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+PACKAGES = ("numpy", "scipy", "shapely", "pyproj", "pyarrow", "torch", "pydantic", "typer", "matplotlib")
+SUMO_PACKAGES = ("eclipse-sumo", "libsumo", "sumolib")
+NEEDED_BINARIES, WELCOME_BINARIES = ("sumo", "netconvert"), ("sumo-gui",)
+EXTRAS = {
+    "openscenario": ("scenariogeneration",),
+    "video": ("imageio", "imageio-ffmpeg"),
+    "ray": ("ray",),
+    "rl": ("gymnasium", "stable-baselines3"),
+}
+SELF_TEST_S = 5
+_SELF_TEST_LIMIT_S = 300
+_INSTALL_AGAIN = "install the package again: pip install -c constraints.txt -e ."
+
+
+class State(StrEnum):
+    """How a check came out."""
+
+    OK = "ok"
+    NOTE = "note"
+    PROBLEM = "problem"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the doctor's table.
+
+    Attributes:
+        topic: what was looked at.
+        state: ok, note (something optional is not there) or problem.
+        text: what was found.
+        hint: what to do; "" when nothing needs doing.
+    """
+
+    topic: str
+    state: State
+    text: str
+    hint: str = ""
+
+
+def python() -> Iterator[Finding]:
+    """Look at Python, the machine and the libraries that everything needs."""
+    from advdiff_sumo import __version__  # late: the commands start faster
+
+    yield Finding("advdiff-sumo", State.OK, f"{__version__}, Python {platform.python_version()}")
+    yield Finding("machine", State.OK, f"{platform.platform()}, {os.cpu_count()} cores")
+    found = {name: _version(name) for name in PACKAGES}
+    lacking = [name for name, number in found.items() if number is None]
+    if lacking:
+        yield Finding("libraries", State.PROBLEM, f"{', '.join(lacking)} not installed", _INSTALL_AGAIN)
+    else:
+        yield Finding("libraries", State.OK, ", ".join(f"{name} {number}" for name, number in found.items()))
+
+
+def sumo() -> Iterator[Finding]:
+    """Look at SUMO's packages, which must be of one version, and its programs."""
+    found = {name: _version(name) for name in SUMO_PACKAGES}
+    text = ", ".join(f"{name} {number or 'not installed'}" for name, number in found.items())
+    if None in found.values():
+        yield Finding("SUMO", State.PROBLEM, text, _INSTALL_AGAIN)
+        return
+    if len(set(found.values())) > 1:
+        yield Finding("SUMO", State.PROBLEM, text, "install all three in one version")
+    else:
+        yield Finding("SUMO", State.OK, text)
+    for name in (*NEEDED_BINARIES, *WELCOME_BINARIES):
+        yield _binary(name)
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        yield Finding("display", State.NOTE, "none", "--gui and sumo-gui need one; set DISPLAY to use them")
+
+
+def _binary(name: str) -> Finding:
+    """Run SUMO's program *name* for its version."""
+    import sumolib  # late, as above
+
+    needed = name in NEEDED_BINARIES
+    try:
+        path = sumolib.checkBinary(name)
+        done = subprocess.run([path, "--version"], capture_output=True, text=True, check=False, timeout=60)
+    except (OSError, SystemExit, subprocess.TimeoutExpired) as error:
+        return Finding(
+            name, State.PROBLEM if needed else State.NOTE, f"does not start ({error})", _INSTALL_AGAIN
+        )
+    if done.returncode != 0:
+        said = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+        remedy = "install the system libraries that it names" if not needed else _INSTALL_AGAIN
+        return Finding(name, State.PROBLEM if needed else State.NOTE, f"does not start: {said}", remedy)
+    return Finding(name, State.OK, f"{done.stdout.splitlines()[0]}, {path}")
+
+
+def gpu() -> Iterator[Finding]:
+    """Look for a GPU; without one everything works, learning slowly."""
+    try:
+        import torch  # late, as above
+    except (ImportError, OSError) as error:
+        yield Finding("GPU", State.PROBLEM, f"torch cannot be imported ({error})", _INSTALL_AGAIN)
+        return
+    if torch.cuda.is_available():
+        names = [torch.cuda.get_device_name(number) for number in range(torch.cuda.device_count())]
+        yield Finding("GPU", State.OK, ", ".join(names))
+    else:
+        hint = "none is needed to run; for training, install the torch build of your GPU first"
+        yield Finding("GPU", State.NOTE, f"torch {torch.__version__} sees none", hint)
+
+
+def nets() -> Iterator[Finding]:
+    """Look for the shipped nets."""
+    from advdiff_sumo.core.errors import FileError  # late, as above
+    from advdiff_sumo.maps.shipped import SHIPPED_NETS, shipped_networks
+
+    try:
+        folder = shipped_networks()
+    except FileError as error:
+        yield Finding("nets", State.PROBLEM, str(error), _INSTALL_AGAIN)
+        return
+    lacking = [name for name in SHIPPED_NETS if not (folder / f"{name}.net.xml").is_file()]
+    if lacking:
+        yield Finding("nets", State.PROBLEM, f"{folder} lacks {', '.join(lacking)}", _INSTALL_AGAIN)
+    else:
+        yield Finding("nets", State.OK, f"{', '.join(SHIPPED_NETS)} in {folder}")
+
+
+def weights() -> Iterator[Finding]:
+    """Look for trained weights that came with the package."""
+    import advdiff_sumo  # late, as above
+
+    folder = Path(advdiff_sumo.__file__).resolve().parent / "weights"
+    found = sorted(path.name for path in folder.glob("*.safetensors"))
+    if found:
+        yield Finding("weights", State.OK, f"{', '.join(found)} in {folder}")
+    else:
+        hint = "learned backgrounds need them: advdiff-sumo train makes your own"
+        yield Finding("weights", State.NOTE, "none came with this package", hint)
+
+
+def data() -> Iterator[Finding]:
+    """Look for driving logs where ADVDIFF_DATA says."""
+    named = os.environ.get("ADVDIFF_DATA")
+    if not named:
+        hint = "logs are optional; the tests find theirs through ADVDIFF_DATA=FOLDER, runs through --scenes"
+        yield Finding("data", State.NOTE, "ADVDIFF_DATA is not set", hint)
+        return
+    root = Path(named)
+    if not root.is_dir():
+        yield Finding("data", State.PROBLEM, f"ADVDIFF_DATA={named} is no folder", "correct it or unset it")
+        return
+    tables = sorted({path.parent for at in ("v1.0-*", "*/v1.0-*") for path in root.glob(at) if path.is_dir()})
+    maps = sorted({path.parent for at in ("", "*/") for path in root.glob(f"{at}maps/expansion/*.json")})
+    records = sum(1 for at in ("", "*/") for _ in root.glob(f"{at}sd_*.pkl"))
+    kinds = [f"nuScenes tables in {path}" for path in tables] + [f"HD maps in {path}" for path in maps]
+    if records:
+        kinds.append(f"{records} ScenarioNet records")
+    if kinds:
+        yield Finding("data", State.OK, ", ".join(kinds))
+    else:
+        hint = "put a nuScenes dataset root or ScenarioNet records (sd_*.pkl) there"
+        yield Finding("data", State.NOTE, f"{root} holds no log that is known", hint)
+
+
+def extras() -> Iterator[Finding]:
+    """Look for the optional packages."""
+    for extra, names in EXTRAS.items():
+        lacking = [name for name in names if _version(name) is None]
+        if lacking:
+            hint = f"pip install 'advdiff-sumo[{extra}]'"
+            yield Finding(f"extra {extra}", State.NOTE, f"{', '.join(lacking)} not installed", hint)
+        else:
+            numbers = ", ".join(f"{name} {_version(name)}" for name in names)
+            yield Finding(f"extra {extra}", State.OK, numbers)
+
+
+def self_test() -> Iterator[Finding]:
+    """Drive one episode in a process of its own, so that even a crash of SUMO is only a finding."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "advdiff_sumo", "run", "--out", str(Path(folder) / "run")]
+        command += ["--episodes", "1", "--horizon", str(SELF_TEST_S), "--set", "scene.warmup_s=10"]
+        command += ["--set", "scene.scenes_per_warmup=1", "--set", "scene.min_neighbours=1"]
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, check=False, timeout=_SELF_TEST_LIMIT_S
+            )
+        except subprocess.TimeoutExpired:
+            hint = "the machine is too busy or too slow; try again when it is idle"
+            text = f"not done after {_SELF_TEST_LIMIT_S} s"
+            yield Finding("self-test", State.PROBLEM, text, hint)
+            return
+        yield _driven(Path(folder) / "run", done)
+
+
+def _driven(folder: Path, done: subprocess.CompletedProcess[str]) -> Finding:
+    """Return what the self-test came to."""
+    if done.returncode != 0:
+        said = (done.stderr.strip().splitlines() or ["nothing was said"])[-1]
+        killed = (
+            f"killed by signal {-done.returncode}" if done.returncode < 0 else f"exit code {done.returncode}"
+        )
+        return Finding("self-test", State.PROBLEM, f"{killed}: {said}", _INSTALL_AGAIN)
+    import pyarrow.parquet as pq  # late, as above
+
+    row = pq.read_table(folder / "episodes.parquet").to_pylist()[0]
+    timing = pq.read_table(folder / "timing.parquet").to_pylist()[0]
+    if row["end"] == "failed":
+        return Finding(
+            "self-test", State.PROBLEM, f"the episode failed: {row['failure_message']}", _INSTALL_AGAIN
+        )
+    text = f"{row['duration_s']:.1f} s driven among {row['agents']} road users, "
+    return Finding("self-test", State.OK, f"{text}{timing['real_time_factor']:.1f} × real time")
+
+
+#: All checks in the order of the table; the last one takes seconds.
+CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
+    *(python, sumo, gpu, nets, weights, data, extras, self_test),
+)
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None

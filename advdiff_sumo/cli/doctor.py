@@ -1,0 +1,41 @@
+"""``advdiff-sumo doctor``: what is installed, what is missing, and whether it drives."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+_STYLES = {"ok": "green", "note": "yellow", "problem": "red"}
+UNUSABLE = 1
+
+
+def doctor(
+    quick: Annotated[bool, typer.Option("--quick", help="Leave the self-test out.")] = False,
+) -> None:
+    """Look at the installation and drive for five seconds; exit code 1 if it cannot be used.
+
+    A note is about something optional; a problem keeps runs from working. Both come with what to do.
+    """
+    from advdiff_sumo.cli.checks import CHECKS, Finding, State, self_test  # late: --help needs none of it
+
+    console = Console(highlight=False, soft_wrap=True)
+    findings: list[Finding] = []
+    for check in CHECKS:
+        if not (quick and check is self_test):
+            findings.extend(check())
+    table = Table(show_header=False, box=None, padding=(0, 1))
+    for finding in findings:
+        table.add_row(Text(finding.state, style=_STYLES[finding.state]), finding.topic, Text(finding.text))
+    console.print(table)
+    for finding in findings:
+        if finding.hint:
+            console.print(Text(f"{finding.topic}: {finding.hint}", style=_STYLES[finding.state]))
+    problems = sum(finding.state is State.PROBLEM for finding in findings)
+    if problems:
+        console.print(Text(f"{problems} problem{'s' if problems > 1 else ''} to mend", style="red"))
+        raise typer.Exit(UNUSABLE)
+    console.print(Text("ready to run", style="green"))

@@ -1,0 +1,98 @@
+"""``advdiff-sumo export``: an episode in the formats of other tools."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from advdiff_sumo.core.errors import ConfigError, FileError, NetError
+
+if TYPE_CHECKING:
+    from advdiff_sumo.export import ExportScene
+
+_console = Console(highlight=False, soft_wrap=True)
+
+
+def export(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a finished run or sweep.")],
+    formats: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format",
+            "-f",
+            help="openscenario, commonroad, scenarionet, fcd, csv, all of them with 'all', or "
+            "package.module:Class; may be repeated.",
+        ),
+    ] = None,
+    episode: Annotated[int | None, typer.Option(help="Number of the episode.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the files.", show_default="RUN/exports")
+    ] = None,
+) -> None:
+    """Write one episode for colleagues who use other tools.
+
+    Example: advdiff-sumo export runs/first --episode 3 --format openscenario --format fcd
+
+    What each format holds, and what it cannot, stands in docs/exports.md.
+    """
+    from advdiff_sumo.export import EXPORTERS, make_exporter  # late: --help needs none of it
+
+    if not formats:
+        raise ConfigError(f"say which format with --format; known are: {', '.join(EXPORTERS.names())}, all")
+    names = EXPORTERS.names() if "all" in formats else formats
+    exporters = [make_exporter(name) for name in names]
+    scene = scene_of(run, episode)
+    folder = out or run / "exports"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        written = [exporter.write(scene, folder) for exporter in exporters]
+    except OSError as error:
+        raise FileError(
+            folder, f"cannot be written ({error.strerror or error})", "choose another --out"
+        ) from None
+    for files in written:
+        for path in files:
+            _console.print(str(path), markup=False)
+
+
+def scene_of(folder: Path, episode: int | None) -> ExportScene:
+    """Return an episode of the run or sweep in *folder* with its net.
+
+    Raises:
+        FileError: the folder holds no run, or no such episode, or nothing of it.
+        NetError: the net is no longer there.
+        ConfigError: no episode was given.
+    """
+    from advdiff_sumo.export import ExportScene  # late, as above
+    from advdiff_sumo.maps import RoadMap
+    from advdiff_sumo.report.folder import FinishedRun
+
+    finished = FinishedRun.read(folder)
+    if episode is None:
+        numbers = [int(row["episode"]) for row in finished.episodes]
+        has = f"{folder} has {numbers[0]} to {numbers[-1]}" if numbers else f"{folder} has none"
+        raise ConfigError(f"say which episode with --episode; {has}")
+    row = finished.row(episode)
+    states = finished.states(episode)
+    if states is None:
+        raise FileError(folder, f"episode {episode} failed before its first instant", "choose another one")
+    net = str(row.get("net") or finished.options.get("net", ""))
+    name = re.sub(r"[^\w.-]+|^[^A-Za-z0-9]+", "-", folder.resolve().name).lstrip("-._") or "run"
+    road = RoadMap.read(_net_file(folder, net))
+    return ExportScene(f"{name}-{episode:04d}", states.tracks, states.target, road)
+
+
+def _net_file(folder: Path, named: str) -> Path:
+    """Return the net's file: as it is named, or beside the run's tables, or a shipped one."""
+    from advdiff_sumo.maps.shipped import SHIPPED_NETS, find_net  # late, as above
+
+    if named in SHIPPED_NETS:
+        return find_net(named)
+    for path in (Path(named), folder / Path(named).name):
+        if path.is_file():
+            return path
+    raise NetError(named or folder, "the net of the run is no longer there", f"put it into {folder}")

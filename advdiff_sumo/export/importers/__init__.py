@@ -1,0 +1,30 @@
+"""Exported scenarios back as trajectories."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.export.registry import make_exporter
+from advdiff_sumo.export.scene import ImportedScene
+
+_ENDINGS = {
+    ".xosc": "openscenario",
+    ".cr.xml": "commonroad",
+    ".pkl": "scenarionet",
+    ".fcd.xml": "fcd",
+    ".csv": "csv",
+}
+
+
+def import_scene(path: str | Path) -> ImportedScene:
+    """Return the trajectories in a file that one of the built-in exporters wrote, by its ending.
+
+    Raises:
+        FileError: the ending is none of theirs, or the file is missing, damaged or of another kind.
+    """
+    path = Path(path)
+    for ending, name in _ENDINGS.items():
+        if path.name.endswith(ending):
+            return make_exporter(name).read(path)
+    raise FileError(path, "has an ending that no format has", f"known are {', '.join(_ENDINGS)}")

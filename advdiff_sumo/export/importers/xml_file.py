@@ -1,0 +1,67 @@
+"""Reads XML without external entities."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import DefusedXMLParser
+
+from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.export.importers.assemble import AGAIN
+
+
+def read_xml(path: Path, tag: str, what: str) -> ET.Element:
+    """Return the root element of *path*, comments kept as elements.
+
+    Raises:
+        FileError: the file is missing or truncated, or its root is not *tag*.
+    """
+    parser = DefusedXMLParser(target=ET.TreeBuilder(insert_comments=True))
+    try:
+        root: ET.Element | None = ET.parse(path, parser).getroot()  # noqa: S314 - the parser is the safe one
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror})", f"give {what}") from None
+    except (ET.ParseError, DefusedXmlException, ValueError) as error:
+        raise FileError(path, f"is not readable as XML ({error})", AGAIN) from None
+    if root is None or root.tag != tag:
+        found = "nothing" if root is None else f"<{root.tag}>"
+        raise FileError(path, f"is not {what}: it begins with {found}, not <{tag}>")
+    return root
+
+
+def found(parent: ET.Element, where: str) -> ET.Element:
+    """Return the first element at *where*.
+
+    Raises:
+        ValueError: there is none.
+    """
+    element = parent.find(where)
+    if element is None:
+        raise ValueError(f"<{parent.tag}> has no {where}")
+    return element
+
+
+def attribute(element: ET.Element, name: str) -> str:
+    """Return an attribute.
+
+    Raises:
+        ValueError: there is none.
+    """
+    value = element.get(name)
+    if value is None:
+        raise ValueError(f"<{element.tag}> has no {name}")
+    return value
+
+
+def text_at(parent: ET.Element, where: str) -> str:
+    """Return the text of the first element at *where*.
+
+    Raises:
+        ValueError: there is none.
+    """
+    text = found(parent, where).text
+    if not text:
+        raise ValueError(f"<{parent.tag}> has nothing at {where}")
+    return text

@@ -1,0 +1,98 @@
+"""What an exporter is given and what an importer gives back."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import shapely
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.maps import Lane, RoadMap
+
+#: Lanes farther than this from every recorded path are left out of formats that carry their own map.
+MARGIN_M = 50.0
+_NAME = re.compile(r"[A-Za-z0-9][\w.-]*")
+
+
+@dataclass(frozen=True)
+class ExportScene:
+    """One episode and the net it happened on.
+
+    Attributes:
+        name: stem of the files, of letters, digits, hyphen, underscore and dot.
+        tracks: (A, T) states in the net's frame, the first instant at t = 0, everybody there at some instant.
+        target: row of the tested vehicle.
+        road: the net.
+    """
+
+    name: str
+    tracks: Tracks
+    target: int
+    road: RoadMap
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise ValueError(f"'{self.name}' is no name for files")
+        if self.tracks.t0_s != 0.0:
+            raise ValueError(f"the first instant is at {self.tracks.t0_s} s, not at 0")
+        if not self.tracks.valid.any(axis=1).all():
+            raise ValueError("there is an agent that is never there")
+
+    @cached_property
+    def lanes(self) -> tuple[Lane, ...]:
+        """Lanes within ``MARGIN_M`` of where anybody drove, in the net's order."""
+        paths = [self.tracks.xy_m[row][self.tracks.valid[row]] for row in range(self.tracks.agents)]
+        lines = [shapely.linestrings(p) if len(p) > 1 else shapely.points(p[0]) for p in paths]
+        area = shapely.buffer(shapely.simplify(shapely.union_all(lines), 0.1), MARGIN_M)
+        shapely.prepare(area)
+        lanes = list(self.road.lanes.values())
+        near = shapely.intersects(area, np.array([shapely.linestrings(lane.centre_xy_m) for lane in lanes]))
+        return tuple(lane for lane, kept in zip(lanes, near, strict=True) if kept)
+
+    def joints(self, kept: Collection[str]) -> list[tuple[str, str]]:
+        """Return pairs of lanes of *kept* of which the one leads straight to the other, without repeats."""
+        chains = ((link.from_lane, *link.via, link.to_lane) for link in self.road.links.values())
+        pairs = (pair for chain in chains for pair in pairwise(chain))
+        return list(dict.fromkeys(pair for pair in pairs if pair[0] in kept and pair[1] in kept))
+
+
+@dataclass(frozen=True)
+class ImportedScene:
+    """Trajectories read back from an exported file.
+
+    Attributes:
+        tracks: (A, T) states, the first instant at t = 0; speeds are derived where the format has none.
+        target: row of the tested vehicle.
+    """
+
+    tracks: Tracks
+    target: int
+
+
+def stretches(valid: BoolArray) -> Iterator[tuple[int, int]]:
+    """Yield (start, stop) of each unbroken run of True in *valid* (T,), *stop* exclusive."""
+    edges = np.diff(np.concatenate(([0], valid.astype(np.int8), [0])))
+    yield from zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
+
+
+def unwrapped(yaw_rad: FloatArray) -> FloatArray:
+    """Return headings (T,) without jumps by a turn, so that readers may interpolate them; the first in (−π, π]."""
+    return np.asarray(np.unwrap(yaw_rad), dtype=np.float64)
+
+
+def number(value: float, digits: int = 4) -> str:
+    """Return *value* as plain decimal text, never with an exponent and never "-0"."""
+    text = f"{value:.{digits}f}"
+    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
+
+
+def seconds(step: int, dt_s: float) -> str:
+    """Return the time of *step*, exact to the microsecond, at least one decimal."""
+    whole, _, part = f"{step * dt_s:.6f}".partition(".")
+    return f"{whole}.{part.rstrip('0') or '0'}"

@@ -15,11 +15,14 @@ from advdiff_sumo.cli.convert import convert
 from advdiff_sumo.cli.data import data
 from advdiff_sumo.cli.doctor import doctor
 from advdiff_sumo.cli.export import export
+from advdiff_sumo.cli.figure import figure
+from advdiff_sumo.cli.evaluate import evaluate
 from advdiff_sumo.cli.replay import replay
 from advdiff_sumo.cli.results import results
 from advdiff_sumo.cli.run import run
 from advdiff_sumo.cli.sweep import sweep
 from advdiff_sumo.cli.train import train
+from advdiff_sumo.cli.video import video
 from advdiff_sumo.core.errors import AdvdiffError
 
 INPUT_ERROR, INTERRUPTED = 2, 130
@@ -37,8 +40,11 @@ app.command("sweep")(sweep)
 app.command("results")(results)
 app.command("compare")(compare)
 app.command("replay")(replay)
+app.command("figure")(figure)
+app.command("video")(video)
 app.add_typer(data)
 app.command("train")(train)
+app.command("evaluate")(evaluate)
 app.command("export")(export)
 app.command("doctor")(doctor)
 

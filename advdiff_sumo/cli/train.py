@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from advdiff_sumo.cli.evaluate import judge_and_show
 from advdiff_sumo.core.errors import FileError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -49,6 +50,9 @@ def train(
     max_minutes: Annotated[
         float, typer.Option(min=0.0, help="Stop after that time; --resume goes on.", show_default="none")
     ] = math.inf,
+    judged: Annotated[
+        int, typer.Option("--judge", min=0, help="Held-out windows for the table at the end; 0: no table.")
+    ] = 128,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in --out.")] = False,
 ) -> None:
     """Train one stage of the model on window files.
@@ -58,12 +62,14 @@ def train(
     advdiff-sumo train denoiser --data windows --init runs/traffic --out runs/denoiser
 
     --out gets weights.safetensors (the best on held-out drives), checkpoint.safetensors (for --resume),
-    metrics.jsonl, curves.png and events for TensorBoard. Ctrl-C saves and leaves.
+    metrics.jsonl, curves.png, evaluation.json and events for TensorBoard. Ctrl-C saves and leaves.
     """
     import torch  # late: --help needs no PyTorch
 
+    from advdiff_sumo.models.bundle import load_bundle
+    from advdiff_sumo.training.evaluate import Judging
     from advdiff_sumo.training.presets import STAGES
-    from advdiff_sumo.training.setup import Plan, prepare
+    from advdiff_sumo.training.setup import WEIGHTS, Plan, prepare
 
     name = next((known for known in STAGES if known == stage), None)
     if name is None:
@@ -85,7 +91,9 @@ def train(
     )
     job = prepare(plan)
     _claim(out, resume)
-    _train(job, resume, Console(stderr=True, highlight=False))
+    if _train(job, resume, Console(stderr=True, highlight=False)) and judged:
+        bundle = load_bundle(out / WEIGHTS)
+        judge_and_show(bundle, job.held_out, Judging(windows=judged), job.device, out / "evaluation.json")
 
 
 def _options(
@@ -114,7 +122,8 @@ def _claim(out: Path, resume: bool) -> None:
         raise FileError(out, f"is not empty ({held[0]})", "choose another --out, or add --resume")
 
 
-def _train(job: Job, resume: bool, console: Console) -> None:
+def _train(job: Job, resume: bool, console: Console) -> bool:
+    """Train and say how it ended; return whether it has."""
     from advdiff_sumo.training import history
     from advdiff_sumo.training.loop import Trainer
 
@@ -127,6 +136,7 @@ def _train(job: Job, resume: bool, console: Console) -> None:
             trainer.resume()
         progress = trainer.run()
     _say(console, job, progress)
+    return progress.done
 
 
 def _bar(console: Console) -> Progress:

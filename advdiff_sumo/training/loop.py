@@ -29,6 +29,8 @@ from advdiff_sumo.training.presets import TrainOptions
 from advdiff_sumo.training.rates import rate_factor
 from advdiff_sumo.training.stage import Moment, Stage, Tally, add, means
 
+_REDRAW_S = 30.0
+
 Tell = Callable[[Progress, int, dict[str, float]], None]
 """Told after each step: where the training stands, batches in the epoch, means of the loss terms so far."""
 
@@ -80,6 +82,7 @@ class Trainer:
         self.optimiser = torch.optim.Adam(parameters, lr=options.learning_rate)
         self.ema = Ema(job.stage.module, options.ema_decay)
         self.progress = Progress(job.stage.name, options.model_dump(mode="json"), job.source)
+        self._drawn = -math.inf
         self.per_epoch = math.ceil(len(job.train) / options.batch_size)
         self.total = self.per_epoch * options.epochs
 
@@ -113,6 +116,7 @@ class Trainer:
             with graceful() as wish:
                 self._epochs(begun, wish)
         finally:
+            self._draw(0.0)
             self.events.close()
         if wish:
             raise KeyboardInterrupt
@@ -198,8 +202,14 @@ class Trainer:
                 progress.best, progress.best_epoch = figure, progress.epoch
                 self.job.keep(progress)
         history.write_lines(self.job.out / "metrics.jsonl", progress.history)
-        history.draw_curves(self.job.out / "curves.png", stage.name, progress.history)
+        self._draw(_REDRAW_S)
         history.write_events(self.events, progress.history[-1])
+
+    def _draw(self, age_s: float) -> None:
+        """Draw the curves, unless that was done less than *age_s* ago: it takes longer than some epochs."""
+        if self.progress.history and time.monotonic() - self._drawn > age_s:
+            history.draw_curves(self.job.out / "curves.png", self.job.stage.name, self.progress.history)
+            self._drawn = time.monotonic()
 
     def _stuck(self) -> bool:
         patience = self.job.options.patience_epochs

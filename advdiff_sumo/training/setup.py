@@ -115,7 +115,7 @@ def _bundle(plan: Plan) -> Bundle:
                 f"the stage '{plan.stage}' needs weights of the stage '{_NEEDS[plan.stage][-1]}': name them with --init"
             )
         return new_bundle(wanted, SeedTree(plan.seed, ("weights",)).integer())
-    begun = load_bundle(_weights(plan.init))
+    begun = load_bundle(weights_file(plan.init))
     missing = [name for name in _NEEDS[plan.stage] if name not in begun.stages]
     if missing:
         raise ConfigError(
@@ -146,7 +146,8 @@ def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions) -> Bundle:
     return replace(made, stages=tuple(name for name in begun.stages if name == "traffic"))
 
 
-def _weights(path: Path) -> Path:
+def weights_file(path: Path) -> Path:
+    """Return the weights that *path* means: itself, or those in the folder of a training."""
     return path / WEIGHTS if path.is_dir() else path
 
 
@@ -198,4 +199,4 @@ def _listed(stages: tuple[str, ...]) -> str:
 
 
 def _hash(path: Path | None) -> str:
-    return "" if path is None else hashlib.sha256(_weights(path).read_bytes()).hexdigest()
+    return "" if path is None else hashlib.sha256(weights_file(path).read_bytes()).hexdigest()

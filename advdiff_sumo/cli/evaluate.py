@@ -1,0 +1,115 @@
+"""``advdiff-sumo evaluate``, and the table that ``train`` ends with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+_HEADS = {
+    "ade_m": "ADE",
+    "fde_m": "FDE",
+    "min_ade_m": "min\nADE",
+    "min_fde_m": "min\nFDE",
+    "min_sfde_m": "min\nSFDE",
+    "fdd_m": "FDD",
+    "jsd_speed": "JSD\nspeed",
+    "jsd_accel": "JSD\naccel",
+    "collision_rate": "colli-\nsions",
+    "off_road_rate": "off\nroad",
+}
+_WIDTH = 100
+
+if TYPE_CHECKING:
+    import torch
+
+    from advdiff_sumo.models.bundle import Bundle
+    from advdiff_sumo.training.dataset import WindowSet
+    from advdiff_sumo.training.evaluate import Figures, Judging
+
+
+def evaluate(
+    weights: Annotated[Path, typer.Option(help="A .safetensors file, or the --out of a training.")],
+    data: Annotated[
+        list[Path], typer.Option(help="Window file, or a folder of them; may be given several times.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Write the figures to this JSON file.", show_default=False)
+    ] = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="All drives, not only those that train holds out.")
+    ] = False,
+    held_out: Annotated[float, typer.Option(help="Share of drives held out, as in train.")] = 0.1,
+    split_seed: Annotated[int, typer.Option(help="Which ones, as in train.")] = 0,
+    windows: Annotated[int, typer.Option(min=0, help="Most windows looked at; 0: all.")] = 512,
+    samples: Annotated[int, typer.Option(min=1, help="Joint samples of each scene.")] = 10,
+    steps: Annotated[int, typer.Option(min=1, help="Denoising steps.")] = 10,
+    seed: Annotated[int, typer.Option(help="Of the samples.")] = 0,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    threads: Annotated[int | None, typer.Option(min=1, help="CPU threads.", show_default="all")] = None,
+) -> None:
+    """Judge weights on window files, open loop, beside baselines and the log itself.
+
+    advdiff-sumo evaluate --weights runs/denoiser --data windows
+    """
+    import torch  # late: --help needs no PyTorch
+
+    from advdiff_sumo.models.bundle import load_bundle
+    from advdiff_sumo.training.dataset import read_window_set, split
+    from advdiff_sumo.training.evaluate import Judging
+    from advdiff_sumo.training.setup import choose_device, weights_file
+
+    if threads is not None:
+        torch.set_num_threads(threads)
+    bundle = load_bundle(weights_file(weights))
+    chosen = read_window_set(data)
+    if not everything:
+        chosen = split(chosen, held_out, split_seed)[1]
+    judging = Judging(samples=samples, steps=steps, windows=windows or None, seed=seed)
+    judge_and_show(bundle, chosen, judging, choose_device(device), out)
+
+
+def judge_and_show(
+    bundle: Bundle, windows: WindowSet, judging: Judging, device: torch.device, out: Path | None
+) -> None:
+    """Judge *bundle* on *windows*, print the table, and write *out*."""
+    from advdiff_sumo.training.evaluate import evaluate_bundle, write_figures
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("windows judged")
+        figures = evaluate_bundle(
+            bundle,
+            windows,
+            judging,
+            device,
+            lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    if out is not None:
+        write_figures(out, figures, judging, windows)
+    console = Console()
+    console.print(table(figures), width=max(console.width, _WIDTH), soft_wrap=True)
+
+
+def table(figures: dict[str, Figures]) -> Table:
+    """Return the figures as a table, one row for each way to predict."""
+    from advdiff_sumo.training.evaluate import columns
+
+    names = columns(figures)
+    made = Table(box=SIMPLE, padding=(0, 1), caption="errors in metres, rates of vehicles")
+    made.add_column("", no_wrap=True)
+    for name in names:
+        made.add_column(_HEADS[name], justify="right", no_wrap=True)
+    for way, row in figures.items():
+        made.add_row(way, *(_shown(name, row.get(name)) for name in names))
+    return made
+
+
+def _shown(name: str, value: float | None) -> str:
+    if value is None:
+        return ""
+    return f"{value:.2%}" if name.endswith("_rate") else f"{value:.{4 if name.startswith('jsd') else 2}f}"

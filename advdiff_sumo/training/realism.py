@@ -1,0 +1,101 @@
+"""How natural joint samples are: diversity, histograms, collisions, leaving the road."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.losses import edge_clearance
+from advdiff_sumo.models.options import MODEL_STEP_S
+from advdiff_sumo.training.displacement import driving
+
+SPEED_BINS = np.arange(0.0, 40.5, 0.5)
+ACCEL_BINS = np.arange(-10.0, 10.25, 0.25)
+
+
+def jensen_shannon(p: NDArray[np.float64], q: NDArray[np.float64]) -> float:
+    """Return the Jensen-Shannon divergence of two histograms, 0 (alike) … 1 (nothing in common), base 2.
+
+    NaN where one of them is empty.
+    """
+    if not p.sum() or not q.sum():
+        return float("nan")
+    p, q = p / p.sum(), q / q.sum()
+    middle = 0.5 * (p + q)
+    return 0.5 * (_kl(p, middle) + _kl(q, middle))
+
+
+def histograms(rollout: Rollout, batch: SceneBatch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return counts of speeds and accelerations over the known instants of driving vehicles.
+
+    Accelerations are differences of speeds, for logs and models alike; the outermost bins take what lies beyond.
+    """
+    counted = driving(batch)[..., None] & batch.future_valid
+    before = torch.cat((batch.pose[..., 3:4], rollout.speed[..., :-1]), dim=-1)
+    accel = (rollout.speed - before) / MODEL_STEP_S
+    return _counts(rollout.speed[counted], SPEED_BINS), _counts(accel[counted], ACCEL_BINS)
+
+
+def final_diversity(last: Tensor, mask: Tensor) -> tuple[float, float]:
+    """Return FDD's sum over vehicles and their number: mean distance of final positions over pairs of samples.
+
+    Args:
+        last: (B, S, A, 2) final positions in S samples.
+        mask: (B, A) vehicles that count.
+    """
+    samples = last.shape[1]
+    if samples < 2:
+        return 0.0, 0.0
+    apart = (last[:, :, None] - last[:, None]).norm(dim=-1).sum((1, 2)) / (samples * (samples - 1))
+    return float(torch.where(mask, apart, 0.0).sum()), float(mask.sum())
+
+
+def colliding(rollout: Rollout, batch: SceneBatch, known: Tensor) -> Tensor:
+    """Return (B, A) driving vehicles whose box overlaps another one's at some instant; not if they do now.
+
+    Args:
+        rollout: futures.
+        batch: the scenes.
+        known: (B, A, T) instants at which an agent is there.
+    """
+    touch = _overlap(rollout.xy, rollout.yaw, batch.size) & known[:, :, None] & known[:, None]
+    pose = batch.pose[:, :, None]
+    now = _overlap(pose[..., :2], pose[..., 2], batch.size).squeeze(-1)
+    other = ~torch.eye(batch.agents, dtype=torch.bool, device=known.device)
+    return (touch.any(-1) & ~now & other).any(-1) & driving(batch)
+
+
+def leaving_road(rollout: Rollout, batch: SceneBatch, known: Tensor) -> Tensor:
+    """Return (B, A) driving vehicles whose centre is on the road now and beyond its edge at some known instant."""
+    now = edge_clearance(batch.pose[:, :, None, :2], batch).squeeze(-1) > 0.0
+    off = (edge_clearance(rollout.xy, batch) < 0.0) & known
+    return off.any(-1) & now & driving(batch)
+
+
+def _overlap(xy: Tensor, yaw: Tensor, size: Tensor) -> Tensor:
+    """Return (B, A, A, T) whether boxes overlap, by their four separating axes."""
+    ahead = torch.stack((torch.cos(yaw), torch.sin(yaw)), dim=-1)
+    left = torch.stack((-ahead[..., 1], ahead[..., 0]), dim=-1)
+    half = 0.5 * size[:, :, None, :, None]  # (B, A, 1, 2, 1)
+    edges = half * torch.stack((ahead, left), dim=-2)  # (B, A, T, 2, 2): half edges
+    delta = xy[:, None] - xy[:, :, None]  # (B, A, A, T, 2)
+    apart = torch.zeros(delta.shape[:-1], dtype=torch.bool, device=xy.device)
+    for axis in (ahead[:, :, None], left[:, :, None], ahead[:, None], left[:, None]):
+        reach = (edges[:, :, None] * axis[..., None, :]).sum(-1).abs().sum(-1)
+        reach = reach + (edges[:, None] * axis[..., None, :]).sum(-1).abs().sum(-1)
+        apart = apart | ((delta * axis).sum(-1).abs() > reach)
+    return ~apart
+
+
+def _counts(values: Tensor, bins: NDArray[np.float64]) -> NDArray[np.float64]:
+    inside = np.clip(values.double().cpu().numpy(), bins[0], bins[-1])
+    return np.histogram(inside, bins)[0].astype(np.float64)
+
+
+def _kl(p: NDArray[np.float64], q: NDArray[np.float64]) -> float:
+    some = p > 0.0
+    return float((p[some] * np.log2(p[some] / q[some])).sum())

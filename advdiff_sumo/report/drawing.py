@@ -16,56 +16,75 @@ from matplotlib.path import Path as Outline
 from matplotlib.patheffects import withStroke
 
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.report.folder import FinishedRun
-from advdiff_sumo.report.layer import Streets
-from advdiff_sumo.report.nets import Nets
+from advdiff_sumo.report.chosen import ChosenEpisode
+from advdiff_sumo.report.layer import Streets, View
 from advdiff_sumo.report.picture import Box, Picture, Role, picture_of
 
 COLOURS = {Role.TARGET: "#12824a", Role.ATTACKER: "#d95f02", Role.OTHER: "#8c9ba8"}
-_GROUND, _AREA, _MARKING, _IMPACT = "#eef2ec", "#d3d8dc", "#ffffff", "#c4122f"
+GROUND, IMPACT = "#eef2ec", "#c4122f"
+_AREA, _MARKING = "#d3d8dc", "#ffffff"
 _WIDTH_IN = 9.0
 _DPI = 130
 
 
-def figure(folder: Path, episode: int, path: Path) -> Path:
-    """Draw *episode* of the run in *folder* to *path* (.svg or .png) and return *path*; same run, same bytes.
+def figure(folder: Path, episode: int | None, path: Path) -> Path:
+    """Draw an episode of the run in *folder* to *path* (.svg or .png) and return *path*; same run, same bytes.
+
+    Args:
+        folder: of a finished run or sweep.
+        episode: its number; None for the worst.
+        path: the file to write.
 
     Raises:
         FileError: the run lacks the episode or its states, the ending is another, or *path* cannot be written.
     """
-    if path.suffix.lower() not in (".svg", ".png"):
-        raise FileError(path, "is neither .svg nor .png", "choose one of these endings")
-    run = FinishedRun.read(folder)
-    row, states = run.row(episode), run.states(episode)
-    if states is None:
-        raise FileError(folder, f"holds no states of episode {episode}", "choose another episode")
-    layer = Nets(run).layer(str(row["net"]))
-    drawn = draw(picture_of(states, row, run.collisions_of(episode), layer))
-    try:
-        _save(drawn, path)
-    except OSError as error:
-        raise FileError(path, f"cannot be written ({error.strerror})", "choose another place") from None
+    check_ending(path, (".svg", ".png"))
+    chosen = ChosenEpisode.read(folder, episode)
+    save_figure(draw(picture_of(chosen.states, chosen.row, chosen.collisions, chosen.layer)), path)
     return path
+
+
+def check_ending(path: Path, endings: tuple[str, ...]) -> str:
+    """Return the ending of *path* in lower case.
+
+    Raises:
+        FileError: it is none of *endings*.
+    """
+    ending = path.suffix.lower()
+    if ending not in endings:
+        raise FileError(path, f"is neither {' nor '.join(endings)}", "choose one of these endings")
+    return ending
+
+
+def unwritable(path: Path, error: OSError) -> FileError:
+    """Return the error that says that *path* cannot be written."""
+    return FileError(path, f"cannot be written ({error.strerror or error})", "choose another place")
+
+
+def frame_axes(axes: Axes, view: View) -> None:
+    """Make *axes* show *view*, north up, without ticks."""
+    axes.set(xlim=(view.x0_m, view.x1_m), ylim=(view.y0_m, view.y1_m), aspect="equal", xticks=[], yticks=[])
 
 
 def draw(picture: Picture) -> Figure:
     """Return *picture* as a figure of matplotlib, north up."""
     view = picture.view
-    drawn = Figure(figsize=(_WIDTH_IN, _WIDTH_IN * view.height_m / view.width_m), dpi=_DPI, facecolor=_GROUND)
+    drawn = Figure(figsize=(_WIDTH_IN, _WIDTH_IN * view.height_m / view.width_m), dpi=_DPI, facecolor=GROUND)
     FigureCanvasAgg(drawn)
     axes = drawn.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set(xlim=(view.x0_m, view.x1_m), ylim=(view.y0_m, view.y1_m), aspect="equal")
+    frame_axes(axes, view)
     axes.set_axis_off()
     points_per_m = 72.0 * _WIDTH_IN / view.width_m
     if picture.streets is not None:
-        _streets(axes, picture.streets, points_per_m)
+        draw_streets(axes, picture.streets, points_per_m)
     _traffic(axes, picture)
     _impact(axes, picture)
     _legend(axes, picture)
     return drawn
 
 
-def _streets(axes: Axes, streets: Streets, points_per_m: float) -> None:
+def draw_streets(axes: Axes, streets: Streets, points_per_m: float) -> None:
+    """Draw the drivable area and its markings; *points_per_m* is the scale, a point being 1/72 inch."""
     if streets.areas:
         outline = Outline.make_compound_path(*(Outline(ring, closed=True) for ring in streets.areas))
         axes.add_patch(PathPatch(outline, facecolor=_AREA, linewidth=0.0, zorder=1))
@@ -99,7 +118,7 @@ def _traffic(axes: Axes, picture: Picture) -> None:
 
 def _time(axes: Axes, picture: Picture, box: Box) -> None:
     x, y = box.centre_m + (0.5 + 0.017 * picture.view.width_m) * box.label_side
-    halo = [withStroke(linewidth=2.5, foreground=_GROUND)]
+    halo = [withStroke(linewidth=2.5, foreground=GROUND)]
     axes.text(
         x,
         y,
@@ -116,9 +135,9 @@ def _time(axes: Axes, picture: Picture, box: Box) -> None:
 
 def _impact(axes: Axes, picture: Picture) -> None:
     for point in picture.other_impacts_m:
-        axes.plot(*point, marker="x", color=_IMPACT, markersize=6, markeredgewidth=1.2, zorder=7)
+        axes.plot(*point, marker="x", color=IMPACT, markersize=6, markeredgewidth=1.2, zorder=7)
     if picture.impact_m is not None:
-        axes.plot(*picture.impact_m, marker="x", color=_IMPACT, markersize=12, markeredgewidth=3.0, zorder=8)
+        axes.plot(*picture.impact_m, marker="x", color=IMPACT, markersize=12, markeredgewidth=3.0, zorder=8)
 
 
 def _legend(axes: Axes, picture: Picture) -> None:
@@ -127,14 +146,22 @@ def _legend(axes: Axes, picture: Picture) -> None:
     roles = [role for role in names if any(trail.role is role for trail in picture.trails)]
     handles = [Line2D([], [], color=COLOURS[role], linewidth=5, label=names[role]) for role in roles]
     if picture.impact_m is not None:
-        cross = Line2D([], [], color=_IMPACT, linestyle="", marker="x", markersize=9, markeredgewidth=2.5)
+        cross = Line2D([], [], color=IMPACT, linestyle="", marker="x", markersize=9, markeredgewidth=2.5)
         cross.set_label("impact")
         handles.append(cross)
     axes.legend(handles=handles, loc="upper right", fontsize=9, framealpha=0.9)
 
 
-def _save(drawn: Figure, path: Path) -> None:
+def save_figure(drawn: Figure, path: Path) -> None:
+    """Write *drawn* to *path* (.svg or .png), without dates.
+
+    Raises:
+        FileError: *path* cannot be written.
+    """
     kind = path.suffix.lower()[1:]
     metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
-    with mpl.rc_context({"svg.hashsalt": "advdiff-sumo", "svg.fonttype": "none"}):
-        drawn.savefig(path, format=kind, metadata=metadata, facecolor=_GROUND, dpi=_DPI)
+    try:
+        with mpl.rc_context({"svg.hashsalt": "advdiff-sumo", "svg.fonttype": "none"}):
+            drawn.savefig(path, format=kind, metadata=metadata, facecolor=drawn.get_facecolor(), dpi=_DPI)
+    except OSError as error:
+        raise unwritable(path, error) from None

@@ -1,0 +1,152 @@
+"""Film strips of an episode as the paper shows its scenarios.
+
+Original trajectories are pale, those of the episode are linked circles; boxes stand where everybody is at the
+panel's time. Target green, attacker orange (AdvDiffuser, illustration of accident-prone scenarios).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.boxes import corners
+from advdiff_sumo.report.chosen import ChosenEpisode, poses_at
+from advdiff_sumo.report.drawing import (
+    COLOURS,
+    GROUND,
+    IMPACT,
+    check_ending,
+    draw_streets,
+    frame_axes,
+    save_figure,
+)
+from advdiff_sumo.report.layer import View
+from advdiff_sumo.report.picture import Role
+
+#: Length of a strip where no start is asked for, and spacing of its circles: the model's step.
+STRIP_S, CIRCLES_S = 6.0, 0.5
+MOST_PANELS = 8
+_PANEL_IN, _ASPECT, _LEGEND_IN = 3.1, 1.0, 0.34
+_PALE = "#ffffff"
+
+
+def film_strip(
+    folder: Path,
+    episode: int | None,
+    path: Path,
+    panels: int = 4,
+    start_s: float | None = None,
+    end_s: float | None = None,
+) -> Path:
+    """Draw *panels* moments of an episode side by side to *path* (.svg or .png) and return *path*.
+
+    The same run gives the same bytes.
+
+    Args:
+        folder: of a finished run or sweep.
+        episode: its number; None for the worst.
+        path: the file to write.
+        panels: how many moments, evenly spaced; the last one is the contact or the end.
+        start_s: first moment; None for ``STRIP_S`` before the last.
+        end_s: last moment; None for the contact, or 1 s after the least distance.
+
+    Raises:
+        FileError: the folder lacks the episode, the ending is another, or *path* cannot be written.
+        ConfigError: the stretch is not in the episode.
+    """
+    check_ending(path, (".svg", ".png"))
+    chosen = ChosenEpisode.read(folder, episode)
+    start, end = chosen.span_s(start_s, end_s, STRIP_S)
+    save_figure(draw_strip(chosen, np.linspace(start, end, max(panels, 2))[-panels:], start), path)
+    return path
+
+
+def draw_strip(chosen: ChosenEpisode, moments_s: FloatArray, start_s: float) -> Figure:
+    """Return the strip as a figure of matplotlib."""
+    view = chosen.view(start_s, float(moments_s[-1]), _ASPECT)
+    width, height = _PANEL_IN * len(moments_s), _PANEL_IN / _ASPECT + _LEGEND_IN
+    drawn = Figure(figsize=(width, height), dpi=130, facecolor="white")
+    FigureCanvasAgg(drawn)
+    for k, moment in enumerate(moments_s.tolist()):
+        gap = 0.02 / len(moments_s)
+        left, share = k / len(moments_s) + gap / 2, 1.0 / len(moments_s) - gap
+        axes = drawn.add_axes((left, _LEGEND_IN / height, share, 1.0 - _LEGEND_IN / height))
+        frame_axes(axes, view)
+        axes.set_facecolor(GROUND)
+        _panel(axes, chosen, view, start_s, moment)
+    _legend(drawn, chosen)
+    return drawn
+
+
+def _panel(axes: Axes, chosen: ChosenEpisode, view: View, start_s: float, moment_s: float) -> None:
+    tracks, target, attacker = chosen.states.tracks, chosen.states.target, chosen.attacker
+    if chosen.layer is not None:
+        draw_streets(axes, chosen.layer.streets(view, tolerance_m=0.05), 72.0 * _PANEL_IN / view.width_m)
+    if chosen.natural is not None:
+        for line in chosen.natural.xy_m:
+            axes.plot(*line.T, color="#9aa3aa", linewidth=3.0, zorder=3, solid_capstyle="round")
+            axes.plot(*line.T, color=_PALE, linewidth=2.0, zorder=3.1, solid_capstyle="round")
+    for row, role in ((attacker, Role.ATTACKER), (target, Role.TARGET)):
+        if row is not None:
+            _circles(axes, chosen, row, COLOURS[role], start_s, moment_s)
+    xy, yaw = poses_at(tracks, moment_s)
+    there = np.flatnonzero(np.isfinite(xy).all(axis=1))
+    for row in [r for r in there.tolist() if r not in (target, attacker)] + [attacker, target]:
+        if row is None or row not in there:
+            continue
+        role = Role.TARGET if row == target else Role.ATTACKER if row == attacker else Role.OTHER
+        outline = corners(xy[row], yaw[row], tracks.size_m[row])
+        box = PolyCollection(
+            [outline], facecolors=COLOURS[role], edgecolors="white", linewidths=0.8, zorder=5
+        )
+        axes.add_collection(box)
+    if chosen.contact_s is not None and moment_s >= chosen.contact_s - 1e-6 and chosen.impact_m is not None:
+        axes.plot(*chosen.impact_m, marker="x", color=IMPACT, markersize=11, markeredgewidth=2.6, zorder=8)
+    label = axes.text(
+        0.03, 0.97, f"{moment_s:.1f} s", transform=axes.transAxes, va="top", fontsize=10, zorder=9
+    )
+    label.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 2.0})
+
+
+def _circles(
+    axes: Axes, chosen: ChosenEpisode, row: int, colour: str, start_s: float, moment_s: float
+) -> None:
+    """Draw where an agent was every ``CIRCLES_S``, linked, the older the paler."""
+    times = np.arange(start_s, moment_s + 1e-6, CIRCLES_S)
+    way = np.stack([poses_at(chosen.states.tracks, float(t))[0][row] for t in times])
+    axes.plot(*way.T, color=colour, linewidth=1.2, alpha=0.8, zorder=4)
+    for k, point in enumerate(way):
+        strength = 0.35 + 0.65 * (k + 1) / len(way)
+        axes.plot(*point, "o", color=colour, alpha=strength, markersize=4.2, mec="white", mew=0.5, zorder=4.5)
+
+
+def _legend(drawn: Figure, chosen: ChosenEpisode) -> None:
+    hit = chosen.contact_s is not None
+    names = {
+        Role.TARGET: "target",
+        Role.ATTACKER: "attacker" if hit else "nearest vehicle",
+        Role.OTHER: "others",
+    }
+    handles = [
+        Line2D([], [], color=COLOURS[role], marker="s", markersize=7, linestyle="", label=name)
+        for role, name in names.items()
+    ]
+    handles.append(
+        Line2D([], [], color="#5a646c", marker="o", markersize=4, label=f"driven, every {CIRCLES_S:g} s")
+    )
+    if chosen.natural is not None:
+        handles.append(Line2D([], [], color="#b8c0c6", linewidth=3, label="without attack"))
+    if hit:
+        handles.append(
+            Line2D([], [], color=IMPACT, marker="x", linestyle="", markeredgewidth=2.4, label="contact")
+        )
+    drawn.legend(
+        handles=handles, loc="lower center", ncols=len(handles), fontsize=9, frameon=False, borderpad=0.2
+    )

@@ -1,0 +1,192 @@
+"""Films of an episode: MP4 by ffmpeg, GIF by Pillow; the same run gives the same bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.boxes import corners
+from advdiff_sumo.core.errors import FileError, MissingExtraError
+from advdiff_sumo.report.chosen import ChosenEpisode, poses_at
+from advdiff_sumo.report.drawing import (
+    COLOURS,
+    GROUND,
+    IMPACT,
+    check_ending,
+    draw_streets,
+    frame_axes,
+    unwritable,
+)
+from advdiff_sumo.report.picture import Role
+from advdiff_sumo.report.templates import words
+
+#: Pictures a second of film.
+FRAMES_PER_S = {".mp4": 25, ".gif": 10}
+#: Length of a film where no start is asked for.
+FILM_S = 30.0
+_HELD_S = 1.0
+_TRAIL_S = 2.0
+_WIDTH_PX, _ASPECT, _DPI = 960, 1.5, 100
+_GIF_COLOURS = 64
+
+
+def video(
+    folder: Path,
+    episode: int | None,
+    path: Path,
+    speed: float = 1.0,
+    start_s: float | None = None,
+    end_s: float | None = None,
+) -> Path:
+    """Film an episode to *path* (.mp4 or .gif) and return *path*.
+
+    Args:
+        folder: of a finished run or sweep.
+        episode: its number; None for the worst.
+        path: the file to write.
+        speed: seconds of the episode in a second of film.
+        start_s: first moment; None for ``FILM_S`` before the last.
+        end_s: last moment; None for the contact, or the end.
+
+    Raises:
+        FileError: the folder lacks the episode, the ending is another, or *path* cannot be written.
+        ConfigError: the stretch is not in the episode.
+        MissingExtraError: MP4 without the extra ``video``.
+    """
+    kind = check_ending(path, tuple(FRAMES_PER_S))
+    ffmpeg = _ffmpeg() if kind == ".mp4" else None
+    chosen = ChosenEpisode.read(folder, episode)
+    last = float(chosen.states.tracks.times_s[-1])
+    start, end = chosen.span_s(start_s, end_s if end_s is not None else last, FILM_S)
+    rate = FRAMES_PER_S[kind]
+    moments = np.append(np.arange(start, end - 1e-6, speed / rate), np.full(round(_HELD_S * rate), end))
+    if not path.parent.is_dir():
+        raise FileError(path, "cannot be written (its folder is not there)", "choose another place")
+    aside = path.with_name(f".{path.stem}.aside{kind}")
+    try:
+        frames = _frames(chosen, moments, start, end)
+        if ffmpeg is None:
+            _write_gif(frames, aside, rate)
+        else:
+            _write_mp4(frames, aside, rate, ffmpeg)
+        aside.replace(path)
+    except OSError as error:
+        raise unwritable(path, error) from None
+    finally:
+        aside.unlink(missing_ok=True)
+    return path
+
+
+def _ffmpeg() -> Any:
+    try:
+        import imageio_ffmpeg  # late: an extra
+    except ImportError:
+        raise MissingExtraError("an MP4 film", "video") from None
+    return imageio_ffmpeg
+
+
+def _frames(
+    chosen: ChosenEpisode, moments_s: FloatArray, start_s: float, end_s: float
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield (H, W, 3) pictures, H and W even; streets are drawn once, the rest upon them."""
+    view = chosen.view(start_s, end_s, _ASPECT)
+    drawn = Figure(figsize=(_WIDTH_PX / _DPI, _WIDTH_PX / _ASPECT / _DPI), dpi=_DPI, facecolor=GROUND)
+    canvas = FigureCanvasAgg(drawn)
+    axes = drawn.add_axes((0.0, 0.0, 1.0, 1.0))
+    frame_axes(axes, view)
+    axes.set_axis_off()
+    if chosen.layer is not None:
+        points_per_m = 72.0 * _WIDTH_PX / _DPI / view.width_m
+        draw_streets(axes, chosen.layer.streets(view, tolerance_m=0.05), points_per_m)
+    canvas.draw()
+    streets = canvas.copy_from_bbox(drawn.bbox)
+    for moment in moments_s.tolist():
+        canvas.restore_region(streets)
+        for artist in _artists(axes, chosen, moment):
+            axes.draw_artist(artist)
+            artist.remove()
+        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _artists(axes: Axes, chosen: ChosenEpisode, moment_s: float) -> list[Any]:
+    """Return what moves: trails, boxes, the contact and words."""
+    tracks, target, attacker = chosen.states.tracks, chosen.states.target, chosen.attacker
+    found: list[Any] = []
+    if chosen.natural is not None:
+        found += [
+            axes.plot(*line.T, color="white", linewidth=2.5, alpha=0.7)[0] for line in chosen.natural.xy_m
+        ]
+    past = chosen.steps(max(0.0, moment_s - _TRAIL_S), moment_s)
+    xy, yaw = poses_at(tracks, moment_s)
+    there = np.flatnonzero(np.isfinite(xy).all(axis=1)).tolist()
+    for role, rows in (
+        (Role.OTHER, [row for row in there if row not in (target, attacker)]),
+        (Role.ATTACKER, [row for row in there if row == attacker]),
+        (Role.TARGET, [row for row in there if row == target]),
+    ):
+        for row in rows:
+            way = np.concatenate((tracks.xy_m[row, past], xy[row][None]))
+            found.append(axes.plot(*way.T, color=COLOURS[role], linewidth=2.0, alpha=0.6)[0])
+        outlines = [corners(xy[row], yaw[row], tracks.size_m[row]) for row in rows]
+        noses = [
+            np.stack((xy[row], outline[:2].mean(axis=0))) for row, outline in zip(rows, outlines, strict=True)
+        ]
+        boxes = PolyCollection(outlines, facecolors=COLOURS[role], edgecolors="white", linewidths=1.0)
+        found.append(axes.add_collection(boxes))
+        found += [axes.plot(*nose.T, color="white", linewidth=1.2)[0] for nose in noses]
+    return found + _words(axes, chosen, moment_s)
+
+
+def _words(axes: Axes, chosen: ChosenEpisode, moment_s: float) -> list[Any]:
+    tracks, row = chosen.states.tracks, chosen.row
+    step = min(round(moment_s / tracks.dt_s), tracks.steps - 1)
+    speed = tracks.speed_mps[chosen.states.target, step]
+    told = f"{moment_s:5.1f} s" + (f"   target {speed:.1f} m/s" if np.isfinite(speed) else "")
+    paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 4.0}
+    found = [axes.text(0.015, 0.975, told, transform=axes.transAxes, va="top", fontsize=13, bbox=paper)]
+    if chosen.contact_s is not None and moment_s >= chosen.contact_s - 1e-6:
+        verdict = f"{words(row['collision_type'])}, at fault: {words(row['at_fault'])}"
+        found.append(
+            axes.text(0.015, 0.03, verdict, transform=axes.transAxes, fontsize=13, color=IMPACT, bbox=paper)
+        )
+        if chosen.impact_m is not None:
+            cross = axes.plot(*chosen.impact_m, marker="x", color=IMPACT, markersize=14, markeredgewidth=3.5)
+            found += cross
+    return found
+
+
+def _write_gif(frames: Iterator[NDArray[np.uint8]], path: Path, rate: int) -> None:
+    """Write a GIF in which all pictures share the colours of the last one, which has them all."""
+    pictures = [Image.fromarray(frame) for frame in frames]
+    palette = pictures[-1].quantize(_GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
+    indexed = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    duration = round(1000 / rate)
+    indexed[0].save(path, save_all=True, append_images=indexed[1:], duration=duration, loop=0, optimize=False)
+
+
+def _write_mp4(frames: Iterator[NDArray[np.uint8]], path: Path, rate: int, ffmpeg: Any) -> None:
+    """Write H.264 that any browser plays; one thread and no dates, so that the bytes repeat."""
+    plain = ["-threads", "1", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1"]
+    first = next(frames)
+    size = (first.shape[1], first.shape[0])
+    params = [*plain, "-crf", "21"]
+    sink = ffmpeg.write_frames(
+        str(path), size, fps=rate, codec="libx264", macro_block_size=2, quality=None, output_params=params
+    )
+    sink.send(None)
+    try:
+        sink.send(first.tobytes())
+        for frame in frames:
+            sink.send(frame.tobytes())
+    finally:
+        sink.close()

@@ -39,6 +39,13 @@ class Trace:
     motion: tuple[_Motion, ...]
     senders: tuple[tuple[Tensor, ...], ...]
 
+    def repeat(self, times: int) -> Trace:
+        """Return the trace of the one scene *times* times."""
+        return Trace(
+            tuple((_many(xy, times), _many(yaw, times), _many(speed, times)) for xy, yaw, speed in self.motion),
+            tuple(tuple(_many(sent, times) for sent in layers) for layers in self.senders),
+        )
+
 
 class FastDecoder:
     """Rolls out scenes of one plan.
@@ -164,6 +171,10 @@ def _layer(layer: InteractionLayer, h: Tensor, edges: Tensor, sent: Tensor, bloc
 def _put(motion: _Motion, rows: Tensor, own: _Motion) -> _Motion:
     xy, yaw, speed = (all_.index_copy(1, rows, mine) for all_, mine in zip(motion, own, strict=True))
     return xy, yaw, speed
+
+
+def _many(x: Tensor, times: int) -> Tensor:
+    return x.expand(times, *x.shape[1:])
 
 
 class _Edges:

@@ -15,8 +15,25 @@ from advdiff_sumo.diffusion.schedule import Schedule
 Family: TypeAlias = Literal["printed", "consistent"]
 Noise: TypeAlias = Callable[[Tensor, int], Tensor]
 """ε(x, k): (B, A, C, L) and a step → (B, A, C, L)."""
-Guide: TypeAlias = Callable[[Tensor, float], Tensor]
-"""(μ (B, A, C, L), its standard deviation) → what is added to μ."""
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One step of a ladder, as a guide sees it.
+
+    Attributes:
+        left: steps that follow.
+        alpha: α of the step that is gone to; μ is data times √α plus noise.
+        deviation: √Σ of Eq. (2), whatever the family and η; 0 at the last step.
+    """
+
+    left: int
+    alpha: float
+    deviation: float
+
+
+Guide: TypeAlias = Callable[[Tensor, Rung], Tensor]
+"""(μ (B, A, C, L), where on the ladder) → what is added to μ."""
 
 
 @dataclass(frozen=True)
@@ -58,11 +75,17 @@ def transition(
     if sampling.clip > 0.0:
         clean = clean.clamp(-sampling.clip, sampling.clip)
         noise = (x - now**0.5 * clean) / (1.0 - now) ** 0.5
-    variance = (1.0 - then) / (1.0 - now) * (1.0 - now / then)
+    variance = posterior_deviation(k, to, schedule) ** 2
     if sampling.family == "printed":
         return then**0.5 * clean + (1.0 - then) ** 0.5 * noise, variance**0.5
     variance *= sampling.eta**2
     return then**0.5 * clean + max(1.0 - then - variance, 0.0) ** 0.5 * noise, variance**0.5
+
+
+def posterior_deviation(k: int, to: int, schedule: Schedule) -> float:
+    """Return √Σ of Eq. (2) for the step from *k* to *to*, with β = 1 − α^k / α^to."""
+    now, then = float(schedule.alpha[k]), float(schedule.alpha[to])
+    return float(((1.0 - then) / (1.0 - now) * (1.0 - now / then)) ** 0.5)
 
 
 def sample(
@@ -87,10 +110,10 @@ def sample(
     """
     x = start
     ladder = schedule.ladder(sampling.steps)
-    for k, to in pairwise(ladder):
+    for left, (k, to) in zip(reversed(range(sampling.steps)), pairwise(ladder), strict=True):
         mean, deviation = transition(x, noise_of(x, k), k, to, schedule, sampling)
         if guide is not None:
-            mean = mean + guide(mean, deviation)
+            mean = mean + guide(mean, Rung(left, float(schedule.alpha[to]), posterior_deviation(k, to, schedule)))
         x = mean
         if deviation > 0.0 and to > 0:
             x = x + deviation * draw(x, generator)

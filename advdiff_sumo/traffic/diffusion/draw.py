@@ -15,6 +15,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.losses import off_road, pair_overlap
+from advdiff_sumo.traffic.diffusion.guidance import Scenes, guidance
 from advdiff_sumo.traffic.diffusion.networks import Networks
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
 from advdiff_sumo.traffic.diffusion.view import View
@@ -65,13 +66,16 @@ def draw_plan(
     if options.samples > 1:
         many = batch.repeat(options.samples)
         h, z = (part.expand(options.samples, -1, -1) for part in (h, z))
+    guide, chosen = None, ()
+    if options.guided:
+        guide, chosen = guidance(networks, options, view, Scenes(batch, many, context), attackers)
     x = sample(
         networks.denoiser.condition(z, h),
         start.to(networks.device),
         networks.schedule,
         networks.sampling,
         generator,
-        None,
+        guide,
     )
     rollout = decode(networks, x, h, many)
     best = _most_plausible(rollout, many) if options.samples > 1 else 0
@@ -79,7 +83,7 @@ def draw_plan(
     return Drawn(
         rollout=_only(rollout, best),
         noise={name: kept[row] for row, name in enumerate(view.ids)},
-        attackers=attackers,
+        attackers=chosen,
         latents=x[best, :, 0],
     )
 

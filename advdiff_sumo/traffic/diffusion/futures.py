@@ -8,6 +8,9 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.frames import unit, wrap_angle
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.options import MODEL_STEP_S
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,24 @@ class Futures:
         """Return the distance driven (N, T + 1) since now."""
         stride = np.linalg.norm(np.diff(self.xy_m, axis=1), axis=-1)
         return np.concatenate((np.zeros((self.agents, 1)), np.cumsum(stride, axis=1)), axis=1)
+
+
+def futures_of(now: Tracks, rollout: Rollout) -> Futures:
+    """Return the first scene of *rollout* in the world's frame, with the present, the last instant of *now*, first.
+
+    The scene's origin is the first agent of *now*.
+    """
+    origin = now.xy_m[0, -1]
+    xy, yaw, speed = (
+        part[0].detach().cpu().numpy().astype(np.float64) for part in (rollout.xy, rollout.yaw, rollout.speed)
+    )
+    return Futures(
+        np.concatenate((now.xy_m[:, -1:], xy + origin), axis=1),
+        np.concatenate((now.yaw_rad[:, -1:], yaw), axis=1),
+        np.concatenate((now.speed_mps[:, -1:], speed), axis=1),
+        now.size_m,
+        MODEL_STEP_S,
+    )
 
 
 def coasting(

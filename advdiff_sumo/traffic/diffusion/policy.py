@@ -11,10 +11,9 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
-from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.options import MODEL_STEP_S
 from advdiff_sumo.traffic.diffusion.draw import Drawn, draw_plan
-from advdiff_sumo.traffic.diffusion.futures import Futures, coasting, join
+from advdiff_sumo.traffic.diffusion.futures import Futures, coasting, futures_of, join
 from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.diffusion.networks import Networks, networks_of
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
@@ -101,7 +100,7 @@ class DiffusionTraffic:
 
 def guard(road: RoadMap, view: View, drawn: Drawn, lanes: Mapping[int, LaneAhead | None]) -> Guarded:
     """Return the plans *drawn* for *view* made plausible, among everybody else's predictions."""
-    seen = futures_of(view, drawn.rollout)
+    seen = futures_of(view.now, drawn.rollout)
     scene = view.scene
     rest = np.setdiff1d(np.flatnonzero(scene.history.valid[:, -1]), view.rows)
     now = scene.history
@@ -119,22 +118,6 @@ def guard(road: RoadMap, view: View, drawn: Drawn, lanes: Mapping[int, LaneAhead
     return safeguard(road, join(seen, others), watched)
 
 
-def futures_of(view: View, rollout: Rollout) -> Futures:
-    """Return the first scene of *rollout* in the world's frame, with the present in front."""
-    now = view.scene.history.rows(view.rows)
-    origin = now.xy_m[0, -1]
-    xy, yaw, speed = (
-        part[0].detach().cpu().numpy().astype(np.float64) for part in (rollout.xy, rollout.yaw, rollout.speed)
-    )
-    return Futures(
-        np.concatenate((now.xy_m[:, -1:], xy + origin), axis=1),
-        np.concatenate((now.yaw_rad[:, -1:], yaw), axis=1),
-        np.concatenate((now.speed_mps[:, -1:], speed), axis=1),
-        now.size_m,
-        MODEL_STEP_S,
-    )
-
-
 def _leaving(scene: Scene, lanes: Mapping[int, LaneAhead | None]) -> BoolArray:
     """Return (agents,) which vehicles are about to drive off the net's end."""
     out = np.zeros(scene.history.agents, dtype=np.bool_)
@@ -148,7 +131,7 @@ def _leaving(scene: Scene, lanes: Mapping[int, LaneAhead | None]) -> BoolArray:
 def _tracks(view: View, futures: Futures) -> Tracks:
     """Return the plans of the moved vehicles."""
     rows = np.flatnonzero(view.moved)
-    now = view.scene.history.rows(view.rows[rows])
+    now = view.now.rows(rows)
     return Tracks(
         ids=now.ids,
         classes=now.classes,

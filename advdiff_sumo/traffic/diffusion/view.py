@@ -27,14 +27,19 @@ class View:
         rows: (A,) rows of the scene.
         moved: (A,) who gets a plan.
         batch: the agents as a batch of one.
-        ids: their names.
+        now: their histories.
     """
 
     scene: Scene
     rows: IntArray
     moved: BoolArray
     batch: SceneBatch
-    ids: tuple[str, ...]
+    now: Tracks
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Names of the agents."""
+        return self.now.ids
 
 
 def look(road: RoadMap, scene: Scene, left_out: BoolArray | None = None) -> View:
@@ -65,7 +70,7 @@ def look(road: RoadMap, scene: Scene, left_out: BoolArray | None = None) -> View
     batch = scene_batch(
         history, table.xy_m, table.features, table.signal, near.astype(np.int64), states.astype(np.int64)
     )
-    return View(scene, rows, moved[rows], batch, history.ids)
+    return View(scene, rows, moved[rows], batch, history)
 
 
 def _nearest(scene: Scene, moved: BoolArray) -> IntArray:

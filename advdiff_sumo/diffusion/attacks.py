@@ -1,0 +1,248 @@
+"""Kinds of attack as differentiable objectives of what the decoder makes of the attackers' latents.
+
+Each compares the attackers' futures with the target's natural one, which is not differentiated: to collide with
+where the target is going to be. Distances are between five discs a vehicle (``models.losses``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from advdiff_sumo.diffusion.fast_decoder import FastDecoder, Trace
+from advdiff_sumo.diffusion.guides import Objective
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.codec import LatentCodec
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.geometry import into_frame
+from advdiff_sumo.models.losses import discs, off_road
+from advdiff_sumo.models.options import MODEL_STEP_S
+
+_SOFT_M = 1.0
+_TOUCHES_M = -0.5  # nearer than this does not count as more
+_OTHERS_WEIGHT, _ROAD_WEIGHT, _PRIOR_WEIGHT = 10.0, 4.0, 0.01
+
+
+@dataclass(frozen=True)
+class Natural:
+    """Where everybody would go without an attack, one scene; target in row 0.
+
+    Attributes:
+        rollout: futures of all agents, (1, A, T).
+        trace: for rollouts of some of them.
+    """
+
+    rollout: Rollout
+    trace: Trace
+
+    @property
+    def steps(self) -> int:
+        """Instants of the rollout."""
+        return int(self.rollout.yaw.shape[2])
+
+
+@dataclass(frozen=True)
+class Encounter:
+    """Attackers' futures as the target on its natural way sees them; each (B, R, T) unless told otherwise.
+
+    Attributes:
+        gap: distance of the bodies.
+        ahead: position along the target's heading.
+        left: position to its left.
+        same: cosine of the angle between the headings.
+        speed: of the attacker.
+        target_speed: of the target, (T,).
+        reach: (R, 1) half the sum of both lengths.
+        time_s: (T,) instants.
+    """
+
+    gap: Tensor
+    ahead: Tensor
+    left: Tensor
+    same: Tensor
+    speed: Tensor
+    target_speed: Tensor
+    reach: Tensor
+    time_s: Tensor
+
+
+def encounter(rollout: Rollout, size: Tensor, natural: Natural, target_size: Tensor) -> Encounter:
+    """Return how *rollout* (B, R, T) of vehicles of *size* (R, 2) meets the target of *target_size* (2,)."""
+    target = natural.rollout
+    xy, yaw, speed = target.xy[0, 0], target.yaw[0, 0], target.speed[0, 0]
+    steps = rollout.yaw.shape[2]
+    offset = into_frame(rollout.xy, xy[:steps], yaw[:steps].expand(rollout.yaw.shape))
+    return Encounter(
+        gap=_gap(rollout, size, xy[:steps], yaw[:steps], target_size),
+        ahead=offset[..., 0],
+        left=offset[..., 1],
+        same=torch.cos(rollout.yaw - yaw[:steps]),
+        speed=rollout.speed,
+        target_speed=speed[:steps],
+        reach=0.5 * (size[:, :1] + target_size[0]),
+        time_s=MODEL_STEP_S * torch.arange(1, steps + 1, device=xy.device),
+    )
+
+
+def _gap(rollout: Rollout, size: Tensor, xy: Tensor, yaw: Tensor, other: Tensor) -> Tensor:
+    """Return the distance (B, R, T) of bodies made of discs; *xy* (…, T, 2) and *yaw* (…, T) are the other's."""
+    mine, radius = discs(rollout.xy, rollout.yaw, size[:, None].expand(*rollout.yaw.shape, 2))
+    yours, reach = discs(xy, yaw, other.expand(*yaw.shape, 2))
+    squared = (mine[..., :, None, :] - yours[..., None, :, :]).square().sum(-1).flatten(-2).amin(-1)
+    return torch.sqrt(squared + 1e-9) - radius - reach
+
+
+def _nearest(gap: Tensor) -> Tensor:
+    """Return the smooth least (B, R) of gaps (B, R, T)."""
+    return -_SOFT_M * torch.logsumexp(-gap.clamp(min=_TOUCHES_M) / _SOFT_M, dim=-1)
+
+
+def _between(value: Tensor, low: Tensor | float, high: Tensor | float) -> Tensor:
+    """Return how far *value* is outside [low, high]."""
+    return torch.relu(low - value) + torch.relu(value - high)
+
+
+def _during(e: Encounter, cost: Tensor, begin_s: float, end_s: float) -> Tensor:
+    """Return the mean (B, R) of *cost* (B, R, T) over a span."""
+    within = ((e.time_s >= begin_s) & (e.time_s <= end_s)).to(cost.dtype)
+    return (cost * within).sum(-1) / within.sum().clamp(min=1.0)
+
+
+def _any(e: Encounter) -> Tensor:
+    return _nearest(e.gap)
+
+
+def _cut_in(e: Encounter) -> Tensor:
+    """Into the target's lane ahead of it and slower, between 2 and 4 s."""
+    place = e.left.abs() + 0.3 * _between(e.ahead, e.reach + 0.5, e.reach + 6.0)
+    slower = 0.3 * torch.relu(e.speed - (e.target_speed - 2.0))
+    return _during(e, place + slower + 3.0 * (1.0 - e.same), 1.5, 4.0) + 0.3 * _nearest(e.gap)
+
+
+def _brake(e: Encounter) -> Tensor:
+    """Ahead in the target's lane, down to a fifth of its speed."""
+    place = e.left.abs() + 0.3 * torch.relu(e.reach - e.ahead)
+    slower = 0.5 * torch.relu(e.speed - 0.2 * e.target_speed)
+    return _during(e, place + slower, 0.5, 4.0) + 0.3 * _nearest(e.gap)
+
+
+def _rear_end(e: Encounter) -> Tensor:
+    """Behind in the target's lane and faster by 3 m/s."""
+    place = e.left.abs() + 0.2 * _between(e.ahead, -e.reach - 1.0, -e.reach + 0.5)
+    faster = 0.3 * torch.relu(e.target_speed + 3.0 - e.speed)
+    return _during(e, place + faster, 1.0, 4.0) + 0.5 * _nearest(e.gap)
+
+
+def _head_on(e: Encounter) -> Tensor:
+    """Into the target's lane against its heading."""
+    meeting = torch.exp(-(e.gap.detach().clamp(min=0.0) / 15.0))
+    return _nearest(e.gap) + (meeting * (0.5 * e.left.abs() + (1.0 + e.same))).mean(-1)
+
+
+def _junction(e: Encounter) -> Tensor:
+    """Across the target's way at the same place and time."""
+    meeting = torch.exp(-(e.gap.detach().clamp(min=0.0) / 5.0))
+    return _nearest(e.gap) + (meeting * e.same.square()).mean(-1)
+
+
+COSTS: Mapping[str, Callable[[Encounter], Tensor]] = {
+    "any": _any,
+    "cut-in": _cut_in,
+    "rear-end": _rear_end,
+    "head-on": _head_on,
+    "junction": _junction,
+    "brake": _brake,
+}
+"""What an attack of each kind makes small, (B, R)."""
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """Attackers of one scene, drawn B times at once."""
+
+    decoder: FastDecoder
+    codec: LatentCodec
+    context: Context
+    batch: SceneBatch
+    rows: Tensor
+    natural: Natural
+
+
+def attack_objective(
+    kind: str,
+    decoder: FastDecoder,
+    codec: LatentCodec,
+    context: Context,
+    batch: SceneBatch,
+    rows: Tensor,
+    natural: Natural,
+) -> Objective:
+    """Return what attackers *rows* (R,) shall make large: minus the cost of *kind* and of being implausible.
+
+    Implausible is to overlap another vehicle but the target, to leave the road, and what the prior finds unlikely.
+
+    Args:
+        kind: a key of ``COSTS``.
+        decoder: makes futures of latents.
+        codec: between scaled latents and the decoder's.
+        context: of the one scene.
+        batch: the one scene.
+        rows: attackers, the target (row 0) not among them.
+        natural: where everybody would go without an attack.
+    """
+    scene = _Scene(decoder, codec, context, batch, rows, natural)
+    cost, own = COSTS[kind], _rows_of(batch, rows)
+    size = batch.size[0]
+
+    def value(latents: Tensor) -> Tensor:
+        z = codec.unscale(latents[:, rows, None])[:, :, 0]
+        rollout = _futures(scene, z)
+        met = encounter(rollout, size[rows], natural, size[0])
+        unlikely = _PRIOR_WEIGHT * _surprise(scene, z)
+        off = off_road(rollout, own.repeat(len(z))).sum(-1)
+        loss = cost(met) + _OTHERS_WEIGHT * _overlap(scene, rollout) + _ROAD_WEIGHT * off + unlikely
+        return -loss.mean(-1)
+
+    return value
+
+
+def _futures(scene: _Scene, z: Tensor) -> Rollout:
+    """Return the futures (B, R, T) of the attackers' latents *z* (B, R, Z) against everybody's natural ones."""
+    count, trace = len(z), scene.natural.trace
+    if count == 1:
+        h, batch = scene.context.h, scene.batch
+    else:
+        h, batch, trace = scene.context.h.expand(count, -1, -1), scene.batch.repeat(count), trace.repeat(count)
+    return scene.decoder.some(z, h, batch, scene.rows, scene.natural.steps, trace)
+
+
+def _rows_of(batch: SceneBatch, rows: Tensor) -> SceneBatch:
+    """Return the scenes with agents *rows* alone."""
+    return SceneBatch(**{f.name: getattr(batch, f.name)[:, rows] for f in fields(batch)})
+
+
+def _overlap(scene: _Scene, rollout: Rollout) -> Tensor:
+    """Return how far (B, R) the attackers' discs are inside those of others than the target, summed over time."""
+    agents = torch.arange(scene.batch.agents, device=scene.rows.device)
+    others = agents[(agents != 0) & ~torch.isin(agents, scene.rows)]
+    if not len(others):
+        return torch.zeros_like(rollout.yaw[..., 0])
+    size, natural = scene.batch.size[0], scene.natural.rollout
+    mine, radius = discs(rollout.xy, rollout.yaw, size[scene.rows, None].expand(*rollout.yaw.shape, 2))
+    steps = natural.yaw.shape[2]
+    yours, reach = discs(natural.xy[0, others], natural.yaw[0, others], size[others, None].expand(-1, steps, 2))
+    delta = mine[:, :, None, :, :, None] - yours[None, None, :, :, None, :]
+    squared = delta.square().sum(-1).flatten(-2).amin(-1)  # (B, R, O, T)
+    wide = radius[:, :, None] + reach
+    return (1.0 - torch.sqrt(squared + 1e-9) / wide).clamp(min=0.0).sum(dim=(2, 3))
+
+
+def _surprise(scene: _Scene, z: Tensor) -> Tensor:
+    """Return half the squared distance (B, R) of *z* from the prior's mean in its deviations."""
+    prior = scene.context.prior
+    mean, logvar = prior.mean[:, scene.rows], prior.logvar[:, scene.rows]
+    return 0.5 * ((z - mean).square() * torch.exp(-logvar)).sum(-1)

@@ -1,0 +1,88 @@
+"""Sets up the guide of one plan: who attacks, and what by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from advdiff_sumo.diffusion.attacks import Natural, attack_objective
+from advdiff_sumo.diffusion.guides import Guidance, Term, reward_objective
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.traffic.diffusion.attackers import choose
+from advdiff_sumo.traffic.diffusion.futures import futures_of
+from advdiff_sumo.traffic.diffusion.networks import Networks
+from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
+from advdiff_sumo.traffic.diffusion.view import View
+
+ALPHA = 6.0
+"""Shift of a step at strength 1, in units of √Σ."""
+HORIZON_STEPS = 8
+"""Model steps of a future that an attack looks at."""
+_REWARD_RUNGS, _ATTACK_RUNGS = 3, 2
+_REWARD_WEIGHT, _ATTACK_WEIGHT = 0.5, 1.0
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """One scene, alone and as often as samples are drawn.
+
+    Attributes:
+        one: the scene.
+        many: the scene, repeated.
+        context: of the one.
+    """
+
+    one: SceneBatch
+    many: SceneBatch
+    context: Context
+
+
+def guidance(
+    networks: Networks, options: DiffusionOptions, view: View, scenes: Scenes, before: tuple[str, ...]
+) -> tuple[Guidance | None, tuple[str, ...]]:
+    """Return the guide and the names of those it guides; no guide where nobody can attack.
+
+    Args:
+        networks: the trained networks.
+        options: of the policy.
+        view: the scene.
+        scenes: the same as tensors, with its context.
+        before: who attacked last.
+    """
+    natural = naturally(networks, scenes)
+    futures = futures_of(view.now, natural.rollout)
+    rows = choose(futures, view.moved, options.attack, options.attackers, np.isin(view.ids, before))
+    if not len(rows):
+        return None, ()
+    attackers = torch.from_numpy(rows).to(networks.device)
+    reward = networks.bundle.reward
+    h, mean = scenes.context.h, scenes.context.prior.mean
+    count = scenes.many.scenes
+    with torch.no_grad():
+        state = reward.prepare(
+            h.expand(count, -1, -1),
+            mean.expand(count, -1, -1),
+            scenes.many,
+            torch.zeros(count, dtype=torch.long, device=networks.device),
+        )
+    attack = attack_objective(
+        options.attack, networks.decoder, networks.codec, scenes.context, scenes.one, attackers, natural
+    )
+    terms = (
+        Term(reward_objective(reward, state), _REWARD_WEIGHT, _REWARD_RUNGS),
+        Term(attack, _ATTACK_WEIGHT, _ATTACK_RUNGS),
+    )
+    mask = torch.zeros(scenes.one.agents, dtype=h.dtype, device=networks.device)
+    mask[attackers] = 1.0
+    return Guidance(terms, mask, ALPHA * options.strength), tuple(view.ids[row] for row in rows.tolist())
+
+
+def naturally(networks: Networks, scenes: Scenes) -> Natural:
+    """Return where everybody would go: the decoder at the prior's mean."""
+    rollout, trace = networks.decoder.whole(
+        scenes.context.prior.mean, scenes.context.h, scenes.one, HORIZON_STEPS
+    )
+    return Natural(rollout, trace)

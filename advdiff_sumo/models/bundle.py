@@ -136,7 +136,7 @@ def load_bundle(path: Path) -> Bundle:
         raise WeightsError(path, "no such file", "train it, or leave the option out for the shipped weights")
     try:
         with safe_open(str(path), framework="pt") as file:
-            header = json.loads((file.metadata() or {}).get(_HEADER, "{}"))
+            header = _header(file.metadata() or {})
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dictionary
     except (SafetensorError, OSError) as error:
         raise WeightsError(
@@ -155,6 +155,15 @@ def load_bundle(path: Path) -> Bundle:
         bundle.reward,
         tuple(header.get("stages", ())),
     )
+
+
+def _header(metadata: Mapping[str, str]) -> dict[str, Any]:
+    """Return what :func:`save_bundle` wrote beside the tensors; {} where it is damaged or another program's."""
+    try:
+        header = json.loads(metadata.get(_HEADER, "{}"))
+    except ValueError:
+        return {}
+    return header if isinstance(header, dict) and isinstance(header.get("options"), dict) else {}
 
 
 def _fill(bundle: Bundle, tensors: Mapping[str, Tensor], path: Path) -> None:

@@ -102,7 +102,7 @@ class TrajectoryCodec(_Scaled):
         ahead = torch.stack((torch.cos(yaw), torch.sin(yaw)), dim=-1)
         speed = (steps * ahead).sum(-1)
         accel = torch.diff(speed, dim=2, prepend=now[..., 3]) / MODEL_STEP_S
-        turned = torch.diff(yaw, dim=2, prepend=now[..., 2])
+        turned = wrap_angle(torch.diff(yaw, dim=2, prepend=now[..., 2]))  # headings of x jump at ±π
         curvature = turned / (steps.norm(dim=-1) * MODEL_STEP_S).clamp(min=0.1)
         return Rollout(xy, yaw, speed, accel, curvature)
 

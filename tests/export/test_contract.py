@@ -1,0 +1,159 @@
+"""Every format keeps the contract: same bytes twice, and back within 1 cm and 0.1°."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.errors import ConfigError, FileError, UnknownNameError
+from advdiff_sumo.export import EXPORTERS, ExportScene, ImportedScene, check_exporter, import_scene, make_exporter
+from advdiff_sumo.export.check import compare
+from advdiff_sumo.export.csv_file import Csv
+from advdiff_sumo.export.net_opendrive import plan_of
+from advdiff_sumo.export.scene import number, seconds, stretches
+
+BUILT_IN = tuple(EXPORTERS.builtins)
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_everybody_comes_back(name: str, busy: ExportScene) -> None:
+    assert check_exporter(make_exporter(name), busy) == []
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_the_ending_tells_the_format(name: str, plain: ExportScene, tmp_path: Path) -> None:
+    files = make_exporter(name).write(plain, tmp_path)
+    read = import_scene(files[0])
+    assert list(compare(read, plain)) == []
+    assert read.tracks.ids[read.target] == "ego"
+    assert read.tracks.speed_mps[read.target] == pytest.approx(12.0, abs=0.01)
+
+
+@pytest.mark.parametrize("net", ["motorway", "downtown-left"])
+def test_shipped_nets(
+    net: str, networks: Path, on_net: Callable[[Path], ExportScene], tmp_path: Path
+) -> None:
+    scene = on_net(networks / f"{net}.net.xml")
+    for name in ("commonroad", "scenarionet", "fcd"):
+        assert list(compare(make_exporter(name).read(make_exporter(name).write(scene, tmp_path)[0]), scene)) == []
+
+
+def test_another_step(plain: ExportScene, tmp_path: Path) -> None:
+    scene = replace(plain, tracks=replace(plain.tracks, dt_s=0.05))
+    for name in BUILT_IN:
+        read = make_exporter(name).read(make_exporter(name).write(scene, tmp_path)[0])
+        assert read.tracks.dt_s == pytest.approx(0.05)
+        assert list(compare(read, scene)) == []
+
+
+class Shifted(Csv):
+    """Reads everything 2 cm further east."""
+
+    def read(self, path: Path) -> ImportedScene:
+        read = super().read(path)
+        return replace(read, tracks=replace(read.tracks, xy_m=read.tracks.xy_m + (0.02, 0.0)))
+
+
+class Counting(Csv):
+    """Writes other bytes each time."""
+
+    count = 0
+
+    def write(self, scene: ExportScene, folder: Path) -> tuple[Path, ...]:
+        files = super().write(scene, folder)
+        Counting.count += 1
+        (folder / f"{scene.name}.count").write_text(str(Counting.count))
+        return (*files, folder / f"{scene.name}.count")
+
+
+class Turned(Csv):
+    """Reads headings 0.2° off."""
+
+    def read(self, path: Path) -> ImportedScene:
+        read = super().read(path)
+        return replace(read, tracks=replace(read.tracks, yaw_rad=read.tracks.yaw_rad + np.deg2rad(0.2)))
+
+
+class Elsewhere(Csv):
+    """Names its file after nobody."""
+
+    def write(self, scene: ExportScene, folder: Path) -> tuple[Path, ...]:
+        return (super().write(scene, folder)[0].rename(folder / "x.csv"),)
+
+
+class Gullible(Csv):
+    """Reads anything."""
+
+    def read(self, path: Path) -> ImportedScene:
+        if path.read_bytes().startswith(b"\x00"):
+            return self.last
+        self.last = super().read(path)
+        return self.last
+
+
+@pytest.mark.parametrize(
+    ("broken", "said"),
+    [
+        (Shifted(), "positions differ by up to 0.0200 m"),
+        (Turned(), "headings differ by up to 0.2000°"),
+        (Counting(), "other bytes a second time"),
+        (Elsewhere(), "does not hold the scene's name"),
+        (Gullible(), "read takes a damaged file"),
+        (object(), "write raised AttributeError"),
+    ],
+)
+def test_the_checker_finds_what_is_broken(broken: Csv, said: str, plain: ExportScene) -> None:
+    problems = check_exporter(broken, plain)
+    assert any(said in problem for problem in problems), problems
+
+
+def test_names_resolve_and_near_misses_are_told() -> None:
+    assert type(make_exporter("OpenSCENARIO")).__name__ == "OpenScenario"
+    assert type(make_exporter("advdiff_sumo.export.csv_file:Csv")) is Csv
+    with pytest.raises(UnknownNameError, match="did you mean 'commonroad'"):
+        make_exporter("comonroad")
+    with pytest.raises(ConfigError, match="is no exporter: it lacks write and read"):
+        make_exporter("builtins:object")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"name": "../up"}, "is no name for files"),
+        ({"name": ""}, "is no name for files"),
+    ],
+)
+def test_scenes_that_cannot_be(change: dict[str, str], said: str, plain: ExportScene) -> None:
+    with pytest.raises(ValueError, match=said):
+        replace(plain, **change)
+    with pytest.raises(ValueError, match="not at 0"):
+        replace(plain, tracks=plain.tracks.shifted(1.0))
+    nobody = replace(plain.tracks, valid=np.zeros_like(plain.tracks.valid))
+    with pytest.raises(ValueError, match="never there"):
+        replace(plain, tracks=nobody)
+
+
+def test_stretches_and_numbers() -> None:
+    assert list(stretches(np.array([True, True, False, True]))) == [(0, 2), (3, 4)]
+    assert list(stretches(np.zeros(3, dtype=np.bool_))) == []
+    assert (number(-0.00001), number(-1.5, 2), number(1e-9)) == ("0.0000", "-1.50", "0.0000")
+    assert (seconds(0, 0.1), seconds(3, 0.1), seconds(1, 0.025)) == ("0.0", "0.3", "0.025")
+
+
+def test_lanes_and_ways_of_the_crossing(busy: ExportScene) -> None:
+    """8 edges of one lane; from each of the four entries left, straight and right."""
+    plan = plan_of(busy.road)
+    assert len(plan.edges) == 8
+    assert len(plan.connections) == 12
+    for way in plan.connections:
+        lane = busy.road.lanes[f"{way.origin[0]}_{way.origin[1]}"]
+        assert way.shape_m[0] == pytest.approx(lane.centre_xy_m[-1])
+
+
+def test_an_unknown_ending_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"\.xosc, \.cr\.xml"):
+        import_scene(tmp_path / "a.docx")

@@ -7,11 +7,11 @@ from itertools import pairwise
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from advdiff_sumo.diffusion.sampler import Family, Noise, Sampling, draw, sample, transition
+from advdiff_sumo.diffusion.sampler import Family, Noise, Rung, Sampling, draw, sample, transition
 from advdiff_sumo.diffusion.schedule import Schedule
 
 SCHEDULE = Schedule(100)
@@ -88,6 +88,7 @@ def test_consistent_with_eta_one_is_the_ddpm_posterior(k: int, to: int) -> None:
     assert deviation**2 == pytest.approx((1.0 - then) / (1.0 - now) * beta, abs=1e-12)
 
 
+@settings(max_examples=60, deadline=None)
 @given(st.floats(0.0, 1.0), st.integers(1, 100), st.data())
 def test_consistent_steps_keep_the_marginal(eta: float, k: int, data: st.DataObject) -> None:
     """With the true noise, x^to has mean √α^to x⁰ and variance 1 − α^to over ε and the new noise, for every η."""
@@ -164,26 +165,31 @@ def test_gaussian_data_is_sampled_with_its_variance(eta: float) -> None:
     assert abs(float(made.mean())) < 0.02
 
 
-def test_the_guide_is_added_to_each_mean_and_told_its_deviation() -> None:
+@pytest.mark.parametrize("eta", [0.0, 1.0])
+def test_the_guide_is_added_to_each_mean_and_told_where_it_is(eta: float) -> None:
+    """Σ of Eq. (2) is what it is told for every η; with η = 0 nothing is drawn, yet the guide keeps its scale."""
     x0 = torch.zeros(1, 2, 1, 4, dtype=torch.float64)
-    seen: list[float] = []
+    seen: list[Rung] = []
 
-    def guide(mean: Tensor, deviation: float) -> Tensor:
-        seen.append(deviation)
-        return torch.full_like(mean, deviation**2)
+    def guide(mean: Tensor, rung: Rung) -> Tensor:
+        seen.append(rung)
+        return torch.full_like(mean, rung.deviation**2)
 
-    sampling = Sampling(steps=4)
-    ladder = SCHEDULE.ladder(4)
+    sampling = Sampling(steps=4, eta=eta)
     start = torch.ones_like(x0)
     made = sample(oracle(x0), start, SCHEDULE, sampling, seeded(5), guide)
     generator, x = seeded(5), start
-    for k, to in pairwise(ladder):
+    for rung, (k, to) in zip(seen, pairwise(SCHEDULE.ladder(4)), strict=True):
+        now, then = float(SCHEDULE.alpha[k]), float(SCHEDULE.alpha[to])
+        sigma = (1.0 - then) / (1.0 - now) * (1.0 - now / then)
+        assert rung.alpha == then
+        assert rung.deviation**2 == pytest.approx(sigma, abs=1e-12)
         mean, deviation = transition(x, oracle(x0)(x, k), k, to, SCHEDULE, sampling)
-        x = mean + deviation**2 + (deviation * draw(mean, generator) if to else 0.0)
-        assert deviation in seen
+        assert deviation == pytest.approx(eta * rung.deviation)
+        x = mean + sigma + (deviation * draw(mean, generator) if to and eta else 0.0)
     torch.testing.assert_close(made, x)
-    assert len(seen) == 4
-    assert seen[-1] == 0.0
+    assert [rung.left for rung in seen] == [3, 2, 1, 0]
+    assert seen[-1].deviation == 0.0
 
 
 def test_a_constant_push_moves_samples_its_way() -> None:
@@ -200,7 +206,7 @@ def test_a_constant_push_moves_samples_its_way() -> None:
             SCHEDULE,
             Sampling(),
             seeded(1),
-            lambda mean, deviation, g=strength: g * deviation**2 * torch.ones_like(mean),  # type: ignore[misc] # bound now
+            lambda mean, rung, g=strength: g * rung.deviation**2 * torch.ones_like(mean),  # type: ignore[misc] # bound now
         )
         shifts.append(float(made.mean()))
     assert shifts == sorted(shifts)

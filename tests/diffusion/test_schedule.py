@@ -8,7 +8,7 @@ from typing import Literal
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from advdiff_sumo.diffusion.schedule import Schedule
@@ -67,6 +67,7 @@ def test_noisy_keeps_the_variance_of_unit_data(k: int) -> None:
     assert covered == pytest.approx(math.sqrt(schedule.alpha[k]), abs=0.03)
 
 
+@settings(max_examples=60, deadline=None)
 @given(st.integers(1, 300), st.data())
 def test_ladder_goes_down_to_zero_without_repeats(steps: int, data: st.DataObject) -> None:
     count = data.draw(st.integers(1, steps))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -33,6 +33,7 @@ def drive(
     return step(start, double(yaw), double(speed), push, double(bend), dt_s)
 
 
+@settings(max_examples=60, deadline=None)
 @given(SPEED, st.floats(-9.0, 4.0), st.floats(-0.3, 0.3), st.floats(-3.0, 3.0), st.floats(0.05, 3.0))
 def test_agrees_with_core(speed: float, accel: float, bend: float, yaw: float, dt: float) -> None:
     if -1e-6 < accel < 0.0:  # the two put the same floor under a division at 1e-6 and 1e-9
@@ -63,6 +64,7 @@ def test_stops_and_stays() -> None:
     assert float(again[2]) == 0.0
 
 
+@settings(max_examples=60, deadline=None)
 @given(RAW, RAW, SPEED, LENGTH)
 def test_no_action_breaks_a_limit(push: float, turn: float, speed: float, length: float) -> None:
     raw = torch.tensor([push, turn], dtype=torch.float64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from advdiff_sumo.models.geometry import RELATIVE_FEATURES, into_frame, relative_features, rotate, wrap_angle
@@ -26,6 +26,7 @@ def test_a_point_ahead_on_the_left() -> None:
     torch.testing.assert_close(seen, torch.tensor([3.0, 1.0]))
 
 
+@settings(max_examples=60, deadline=None)
 @given(st.floats(-50, 50), st.floats(-50, 50), st.floats(-7, 7))
 def test_turning_there_and_back(x: float, y: float, yaw: float) -> None:
     xy, angle = torch.tensor([x, y], dtype=torch.float64), torch.tensor(yaw, dtype=torch.float64)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -90,6 +90,7 @@ def test_overlap_by_hand(other: tuple[float, float, float], distance: float) -> 
 POSE = st.tuples(st.floats(-8.0, 8.0), st.floats(-8.0, 8.0), st.floats(-math.pi, math.pi))
 
 
+@settings(max_examples=60, deadline=None)
 @given(POSE)
 def test_overlap_is_zero_exactly_when_discs_are_apart(other: tuple[float, float, float]) -> None:
     pair = poses((0.0, 0.0, 0.0), other)
@@ -103,6 +104,7 @@ def test_overlap_is_zero_exactly_when_discs_are_apart(other: tuple[float, float,
     assert 0.0 <= overlap <= 1.0
 
 
+@settings(max_examples=60, deadline=None)
 @given(POSE)
 def test_the_gradient_pushes_vehicles_apart(other: tuple[float, float, float]) -> None:
     pair = poses((0.0, 0.0, 0.0), other).requires_grad_()
@@ -228,6 +230,7 @@ def test_off_road_by_hand(driving: Driving) -> None:
     assert float(across) == pytest.approx(0.25, abs=1e-6)
 
 
+@settings(max_examples=60, deadline=None)
 @given(st.floats(-20.0, 20.0), st.floats(-2.9, 2.9))
 def test_nothing_is_off_road_within_the_road(driving: Driving, x: float, y: float) -> None:
     scene = driving([(0.0, 0.0, 0.0, 0.0)], edges=[RIGHT_EDGE, LEFT_EDGE])

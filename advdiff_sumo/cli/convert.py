@@ -43,9 +43,12 @@ def convert(
     ] = "map",
     opendrive: Annotated[bool, typer.Option(help="Write NAME.xodr too.")] = False,
     drive: Annotated[
-        int, typer.Option(min=0, help="Driving test of an hour with so many vehicles; 0: none.")
+        int, typer.Option(min=0, help="Driving test of an hour in which so many vehicles set out; 0: none.")
     ] = 0,
-    seed: Annotated[int, typer.Option(help="Seed of the driving test.")] = 1,
+    drive_at_once: Annotated[
+        int, typer.Option(min=0, help="Driving test of an hour with so many vehicles at any time; 0: none.")
+    ] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the driving tests.")] = 1,
 ) -> None:
     """Convert nuScenes HD maps to SUMO nets with exact centre lines, and measure how exact they are.
 
@@ -67,8 +70,10 @@ def convert(
             figures["logged_poses"] = compare_poses(
                 result, np.vstack(list(poses.values())) if poses else np.empty((0, 3))
             )
-        if drive:
-            figures["driving_test"] = driving_test(result.net, vehicles=drive, seed=seed)
+        for number, at_once in ((drive, False), (drive_at_once, True)):
+            if number:
+                name = "driving_test_at_once" if at_once else "driving_test_in_the_hour"
+                figures[name] = driving_test(result.net, vehicles=number, at_once=at_once, seed=seed)
         write_figures(figures, fidelity_path(net))
         if report:
             write_page(result, figures, fidelity_path(net, "html"))

@@ -70,6 +70,15 @@ LEGEND = (
     (WAY, 2, "ways through junctions"),
 )
 PICTURE_IN, DETAIL_M = 10.0, 60.0  # the detail shows a square of twice that
+DRIVEN = {
+    "driving_test_in_the_hour": "set out within the hour",
+    "driving_test_at_once": "on the road at any time",
+}
+INCIDENTS = {
+    "teleports": "teleports",
+    "collisions_sumo": "collisions, SUMO's list",
+    "collisions_boxes": "collisions, overlapping boxes",
+}
 LONGEST_LIST, PAIR = 12, 2
 MEDIAN_BAR_M, LARGEST_BAR_M, DASHED_BAR = 0.02, 0.20, 0.95
 
@@ -122,9 +131,19 @@ def verdicts(figures: Mapping[str, Any]) -> list[tuple[str, str, str, bool]]:
         on, total = poses["on_a_lane_of_the_net"], poses["poses"]
         rows.append(("Logged poses on a lane", f"{on} of {total}", "all", on == total))
         rows.append(_none("Poses whose offset differs by over 0.05", poses["differences_above_0.05_m"]))
-    rate = figures.get("driving_test", {}).get("emergency_brakings_per_1000_km")
+    return rows + [
+        row for key, name in DRIVEN.items() if key in figures for row in _driven(figures[key], name)
+    ]
+
+
+def _driven(test: Mapping[str, Any], name: str) -> list[tuple[str, str, str, bool]]:
+    """Return the rows of one driving test."""
+    title = f"{test['vehicles']} vehicles {name}"
+    rows = [_none(f"{title}: {measure}", test[key]) for key, measure in INCIDENTS.items()]
+    rate = test["emergency_brakings_per_1000_km"]
     if rate is not None:
-        rows.append(("Emergency brakings per 1,000 vehicle-km", f"{rate:.2f}", "below 1", rate < 1.0))
+        measure = f"{title}: emergency brakings per 1,000 vehicle-km"
+        rows.append((measure, f"{rate:.2f}", "below 1", rate < 1.0))
     return rows
 
 
@@ -135,16 +154,12 @@ def _none(measure: str, count: int) -> tuple[str, str, str, bool]:
 def _faults(figures: Mapping[str, Any]) -> list[tuple[str, int]]:
     """Return what should not occur at all, and how often it does."""
     unexplained = sum(row["meaning"] == "not explained" for row in figures["netconvert_warnings"])
-    faults = [
+    return [
         ("Lanes and connectors lost", len(figures["lanes"]["lost"])),
         ("Links lost", len(figures["connections"]["lost"])),
         ("Links invented", len(figures["connections"]["invented"])),
         ("Kinds of netconvert warnings not explained", unexplained),
     ]
-    names = {"teleports": "Teleports", "collisions_sumo": "Collisions, SUMO's list"}
-    names["collisions_boxes"] = "Collisions, overlapping boxes"
-    driven = figures.get("driving_test", {})
-    return faults + [(name, driven[key]) for key, name in names.items() if key in driven]
 
 
 def _rows(value: Any, prefix: str = "") -> list[tuple[str, str]]:

@@ -37,11 +37,16 @@ def test_each_bar_can_be_missed(tmp_path: Path) -> None:
     bad["lane_changes"]["share"] = 0.9
     bad["netconvert_warnings"] = [{"meaning": "not explained"}]
     bad["logged_poses"] = {"poses": 5, "on_a_lane_of_the_net": 4, "differences_above_0.05_m": 1}
-    bad["driving_test"] = {
+    bad["driving_test_in_the_hour"] = {
+        "vehicles": 300,
         "emergency_brakings_per_1000_km": 1.0,
         "teleports": 1,
         "collisions_sumo": 1,
         "collisions_boxes": 2,
     }
+    bad["driving_test_at_once"] = {**bad["driving_test_in_the_hour"], "vehicles": 50}
     assert not any(met for *_, met in verdicts(bad))
-    assert len(verdicts(bad)) == len(verdicts(good)) + 6
+    assert len(verdicts(bad)) == len(verdicts(good)) + 2 + 2 * 4
+    names = [name for name, *_ in verdicts(bad)]
+    assert "300 vehicles set out within the hour: teleports" in names
+    assert "50 vehicles on the road at any time: teleports" in names

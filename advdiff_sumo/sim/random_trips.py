@@ -1,0 +1,65 @@
+"""Random trips over a net, for the driving test."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import sumolib
+
+from advdiff_sumo.core.errors import NetError
+
+SHORTEST_TRIP_M = 200.0
+SHORTEST_END_M = (
+    20.0  # of edges where trips begin and end; SUMO puts cars into each other on those shorter than a car
+)
+TRIES, POOL = 2000, 400
+
+
+class RandomTrips:
+    """Random trips between edges, from far apart ends where there are any."""
+
+    def __init__(self, net: Path, seed: int) -> None:
+        """Read *net* and find its trips.
+
+        Raises:
+            NetError: there is none of some length.
+        """
+        self._net = sumolib.net.readNet(str(net))
+        self._random = random.Random(seed)  # noqa: S311 - traffic, not secrets
+        edges = [edge for edge in self._net.getEdges() if edge.allows("passenger")]
+        self._edges = sorted(edges, key=lambda edge: edge.getID())
+        self._ends = [edge for edge in self._edges if edge.getLength() >= SHORTEST_END_M]
+        self._pool = self._find_pool(net)
+
+    @property
+    def lane_km(self) -> float:
+        """Length of all lanes for cars, without those in junctions, in km."""
+        lanes = [lane for edge in self._edges for lane in edge.getLanes() if lane.allows("passenger")]
+        return float(sum(lane.getLength() for lane in lanes)) / 1000.0
+
+    def _find_pool(self, net: Path) -> list[tuple[list[str], float]]:
+        """Return a pool of routes; a few hundred are enough for an hour."""
+        pool: list[tuple[list[str], float]] = []
+        for _ in range(TRIES):
+            route = self._route()
+            if route is not None:
+                pool.append(route)
+            if len(pool) >= POOL:
+                break
+        if not pool:
+            raise NetError(net, f"holds no way of {SHORTEST_TRIP_M:.0f} m", "give a net with roads that join")
+        return pool
+
+    def _route(self) -> tuple[list[str], float] | None:
+        if not self._ends:
+            return None
+        origin, target = self._random.choice(self._ends), self._random.choice(self._ends)
+        way, length = self._net.getShortestPath(origin, target, vClass="passenger")
+        if way is None or length < SHORTEST_TRIP_M:
+            return None
+        return [edge.getID() for edge in way], float(length)
+
+    def draw(self) -> list[str]:
+        """Return the edges of the next trip."""
+        return self._random.choice(self._pool)[0]

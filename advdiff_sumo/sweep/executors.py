@@ -26,6 +26,7 @@ from advdiff_sumo.sweep.guarded import (
 from advdiff_sumo.sweep.tasks import Limits, Outcome, Task
 from advdiff_sumo.sweep.work import perform
 
+_WORKER = "pebble_pool_worker"  # the name that pebble gives its processes
 _GRACE_S = 10.0  # a worker ends itself at its time limit; this much later it is ended from outside
 
 
@@ -137,6 +138,10 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
             self._discard(slot)
             return lost(task.key, limits, "was killed while it took the task")
         return made
+
+    def workers(self) -> list[int]:
+        """Return the process numbers of the workers that are there now."""
+        return sorted(worker.pid for worker in multiprocessing.active_children() if worker.name == _WORKER)
 
     def _pool(self, slot: int) -> Any:
         if slot not in self._pools:

@@ -1,0 +1,166 @@
+"""``sweep``, ``results``, ``compare`` and ``replay`` as a user types them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree.ElementTree import parse
+
+import pytest
+
+from tests.e2e.commands import Outcome, advdiff, begin
+
+SWEEP = """
+episodes = 3
+horizon_s = 3.0
+scene = { warmup_s = 8.0, scenes_per_warmup = 3, min_neighbours = 1 }
+
+[grid]
+nets = ["grid.net.xml"]
+targets = ["IDM", "lane_graph"]
+backgrounds = ["replay"]
+"""
+TABLES = ("episodes.parquet", "states.parquet", "collisions.parquet", "failures.parquet")
+
+
+@pytest.fixture
+def sweeps(workplace: Path) -> Path:
+    """A workplace with a small sweep file."""
+    (workplace / "small.toml").write_text(SWEEP)
+    return workplace
+
+
+def test_a_sweep_from_file_to_verdict(sweeps: Path, here: Callable[..., Outcome]) -> None:
+    pytest.importorskip("duckdb", reason="the extra sql is not installed")
+    words = ("--executor", "serial", "--out", "done", "--junit", "ci/junit.xml", "--fail-if", "episodes < 6")
+    done = here("sweep", "small.toml", *words)
+    assert done.code == 0, done.err
+    assert "6 episodes; rates in %" in done.out
+    assert "coverage:" in done.out
+    suites = parse(sweeps / "ci" / "junit.xml").getroot()  # noqa: S314 - our own file
+    assert suites.get("tests") == "7"
+
+    met = here("results", "done", "--fail-if", "episodes >= 6 or collision_rate > 0.5")
+    assert met.code == 1
+    assert "--fail-if episodes >= 6 or collision_rate > 0.5: collision_rate =" in met.out
+    query = "select key, target, number from episodes order by episode"
+    asked = here("results", "done", "--sql", query, "--format", "json")
+    rows = json.loads(asked.out)
+    assert [(row["target"], row["number"]) for row in rows] == [
+        (target, number) for target in ("IDM", "lane_graph") for number in range(3)
+    ]
+    assert here("results", "done", "--sql", "select nothing from nowhere").code == 2
+
+    compared = here("compare", "done", "done", "--a", "target=IDM", "--b", "target=lane_graph")
+    assert compared.code == 0, compared.err
+    assert "3 pairs of episodes from 3 seed scenes" in compared.out
+
+    again = here("replay", rows[4]["key"][:10], "--sweep", "done", "--out", "again")
+    assert again.code == 0, again.err
+    assert "the same as in the sweep" in again.out
+    assert (sweeps / "again" / "report.html").stat().st_size > 0
+
+    refused = here("sweep", "small.toml", "--executor", "serial", "--out", "done")
+    assert (refused.code, len(refused.err.splitlines())) == (2, 1)
+    assert "already holds a sweep" in refused.err
+    (sweeps / "other.toml").write_text(SWEEP.replace("3.0", "4.0"))
+    refused = here("sweep", "other.toml", "--executor", "serial", "--resume", "done")
+    assert (refused.code, len(refused.err.splitlines())) == (2, 1)
+    assert "belongs to another sweep: its horizon_s differ" in refused.err
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("episodes", "episods"), ("small.toml", "no option 'episods'", "did you mean 'episodes'")),
+        (('"lane_graph"', '"lane_grap"'), ("unknown target 'lane_grap'", "did you mean 'lane_graph'")),
+        (('["replay"]', "[]"), ("the grid is empty", "grid.backgrounds")),
+        (("grid.net.xml", "nowhere.net.xml"), ("nowhere.net.xml", "no such net")),
+        (("[grid]", "[grid"), ("not valid TOML",)),
+    ],
+)
+def test_a_wrong_sweep_is_one_sentence_and_leaves_nothing(
+    sweeps: Path, refused: Callable[..., str], change: tuple[str, str], words: tuple[str, ...]
+) -> None:
+    (sweeps / "small.toml").write_text(SWEEP.replace(*change))
+    said = refused("sweep", "small.toml", "--out", "out")
+    for word in words:
+        assert word in said
+
+
+def test_a_wrong_command_is_one_sentence(sweeps: Path, refused: Callable[..., str]) -> None:
+    assert "no sweep file was given" in refused("sweep")
+    assert "no figure 'colision_rate'" in refused("sweep", "small.toml", "--fail-if", "colision_rate > 0")
+    assert "--ray-address goes with --executor ray" in refused("sweep", "small.toml", "--ray-address", "auto")
+    assert "holds no sweep" in refused("sweep", "--resume", "nowhere")
+    assert "holds no sweep" in refused("results", "nowhere")
+    assert "no sweep in runs has an episode" in refused("replay", "0123456789")
+
+
+def test_killed_interrupted_and_resumed(sweeps: Path) -> None:
+    whole = advdiff("sweep", "small.toml", "--workers", 1, "--out", "whole", cwd=sweeps, hash_seed=1)
+    assert whole.code == 0, whole.err
+    first = begin("sweep", "small.toml", "--workers", 2, "--out", "broken", cwd=sweeps, hash_seed=2)
+    _wait_for(sweeps / "broken", 2)
+    workers = _children(first.pid)
+    first.kill()
+    first.communicate(timeout=60)
+    _gone(workers)
+    assert not (sweeps / "broken" / "episodes.parquet").exists()
+
+    second = begin("sweep", "--resume", "broken", "--workers", 2, cwd=sweeps, hash_seed=3)
+    before = len(_episodes(sweeps / "broken"))
+    _wait_for(sweeps / "broken", min(before + 1, 6))
+    second.send_signal(signal.SIGINT)
+    _, said = second.communicate(timeout=60)
+    if second.returncode != 0:  # it may have been quicker
+        assert second.returncode == 130
+        assert said.splitlines() == ["interrupted; what had finished is kept"]
+
+    damaged = _episodes(sweeps / "broken")[0]
+    damaged.write_bytes(damaged.read_bytes()[:100])
+    done = advdiff("sweep", "small.toml", "--resume", "broken", "--workers", 2, cwd=sweeps, hash_seed=4)
+    assert done.code == 0, done.err
+    for table in TABLES:
+        assert (sweeps / "broken" / table).read_bytes() == (sweeps / "whole" / table).read_bytes(), table
+    assert sorted(path.name for path in (sweeps / "broken").iterdir()) == sorted(
+        path.name for path in (sweeps / "whole").iterdir()
+    )
+
+
+def _episodes(folder: Path) -> list[Path]:
+    return sorted(p for p in (folder / "episodes").rglob("*") if p.is_file() and p.suffix != ".aside")
+
+
+def _wait_for(folder: Path, episodes: int) -> None:
+    until = time.monotonic() + 240.0
+    while len(_episodes(folder)) < episodes:
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def _children(pid: int) -> list[int]:
+    """Return all processes below *pid*."""
+    found = [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return found + [below for child in found for below in _children(child)]
+
+
+def _gone(pids: list[int]) -> None:
+    """Wait until none of *pids* is alive: nobody is left behind by a parent that was killed."""
+    assert pids
+    until = time.monotonic() + 60.0
+    while any(_alive(pid) for pid in pids):
+        assert time.monotonic() < until, pids
+        time.sleep(0.05)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False

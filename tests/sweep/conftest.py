@@ -1,0 +1,139 @@
+"""A tiny net, planners that fail in every way, and what a sweep of them looks like when nothing is wrong."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sumolib
+
+from advdiff_sumo.sweep.executors import SerialExecutor
+from advdiff_sumo.sweep.plan import Plan, plan_sweep
+from advdiff_sumo.sweep.run import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.spec import SweepSpec
+from advdiff_sumo.sweep.store import Store
+from advdiff_sumo.sweep.tasks import Limits
+
+SAME_BYTES = ("episodes.parquet", "collisions.parquet", "states.parquet", "failures.parquet")
+
+PLANNERS = '''
+import time
+from pathlib import Path
+
+import numpy as np
+
+from advdiff_sumo.core.plan import Controls
+
+
+class Coasts:
+    """Keeps its speed; has a fault as long as a file of that name lies beside it."""
+
+    def __init__(self, fault="none", beside="."):
+        self.fault, self.flag = fault, Path(beside) / "ill"
+
+    def start(self, road, scene, rng):
+        return []
+
+    def plan(self, road, scene, memory, rng):
+        if self.flag.exists():
+            getattr(self, self.fault)(memory)
+        accel = np.full(10, float(rng.normal(0.0, 0.1)))
+        if self.fault == "nan":
+            accel[4] = np.nan
+        return Controls(accel, np.zeros(10), dt_s=0.1), memory
+
+    def none(self, memory):
+        pass
+
+    nan = none
+
+    def raises(self, memory):
+        raise RuntimeError("out of ideas")
+
+    def hangs(self, memory):
+        print("thinking", flush=True)
+        while True:
+            time.sleep(0.01)
+
+    def eats(self, memory):
+        while True:
+            memory.append(np.ones(8_000_000))
+
+    def segfaults(self, memory):
+        import libsumo
+
+        libsumo.vehicle.add("ghost", libsumo.route.getIDList()[0], depart="100000")
+        libsumo.vehicle.moveToXY("ghost", "", -1, -5000.0, -5000.0, 0.0, 2)
+        libsumo.simulationStep()
+        libsumo.vehicle.getRoadID("ghost")
+        libsumo.vehicle.getNeighbors("ghost", 2)
+
+    def exits(self, memory):
+        raise SystemExit(3)
+'''
+
+
+@pytest.fixture(scope="session")
+def sweep_grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A net of four junctions with one-lane streets."""
+    net = tmp_path_factory.mktemp("sweep-grid") / "small.net.xml"
+    shape = ["--grid", "--grid.number", "2", "--grid.length", "120", "--grid.attach-length", "120"]
+    command = [sumolib.checkBinary("netgenerate"), *shape, "--default.lanenumber", "1", "-o", str(net)]
+    subprocess.run(command, check=True, capture_output=True)
+    return net
+
+
+@pytest.fixture(scope="session")
+def place(sweep_grid: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with the net and the planners, importable."""
+    folder = tmp_path_factory.mktemp("sweeps")
+    (folder / "small.net.xml").write_bytes(sweep_grid.read_bytes())
+    (folder / "sick_planners.py").write_text(PLANNERS)
+    sys.path.insert(0, str(folder))
+    yield folder
+    sys.path.remove(str(folder))
+    sys.modules.pop("sick_planners", None)
+
+
+def values(place: Path, faults: tuple[str, ...] = ("none",), **more: Any) -> dict[str, Any]:
+    """Return the content of a sweep file: two seed scenes of three seconds for each planner."""
+    targets = [
+        {"name": "sick_planners:Coasts", "options": {"fault": fault, "beside": str(place)}}
+        for fault in faults
+    ]
+    content = {
+        "episodes": 2,
+        "horizon_s": 3.0,
+        "scene": {"warmup_s": 8.0, "scenes_per_warmup": 2, "min_neighbours": 1, "min_route_m": 60.0},
+        "grid": {"nets": [str(place / "small.net.xml")], "targets": targets, "backgrounds": ["replay"]},
+    }
+    return content | more
+
+
+def planned(place: Path, faults: tuple[str, ...] = ("none",), **more: Any) -> Plan:
+    """Return the plan of :func:`values`."""
+    return plan_sweep(SweepSpec.of(values(place, faults, **more), "test"))
+
+
+def serially(plan: Plan, folder: Path) -> Store:
+    """Run a sweep in this process."""
+    store = open_store(folder, plan.spec, 1, resume=False)
+    assert run_sweep(plan, store, Todo.of(plan, store), SerialExecutor(), 0, lambda *_: None) == 0
+    return store
+
+
+def bytes_of(store: Store) -> dict[str, bytes]:
+    """Return the tables that do not depend on the machine."""
+    return {name: (store.path / name).read_bytes() for name in SAME_BYTES}
+
+
+@pytest.fixture
+def limits(tmp_path: Path) -> Limits:
+    """What a worker may take."""
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    return Limits(timeout_s=60.0, memory_mb=2000, tasks=100, recycle_share=0.9, logs=logs)

@@ -1,0 +1,66 @@
+"""Results do not depend on who runs the episodes, how many at a time, or in which order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from advdiff_sumo.sweep.executors import ProcessExecutor
+from advdiff_sumo.sweep.plan import Plan
+from advdiff_sumo.sweep.repeat import repeat, sweep_with
+from advdiff_sumo.sweep.run import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.store import Store
+from advdiff_sumo.sweep.tasks import Limits
+from tests.sweep.conftest import bytes_of, planned, serially
+
+
+@pytest.fixture(scope="module")
+def plan(place: Path) -> Plan:
+    grid = {
+        "nets": [str(place / "small.net.xml")],
+        "targets": ["IDM", "lane_graph"],
+        "backgrounds": ["sumo", "replay"],
+    }
+    return planned(place, grid=grid, episodes=3)
+
+
+@pytest.fixture(scope="module")
+def one_by_one(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Store:
+    return serially(plan, tmp_path_factory.mktemp("serial") / "s")
+
+
+def test_two_workers_that_are_replaced_and_another_order(
+    plan: Plan, one_by_one: Store, limits: Limits, tmp_path: Path
+) -> None:
+    store = open_store(tmp_path / "s", plan.spec, 2, resume=False)
+    todo = Todo.of(plan, store)
+    backwards = replace(todo, jobs=todo.jobs[::-1])
+    often = replace(limits, tasks=3)
+    assert run_sweep(plan, store, backwards, ProcessExecutor(2, often), 0, lambda *_: None) == 0
+    assert bytes_of(store) == bytes_of(one_by_one)
+
+
+def test_a_worker_that_holds_much_is_replaced_before_its_next_task(
+    plan: Plan, one_by_one: Store, limits: Limits, tmp_path: Path
+) -> None:
+    greedy = replace(limits, recycle_share=0.001)  # any worker that has done a task
+    store = open_store(tmp_path / "s", plan.spec, 1, resume=False)
+    todo = Todo.of(plan, store, limit=3)
+    run_sweep(plan, store, todo, ProcessExecutor(1, greedy), 0, lambda *_: None)
+    parts = [store.read(job.key) for job in todo.jobs]
+    pids = {part.tables["timing"]["worker"][0].as_py() for part in parts if part is not None}
+    assert len(pids) == 3
+    for job, part in zip(todo.jobs, parts, strict=True):
+        again = one_by_one.read(job.key)
+        assert again is not None
+        assert part is not None
+        assert part.tables["states"].equals(again.tables["states"])
+
+
+def test_an_episode_is_repeated_exactly(plan: Plan, one_by_one: Store) -> None:
+    job = plan.jobs[-1]
+    store, found, same_job = sweep_with(job.key[:9], None, one_by_one.path.parent)
+    assert same_job == job
+    assert repeat(store, found, job).same is True

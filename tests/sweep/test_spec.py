@@ -1,0 +1,104 @@
+"""Sweep files: what they ask for, and what is wrong with them in one sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from advdiff_sumo.core.errors import ConfigError, InputError
+from advdiff_sumo.sweep.plan import plan_sweep
+from advdiff_sumo.sweep.spec import SweepSpec
+from tests.sweep.conftest import values
+
+SWEEPS = sorted((Path(__file__).parents[2] / "scenarios" / "sweeps").glob("*.toml"))
+GRID = {"targets": ["IDM"], "backgrounds": ["sumo"]}
+
+
+def test_a_grid_is_every_combination() -> None:
+    grid = {
+        "nets": ["downtown", {"net": "motorway"}],
+        "targets": ["IDM", {"name": "W99", "options": {"tau": 1.0}, "vary": {"minGap": [1.0, 2.0, 3.0]}}],
+        "backgrounds": ["sumo", "replay"],
+    }
+    cells = list(SweepSpec.of({"grid": grid, "seeds": [3, 5], "episodes": 7}, "x").cells())
+    assert len(cells) == 2 * 2 * (1 + 3) * 2
+    first, second, *_, last = cells
+    assert (first.net, first.seed, first.target, first.background) == ("downtown", 3, "IDM", "sumo")
+    assert (second.target, second.background) == ("IDM", "replay")
+    assert (last.net, last.seed, last.target_options) == ("motorway", 5, {"tau": 1.0, "minGap": 3.0})
+    assert {cell.episodes for cell in cells} == {7}
+
+
+def test_a_list_is_taken_as_it_is() -> None:
+    cases = [{"target": "ACC"}, {"target": "ACC", "seed": 9, "episodes": 3}]
+    cells = list(SweepSpec.of({"cases": cases, "seeds": [0, 1]}, "x").cells())
+    assert [(cell.seed, cell.episodes) for cell in cells] == [(0, 10), (1, 10), (9, 3)]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({"grid": GRID, "episods": 3}, ("x.toml: no option 'episods'", "did you mean 'episodes'")),
+        ({"grid": {**GRID, "target": []}}, ("no option 'grid.target'", "did you mean")),
+        ({"grid": {**GRID, "targets": [{"nme": "IDM"}]}}, ("grid.targets.0", "name")),
+        ({"grid": {**GRID, "targets": []}}, ("the grid is empty", "grid.targets")),
+        ({"grid": {**GRID, "nets": []}}, ("the grid is empty", "grid.nets")),
+        ({"grid": {**GRID, "backgrounds": []}}, ("the grid is empty", "grid.backgrounds")),
+        ({}, ("asks for no episode", "[grid]")),
+        ({"grid": GRID, "seeds": []}, ("seeds is empty",)),
+        ({"grid": GRID, "episodes": 0}, ("episodes = 0", "greater than or equal to 1")),
+        ({"grid": {**GRID, "targets": [{"name": "IDM", "vary": {"tau": []}}]}}, ("vary.tau is empty",)),
+        (
+            {"grid": {**GRID, "targets": [{"name": "IDM", "options": {"tau": 1.0}, "vary": {"tau": [2.0]}}]}},
+            ("'tau' stands in options and in vary",),
+        ),
+    ],
+)
+def test_a_wrong_file_is_one_sentence(content: dict[str, Any], words: tuple[str, ...]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        SweepSpec.of(content, "x.toml")
+    said = str(caught.value)
+    assert said.startswith("x.toml: ")
+    assert "\n" not in said
+    for word in words:
+        assert word in said
+
+
+@pytest.mark.parametrize(
+    ("grid", "words"),
+    [
+        ({"targets": ["IDMM"]}, ("unknown target 'IDMM'", "did you mean 'IDM'")),
+        ({"backgrounds": ["replays"]}, ("unknown background 'replays'", "did you mean 'replay'")),
+        ({"nets": ["nowhere.net.xml"]}, ("nowhere.net.xml: no such net", "downtown")),
+        ({"targets": [{"name": "IDM", "options": {"taau": 1.0}}]}, ("taau", "tau")),
+        ({"targets": ["IDM", "idm"]}, ("two entries of the sweep are the same",)),
+    ],
+)
+def test_a_wrong_name_is_one_sentence(place: Path, grid: dict[str, Any], words: tuple[str, ...]) -> None:
+    content = values(place)
+    content["grid"] = {**content["grid"], "targets": ["IDM"], **grid}
+    with pytest.raises(InputError) as caught:
+        plan_sweep(SweepSpec.of(content, "x.toml"))
+    assert "\n" not in str(caught.value)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_files_are_named_by_their_full_path(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(place)
+    content = values(place)
+    content["grid"] = {**content["grid"], "nets": ["small.net.xml"]}
+    (net,) = SweepSpec.of(content, "x").grid.nets  # type: ignore[union-attr] # there is a grid
+    assert net.net == str(place / "small.net.xml")
+
+
+@pytest.mark.parametrize("path", SWEEPS, ids=lambda path: path.stem)
+def test_the_shipped_sweeps_are_sound(path: Path) -> None:
+    plan = plan_sweep(SweepSpec.read(path))
+    assert len({job.key for job in plan.jobs}) == len(plan.jobs) >= 20
+
+
+def test_three_sweeps_are_shipped() -> None:
+    assert {path.stem for path in SWEEPS} >= {"quick", "planners", "models"}

@@ -31,7 +31,7 @@ KINDS = {
     "segfaults": "worker_died",
     "exits": "error",
 }
-TIGHT = {"timeout_s": 12.0, "memory_mb": 900, "tasks": 6, "recycle_share": 0.9}
+TIGHT = {"timeout_s": 15.0, "memory_mb": 900, "tasks": 6, "recycle_share": 0.9}
 
 
 @pytest.fixture(scope="module")

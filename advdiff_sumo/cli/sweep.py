@@ -104,7 +104,7 @@ def sweep(
             return
         done_by = _executor(executor, workers if ray_address else slots, ray_address, plan, limits)
         path = resume or out or _free_folder(file)
-        store = open_store(path, spec, done_by.slots, resume is not None)
+        store = open_store(path, plan, done_by.slots, resume is not None)
         todo = Todo.of(plan, store, limit, retry_failed)
         with _Progress(console, todo) as progress:
             missing = run_sweep(plan, store, todo, done_by, retries, progress.tell)

@@ -11,7 +11,6 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.metrics.severity import worst_first
 from advdiff_sumo.sweep.columns import job_row
 from advdiff_sumo.sweep.condition import Condition, Undefined
@@ -209,12 +208,11 @@ def must_be_sweep(folder: Path) -> tuple[Store, Plan]:
     """Open the sweep in *folder* with its plan.
 
     Raises:
-        InputError: there is none, or its nets are no longer there.
+        InputError: there is none, or its nets are no longer what they were.
     """
     from advdiff_sumo.sweep.plan import plan_sweep
 
     store = Store.open(folder)
     plan = plan_sweep(store.spec())
-    if not plan.jobs:
-        raise ConfigError(f"{folder}: that sweep has no episodes")
+    store.must_match(plan.keys)
     return store, plan

@@ -96,7 +96,9 @@ class Conductor:
             job = self._ready.popleft()
             scenes = self.store.read_scenes(job.batch)
             if scenes is None:  # damaged since it was written
-                self._waiting[job.batch] = deque((job,))
+                self._waiting.setdefault(job.batch, deque()).append(job)
+                if job.batch in self._running:
+                    continue
                 return self._scene_task(self.plan.batches[job.batch])
             if job.place < len(scenes):
                 options = self.plan.options(job)
@@ -118,6 +120,7 @@ class Conductor:
         task = self._running.pop(outcome.key)
         attempts = self._attempts[task.key]
         if outcome.failed is not None and outcome.failed.kind == NO_ROOM:
+            self._save_running()
             raise FileError(
                 self.store.path, outcome.failed.message, "free some space and go on with --resume"
             )

@@ -17,7 +17,7 @@ from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.metrics.columns import Column
 from advdiff_sumo.sim.store import schema_of, table_of
 from advdiff_sumo.sweep.columns import FAILURE_COLUMNS, SWEEP_TABLES, job_row
-from advdiff_sumo.sweep.files import checksum_of, settle, unwritable, write_whole
+from advdiff_sumo.sweep.files import aside_of, checksum_of, settle, unwritable, write_whole
 from advdiff_sumo.sweep.parts import Part
 from advdiff_sumo.sweep.plan import Job, Plan
 from advdiff_sumo.sweep.store import Store
@@ -112,7 +112,7 @@ class _Table:
 
     def __init__(self, folder: Path, name: str) -> None:
         self.path, self.schema = folder / f"{name}.parquet", schema_of(SWEEP_TABLES[name])
-        self.aside = self.path.with_name(self.path.name + ".aside")
+        self.aside = aside_of(self.path)
         self._held: list[pa.Table] = []
         self._rows = 0
         self._writer: Any = None

@@ -11,6 +11,8 @@ from pathlib import Path
 from advdiff_sumo.core.errors import FileError
 
 _MAGIC = b"advdiff-sumo 1 "
+#: Ends the name of a file that is being written.
+ASIDE = ".aside"
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -44,7 +46,7 @@ def read_checked(path: Path) -> bytes | None:
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write *content* to *path*, aside first; errors as in :func:`write_checked`."""
-    aside = path.with_name(path.name + ".aside")
+    aside = aside_of(path)
     try:
         with aside.open("wb") as file:
             file.write(content)
@@ -55,6 +57,11 @@ def write_whole(path: Path, content: bytes) -> None:
         with contextlib.suppress(OSError):
             aside.unlink()
         raise unwritable(path, error) from None
+
+
+def aside_of(path: Path) -> Path:
+    """Return where this process writes *path* before it gets its name."""
+    return path.with_name(f"{path.name}.{os.getpid()}{ASIDE}")
 
 
 def settle(aside: Path, path: Path) -> None:

@@ -84,6 +84,11 @@ class Plan:
         """The episodes by key."""
         return {job.key: job for job in self.jobs}
 
+    @cached_property
+    def keys(self) -> str:
+        """Digest of the keys of all episodes."""
+        return digest([job.key for job in self.jobs])
+
     def options(self, job: Job) -> RunOptions:
         """Return the options of the run that *job* belongs to."""
         return self.cells[job.cell]

@@ -58,6 +58,7 @@ def sweep_with(key: str, folder: Path | None, among: Path) -> tuple[Store, Plan,
     if folder is not None:
         store = Store.open(folder)
         plan = plan_sweep(store.spec())
+        store.must_match(plan.keys)
         return store, plan, plan.find(key)
     for found in sorted(among.glob(f"*/{SETTINGS}")):
         store = Store(found.parent)

@@ -11,7 +11,6 @@ from advdiff_sumo.sweep.conduct import Conductor, Tell
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.plan import Job, Plan
-from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.store import Store
 
 _BALLAST_BYTES_A_SLOT = 4 << 20
@@ -44,12 +43,16 @@ class Todo:
         return Todo(jobs, len(wanted) - len(jobs))
 
 
-def settings_of(spec: SweepSpec) -> dict[str, Any]:
+def settings_of(plan: Plan) -> dict[str, Any]:
     """Return what ``sweep.toml`` holds."""
-    return {"made_by": versions(), "sweep": spec.model_dump(mode="json", exclude_none=True)}
+    return {
+        "made_by": versions(),
+        "keys": plan.keys,
+        "sweep": plan.spec.model_dump(mode="json", exclude_none=True),
+    }
 
 
-def open_store(path: Path, spec: SweepSpec, workers: int, resume: bool) -> Store:
+def open_store(path: Path, plan: Plan, workers: int, resume: bool) -> Store:
     """Return the store of a new sweep in *path*, or of the one that is there already.
 
     Raises:
@@ -57,8 +60,8 @@ def open_store(path: Path, spec: SweepSpec, workers: int, resume: bool) -> Store
     """
     ballast = _BALLAST_BYTES_A_SLOT * (workers + 1)
     if resume:
-        return Store.resume(path, spec, settings_of(spec), ballast)
-    return Store.create(path, settings_of(spec), ballast)
+        return Store.resume(path, plan.spec, settings_of(plan), ballast)
+    return Store.create(path, settings_of(plan), ballast)
 
 
 def run_sweep(plan: Plan, store: Store, todo: Todo, executor: Executor, retries: int, tell: Tell) -> int:

@@ -15,7 +15,7 @@ import tomli_w
 
 from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, FileError
-from advdiff_sumo.sweep.files import read_checked, unwritable, write_checked, write_whole
+from advdiff_sumo.sweep.files import ASIDE, read_checked, unwritable, write_checked, write_whole
 from advdiff_sumo.sweep.parts import Part, pack, unpack
 from advdiff_sumo.sweep.spec import SweepSpec
 
@@ -63,9 +63,10 @@ class Store:
             FileError: it holds no sweep, or cannot be written.
             ConfigError: it belongs to another sweep than *spec*.
         """
-        begun = Store.open(path).spec()
+        begun = Store.open(path)
         if spec is not None:
-            must_equal(path, begun, spec)
+            must_equal(path, begun.spec(), spec)
+        begun.must_match(str(settings.get("keys", "")))
         return Store(path)._begin(settings, ballast_bytes)
 
     @staticmethod
@@ -93,10 +94,28 @@ class Store:
             )
         return SweepSpec.of(asked, str(self.path / SETTINGS))
 
+    def must_match(self, keys: str) -> None:
+        """Refuse the folder when what the keys of its episodes are made of has changed since.
+
+        Args:
+            keys: digest of all keys of the plan made now.
+
+        Raises:
+            ConfigError: a net, demand or log is not what it was.
+        """
+        begun = read_toml(self.path / SETTINGS).get("keys", keys)
+        if begun != keys:
+            raise ConfigError(
+                f"{self.path}: a net, demand or log is not what it was when that sweep was begun; "
+                "put the old one back, or begin a new sweep"
+            )
+
     def _begin(self, settings: Mapping[str, Any], ballast_bytes: int) -> Store:
         try:
             for name in (_EPISODES, _SCENES):
                 (self.path / name).mkdir(parents=True, exist_ok=True)
+            for rest in self.path.rglob(f"*{ASIDE}"):
+                rest.unlink()  # of a process that was killed
             self._load_ballast(ballast_bytes)
         except OSError as error:
             self.drop_ballast()

@@ -121,7 +121,7 @@ def planned(place: Path, faults: tuple[str, ...] = ("none",), **more: Any) -> Pl
 
 def serially(plan: Plan, folder: Path) -> Store:
     """Run a sweep in this process."""
-    store = open_store(folder, plan.spec, 1, resume=False)
+    store = open_store(folder, plan, 1, resume=False)
     assert run_sweep(plan, store, Todo.of(plan, store), SerialExecutor(), 0, lambda *_: None) == 0
     return store
 

@@ -34,7 +34,7 @@ def one_by_one(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Store:
 def test_two_workers_that_are_replaced_and_another_order(
     plan: Plan, one_by_one: Store, limits: Limits, tmp_path: Path
 ) -> None:
-    store = open_store(tmp_path / "s", plan.spec, 2, resume=False)
+    store = open_store(tmp_path / "s", plan, 2, resume=False)
     todo = Todo.of(plan, store)
     backwards = replace(todo, jobs=todo.jobs[::-1])
     often = replace(limits, tasks=3)
@@ -46,7 +46,7 @@ def test_a_worker_that_holds_much_is_replaced_before_its_next_task(
     plan: Plan, one_by_one: Store, limits: Limits, tmp_path: Path
 ) -> None:
     greedy = replace(limits, recycle_share=0.001)  # any worker that has done a task
-    store = open_store(tmp_path / "s", plan.spec, 1, resume=False)
+    store = open_store(tmp_path / "s", plan, 1, resume=False)
     todo = Todo.of(plan, store, limit=3)
     run_sweep(plan, store, todo, ProcessExecutor(1, greedy), 0, lambda *_: None)
     parts = [store.read(job.key) for job in todo.jobs]

@@ -70,7 +70,7 @@ def run(plan: Plan, store: Store, executor: ProcessExecutor, tell: Any = None, *
 def test_every_fault_costs_its_own_episode_only(
     plan: Plan, undisturbed: Store, ill: Path, tight: Limits, tmp_path: Path
 ) -> None:
-    store = open_store(tmp_path / "s", plan.spec, 2, resume=False)
+    store = open_store(tmp_path / "s", plan, 2, resume=False)
     executor = ProcessExecutor(2, tight)
     rng = random.Random(1)  # noqa: S311 - which worker dies, not a secret
     kills = []
@@ -106,7 +106,7 @@ def test_every_fault_costs_its_own_episode_only(
     assert all(row == well[row["key"]] for row in finished)
 
     ill.unlink()
-    again = open_store(store.path, plan.spec, 2, resume=True)
+    again = open_store(store.path, plan, 2, resume=True)
     assert run(plan, again, ProcessExecutor(2, tight), retry_failed=True) == 0
     assert bytes_of(again) == bytes_of(undisturbed)
 
@@ -114,7 +114,7 @@ def test_every_fault_costs_its_own_episode_only(
 def test_only_what_is_missing_or_damaged_is_run(
     plan: Plan, undisturbed: Store, limits: Limits, tmp_path: Path
 ) -> None:
-    store = open_store(tmp_path / "s", plan.spec, 1, resume=False)
+    store = open_store(tmp_path / "s", plan, 1, resume=False)
     first = Todo.of(plan, store, limit=3)
     assert len(first.jobs) == 3
     told: list[object] = []
@@ -124,7 +124,7 @@ def test_only_what_is_missing_or_damaged_is_run(
     paths = [store.path / "episodes" / job.key[:2] / job.key for job in plan.jobs]
     paths[0].write_bytes(paths[0].read_bytes()[:-7])
     paths[1].unlink()
-    store = open_store(tmp_path / "s", plan.spec, 1, resume=True)
+    store = open_store(tmp_path / "s", plan, 1, resume=True)
     todo = Todo.of(plan, store)
     assert [job.index for job in todo.jobs] == [0, 1, *range(3, len(plan.jobs))]
     assert run_sweep(plan, store, todo, ProcessExecutor(2, limits), 0, lambda *_: None) == 0
@@ -161,7 +161,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 def test_a_full_disk_is_one_sentence_and_loses_nothing(
     plan: Plan, undisturbed: Store, limits: Limits, small_disk: Path
 ) -> None:
-    store = open_store(small_disk / "s", plan.spec, 2, resume=False)
+    store = open_store(small_disk / "s", plan, 2, resume=False)
     filler = small_disk / "filler"
     told: list[object] = []
 
@@ -184,7 +184,7 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(
     )
     assert done >= 4  # two before, the one that did not fit at first, the one that was running
     filler.unlink()
-    again = open_store(store.path, plan.spec, 2, resume=True)
+    again = open_store(store.path, plan, 2, resume=True)
     assert run(plan, again, ProcessExecutor(2, limits)) == 0
     assert bytes_of(again) == bytes_of(undisturbed)
 

@@ -71,7 +71,7 @@ def test_one_of_two_nodes_is_killed_in_the_middle(
 
     address, (_, second) = nodes
     undisturbed = serially(plan, tmp_path / "serial")
-    store = open_store(tmp_path / "s", plan.spec, 2, resume=False)
+    store = open_store(tmp_path / "s", plan, 2, resume=False)
     told: list[object] = []
 
     def kill_a_node(*row: object) -> None:
@@ -90,7 +90,7 @@ def test_a_cluster_that_is_not_there_is_one_sentence(plan: Plan, limits: Limits)
     from advdiff_sumo.sweep.on_ray import RayExecutor
 
     with (
-        pytest.raises(ConfigError, match="--ray-address 127.0.0.1:1: no cluster") as caught,
+        pytest.raises(ConfigError, match=r"--ray-address 127\.0\.0\.1:1: no cluster") as caught,
         RayExecutor("127.0.0.1:1", 1, limits, needed_nets(plan)),
     ):
         pass

@@ -119,7 +119,7 @@ def test_near_duplicates_are_one_finding() -> None:
 def test_no_two_collisions_of_a_finding_differ_by_more_than_the_tolerances() -> None:
     chain = [hit(k, ahead=0.5 * k) for k in range(20)]  # each near to the next, the ends 9.5 m apart
     found = findings(chain)
-    assert len(found) >= 4
+    assert len(found) >= 3  # 9.5 m in pieces of 3 m at most, each with both its ends
     for finding in found:
         ahead = [0.5 * episode for episode in finding.episodes]
         assert max(ahead) - min(ahead) <= 3.0 + 1e-9

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,17 +12,18 @@ import pytest
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.sweep.files import read_checked, write_checked
 from advdiff_sumo.sweep.parts import Part
+from advdiff_sumo.sweep.plan import Job, Plan
 from advdiff_sumo.sweep.run import open_store
 from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.store import Store
 from advdiff_sumo.sweep.tasks import Failed
 
-SPEC = SweepSpec.of({"grid": {"targets": ["IDM"], "backgrounds": ["sumo"]}}, "x")
+PLAN = Plan(SweepSpec.of({"grid": {"targets": ["IDM"], "backgrounds": ["sumo"]}}, "x"), (), (), {}, ())
 PART = Part({}, Failed("timeout", "not finished after 3 s", "thinking", 1)).to_bytes()
 
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
-    store = open_store(tmp_path / "s", SPEC, 1, resume=False)
+    store = open_store(tmp_path / "s", PLAN, 1, resume=False)
     store.write("abcdef", PART)
     part = store.read("abcdef")
     assert part is not None
@@ -33,7 +35,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "head"])
 def test_a_damaged_episode_is_missing(tmp_path: Path, damage: str) -> None:
-    store = open_store(tmp_path / "s", SPEC, 1, resume=False)
+    store = open_store(tmp_path / "s", PLAN, 1, resume=False)
     store.write("abcdef", PART)
     (path,) = (path for path in (tmp_path / "s" / "episodes").rglob("*") if path.is_file())
     content = bytearray(path.read_bytes())
@@ -47,7 +49,7 @@ def test_a_damaged_episode_is_missing(tmp_path: Path, damage: str) -> None:
 
 
 def test_scenes_are_checked_too(tmp_path: Path) -> None:
-    store = open_store(tmp_path / "s", SPEC, 1, resume=False)
+    store = open_store(tmp_path / "s", PLAN, 1, resume=False)
     store.write_scenes("batch", (b"one", b"two"))
     assert Store(store.path).read_scenes("batch") == (b"one", b"two")
     path = store.path / "scenes" / "batch"
@@ -56,28 +58,35 @@ def test_scenes_are_checked_too(tmp_path: Path) -> None:
 
 
 def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
-    open_store(tmp_path / "s", SPEC, 1, resume=False)
+    open_store(tmp_path / "s", PLAN, 1, resume=False)
     with pytest.raises(FileError, match="already holds a sweep; go on with --resume"):
-        open_store(tmp_path / "s", SPEC, 1, resume=False)
+        open_store(tmp_path / "s", PLAN, 1, resume=False)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").touch()
     with pytest.raises(FileError, match="no empty folder"):
-        open_store(tmp_path / "other", SPEC, 1, resume=False)
+        open_store(tmp_path / "other", PLAN, 1, resume=False)
     with pytest.raises(FileError, match="holds no sweep"):
-        open_store(tmp_path / "other", SPEC, 1, resume=True)
+        open_store(tmp_path / "other", PLAN, 1, resume=True)
     assert [path.name for path in (tmp_path / "other").iterdir()] == ["file"]
 
 
 def test_another_sweep_is_refused(tmp_path: Path) -> None:
-    open_store(tmp_path / "s", SPEC, 1, resume=False)
-    other = SPEC.model_copy(update={"horizon_s": 5.0})
+    open_store(tmp_path / "s", PLAN, 1, resume=False)
+    other = replace(PLAN, spec=PLAN.spec.model_copy(update={"horizon_s": 5.0}))
     with pytest.raises(ConfigError, match="belongs to another sweep: its horizon_s differ"):
         open_store(tmp_path / "s", other, 1, resume=True)
-    assert Store.open(tmp_path / "s").spec() == SPEC
+    assert Store.open(tmp_path / "s").spec() == PLAN.spec
+
+
+def test_a_sweep_whose_net_has_changed_is_refused(tmp_path: Path) -> None:
+    open_store(tmp_path / "s", PLAN, 1, resume=False)
+    other = replace(PLAN, jobs=(Job("another key", 0, 0, 0, "batch", 0, "scene"),))
+    with pytest.raises(ConfigError, match="a net, demand or log is not what it was"):
+        open_store(tmp_path / "s", other, 1, resume=True)
 
 
 def test_room_is_kept_back_and_given_back(tmp_path: Path) -> None:
-    store = open_store(tmp_path / "s", SPEC, 2, resume=False)
+    store = open_store(tmp_path / "s", PLAN, 2, resume=False)
     assert (store.path / "ballast").stat().st_size == 3 * (4 << 20)
     store.end()
     assert sorted(path.name for path in store.path.iterdir()) == ["episodes", "sweep.toml"]

@@ -73,6 +73,8 @@ def simulate(
         results = simulated(options, out, tell)
     made = sum(result.windows for result in results)
     _say.print(f"{out}: {made} windows in {len(results)} files", markup=False)
+    if made < windows:
+        _say.print("note: traffic on small nets brought fewer windows than asked for", markup=False)
 
 
 @data.command()

@@ -18,7 +18,7 @@ from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import AdvdiffError, FileError, NetError, SimulationError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.arrays import WindowFileBuilder
-from advdiff_sumo.data.files import SUFFIX, read_header, write_windows
+from advdiff_sumo.data.files import SUFFIX, read_windows, write_windows
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.read_net import base_name
 from advdiff_sumo.maps.shipped import SHIPPED_NETS, find_net
@@ -121,14 +121,11 @@ def simulate(options: SimulateOptions, out: Path, tell: Callable[[ShardResult], 
     shards = plan(options)
     for net in sorted({shard.net for shard in shards if shard.net is not None}):
         RoadMap.read(net)
-    kept = {shard.name for shard in shards if _is_complete(shard, out)}
+    done = {shard.name: ShardResult(shard, count) for shard in shards if (count := _complete(shard, out))}
     (out / _NETS).mkdir(parents=True, exist_ok=True)
-    done: dict[str, ShardResult] = {}
-    for shard in shards:
-        if shard.name in kept:
-            done[shard.name] = ShardResult(shard, shard.windows)
-            tell(done[shard.name])
-    for result in _made([s for s in shards if s.name not in kept], out, options.workers):
+    for result in done.values():
+        tell(result)
+    for result in _made([s for s in shards if s.name not in done], out, options.workers):
         done[result.shard.name] = result
         tell(result)
     results = [done[shard.name] for shard in shards]
@@ -212,10 +209,12 @@ def _road(path: Path) -> RoadMap:
     return RoadMap.read(path)
 
 
-def _is_complete(shard: Shard, out: Path) -> bool:
+def _complete(shard: Shard, out: Path) -> int:
+    """Return the number of windows in the shard's file; 0 when it is yet to be made."""
     path = out / f"{shard.name}{SUFFIX}"
     if not path.exists():
-        return False
-    if read_header(path).get("recipe") != shard.recipe:
+        return 0
+    found = read_windows(path)
+    if found.extra.get("recipe") != shard.recipe:
         raise FileError(path, "was made with other options", "choose another --out, or delete it")
-    return True
+    return found.windows

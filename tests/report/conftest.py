@@ -153,3 +153,48 @@ class Rows:
 @pytest.fixture
 def rows() -> Rows:
     return Rows(episode, struck, drive)
+
+
+def job(row: Row, target: str, background: str, scene: str, net: str = "downtown") -> Row:
+    """Return an episode's row with what a sweep tells of it."""
+    own = {"key": f"{row['episode']:024d}", "scene_key": scene, "net": net, "attack": background}
+    own |= {"target": target, "target_options": "{}", "background": background, "background_options": "{}"}
+    return {**row, **own, "root_seed": 0}
+
+
+def write_sweep(folder: Path, episodes: Sequence[Row], states: Sequence[Row]) -> Path:
+    """Write the folder of a sweep of these rows (see :func:`job`) and return it."""
+    write_folder(folder, [{k: row[k] for k in EPISODE_COLUMNS} for row in episodes], states)
+    (folder / "run.toml").unlink()
+    settings = {"sweep": {"episodes": 2, "horizon_s": 20.0, "grid": {"nets": [{"net": "downtown"}]}}}
+    (folder / "sweep.toml").write_text(tomli_w.dumps(settings), encoding="utf-8")
+    plain = pq.read_table(folder / "episodes.parquet")
+    for name in episodes[0].keys() - EPISODE_COLUMNS.keys():
+        plain = plain.append_column(name, pa.array([row[name] for row in episodes]))
+    pq.write_table(plain, folder / "episodes.parquet")
+    return folder
+
+
+def moved(rows: list[Row]) -> list[Row]:
+    """Return the states of a vehicle that the policy moves."""
+    return [{**row, "controller": "policy"} for row in rows]
+
+
+@pytest.fixture(scope="session")
+def sweep_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a sweep of two targets in two backgrounds: one collision, one failure before the first instant.
+
+    Episodes 0 (IDM, sumo) and 1 (IDM, replay, collision with "bv", which goes elsewhere than in 0) start in the
+    same seed scene; 2 (lane_graph, sumo) failed, 3 (lane_graph, replay) is quiet. All in the shipped downtown.
+    """
+    x, y = 420.0, 410.0
+    episodes = [
+        job(episode(0, min_ttc_s=4.25, min_clearance_m=8.0, min_clearance_partner="bv"), "IDM", "sumo", "a"),
+        job(struck(1, impact_x_m=x + 15.0, impact_y_m=y), "IDM", "replay", "a"),
+        job(episode(2, end="failed", failure_kind="plan_refused"), "lane_graph", "sumo", "a"),
+        job(episode(3, min_ttc_s=1.5, min_clearance_m=2.0), "lane_graph", "replay", "a"),
+    ]
+    states = drive(0, "ego", x - 15.0, y, 10.0, target=True) + drive(0, "bv", x - 15.0, y + 9.0, 10.0)
+    states += drive(1, "ego", x - 15.0, y, 10.0, target=True) + moved(drive(1, "bv", x + 5.0, y, 5.0))
+    states += drive(3, "ego", x - 40.0, y, 12.0, target=True) + moved(drive(3, "bv", x, y + 4.0, 3.0))
+    return write_sweep(tmp_path_factory.mktemp("sweep") / "planners", episodes, states)

@@ -1,51 +1,243 @@
-"""The page in a browser: it sorts, and raises no error."""
+"""The page in Debian's Chromium, driven by Playwright: it plays, seeks, filters and prints, and raises no error."""
 
 from __future__ import annotations
 
-import re
 import shutil
-import subprocess
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from advdiff_sumo.report import write_report
+from advdiff_sumo.report.folder import FinishedRun
+from tests.report.conftest import drive, episode, write_folder
 
 _CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-_PROBE = """<script>
-const errors = []; addEventListener("error", (event) => errors.push(event.message));
-addEventListener("DOMContentLoaded", () => {
-  const order = () => [...document.querySelectorAll("#episodes tbody th")].map((cell) => cell.textContent).join(" ");
-  const heading = [...document.querySelectorAll("#episodes th button")].find((b) => b.textContent === "HEADING");
-  const seen = [order()];
-  for (let k = 0; k < 2; k++) { heading.click(); seen.push(order() + " " + heading.parentElement.ariaSort); }
-  document.title = JSON.stringify([seen, errors, document.documentElement.scrollWidth <= innerWidth]);
-});
-</script>"""
+#: Chromium notes that we look at the canvas often.
+_OWN_READING = "willReadFrequently"
+_SIZES = [(1360, 900), (420, 860)]
 
-
-@pytest.mark.skipif(_CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
-@pytest.mark.parametrize(
-    ("width", "heading", "orders"),
-    [
-        (1280, "Episode", ["1 0", "0 1 ascending", "1 0 descending"]),
-        (
-            400,
-            "Least TTC (s)",
-            ["1 0", "0 1 ascending", "0 1 descending"],
-        ),  # episode 1 has none: it stays last
-    ],
+playwright = pytest.importorskip(
+    "playwright.sync_api", reason="no Playwright here: pip install -c constraints.txt -e '.[dev]'"
 )
-def test_sorts_without_errors(
-    two_episodes: Path, tmp_path: Path, width: int, heading: str, orders: list[str]
+pytestmark = pytest.mark.skipif(_CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as started:
+        chromium = started.chromium.launch(executable_path=_CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture(scope="module")
+def report(sweep_folder: Path) -> Path:
+    return write_report(sweep_folder)
+
+
+@pytest.fixture
+def look(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Return a function that opens a page with its player ready; at the end nothing may have gone wrong."""
+    troubles: list[str] = []
+    contexts: list[Any] = []
+
+    def open_page(
+        path: Path, size: tuple[int, int] = _SIZES[0], scheme: str = "light", anchor: str = ""
+    ) -> Any:
+        context = browser.new_context(
+            viewport={"width": size[0], "height": size[1]}, color_scheme=scheme, offline=True
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda message: _OWN_READING in message.text or troubles.append(message.text))
+        page.on("pageerror", lambda error: troubles.append(str(error)))
+        page.on(
+            "request",
+            lambda request: request.url.partition("#")[0] != path.as_uri() and troubles.append(request.url),
+        )
+        page.goto(path.as_uri() + anchor)
+        page.wait_for_selector("#player[data-episode]", timeout=60_000)
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert troubles == []
+
+
+def _time(page: Any) -> float:
+    return float(page.evaluate("document.getElementById('player').player.time"))
+
+
+def _until(page: Any, condition: str) -> None:
+    """Wait for *condition*; Playwright's own waiting evaluates text, which the page's policy forbids."""
+    for _ in range(600):
+        if page.evaluate(condition):
+            return
+        page.wait_for_timeout(50)
+    pytest.fail(f"never came: {condition}")
+
+
+def _shown(page: Any) -> int:
+    return int(page.get_attribute("#player", "data-episode"))
+
+
+@pytest.mark.parametrize("size", _SIZES)
+def test_worst_episode_stands_at_its_contact(
+    look: Callable[..., Any], report: Path, size: tuple[int, int]
 ) -> None:
-    html = write_report(two_episodes).read_text(encoding="utf-8")
-    probed = tmp_path / "probed.html"
-    probed.write_text(html.replace("<head>", "<head>" + _PROBE.replace("HEADING", heading)), encoding="utf-8")
-    command = [str(_CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", f"--window-size={width},900"]
-    command += [f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", probed.as_uri()]
-    dom = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
-    found = re.search(r"<title>(.*?)</title>", dom)
-    assert found is not None
-    expected = ",".join(f'"{order}"' for order in orders)
-    assert found.group(1) == f"[[{expected}],[],true]"
+    page = look(report, size)
+    assert _shown(page) == 1
+    assert _time(page) == 3.0
+    assert page.inner_text("#player-title") == "Episode 1: rear end striking at 3.0\u00a0s"
+    assert page.inner_text("[data-part=verdict]").startswith("At fault: target. It drove into the rear.")
+    assert "advdiff-sumo replay" in page.inner_text("[data-part=command]")
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert page.evaluate("document.querySelectorAll('.plots canvas').length") == 5
+
+
+@pytest.mark.parametrize("size", _SIZES)
+def test_plays_by_key_and_stops_at_the_end(
+    look: Callable[..., Any], report: Path, size: tuple[int, int]
+) -> None:
+    page = look(report, size)
+    page.focus("#player")
+    page.select_option("[data-part=speed]", "4")
+    page.keyboard.press("Home")
+    assert _time(page) == 0.0
+    page.keyboard.press(" ")
+    _until(page, "document.getElementById('player').player.time > 0.5")
+    _until(page, "!document.getElementById('player').player.playing")
+    assert _time(page) == pytest.approx(3.0)
+    assert page.inner_text("[data-part=clock]") == "3.0 / 3.0 s"
+
+
+def test_keys_and_slider_keep_everything_in_step(look: Callable[..., Any], report: Path) -> None:
+    page = look(report)
+    page.focus("#player")
+    for key, time in [
+        ("Home", 0.0),
+        ("ArrowRight", 0.1),
+        ("Shift+ArrowRight", 1.1),
+        ("c", 3.0),
+        ("End", 3.0),
+    ]:
+        page.keyboard.press(key)
+        assert _time(page) == pytest.approx(time)
+    page.fill("[data-part=slider]", "1.5")
+    assert _time(page) == pytest.approx(1.5)
+    captions = page.eval_on_selector_all(".plots figcaption", "all => all.map((one) => one.textContent)")
+    assert captions[0] == "Speed (m/s) target 10.0, attacker 5.0"
+    # bumpers are 20 − 1.5 · 5 − 5 = 7.5 m apart and close at 5 m/s
+    assert captions[3:] == ["Time to collision (s) 1.5", "Gap to the nearest (m) 7.5"]
+    lines = page.eval_on_selector_all(".plots .now", "all => all.map((one) => one.style.left)")
+    assert lines == ["50%"] * 5
+    words = page.inner_text("[data-part=words]")
+    assert words == (
+        "1.5 seconds, target 10.0 metres per second, time to collision 1.5 seconds, gap 7.5 metres"
+    )
+
+
+def test_positions_are_those_of_the_states(
+    look: Callable[..., Any], report: Path, sweep_folder: Path
+) -> None:
+    decoded = look(report).evaluate(
+        "() => { const { episode } = document.getElementById('player').player;"
+        " return episode.agents.map(({ id, m, parts }) => [id, m, parts.map((p) =>"
+        " [p.start, ...['x', 'y', 'yaw'].map((name) => Array.from(p[name]))])]).concat([episode.origin]); }"
+    )
+    origin = np.array(decoded.pop())
+    states = FinishedRun.read(sweep_folder).states(1)
+    assert states is not None
+    assert [(name, moved) for name, moved, _ in decoded] == [("ego", 0), ("bv", 1)]
+    for row, (_, _, parts) in enumerate(decoded):
+        ((start, x, y, yaw),) = parts
+        assert start == 0
+        xy = np.stack((x, y), axis=-1) + origin
+        assert np.abs(xy - states.tracks.xy_m[row]).max() <= 0.0051
+        assert np.abs(np.array(yaw) - states.tracks.yaw_rad[row]).max() <= 0.0011
+
+
+def test_natural_counterpart_is_drawn_until_it_is_switched_off(
+    look: Callable[..., Any], report: Path
+) -> None:
+    page = look(report)
+    pixels = "document.querySelector('#player canvas').toDataURL()"
+    with_ghost = page.evaluate(pixels)
+    page.click("[data-part=natural]")
+    assert page.get_attribute("[data-part=natural]", "aria-pressed") == "false"
+    assert page.evaluate(pixels) != with_ghost
+    page.click("#episodes a[data-play='0']")  # natural traffic itself has no counterpart
+    page.wait_for_selector("#player[data-episode='0']")
+    assert page.is_disabled("[data-part=natural]")
+
+
+def test_filters_and_goes_through_what_is_left(look: Callable[..., Any], report: Path) -> None:
+    page = look(report)
+    output = "#filter output"
+    assert page.inner_text(output) == "4 of 4 episodes"
+    page.select_option("#filter [name=policy]", "replay")
+    assert page.inner_text(output) == "2 of 4 episodes"
+    page.focus("#player")
+    page.keyboard.press("n")
+    page.wait_for_selector("#player[data-episode='3']")
+    page.keyboard.press("n")  # there is no further one
+    page.fill("#filter [name=text]", "rear end")
+    assert page.inner_text(output) == "1 of 4 episodes"
+    assert page.eval_on_selector_all("#episodes tbody tr:not([hidden])", "all => all.map((r) => r.id)") == [
+        "row-1"
+    ]
+    page.click("#filter button[type=reset]")
+    _until(page, "document.querySelector('#filter output').textContent === '4 of 4 episodes'")
+    assert _shown(page) == 3
+
+
+@pytest.mark.parametrize("size", _SIZES)
+def test_sorts(look: Callable[..., Any], report: Path, size: tuple[int, int]) -> None:
+    page = look(report, size)
+    order = "all => all.map((cell) => Number(cell.dataset.v))"
+    assert page.eval_on_selector_all("#episodes tbody th", order) == [1, 2, 3, 0]
+    heading = page.locator("#episodes th button", has_text="Least TTC (s)")
+    for expected in ([3, 0], [0, 3]):
+        heading.click()
+        found = page.eval_on_selector_all("#episodes tbody th", order)
+        assert found[:2] == expected  # those without a time stay last
+        assert set(found[2:]) == {1, 2}
+
+
+def test_link_to_an_episode_opens_it(look: Callable[..., Any], report: Path) -> None:
+    assert _shown(look(report, anchor="#play-3")) == 3
+
+
+def test_dark_colours_are_taken_along(look: Callable[..., Any], report: Path) -> None:
+    corner = (
+        "Array.from(document.querySelector('#player canvas').getContext('2d').getImageData(1, 1, 1, 1).data)"
+    )
+    light, dark = (sum(look(report, scheme=scheme).evaluate(corner)[:3]) for scheme in ("light", "dark"))
+    assert light > 450 > 225 > dark
+
+
+def test_print_has_the_pictures_and_not_the_player(look: Callable[..., Any], report: Path) -> None:
+    page = look(report)
+    page.emulate_media(media="print")
+    assert not page.is_visible("#player")
+    assert not page.is_visible("#filter")
+    assert page.is_visible("#episode-1 svg.map")
+
+
+def test_hundred_vehicles_are_drawn_quickly(look: Callable[..., Any], tmp_path: Path) -> None:
+    states = drive(0, "ego", 300.0, 300.0, 10.0, target=True, steps=101)
+    for k in range(99):
+        states += drive(0, f"bv{k}", 250.0 + 3.0 * k, 260.0 + k % 25 * 4.0, 5.0 + k % 7, steps=101)
+    folder = write_folder(tmp_path / "crowd", [episode(0)], states, options={"net": "downtown"})
+    page = look(write_report(folder))
+    spent = page.evaluate(
+        "() => { const { player } = document.getElementById('player'); const spent = [];"
+        " for (let k = 0; k < 90; k++) { const t = performance.now(); player.seek(k / 9);"
+        " player.canvasPart.getContext('2d').getImageData(0, 0, 1, 1); spent.push(performance.now() - t); }"
+        " return spent.sort((a, b) => a - b)[45]; }"
+    )
+    assert spent < 33.0  # ms, scene and five charts, without a graphics card

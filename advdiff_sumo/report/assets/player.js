@@ -104,11 +104,10 @@ class Player {
     this.wanted = number;
     const [episode, streets] = await Promise.all([readEpisode(`e${number}`), this.streetsOf(facts.net)]);
     if (this.wanted !== number) return; // another one was asked for meanwhile
-    Object.assign(this, { number, facts, episode });
-    this.follow = false;
+    this.resize(); // the canvas may not have been measured yet
+    Object.assign(this, { number, facts, episode, follow: false });
     this.followPart.setAttribute("aria-pressed", "false");
     this.tell();
-    this.resize();
     this.scene.show(episode, streets, facts);
     this.charts.show(episode, facts);
     this.charts.resize();

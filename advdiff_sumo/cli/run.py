@@ -31,22 +31,31 @@ def run(
     seed: flags.Seed = None,
     demand: flags.Demand = None,
     scenes: flags.Scenes = None,
+    strength: flags.Strength = None,
+    attackers: flags.Attackers = None,
+    attack: flags.Attack = None,
+    guide: flags.Guide = None,
+    weights: flags.Weights = None,
+    reward: flags.Reward = None,
+    device: flags.Device = None,
     out: flags.Out = None,
     config: flags.Config = None,
     assign: flags.Assign = None,
     gui: flags.Gui = False,
     resume: flags.Resume = False,
+    check: flags.Check = False,
 ) -> None:
     """Run episodes of a tested vehicle in traffic, and write what happened.
 
     Without options: ten episodes of SUMO's IDM driver in the shipped downtown. Another example:
 
-    advdiff-sumo run --net city.net.xml --target lane_graph --background replay --episodes 50
+    advdiff-sumo run --net city.net.xml --target lane_graph --background diffusion --attack cut-in --check
 
     The folder of results holds run.toml (repeats the run: advdiff-sumo run --config run.toml),
     episodes.parquet, collisions.parquet, states.parquet, timing.parquet and report.html.
     """
-    from advdiff_sumo.cli.summary import print_summary  # late: --help needs neither SUMO nor plots
+    from advdiff_sumo.cli.check import print_check  # late: --help needs neither SUMO nor plots
+    from advdiff_sumo.cli.summary import print_summary
     from advdiff_sumo.report import write_report
     from advdiff_sumo.sim.run import Run
     from advdiff_sumo.sim.store import RunFolder
@@ -61,11 +70,20 @@ def run(
         "demand": demand and str(demand),
         "scenes": scenes and str(scenes),
     }
+    policy = {
+        "strength": strength,
+        "attackers": attackers,
+        "attack": attack,
+        "guide": guide,
+        "weights": weights and str(weights.resolve()),
+        "reward": reward and str(reward.resolve()),
+        "device": device,
+    }
     if resume:
         config = config or _begun(out)
     if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
-    prepared = Run.prepare(_options(config, given, assign or []), gui)
+    prepared = Run.prepare(_options(config, given, policy, assign or []), gui)
     folder = RunFolder.create(out or _free_folder(prepared), prepared.settings, resume)
     console = Console()
     rows: list[Mapping[str, Any]] = []
@@ -85,6 +103,8 @@ def run(
         if (folder.path / "episodes.parquet").exists():
             write_report(folder.path)
     print_summary(console, folder.path, prepared.options.episodes - count)
+    if check:
+        print_check(console, folder.path, prepared.road)
 
 
 def _begun(out: Path | None) -> Path | None:
@@ -106,8 +126,13 @@ def progress_bar(console: Console) -> Progress:
     )
 
 
-def _options(config: Path | None, given: Mapping[str, Any], assignments: list[str]) -> RunOptions:
-    """Return the options of the file, then of the command line, then of ``--set``; later ones win."""
+def _options(
+    config: Path | None, given: Mapping[str, Any], policy: Mapping[str, Any], assignments: list[str]
+) -> RunOptions:
+    """Return the options of the file, then of the command line, then of ``--set``; later ones win.
+
+    *policy* holds options of the background, which a file has in a table of their own.
+    """
     from advdiff_sumo.sim.run import RunOptions  # late, as above
 
     values: dict[str, Any] = {}
@@ -117,6 +142,9 @@ def _options(config: Path | None, given: Mapping[str, Any], assignments: list[st
         if not isinstance(values, dict):
             raise ConfigError(f"{config}: [options] is not a table")
     values |= {key: value for key, value in given.items() if value is not None}
+    named = {key: value for key, value in policy.items() if value is not None}
+    if named:
+        values["background_options"] = {**values.get("background_options", {}), **named}
     for assignment in assignments:
         set_dotted(values, assignment)
     return RunOptions.parse(values, str(config) if config else "options")

@@ -23,7 +23,9 @@ Target: TypeAlias = Annotated[
 ]
 Background: TypeAlias = Annotated[
     str | None,
-    typer.Option(help="What moves the others: sumo, replay, or package.module:Class.", show_default="sumo"),
+    typer.Option(
+        help="What moves the others: sumo, replay, diffusion, or package.module:Class.", show_default="sumo"
+    ),
 ]
 Episodes: TypeAlias = Annotated[int | None, typer.Option(help="How many episodes.", show_default="10")]
 Horizon: TypeAlias = Annotated[
@@ -51,3 +53,35 @@ Assign: TypeAlias = Annotated[
 ]
 Gui: TypeAlias = Annotated[bool, typer.Option("--gui", help="Watch in sumo-gui (needs a display).")]
 Resume: TypeAlias = Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run in --out.")]
+Strength: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        help="diffusion: how hard attackers go for the target, 0 (natural traffic) to 1.", show_default="0.5"
+    ),
+]
+Attackers: TypeAlias = Annotated[
+    int | None, typer.Option(help="diffusion: how many vehicles attack at a time.", show_default="1")
+]
+Attack: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="diffusion: what they do: any, cut-in, rear-end, head-on, junction or brake.", show_default="any"
+    ),
+]
+Guide: TypeAlias = Annotated[
+    str | None,
+    typer.Option(help="diffusion: reward, or none for natural traffic.", show_default="reward"),
+]
+Weights: TypeAlias = Annotated[
+    Path | None, typer.Option(help="diffusion: trained networks.", show_default="the shipped ones")
+]
+Reward: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(help="diffusion: reward model of advdiff-sumo warmup.", show_default="that of the weights"),
+]
+Device: TypeAlias = Annotated[
+    str | None, typer.Option(help="diffusion: auto, cpu or cuda.", show_default="auto")
+]
+Check: TypeAlias = Annotated[
+    bool, typer.Option("--check", help="Print which background vehicle did what no vehicle should do.")
+]

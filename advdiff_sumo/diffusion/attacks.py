@@ -216,7 +216,11 @@ def _futures(scene: _Scene, z: Tensor) -> Rollout:
     if count == 1:
         h, batch = scene.context.h, scene.batch
     else:
-        h, batch, trace = scene.context.h.expand(count, -1, -1), scene.batch.repeat(count), trace.repeat(count)
+        h, batch, trace = (
+            scene.context.h.expand(count, -1, -1),
+            scene.batch.repeat(count),
+            trace.repeat(count),
+        )
     return scene.decoder.some(z, h, batch, scene.rows, scene.natural.steps, trace)
 
 
@@ -234,7 +238,9 @@ def _overlap(scene: _Scene, rollout: Rollout) -> Tensor:
     size, natural = scene.batch.size[0], scene.natural.rollout
     mine, radius = discs(rollout.xy, rollout.yaw, size[scene.rows, None].expand(*rollout.yaw.shape, 2))
     steps = natural.yaw.shape[2]
-    yours, reach = discs(natural.xy[0, others], natural.yaw[0, others], size[others, None].expand(-1, steps, 2))
+    yours, reach = discs(
+        natural.xy[0, others], natural.yaw[0, others], size[others, None].expand(-1, steps, 2)
+    )
     delta = mine[:, :, None, :, :, None] - yours[None, None, :, :, None, :]
     squared = delta.square().sum(-1).flatten(-2).amin(-1)  # (B, R, O, T)
     wide = radius[:, :, None] + reach

@@ -22,7 +22,11 @@ from advdiff_sumo.models.options import FUTURE_STEPS, MODEL_STEP_S
 
 _Motion: TypeAlias = tuple[Tensor, Tensor, Tensor]  # xy (B, A, 2), yaw (B, A), speed (B, A)
 _NEAR = 2  # column of relative_features: compressed distance
-_PLANES = ((0, 1), (3, 4), (5, 6))  # columns that are vectors in the receiver's frame: place, heading, velocity
+_PLANES = (
+    (0, 1),
+    (3, 4),
+    (5, 6),
+)  # columns that are vectors in the receiver's frame: place, heading, velocity
 _AHEAD_SPEED, _OWN_SPEED = 7, 8
 _PLACE_SCALE, _SPEED_SCALE = 0.05, 0.1
 
@@ -42,7 +46,9 @@ class Trace:
     def repeat(self, times: int) -> Trace:
         """Return the trace of the one scene *times* times."""
         return Trace(
-            tuple((_many(xy, times), _many(yaw, times), _many(speed, times)) for xy, yaw, speed in self.motion),
+            tuple(
+                (_many(xy, times), _many(yaw, times), _many(speed, times)) for xy, yaw, speed in self.motion
+            ),
             tuple(tuple(_many(sent, times) for sent in layers) for layers in self.senders),
         )
 
@@ -64,7 +70,9 @@ class FastDecoder:
         self._node_z = weight[:, width : width + latent]
         self._node_rest = torch.cat((weight[:, :width], weight[:, width + latent :]), dim=1).t().contiguous()
 
-    def whole(self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS) -> tuple[Rollout, Trace]:
+    def whole(
+        self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS
+    ) -> tuple[Rollout, Trace]:
         """Return the futures of all agents, without gradients, and their trace.
 
         Args:
@@ -76,7 +84,9 @@ class FastDecoder:
         with torch.no_grad():
             return self._roll(z, h, batch, torch.arange(batch.agents, device=z.device), steps, None)
 
-    def some(self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace) -> Rollout:
+    def some(
+        self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
+    ) -> Rollout:
         """Return the futures (B, R, …) of agents *rows* alone, the others as in *trace*; gradients flow to *z*.
 
         Args:
@@ -96,7 +106,9 @@ class FastDecoder:
         pose, length, moved = batch.pose[:, rows], batch.size[:, rows, 0], batch.moved[:, rows].to(z.dtype)
         memory = torch.tanh(net.start(torch.cat((h[:, rows], z), dim=-1)))
         given = linear(z, self._node_z, net.node.bias)
-        blocked = None if bool(batch.present.all()) else torch.where(batch.present, 0.0, -1e9)[:, None, :, None]
+        blocked = (
+            None if bool(batch.present.all()) else torch.where(batch.present, 0.0, -1e9)[:, None, :, None]
+        )
         motion: _Motion = pose[..., :2], pose[..., 2], pose[..., 3].clamp(min=0.0)
         states, motions, senders = [], [], []
         for k in range(steps):
@@ -149,9 +161,7 @@ class FastDecoder:
 
     def _remember(self, mixed: Tensor, accel: Tensor, curvature: Tensor, memory: Tensor) -> Tensor:
         done = torch.stack((0.25 * accel, 10.0 * curvature), dim=-1)
-        new: Tensor = self._net.memory(
-            torch.cat((mixed, done), dim=-1).flatten(0, 1), memory.flatten(0, 1)
-        )
+        new: Tensor = self._net.memory(torch.cat((mixed, done), dim=-1).flatten(0, 1), memory.flatten(0, 1))
         return new.reshape(memory.shape)
 
 
@@ -163,9 +173,14 @@ def _layer(layer: InteractionLayer, h: Tensor, edges: Tensor, sent: Tensor, bloc
     split = message.reshape(*message.shape[:-1], layer.heads, -1)
     gathered = (weight[..., None] * split).sum(2).flatten(-2)
     mixed = layer_norm(
-        h + layer.out(gathered), layer.norm.normalized_shape, layer.norm.weight, layer.norm.bias, layer.norm.eps
+        h + layer.out(gathered),
+        layer.norm.normalized_shape,
+        layer.norm.weight,
+        layer.norm.bias,
+        layer.norm.eps,
     )
-    return mixed + layer.mix(mixed)
+    new: Tensor = mixed + layer.mix(mixed)
+    return new
 
 
 def _put(motion: _Motion, rows: Tensor, own: _Motion) -> _Motion:

@@ -113,7 +113,9 @@ def sample(
     for left, (k, to) in zip(reversed(range(sampling.steps)), pairwise(ladder), strict=True):
         mean, deviation = transition(x, noise_of(x, k), k, to, schedule, sampling)
         if guide is not None:
-            mean = mean + guide(mean, Rung(left, float(schedule.alpha[to]), posterior_deviation(k, to, schedule)))
+            mean = mean + guide(
+                mean, Rung(left, float(schedule.alpha[to]), posterior_deviation(k, to, schedule))
+            )
         x = mean
         if deviation > 0.0 and to > 0:
             x = x + deviation * draw(x, generator)

@@ -45,7 +45,9 @@ def load_reward(path: Path, bundle: Bundle) -> RewardModel:
             path, f"cannot be read ({error})", "give a file that advdiff-sumo warmup made"
         ) from None
     if header.get("format") != FORMAT:
-        raise WeightsError(path, f"is not of the format {FORMAT}", "give a file that advdiff-sumo warmup made")
+        raise WeightsError(
+            path, f"is not of the format {FORMAT}", "give a file that advdiff-sumo warmup made"
+        )
     with torch.random.fork_rng(devices=[]):
         reward = RewardModel(bundle.options.model)
     try:

@@ -34,9 +34,7 @@ class Standing:
     crosses: BoolArray
 
 
-def choose(
-    futures: Futures, moved: BoolArray, attack: str, count: int, before: BoolArray
-) -> IntArray:
+def choose(futures: Futures, moved: BoolArray, attack: str, count: int, before: BoolArray) -> IntArray:
     """Return the rows of at most *count* attackers, the most promising first.
 
     Args:

@@ -91,74 +91,68 @@ class _Paths:
         return xy[piece] + share[..., None] * (xy[piece + 1] - xy[piece]), turned
 
 
+@dataclass(frozen=True)
+class _Boxes:
+    """Boxes of N road users: centres (N, …, 2), headings (N, …), half length and width (N, 2)."""
+
+    xy_m: FloatArray
+    yaw_rad: FloatArray
+    half_m: FloatArray
+
+    @staticmethod
+    def now(futures: Futures) -> _Boxes:
+        return _Boxes(futures.xy_m[:, 0], futures.yaw_rad[:, 0], 0.5 * futures.size_m)
+
+    @staticmethod
+    def later(futures: Futures) -> _Boxes:
+        return _Boxes(*futures.halves(), 0.5 * futures.size_m)
+
+    def rows(self, rows: IntArray) -> _Boxes:
+        return _Boxes(self.xy_m[rows], self.yaw_rad[rows], self.half_m[rows])
+
+    def gaps(self, other: _Boxes, room_m: FloatArray) -> FloatArray:
+        """Return the separation (N, …) of each box, grown by *room_m* (N, 2) along and across, from the other's."""
+        extra = (1,) * (self.yaw_rad.ndim - 1)
+        grown = (self.half_m + room_m).reshape(len(self.half_m), *extra, 2)
+        half = other.half_m.reshape(len(other.half_m), *extra, 2)
+        gaps = axis_gaps(other.xy_m - self.xy_m, self.yaw_rad, grown, other.yaw_rad, half)[0]
+        return np.asarray(gaps.max(-1))
+
+
 def _conflicts(futures: Futures, minds: BoolArray) -> BoolArray:
     """Return (N, N) whether the first has to brake for the second."""
-    xy, yaw = futures.halves()
+    boxes = _Boxes.later(futures)
     reach = 0.5 * np.hypot(*futures.size_m.T) + 0.5 * GAP_M
     out = np.zeros_like(minds)
     either = np.triu(minds | minds.T, k=1)
-    apart = np.linalg.norm(xy[:, None] - xy[None], axis=-1).min(axis=-1)
+    apart = np.linalg.norm(boxes.xy_m[:, None] - boxes.xy_m[None], axis=-1).min(axis=-1)
     first, second = np.nonzero(either & (apart < reach[:, None] + reach))
     if not len(first):
         return out
-    half = 0.5 * futures.size_m
-    room = _room(futures, first, second)
-    gaps = _gaps(xy[first], yaw[first], half[first], xy[second], yaw[second], half[second], room[:, None])
-    meets = gaps < 0.0
-    hit = meets.any(axis=1) & ~_now_inside(futures, first, second)
+    room, inside = _room(futures, first, second)
+    meets = boxes.rows(first).gaps(boxes.rows(second), room) < 0.0
+    hit = meets.any(axis=1) & ~inside
     first, second, when = first[hit], second[hit], meets[hit].argmax(axis=1)
-    offset = xy[second, when] - xy[first, when]
+    offset = boxes.xy_m[second, when] - boxes.xy_m[first, when]
     offset /= np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
-    mine = (offset * unit(yaw[first, when])).sum(-1)
-    yours = -(offset * unit(yaw[second, when])).sum(-1)
+    mine = (offset * unit(boxes.yaw_rad[first, when])).sum(-1)
+    yours = -(offset * unit(boxes.yaw_rad[second, when])).sum(-1)
     out[first, second] = mine >= yours - _SAME_BEARING
     out[second, first] = yours >= mine - _SAME_BEARING
     return out & minds
 
 
-def _room(futures: Futures, first: IntArray, second: IntArray) -> FloatArray:
-    """Return (P, 2) the margin along and across for each pair; none where they are nearer than that already."""
-    half = 0.5 * futures.size_m
+def _room(futures: Futures, first: IntArray, second: IntArray) -> tuple[FloatArray, BoolArray]:
+    """Return (P, 2) the room to keep in each pair, none where they are nearer now, and (P,) who overlaps now."""
+    now = _Boxes.now(futures)
+    mine, yours = now.rows(first), now.rows(second)
     wide = np.tile((GAP_M, SIDE_M), (len(first), 1))
-    now = _gaps(
-        futures.xy_m[first, 0],
-        futures.yaw_rad[first, 0],
-        half[first],
-        futures.xy_m[second, 0],
-        futures.yaw_rad[second, 0],
-        half[second],
-        wide,
-    )
-    return np.where((now < 0.0)[:, None], 0.0, wide)
+    near = mine.gaps(yours, wide) < 0.0
+    inside = mine.gaps(yours, np.zeros_like(wide)) < 0.0
+    return np.where(near[:, None], 0.0, wide), inside
 
 
-def _now_inside(futures: Futures, first: IntArray, second: IntArray) -> BoolArray:
-    """Return (P,) which boxes overlap already; braking cannot part them."""
-    half = 0.5 * futures.size_m
-    poses = (futures.xy_m[:, 0], futures.yaw_rad[:, 0], half)
-    none = np.zeros((len(first), 2))
-    return np.asarray(_gaps(*(p[first] for p in poses), *(p[second] for p in poses), none) < 0.0)
-
-
-def _gaps(
-    xy_a: FloatArray,
-    yaw_a: FloatArray,
-    half_a: FloatArray,
-    xy_b: FloatArray,
-    yaw_b: FloatArray,
-    half_b: FloatArray,
-    room: FloatArray,
-) -> FloatArray:
-    """Return the separation (P, …) of boxes, those of the first grown by *room*; half sizes are (P, 2)."""
-    extra = (1,) * (xy_a.ndim - 2)
-    grown = half_a.reshape(len(half_a), *extra, 2) + room
-    other = half_b.reshape(len(half_b), *extra, 2)
-    return np.asarray(axis_gaps(xy_b - xy_a, yaw_a, grown, yaw_b, other)[0].max(-1))
-
-
-def _ease(
-    futures: Futures, path: _Paths, row: int, others: IntArray, stop_m: float
-) -> tuple[bool, bool]:
+def _ease(futures: Futures, path: _Paths, row: int, others: IntArray, stop_m: float) -> tuple[bool, bool]:
     """Let *row* brake as mildly as keeps it clear, in place; returns whether it is, and whether it changed."""
     driven = _ladder(futures, row)  # (C, T)
     clear = driven[:, -1] <= stop_m
@@ -197,7 +191,7 @@ def _clear_steps(
     halves[:, ::2], halves[:, 1::2] = 0.5 * (begin + driven), driven
     xy, yaw = path.at(row, halves)
     all_xy, all_yaw = futures.halves()
-    room = _room(futures, np.full(len(others), row), others)
+    room, _ = _room(futures, np.full(len(others), row), others)
     half = 0.5 * futures.size_m
     meets = np.zeros(halves.shape, dtype=np.bool_)
     for other, wide in zip(others.tolist(), room, strict=True):

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.diffusion.guides import Guidance
 from advdiff_sumo.diffusion.sampler import draw, sample
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import Context
@@ -66,7 +67,8 @@ def draw_plan(
     if options.samples > 1:
         many = batch.repeat(options.samples)
         h, z = (part.expand(options.samples, -1, -1) for part in (h, z))
-    guide, chosen = None, ()
+    guide: Guidance | None = None
+    chosen: tuple[str, ...] = ()
     if options.guided:
         guide, chosen = guidance(networks, options, view, Scenes(batch, many, context), attackers)
     x = sample(
@@ -126,4 +128,6 @@ def _most_plausible(rollout: Rollout, batch: SceneBatch) -> int:
 
 def _only(rollout: Rollout, scene: int) -> Rollout:
     cut = slice(scene, scene + 1)
-    return Rollout(rollout.xy[cut], rollout.yaw[cut], rollout.speed[cut], rollout.accel[cut], rollout.curvature[cut])
+    return Rollout(
+        rollout.xy[cut], rollout.yaw[cut], rollout.speed[cut], rollout.accel[cut], rollout.curvature[cut]
+    )

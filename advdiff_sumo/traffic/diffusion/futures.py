@@ -39,7 +39,7 @@ class Futures:
     @property
     def steps(self) -> int:
         """Number of instants T to come."""
-        return self.yaw_rad.shape[1] - 1
+        return int(self.yaw_rad.shape[1]) - 1
 
     def put(self, row: int, xy_m: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray) -> None:
         """Overwrite the plan of *row*: (T, 2), (T,), (T,)."""

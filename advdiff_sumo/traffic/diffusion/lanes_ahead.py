@@ -93,7 +93,13 @@ def _onward(lane: Lane, route: Sequence[str]) -> Link | None:
 
 
 def follow(
-    ahead: LaneAhead, xy_m: FloatArray, yaw_rad: float, speed_mps: float, length_m: float, steps: int, dt_s: float
+    ahead: LaneAhead,
+    xy_m: FloatArray,
+    yaw_rad: float,
+    speed_mps: float,
+    length_m: float,
+    steps: int,
+    dt_s: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return states (T, 2), (T,), (T,) of a vehicle that follows its lane at the limit, slower in bends.
 

@@ -62,9 +62,7 @@ def shipped_weights() -> Path:
 
 
 @lru_cache(maxsize=2)
-def _networks(
-    path: str, reward: str, device: torch.device, steps: int, family: str, eta: float
-) -> Networks:
+def _networks(path: str, reward: str, device: torch.device, steps: int, family: str, eta: float) -> Networks:
     bundle = load_bundle(Path(path))
     if reward:
         bundle = replace(bundle, reward=load_reward(Path(reward), bundle))

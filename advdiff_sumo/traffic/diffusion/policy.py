@@ -105,7 +105,12 @@ def guard(road: RoadMap, view: View, drawn: Drawn, lanes: Mapping[int, LaneAhead
     rest = np.setdiff1d(np.flatnonzero(scene.history.valid[:, -1]), view.rows)
     now = scene.history
     others = coasting(
-        now.xy_m[rest, -1], now.yaw_rad[rest, -1], now.speed_mps[rest, -1], now.size_m[rest], seen.steps, seen.dt_s
+        now.xy_m[rest, -1],
+        now.yaw_rad[rest, -1],
+        now.speed_mps[rest, -1],
+        now.size_m[rest],
+        seen.steps,
+        seen.dt_s,
     )
     more = np.zeros(len(rest), dtype=np.bool_)
     watched = Watched(

@@ -127,7 +127,10 @@ def stop_distances(futures: Futures, watched: Watched, rows: BoolArray) -> Float
         for distance, link in lane.stops[:1] if lane is not None else ():
             room = distance - 0.5 * futures.size_m[row, 0] - _BEFORE_LINE_M
             need = 0.5 * futures.speed_mps[row, 0] ** 2 / max(room, 0.1)
-            if need <= _limit(_state(watched.signals, link.tls_id, link.tls_index)) and room > -_BEFORE_LINE_M:
+            if (
+                need <= _limit(_state(watched.signals, link.tls_id, link.tls_index))
+                and room > -_BEFORE_LINE_M
+            ):
                 stop[row] = max(room, 0.0)
     return stop
 

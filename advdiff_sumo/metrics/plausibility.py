@@ -1,0 +1,127 @@
+"""What background vehicles did that no vehicle should do, vehicle by vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.bicycle import Limits
+from advdiff_sumo.core.record import Controller, EpisodeRecord
+from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.background import background_collisions
+from advdiff_sumo.metrics.collision import collisions, find_touches
+from advdiff_sumo.metrics.offroad import BACKGROUND_EVERY_S, OFF_ROAD_SHARE, shares
+
+JERK_MPS3 = 25.0
+"""Greatest change of acceleration over half a second; an emergency braking comes to about 18 m/s³."""
+SLACK = 1.05
+"""Share of a limit that is let pass as rounding and smoothing."""
+THROUGH_M = 0.5
+"""Boxes that overlap by more than this have been driven through each other, not just touched."""
+_WINDOW = 11
+_LEAST = 5
+
+
+@dataclass(frozen=True)
+class Breach:
+    """One thing that one background vehicle did.
+
+    Attributes:
+        vehicle: its name.
+        time_s: when it did so most, since the episode's start.
+        what: "off the road", "contact", "drove through", "acceleration", "braking", "lateral acceleration", "jerk".
+        value: how much.
+        unit: of the value.
+        other: the other vehicle of a contact, else "".
+    """
+
+    vehicle: str
+    time_s: float
+    what: str
+    value: float
+    unit: str
+    other: str = ""
+
+
+def breaches(record: EpisodeRecord, road: RoadMap) -> list[Breach]:
+    """Return what vehicles did while the policy moved them, the worst of each kind and vehicle, by time.
+
+    Contacts with the target do not count: they may be what a run is for.
+    """
+    tracks = record.tracks
+    moved = (record.controller == Controller.POLICY) & tracks.valid
+    moved[record.target] = False
+    found = [*_contacts(record, moved), *_off_road(tracks, moved, road), *_driving(tracks, moved)]
+    return sorted(found, key=lambda x: (x.time_s, x.vehicle, x.what))
+
+
+def _contacts(record: EpisodeRecord, moved: BoolArray) -> Iterator[Breach]:
+    tracks, touches = record.tracks, find_touches(record.tracks)
+    for hit in background_collisions(record, collisions(record, touches)):
+        own, other = hit.rows if moved[hit.rows[0], hit.step + 1] else hit.rows[::-1]
+        if not moved[own, hit.step + 1]:
+            continue
+        both = (touches.first == min(hit.rows)) & (touches.second == max(hit.rows))
+        depth = float(max(0.0, -touches.end_gap_m[both & (touches.step >= hit.step)].min()))
+        what = "drove through" if depth > THROUGH_M else "contact"
+        yield Breach(tracks.ids[own], hit.time_s, what, depth, "m", tracks.ids[other])
+
+
+def _off_road(tracks: Tracks, moved: BoolArray, road: RoadMap) -> Iterator[Breach]:
+    every = max(1, round(BACKGROUND_EVERY_S / tracks.dt_s))
+    driven = np.isin(
+        tracks.classes, (AgentClass.CAR, AgentClass.TRUCK, AgentClass.BUS, AgentClass.MOTORCYCLE)
+    )
+    for row in np.flatnonzero(moved.any(axis=1) & driven).tolist():
+        steps = np.flatnonzero(moved[row] & tracks.valid[row])
+        steps = steps[:: every if len(steps) > every else 1]
+        share = shares(road, tracks, np.full(len(steps), row), steps)
+        worst = int(share.argmax())
+        if share[worst] - share[0] > OFF_ROAD_SHARE:
+            time = tracks.t0_s + tracks.dt_s * float(steps[worst])
+            yield Breach(tracks.ids[row], time, "off the road", 100.0 * float(share[worst]), "% of its box")
+
+
+def _driving(tracks: Tracks, moved: BoolArray) -> Iterator[Breach]:
+    for row in np.flatnonzero(moved.any(axis=1)).tolist():
+        worst: dict[str, Breach] = {}
+        for start, stop in _spans(moved[row]):
+            for breach in _too_hard(tracks, row, start, stop):
+                if breach.what not in worst or breach.value > worst[breach.what].value:
+                    worst[breach.what] = breach
+        yield from worst.values()
+
+
+def _too_hard(tracks: Tracks, row: int, start: int, stop: int) -> Iterator[Breach]:
+    limits = Limits()
+    accel, lateral, jerk = _derivatives(tracks, row, slice(start, stop))
+    for what, unit, limit, value in (
+        ("acceleration", "m/s²", limits.accel_mps2, accel),
+        ("braking", "m/s²", limits.brake_mps2, -accel),
+        ("lateral acceleration", "m/s²", limits.lateral_mps2, np.abs(lateral)),
+        ("jerk", "m/s³", JERK_MPS3, np.abs(jerk)),
+    ):
+        worst = int(value.argmax())
+        if value[worst] > SLACK * limit:
+            time = tracks.t0_s + tracks.dt_s * (start + worst)
+            yield Breach(tracks.ids[row], time, what, float(value[worst]), unit)
+
+
+def _derivatives(tracks: Tracks, row: int, part: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return acceleration, lateral acceleration and jerk, of polynomials over a second as in ``comfort``."""
+    speed, yaw = tracks.speed_mps[row, part], np.unwrap(tracks.yaw_rad[row, part])
+    window = min(_WINDOW, len(speed) - 1 + len(speed) % 2)
+    accel = savgol_filter(speed, window, 2, deriv=1, delta=tracks.dt_s)
+    turn = savgol_filter(yaw, window, 2, deriv=1, delta=tracks.dt_s)
+    jerk = savgol_filter(speed, window, 3, deriv=2, delta=tracks.dt_s)
+    return np.asarray(accel), np.asarray(turn * speed), np.asarray(jerk)
+
+
+def _spans(mask: BoolArray) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int64)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a >= _LEAST]

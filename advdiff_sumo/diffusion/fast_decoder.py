@@ -36,21 +36,20 @@ class Trace:
     """What a rollout of a whole scene leaves for rollouts of some of its rows.
 
     Attributes:
-        motion: for each step, where everybody was at its beginning.
+        edges: for each step and layer, what relative poses add to the messages, (B, A, A, M).
         senders: for each step and layer, what everybody says to the others, (B, A, M).
     """
 
-    motion: tuple[_Motion, ...]
+    edges: tuple[tuple[Tensor, ...], ...]
     senders: tuple[tuple[Tensor, ...], ...]
 
     def repeat(self, times: int) -> Trace:
         """Return the trace of the one scene *times* times."""
-        return Trace(
-            tuple(
-                (_many(xy, times), _many(yaw, times), _many(speed, times)) for xy, yaw, speed in self.motion
-            ),
-            tuple(tuple(_many(sent, times) for sent in layers) for layers in self.senders),
+        edges, senders = (
+            tuple(tuple(x.expand(times, *x.shape[1:]) for x in layers) for layers in part)
+            for part in (self.edges, self.senders)
         )
+        return Trace(edges, senders)
 
 
 class FastDecoder:
@@ -89,6 +88,9 @@ class FastDecoder:
     ) -> Rollout:
         """Return the futures (B, R, …) of agents *rows* alone, the others as in *trace*; gradients flow to *z*.
 
+        What the rows see of each other and of the others is that of the trace too, so the result is exact at the
+        latents of the trace, and its gradient lacks what a changed place would change in the interaction.
+
         Args:
             z: (B, R, Z) latents of the rows.
             h: (B, A, D) embeddings of all.
@@ -110,21 +112,21 @@ class FastDecoder:
             None if bool(batch.present.all()) else torch.where(batch.present, 0.0, -1e9)[:, None, :, None]
         )
         motion: _Motion = pose[..., :2], pose[..., 2], pose[..., 3].clamp(min=0.0)
-        states, motions, senders = [], [], []
+        states, seen, senders = [], [], []
         for k in range(steps):
-            everybody = motion if trace is None else _put(trace.motion[k], rows, motion)
+            edges = self._edge.of(motion) if trace is None else tuple(x[:, rows] for x in trace.edges[k])
             node = self._node(memory, given, pose, motion)
             others = None if trace is None else trace.senders[k]
-            mixed, said = self._mix(node, self._edge.of(motion, everybody), rows, others, blocked)
+            mixed, said = self._mix(node, edges, rows, others, blocked)
             accel, curvature = controls(net.action(mixed), motion[2], length, net.options)
             accel, curvature = accel * moved, curvature * moved
-            motions.append(everybody)
+            seen.append(edges)
             senders.append(said)
             motion = step(*motion, accel, curvature, MODEL_STEP_S)
             memory = self._remember(mixed, accel, curvature, memory)
             states.append((*motion, accel, curvature))
         rollout = Rollout(*(torch.stack(column, dim=2) for column in zip(*states, strict=True)))
-        return rollout, Trace(tuple(motions), tuple(senders))
+        return rollout, Trace(tuple(seen), tuple(senders))
 
     def _node(self, memory: Tensor, given: Tensor, pose: Tensor, motion: _Motion) -> Tensor:
         xy, yaw, speed = motion
@@ -145,7 +147,7 @@ class FastDecoder:
     def _mix(
         self,
         h: Tensor,
-        edges: list[Tensor],
+        edges: tuple[Tensor, ...],
         rows: Tensor,
         others: tuple[Tensor, ...] | None,
         blocked: Tensor | None,
@@ -183,15 +185,6 @@ def _layer(layer: InteractionLayer, h: Tensor, edges: Tensor, sent: Tensor, bloc
     return new
 
 
-def _put(motion: _Motion, rows: Tensor, own: _Motion) -> _Motion:
-    xy, yaw, speed = (all_.index_copy(1, rows, mine) for all_, mine in zip(motion, own, strict=True))
-    return xy, yaw, speed
-
-
-def _many(x: Tensor, times: int) -> Tensor:
-    return x.expand(times, *x.shape[1:])
-
-
 class _Edges:
     """Embeds relative poses without making them: the rotation into each receiver's frame goes into the weights.
 
@@ -217,17 +210,16 @@ class _Edges:
         self._second = second
         self._layers = [x.edge for x in decoder.interaction.layers if isinstance(x, InteractionLayer)]
 
-    def of(self, own: _Motion, others: _Motion) -> list[Tensor]:
-        """Return for each layer what senders *others* (B, A) look like to receivers *own* (B, R): (B, R, A, M)."""
-        xy, yaw, speed = others
+    def of(self, motion: _Motion) -> tuple[Tensor, ...]:
+        """Return for each layer what everybody looks like to everybody: (B, A, A, M)."""
+        xy, yaw, speed = motion
         ahead = torch.stack((torch.cos(yaw), torch.sin(yaw)), dim=-1)
         sender = torch.cat((xy, ahead, speed[..., None] * ahead), dim=-1)  # (B, A, 6)
-        cos, sin = torch.cos(own[1])[..., None, None], torch.sin(own[1])[..., None, None]
-        weight = cos * self._straight + sin * self._turned  # (B, R, 6, E)
-        start = self._bias + own[2][..., None] * self._own
-        start = start - (own[0][..., None, :] @ weight[..., :2, :]).squeeze(-2)
-        delta = xy[:, None] - own[0][:, :, None]
+        weight = ahead[..., :1, None] * self._straight + ahead[..., 1:, None] * self._turned  # (B, A, 6, E)
+        start = self._bias + speed[..., None] * self._own
+        start = start - (xy[..., None, :] @ weight[..., :2, :]).squeeze(-2)
+        delta = xy[:, None] - xy[:, :, None]
         near = torch.exp(-0.1 * torch.sqrt((delta * delta).sum(-1) + 1e-6))
         raw = sender[:, None] @ weight + (start[:, :, None] + near[..., None] * self._near)
         edges = torch.relu(self._second(torch.relu(raw)))
-        return [layer(edges) for layer in self._layers]
+        return tuple(layer(edges) for layer in self._layers)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from scenariogeneration import xosc
@@ -13,7 +11,6 @@ from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.export.scene import ExportScene
 
-_PLAIN = re.compile(r"[A-Za-z_][\w.-]*")
 #: Usual share of the length between the axles; the box's centre is taken to be half-way.
 WHEELBASE_SHARE = 0.6
 _HEIGHT_M = {AgentClass.CAR: 1.6, AgentClass.TRUCK: 3.2, AgentClass.BUS: 3.2}
@@ -42,20 +39,6 @@ def reference_of(kind: int, length_m: float) -> Reference:
     if kind == AgentClass.PEDESTRIAN:
         return Reference(0.0)
     return Reference(round(0.5 * WHEELBASE_SHARE * length_m, 4))
-
-
-def entity_names(ids: Sequence[str]) -> list[str]:
-    """Return names that OpenSCENARIO takes, unique: the ids where they are plain, numbered ones elsewhere."""
-    taken = {name for name in ids if _PLAIN.fullmatch(name)}
-    names = []
-    for row, name in enumerate(ids):
-        if name not in taken or name in names:
-            name = f"agent_{row}"
-            while name in taken:
-                name += "_"
-            taken.add(name)
-        names.append(name)
-    return names
 
 
 def entity_of(scene: ExportScene, row: int, name: str) -> xosc.Vehicle | xosc.Pedestrian:

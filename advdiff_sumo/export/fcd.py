@@ -15,7 +15,7 @@ import numpy as np
 from advdiff_sumo.core.frames import bumper_from_centre, sumo_from_yaw
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.export.importers import fcd as importer
-from advdiff_sumo.export.scene import ExportScene, ImportedScene, number, seconds
+from advdiff_sumo.export.scene import ExportScene, ImportedScene, number, plain_names, seconds
 
 VCLASS = {
     AgentClass.CAR: "passenger",
@@ -27,13 +27,13 @@ VCLASS = {
 }
 TARGET_COLOUR, OTHER_COLOUR, PERSON_COLOUR = "214,39,40", "31,119,180", "44,160,44"
 PATH_EVERY_S = 0.5
+PLAIN_NAME = r"[A-Za-z0-9_.:#-]+"
 #: Nothing may keep a vehicle from being where the data have it.
 _AS_RECORDED = {
     "lateral-resolution": "0.4",
     "insertion-checks": "none",
     "collision.action": "none",
     "time-to-teleport": "-1",
-    "no-warnings": "true",
 }
 
 
@@ -49,8 +49,9 @@ class Fcd:
         net = folder / f"{scene.name}{suffix}"
         data, types, config = (folder / f"{scene.name}{end}" for end in (".fcd.xml", ".add.xml", ".sumocfg"))
         shutil.copyfile(scene.road.path, net)
-        _save(_data(tracks), data)
-        _save(_additional(tracks, scene.target), types)
+        names = plain_names(tracks.ids, PLAIN_NAME)
+        _save(_data(tracks, names), data)
+        _save(_additional(tracks, names, scene.target), types)
         _save(_configuration(tracks, net.name, types.name, data.name), config)
         return data, types, config, net
 
@@ -59,7 +60,7 @@ class Fcd:
         return importer.read_fcd(path)
 
 
-def _data(tracks: Tracks) -> ET.Element:
+def _data(tracks: Tracks, names: list[str]) -> ET.Element:
     root = ET.Element("fcd-export")
     length = np.broadcast_to(tracks.size_m[:, :1], tracks.yaw_rad.shape)
     bumper = bumper_from_centre(tracks.xy_m, tracks.yaw_rad, length)
@@ -72,19 +73,19 @@ def _data(tracks: Tracks) -> ET.Element:
             ET.SubElement(
                 instant,
                 "person" if person[row] else "vehicle",
-                id=tracks.ids[row],
+                id=names[row],
                 x=number(bumper[row, step, 0]),
                 y=number(bumper[row, step, 1]),
                 angle=number(angle[row, step]),
-                type=f"type_{tracks.ids[row]}",
+                type=f"type_{names[row]}",
                 speed=number(max(tracks.speed_mps[row, step], 0.0)),
             )
     return root
 
 
-def _additional(tracks: Tracks, target: int) -> ET.Element:
+def _additional(tracks: Tracks, names: list[str], target: int) -> ET.Element:
     root = ET.Element("additional")
-    for row, name in enumerate(tracks.ids):
+    for row, name in enumerate(names):
         kind = AgentClass(int(tracks.classes[row]))
         person = kind is AgentClass.PEDESTRIAN
         colour = TARGET_COLOUR if row == target else PERSON_COLOUR if person else OTHER_COLOUR
@@ -93,9 +94,9 @@ def _additional(tracks: Tracks, target: int) -> ET.Element:
             root, "vType", id=f"type_{name}", vClass=VCLASS[kind], length=length, width=width, minGap="0"
         )
         of_agent.set("color", colour)
-        for key, value in (("agent", name), ("target", str(row == target).lower())):
+        for key, value in (("agent", tracks.ids[row]), ("target", str(row == target).lower())):
             ET.SubElement(of_agent, "param", key=key, value=value)
-    for row, name in enumerate(tracks.ids):
+    for row, name in enumerate(names):
         _path(root, tracks, row, name, TARGET_COLOUR if row == target else "127,127,127")
     return root
 
@@ -113,7 +114,7 @@ def _path(root: ET.Element, tracks: Tracks, row: int, name: str, colour: str) ->
 
 
 def _configuration(tracks: Tracks, net: str, types: str, data: str) -> ET.Element:
-    root = ET.Element("configuration")
+    root = ET.Element("sumoConfiguration")
     groups = {
         "input": {"net-file": net, "additional-files": types},
         "time": {
@@ -122,6 +123,7 @@ def _configuration(tracks: Tracks, net: str, types: str, data: str) -> ET.Elemen
             "step-length": seconds(1, tracks.dt_s),
         },
         "processing": _AS_RECORDED,
+        "report": {"no-warnings": "true"},
         "fcd_replay_device": {"device.fcd-replay.files": data},
         "gui_only": {"delay": str(round(1000 * tracks.dt_s))},
     }

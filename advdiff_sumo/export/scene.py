@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -73,6 +73,21 @@ class ImportedScene:
 
     tracks: Tracks
     target: int
+
+
+def plain_names(ids: Sequence[str], pattern: str) -> list[str]:
+    """Return unique names that match *pattern*: the ids where they do, ``agent_ROW`` elsewhere."""
+    plain = re.compile(pattern)
+    taken = {name for name in ids if plain.fullmatch(name)}
+    names = []
+    for row, name in enumerate(ids):
+        if name not in taken:
+            name = f"agent_{row}"
+            while name in taken:
+                name += "_"
+            taken.add(name)
+        names.append(name)
+    return names
 
 
 def stretches(valid: BoolArray) -> Iterator[tuple[int, int]]:

@@ -8,10 +8,11 @@ from collections.abc import Iterator
 import numpy as np
 from scenariogeneration import xosc
 
-from advdiff_sumo.export.entities import Reference, entity_names, entity_of, reference_of
-from advdiff_sumo.export.scene import ExportScene, stretches, unwrapped
+from advdiff_sumo.export.entities import Reference, entity_of, reference_of
+from advdiff_sumo.export.scene import ExportScene, plain_names, stretches, unwrapped
 
 _MINOR = 2
+PLAIN_NAME = r"[A-Za-z_][A-Za-z0-9_.-]*"
 #: No date of today: the same episode gives the same file.
 _DATE = datetime.datetime(1970, 1, 1)
 _TIME_DIGITS, _POSITION_DIGITS, _YAW_DIGITS = 6, 4, 6
@@ -20,7 +21,7 @@ _TIME_DIGITS, _POSITION_DIGITS, _YAW_DIGITS = 6, 4, 6
 def scenario_of(scene: ExportScene, roads: str) -> xosc.Scenario:
     """Return the whole file; *roads* names the OpenDRIVE file beside it."""
     entities = xosc.Entities()
-    names = entity_names(scene.tracks.ids)
+    names = plain_names(scene.tracks.ids, PLAIN_NAME)
     for row, name in enumerate(names):
         entities.add_scenario_object(name, entity_of(scene, row, name))
     return xosc.Scenario(

@@ -67,7 +67,12 @@ def everybody() -> Tracks:
     gap[8:12] = np.nan
     return tracks_of(
         ("target", AgentClass.CAR, (4.6, 1.8), straight(-30.0, -1.6, 0.0, 8.0)),
-        ("late & <odd>--name", AgentClass.TRUCK, (9.5, 2.5), straight(1.6, -60.0, 0.5 * np.pi, 9.0, slice(5, None))),
+        (
+            "late & <odd>--name",
+            AgentClass.TRUCK,
+            (9.5, 2.5),
+            straight(1.6, -60.0, 0.5 * np.pi, 9.0, slice(5, None)),
+        ),
         ("gone:early", AgentClass.BUS, (12.0, 2.55), straight(60.0, 1.6, np.pi, 7.0, slice(0, 12))),
         ("twice", AgentClass.MOTORCYCLE, (2.2, 0.8), gap),
         ("7", AgentClass.BICYCLE, (1.8, 0.6), straight(-20.0, -6.0, 0.0, 4.0)),

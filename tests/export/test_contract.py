@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.errors import ConfigError, FileError, UnknownNameError
-from advdiff_sumo.export import EXPORTERS, ExportScene, ImportedScene, check_exporter, import_scene, make_exporter
+from advdiff_sumo.export import (
+    EXPORTERS,
+    ExportScene,
+    ImportedScene,
+    check_exporter,
+    import_scene,
+    make_exporter,
+)
 from advdiff_sumo.export.check import compare
 from advdiff_sumo.export.csv_file import Csv
 from advdiff_sumo.export.net_opendrive import plan_of
@@ -39,7 +46,10 @@ def test_shipped_nets(
 ) -> None:
     scene = on_net(networks / f"{net}.net.xml")
     for name in ("commonroad", "scenarionet", "fcd"):
-        assert list(compare(make_exporter(name).read(make_exporter(name).write(scene, tmp_path)[0]), scene)) == []
+        assert (
+            list(compare(make_exporter(name).read(make_exporter(name).write(scene, tmp_path)[0]), scene))
+            == []
+        )
 
 
 def test_another_step(plain: ExportScene, tmp_path: Path) -> None:
@@ -55,7 +65,7 @@ class Shifted(Csv):
 
     def read(self, path: Path) -> ImportedScene:
         read = super().read(path)
-        return replace(read, tracks=replace(read.tracks, xy_m=read.tracks.xy_m + (0.02, 0.0)))
+        return replace(read, tracks=replace(read.tracks, xy_m=read.tracks.xy_m + np.array([0.02, 0.0])))
 
 
 class Counting(Csv):

@@ -64,7 +64,7 @@ def _part(name: str, of_type: ET.Element, rows: _Rows, dt_s: float) -> AgentPart
     length, width = float(attribute(of_type, "length")), float(attribute(of_type, "width"))
     marks = {row.get("key"): row.get("value") for row in of_type.iter("param")}
     return AgentPart(
-        name=name,
+        name=marks.get("agent") or name,
         kind=_KINDS[attribute(of_type, "vClass")],
         size_m=(length, width),
         step=steps_of(values[:, 0], dt_s),

@@ -141,7 +141,8 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
 
     def workers(self) -> list[int]:
         """Return the process numbers of the workers that are there now."""
-        return sorted(worker.pid for worker in multiprocessing.active_children() if worker.name == _WORKER)
+        alive = (w for w in multiprocessing.active_children() if w.name == _WORKER)
+        return sorted(worker.pid for worker in alive if worker.pid is not None)
 
     def _pool(self, slot: int) -> Any:
         if slot not in self._pools:

@@ -136,4 +136,4 @@ def limits(tmp_path: Path) -> Limits:
     """What a worker may take."""
     logs = tmp_path / "logs"
     logs.mkdir()
-    return Limits(timeout_s=60.0, memory_mb=2000, tasks=100, recycle_share=0.9, logs=logs)
+    return Limits(timeout_s=600.0, memory_mb=2000, tasks=100, recycle_share=0.9, logs=logs)

@@ -91,8 +91,7 @@ def judge_and_show(
         )
     if out is not None:
         write_figures(out, figures, judging, windows)
-    console = Console()
-    console.print(table(figures), width=max(console.width, _WIDTH), soft_wrap=True)
+    Console(width=max(Console().width, _WIDTH)).print(table(figures))
 
 
 def table(figures: dict[str, Figures]) -> Table:

@@ -204,6 +204,10 @@ def _sum(value: Tensor, mask: Tensor) -> tuple[float, float]:
 
 def columns(figures: dict[str, Figures]) -> list[str]:
     """Return the names of all figures, in the order of the table."""
-    order = ("ade_m", "fde_m", "min_ade_m", "min_fde_m", "min_sfde_m", "fdd_m", "jsd_speed", "jsd_accel")
-    order += ("collision_rate", "off_road_rate")
-    return [name for name in order if any(name in row for row in figures.values())]
+    return [name for name in _ORDER if any(name in row for row in figures.values())]
+
+
+_ORDER = (
+    *("ade_m", "fde_m", "min_ade_m", "min_fde_m", "min_sfde_m", "fdd_m"),
+    *("jsd_speed", "jsd_accel", "collision_rate", "off_road_rate"),
+)

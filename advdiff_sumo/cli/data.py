@@ -48,7 +48,7 @@ def simulate(
     advdiff-sumo data simulate --out windows --windows 20000 --seed 1
     """
     from advdiff_sumo.maps.shipped import SHIPPED_NETS  # late: --help needs no SUMO
-    from advdiff_sumo.sim.simulate import SimulateOptions
+    from advdiff_sumo.sim.simulate import SimulateOptions, plan
     from advdiff_sumo.sim.simulate import simulate as simulated
 
     options = SimulateOptions.parse(
@@ -57,11 +57,11 @@ def simulate(
             "nets": tuple(net or SHIPPED_NETS),
             "random_share": random_share,
             "seed": seed,
-            "workers": workers,
         }
     )
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out} is a file; name a folder")
+    shards = plan(options)
     with _progress() as progress:
         task = progress.add_task("windows", total=windows)
 
@@ -70,7 +70,7 @@ def simulate(
             if result.problem:
                 progress.console.print(f"note: {result.problem}", markup=False)
 
-        results = simulated(options, out, tell)
+        results = simulated(shards, out, workers, tell)
     made = sum(result.windows for result in results)
     _say.print(f"{out}: {made} windows in {len(results)} files", markup=False)
     if made < windows:
@@ -131,7 +131,7 @@ def build(
     converted = (out.parent if is_file else out) / "nets" if convert else None
     nets = Nets(tuple(RoadMap.read(find_net(name)) for name in net or ()), converted)
     options = BuildOptions(stride, not ego_only, split, challenge)
-    with _progress() as progress:
+    with _progress(transient=True) as progress:
         task = progress.add_task("drives", total=None)
         found = built(readers, nets, options, out, lambda *_: progress.update(task, advance=1))
         progress.update(task, total=len(found.drives) + len(found.skipped))
@@ -166,11 +166,12 @@ def stats(
     Console().print(table)
 
 
-def _progress() -> Progress:
+def _progress(transient: bool = False) -> Progress:
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
         console=Console(stderr=True),
+        transient=transient,
     )

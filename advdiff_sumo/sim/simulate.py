@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass
 from functools import lru_cache
@@ -37,15 +37,13 @@ class SimulateOptions(Options):
         windows: how many windows in all.
         nets: nets given by path or shipped name.
         random_share: share of the windows that come from nets made up for them.
-        seed: same seed, same bytes, whatever the number of workers.
-        workers: processes.
+        seed: same seed, same bytes.
     """
 
     windows: int = Field(24_000, ge=1)
     nets: tuple[str, ...] = SHIPPED_NETS
     random_share: float = Field(0.5, ge=0.0, le=1.0)
     seed: int = 0
-    workers: int = Field(2, ge=1, le=256)
 
 
 @dataclass(frozen=True)
@@ -86,9 +84,11 @@ def plan(options: SimulateOptions) -> list[Shard]:
     """Return the shards of *options*, given and made-up nets in turn.
 
     Raises:
-        NetError: a net does not exist.
+        NetError: a net does not exist or cannot be used.
     """
     nets = [find_net(net) for net in options.nets] if options.random_share < 1.0 else []
+    for net in nets:
+        RoadMap.read(net)
     if not nets and options.random_share < 1.0:
         raise NetError(Path("--net"), "no net was given", "name one, or ask for made-up nets alone")
     count = max(1, round(options.windows / SHARD_WINDOWS))
@@ -103,29 +103,29 @@ def plan(options: SimulateOptions) -> list[Shard]:
     return shards
 
 
-def simulate(options: SimulateOptions, out: Path, tell: Callable[[ShardResult], None]) -> list[ShardResult]:
-    """Make the shards of *options* that *out* lacks.
+def simulate(
+    shards: Sequence[Shard], out: Path, workers: int, tell: Callable[[ShardResult], None]
+) -> list[ShardResult]:
+    """Make those of *shards* that *out* lacks.
 
     Args:
-        options: what to simulate.
+        shards: see :func:`plan`.
         out: folder of the files; made-up nets are kept in its sub-folder ``nets``.
+        workers: processes; they do not change a byte.
         tell: called with each shard as it is finished or found.
 
     Returns:
         All shards in their order.
 
     Raises:
-        InputError: a net cannot be used, or *out* holds files made with other options.
+        InputError: *out* holds files made with other options.
         SimulationError: shards failed; the others are complete.
     """
-    shards = plan(options)
-    for net in sorted({shard.net for shard in shards if shard.net is not None}):
-        RoadMap.read(net)
     done = {shard.name: ShardResult(shard, count) for shard in shards if (count := _complete(shard, out))}
     (out / _NETS).mkdir(parents=True, exist_ok=True)
     for result in done.values():
         tell(result)
-    for result in _made([s for s in shards if s.name not in done], out, options.workers):
+    for result in _made([s for s in shards if s.name not in done], out, workers):
         done[result.shard.name] = result
         tell(result)
     results = [done[shard.name] for shard in shards]

@@ -69,8 +69,8 @@ def test_workers_do_not_change_a_byte_and_complete_files_are_kept(
     monkeypatch.setattr("advdiff_sumo.sim.simulate.SHARD_WINDOWS", 16)
 
     def made(folder: str, workers: int) -> list[ShardResult]:
-        values = {"windows": 32, "nets": (str(crossing),), "random_share": 0.0, "seed": 3, "workers": workers}
-        return simulate(SimulateOptions.parse(values), tmp_path / folder, lambda _: None)
+        values = {"windows": 32, "nets": (str(crossing),), "random_share": 0.0, "seed": 3}
+        return simulate(plan(SimulateOptions.parse(values)), tmp_path / folder, workers, lambda _: None)
 
     first, second = made("one", 1), made("two", 2)
     assert [r.windows for r in first] == [r.windows for r in second]
@@ -92,7 +92,7 @@ def test_workers_do_not_change_a_byte_and_complete_files_are_kept(
     files[0].rename(files[0].with_name("crossing-priority-4-0000.safetensors"))
     values = {"windows": 32, "nets": (str(crossing),), "random_share": 0.0, "seed": 4}
     with pytest.raises(FileError, match="made with other options"):
-        simulate(SimulateOptions.parse(values), tmp_path / "one", lambda _: None)
+        simulate(plan(SimulateOptions.parse(values)), tmp_path / "one", 1, lambda _: None)
 
 
 def test_traffic_is_recorded_at_2_hz_at_box_centres(crossing: Path) -> None:

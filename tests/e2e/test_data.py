@@ -1,0 +1,62 @@
+"""``advdiff-sumo data`` as a user types it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.e2e.commands import advdiff, everything
+
+
+def test_simulate_then_stats(tmp_path: Path) -> None:
+    done = advdiff(
+        *("data", "simulate", "--out", "w", "--windows", 12, "--net", "downtown-left"),
+        *("--random-share", 0, "--seed", 4, "--workers", 1),
+        cwd=tmp_path,
+    )
+    assert done.code == 0, done.err
+    assert done.out.startswith("w: 12 windows in 1 files")
+    assert "12/12" in done.err
+    said = advdiff("data", "stats", "w", "--json", cwd=tmp_path)
+    figures = json.loads(said.out)
+    assert (figures["windows"], figures["files"], said.code) == (12, 1, 0)
+    table = advdiff("data", "stats", "w", cwd=tmp_path)
+    assert "agents per window" in table.out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("simulate", "--out", "w", "--net", "no.net.xml"), "no.net.xml: no such net"),
+        (("simulate", "--out", "file"), "--out file is a file"),
+        (("simulate", "--out", "w", "--windows", "0"), "'--windows'"),
+        (("simulate", "--out", "w", "--random-share", "2"), "'--random-share'"),
+        (("build", "nowhere", "--out", "w"), "nowhere: no such log"),
+        (("build", ".", "--out", "w"), "holds no driving log"),
+        (("build", ".", "--out", "w", "--stride", "0.7"), "multiples of 0.5 s"),
+        (("stats", "nowhere"), "nowhere: no such file or folder"),
+        (("stats", "file"), "file: is truncated or no safetensors file"),
+        (("stats", "empty"), "empty: holds no window file"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_nothing(
+    tmp_path: Path, words: tuple[str, ...], said: str
+) -> None:
+    (tmp_path / "file").write_text("no windows")
+    (tmp_path / "empty").mkdir()
+    before = everything(tmp_path)
+    done = advdiff("data", *words, cwd=tmp_path)
+    assert done.code == 2
+    assert said in done.err
+    assert done.err.count("\n") == 1
+    assert "Traceback" not in done.err
+    assert everything(tmp_path) == before
+
+
+@pytest.mark.parametrize("verb", ["simulate", "build", "stats"])
+def test_help_teaches(tmp_path: Path, verb: str) -> None:
+    done = advdiff("data", verb, "--help", cwd=tmp_path)
+    assert (done.code, done.err) == (0, "")
+    assert f"advdiff-sumo data {verb} " in " ".join(done.out.split())

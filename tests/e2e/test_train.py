@@ -1,0 +1,131 @@
+"""``train`` and ``evaluate`` as a user types them, on a made-up road."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.e2e.commands import Outcome, advdiff, begin
+from tests.training.straight_road import write
+
+TINY = (
+    *(
+        "--set",
+        "model.hidden=16",
+        "--set",
+        "model.latent=8",
+        "--set",
+        "model.edge=8",
+        "--set",
+        "model.heads=2",
+    ),
+    *("--set", "model.interaction_layers=1", "--set", "model.channels=[8, 8, 8]"),
+    *("--set", "model.reward_hidden=16", "--set", "diffusion_steps=20", "--set", "batch_size=4"),
+    *("--set", "held_out=0.3", "--threads", "1"),
+)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("windows"), count=12).parent
+
+
+@pytest.fixture(scope="module")
+def traffic(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trained")
+    words = ("--data", data, "--out", "traffic", *TINY, "--set", "epochs=1", "--judge", "2")
+    done = advdiff("train", "traffic", *words, cwd=folder)
+    assert done.code == 0, done.err
+    assert "lane following" in done.out
+    return folder / "traffic"
+
+
+def test_a_training_leaves_what_the_page_names(traffic: Path) -> None:
+    names = {path.name for path in traffic.iterdir()}
+    wanted = {
+        "weights.safetensors",
+        "checkpoint.safetensors",
+        "metrics.jsonl",
+        "curves.png",
+        "evaluation.json",
+    }
+    assert wanted <= names <= wanted | {"events"}
+    rows = json.loads((traffic / "evaluation.json").read_text())["figures"]
+    assert {"constant velocity", "lane following", "posterior", "prior", "log"} == set(rows)
+
+
+def test_evaluate_prints_and_writes_the_same_table(traffic: Path, data: Path, tmp_path: Path) -> None:
+    words = ("--data", data, "--all", "--windows", "4", "--samples", "2", "--out", "figures.json")
+    done = advdiff("evaluate", "--weights", traffic, *words, cwd=tmp_path)
+    assert done.code == 0, done.err
+    rows = json.loads((tmp_path / "figures.json").read_text())["figures"]
+    assert f"{rows['posterior']['ade_m']:.2f}" in done.out
+
+
+def test_ctrl_c_is_kept_and_goes_on(data: Path, tmp_path: Path) -> None:
+    words = ("train", "traffic", "--data", data, "--out", "out", *TINY, "--judge", "0")
+    process = begin(*words, "--set", "epochs=400", cwd=tmp_path)
+    _wait_for(tmp_path / "out" / "metrics.jsonl", process)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    again = advdiff(
+        "train", "traffic", "--data", data, "--out", "out", "--resume", "--max-minutes", "0.02", cwd=tmp_path
+    )
+    assert again.code == 0, again.err
+    assert "--resume" in again.err  # told how to go on
+
+
+def _wait_for(path: Path, process: subprocess.Popen[str]) -> None:
+    end = time.monotonic() + 120.0
+    while not path.exists():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
+def refused(done: Outcome, *words: str) -> None:
+    assert done.code == 2
+    assert done.err.count("\n") == 1, done.err
+    assert "Traceback" not in done.err
+    for word in words:
+        assert word in done.err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("traffic", "--data", "nowhere"), ("nowhere", "no such file or folder")),
+        (("traffic", "--data", "text.safetensors"), ("text.safetensors", "no safetensors file")),
+        (("trafic", "--data", "DATA"), ("did you mean 'traffic'",)),
+        (("denoiser", "--data", "DATA"), ("--init", "'traffic'")),
+        (("denoiser", "--data", "DATA", "--init", "nothing"), ("nothing", "no such file")),
+        (("joint", "--data", "DATA", "--init", "TRAFFIC"), ("needs 'denoiser'", "train denoiser")),
+        (("reward", "--data", "DATA", "--init", "TRAFFIC"), ("needs 'denoiser'",)),
+        (("traffic", "--data", "DATA", "--codec", "polar"), ("codec", "'latent' or 'trajectory'")),
+        (("traffic", "--data", "DATA", "--preset", "big"), ("preset", "paper, small")),
+        (("traffic", "--data", "DATA", "--set", "epoch=3"), ("did you mean 'epochs'",)),
+        (("traffic", "--data", "DATA", "--set", "epochs=0"), ("epochs = 0",)),
+        (("traffic", "--data", "DATA", "--resume"), ("checkpoint", "without --resume")),
+    ],
+)
+def test_what_cannot_be_used_is_one_sentence(
+    options: tuple[str, ...], words: tuple[str, ...], data: Path, traffic: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "text.safetensors").write_text("no tensors here")
+    places = {"DATA": data, "TRAFFIC": traffic}
+    given = [places.get(word, word) for word in options]
+    refused(advdiff("train", *given, "--out", "out", cwd=tmp_path), *words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_in_use_is_not_overwritten(traffic: Path, data: Path) -> None:
+    before = (traffic / "weights.safetensors").read_bytes()
+    refused(advdiff("train", "traffic", "--data", data, "--out", traffic, cwd=traffic.parent), "is not empty")
+    assert (traffic / "weights.safetensors").read_bytes() == before

@@ -1,0 +1,167 @@
+"""What the stages minimise: hand-worked terms, and that they learn four windows by heart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.gaussian import Gaussian
+from advdiff_sumo.training.denoiser import (
+    DenoiserStage,
+    clean,
+    measure_scale,
+    noise_loss,
+    schedule_of,
+    spread_steps,
+)
+from advdiff_sumo.training.displacement import displacement
+from advdiff_sumo.training.evaluate import logged
+from advdiff_sumo.training.joint import JointStage, road_penalty, vehicle_penalty
+from advdiff_sumo.training.presets import CollisionOptions, ElboOptions
+from advdiff_sumo.training.stage import Moment, Stage, add, means
+from advdiff_sumo.training.traffic import TrafficStage, elbo, encode, kl_share, modelled
+
+
+def chance(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def losses(stage: Stage, batch: SceneBatch, steps: int, rate: float) -> list[float]:
+    optimiser = torch.optim.Adam(stage.module.parameters(), lr=rate)
+    out = []
+    for step in range(steps):
+        terms = stage.loss(batch, Moment(step, steps, chance(step)))
+        optimiser.zero_grad()
+        torch.autograd.backward(terms["loss"])
+        torch.nn.utils.clip_grad_norm_(stage.module.parameters(), 5.0)
+        optimiser.step()
+        out.append(float(terms["loss"].detach()))
+    return out
+
+
+def test_the_traffic_model_learns_four_windows_by_heart(bundle: Bundle, batch: SceneBatch) -> None:
+    found = losses(TrafficStage(bundle, ElboOptions()), batch, 80, 3e-3)
+    assert sum(found[-10:]) < 0.25 * sum(found[:10])
+
+
+def test_the_denoiser_learns_and_leaves_the_traffic_model_alone(bundle: Bundle, batch: SceneBatch) -> None:
+    before = {name: value.clone() for name, value in bundle.traffic.state_dict().items()}
+    measure_scale(bundle, [batch], chance())
+    stage = DenoiserStage(bundle)
+    first = means(stage.evaluate(batch.repeat(8), chance()))["noise"]
+    losses(stage, batch.repeat(8), 60, 3e-3)
+    assert means(stage.evaluate(batch.repeat(8), chance()))["noise"] < 0.8 * first
+    assert all(torch.equal(value, before[name]) for name, value in bundle.traffic.state_dict().items())
+
+
+def test_joint_training_lowers_the_sum(bundle: Bundle, batch: SceneBatch) -> None:
+    found = losses(JointStage(bundle, ElboOptions(), CollisionOptions()), batch, 40, 3e-3)
+    assert sum(found[-5:]) < 0.5 * sum(found[:5])
+
+
+def test_joint_training_adds_the_terms_with_their_weights(bundle: Bundle, batch: SceneBatch) -> None:
+    options = CollisionOptions(vehicles=3.0, road=0.25, noise=0.5)
+    terms = JointStage(bundle, ElboOptions(kl_weight=0.1), options).loss(batch, Moment(1, 1, chance()))
+    total = terms["reconstruction"] + 0.1 * terms["kl"] + 0.5 * terms["noise"]
+    total = total + 3.0 * terms["vehicles"] + 0.25 * terms["road"]
+    assert float(terms["loss"]) == pytest.approx(float(total), rel=1e-5)
+
+
+def test_the_noise_loss_gives_the_posterior_no_gradient(bundle: Bundle, batch: SceneBatch) -> None:
+    options = CollisionOptions(vehicles=0.0, road=0.0, prior_samples=False)
+    terms = JointStage(bundle, ElboOptions(), options).loss(batch, Moment(0, 1, chance()))
+    torch.autograd.backward(terms["noise"])
+    assert all(p.grad is None or not p.grad.any() for p in bundle.traffic.posterior.parameters())
+    assert any(p.grad is not None and p.grad.any() for p in bundle.denoiser.parameters())
+
+
+def test_the_weight_of_kl_rises_straight() -> None:
+    options = ElboOptions(kl_anneal_share=0.4)
+    shares = [kl_share(progress, options) for progress in (0.0, 0.2, 0.4, 1.0)]
+    assert shares == pytest.approx([0.01, 0.505, 1.0, 1.0])
+    assert kl_share(0.0, ElboOptions(kl_anneal_share=0.0)) == 1.0
+
+
+def test_kl_of_the_elbo_is_per_vehicle_and_free_nats_are_a_floor(bundle: Bundle, batch: SceneBatch) -> None:
+    encoded = encode(bundle.traffic, batch, chance())
+    zero = torch.zeros_like(encoded.z)
+    shifted = replace(
+        encoded,
+        posterior=Gaussian(zero + 2.0, zero),
+        context=replace(encoded.context, prior=Gaussian(zero, zero)),
+    )
+    terms = elbo(shifted, batch, ElboOptions(kl_weight=1.0), 1.0)
+    assert float(terms["kl"]) == pytest.approx(8 * 2.0)  # 8 numbers of 2² / 2 nats
+    floor = elbo(shifted, batch, ElboOptions(kl_weight=1.0, free_nats=3.0), 1.0)
+    assert float(floor["loss"] - floor["reconstruction"]) == pytest.approx(8 * 3.0, rel=1e-5)
+
+
+def test_the_codec_is_standardised_over_the_modelled_vehicles(bundle: Bundle, batch: SceneBatch) -> None:
+    measure_scale(bundle, [batch, batch], chance())
+    context = bundle.traffic.encoder(batch)
+    x0 = clean(bundle, batch, context, chance(1))[modelled(batch)]
+    assert x0.mean().abs() < 0.2
+    assert 0.7 < float(x0.std()) < 1.3
+
+
+def test_noise_that_is_predicted_exactly_costs_nothing(bundle: Bundle, batch: SceneBatch) -> None:
+    context = bundle.traffic.encoder(batch)
+    x0 = clean(bundle, batch, context, chance())
+    k, schedule = spread_steps(batch, schedule_of(bundle)), schedule_of(bundle)
+    noise = torch.randn(x0.shape, generator=chance(7))
+
+    class Oracle(torch.nn.Module):
+        def __init__(self, shift: float) -> None:
+            super().__init__()
+            self.shift = shift
+
+        def forward(self, x: torch.Tensor, *_: torch.Tensor) -> torch.Tensor:
+            assert torch.allclose(x, schedule.noisy(x0, k, noise))
+            return noise + self.shift
+
+    for shift, loss in ((0.0, 0.0), (0.5, 0.25)):
+        found = noise_loss(Oracle(shift), x0, context, batch, schedule, k, chance(7))  # type: ignore[arg-type]  # stands in
+        assert float(found) == pytest.approx(loss, abs=1e-6)
+
+
+def test_an_untrained_denoiser_has_a_loss_of_one(bundle: Bundle, batch: SceneBatch) -> None:
+    many = batch.repeat(16)
+    assert means(DenoiserStage(bundle).evaluate(many, chance()))["noise"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_log_itself_has_no_displacement_and_stays_on_the_road(batch: SceneBatch) -> None:
+    found = displacement(logged(batch), batch)
+    assert found.ade_sum() == (0.0, float((batch.present & ~batch.parked).sum()))
+    assert float(road_penalty(logged(batch), batch)) == 0.0
+
+
+def test_displacements_are_over_known_instants_of_vehicles_that_are_not_parked(batch: SceneBatch) -> None:
+    true = logged(batch)
+    ahead = Rollout(true.xy + torch.tensor([3.0, 4.0]), true.yaw, true.speed, true.accel, true.curvature)
+    valid = batch.future_valid.clone()
+    valid[:, :, 6:] = False
+    found = displacement(ahead, replace(batch, future_valid=valid))
+    total, number = found.fde_sum()
+    assert total / number == pytest.approx(5.0, rel=1e-5)
+    assert number == float((batch.present & ~batch.parked).sum())
+
+
+def test_cars_inside_each_other_and_beside_the_road_cost(batch: SceneBatch) -> None:
+    true = logged(batch)
+    place = batch.pose[:, :1, None, :2].expand_as(true.xy)
+    heap = Rollout(place, true.yaw, true.speed, true.accel, true.curvature)
+    assert float(vehicle_penalty(heap, batch)) > 10.0
+    aside = Rollout(true.xy + torch.tensor([0.0, 12.0]), true.yaw, true.speed, true.accel, true.curvature)
+    assert float(road_penalty(aside, batch)) > 10.0
+
+
+def test_tallies_are_weighted_means() -> None:
+    total: dict[str, tuple[float, float]] = {}
+    add(total, {"a": (6.0, 2.0)})
+    add(total, {"a": (1.0, 5.0), "b": (0.0, 0.0)})
+    assert means(total) == {"a": 1.0}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -89,10 +90,9 @@ def video(
 
 def _ffmpeg() -> Any:
     try:
-        import imageio_ffmpeg  # late: an extra
+        return import_module("imageio_ffmpeg")  # late: an extra, without type information
     except ImportError:
         raise MissingExtraError("an MP4 film", "video") from None
-    return imageio_ffmpeg
 
 
 def _frames(
@@ -101,7 +101,7 @@ def _frames(
     """Yield (H, W, 3) pictures, H and W even; streets are drawn once, the rest upon them."""
     view = chosen.view(start_s, end_s, _ASPECT)
     drawn = Figure(figsize=(_WIDTH_PX / _DPI, _WIDTH_PX / _ASPECT / _DPI), dpi=_DPI, facecolor=GROUND)
-    canvas = FigureCanvasAgg(drawn)
+    canvas: Any = FigureCanvasAgg(drawn)  # matplotlib leaves these methods untyped
     axes = drawn.add_axes((0.0, 0.0, 1.0, 1.0))
     frame_axes(axes, view)
     axes.set_axis_off()
@@ -153,7 +153,9 @@ def _words(axes: Axes, chosen: ChosenEpisode, moment_s: float) -> list[Any]:
     speed = tracks.speed_mps[chosen.states.target, step]
     told = f"{moment_s:5.1f} s" + (f"   target {speed:.1f} m/s" if np.isfinite(speed) else "")
     paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 4.0}
-    found = [axes.text(0.015, 0.975, told, transform=axes.transAxes, va="top", fontsize=13, bbox=paper)]
+    found: list[Any] = [
+        axes.text(0.015, 0.975, told, transform=axes.transAxes, va="top", fontsize=13, bbox=paper)
+    ]
     if chosen.contact_s is not None and moment_s >= chosen.contact_s - 1e-6:
         verdict = f"{words(row['collision_type'])}, at fault: {words(row['at_fault'])}"
         found.append(

@@ -1,0 +1,154 @@
+"""Sweeps: labels, the table by target and background, natural counterparts, histograms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.report import write_report
+from advdiff_sumo.report.folder import FinishedRun
+from advdiff_sumo.report.histograms import histograms
+from advdiff_sumo.report.labels import Labels
+from advdiff_sumo.report.matrix import matrix_of
+from advdiff_sumo.report.naturals import Naturals, thinned
+from advdiff_sumo.report.nets import place_name
+from advdiff_sumo.report.samples import Samples, samples_by_background, samples_of
+
+
+@pytest.fixture
+def run(sweep_folder: Path) -> FinishedRun:
+    return FinishedRun.read(sweep_folder)
+
+
+def test_reads_what_tells_the_episodes_apart(run: FinishedRun) -> None:
+    assert run.is_sweep
+    assert [(row["target"], row["background"]) for row in run.episodes] == [
+        ("IDM", "sumo"),
+        ("IDM", "replay"),
+        ("lane_graph", "sumo"),
+        ("lane_graph", "replay"),
+    ]
+
+
+def test_a_runs_episodes_get_its_options(two_episodes: Path) -> None:
+    row = FinishedRun.read(two_episodes).row(1)
+    assert (row["net"], row["target"], row["background"]) == ("/nowhere/lost.net.xml", "IDM", "replay")
+    assert row["key"] == ""
+
+
+def test_matrix_counts_finished_episodes(run: FinishedRun) -> None:
+    matrix = matrix_of(run.episodes, Labels(run.episodes))
+    assert (matrix.targets, matrix.backgrounds) == (("IDM", "lane_graph"), ("sumo", "replay"))
+    cells = [
+        [(c.collisions.count, c.collisions.n, c.at_fault.count) for c in row if c] for row in matrix.cells
+    ]
+    assert cells == [[(0, 1, 0), (1, 1, 1)], [(0, 0, 0), (0, 1, 0)]]
+
+
+def test_pairs_that_were_not_run_have_no_cell(run: FinishedRun) -> None:
+    matrix = matrix_of([run.row(0), run.row(3)], Labels(run.episodes))
+    assert matrix.cells[0][1] is None
+    assert matrix.cells[1][0] is None
+    assert matrix_of([run.row(0)], Labels(run.episodes)).is_single
+
+
+def _with(row: Any, **options: str) -> dict[str, Any]:
+    return {**row, **options}
+
+
+def test_labels_name_the_options_that_differ(run: FinishedRun) -> None:
+    one = _with(run.row(1), background_options='{"attack":"cut_in","k":2}')
+    two = _with(run.row(1), background_options='{"attack":["head_on","side"],"k":2}')
+    labels = Labels([one, two])
+    assert labels.background(one) == "replay (attack cut_in)"
+    assert labels.background(two) == "replay (attack head_on+side)"
+    assert Labels([one]).background(one) == "replay"
+    assert labels.target(one) == "IDM"
+
+
+def test_natural_counterpart_is_the_same_scene_and_target_in_sumos_traffic(run: FinishedRun) -> None:
+    naturals = Naturals(run)
+    found = naturals.of(run.row(1))
+    assert found is not None
+    assert found.dt_s == pytest.approx(0.5)
+    assert found.xy_m[found.index["bv"], 2] == pytest.approx((415.0, 419.0))  # 405 m, and 1 s at 10 m/s
+    assert naturals.of(run.row(0)) is None  # natural itself
+    assert naturals.of(run.row(3)) is None  # its counterpart failed
+
+
+def test_a_log_that_is_no_longer_there_is_done_without(
+    two_episodes: Path, make_folder: Any, rows: Any
+) -> None:
+    states = rows.drive(0, "ego", 0.0, 0.0, 10.0, target=True)
+    folder = make_folder([rows.episode(0, scene="scene-0061-004")], states, options={"scenes": "/gone"})
+    run = FinishedRun.read(folder)
+    assert Naturals(run).of(run.row(0)) is None
+    assert write_report(folder).is_file()
+
+
+@pytest.mark.data
+def test_natural_of_a_log_is_the_log_from_the_seed_scene_on(
+    adv_data: Path, make_folder: Any, rows: Any
+) -> None:
+    states = rows.drive(0, "ego", 0.0, 0.0, 10.0, target=True)
+    options = {"scenes": str(adv_data / "nuscenes-mini")}
+    folder = make_folder([rows.episode(0, scene="scene-0061-004")], states, options=options)
+    run = FinishedRun.read(folder)
+    naturals = Naturals(run)
+    found, drive = naturals.of(run.row(0)), naturals.drive_of(run.row(0))
+    assert found is not None
+    assert drive is not None
+    now = int(np.argmin(np.abs(found.times_s)))
+    assert found.times_s[now] == pytest.approx(0.0)
+    assert now == 4
+    np.testing.assert_array_equal(found.xy_m, drive.tracks.xy_m)
+
+
+def test_samples_by_hand(run: FinishedRun) -> None:
+    states = run.states(1)
+    assert states is not None
+    found = samples_of(states.tracks, states.target)
+    assert found.speed_mps == pytest.approx(np.full(7, 5.0))  # of the other one, every 0.5 s for 3 s
+    assert found.accel_mps2 == pytest.approx(np.zeros(6))
+    # bumpers 15 m apart at the start, closing at 5 m/s
+    assert found.ttc_s == pytest.approx(3.0 - 0.5 * np.arange(7))
+
+
+def test_natural_traffic_comes_first(run: FinishedRun) -> None:
+    groups = samples_by_background(run, Naturals(run), Labels(run.episodes))
+    assert list(groups) == ["sumo", "replay"]
+    assert [group.episodes for group in groups.values()] == [1, 2]
+
+
+def test_histogram_shares_add_up_and_ends_take_what_is_beyond() -> None:
+    speeds = Samples(np.array([0.5, 0.5, 99.0, 10.5]), np.zeros(0), np.zeros(0), 1)
+    speed, accel, ttc = histograms({"sumo": speeds})
+    (outline,) = speed.outlines
+    assert outline.summary == "sumo: median 5.5 m/s, 90 % between 0.5 and 85.7 m/s"
+    assert outline.path.startswith("M40.0 168.0V34.7H49.7V168.0")  # half, of 60 % up to the top, in the first bin
+    assert outline.path.endswith("V101.3H330.0V168.0")  # a quarter in the last one
+    assert accel.outlines == ttc.outlines == ()
+
+
+def test_thinned_keeps_half_seconds(run: FinishedRun) -> None:
+    states = run.states(0)
+    assert states is not None
+    assert thinned(states.tracks).times_s == pytest.approx(0.5 * np.arange(7))
+
+
+def test_page_of_a_sweep(sweep_folder: Path) -> None:
+    html = write_report(sweep_folder).read_text(encoding="utf-8")
+    assert "<h1>Sweep planners</h1>" in html
+    assert "2 targets in 2 backgrounds on downtown" in html
+    assert '<h2 id="matrix">Targets and backgrounds</h2>' in html
+    assert write_report(sweep_folder).read_text(encoding="utf-8") == html
+
+
+@pytest.mark.parametrize(
+    ("net", "name"), [("downtown", "downtown"), ("/a/b/c.net.xml", "c"), ("d.net.xml.gz", "d")]
+)
+def test_places_have_short_names(net: str, name: str) -> None:
+    assert place_name(net) == name

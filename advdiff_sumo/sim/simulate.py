@@ -87,8 +87,8 @@ def plan(options: SimulateOptions) -> list[Shard]:
         NetError: a net does not exist or cannot be used.
     """
     nets = [find_net(net) for net in options.nets] if options.random_share < 1.0 else []
-    for net in nets:
-        RoadMap.read(net)
+    for given in nets:
+        RoadMap.read(given)
     if not nets and options.random_share < 1.0:
         raise NetError(Path("--net"), "no net was given", "name one, or ask for made-up nets alone")
     count = max(1, round(options.windows / SHARD_WINDOWS))
@@ -97,8 +97,8 @@ def plan(options: SimulateOptions) -> list[Shard]:
     for number, size in enumerate(sizes):
         before, after = (int(n * options.random_share + 1e-9) for n in (number, number + 1))
         net = None if after > before else nets[(number - before) % len(nets)]
-        kind = "" if net is not None else KINDS[before % len(KINDS)]
-        name = f"{kind or base_name(net or Path())}-{options.seed}-{number:04d}"
+        kind = KINDS[before % len(KINDS)] if net is None else ""
+        name = f"{kind if net is None else base_name(net)}-{options.seed}-{number:04d}"
         shards.append(Shard(name, net, kind, seed.child(number), size))
     return shards
 

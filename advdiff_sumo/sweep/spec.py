@@ -131,7 +131,9 @@ class SweepSpec(Options):
             FileError: it is missing or no TOML.
             ConfigError: a key is misspelt or a value impossible, or it asks for nothing.
         """
-        return SweepSpec.of(read_toml(path), str(path))
+        content = read_toml(path)
+        asked = content.get("sweep", content)  # the sweep.toml that a sweep leaves has it in a table
+        return SweepSpec.of(asked if isinstance(asked, dict) else content, str(path))
 
     @staticmethod
     def of(values: Mapping[str, Any], where: str) -> SweepSpec:

@@ -1,4 +1,4 @@
-"""``advdiff-sumo figure`` and ``video``: what they write, and what they refuse in one sentence."""
+"""``advdiff-sumo report``, ``figure`` and ``video``: what they write, and what they refuse in one sentence."""
 
 from __future__ import annotations
 
@@ -36,6 +36,12 @@ def test_writes_what_was_asked(
     assert (workplace / words[2]).read_bytes().startswith(begins)
 
 
+def test_report_is_written_again(here: Callable[..., Outcome], finished: Path) -> None:
+    outcome = here("report", "run")
+    assert (outcome.code, outcome.out.strip()) == (0, str(Path("run") / "report.html"))
+    assert (finished / "report.html").read_text(encoding="utf-8").startswith("<!doctype html>")
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -45,6 +51,7 @@ def test_writes_what_was_asked(
             ("figure", "gone", "a.svg"),
             "gone/run.toml: is missing; give the folder of a finished run or sweep",
         ),
+        (("report", "gone"), "gone/run.toml: is missing; give the folder of a finished run or sweep"),
         (("video", "run", "a.gif", "--episode", "7"), "run: has no episode 7; it has 0 to 1"),
         (("figure", "run", "a.svg", "--start", "9"), "9 to 3 s is no stretch of the episode"),
         (("figure", "run", "a.svg", "--panels", "0", "--end", "2"), "--start and --end go with --panels"),

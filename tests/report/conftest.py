@@ -162,11 +162,14 @@ def job(row: Row, target: str, background: str, scene: str, net: str = "downtown
     return {**row, **own, "root_seed": 0}
 
 
+_GRID = {"nets": [{"net": "downtown"}], "targets": [{"name": "IDM"}], "backgrounds": [{"name": "sumo"}]}
+
+
 def write_sweep(folder: Path, episodes: Sequence[Row], states: Sequence[Row]) -> Path:
     """Write the folder of a sweep of these rows (see :func:`job`) and return it."""
     write_folder(folder, [{k: row[k] for k in EPISODE_COLUMNS} for row in episodes], states)
     (folder / "run.toml").unlink()
-    settings = {"sweep": {"episodes": 2, "horizon_s": 20.0, "grid": {"nets": [{"net": "downtown"}]}}}
+    settings = {"sweep": {"episodes": 2, "horizon_s": 20.0, "grid": _GRID}}
     (folder / "sweep.toml").write_text(tomli_w.dumps(settings), encoding="utf-8")
     plain = pq.read_table(folder / "episodes.parquet")
     for name in episodes[0].keys() - EPISODE_COLUMNS.keys():

@@ -16,6 +16,7 @@ from advdiff_sumo.report.matrix import matrix_of
 from advdiff_sumo.report.naturals import Naturals, thinned
 from advdiff_sumo.report.nets import place_name
 from advdiff_sumo.report.samples import Samples, samples_by_background, samples_of
+from advdiff_sumo.sweep.spec import SweepSpec
 
 
 @pytest.fixture
@@ -31,6 +32,15 @@ def test_reads_what_tells_the_episodes_apart(run: FinishedRun) -> None:
         ("lane_graph", "sumo"),
         ("lane_graph", "replay"),
     ]
+
+
+def test_its_settings_are_a_sweep_file(sweep_folder: Path) -> None:
+    """The command on the page repeats the sweep from what it left."""
+    assert "advdiff-sumo sweep sweep.toml --out ../again" in write_report(sweep_folder).read_text(
+        encoding="utf-8"
+    )
+    spec = SweepSpec.read(sweep_folder / "sweep.toml")
+    assert (spec.episodes, spec.horizon_s) == (2, 20.0)
 
 
 def test_a_runs_episodes_get_its_options(two_episodes: Path) -> None:
@@ -128,7 +138,9 @@ def test_histogram_shares_add_up_and_ends_take_what_is_beyond() -> None:
     speed, accel, ttc = histograms({"sumo": speeds})
     (outline,) = speed.outlines
     assert outline.summary == "sumo: median 5.5 m/s, 90 % between 0.5 and 85.7 m/s"
-    assert outline.path.startswith("M40.0 168.0V34.7H49.7V168.0")  # half, of 60 % up to the top, in the first bin
+    assert outline.path.startswith(
+        "M40.0 168.0V34.7H49.7V168.0"
+    )  # half, of 60 % up to the top, in the first bin
     assert outline.path.endswith("V101.3H330.0V168.0")  # a quarter in the last one
     assert accel.outlines == ttc.outlines == ()
 

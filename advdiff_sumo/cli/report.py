@@ -1,0 +1,22 @@
+"""``advdiff-sumo report``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def report(
+    run: Annotated[Path, typer.Argument(help="Folder of a run or sweep.", show_default=False)],
+) -> None:
+    """Write the page report.html into the folder of a run or sweep, interrupted ones too.
+
+    advdiff-sumo report runs/planners
+
+    One file that opens offline: rates with intervals, targets × backgrounds, the map, and a player for each episode.
+    """
+    from advdiff_sumo.report import write_report  # late: --help needs no plots
+
+    typer.echo(str(write_report(run)))

@@ -28,6 +28,9 @@ def doctor(
         if not (quick and check is self_test):
             findings.extend(check())
     table = Table(show_header=False, box=None, padding=(0, 1))
+    for _ in range(2):
+        table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
     for finding in findings:
         table.add_row(Text(finding.state, style=_STYLES[finding.state]), finding.topic, Text(finding.text))
     console.print(table)

@@ -110,14 +110,14 @@ def plain(crossing_road: RoadMap) -> ExportScene:
 def on_net() -> Callable[[Path], ExportScene]:
     """Return what makes an episode on any net: two cars one behind the other on its longest lane."""
 
-    def make(net: Path) -> ExportScene:
+    def make(net: Path, steps: int = STEPS) -> ExportScene:
         road = RoadMap.read(net)
         lanes = [lane for lane in road.lanes.values() if lane.is_drivable and not lane.is_internal]
         lane = max(lanes, key=lambda one: (one.length_m, one.id))
         agents = []
         for name, start, speed in (("ego", 5.0, 10.0), ("other", 30.0, 5.0)):
-            xy, yaw = lane.line.at(start + speed * DT_S * np.arange(STEPS))
-            rows = np.column_stack((xy, yaw, np.full(STEPS, speed)))
+            xy, yaw = lane.line.at(start + speed * DT_S * np.arange(steps))
+            rows = np.column_stack((xy, yaw, np.full(steps, speed)))
             agents.append((name, AgentClass.CAR, (4.6, 1.8), rows))
         return ExportScene("net", tracks_of(*agents), 0, road)
 

@@ -24,6 +24,7 @@ from lxml import etree
 
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data import ScenarioNetReader
 from advdiff_sumo.data.pickles import load_plain
 from advdiff_sumo.export import ExportScene, make_exporter
@@ -31,6 +32,9 @@ from advdiff_sumo.maps.convert import convert_map
 from advdiff_sumo.maps.convert.scenarionet_map import read_record_map
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.following import following
+from advdiff_sumo.sim.logs import LoggedTraffic
+from advdiff_sumo.sim.options import SceneOptions, SimOptions
+from tests.sim import nets
 
 SUMO_HOME = Path(sumolib.checkBinary("netconvert")).resolve().parents[1]
 COMMONROAD_READER = """
@@ -267,6 +271,16 @@ def test_the_record_is_a_log_and_a_map_of_ours(busy: ExportScene, tmp_path: Path
     source = read_record_map(load_plain(path), path)
     assert len(source.lanes) == len(busy.lanes) > 8
     assert len(source.links) == len(busy.joints({lane.id for lane in busy.lanes}))
+
+
+def test_an_episode_can_start_from_the_record(on_net: Callable[..., ExportScene], tmp_path: Path) -> None:
+    scene = on_net(nets.street(tmp_path), 101)
+    make_exporter("scenarionet").write(scene, tmp_path)
+    log = ScenarioNetReader(tmp_path)
+    seeds = list(LoggedTraffic(scene.road, log, SceneOptions(), SimOptions(), SeedTree(0)).scenes())
+    assert len(seeds) >= 1
+    assert {seed.target for seed in seeds} == {"ego"}
+    assert seeds[0].history.agents == 2
 
 
 @pytest.mark.data

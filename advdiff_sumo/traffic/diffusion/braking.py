@@ -58,10 +58,10 @@ def brake(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray
         rows = np.flatnonzero(pairs.any(axis=1) | late)
         if not len(rows):
             break
-        changed = False
+        changed, before = False, made.copy()
         for row in rows.tolist():
             others = np.flatnonzero(pairs[row])
-            ok, moved = _ease(made, path, row, others, float(stop_m[row]))
+            ok, moved = _ease(made, before, path, row, others, float(stop_m[row]))
             unsolved[row] = not ok
             braked[row] |= moved
             changed |= moved
@@ -133,6 +133,7 @@ def _conflicts(futures: Futures, minds: BoolArray) -> BoolArray:
     meets = boxes.rows(first).gaps(boxes.rows(second), room) < 0.0
     hit = meets.any(axis=1) & ~inside
     first, second, when = first[hit], second[hit], meets[hit].argmax(axis=1)
+    when = np.maximum(when - 1, 0)  # just before, when it still shows who is where
     offset = boxes.xy_m[second, when] - boxes.xy_m[first, when]
     offset /= np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
     mine = (offset * unit(boxes.yaw_rad[first, when])).sum(-1)
@@ -152,13 +153,18 @@ def _room(futures: Futures, first: IntArray, second: IntArray) -> tuple[FloatArr
     return np.where(near[:, None], 0.0, wide), inside
 
 
-def _ease(futures: Futures, path: _Paths, row: int, others: IntArray, stop_m: float) -> tuple[bool, bool]:
-    """Let *row* brake as mildly as keeps it clear, in place; returns whether it is, and whether it changed."""
-    driven = _ladder(futures, row)  # (C, T)
+def _ease(
+    futures: Futures, before: Futures, path: _Paths, row: int, others: IntArray, stop_m: float
+) -> tuple[bool, bool]:
+    """Let *row* brake as mildly as keeps it clear of *others* as they were *before*, in place.
+
+    Returns whether it is clear, and whether it changed.
+    """
+    driven = _ladder(before, row)  # (C, T)
     clear = driven[:, -1] <= stop_m
     free = np.full(len(driven), np.inf)
     if len(others):
-        free = _clear_steps(futures, path, row, others, driven)
+        free = _clear_steps(before, path, row, others, driven)
         clear &= np.isinf(free)
     best = int(clear.argmax()) if clear.any() else int(np.argmax(free + 1e-3 * np.arange(len(free))))
     if not clear.any() and not len(others):
@@ -166,8 +172,7 @@ def _ease(futures: Futures, path: _Paths, row: int, others: IntArray, stop_m: fl
     if best == 0:
         return bool(clear[0]), False
     xy, yaw = path.at(row, driven[best])
-    before = np.concatenate(([0.0], driven[best][:-1]))
-    futures.put(row, xy, yaw, _speeds(driven[best] - before, futures.dt_s))
+    futures.put(row, xy, yaw, _speeds(np.diff(driven[best], prepend=0.0), futures.dt_s))
     return bool(clear[best]), True
 
 

@@ -60,7 +60,8 @@ def test_boxes_overlap_as_in_core(seed: int) -> None:
     size = rng.uniform(0.5, 5.0, (5, 2))
     found = overlap(*(torch.from_numpy(v)[None] for v in (xy, yaw, size)))[0]
     box = corners(xy, yaw, np.broadcast_to(size[:, None], (5, 3, 2)))
-    gap = separation(box[:, None], box[None])
+    one, other = np.broadcast_arrays(box[:, None], box[None])
+    gap = separation(one, other)
     assert np.array_equal(found.numpy(), gap <= 0.0)
 
 

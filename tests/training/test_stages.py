@@ -71,7 +71,8 @@ def test_joint_training_lowers_the_sum(bundle: Bundle, batch: SceneBatch) -> Non
 
 def test_joint_training_adds_the_terms_with_their_weights(bundle: Bundle, batch: SceneBatch) -> None:
     options = CollisionOptions(vehicles=3.0, road=0.25, noise=0.5)
-    terms = JointStage(bundle, ElboOptions(kl_weight=0.1), options).loss(batch, Moment(1, 1, chance()))
+    with torch.no_grad():
+        terms = JointStage(bundle, ElboOptions(kl_weight=0.1), options).loss(batch, Moment(1, 1, chance()))
     total = terms["reconstruction"] + 0.1 * terms["kl"] + 0.5 * terms["noise"]
     total = total + 3.0 * terms["vehicles"] + 0.25 * terms["road"]
     assert float(terms["loss"]) == pytest.approx(float(total), rel=1e-5)
@@ -92,6 +93,7 @@ def test_the_weight_of_kl_rises_straight() -> None:
     assert kl_share(0.0, ElboOptions(kl_anneal_share=0.0)) == 1.0
 
 
+@torch.no_grad()
 def test_kl_of_the_elbo_is_per_vehicle_and_free_nats_are_a_floor(bundle: Bundle, batch: SceneBatch) -> None:
     encoded = encode(bundle.traffic, batch, chance())
     zero = torch.zeros_like(encoded.z)
@@ -106,6 +108,7 @@ def test_kl_of_the_elbo_is_per_vehicle_and_free_nats_are_a_floor(bundle: Bundle,
     assert float(floor["loss"] - floor["reconstruction"]) == pytest.approx(8 * 3.0, rel=1e-5)
 
 
+@torch.no_grad()
 def test_the_codec_is_standardised_over_the_modelled_vehicles(bundle: Bundle, batch: SceneBatch) -> None:
     measure_scale(bundle, [batch, batch], chance())
     context = bundle.traffic.encoder(batch)
@@ -114,6 +117,7 @@ def test_the_codec_is_standardised_over_the_modelled_vehicles(bundle: Bundle, ba
     assert 0.7 < float(x0.std()) < 1.3
 
 
+@torch.no_grad()
 def test_noise_that_is_predicted_exactly_costs_nothing(bundle: Bundle, batch: SceneBatch) -> None:
     context = bundle.traffic.encoder(batch)
     x0 = clean(bundle, batch, context, chance())

@@ -18,6 +18,7 @@ DISCS = 5
 _ROAD_EDGE = 4
 _FAR_M = 1e3
 _CORNER = 1e-3
+_LEAST_REACH_M = 0.1
 
 
 def reconstruction(rollout: Rollout, batch: SceneBatch) -> Tensor:
@@ -73,7 +74,9 @@ def pair_distance(rollout: Rollout, size: Tensor) -> tuple[Tensor, Tensor]:
     mine, yours = centres[:, :, None, :, :, None], centres[:, None, :, :, None]
     squared = (mine - yours).square().sum(-1).flatten(-2).amin(-1)
     wide = radius[:, :, 0]
-    return torch.sqrt(squared + 1e-9), (wide[:, :, None] + wide[:, None])[..., None]
+    # padding has no width: a gap divided by nothing would make every gradient not a number
+    reach = (wide[:, :, None] + wide[:, None]).clamp(min=_LEAST_REACH_M)
+    return torch.sqrt(squared + 1e-9), reach[..., None]
 
 
 def edge_clearance(xy: Tensor, batch: SceneBatch) -> Tensor:

@@ -292,3 +292,16 @@ def test_reconstruction_gradient_against_differences(driving: Driving) -> None:
     scene = known(driving([(0.0, 0.0, 0.0, 0.0)] * 2), truth)
     guess = (truth + poses((0.3, -0.2, 0.1, 0.4), (5.0, -3.0, 1.0, -4.0))).requires_grad_()
     assert torch.autograd.gradcheck(lambda g: reconstruction(rollout_of(g), scene), (guess,))
+
+
+def test_padding_without_a_size_leaves_gradients_finite() -> None:
+    xy = torch.zeros(1, 3, 2, 2, requires_grad=True)
+    still = torch.zeros(1, 3, 2)
+    size = torch.tensor([[[4.0, 2.0], [0.0, 0.0], [0.0, 0.0]]])
+    rollout = Rollout(xy, still, still, still, still)
+    present = torch.tensor([[True, False, False]])
+    overlap = pair_overlap(rollout, size, present)
+    assert float(overlap.detach().abs().max()) == 0.0
+    overlap.sum().backward()
+    assert xy.grad is not None
+    assert bool(torch.isfinite(xy.grad).all())

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import signal
+import time
 from pathlib import Path
 
 import pytest
 
-from tests.e2e.commands import advdiff, everything
+from advdiff_sumo.data.files import read_windows
+from tests.e2e.commands import advdiff, begin, everything
 
 
 def test_simulate_then_stats(tmp_path: Path) -> None:
@@ -60,3 +63,21 @@ def test_help_teaches(tmp_path: Path, verb: str) -> None:
     done = advdiff("data", verb, "--help", cwd=tmp_path)
     assert (done.code, done.err) == (0, "")
     assert f"advdiff-sumo data {verb} " in " ".join(done.out.split())
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_what_is_complete(tmp_path: Path) -> None:
+    words = ("data", "simulate", "--out", "w", "--windows", "900", "--net", "motorway")
+    process = begin(*words, "--random-share", "0", "--workers", "1", cwd=tmp_path)
+    folder = tmp_path / "w"
+    until = time.monotonic() + 240.0
+    while not list(folder.glob("*.safetensors")) and time.monotonic() < until:
+        time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "interrupted; what had finished is kept" in said
+    assert "Traceback" not in said
+    kept = list(folder.glob("*.safetensors"))
+    assert 1 <= len(kept) < 3
+    assert all(read_windows(path).windows > 0 for path in kept)

@@ -69,7 +69,7 @@ def test_too_strong_an_acceleration_and_braking(road: RoadMap) -> None:
 
 
 def test_a_contact_and_a_drive_through(road: RoadMap) -> None:
-    """ "a" at 10 m/s into the standing "b" 20 m ahead: 16 m, 1.6 s; it drives on through it."""
+    """At 10 m/s into a standing car 20 m ahead: 16 m, 1.6 s; it drives on through it."""
     (hit,) = found(road, [0.0, 10.0, 0.0], [0.0, 0.0, 0.0], [-50.0, 10.0, 30.0])
     assert (hit.vehicle, hit.what, hit.other) == ("a", "drove through", "b")
     assert hit.time_s == pytest.approx(1.5, abs=0.11)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
 
 _LEAVES_M, _LEAVES_S = 12.0, 2.0
+
+Listener: TypeAlias = Callable[[View, Drawn], None]
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,11 @@ class DiffusionTraffic:
     """Moves the background by guided latent diffusion; options are those of :class:`DiffusionOptions`.
 
     Vehicles that come to where the road ends are left to SUMO, which takes them off the net.
+
+    Attributes:
+        options: checked.
+        networks: the trained networks.
+        listener: told of every plan that is drawn; for warm-up and for measurements.
     """
 
     Options: ClassVar[type[DiffusionOptions]] = DiffusionOptions
@@ -60,6 +67,7 @@ class DiffusionTraffic:
         """
         self.options = DiffusionOptions.parse(options, "options of background 'diffusion'")
         self.networks: Networks = networks_of(self.options)
+        self.listener: Listener | None = None
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Memory:  # noqa: ARG002 - the contract
         """Return an empty memory, and let the map make its table of pieces."""
@@ -85,6 +93,8 @@ class DiffusionTraffic:
             empty = Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=scene.time_s + MODEL_STEP_S)
             return JointPlan(empty), replace(memory, plan=None)
         drawn = draw_plan(self.networks, self.options, view, memory.noise, memory.attackers, seed)
+        if self.listener is not None:
+            self.listener(view, drawn)
         guarded = guard(road, view, drawn, lanes)
         tracks = _tracks(view, guarded.futures)
         return JointPlan(tracks), Memory(drawn.noise, drawn.attackers, tracks, 1)

@@ -86,7 +86,7 @@ def test_strength_0_is_no_guide_exactly(weights: str, downtown: RoadMap, street:
 
 @pytest.mark.parametrize("attack", ["any", "brake"])
 def test_attackers_alone_are_shifted(attack: str, weights: str, downtown: RoadMap, street: Street) -> None:
-    """ "v1" is ahead in the same lane and nearest; nobody else's latent changes by a bit."""
+    """One attacker: nobody else's latent changes by a bit."""
     scene = street(PLACES, SPEEDS)
     view = look(downtown, scene)
     options = {"weights": weights, "attack": attack, "attackers": 1, "strength": 1.0}

@@ -1,0 +1,1 @@
+"""Procedures that run episodes and learn from them, one file each."""

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import unit
@@ -111,7 +112,7 @@ def _features(scene: ExportScene) -> Iterator[tuple[str, dict[str, Any]]]:
         yield name, _lane(lane, kept, entries[name], exits[name])
     near = shapely.box(*_extent(kept)).buffer(MARGIN_M)
     for number, ring in enumerate(scene.road.area.smooth_rings()):
-        for part, line in enumerate(_lines(shapely.intersection(shapely.linestrings(ring), near))):
+        for part, line in enumerate(_lines(shapely.LineString(ring).intersection(near))):
             yield f"edge_{number}_{part}", {"type": "ROAD_EDGE_BOUNDARY", "polyline": line}
 
 
@@ -138,6 +139,6 @@ def _extent(kept: dict[str, Lane]) -> tuple[float, float, float, float]:
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def _lines(geometry: shapely.Geometry) -> list[FloatArray]:
+def _lines(geometry: BaseGeometry) -> list[FloatArray]:
     parts = shapely.get_parts(geometry)
     return [shapely.get_coordinates(p) for p in parts if p.geom_type == "LineString" and not p.is_empty]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from advdiff_sumo.core.errors import ConfigError, FileError, UnknownNameError
+from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, UnknownNameError
 from advdiff_sumo.export import (
     EXPORTERS,
     ExportScene,
@@ -167,3 +168,13 @@ def test_lanes_and_ways_of_the_crossing(busy: ExportScene) -> None:
 def test_an_unknown_ending_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r"\.xosc, \.cr\.xml"):
         import_scene(tmp_path / "a.docx")
+
+
+def test_without_the_extra(plain: ExportScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [n for n in sys.modules if n.startswith(("scenariogeneration", "advdiff_sumo.export.story"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delitem(sys.modules, "advdiff_sumo.export.entities", raising=False)
+    monkeypatch.setitem(sys.modules, "scenariogeneration", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'advdiff-sumo\[openscenario\]'"):
+        make_exporter("openscenario").write(plain, tmp_path)
+    assert list(tmp_path.iterdir()) == []

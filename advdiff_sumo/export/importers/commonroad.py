@@ -52,7 +52,8 @@ def _part(element: ET.Element) -> AgentPart:
 def _name(element: ET.Element) -> tuple[str, str]:
     """Return role and name of the agent, from the comment in its obstacle."""
     for child in element:
-        if child.tag is ET.Comment and child.text:  # type: ignore[comparison-overlap]  # comments have this tag
+        tag: object = child.tag  # of a comment, the function that makes comments
+        if tag is ET.Comment and child.text:
             role, _, name = child.text.strip().partition(": ")
             if role in ("target", "agent"):
                 return role, unquote(name)

@@ -111,4 +111,4 @@ def table(figures: dict[str, Figures]) -> Table:
 def _shown(name: str, value: float | None) -> str:
     if value is None:
         return ""
-    return f"{value:.2%}" if name.endswith("_rate") else f"{value:.{4 if name.startswith('jsd') else 2}f}"
+    return f"{value:.1%}" if name.endswith("_rate") else f"{value:.{3 if name.startswith('jsd') else 2}f}"

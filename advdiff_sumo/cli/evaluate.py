@@ -23,7 +23,7 @@ _HEADS = {
     "collision_rate": "colli-\nsions",
     "off_road_rate": "off\nroad",
 }
-_WIDTH = 100
+_WIDTH = 112
 
 if TYPE_CHECKING:
     import torch

@@ -59,7 +59,7 @@ class WarmedUp:
     losses: tuple[float, ...]
 
 
-def warm_up(options: RunOptions, steps: int, tell: Callable[[int], None] = lambda steps: None) -> WarmedUp:
+def warm_up(options: RunOptions, steps: int, tell: Callable[[int], None]) -> WarmedUp:
     """Let the diffusion policy meet the target of *options* for *steps* plans, and refit its reward model.
 
     After every episode the new experiences join the old ones and Q takes ``UPDATES_PER_STEP`` steps for each of

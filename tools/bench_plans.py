@@ -1,0 +1,130 @@
+"""Time of a plan of background 'diffusion' and where it goes, by number of vehicles: make bench.
+
+Scenes hold vehicles that follow lanes of a shipped net; all but the target are planned. Each row plans the same
+scene with new random numbers each time. "SUMO" is what the episode loop takes for the half second that a plan
+lasts, with as many moved vehicles. The first plans of a process are slower and left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bench import STEPS, made_up_log, our_rate, scene_of
+from rich.console import Console
+from rich.table import Table
+
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.diffusion import guides
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.shipped import find_net
+from advdiff_sumo.traffic.diffusion import draw, policy
+from advdiff_sumo.traffic.diffusion.policy import DiffusionTraffic
+
+STAGES = ("view", "encoder", "denoiser", "guide", "decoder", "safeguard")
+CLOCKS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": time.process_time}
+
+
+class Stopwatch:
+    """Adds up what wrapped functions take within each plan."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self.clock, self.spent = clock, defaultdict[str, float](float)
+
+    def wrap(self, owner: Any, name: str, stage: str, minus: str = "") -> None:
+        """Count the time of ``owner.name`` as *stage*, without what is counted as *minus* within it."""
+        inner = getattr(owner, name)
+
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            begun, before = self.clock(), self.spent[minus]
+            try:
+                return inner(*args, **kwargs)
+            finally:
+                self.spent[stage] += self.clock() - begun - (self.spent[minus] - before if minus else 0.0)
+
+        setattr(owner, name, timed)
+
+
+def crowd(road: RoadMap, vehicles: int, seed: int) -> Scene:
+    """Return a scene of a target and the *vehicles* nearest to it."""
+    log, routes = made_up_log(road, max(400, 4 * vehicles), 10.0, seed)
+    now = log.xy_m[:, 4]
+    rows = np.argsort(np.linalg.norm(now - now[0], axis=-1), kind="stable")[: vehicles + 1]
+    history = log.rows(rows).window(0, 5)
+    movable = np.arange(vehicles + 1) > 0
+    return Scene(history, 0, movable, tuple(routes[row] for row in rows.tolist()), {})
+
+
+def measure(
+    road: RoadMap, made: DiffusionTraffic, vehicles: int, plans: int, watch: Stopwatch
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (plans,) milliseconds of each plan and (plans, stages) of its parts."""
+    rng = np.random.default_rng(vehicles)
+    totals, parts = [], []
+    scenes = [crowd(road, vehicles, seed) for seed in range(4)]
+    for number in range(plans + 5):
+        scene = scenes[number % len(scenes)]
+        memory = made.start(road, scene, None, rng)
+        watch.spent.clear()
+        begun = watch.clock()
+        made.plan(road, scene, memory, rng)
+        totals.append(1e3 * (watch.clock() - begun))
+        parts.append([1e3 * watch.spent[stage] for stage in STAGES])
+    return np.array(totals[5:]), np.array(parts[5:])
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--net", type=Path, default=find_net("downtown"))
+    parser.add_argument("--vehicles", type=int, nargs="+", default=[8, 24, 48, 96])
+    parser.add_argument("--plans", type=int, default=60)
+    parser.add_argument("--weights", default="", help="default: the shipped ones")
+    parser.add_argument("--guide", choices=("reward", "none"), nargs="+", default=["reward", "none"])
+    parser.add_argument("--clock", choices=tuple(CLOCKS), default="wall", help="cpu on a busy machine")
+    arguments = parser.parse_args()
+    road = RoadMap.read(arguments.net)
+    watch = Stopwatch(CLOCKS[arguments.clock])
+    watch.wrap(policy, "look", "view")
+    watch.wrap(DiffusionTraffic, "_lanes", "view")
+    watch.wrap(draw, "encode", "encoder")
+    watch.wrap(draw, "guidance", "guide")
+    watch.wrap(guides.Guidance, "__call__", "guide")
+    watch.wrap(draw, "sample", "denoiser", minus="guide")
+    watch.wrap(draw, "decode", "decoder")
+    watch.wrap(policy, "guard", "safeguard")
+    console = Console(width=120)
+    for guide in arguments.guide:
+        made = DiffusionTraffic(weights=arguments.weights, guide=guide)
+        title = f"one plan in ms ({arguments.clock} time), {road.name}, guide {guide}, {made.options.steps} steps"
+        table = Table(title=title, title_justify="left")
+        for name in ("vehicles", "median", "99 %", *STAGES, "SUMO", "× real time"):
+            table.add_column(name, justify="right")
+        for vehicles in arguments.vehicles:
+            total, parts = measure(road, made, vehicles, arguments.plans, watch)
+            sumo = 5e3 / sumo_rate(road, vehicles)
+            share = [f"{value:.1f}" for value in np.median(parts, axis=0)]
+            median, late = np.median(total), np.percentile(total, 99)
+            speed = 500.0 / (median + sumo)
+            table.add_row(
+                str(vehicles), f"{median:.1f}", f"{late:.1f}", *share, f"{sumo:.1f}", f"{speed:.1f}"
+            )
+        console.print(table)
+
+
+def sumo_rate(road: RoadMap, vehicles: int) -> float:
+    """Return steps per second of the loop without a plan worth mentioning."""
+    duration = (STEPS + 10) * 0.1
+    log, routes = made_up_log(road, vehicles + 1, duration, seed=vehicles)
+    return our_rate(road, scene_of(road, log, routes, duration))
+
+
+if __name__ == "__main__":
+    main()

@@ -17,7 +17,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 40, 10, 8, 22
 MOST_GROUPS = 6
 _BINS = 30
 _SHOWN = {
-    "speed_mps": ("Speed of background vehicles", "m/s", 0.0, 30.0),
+    "speed_mps": ("Speed of background vehicles", "m/s", 0.0, 40.0),
     "accel_mps2": ("Acceleration of background vehicles", "m/s²", -6.0, 6.0),
     "ttc_s": ("Time to collision of the target", "s", 0.0, 10.0),
 }
@@ -103,7 +103,8 @@ def _shares(values: FloatArray, edges: FloatArray) -> FloatArray:
 
 def _words(label: str, values: FloatArray, unit: str) -> str:
     low, middle, high = np.percentile(values, [5, 50, 95])
-    return f"{label}: median {middle:.1f} {unit}, 90 % between {low:.1f} and {high:.1f} {unit}"
+    told = f"median {middle:.1f} {unit}, 90 % between {low:.1f} and {high:.1f} {unit}"
+    return f"{label}: {told.replace('-', '−')}"
 
 
 def _plain(value: float) -> str:

@@ -1,6 +1,6 @@
 """Keeps sampled plans plausible by construction; applied to every plan, guided or not.
 
-In this order: a vehicle whose plan leaves the road follows its lane instead; one that stands and has nowhere to
+In this order: a vehicle whose plan leaves the road follows its lane instead, or stops where it has none; one that stands and has nowhere to
 go stands exactly still; plans are braked (``braking``) where boxes would meet or a red light would be passed.
 Attackers are left alone towards the target, and signals do not bind them; everybody else behaves.
 """
@@ -20,10 +20,12 @@ from advdiff_sumo.traffic.diffusion.futures import Futures, standing
 from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead, follow
 
 OFF_SHARE = 0.25
-"""Added share of the box off the road, within the next seconds, that sends a vehicle back to its lane."""
+"""Share of the box off the road, within the next seconds, that sends a vehicle back to its lane …"""
+_MORE = 0.02
+"""… if it is more by this than it is now: who is parked on the kerb may stay there."""
 _OFF_STEPS = (1, 2, 3, 4, 6)
 _STANDS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 0.3, 3
-_STOP_BRAKE_MPS2, _YELLOW_BRAKE_MPS2 = 6.0, 3.0
+_STOP_BRAKE_MPS2, _YELLOW_BRAKE_MPS2, _LOST_BRAKE_MPS2 = 6.0, 3.0, 4.0
 _BEFORE_LINE_M = 1.0
 
 
@@ -69,14 +71,17 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     """Return plausible plans near *futures*."""
     made = futures.copy()
     off = leaves_road(road, made, watched.planned)
+    lost = np.zeros_like(off)
     for row in np.flatnonzero(off).tolist():
-        off[row] = _back_to_lane(made, row, watched.lanes[row])
+        lost[row] = not _back_to_lane(made, row, watched.lanes[row])
     moved = made.travelled_m()[:, min(_NOWHERE_STEPS, made.steps)]
     held = watched.planned & (made.speed_mps[:, 0] < _STANDS_MPS) & (moved < _NOWHERE_M)
     standing(made, held)
     may = watched.planned & ~held
-    result = brake(made, may, _minds(watched), stop_distances(made, watched, may))
-    return Guarded(result.futures, off, held, result.rows, result.unsolved)
+    stop = stop_distances(made, watched, may)
+    stop[lost] = np.minimum(stop[lost], 0.5 * made.speed_mps[lost, 0] ** 2 / _LOST_BRAKE_MPS2)
+    result = brake(made, may, _minds(watched), stop)
+    return Guarded(result.futures, off & ~lost, held, result.rows, result.unsolved)
 
 
 def _minds(watched: Watched) -> BoolArray:
@@ -88,7 +93,7 @@ def _minds(watched: Watched) -> BoolArray:
 
 
 def leaves_road(road: RoadMap, futures: Futures, rows: BoolArray) -> BoolArray:
-    """Return (N,) which of *rows* (N,) plan to leave the drivable area, beyond what they have off it now."""
+    """Return (N,) which of *rows* (N,) plan to leave the drivable area, or to go on leaving it."""
     out = np.zeros(futures.agents, dtype=np.bool_)
     picked = np.flatnonzero(rows)
     if not len(picked):
@@ -100,12 +105,12 @@ def leaves_road(road: RoadMap, futures: Futures, rows: BoolArray) -> BoolArray:
     rest = ~inside
     if rest.any():
         share = road.off_road_share(boxes[rest].reshape(-1, 4, 2)).reshape(-1, len(steps))
-        out[picked[rest]] = (share[:, 1:] - share[:, :1]).max(axis=1) > OFF_SHARE
+        out[picked[rest]] = share[:, 1:].max(axis=1) > np.maximum(OFF_SHARE, share[:, 0] + _MORE)
     return out
 
 
 def _back_to_lane(futures: Futures, row: int, lane: LaneAhead | None) -> bool:
-    """Let *row* follow its lane, in place; a vehicle on no lane stops on its path. Returns whether it has one."""
+    """Let *row* follow its lane, in place; returns whether it has one."""
     xy, yaw, speed = futures.xy_m[row, 0], futures.yaw_rad[row, 0], futures.speed_mps[row, 0]
     if lane is None:
         return False

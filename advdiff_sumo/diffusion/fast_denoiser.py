@@ -15,7 +15,8 @@ from torch import Tensor, nn
 from torch.nn.functional import group_norm, pad, silu
 
 from advdiff_sumo.diffusion.sampler import Noise
-from advdiff_sumo.models.denoiser import GROUPS, STEP_WIDTH, AdaGN, Denoiser, ResidualBlock, sinusoidal
+from advdiff_sumo.models.denoiser import STEP_WIDTH, AdaGN, Denoiser, ResidualBlock, sinusoidal
+from advdiff_sumo.models.options import GROUPS
 
 
 @dataclass(frozen=True)

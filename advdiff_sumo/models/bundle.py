@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from advdiff_sumo.config import Options
@@ -19,10 +16,10 @@ from advdiff_sumo.models.codec import CodecName, LatentCodec, TrajectoryCodec, m
 from advdiff_sumo.models.denoiser import Denoiser
 from advdiff_sumo.models.options import ModelOptions
 from advdiff_sumo.models.reward import RewardModel
+from advdiff_sumo.models.stored import read_stored, write_stored
 from advdiff_sumo.models.traffic import TrafficModel
 
 FORMAT = "advdiff-weights-1"
-_HEADER = "advdiff"
 
 
 class BundleOptions(Options):
@@ -119,11 +116,7 @@ def save_bundle(
         "stages": list(stages),
         "extra": dict(extra or {}),
     }
-    aside = path.with_suffix(".tmp")
-    cpu = {name: value.detach().cpu().contiguous() for name, value in bundle.tensors().items()}
-    # one key alone: safetensors writes several in an order that changes from run to run
-    save_file(cpu, str(aside), metadata={_HEADER: json.dumps(header, sort_keys=True)})
-    aside.replace(path)
+    write_stored(path, bundle.tensors(), header)
 
 
 def load_bundle(path: Path) -> Bundle:
@@ -132,18 +125,12 @@ def load_bundle(path: Path) -> Bundle:
     Raises:
         WeightsError: no such file, another format, or tensors that do not fit the options in its header.
     """
-    if not path.is_file():
-        raise WeightsError(path, "no such file", "train it, or leave the option out for the shipped weights")
-    try:
-        with safe_open(str(path), framework="pt") as file:
-            header = _header(file.metadata() or {})
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dictionary
-    except (SafetensorError, OSError) as error:
-        raise WeightsError(
-            path, f"cannot be read ({error})", "give a .safetensors file of this program"
-        ) from None
-    if header.get("format") != FORMAT:
-        raise WeightsError(path, f"is not of the format {FORMAT}", "train it again with this version")
+    again = "train it again with this version"
+    header, tensors = read_stored(
+        path, FORMAT, "train it, or leave the option out for the shipped weights", again
+    )
+    if not isinstance(header.get("options"), dict):
+        raise WeightsError(path, "has no options in its header", again)
     options = BundleOptions.parse(header["options"], f"{path}: its options")
     bundle = new_bundle(options)
     _fill(bundle, tensors, path)
@@ -155,15 +142,6 @@ def load_bundle(path: Path) -> Bundle:
         bundle.reward,
         tuple(header.get("stages", ())),
     )
-
-
-def _header(metadata: Mapping[str, str]) -> dict[str, Any]:
-    """Return what :func:`save_bundle` wrote beside the tensors; {} where it is damaged or another program's."""
-    try:
-        header = json.loads(metadata.get(_HEADER, "{}"))
-    except ValueError:
-        return {}
-    return header if isinstance(header, dict) and isinstance(header.get("options"), dict) else {}
 
 
 def _fill(bundle: Bundle, tensors: Mapping[str, Tensor], path: Path) -> None:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.options import GROUPS, ModelOptions
 
 GROUPS = 8
 STEP_WIDTH = 64

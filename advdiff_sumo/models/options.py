@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Self
+
+from pydantic import Field, model_validator
 
 from advdiff_sumo.config import Options
 
@@ -15,6 +17,8 @@ CLASSES = 6
 PIECE_POINTS = 6
 LANE_PIECES = 28
 EDGE_PIECES = 12
+GROUPS = 8
+"""Groups of the denoiser's group normalisation."""
 PIECE_FEATURES = 13
 """Columns of a map piece: ten of the map table, then one-hot red, yellow, green."""
 
@@ -51,3 +55,13 @@ class ModelOptions(Options):
     brake_mps2: float = Field(8.0, gt=0.0)
     lateral_mps2: float = Field(6.0, gt=0.0)
     steer_rad: float = Field(0.6, gt=0.0, lt=1.5)
+
+    @model_validator(mode="after")
+    def _fit(self) -> Self:
+        """Refuse widths that heads or groups do not divide."""
+        for name in ("hidden", "message", "reward_hidden"):
+            if getattr(self, name) % self.heads:
+                raise ValueError(f"{name} = {getattr(self, name)} is no multiple of heads = {self.heads}")
+        if any(channels < GROUPS or channels % GROUPS for channels in self.channels):
+            raise ValueError(f"channels {self.channels} must be multiples of {GROUPS}")
+        return self

@@ -1,0 +1,59 @@
+"""Tensors with a JSON header in one safetensors file; no pickle is ever loaded."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from advdiff_sumo.core.errors import WeightsError
+
+_HEADER = "advdiff"
+
+
+def write_stored(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
+    """Write *path*, aside first and then renamed; the same contents give the same bytes."""
+    aside = path.with_suffix(".tmp")
+    cpu = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    # one key alone: safetensors writes several in an order that changes from run to run
+    save_file(cpu, str(aside), metadata={_HEADER: json.dumps(dict(header), sort_keys=True)})
+    aside.replace(path)
+
+
+def read_stored(path: Path, kind: str, missing: str, remedy: str) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """Return header and tensors of *path*.
+
+    Args:
+        path: a file of :func:`write_stored`.
+        kind: the "format" that the header must name.
+        missing: what to do where there is no such file.
+        remedy: what to do where it cannot be used.
+
+    Raises:
+        WeightsError: no such file, damaged, or of another format.
+    """
+    if not path.is_file():
+        raise WeightsError(path, "no such file", missing)
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            header = _header(file.metadata() or {})
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dictionary
+    except (SafetensorError, OSError) as error:
+        raise WeightsError(path, f"cannot be read ({error})", remedy) from None
+    if header.get("format") != kind:
+        raise WeightsError(path, f"is not of the format {kind}", remedy)
+    return header, tensors
+
+
+def _header(metadata: Mapping[str, str]) -> dict[str, Any]:
+    """Return the JSON object in *metadata*; {} where it is damaged or another program's."""
+    try:
+        header = json.loads(metadata.get(_HEADER, "{}"))
+    except ValueError:
+        return {}
+    return header if isinstance(header, dict) else {}

@@ -10,7 +10,6 @@ from torch.nn.functional import interpolate
 
 from advdiff_sumo.models.options import GROUPS, ModelOptions
 
-GROUPS = 8
 STEP_WIDTH = 64
 
 

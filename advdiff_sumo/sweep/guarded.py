@@ -19,8 +19,12 @@ from advdiff_sumo.sweep.work import data_bytes, perform, rss_mb
 
 #: Exit code of a worker that makes room for a fresh one.
 RECYCLED = 75
-_TIMED_OUT = b"Timeout ("
-_TAIL_BYTES = 4000
+_TIMED_OUT, _CRASHED, _MODULES = (
+    "Timeout (",
+    "Fatal Python error",
+    "Extension modules:",
+)  # faulthandler's words
+_READ_BYTES, _TAIL, _BEFORE = 1 << 16, 4000, 1000
 _MB = 1 << 20
 _TASKS = count()  # of this process
 
@@ -64,7 +68,7 @@ def lost(key: str, limits: Limits, how: str) -> Outcome:
     tail = tail_of(log)
     with contextlib.suppress(OSError):
         log.unlink()
-    if _TIMED_OUT.decode() in tail:
+    if _TIMED_OUT in tail:
         return Outcome(key, (), timed_out(limits, tail))
     return Outcome(key, (), Failed("worker_died", f"the worker {how}", tail))
 
@@ -75,11 +79,19 @@ def timed_out(limits: Limits, tail: str = "") -> Failed:
 
 
 def tail_of(log: Path) -> str:
-    """Return the end of *log*; "" where there is none, as for a worker on another machine."""
+    """Return the end of *log*; "" where there is none, as for a worker on another machine.
+
+    Where Python told of its stack, that is what is kept, with the lines before it: the innermost call comes first.
+    """
     try:
-        return log.read_bytes()[-_TAIL_BYTES:].decode(errors="replace").strip()
+        text = log.read_bytes()[-_READ_BYTES:].decode(errors="replace")
     except OSError:
         return ""
+    text = "\n".join(line for line in text.splitlines() if not line.startswith(_MODULES))
+    stack = max(text.rfind(mark) for mark in (_TIMED_OUT, _CRASHED))
+    if stack >= 0:
+        return text[max(0, stack - _BEFORE) : stack + _TAIL].strip()
+    return text[-_TAIL:].strip()
 
 
 def how_it_ended(exit_code: int) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.bicycle import Limits, clip_controls, step
-from advdiff_sumo.core.frames import bumper_from_centre, unit, wrap_angle
+from advdiff_sumo.core.frames import bumper_from_centre, local_from_world, unit, wrap_angle
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background import Motion
@@ -20,6 +20,7 @@ _STANDS_MPS = 0.5
 _PATIENCE_S = 8.0  # then SUMO gets it as it is, which is counted
 _LOOK_AHEAD_S, _MIN_LOOK_AHEAD_M = 1.0, 5.0
 _ROUTE_AHEAD_M = 200.0
+_SEES_M, _KEEPS_M, _SIDE_M = 50.0, 1.5, 0.2
 
 
 class Handover:
@@ -99,14 +100,15 @@ class Handover:
         return bool(s_m >= 0.5 * self.world.size_m[row, 0] or self.world.speed_mps[row] < _STANDS_MPS)
 
     def _align(self, rows: IntArray, steps: int) -> Motion:
-        """Steer *rows* onto their lanes at their present speed, by pure pursuit."""
+        """Steer *rows* onto their lanes by pure pursuit, at their present speed or behind who is in the way."""
         world = self.world
         xy, yaw, speed = world.xy_m[rows].copy(), world.yaw_rad[rows].copy(), world.speed_mps[rows].copy()
         length = world.size_m[rows, 0]
         states = []
         for _ in range(steps):
             bend = np.array([self._pursue(xy[i], float(yaw[i]), float(speed[i])) for i in range(len(rows))])
-            accel, bend = clip_controls(speed, np.zeros_like(speed), bend, length, Limits())
+            slower = np.array([self._behind(row, xy[i], yaw[i], speed[i]) for i, row in enumerate(rows)])
+            accel, bend = clip_controls(speed, slower, bend, length, Limits())
             xy, yaw, speed = step(xy, yaw, speed, accel, bend, self.sim.step_s)
             states.append((xy, yaw, speed))
         return Motion(
@@ -116,6 +118,21 @@ class Handover:
             np.stack([s[2] for s in states], axis=1),
             np.ones((len(rows), steps), dtype=np.bool_),
         )
+
+    def _behind(self, row: int, xy_m: FloatArray, yaw_rad: float, speed_mps: float) -> float:
+        """Return the acceleration, at most 0, with which *row* at a pose does not run into who is ahead now."""
+        world, count = self.world, len(self.world)
+        offset = local_from_world(world.xy_m[:count], xy_m, yaw_rad)
+        size = world.size_m[:count]
+        beside = np.abs(offset[:, 1]) < 0.5 * (size[:, 1] + size[row, 1]) + _SIDE_M
+        ahead = beside & (offset[:, 0] > 0.0) & (offset[:, 0] < _SEES_M)  # NaN compares as False
+        ahead[row] = False
+        if not ahead.any():
+            return 0.0
+        gap = offset[ahead, 0] - 0.5 * (size[ahead, 0] + size[row, 0]) - _KEEPS_M
+        along = world.speed_mps[:count][ahead] * np.cos(world.yaw_rad[:count][ahead] - yaw_rad)
+        closing = np.maximum(speed_mps - np.maximum(along, 0.0), 0.0)
+        return -float((0.5 * closing**2 / np.maximum(gap, 0.1)).max())
 
     def _pursue(self, xy_m: FloatArray, yaw_rad: float, speed_mps: float) -> float:
         pose = self.road.locate(xy_m, yaw_rad)

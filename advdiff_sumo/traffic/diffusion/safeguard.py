@@ -1,8 +1,9 @@
 """Keeps sampled plans plausible by construction; applied to every plan, guided or not.
 
-In this order: a vehicle whose plan leaves the road follows its lane instead, or stops where it has none; one that stands and has nowhere to
-go stands exactly still; plans are braked (``braking``) where boxes would meet or a red light would be passed.
-Attackers are left alone towards the target, and signals do not bind them; everybody else behaves.
+In this order: a vehicle whose plan leaves the road follows its lane instead, or stops where it has none; one
+that stands and has nowhere to go stands exactly still; plans are braked (``braking``) where boxes would meet or a
+red light would be passed. Attackers are left alone towards the target, and signals do not bind them; everybody
+else behaves.
 """
 
 from __future__ import annotations

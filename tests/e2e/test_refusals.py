@@ -107,6 +107,13 @@ def test_a_net_without_a_drivable_route(
         (("--set", "target_options.tau=-1"), ("tau = -1", "greater than 0")),
         (("--set", "target_options.lane_change=LC13"), ("lane_change = 'LC13'", "'LC2013', 'SL2015'")),
         (("--set", "background_options.a=1"), ("options of background 'sumo'", "no option 'a'")),
+        (("--strength", "0.5"), ("options of background 'sumo'", "no option 'strength'")),
+        (("--background", "diffusion", "--strength", "2"), ("strength = 2.0", "less than or equal to 1")),
+        (("--background", "diffusion", "--attack", "ram"), ("attack = 'ram'", "'cut-in'", "'head-on'")),
+        (
+            ("--background", "diffusion", "--weights", "none.safetensors"),
+            ("none.safetensors: no such file", "shipped weights"),
+        ),
         (("--horizon", "-3"), ("horizon_s = -3", "greater than 0")),
         (("--horizon", "nan"), ("horizon_s = nan", "finite")),
         (("--episodes", "0"), ("episodes = 0", "greater than or equal to 1")),

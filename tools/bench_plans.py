@@ -26,6 +26,7 @@ from advdiff_sumo.maps.shipped import find_net
 from advdiff_sumo.traffic.diffusion import draw, policy
 from advdiff_sumo.traffic.diffusion.policy import DiffusionTraffic
 
+APART_M = 8.0
 STAGES = ("view", "encoder", "denoiser", "guide", "decoder", "safeguard")
 CLOCKS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": time.process_time}
 
@@ -52,12 +53,15 @@ class Stopwatch:
 
 def crowd(road: RoadMap, vehicles: int, seed: int) -> Scene:
     """Return a scene of a target and the *vehicles* nearest to it."""
-    log, routes = made_up_log(road, max(400, 4 * vehicles), 10.0, seed)
+    log, routes = made_up_log(road, max(400, 6 * vehicles), 10.0, seed)
     now = log.xy_m[:, 4]
-    rows = np.argsort(np.linalg.norm(now - now[0], axis=-1), kind="stable")[: vehicles + 1]
+    rows: list[int] = []
+    for row in np.argsort(np.linalg.norm(now - now[0], axis=-1), kind="stable").tolist():
+        if len(rows) <= vehicles and all(np.linalg.norm(now[row] - now[other]) > APART_M for other in rows):
+            rows.append(row)
     history = log.rows(rows).window(0, 5)
     movable = np.arange(vehicles + 1) > 0
-    return Scene(history, 0, movable, tuple(routes[row] for row in rows.tolist()), {})
+    return Scene(history, 0, movable, tuple(routes[row] for row in rows), {})
 
 
 def measure(

@@ -21,7 +21,7 @@ ALPHA = 6.0
 """Shift of a step at strength 1, in units of √Σ."""
 HORIZON_STEPS = 8
 """Model steps of a future that an attack looks at."""
-_REWARD_RUNGS, _ATTACK_RUNGS = 3, 2
+_REWARD_RUNGS, _ATTACK_RUNGS = 3, 1
 _REWARD_WEIGHT, _ATTACK_WEIGHT = 0.5, 1.0
 
 

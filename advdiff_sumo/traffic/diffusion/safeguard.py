@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.diffusion.braking import brake
@@ -72,9 +72,8 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     """Return plausible plans near *futures*."""
     made = futures.copy()
     off = leaves_road(road, made, watched.planned)
-    lost = np.zeros_like(off)
-    for row in np.flatnonzero(off).tolist():
-        lost[row] = not _back_to_lane(made, row, watched.lanes[row])
+    lost = off & np.array([lane is None for lane in watched.lanes], dtype=np.bool_)
+    _back_to_lane(made, np.flatnonzero(off & ~lost), watched.lanes)
     moved = made.travelled_m()[:, min(_NOWHERE_STEPS, made.steps)]
     held = watched.planned & (made.speed_mps[:, 0] < _STANDS_MPS) & (moved < _NOWHERE_M)
     standing(made, held)
@@ -110,15 +109,13 @@ def leaves_road(road: RoadMap, futures: Futures, rows: BoolArray) -> BoolArray:
     return out
 
 
-def _back_to_lane(futures: Futures, row: int, lane: LaneAhead | None) -> bool:
-    """Let *row* follow its lane, in place; returns whether it has one."""
-    xy, yaw, speed = futures.xy_m[row, 0], futures.yaw_rad[row, 0], futures.speed_mps[row, 0]
-    if lane is None:
-        return False
-    length = float(futures.size_m[row, 0])
-    plan = follow(lane, xy, float(yaw), max(float(speed), 0.0), length, futures.steps, futures.dt_s)
-    futures.put(row, *plan)
-    return True
+def _back_to_lane(futures: Futures, rows: IntArray, lanes: Sequence[LaneAhead | None]) -> None:
+    """Let *rows* (V,) follow their lanes, in place."""
+    own = [lane for lane in (lanes[row] for row in rows.tolist()) if lane is not None]
+    if own:
+        now = futures.xy_m[rows, 0], futures.yaw_rad[rows, 0], futures.speed_mps[rows, 0]
+        plan = follow(own, *now, futures.size_m[rows, 0], futures.steps, futures.dt_s)
+        futures.xy_m[rows, 1:], futures.yaw_rad[rows, 1:], futures.speed_mps[rows, 1:] = plan
 
 
 def stop_distances(futures: Futures, watched: Watched, rows: BoolArray) -> FloatArray:

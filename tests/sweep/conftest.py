@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import sumolib
 
+from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.executors import SerialExecutor
 from advdiff_sumo.sweep.plan import Plan, plan_sweep
 from advdiff_sumo.sweep.run import Todo, open_store, run_sweep
@@ -18,7 +19,7 @@ from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.store import Store
 from advdiff_sumo.sweep.tasks import Limits
 
-SAME_BYTES = ("episodes.parquet", "collisions.parquet", "states.parquet", "failures.parquet")
+SAME_BYTES = ("episodes.parquet", "collisions.parquet", "states.parquet")
 
 PLANNERS = '''
 import time
@@ -126,9 +127,11 @@ def serially(plan: Plan, folder: Path) -> Store:
     return store
 
 
-def bytes_of(store: Store) -> dict[str, bytes]:
-    """Return the tables that do not depend on the machine."""
-    return {name: (store.path / name).read_bytes() for name in SAME_BYTES}
+def bytes_of(store: Store) -> dict[str, object]:
+    """Return the tables that do not depend on the machine; of failures all but attempts and the folder's name."""
+    failures = read_rows(store.path, "failures")
+    told = [{k: v for k, v in row.items() if k not in {"attempts", "command"}} for row in failures]
+    return {"failures": told, **{name: (store.path / name).read_bytes() for name in SAME_BYTES}}
 
 
 @pytest.fixture

@@ -61,7 +61,7 @@ def tight(undisturbed: Store, tmp_path: Path) -> Limits:
     logs = tmp_path / "logs"
     logs.mkdir()
     slowest = max(row["wall_s"] for row in read_rows(undisturbed.path, "timing"))
-    return Limits(max(LEAST_TIMEOUT_S, TIMES_THE_SLOWEST * slowest), 900, 6, 0.9, logs)
+    return Limits(max(LEAST_TIMEOUT_S, TIMES_THE_SLOWEST * slowest), 600, 6, 0.9, logs)
 
 
 def run(plan: Plan, store: Store, executor: ProcessExecutor, tell: Any = None, **more: Any) -> int:

@@ -1,9 +1,9 @@
 """Keeps sampled plans plausible by construction; applied to every plan, guided or not.
 
-In this order: a vehicle whose plan leaves the road follows its lane instead, or stops where it has none; one
-that stands and has nowhere to go stands exactly still; plans are braked (``braking``) where boxes would meet or a
-red light would be passed. Attackers are left alone towards the target, and signals do not bind them; everybody
-else behaves.
+In this order: a vehicle far from the target, and one whose plan leaves the road, follows its lane instead (in the
+second case it stops where it has none); one that stands and has nowhere to go stands exactly still; plans are
+braked (``braking``) where boxes would meet or a red light would be passed. Attackers are left alone towards the
+target, and signals do not bind them; everybody else behaves.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ OFF_SHARE = 0.25
 """Share of the box off the road, within the next seconds, that sends a vehicle back to its lane …"""
 _MORE = 0.02
 """… if it is more by this than it is now: who is parked on the kerb may stay there."""
+FAR_M = 55.0
+"""Vehicles farther from the target follow their lanes, so that SUMO gets them back aligned."""
 _OFF_STEPS = (1, 2, 3, 4, 6)
 _STANDS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 0.3, 3
 _STOP_BRAKE_MPS2, _YELLOW_BRAKE_MPS2, _LOST_BRAKE_MPS2 = 6.0, 3.0, 4.0
@@ -71,9 +73,12 @@ class Guarded:
 def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     """Return plausible plans near *futures*."""
     made = futures.copy()
+    nowhere = np.array([lane is None for lane in watched.lanes], dtype=np.bool_)
     off = leaves_road(road, made, watched.planned)
-    lost = off & np.array([lane is None for lane in watched.lanes], dtype=np.bool_)
-    _back_to_lane(made, np.flatnonzero(off & ~lost), watched.lanes)
+    lost = off & nowhere
+    far = np.linalg.norm(made.xy_m[:, 0] - made.xy_m[watched.target, 0], axis=-1) > FAR_M
+    followed = (off | (far & watched.planned & ~watched.attacker)) & ~nowhere
+    _back_to_lane(made, np.flatnonzero(followed), watched.lanes)
     moved = made.travelled_m()[:, min(_NOWHERE_STEPS, made.steps)]
     held = watched.planned & (made.speed_mps[:, 0] < _STANDS_MPS) & (moved < _NOWHERE_M)
     standing(made, held)

@@ -29,9 +29,10 @@ def lane(downtown: RoadMap) -> Lane:
 
 
 def on(lane: Lane, s: float, speed: float, left: float = 0.0, turn: float = 0.0) -> Futures:
-    """Return a parked car far away as the target, and one on *lane* that goes straight on."""
+    """Return a parked car 40 m aside as the target, and one on *lane* that goes straight on."""
     xy, yaw = lane.line.at(np.array([s]), left)
-    xy = np.vstack((xy[0] + 500.0, xy))
+    aside = np.array((-np.sin(yaw[0]), np.cos(yaw[0])))
+    xy = np.vstack((xy[0] + (40.0 - left) * aside, xy))
     return coasting(xy, np.array([0.0, yaw[0] + turn]), np.array([0.0, speed]), np.tile(SIZE, (2, 1)), T, DT)
 
 
@@ -68,6 +69,16 @@ def test_a_plan_off_the_road_becomes_one_along_the_lane(downtown: RoadMap, lane:
     s, d = lane.line.project(made.futures.xy_m[1])
     assert abs(d[-1]) < 0.3 or s[-1] >= lane.length_m - 5.0
     assert (np.diff(s) > -0.01).all()
+
+
+def test_far_from_the_target_cars_follow_their_lanes(downtown: RoadMap, lane: Lane) -> None:
+    """A metre beside its lane and 60 m from the target, it is on its way back to the middle."""
+    plans = on(lane, 10.0, 8.0, left=1.0)
+    assert abs(lane.line.project(guarded(downtown, plans).futures.xy_m[1, -1])[1]) > 0.9
+    plans.xy_m[0] += plans.xy_m[0] - plans.xy_m[1, :1]  # twice as far
+    made = guarded(downtown, plans)
+    assert not made.lane.any()  # which counts plans that would have left the road
+    assert abs(lane.line.project(made.futures.xy_m[1, 6])[1]) < 0.3
 
 
 def test_a_car_that_has_left_the_road_is_no_worse_for_staying(downtown: RoadMap, lane: Lane) -> None:

@@ -107,7 +107,9 @@ def main() -> None:
     console = Console(width=120)
     for guide in arguments.guide:
         made = DiffusionTraffic(weights=arguments.weights, guide=guide)
-        title = f"one plan in ms ({arguments.clock} time), {road.name}, guide {guide}, {made.options.steps} steps"
+        title = (
+            f"one plan in ms ({arguments.clock} time), {road.name}, guide {guide}, {made.options.steps} steps"
+        )
         table = Table(title=title, title_justify="left")
         for name in ("vehicles", "median", "99 %", *STAGES, "SUMO", "× real time"):
             table.add_column(name, justify="right")

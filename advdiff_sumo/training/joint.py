@@ -7,9 +7,10 @@ from torch import Tensor, nn
 
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.losses import off_road, pair_overlap
-from advdiff_sumo.training.denoiser import clean, judge, noise_loss, random_steps, schedule_of
+from advdiff_sumo.training.denoiser import clean, diffused, judge, noise_loss, random_steps, schedule_of
 from advdiff_sumo.training.presets import CollisionOptions, ElboOptions
 from advdiff_sumo.training.stage import Moment, Tally
 from advdiff_sumo.training.traffic import TrafficStage, elbo, encode, kl_share, masked_mean
@@ -66,10 +67,7 @@ class JointStage:
         with torch.no_grad():
             x0 = clean(bundle, batch, encoded.context, generator)
         terms["noise"] = noise_loss(bundle.denoiser, x0, encoded.context, batch, self.schedule, k, generator)
-        rollouts = [encoded.rollout]
-        if options.prior_samples:
-            z = encoded.context.prior.sample(generator)
-            rollouts.append(bundle.traffic.decoder(z, encoded.context.h, batch))
+        rollouts = [encoded.rollout, *self._sampled(encoded.context, batch, generator)]
         terms["vehicles"] = torch.stack([vehicle_penalty(r, batch) for r in rollouts]).mean()
         terms["road"] = torch.stack([road_penalty(r, batch) for r in rollouts]).mean()
         terms["loss"] = (
@@ -79,6 +77,16 @@ class JointStage:
             + options.road * terms["road"]
         )
         return terms
+
+    def _sampled(self, context: Context, batch: SceneBatch, generator: torch.Generator) -> list[Rollout]:
+        """Return what the model makes of these scenes on its own, as the options say."""
+        if self.options.samples == "none":
+            return []
+        if self.options.samples == "prior":
+            return [self._bundle.traffic.decoder(context.prior.sample(generator), context.h, batch)]
+        with torch.no_grad():
+            drawn = diffused(self._bundle, context, self.options.sampling_steps, generator)
+        return [self._bundle.codec.decode(drawn, context, batch)]
 
 
 def vehicle_penalty(rollout: Rollout, batch: SceneBatch) -> Tensor:

@@ -39,13 +39,17 @@ class CollisionOptions(Options):
     Attributes:
         vehicles: weight of the five-disc overlap between vehicles.
         road: weight of the overlap with the road's edge.
-        prior_samples: trajectories decoded from the prior count beside those from the posterior.
+        samples: what counts beside trajectories of the posterior: those of the denoiser's samples, whose
+            latents carry no gradient, so that the decoder learns to keep apart what was drawn apart; those of
+            the prior; or nothing.
+        sampling_steps: DDIM steps of these samples.
         noise: weight of the noise loss.
     """
 
     vehicles: float = Field(1.0, ge=0.0)
     road: float = Field(0.5, ge=0.0)
-    prior_samples: bool = True
+    samples: Literal["diffusion", "prior", "none"] = "diffusion"
+    sampling_steps: int = Field(5, ge=1, le=1000)
     noise: float = Field(1.0, ge=0.0)
 
 

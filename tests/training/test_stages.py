@@ -79,7 +79,7 @@ def test_joint_training_adds_the_terms_with_their_weights(bundle: Bundle, batch:
 
 
 def test_the_noise_loss_gives_the_posterior_no_gradient(bundle: Bundle, batch: SceneBatch) -> None:
-    options = CollisionOptions(vehicles=0.0, road=0.0, prior_samples=False)
+    options = CollisionOptions(vehicles=0.0, road=0.0, samples="none")
     terms = JointStage(bundle, ElboOptions(), options).loss(batch, Moment(0, 1, chance()))
     torch.autograd.backward(terms["noise"])
     assert all(p.grad is None or not p.grad.any() for p in bundle.traffic.posterior.parameters())

@@ -1,0 +1,24 @@
+"""Extension of griffe for the site: ``:class:`~package.module.Name``` in docstrings becomes plain code, ``Name``."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import griffe
+
+_ROLE = re.compile(r":(?:class|func|meth|attr|data|mod|exc):`(~?)([\w.]+)`")
+
+
+def without_roles(text: str) -> str:
+    """Return *text* with each role as code; behind ``~`` stands the last part of the name alone."""
+    return _ROLE.sub(lambda found: f"`{found[2].rpartition('.')[2] if found[1] else found[2]}`", text)
+
+
+class DocstringRoles(griffe.Extension):
+    """Applied to every object that has a docstring."""
+
+    def on_instance(self, *, obj: griffe.Object, **_: Any) -> None:
+        """Rewrite the docstring of *obj*."""
+        if obj.docstring is not None:
+            obj.docstring.value = without_roles(obj.docstring.value)

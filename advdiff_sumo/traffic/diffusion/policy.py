@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
 
 _LEAVES_M, _LEAVES_S = 12.0, 2.0
+_STANDS_MPS = 0.2
 
 Listener: TypeAlias = Callable[[View, Drawn], None]
 
@@ -127,10 +128,16 @@ def guard(road: RoadMap, view: View, drawn: Drawn, lanes: Mapping[int, LaneAhead
         planned=np.concatenate((view.moved, more)),
         attacker=np.concatenate((np.isin(view.ids, drawn.attackers), more)),
         target=0,
+        stood=np.concatenate((_stood(view.now), more)),
         lanes=[lanes.get(row) for row in (*view.rows.tolist(), *rest.tolist())],
         signals=scene.signals,
     )
     return safeguard(road, join(seen, others), watched)
+
+
+def _stood(now: Tracks) -> BoolArray:
+    """Return (A,) who has been there, standing, for the whole history."""
+    return np.asarray((now.valid & (np.abs(now.speed_mps) < _STANDS_MPS)).all(axis=1))
 
 
 def _leaving(scene: Scene, lanes: Mapping[int, LaneAhead | None]) -> BoolArray:

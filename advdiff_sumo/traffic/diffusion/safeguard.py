@@ -1,9 +1,10 @@
 """Keeps sampled plans plausible by construction; applied to every plan, guided or not.
 
 In this order: a vehicle far from the target, and one whose plan leaves the road, follows its lane instead (in the
-second case it stops where it has none); one that stands and has nowhere to go stands exactly still; plans are
-braked (``braking``) where boxes would meet or a red light would be passed. Attackers are left alone towards the
-target, and signals do not bind them; everybody else behaves.
+second case it stops where it has none); one that stands and has nowhere to go stands exactly still, and one that
+has stood for its whole history and means to leave within its plan leaves now; plans are braked (``braking``) where
+boxes would meet or a red light would be passed. Attackers are left alone towards the target, and signals do not
+bind them; everybody else behaves.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ FAR_M = 55.0
 """Vehicles farther from the target follow their lanes, so that SUMO gets them back aligned."""
 _OFF_STEPS = (1, 2, 3, 4, 6)
 _STANDS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 0.3, 3
+_LEAVES_M, _BUDGES_M = 3.0, 0.1
 _STOP_BRAKE_MPS2, _YELLOW_BRAKE_MPS2, _LOST_BRAKE_MPS2 = 6.0, 3.0, 4.0
 _BEFORE_LINE_M = 1.0
 
@@ -40,6 +42,7 @@ class Watched:
         planned: (N,) whose futures are plans; the others' are predictions and stay.
         attacker: (N,) who is guided against the target.
         target: row of the target.
+        stood: (N,) who has not moved for as long as its history goes back.
         lanes: what each would follow, where asked for.
         signals: states of the traffic lights.
     """
@@ -47,6 +50,7 @@ class Watched:
     planned: BoolArray
     attacker: BoolArray
     target: int
+    stood: BoolArray
     lanes: Sequence[LaneAhead | None]
     signals: Mapping[str, str]
 
@@ -79,8 +83,13 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     far = np.linalg.norm(made.xy_m[:, 0] - made.xy_m[watched.target, 0], axis=-1) > FAR_M
     followed = (off | (far & watched.planned & ~watched.attacker)) & ~nowhere
     _back_to_lane(made, np.flatnonzero(followed), watched.lanes)
-    moved = made.travelled_m()[:, min(_NOWHERE_STEPS, made.steps)]
-    held = watched.planned & (made.speed_mps[:, 0] < _STANDS_MPS) & (moved < _NOWHERE_M)
+    moved = made.travelled_m()
+    held = watched.planned & (made.speed_mps[:, 0] < _STANDS_MPS)
+    held &= moved[:, min(_NOWHERE_STEPS, made.steps)] < _NOWHERE_M
+    starts = held & watched.stood & (moved[:, -1] > _LEAVES_M)
+    for row in np.flatnonzero(starts).tolist():
+        _start_now(made, row)
+    held &= ~starts
     standing(made, held)
     may = watched.planned & ~held
     stop = stop_distances(made, watched, may)
@@ -121,6 +130,16 @@ def _back_to_lane(futures: Futures, rows: IntArray, lanes: Sequence[LaneAhead | 
         now = futures.xy_m[rows, 0], futures.yaw_rad[rows, 0], futures.speed_mps[rows, 0]
         plan = follow(own, *now, futures.size_m[rows, 0], futures.steps, futures.dt_s)
         futures.xy_m[rows, 1:], futures.yaw_rad[rows, 1:], futures.speed_mps[rows, 1:] = plan
+
+
+def _start_now(futures: Futures, row: int) -> None:
+    """Leave the wait at the beginning of a plan out, in place.
+
+    A plan that starts in a second is never driven where each next one starts in a second again.
+    """
+    wait = int((futures.travelled_m()[row] > _BUDGES_M).argmax()) - 1
+    steps = np.minimum(np.arange(1, futures.steps + 1) + max(wait, 0), futures.steps)
+    futures.put(row, futures.xy_m[row, steps], futures.yaw_rad[row, steps], futures.speed_mps[row, steps])
 
 
 def stop_distances(futures: Futures, watched: Watched, rows: BoolArray) -> FloatArray:

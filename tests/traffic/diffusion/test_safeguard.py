@@ -46,7 +46,8 @@ def ahead(road: RoadMap, futures: Futures) -> list[LaneAhead | None]:
 def watched(road: RoadMap, futures: Futures, attacks: bool = False, light: str = "G") -> Watched:
     planned = np.arange(futures.agents) > 0
     lights = {x.tls_id: 60 * light for y in road.lanes.values() for x in y.successors if x.tls_id}
-    return Watched(planned, planned & attacks, 0, ahead(road, futures), lights)
+    stood = planned & (futures.speed_mps[:, 0] == 0.0)
+    return Watched(planned, planned & attacks, 0, stood, ahead(road, futures), lights)
 
 
 def guarded(road: RoadMap, futures: Futures, **how: object) -> Guarded:
@@ -108,6 +109,22 @@ def test_who_starts_is_not_held(downtown: RoadMap, lane: Lane) -> None:
     plans.xy_m[1] += (0.25 * time**2)[:, None] * heading
     plans.speed_mps[1] = 0.5 * time
     assert not guarded(downtown, plans).held.any()
+
+
+def test_who_has_stood_and_means_to_start_later_starts_now(downtown: RoadMap, lane: Lane) -> None:
+    """2 s of waiting, then 1 m/s²: 0.125 m after 2.5 s is what the first half second becomes."""
+    plans = on(lane, 10.0, 0.0)
+    time = np.maximum(DT * np.arange(T + 1) - 2.0, 0.0)
+    heading = np.array((np.cos(plans.yaw_rad[1, 0]), np.sin(plans.yaw_rad[1, 0])))
+    plans.xy_m[1] += (0.5 * time**2)[:, None] * heading
+    plans.speed_mps[1] = time
+    plans.speed_mps[1, 0] = 0.0
+    who = watched(downtown, plans)
+    made = safeguard(downtown, plans, who)
+    assert not made.held.any()
+    assert made.futures.travelled_m()[1, :4].tolist() == pytest.approx([0.0, 0.125, 0.5, 1.125])
+    still = safeguard(downtown, plans, replace(who, stood=np.zeros(2, dtype=np.bool_)))
+    assert still.held[1]
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from advdiff_sumo.traffic.registry import POLICIES
 from advdiff_sumo.training.presets import STAGES, preset
 from tests.docs.blocks import ROOT
 
-OTHERS = {"cat", "cd", "cmp", "git", "pip", "ray"}
+OTHERS = {".", "cat", "cd", "cmp", "git", "pip", "ray"}
 """Programs that are not ours; what they are called with is not looked at."""
 
 

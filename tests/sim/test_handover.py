@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from advdiff_sumo.core.frames import bumper_from_centre, wrap_angle
@@ -172,6 +172,9 @@ def test_who_cannot_be_aligned_is_handed_back_all_the_same_and_counted(street: P
 def test_any_offset_on_a_straight(
     street: Path, s_m: float, d_m: float, turn: float, speed: float, lane: int
 ) -> None:
+    assume(
+        speed * abs(np.sin(turn)) < 4.0
+    )  # faster across the lane, it leaves the road and needs all of it to return
     with stage(street) as s:
         got = hand_over(s, RoadMap.read(street), ("WM", "ME"), f"WM_{lane}", s_m, d_m, turn, speed)
     if not got.rough:

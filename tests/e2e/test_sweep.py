@@ -102,6 +102,8 @@ def test_a_wrong_command_is_one_sentence(sweeps: Path, refused: Callable[..., st
 
 
 def test_killed_interrupted_and_resumed(sweeps: Path) -> None:
+    fewer = SWEEP.replace("episodes = 3", "episodes = 6").replace(', "lane_graph"', "")
+    (sweeps / "small.toml").write_text(fewer)
     whole = advdiff("sweep", "small.toml", "--workers", 1, "--out", "whole", cwd=sweeps, hash_seed=1)
     assert whole.code == 0, whole.err
     first = begin("sweep", "small.toml", "--workers", 2, "--out", "broken", cwd=sweeps, hash_seed=2)

@@ -69,7 +69,7 @@ def test_a_wrong_file_is_one_sentence(content: dict[str, Any], words: tuple[str,
 @pytest.mark.parametrize(
     ("grid", "words"),
     [
-        ({"targets": ["IDMM"]}, ("unknown target 'IDMM'", "did you mean 'IDM'")),
+        ({"targets": ["Kraus"]}, ("unknown target 'Kraus'", "did you mean 'Krauss'")),
         ({"backgrounds": ["replays"]}, ("unknown background 'replays'", "did you mean 'replay'")),
         ({"nets": ["nowhere.net.xml"]}, ("nowhere.net.xml: no such net", "downtown")),
         ({"targets": [{"name": "IDM", "options": {"taau": 1.0}}]}, ("taau", "tau")),

@@ -40,6 +40,28 @@ class Braked:
     unsolved: BoolArray
 
 
+def brake_ahead(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray, steps: int) -> Braked:
+    """Return :func:`brake` of the first *steps* instants; who braked goes on from there at the speed it has then.
+
+    What is to happen later is drawn anew before it happens: two vehicles that would meet in five seconds are no
+    reason to brake today, and braking for all of them makes traffic stand still.
+    """
+    if steps >= futures.steps:
+        return brake(futures, may, minds, stop_m)
+    near = brake(futures.first(steps), may, minds, stop_m)
+    made, path, dt = futures.copy(), _Paths(futures), futures.dt_s
+    driven = near.futures.travelled_m()
+    for row in np.flatnonzero(near.rows).tolist():
+        speed = near.futures.speed_mps[row, -1]
+        further = driven[row, -1] + speed * dt * np.arange(1, futures.steps - steps + 1)
+        xy, yaw = path.at(row, further)
+        stride = np.diff(np.minimum(further, path.s_m[row, -1]), prepend=driven[row, -1])
+        tail = xy, yaw, np.maximum(stride, 0.0) / dt
+        head = near.futures.xy_m[row, 1:], near.futures.yaw_rad[row, 1:], near.futures.speed_mps[row, 1:]
+        made.put(row, *(np.concatenate(pair) for pair in zip(head, tail, strict=True)))
+    return Braked(made, near.rows, near.unsolved)
+
+
 def brake(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray) -> Braked:
     """Return *futures* in which no two boxes meet, as far as braking can do it.
 

@@ -51,6 +51,13 @@ class Futures:
             self, xy_m=self.xy_m.copy(), yaw_rad=self.yaw_rad.copy(), speed_mps=self.speed_mps.copy()
         )
 
+    def first(self, steps: int) -> Futures:
+        """Return now and the first *steps* instants."""
+        cut = slice(0, steps + 1)
+        return replace(
+            self, xy_m=self.xy_m[:, cut], yaw_rad=self.yaw_rad[:, cut], speed_mps=self.speed_mps[:, cut]
+        )
+
     def halves(self) -> tuple[FloatArray, FloatArray]:
         """Return positions (N, 2 T, 2) and headings (N, 2 T) at every half step from now on, now left out."""
         xy = np.empty((self.agents, 2 * self.steps, 2))

@@ -17,7 +17,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.traffic.diffusion.braking import brake
+from advdiff_sumo.traffic.diffusion.braking import brake_ahead
 from advdiff_sumo.traffic.diffusion.futures import Futures, standing
 from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead, follow
 
@@ -29,9 +29,11 @@ FAR_M = 55.0
 """Vehicles farther from the target follow their lanes, so that SUMO gets them back aligned."""
 _OFF_STEPS = (1, 2, 3, 4, 6)
 _STANDS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 0.3, 3
-_LEAVES_M, _BUDGES_M = 3.0, 0.1
+_LEAVES_M, _BUDGES_M = 1.5, 0.1
 _STOP_BRAKE_MPS2, _YELLOW_BRAKE_MPS2, _LOST_BRAKE_MPS2 = 6.0, 3.0, 4.0
 _BEFORE_LINE_M = 1.0
+_LOOK_STEPS = 6
+"""Instants of a plan that have to be clear: 3 s, from 14 m/s a stop at less than 5 m/s²."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     may = watched.planned & ~held
     stop = stop_distances(made, watched, may)
     stop[lost] = np.minimum(stop[lost], 0.5 * made.speed_mps[lost, 0] ** 2 / _LOST_BRAKE_MPS2)
-    result = brake(made, may, _minds(watched), stop)
+    result = brake_ahead(made, may, _minds(watched), stop, _LOOK_STEPS)
     return Guarded(result.futures, off & ~lost, held, result.rows, result.unsolved)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.traffic.diffusion.braking import brake_ahead
+from advdiff_sumo.traffic.diffusion.braking import brake, brake_ahead
 from advdiff_sumo.traffic.diffusion.futures import Futures, standing
 from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead, follow
 
@@ -96,8 +96,11 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     may = watched.planned & ~held
     stop = stop_distances(made, watched, may)
     stop[lost] = np.minimum(stop[lost], 0.5 * made.speed_mps[lost, 0] ** 2 / _LOST_BRAKE_MPS2)
-    result = brake_ahead(made, may, _minds(watched), stop, _LOOK_STEPS)
-    return Guarded(result.futures, off & ~lost, held, result.rows, result.unsolved)
+    minds = _minds(watched)
+    stopped = brake(made, may, np.zeros_like(minds), stop)  # a stop line stays where it is, however far
+    clear = brake_ahead(stopped.futures, may, minds, stop, _LOOK_STEPS)
+    braked, unsolved = stopped.rows | clear.rows, stopped.unsolved | clear.unsolved
+    return Guarded(clear.futures, off & ~lost, held, braked, unsolved)
 
 
 def _minds(watched: Watched) -> BoolArray:

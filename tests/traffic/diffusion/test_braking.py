@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.boxes import corners, overlap
-from advdiff_sumo.traffic.diffusion.braking import GAP_M, Braked, brake
+from advdiff_sumo.traffic.diffusion.braking import GAP_M, Braked, brake, brake_ahead
 from advdiff_sumo.traffic.diffusion.futures import Futures, coasting
 
 T, DT = 12, 0.5
@@ -114,3 +114,23 @@ def test_what_braking_cannot_solve_is_told() -> None:
     assert made.unsolved.tolist() == [True, False]
     assert made.futures.speed_mps[0, -1] < 0.5  # as hard as there is
     assert made.futures.xy_m[0, -1, 0] == pytest.approx(20.0**2 / 17.0, abs=0.1)
+
+
+def test_only_what_is_near_in_time_is_braked_for() -> None:
+    """A car at 10 m/s and one that stands 45 m ahead: they meet after 4 s, unless only the next 3 s count."""
+    time = 0.5 * np.arange(13)
+    xy = np.zeros((2, 13, 2))
+    xy[0, :, 0], xy[1, :, 0] = 10.0 * time, 45.0
+    speed = np.array([[10.0] * 13, [0.0] * 13])
+    plans = Futures(xy, np.zeros((2, 13)), speed, np.array([[4.0, 2.0]] * 2), 0.5)
+    minds = ~np.eye(2, dtype=np.bool_)
+    free = np.full(2, np.inf)
+    may = np.array([True, False])
+    assert brake_ahead(plans, may, minds, free, 12).rows.tolist() == [True, False]
+    assert brake_ahead(plans, may, minds, free, 6).rows.tolist() == [False, False]
+    near = brake_ahead(plans, may, minds, free, 9)
+    assert near.rows.tolist() == [True, False]
+    gone = near.futures.travelled_m()[0]
+    assert near.futures.steps == 12
+    assert gone[9] <= 45.0 - 4.0
+    np.testing.assert_allclose(np.diff(gone)[9:], 0.5 * near.futures.speed_mps[0, 10:], atol=1e-9)

@@ -2,107 +2,107 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import secrets
 import shutil
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import tomli_w
 
-from advdiff_sumo.core.errors import ConfigError
-from advdiff_sumo.sweep.plan import Plan, needed_nets
-from advdiff_sumo.sweep.run import Todo, open_store, run_sweep
-from advdiff_sumo.sweep.tasks import Limits
-from tests.sweep.conftest import bytes_of, planned, serially
+from advdiff_sumo.sweep.store import Store
+from tests.e2e.commands import advdiff, begin
+from tests.sweep.conftest import bytes_of, planned, serially, values
 
-pytest.importorskip("ray", reason="the extra ray is not installed")
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.filterwarnings("ignore"),  # Ray's own, at import and when it leaves
+    pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="the extra ray is not installed"),
 ]
 RAY = str(Path(sys.executable).parent / "ray")
-ENVIRONMENT = {**os.environ, "RAY_health_check_failure_threshold": "2", "RAY_health_check_period_ms": "1000"}
-
-
-@pytest.fixture(scope="module")
-def plan(place: Path) -> Plan:
-    grid = {"nets": [str(place / "small.net.xml")], "targets": ["IDM", "Krauss"], "backgrounds": ["replay"]}
-    return planned(place, grid=grid, episodes=6)
+QUICK = {"RAY_health_check_failure_threshold": "2", "RAY_health_check_period_ms": "1000"}
 
 
 @pytest.fixture
-def nodes() -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+def token(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ray wants a token of all that join a cluster: one for this cluster alone, gone with it."""
+    monkeypatch.setenv("RAY_AUTH_MODE", "token")
+    monkeypatch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
+
+
+@pytest.fixture
+def nodes(token: None) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """Two nodes of one core each on this machine, as two calls of ``ray start`` make them."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
     room = Path(tempfile.mkdtemp(prefix="r", dir="/tmp"))
     first = ["--head", f"--port={address.split(':')[1]}", "--include-dashboard=false", f"--temp-dir={room}"]
-    started = []
-    for words in (first, [f"--address={address}"]):
-        command = [RAY, "start", *words, "--num-cpus=1", "--object-store-memory=80000000", "--block"]
-        process = subprocess.Popen(
-            [*command, "--disable-usage-stats"],
-            env=ENVIRONMENT,
-            start_new_session=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-        )
-        started.append(process)
-        _wait_for_line(process, b"--block")
-    yield address, started
-    for process in reversed(started):
-        _end(process, signal.SIGKILL)
-    shutil.rmtree(room, ignore_errors=True)
+    started: list[subprocess.Popen[bytes]] = []
+    try:
+        for words in (first, [f"--address={address}"]):
+            command = [RAY, "start", *words, "--num-cpus=1", "--object-store-memory=80000000", "--block"]
+            process = subprocess.Popen(
+                [*command, "--disable-usage-stats"],
+                env=os.environ | QUICK,
+                start_new_session=True,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+            )
+            started.append(process)
+            _wait_for_line(process, b"--block")
+        yield address, started
+    finally:
+        for process in reversed(started):
+            _end(process, signal.SIGKILL)
+        shutil.rmtree(room, ignore_errors=True)
 
 
 def test_one_of_two_nodes_is_killed_in_the_middle(
-    plan: Plan,
-    nodes: tuple[str, list[subprocess.Popen[bytes]]],
-    limits: Limits,
-    tmp_path: Path,
+    place: Path, nodes: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
 ) -> None:
-    from advdiff_sumo.sweep.on_ray import RayExecutor
-
     address, (_, second) = nodes
-    undisturbed = serially(plan, tmp_path / "serial")
-    store = open_store(tmp_path / "s", plan, 2, resume=False)
-    told: list[object] = []
+    grid = {"nets": [str(place / "small.net.xml")], "targets": ["IDM", "Krauss"], "backgrounds": ["replay"]}
+    asked = values(place, grid=grid, episodes=6)
+    (tmp_path / "asked.toml").write_text(tomli_w.dumps(asked))
+    undisturbed = serially(planned(place, grid=grid, episodes=6), tmp_path / "serial")
+    words = ("--executor", "ray", "--ray-address", address, "--retries", 5, "--out", "s")
+    process = begin("sweep", "asked.toml", *words, cwd=tmp_path)
+    until = time.monotonic() + 300.0
+    while sum(path.is_file() for path in (tmp_path / "s" / "episodes").rglob("*")) < 3:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    _end(second, signal.SIGKILL)
+    out, err = process.communicate(timeout=400)
+    assert process.returncode == 0, out + err
+    assert bytes_of(Store.open(tmp_path / "s")) == bytes_of(undisturbed)
 
-    def kill_a_node(*row: object) -> None:
-        told.append(row)
-        if len(told) == 3:
-            _end(second, signal.SIGKILL)
 
-    executor = RayExecutor(address, None, limits, needed_nets(plan))
-    assert run_sweep(plan, store, Todo.of(plan, store), executor, 3, kill_a_node) == 0
-    assert executor.slots == 2
-    assert second.poll() is not None
-    assert bytes_of(store) == bytes_of(undisturbed)
-
-
-def test_a_cluster_that_is_not_there_is_one_sentence(plan: Plan, limits: Limits) -> None:
-    from advdiff_sumo.sweep.on_ray import RayExecutor
-
-    with (
-        pytest.raises(ConfigError, match=r"--ray-address 127\.0\.0\.1:1: no cluster") as caught,
-        RayExecutor("127.0.0.1:1", 1, limits, needed_nets(plan)),
-    ):
-        pass
-    assert "\n" not in str(caught.value)
+def test_a_cluster_that_is_not_there_is_one_sentence(place: Path, tmp_path: Path) -> None:
+    (tmp_path / "asked.toml").write_text(tomli_w.dumps(values(place)))
+    words = ("--executor", "ray", "--ray-address", "127.0.0.1:1", "--out", "s")
+    done = advdiff("sweep", "asked.toml", *words, cwd=tmp_path)
+    assert done.code == 2
+    assert done.err.splitlines()[-1].startswith("error: --ray-address 127.0.0.1:1: no cluster (")
+    assert "Traceback" not in done.out + done.err
 
 
 def _wait_for_line(process: subprocess.Popen[bytes], words: bytes) -> None:
     assert process.stdout is not None
+    said = b""
     for line in process.stdout:
+        said += line
         if words in line:
             return
-    pytest.fail(f"ray start ended with {process.wait()}")
+    pytest.fail(f"ray start ended with {process.wait()}: {said.decode()[-500:]}")
 
 
 def _end(process: subprocess.Popen[bytes], number: signal.Signals) -> None:

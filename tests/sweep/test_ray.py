@@ -87,7 +87,8 @@ def test_one_of_two_nodes_is_killed_in_the_middle(
 
 
 def test_a_cluster_that_is_not_there_is_one_sentence(place: Path, tmp_path: Path) -> None:
-    (tmp_path / "asked.toml").write_text(tomli_w.dumps(values(place)))
+    grid = {"nets": [str(place / "small.net.xml")], "targets": ["IDM"], "backgrounds": ["replay"]}
+    (tmp_path / "asked.toml").write_text(tomli_w.dumps(values(place, grid=grid)))
     words = ("--executor", "ray", "--ray-address", "127.0.0.1:1", "--out", "s")
     done = advdiff("sweep", "asked.toml", *words, cwd=tmp_path)
     assert done.code == 2

@@ -24,6 +24,7 @@ from advdiff_sumo.maps.convert.source import LaneUse
 LANE_TYPE = {LaneUse.CAR: "driving", LaneUse.BUS: "bus", LaneUse.BICYCLE: "biking"}
 FIRST_ROAD, FIRST_WAY = 10_000, 500_000  # ids; a city has some thousand lanes
 TOUCH_M = 1e-6
+_SAME_SLOPE = 1e-6
 STEEPEST = 0.5  # change of a lane's width per metre; readers draw steeper borders in bends decimetres off
 LaneKey = tuple[str, int]
 
@@ -189,7 +190,13 @@ def _ramps(widths: tuple[tuple[float, float], ...]) -> list[tuple[float, float, 
     ramps = [
         (s, width, (after - width) / (end - s)) for (s, width), (end, after) in itertools.pairwise(widths)
     ]
-    return ramps or [(0.0, widths[0][1], 0.0)]
+    kept = ramps[:1]
+    for ramp in ramps[1:]:
+        if (
+            abs(ramp[2] - kept[-1][2]) > _SAME_SLOPE
+        ):  # else the record before goes on; a second one is redundant
+            kept.append(ramp)
+    return kept or [(0.0, widths[0][1], 0.0)]
 
 
 def _text(value: float) -> str:

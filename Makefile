@@ -13,7 +13,7 @@ setup: .venv/.ready
 	touch .venv/.ready
 
 demo: setup
-	$(BIN)/advdiff-sumo run --target lane_graph --background replay --episodes 5 --out runs/demo-$$(date +%Y%m%d-%H%M%S)
+	$(BIN)/advdiff-sumo run --target lane_graph --background diffusion --episodes 5 --out runs/demo-$$(date +%Y%m%d-%H%M%S)
 
 test: setup
 	$(BIN)/pytest --numprocesses 2 --dist loadfile --quiet

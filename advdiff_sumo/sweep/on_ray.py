@@ -8,6 +8,7 @@ import importlib
 import math
 import os
 import shutil
+import socket
 import tempfile
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
@@ -21,6 +22,8 @@ from advdiff_sumo.maps.shipped import shipped_networks
 from advdiff_sumo.sweep.files import write_whole
 from advdiff_sumo.sweep.guarded import bound_memory, guarded, lost
 from advdiff_sumo.sweep.tasks import Failed, Limits, Outcome, Task
+
+_ANSWER_S = 10.0
 
 
 class RayExecutor(AbstractContextManager["RayExecutor"]):
@@ -59,6 +62,7 @@ class RayExecutor(AbstractContextManager["RayExecutor"]):
         """
         ray = self._ray
         own: dict[str, Any] = {} if self.address else {"num_cpus": self.slots, "include_dashboard": False}
+        _must_answer(self.address)
         try:
             ray.init(self.address, log_to_driver=False, logging_level="error", **own)
         except Exception as error:  # noqa: BLE001 - Ray raises plain ones, too
@@ -106,6 +110,22 @@ def on_worker(task: Task, limits: Limits, assets: Mapping[str, bytes]) -> Outcom
         here = str(_unpacked(Path(net), assets))
         task = replace(task, options=task.options.model_copy(update={"net": here}))
     return guarded(task, replace(limits, recycle_share=math.inf))  # Ray replaces its workers itself
+
+
+def _must_answer(address: str | None) -> None:
+    """Refuse an address at which nobody listens: Ray itself would try for minutes.
+
+    Raises:
+        ConfigError: no connection within ten seconds.
+    """
+    host, _, port = (address or "").removeprefix("ray://").rpartition(":")
+    if not (host and port.isdigit()):
+        return  # none, or "auto"
+    try:
+        socket.create_connection((host, int(port)), timeout=_ANSWER_S).close()
+    except (OSError, OverflowError) as error:
+        said = f"nobody answers ({_first_line(error)})"
+        raise ConfigError(f"--ray-address {address}: no cluster, {said}; see docs/sweeps.md") from None
 
 
 def _holds(path: Path, content: bytes) -> bool:

@@ -92,7 +92,9 @@ def test_a_cluster_that_is_not_there_is_one_sentence(place: Path, tmp_path: Path
     words = ("--executor", "ray", "--ray-address", "127.0.0.1:1", "--out", "s")
     done = advdiff("sweep", "asked.toml", *words, cwd=tmp_path)
     assert done.code == 2
-    assert done.err.splitlines()[-1].startswith("error: --ray-address 127.0.0.1:1: no cluster (")
+    assert done.err.splitlines()[-1].startswith(
+        "error: --ray-address 127.0.0.1:1: no cluster, nobody answers ("
+    )
     assert "Traceback" not in done.out + done.err
 
 

@@ -1,13 +1,13 @@
 """The denoiser for run time: what does not depend on the noisy sample is worked out beforehand.
 
 The same network as ``models.denoiser`` with the same weights, equal up to rounding. (k_s, k_b) of every AdaGN are
-kept for the steps of one ladder, h_s is projected once a plan, the condition's convolution too, and convolutions
-are matrix products, which for a few dozen vehicles is several times as fast as the library's convolution.
+kept for the steps of one ladder, what relative poses and the context say in the coupling once a plan, the condition's
+convolution too, and convolutions are matrix products, which for a few dozen vehicles is several times as fast as the library's convolution.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import torch
@@ -15,7 +15,8 @@ from torch import Tensor, nn
 from torch.nn.functional import group_norm, pad, silu
 
 from advdiff_sumo.diffusion.sampler import Noise
-from advdiff_sumo.models.denoiser import STEP_WIDTH, AdaGN, Denoiser, ResidualBlock, sinusoidal
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.denoiser import STEP_WIDTH, AdaGN, Coupling, Denoiser, ResidualBlock, sinusoidal
 from advdiff_sumo.models.options import GROUPS
 
 
@@ -47,6 +48,7 @@ class FastDenoiser:
         self._into = _kernel(denoiser.into)
         self._out = _kernel(denoiser.out)
         self._steps = {k: self._step(norms, k) for k in steps}
+        self._coupling = _coupling_of(denoiser.coupling, self._steps) if denoiser.coupling else None
 
     def _step(self, norms: list[AdaGN], k: int) -> tuple[Tensor, Tensor]:
         """Return k_s and k_b (1, ΣC, 1) of all norms at step *k*."""
@@ -57,13 +59,12 @@ class FastDenoiser:
         scale, shift = (torch.cat(part, dim=1)[..., None] for part in zip(*made, strict=True))
         return scale, shift
 
-    def condition(self, z: Tensor, h: Tensor) -> Noise:
-        """Return ε(x, k) for scenes with condition *z* (B, A, Z) and embeddings *h* (B, A, D)."""
-        weight, bias = self._state
-        scenes, agents = z.shape[:2]
+    def condition(self, context: Context) -> Noise:
+        """Return ε(x, k) for the scenes of *context*."""
+        scenes, agents = context.h.shape[:2]
         with torch.no_grad():
-            state = torch.addmm(bias, h.flatten(0, 1), weight)[..., None]
-            given = self._net.condition(z).flatten(0, 1)[:, None]
+            state_of = self._states(context)
+            given = self._net.condition(context.prior.mean).flatten(0, 1)[:, None]
             channels = self._net.shape[0]
             kernel, offset = self._into
             wide = kernel.reshape(len(kernel), 3, -1)
@@ -72,11 +73,21 @@ class FastDenoiser:
 
         def noise(x: Tensor, k: int) -> Tensor:
             scale, shift = self._steps[k]
+            state = state_of(x, k)
             y = _convolve(into, _across(x.flatten(0, 1))) + about
             made = self._unet(y, state * scale, state * shift)
             return _across(made).reshape(scenes, agents, *x.shape[2:])
 
         return noise
+
+    def _states(self, context: Context) -> Callable[[Tensor, int], Tensor]:
+        """Return h_s (M, ΣC, 1) of all norms as a function of noisy sample and step."""
+        weight, bias = self._state
+        if self._coupling is None:
+            fixed = torch.addmm(bias, context.h.flatten(0, 1), weight)[..., None]
+            return lambda x, k: fixed
+        coupled = self._coupling(context)
+        return lambda x, k: torch.addmm(bias, coupled(x, k).flatten(0, 1), weight)[..., None]
 
     @torch.no_grad()
     def _unet(self, x: Tensor, scale: Tensor, shift: Tensor) -> Tensor:
@@ -92,6 +103,29 @@ class FastDenoiser:
         norm = self._net.norm
         y = silu(group_norm(_across(y), GROUPS, norm.weight, norm.bias, norm.eps))
         return _convolve(self._out, _across(y))
+
+
+def _coupling_of(
+    layer: Coupling, steps: Iterable[int]
+) -> Callable[[Context], Callable[[Tensor, int], Tensor]]:
+    """Return *layer* as: context, once a plan → (noisy sample, step) → embeddings (B, A, D)."""
+    device = layer.out.weight.device
+    with torch.no_grad():
+        codes = {k: layer.step(sinusoidal(torch.tensor([k], device=device), STEP_WIDTH)) for k in steps}
+
+    def given(context: Context) -> Callable[[Tensor, int], Tensor]:
+        known = layer.known(torch.cat((context.prior.mean, context.h), dim=-1))
+        edges = layer.net.prepare(context.relative)
+
+        @torch.no_grad()
+        def coupled(x: Tensor, k: int) -> Tensor:
+            begin = torch.relu(layer.sample(x.flatten(2)) + known + codes[k])
+            out: Tensor = context.h + layer.out(layer.net.mix(begin, edges, context.drawn))
+            return out
+
+        return coupled
+
+    return given
 
 
 def _state_of(norms: list[AdaGN]) -> tuple[Tensor, Tensor]:

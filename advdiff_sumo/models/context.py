@@ -25,10 +25,23 @@ class Context:
     Attributes:
         h: (B, A, D) state embedding, the map and the others included.
         prior: p(z | h), (B, A, Z).
+        relative: (B, A, A, 9) how they see each other now, of ``relative_features``.
+        drawn: (B, A) whose latents mean something: vehicles.
     """
 
     h: Tensor
     prior: Gaussian
+    relative: Tensor
+    drawn: Tensor
+
+    def repeat(self, times: int) -> Context:
+        """Return the context of each scene *times* times in a row, as ``SceneBatch.repeat`` does."""
+
+        def many(value: Tensor) -> Tensor:
+            return value.repeat_interleave(times, dim=0)
+
+        prior = Gaussian(many(self.prior.mean), many(self.prior.logvar))
+        return Context(many(self.h), prior, many(self.relative), many(self.drawn))
 
 
 class MapEncoder(nn.Module):
@@ -90,7 +103,7 @@ class ContextEncoder(nn.Module):
         pose = batch.pose
         relative = relative_features(pose[..., :2], pose[..., 2], pose[..., 3])
         h = self.interaction(h, relative, batch.present)
-        return Context(h, gaussian_head(self.prior(h)))
+        return Context(h, gaussian_head(self.prior(h)), relative, batch.moved)
 
 
 def gaussian_head(raw: Tensor) -> Gaussian:

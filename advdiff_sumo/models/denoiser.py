@@ -1,4 +1,9 @@
-"""Noise prediction network: a 1-D U-Net over z̃ with z concatenated and AdaGN (Sec. III-B)."""
+"""Noise prediction network: a 1-D U-Net over z̃ with z concatenated and AdaGN (Sec. III-B).
+
+The paper's network looks at one vehicle at a time: what two of them draw can then only be made to fit by the
+decoder. Here a graph layer tells each vehicle what the others' noisy latents say at this step, so that a scene is
+drawn as one; it works through the state embedding of AdaGN and begins as nothing at all.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +13,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.interaction import InteractionNet
 from advdiff_sumo.models.options import GROUPS, ModelOptions
 
 STEP_WIDTH = 64
@@ -73,8 +80,35 @@ class ResidualBlock(nn.Module):
         return out
 
 
+class Coupling(nn.Module):
+    """h + W G(z̃ᵏ, k, z, h): the state embedding, and what all vehicles' noisy latents mean for it.
+
+    Args:
+        options: sizes.
+        numbers: how many numbers of a vehicle are diffused.
+    """
+
+    def __init__(self, options: ModelOptions, numbers: int) -> None:
+        super().__init__()
+        width = options.message
+        self.sample = nn.Linear(numbers, width)
+        self.known = nn.Linear(options.latent + options.hidden, width)
+        self.step = nn.Linear(STEP_WIDTH, width)
+        self.net = InteractionNet(width, options, options.denoiser_layers)
+        self.out = nn.Linear(width, options.hidden)
+        nn.init.zeros_(self.out.weight)
+        nn.init.constant_(self.out.bias, 0.0)
+
+    def forward(self, x: Tensor, step: Tensor, context: Context) -> Tensor:
+        """Return (B, A, D) for noisy *x* (B, A, C, L) at encoded steps *step* (B, 64)."""
+        known = self.known(torch.cat((context.prior.mean, context.h), dim=-1))
+        begin = torch.relu(self.sample(x.flatten(2)) + known + self.step(step)[:, None])
+        seen: Tensor = self.out(self.net(begin, context.relative, context.drawn))
+        return context.h + seen
+
+
 class Denoiser(nn.Module):
-    """ε(z̃ᵏ, k, z, h), agent by agent; what agents know of each other is in z and h.
+    """ε(z̃ᵏ, k, z, h), all vehicles of a scene together.
 
     Args:
         options: sizes.
@@ -88,6 +122,7 @@ class Denoiser(nn.Module):
         full, half, quarter = options.channels
         self.condition = nn.Identity() if length == options.latent else nn.Linear(options.latent, length)
         width = options.hidden
+        self.coupling = Coupling(options, channels * length) if options.denoiser_layers else None
         self.into = nn.Conv1d(channels + 1, full, 3, padding=1)
         self.down = nn.ModuleList(
             (
@@ -105,20 +140,19 @@ class Denoiser(nn.Module):
         nn.init.zeros_(self.out.weight)
         nn.init.constant_(self.out.bias, 0.0)  # type: ignore[arg-type] # a bias is there by default
 
-    def forward(self, x: Tensor, k: Tensor, z: Tensor, h: Tensor) -> Tensor:
+    def forward(self, x: Tensor, k: Tensor, context: Context) -> Tensor:
         """Return the predicted noise (B, A, C, L).
 
         Args:
             x: (B, A, C, L) noisy latents or trajectories.
             k: (B,) diffusion steps, 1 … K.
-            z: (B, A, Z) condition from the context encoder.
-            h: (B, A, D) embeddings of the context.
+            context: its prior's mean is the condition z, its embeddings are h.
         """
         scenes, agents = x.shape[:2]
         step = sinusoidal(k, STEP_WIDTH)
-        state = h.flatten(0, 1)
-        condition = self.condition(z).flatten(0, 1)[:, None]
-        y = self._unet(torch.cat((x.flatten(0, 1), condition), dim=1), state, step)
+        state = context.h if self.coupling is None else self.coupling(x, step, context)
+        condition = self.condition(context.prior.mean).flatten(0, 1)[:, None]
+        y = self._unet(torch.cat((x.flatten(0, 1), condition), dim=1), state.flatten(0, 1), step)
         return y.reshape(scenes, agents, *x.shape[2:])
 
     def _unet(self, x: Tensor, h: Tensor, step: Tensor) -> Tensor:

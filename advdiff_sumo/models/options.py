@@ -34,6 +34,7 @@ class ModelOptions(Options):
         heads: attention heads of the map pooling and of the interaction nets.
         interaction_layers: fully connected graph layers of encoder, posterior and reward model (two in Sec. III-B).
         decoder_layers: graph layers at each of the decoder's steps.
+        denoiser_layers: graph layers through which vehicles see each other's noisy latents; 0: each on its own.
         channels: channels of the denoiser's U-Net at full, half and quarter length.
         reward_hidden: width of the reward model.
         accel_mps2: strongest acceleration that the decoder can give.
@@ -49,6 +50,7 @@ class ModelOptions(Options):
     heads: int = Field(4, ge=1, le=16)
     interaction_layers: int = Field(2, ge=1, le=6)
     decoder_layers: int = Field(1, ge=1, le=6)
+    denoiser_layers: int = Field(1, ge=0, le=6)
     channels: tuple[int, int, int] = (24, 32, 48)
     reward_hidden: int = Field(64, ge=8, le=1024, multiple_of=4)
     accel_mps2: float = Field(4.0, gt=0.0)

@@ -13,7 +13,6 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.denoiser import Denoiser
-from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.training.displacement import displacement
 from advdiff_sumo.training.stage import Moment, Tally
 from advdiff_sumo.training.traffic import masked_mean, modelled
@@ -120,7 +119,7 @@ def noise_loss(
         generator: of the noise.
     """
     noise = torch.randn(x0.shape, generator=generator).to(x0)
-    predicted = denoiser(schedule.noisy(x0, k, noise), k, context.prior.mean, context.h)
+    predicted = denoiser(schedule.noisy(x0, k, noise), k, context)
     return masked_mean((predicted - noise).square().flatten(2).mean(-1), modelled(batch))
 
 
@@ -131,7 +130,7 @@ def diffused(bundle: Bundle, context: Context, steps: int, generator: torch.Gene
 
     def noise_of(x: Tensor, k: int) -> Tensor:
         at = torch.full((x.shape[0],), k, device=x.device)
-        out: Tensor = bundle.denoiser(x, at, context.prior.mean, context.h)
+        out: Tensor = bundle.denoiser(x, at, context)
         return out
 
     return sample(noise_of, start, schedule_of(bundle), Sampling(steps=steps), generator)
@@ -146,11 +145,3 @@ def measure_scale(bundle: Bundle, batches: Iterable[SceneBatch], generator: torc
         raw.append(bundle.codec.raw(batch, context, generator)[modelled(batch)])
     bundle.codec.measure(torch.cat(raw))
 
-
-def repeated(context: Context, times: int) -> Context:
-    """Return the context of each scene *times* times in a row, as ``SceneBatch.repeat`` does."""
-    h, mean, logvar = (
-        value.repeat_interleave(times, dim=0)
-        for value in (context.h, context.prior.mean, context.prior.logvar)
-    )
-    return Context(h, Gaussian(mean, logvar))

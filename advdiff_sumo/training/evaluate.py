@@ -20,7 +20,7 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.training import realism
 from advdiff_sumo.training.baselines import constant_velocity, lane_following
 from advdiff_sumo.training.dataset import WindowSet, batches
-from advdiff_sumo.training.denoiser import diffused, repeated
+from advdiff_sumo.training.denoiser import diffused
 from advdiff_sumo.training.displacement import displacement, driving
 from advdiff_sumo.training.stage import Tally, add, means
 
@@ -148,7 +148,7 @@ def write_figures(path: Path, figures: dict[str, Figures], judging: Judging, win
 def _from_prior(
     bundle: Bundle, batch: SceneBatch, context: Context, judging: Judging, generator: torch.Generator
 ) -> Rollout:
-    several = repeated(context, judging.samples)
+    several = context.repeat(judging.samples)
     z = several.prior.sample(generator)
     made: Rollout = bundle.traffic.decoder(z, several.h, batch.repeat(judging.samples))
     return made
@@ -157,7 +157,7 @@ def _from_prior(
 def _diffused(
     bundle: Bundle, batch: SceneBatch, context: Context, judging: Judging, generator: torch.Generator
 ) -> Rollout:
-    several = repeated(context, judging.samples)
+    several = context.repeat(judging.samples)
     drawn = diffused(bundle, several, judging.steps, generator)
     return bundle.codec.decode(drawn, several, batch.repeat(judging.samples))
 

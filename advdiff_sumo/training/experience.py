@@ -159,4 +159,4 @@ def _first(path: Rollout, steps: int) -> Rollout:
 
 def _rows(context: Context, rows: Tensor) -> Context:
     prior = type(context.prior)(context.prior.mean[rows], context.prior.logvar[rows])
-    return Context(context.h[rows], prior)
+    return Context(context.h[rows], prior, context.relative[rows], context.drawn[rows])

@@ -17,8 +17,9 @@ PIECES = LANE_PIECES + EDGE_PIECES
 SMALL = ModelOptions(hidden=32, latent=8, edge=8, message=16, channels=(8, 16, 24), reward_hidden=16)
 
 
-def bundle(codec: str = "latent") -> Bundle:
-    made = new_bundle(BundleOptions.parse({"model": SMALL.model_dump(), "codec": codec}))
+def bundle(codec: str = "latent", layers: int = 1) -> Bundle:
+    sizes = {**SMALL.model_dump(), "denoiser_layers": layers}
+    made = new_bundle(BundleOptions.parse({"model": sizes, "codec": codec}))
     generator = torch.Generator().manual_seed(1)
     for module in made.modules().values():
         for weight in module.parameters():  # away from the cautious first weights, some of which are all zero
@@ -52,17 +53,18 @@ def scene(scenes: int = 1, agents: int = 6, seed: int = 0) -> SceneBatch:
     )
 
 
+@pytest.mark.parametrize("layers", [0, 1, 2])
 @pytest.mark.parametrize("codec", ["latent", "trajectory"])
-def test_the_denoiser_at_every_step_of_a_ladder(codec: str) -> None:
-    made = bundle(codec)
-    context = made.traffic.encoder(scene(scenes=2))
-    z, h = context.prior.mean, context.h
+def test_the_denoiser_at_every_step_of_a_ladder(codec: str, layers: int) -> None:
+    made, batch = bundle(codec, layers), scene(scenes=2)
+    batch.moved[1, 3:] = False
+    context = made.traffic.encoder(batch)
     steps = [100, 75, 50, 25]
-    noise = FastDenoiser(made.denoiser, steps).condition(z, h)
+    noise = FastDenoiser(made.denoiser, steps).condition(context)
     x = torch.randn(2, 6, *made.codec.shape, generator=torch.Generator().manual_seed(3))
     for k in steps:
         torch.testing.assert_close(
-            noise(x, k), made.denoiser(x, torch.full((2,), k), z, h), atol=2e-5, rtol=1e-4
+            noise(x, k), made.denoiser(x, torch.full((2,), k), context), atol=2e-5, rtol=1e-4
         )
 
 

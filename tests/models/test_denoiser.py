@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor, nn
 
+from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.denoiser import AdaGN, Denoiser, sinusoidal
+from advdiff_sumo.models.gaussian import Gaussian
+from advdiff_sumo.models.geometry import RELATIVE_FEATURES
 from advdiff_sumo.models.options import ModelOptions
 
 Stir = Callable[[nn.Module], nn.Module]
@@ -79,13 +83,21 @@ def test_adagn_is_its_equation_for_any_weights(lively: Stir) -> None:
         torch.testing.assert_close(made[row], wanted, atol=1e-5, rtol=1e-4)
 
 
-def inputs(options: ModelOptions, shape: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    return (
-        noise(2, 3, *shape),
-        torch.tensor([5, 80]),
-        noise(2, 3, options.latent, seed=1),
-        noise(2, 3, options.hidden, seed=2),
+def inputs(options: ModelOptions, shape: tuple[int, int]) -> tuple[Tensor, Tensor, Context]:
+    mean = noise(2, 3, options.latent, seed=1)
+    context = Context(
+        h=noise(2, 3, options.hidden, seed=2),
+        prior=Gaussian(mean, torch.zeros_like(mean)),
+        relative=noise(2, 3, 3, RELATIVE_FEATURES, seed=3),
+        drawn=torch.ones(2, 3, dtype=torch.bool),
     )
+    return noise(2, 3, *shape), torch.tensor([5, 80]), context
+
+
+def changed(context: Context, name: str, at: tuple[int, int]) -> Context:
+    mean, h = context.prior.mean.clone(), context.h.clone()
+    {"z": mean, "h": h}[name][at] += 0.5
+    return replace(context, h=h, prior=Gaussian(mean, context.prior.logvar))
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -95,21 +107,57 @@ def test_untrained_it_predicts_nothing(options: ModelOptions, shape: tuple[int, 
     assert not bool(made.any())
 
 
+def reached(net: nn.Module, options: ModelOptions, shape: tuple[int, int], name: str) -> list[list[int]]:
+    """Return which (scene, agent) see a change of *name* at agent 1 of scene 0."""
+    x, k, context = inputs(options, shape)
+    at, base = (0, 1), net(x, k, context)
+    if name == "x":
+        made = net(x + 0.5 * torch.eye(6)[1].reshape(2, 3, 1, 1), k, context)
+    else:
+        made = net(x, k, changed(context, name, at))
+    found: list[list[int]] = ((made - base).abs().amax((-1, -2)) > 1e-4).nonzero().tolist()
+    return found
+
+
+@pytest.mark.parametrize("name", ["x", "z", "h"])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_every_input_matters_to_its_agent_alone(
-    options: ModelOptions, shape: tuple[int, int], lively: Stir
+def test_without_coupling_every_input_matters_to_its_agent_alone(
+    options: ModelOptions, shape: tuple[int, int], name: str, lively: Stir
 ) -> None:
+    alone = options.model_copy(update={"denoiser_layers": 0})
+    assert reached(lively(Denoiser(alone, shape)), alone, shape, name) == [[0, 1]]
+
+
+@pytest.mark.parametrize("name", ["x", "z", "h"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_with_coupling_every_input_matters_to_its_scene_alone(
+    options: ModelOptions, shape: tuple[int, int], name: str, lively: Stir
+) -> None:
+    assert reached(lively(Denoiser(options, shape)), options, shape, name) == [[0, 0], [0, 1], [0, 2]]
+
+
+def test_who_has_no_latent_tells_nobody_anything(options: ModelOptions, lively: Stir) -> None:
+    net = lively(Denoiser(options, SHAPES[0]))
+    x, k, context = inputs(options, SHAPES[0])
+    context.drawn[0, 1] = False
+    other = x.clone()
+    other[0, 1] += 1.0
+    made, base = net(other, k, context), net(x, k, context)
+    torch.testing.assert_close(made[:, [0, 2]], base[:, [0, 2]])
+
+
+def test_an_untrained_coupling_changes_nothing(options: ModelOptions) -> None:
+    x, k, context = inputs(options, SHAPES[0])
+    layer = Denoiser(options, SHAPES[0]).coupling
+    assert layer is not None
+    torch.testing.assert_close(layer(x, sinusoidal(k, 64), context), context.h)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_step_matters(options: ModelOptions, shape: tuple[int, int], lively: Stir) -> None:
     net = lively(Denoiser(options, shape))
-    x, k, z, h = inputs(options, shape)
-    base = net(x, k, z, h)
-    at = (0, 1)
-    for name in ("x", "z", "h"):
-        changed = {"x": x.clone(), "z": z.clone(), "h": h.clone()}
-        changed[name][at] += 0.5
-        made = net(changed["x"], k, changed["z"], changed["h"])
-        moved = (made - base).abs().amax((-1, -2)) > 1e-4
-        assert moved.nonzero().tolist() == [list(at)]
-    moved = (net(x, torch.tensor([5, 20]), z, h) - base).abs().amax((-1, -2)) > 1e-4
+    x, k, context = inputs(options, shape)
+    moved = (net(x, torch.tensor([5, 20]), context) - net(x, k, context)).abs().amax((-1, -2)) > 1e-4
     assert moved.tolist() == [[False] * 3, [True] * 3]
 
 

@@ -61,7 +61,7 @@ def everything(nets: Nets, batch: SceneBatch, z: Tensor, target: Tensor = TARGET
         "h": context.h,
         "prior": torch.cat((context.prior.mean, context.prior.logvar), dim=-1),
         "posterior": torch.cat((q.mean, q.logvar), dim=-1),
-        "noise": nets.denoiser(z[:, :, None], torch.tensor([5, 90]), context.prior.mean, context.h),
+        "noise": nets.denoiser(z[:, :, None], torch.tensor([5, 90]), context),
         "rollout": own_frame(rollout, batch),
         "Q": nets.reward(context.h, context.prior.mean, z, batch, target),
     }

@@ -62,24 +62,22 @@ def draw_plan(
     with torch.no_grad():
         context = encode(networks, batch)
     start = _start(options, view, noise, networks.bundle.options.model.latent, generator)
-    condition = context.prior.mean
-    many, h, z = batch, context.h, condition
+    many, several = batch, context
     if options.samples > 1:
-        many = batch.repeat(options.samples)
-        h, z = (part.expand(options.samples, -1, -1) for part in (h, z))
+        many, several = batch.repeat(options.samples), context.repeat(options.samples)
     guide: Guidance | None = None
     chosen: tuple[str, ...] = ()
     if options.guided:
         guide, chosen = guidance(networks, options, view, Scenes(batch, many, context), attackers)
     x = sample(
-        networks.denoiser.condition(z, h),
+        networks.denoiser.condition(several),
         start.to(networks.device),
         networks.schedule,
         networks.sampling,
         generator,
         guide,
     )
-    rollout = decode(networks, x, h, many)
+    rollout = decode(networks, x, several.h, many)
     best = _most_plausible(rollout, many) if options.samples > 1 else 0
     kept = start[best, :, 0].numpy().astype(np.float64)
     return Drawn(

@@ -79,7 +79,7 @@ class DiffusionTraffic:
         self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
     ) -> tuple[JointPlan, Memory]:
         """Return the futures of all movable vehicles, 6 s at 2 Hz, and the memory for the next plan."""
-        kept = _rest(memory, scene, self.options.replan)
+        kept = rest_of(memory.plan, memory.driven, scene, self.options.replan)
         if kept is not None:
             return JointPlan(kept), replace(memory, driven=memory.driven + 1)
         return self._afresh(road, scene, memory, rng)
@@ -88,7 +88,7 @@ class DiffusionTraffic:
         self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
     ) -> tuple[JointPlan, Memory]:
         lanes = self._lanes(road, scene)
-        view = look(road, scene, _leaving(scene, lanes))
+        view = look(road, scene, leaving(scene, lanes))
         seed = int(rng.integers(2**62))
         if not view.moved.any():
             empty = Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=scene.time_s + MODEL_STEP_S)
@@ -97,16 +97,21 @@ class DiffusionTraffic:
         if self.listener is not None:
             self.listener(view, drawn)
         guarded = guard(road, view, drawn, lanes)
-        tracks = _tracks(view, guarded.futures)
+        tracks = tracks_of(view, guarded.futures)
         return JointPlan(tracks), Memory(drawn.noise, drawn.attackers, tracks, 1)
 
     def _lanes(self, road: RoadMap, scene: Scene) -> dict[int, LaneAhead | None]:
-        rows = np.flatnonzero(scene.movable & scene.history.valid[:, -1])
-        now = scene.history
-        found = lanes_ahead(
-            road, now.xy_m[rows, -1], now.yaw_rad[rows, -1], [scene.routes[row] for row in rows.tolist()]
-        )
-        return dict(zip(rows.tolist(), found, strict=True))
+        return lanes_of(road, scene)
+
+
+def lanes_of(road: RoadMap, scene: Scene) -> dict[int, LaneAhead | None]:
+    """Return the lanes that each movable vehicle, by its row, would follow."""
+    rows = np.flatnonzero(scene.movable & scene.history.valid[:, -1])
+    now = scene.history
+    found = lanes_ahead(
+        road, now.xy_m[rows, -1], now.yaw_rad[rows, -1], [scene.routes[row] for row in rows.tolist()]
+    )
+    return dict(zip(rows.tolist(), found, strict=True))
 
 
 def guard(road: RoadMap, view: View, drawn: Drawn, lanes: Mapping[int, LaneAhead | None]) -> Guarded:
@@ -140,7 +145,7 @@ def _stood(now: Tracks) -> BoolArray:
     return np.asarray((now.valid & (np.abs(now.speed_mps) < _STANDS_MPS)).all(axis=1))
 
 
-def _leaving(scene: Scene, lanes: Mapping[int, LaneAhead | None]) -> BoolArray:
+def leaving(scene: Scene, lanes: Mapping[int, LaneAhead | None]) -> BoolArray:
     """Return (agents,) which vehicles are about to drive off the net's end."""
     out = np.zeros(scene.history.agents, dtype=np.bool_)
     for row, lane in lanes.items():
@@ -150,7 +155,7 @@ def _leaving(scene: Scene, lanes: Mapping[int, LaneAhead | None]) -> BoolArray:
     return out
 
 
-def _tracks(view: View, futures: Futures) -> Tracks:
+def tracks_of(view: View, futures: Futures) -> Tracks:
     """Return the plans of the moved vehicles."""
     rows = np.flatnonzero(view.moved)
     now = view.now.rows(rows)
@@ -167,13 +172,19 @@ def _tracks(view: View, futures: Futures) -> Tracks:
     )
 
 
-def _rest(memory: Memory, scene: Scene, replan: int) -> Tracks | None:
-    """Return what is left of the last plan, where it shall be driven on and names everybody that may be moved."""
-    plan = memory.plan
-    if plan is None or memory.driven >= replan or plan.steps <= memory.driven:
+def rest_of(plan: Tracks | None, driven: int, scene: Scene, replan: int) -> Tracks | None:
+    """Return what is left of the last plan, where it shall be driven on and names everybody that may be moved.
+
+    Args:
+        plan: the last one.
+        driven: model steps of it that have been driven.
+        scene: now.
+        replan: model steps of a plan to drive.
+    """
+    if plan is None or driven >= replan or plan.steps <= driven:
         return None
-    late = abs(plan.t0_s + (memory.driven - 1) * plan.dt_s - scene.time_s) > 1e-6
+    late = abs(plan.t0_s + (driven - 1) * plan.dt_s - scene.time_s) > 1e-6
     movable = {name for name, free in zip(scene.history.ids, scene.movable, strict=True) if free}
     if late or movable != set(plan.ids):
         return None
-    return plan.window(memory.driven, plan.steps)
+    return plan.window(driven, plan.steps)

@@ -122,6 +122,36 @@ def sample(
     return x
 
 
+def foresee(
+    noise_of: Noise,
+    start: Tensor,
+    schedule: Schedule,
+    sampling: Sampling,
+    generator: torch.Generator,
+    done: int,
+) -> tuple[Tensor, float]:
+    """Return the data (B, A, C, L) that the network predicts after *done* natural steps, and the step's α.
+
+    Gradients reach the last prediction alone: what led to it is taken as it came.
+
+    Args:
+        noise_of: the trained noise prediction with its condition.
+        start: (B, A, C, L) noise.
+        schedule: what the network was trained with.
+        sampling: steps and family.
+        generator: random numbers of the steps.
+        done: steps taken first, 0 … ``sampling.steps`` − 1.
+    """
+    x, ladder = start, schedule.ladder(sampling.steps)
+    with torch.no_grad():
+        for k, to in pairwise(ladder[: done + 1]):
+            x, deviation = transition(x, noise_of(x, k), k, to, schedule, sampling)
+            x = x + deviation * draw(x, generator)
+    k = ladder[done]
+    clean, _ = transition(x, noise_of(x, k), k, 0, schedule, sampling)
+    return clean, float(schedule.alpha[k])
+
+
 def draw(like: Tensor, generator: torch.Generator) -> Tensor:
     """Return standard normal noise of the shape and on the device of *like*."""
     made = torch.randn(like.shape, generator=generator, dtype=like.dtype, device=generator.device)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor, nn
 
-from advdiff_sumo.diffusion.sampler import Sampling, sample
+from advdiff_sumo.diffusion.sampler import Noise, Sampling, sample
 from advdiff_sumo.diffusion.schedule import Schedule
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
@@ -127,13 +127,18 @@ def diffused(bundle: Bundle, context: Context, steps: int, generator: torch.Gene
     """Return samples x̃⁰ (B, A, C, L) of the denoiser, without a guide."""
     shape = (*context.h.shape[:2], *bundle.codec.shape)
     start = torch.randn(shape, generator=generator).to(context.h)
+    return sample(noise_at(bundle, context), start, schedule_of(bundle), Sampling(steps=steps), generator)
+
+
+def noise_at(bundle: Bundle, context: Context) -> Noise:
+    """Return the denoiser as ε(x, k) for the scenes of *context*."""
 
     def noise_of(x: Tensor, k: int) -> Tensor:
         at = torch.full((x.shape[0],), k, device=x.device)
         out: Tensor = bundle.denoiser(x, at, context)
         return out
 
-    return sample(noise_of, start, schedule_of(bundle), Sampling(steps=steps), generator)
+    return noise_of
 
 
 @torch.no_grad()

@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
 import torch
 from torch import Tensor, nn
 
+from advdiff_sumo.diffusion.sampler import Sampling, foresee
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.losses import off_road, pair_overlap
-from advdiff_sumo.training.denoiser import clean, diffused, judge, noise_loss, random_steps, schedule_of
+from advdiff_sumo.training.denoiser import (
+    clean,
+    diffused,
+    judge,
+    noise_at,
+    noise_loss,
+    random_steps,
+    schedule_of,
+)
 from advdiff_sumo.training.presets import CollisionOptions, ElboOptions
 from advdiff_sumo.training.stage import Moment, Tally
 from advdiff_sumo.training.traffic import TrafficStage, elbo, encode, kl_share, masked_mean
@@ -67,9 +81,9 @@ class JointStage:
         with torch.no_grad():
             x0 = clean(bundle, batch, encoded.context, generator)
         terms["noise"] = noise_loss(bundle.denoiser, x0, encoded.context, batch, self.schedule, k, generator)
-        rollouts = [encoded.rollout, *self._sampled(encoded.context, batch, generator)]
-        terms["vehicles"] = torch.stack([vehicle_penalty(r, batch) for r in rollouts]).mean()
-        terms["road"] = torch.stack([road_penalty(r, batch) for r in rollouts]).mean()
+        rollouts = [(encoded.rollout, 1.0), *self.sampled(encoded.context, batch, generator)]
+        terms["vehicles"] = torch.stack([w * vehicle_penalty(r, batch) for r, w in rollouts]).mean()
+        terms["road"] = torch.stack([w * road_penalty(r, batch) for r, w in rollouts]).mean()
         terms["loss"] = (
             terms["loss"]
             + options.noise * terms["noise"]
@@ -78,15 +92,56 @@ class JointStage:
         )
         return terms
 
-    def _sampled(self, context: Context, batch: SceneBatch, generator: torch.Generator) -> list[Rollout]:
-        """Return what the model makes of these scenes on its own, as the options say."""
-        if self.options.samples == "none":
+    def sampled(
+        self, context: Context, batch: SceneBatch, generator: torch.Generator
+    ) -> list[tuple[Rollout, float]]:
+        """Return what the model makes of these scenes on its own, as the options say, with its weight."""
+        options = self.options
+        if options.samples == "none":
             return []
-        if self.options.samples == "prior":
-            return [self._bundle.traffic.decoder(context.prior.sample(generator), context.h, batch)]
+        if options.samples == "prior":
+            drawn = context.prior.sample(generator)
+            return [(self._bundle.traffic.decoder(drawn, context.h, batch), 1.0)]
+        if options.samples == "denoiser":
+            return [self._foreseen(_fixed(context), batch, generator)]
         with torch.no_grad():
-            drawn = diffused(self._bundle, context, self.options.sampling_steps, generator)
-        return [self._bundle.codec.decode(drawn, context, batch)]
+            drawn = diffused(self._bundle, context, options.sampling_steps, generator)
+        return [(self._bundle.codec.decode(drawn, context, batch), 1.0)]
+
+    def _foreseen(
+        self, context: Context, batch: SceneBatch, generator: torch.Generator
+    ) -> tuple[Rollout, float]:
+        """Return what the denoiser predicts somewhere on its way, decoded by a decoder that stays as it is.
+
+        Early predictions blur what may happen: they count less, by α.
+        """
+        bundle, sampling = self._bundle, Sampling(steps=self.options.sampling_steps)
+        done = int(torch.randint(sampling.steps, (), generator=generator))
+        shape = (*context.h.shape[:2], *bundle.codec.shape)
+        start = torch.randn(shape, generator=generator).to(context.h)
+        noise_of = noise_at(bundle, context)
+        x, weight = foresee(noise_of, start, self.schedule, sampling, generator, done)
+        with _untrained(bundle.traffic.decoder):
+            return bundle.codec.decode(x, context, batch), weight
+
+
+def _fixed(context: Context) -> Context:
+    """Return *context* without gradients."""
+    prior = Gaussian(context.prior.mean.detach(), context.prior.logvar.detach())
+    return replace(context, h=context.h.detach(), prior=prior)
+
+
+@contextmanager
+def _untrained(module: nn.Module) -> Iterator[None]:
+    """Let what *module* does in the meantime leave no gradients in its weights."""
+    trained = [weight for weight in module.parameters() if weight.requires_grad]
+    for weight in trained:
+        weight.requires_grad_(False)
+    try:
+        yield
+    finally:
+        for weight in trained:
+            weight.requires_grad_(True)
 
 
 def vehicle_penalty(rollout: Rollout, batch: SceneBatch) -> Tensor:

@@ -13,8 +13,8 @@ from advdiff_sumo.models.codec import CodecName
 from advdiff_sumo.models.options import ModelOptions
 from advdiff_sumo.training.rates import ScheduleName
 
-StageName = Literal["traffic", "denoiser", "joint", "reward"]
-STAGES: tuple[StageName, ...] = ("traffic", "denoiser", "joint", "reward")
+StageName = Literal["traffic", "denoiser", "joint", "reward", "simnet"]
+STAGES: tuple[StageName, ...] = ("traffic", "denoiser", "joint", "reward", "simnet")
 
 
 class ElboOptions(Options):
@@ -39,16 +39,17 @@ class CollisionOptions(Options):
     Attributes:
         vehicles: weight of the five-disc overlap between vehicles.
         road: weight of the overlap with the road's edge.
-        samples: what counts beside trajectories of the posterior: those of the denoiser's samples, whose
-            latents carry no gradient, so that the decoder learns to keep apart what was drawn apart; those of
-            the prior; or nothing.
+        samples: what counts beside trajectories of the posterior. "denoiser": what the denoiser predicts
+            somewhere on its way to a sample, so that it learns to draw scenes that fit together; "decoder": its
+            finished samples, for the decoder to keep apart what was drawn apart; "prior": those of the prior;
+            or "none".
         sampling_steps: DDIM steps of these samples.
         noise: weight of the noise loss.
     """
 
     vehicles: float = Field(1.0, ge=0.0)
     road: float = Field(0.5, ge=0.0)
-    samples: Literal["diffusion", "prior", "none"] = "diffusion"
+    samples: Literal["denoiser", "decoder", "prior", "none"] = "denoiser"
     sampling_steps: int = Field(5, ge=1, le=1000)
     noise: float = Field(1.0, ge=0.0)
 
@@ -84,6 +85,20 @@ class RewardOptions(Options):
     noise: float = Field(0.3, ge=0.0)
     diffusion: float = Field(0.3, ge=0.0)
     sampling_steps: int = Field(10, ge=1, le=1000)
+
+
+class SimnetOptions(Options):
+    """Closed-loop cloning, see ``training.simnet``.
+
+    Attributes:
+        first_steps: model steps that are driven at the beginning of the training.
+        steps: and in the end.
+        growth_share: share of the training over which they grow.
+    """
+
+    first_steps: int = Field(2, ge=1, le=12)
+    steps: int = Field(12, ge=1, le=12)
+    growth_share: float = Field(0.6, ge=0.0, le=1.0)
 
 
 class JitterOptions(Options):
@@ -140,6 +155,7 @@ class TrainOptions(Options):
     elbo: ElboOptions = ElboOptions()
     collision: CollisionOptions = CollisionOptions()
     reward: RewardOptions = RewardOptions()
+    simnet: SimnetOptions = SimnetOptions()
 
 
 _SMALL: dict[str, Any] = {
@@ -151,7 +167,7 @@ _SMALL: dict[str, Any] = {
     "ema_decay": 0.998,
     "max_agents": 16,
 }
-_EPOCHS: Mapping[StageName, int] = {"traffic": 12, "denoiser": 20, "joint": 4, "reward": 6}
+_EPOCHS: Mapping[StageName, int] = {"traffic": 12, "denoiser": 20, "joint": 4, "reward": 6, "simnet": 6}
 _PAPER: dict[str, Any] = {"epochs": 200, "batch_size": 8, "learning_rate": 5e-4, "schedule": "constant"}
 _PAPER_REWARD: dict[str, Any] = {"epochs": 100, "learning_rate": 1e-3}
 PRESETS = ("paper", "small")

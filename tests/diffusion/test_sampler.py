@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from advdiff_sumo.diffusion.sampler import Family, Noise, Rung, Sampling, draw, sample, transition
+from advdiff_sumo.diffusion.sampler import Family, Noise, Rung, Sampling, draw, foresee, sample, transition
 from advdiff_sumo.diffusion.schedule import Schedule
 
 SCHEDULE = Schedule(100)
@@ -211,3 +211,27 @@ def test_a_constant_push_moves_samples_its_way() -> None:
         shifts.append(float(made.mean()))
     assert shifts == sorted(shifts)
     assert shifts[0] < -0.1 < 0.1 < shifts[2]
+
+
+@pytest.mark.parametrize("done", range(4))
+def test_foresight_of_a_network_that_knows_is_the_data(done: int) -> None:
+    x0 = torch.randn(2, 3, 1, 8, generator=seeded(2))
+    start = torch.randn(2, 3, 1, 8, generator=seeded(3))
+    made, alpha = foresee(oracle(x0), start, SCHEDULE, Sampling(steps=4), seeded(), done)
+    torch.testing.assert_close(made, x0, atol=2e-4, rtol=1e-3)
+    assert alpha == float(SCHEDULE.alpha[100 - 25 * done])
+
+
+def test_foresight_has_a_gradient_in_its_last_prediction_alone() -> None:
+    asked: list[tuple[int, bool]] = []
+    weight = torch.ones((), requires_grad=True)
+
+    def noise_of(x: Tensor, k: int) -> Tensor:
+        asked.append((k, torch.is_grad_enabled()))
+        return weight * x
+
+    made, _ = foresee(noise_of, torch.ones(1, 1, 1, 4), SCHEDULE, Sampling(steps=4), seeded(), 2)
+    made.sum().backward()
+    assert asked == [(100, False), (75, False), (50, True)]
+    assert weight.grad is not None
+    assert float(weight.grad) != 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import pytest
 import torch
@@ -84,6 +85,31 @@ def test_the_noise_loss_gives_the_posterior_no_gradient(bundle: Bundle, batch: S
     torch.autograd.backward(terms["noise"])
     assert all(p.grad is None or not p.grad.any() for p in bundle.traffic.posterior.parameters())
     assert any(p.grad is not None and p.grad.any() for p in bundle.denoiser.parameters())
+
+
+def reached_by(bundle: Bundle, batch: SceneBatch, samples: Literal["denoiser", "decoder"]) -> set[str]:
+    """Return the networks that a collision of samples alone gives gradients to."""
+    options = CollisionOptions(samples=samples, sampling_steps=2)
+    stage = JointStage(bundle, ElboOptions(), options)
+    for number in range(4):
+        (made,) = stage.sampled(bundle.traffic.encoder(batch), batch, chance(number))
+        made[0].xy.sum().backward()
+    parts = {"encoder": bundle.traffic.encoder, "decoder": bundle.traffic.decoder, "denoiser": bundle.denoiser}
+    return {
+        name
+        for name, part in parts.items()
+        if any(p.grad is not None and bool(p.grad.any()) for p in part.parameters())
+    }
+
+
+def test_samples_are_for_the_denoiser_or_for_the_decoder_to_mend(bundle: Bundle, batch: SceneBatch) -> None:
+    for weight in bundle.denoiser.parameters():  # untrained it predicts 0, whatever its inner weights
+        weight.data += 0.1
+    assert reached_by(bundle, batch, "denoiser") == {"denoiser"}
+    for module in bundle.modules().values():
+        module.zero_grad()
+    assert reached_by(bundle, batch, "decoder") == {"encoder", "decoder"}
+    assert all(weight.requires_grad for weight in bundle.traffic.decoder.parameters())
 
 
 def test_the_weight_of_kl_rises_straight() -> None:

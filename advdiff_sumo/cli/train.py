@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 
 def train(
-    stage: Annotated[str, typer.Argument(help="traffic, denoiser, joint or reward, in this order.")],
+    stage: Annotated[
+        str, typer.Argument(help="traffic, denoiser, joint or reward, in this order; or simnet.")
+    ],
     data: Annotated[
         list[Path], typer.Option(help="Window file, or a folder of them; may be given several times.")
     ],
@@ -91,7 +93,8 @@ def train(
     )
     job = prepare(plan)
     _claim(out, resume)
-    if _train(job, resume, Console(stderr=True, highlight=False)) and judged:
+    done = _train(job, resume, Console(stderr=True, highlight=False))
+    if done and judged and name != "simnet":  # its own figures are said when it ends
         bundle = load_bundle(out / WEIGHTS)
         judge_and_show(bundle, job.held_out, Judging(windows=judged), job.device, out / "evaluation.json")
 

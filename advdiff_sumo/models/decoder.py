@@ -51,6 +51,15 @@ class Forced:
     states: Tensor
     mask: Tensor
 
+    def applied(self, k: int, xy: Tensor, yaw: Tensor, speed: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return (B, A, 2), (B, A), (B, A) states at instant *k*, with those that are given in their place."""
+        given, mask = self.states[:, :, k], self.mask[:, :, k]
+        return (
+            torch.where(mask[..., None], given[..., :2], xy),
+            torch.where(mask, given[..., 2], yaw),
+            torch.where(mask, given[..., 3], speed),
+        )
+
 
 class Decoder(nn.Module):
     """Twelve steps of half a second; every vehicle sees where the others have got to in the same rollout."""
@@ -94,7 +103,7 @@ class Decoder(nn.Module):
             accel, curvature = accel * batch.moved, curvature * batch.moved
             xy, yaw, speed = step(xy, yaw, speed, accel, curvature, MODEL_STEP_S)
             if forced is not None:
-                xy, yaw, speed = _force(forced, k, xy, yaw, speed)
+                xy, yaw, speed = forced.applied(k, xy, yaw, speed)
             memory = self._remember(mixed, accel, curvature, memory)
             states.append((xy, yaw, speed, accel, curvature))
         return Rollout(*(torch.stack(column, dim=2) for column in zip(*states, strict=True)))
@@ -116,12 +125,3 @@ class Decoder(nn.Module):
         inputs = torch.cat((mixed, done), dim=-1)
         new: Tensor = self.memory(inputs.flatten(0, 1), memory.flatten(0, 1))
         return new.reshape(memory.shape)
-
-
-def _force(forced: Forced, k: int, xy: Tensor, yaw: Tensor, speed: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    given, mask = forced.states[:, :, k], forced.mask[:, :, k]
-    return (
-        torch.where(mask[..., None], given[..., :2], xy),
-        torch.where(mask, given[..., 2], yaw),
-        torch.where(mask, given[..., 3], speed),
-    )

@@ -50,6 +50,15 @@ def read_stored(path: Path, kind: str, missing: str, remedy: str) -> tuple[dict[
     return header, tensors
 
 
+def stored_format(path: Path) -> str:
+    """Return the "format" that the file at *path* names; "" where there is no such file, or it names none."""
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            return str(_header(file.metadata() or {}).get("format", ""))
+    except (SafetensorError, OSError):
+        return ""
+
+
 def _header(metadata: Mapping[str, str]) -> dict[str, Any]:
     """Return the JSON object in *metadata*; {} where it is damaged or another program's."""
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from advdiff_sumo import __version__
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
+from advdiff_sumo.models.simnet_file import begin_simnet, save_simnet
 from advdiff_sumo.training.checkpoint import Progress
 from advdiff_sumo.training.dataset import WindowSet, batches, read_window_set, split
 from advdiff_sumo.training.denoiser import DenoiserStage, measure_scale
@@ -23,7 +24,8 @@ from advdiff_sumo.training.joint import JointStage
 from advdiff_sumo.training.loop import Job
 from advdiff_sumo.training.presets import STAGES, StageName, TrainOptions
 from advdiff_sumo.training.reward import RewardStage
-from advdiff_sumo.training.stage import Stage
+from advdiff_sumo.training.simnet import SimnetStage
+from advdiff_sumo.training.stage import BundleStage, Stage
 from advdiff_sumo.training.traffic import TrafficStage
 
 WEIGHTS = "weights.safetensors"
@@ -32,6 +34,7 @@ _NEEDS: Mapping[StageName, tuple[StageName, ...]] = {
     "denoiser": ("traffic",),
     "joint": ("traffic", "denoiser"),
     "reward": ("traffic", "denoiser"),
+    "simnet": (),
 }
 
 
@@ -44,7 +47,7 @@ class Plan:
         data: window files and folders of them.
         out: folder of everything that is written.
         options: hyper-parameters.
-        init: weights to begin with; None: new ones, which only the stage "traffic" can do.
+        init: weights to begin with; None: new ones, which only the stages "traffic" and "simnet" can do.
         val: window files to judge on; none: some drives of the data are held out.
         seed: of everything that is random.
         device: "auto", "cpu" or "cuda".
@@ -71,6 +74,8 @@ def prepare(plan: Plan) -> Job:
         ConfigError: they do not fit the stage.
     """
     device = choose_device(plan.device)
+    if plan.stage == "simnet":
+        return _prepared_simnet(plan, device)
     bundle = _bundle(plan)
     windows = read_window_set(plan.data)
     options = plan.options.model_copy(update={"model": bundle.options.model, "codec": bundle.options.codec})
@@ -83,6 +88,34 @@ def prepare(plan: Plan) -> Job:
     def keep(progress: Progress) -> None:
         save_bundle(stage.bundle(), plan.out / WEIGHTS, _stages(bundle, plan.stage), _card(plan, progress))
 
+    return _job(plan, stage, options, windows, (train, held_out), keep, device)
+
+
+def _prepared_simnet(plan: Plan, device: torch.device) -> Job:
+    """Return the training of SimNet, which takes a bundle's encoder and gives a file of its own."""
+    windows = read_window_set(plan.data)
+    seed = SeedTree(plan.seed, ("weights",)).integer()
+    init = None if plan.init is None else weights_file(plan.init)
+    simnet = begin_simnet(init, plan.options.model, seed).to(device)
+    options = plan.options.model_copy(update={"model": simnet.options})
+
+    def keep(progress: Progress) -> None:
+        save_simnet(simnet, plan.out / WEIGHTS, _card(plan, progress))
+
+    stage = SimnetStage(simnet, options.simnet)
+    return _job(plan, stage, options, windows, _sides(plan, windows), keep, device)
+
+
+def _job(
+    plan: Plan,
+    stage: Stage,
+    options: TrainOptions,
+    windows: WindowSet,
+    sides: tuple[WindowSet, WindowSet],
+    keep: Callable[[Progress], None],
+    device: torch.device,
+) -> Job:
+    train, held_out = sides
     source = hashlib.sha256(f"{windows.digest}{held_out.digest}{_hash(plan.init)}".encode()).hexdigest()
     return Job(stage, options, train, held_out, plan.out, plan.seed, device, source, keep, plan.max_minutes)
 
@@ -165,7 +198,7 @@ def _measure(bundle: Bundle, windows: WindowSet, options: TrainOptions, device: 
     measure_scale(bundle, made, torch.Generator().manual_seed(options.split_seed))
 
 
-def _stage(name: StageName, bundle: Bundle, options: TrainOptions) -> Stage:
+def _stage(name: StageName, bundle: Bundle, options: TrainOptions) -> BundleStage:
     if name == "traffic":
         return TrafficStage(bundle, options.elbo)
     if name == "denoiser":

@@ -40,7 +40,7 @@ class Stage(Protocol):
     """One stage: what is trained, with which loss, and how it is judged.
 
     Attributes:
-        name: "traffic", "denoiser", "joint" or "reward".
+        name: of ``presets.STAGES``.
         monitor: figure of :meth:`evaluate` whose fall is progress.
         module: what the optimiser changes and what the moving average covers.
         beside: further state that a resumed run needs, such as a target network; empty for most.
@@ -62,6 +62,10 @@ class Stage(Protocol):
     def after_step(self) -> None:
         """Do what follows a step of the optimiser."""
         ...
+
+
+class BundleStage(Stage, Protocol):
+    """A stage that trains a part of a bundle."""
 
     def bundle(self) -> Bundle:
         """Return all modules, as they are saved for later stages and for runs."""

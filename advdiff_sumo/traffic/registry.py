@@ -20,9 +20,10 @@ POLICIES = Registry(
         "sumo": "advdiff_sumo.traffic.sumo:SumoTraffic",
         "replay": "advdiff_sumo.traffic.replay:Replay",
         "diffusion": "advdiff_sumo.traffic.diffusion.policy:DiffusionTraffic",
+        "strive": "advdiff_sumo.traffic.rivals.strive:Strive",
     },
 )
-"""``sumo``, ``replay``, ``diffusion``, and plug-ins of the group ``advdiff_sumo.policies``."""
+"""``sumo``, ``replay``, ``diffusion``, the rivals, and plug-ins of the group ``advdiff_sumo.policies``."""
 
 
 def make_policy(name: str, options: Mapping[str, Any]) -> TrafficPolicy:

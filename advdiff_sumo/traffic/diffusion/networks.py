@@ -50,7 +50,7 @@ def networks_of(options: DiffusionOptions) -> Networks:
         WeightsError: a file is missing, damaged, or holds networks that this policy cannot use.
         ConfigError: no such device, or more steps than the networks were trained with.
     """
-    device = _device(options.device)
+    device = device_of(options.device, "background 'diffusion'")
     torch.set_num_threads(options.threads)
     path = Path(options.weights) if options.weights else shipped_weights()
     return _networks(str(path), options.reward, device, options.steps, options.family, options.eta)
@@ -87,7 +87,16 @@ def _networks(path: str, reward: str, device: torch.device, steps: int, family: 
     )
 
 
-def _device(name: str) -> torch.device:
+def device_of(name: str, whose: str) -> torch.device:
+    """Return the device that *name* stands for; "auto" is a GPU where there is one.
+
+    Args:
+        name: as the user gave it.
+        whose: whose option it is, for the message.
+
+    Raises:
+        ConfigError: PyTorch has no such device here.
+    """
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
@@ -96,7 +105,7 @@ def _device(name: str) -> torch.device:
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise ConfigError(
-            f"options of background 'diffusion': device = '{name}' cannot be used ({reason}); "
+            f"options of {whose}: device = '{name}' cannot be used ({reason}); "
             "leave it at auto, or name cpu or cuda"
         ) from None
     return device

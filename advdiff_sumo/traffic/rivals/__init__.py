@@ -1,0 +1,1 @@
+"""Published adversaries beside the paper's method: AdvSim and Strive, in closed loop."""

@@ -7,12 +7,13 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.diffusion.attacks import COSTS, Encounter, Natural, encounter
-from advdiff_sumo.diffusion.fast_decoder import Trace
 from advdiff_sumo.diffusion.guides import FLOOR, Guidance, Term, direction
 from advdiff_sumo.diffusion.sampler import Rung
+from advdiff_sumo.diffusion.trace import Trace
 from advdiff_sumo.models.decoder import Rollout
 
 SIZE = torch.tensor([4.0, 2.0])
+NOTHING = Trace(torch.empty(0), torch.empty(0))
 
 
 def test_the_direction_has_unit_length_and_only_attackers_move() -> None:
@@ -75,7 +76,7 @@ def straight(x: float, y: float, yaw: float, speed: float, steps: int = 8) -> Ro
 def met(attacker: Rollout) -> Encounter:
     """Return the encounter with a target that drives north at 10 m/s from (5, 0)."""
     target = straight(5.0, 0.0, torch.pi / 2, 10.0)
-    return encounter(attacker, SIZE[None].double(), Natural(target, Trace((), ())), SIZE.double())
+    return encounter(attacker, SIZE[None].double(), Natural(target, NOTHING), SIZE.double())
 
 
 def test_an_encounter_by_hand() -> None:
@@ -127,7 +128,7 @@ def test_costs_do_not_depend_on_the_worlds_frame(kind: str) -> None:
     attacker, target = straight(8.0, 14.0, 1.9, 7.0), straight(5.0, 0.0, NORTH, 10.0)
     costs = []
     for change in (lambda r: r, turned):
-        natural = Natural(change(target), Trace((), ()))
+        natural = Natural(change(target), NOTHING)
         e = encounter(change(attacker), SIZE[None].double(), natural, SIZE.double())
         costs.append(float(COSTS[kind](e)))
     assert costs[0] == pytest.approx(costs[1], abs=1e-9)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import tempfile
 import time
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -72,23 +74,35 @@ class Episode:
         """
         begun = time.perf_counter()
         failure: Failure | None = None
-        with tempfile.TemporaryDirectory(prefix="advdiff-") as folder:
-            preparation = prepare(self.scene, self.target, self.sim, Path(folder), self.gui)
-            with Session(preparation.options) as session:
-                loop = Loop(self, session, preparation.type_of_class)
-                try:
-                    loop.start()
-                    end = loop.run(self._steps())
-                except EpisodeFailure as error:
-                    end, failure = (
-                        EndReason.FAILED,
-                        Failure(error.kind, str(error), loop.time_s, _trace(error)),
-                    )
-                record = loop.record(end, failure)
+        with self.opened() as loop:
+            try:
+                loop.start()
+                end = loop.run(self.steps)
+            except EpisodeFailure as error:
+                end, failure = (
+                    EndReason.FAILED,
+                    Failure(error.kind, str(error), loop.time_s, _trace(error)),
+                )
+            record = loop.record(end, failure)
         timing = Timing(time.perf_counter() - begun, *loop.planning_s())
         return record, timing
 
-    def _steps(self) -> int:
+    @contextmanager
+    def opened(self) -> Iterator[Loop]:
+        """Yield the loop with SUMO running, not started yet; ``run`` on it goes on from where it stands.
+
+        Raises:
+            InputError: an option cannot be used with this scene.
+            SimulationError: SUMO does not start, or a simulation is running in this process.
+        """
+        with tempfile.TemporaryDirectory(prefix="advdiff-") as folder:
+            preparation = prepare(self.scene, self.target, self.sim, Path(folder), self.gui)
+            with Session(preparation.options) as session:
+                yield Loop(self, session, preparation.type_of_class)
+
+    @property
+    def steps(self) -> int:
+        """SUMO steps that it lasts at most."""
         longest = self.horizon_s
         if not isinstance(self.scene.start, SavedTraffic) or getattr(self.policy, "everywhere", False):
             longest = min(longest, self.scene.horizon_s)

@@ -15,6 +15,7 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
+from advdiff_sumo.diffusion.fast_reward import FastReward
 from advdiff_sumo.diffusion.sampler import Rung
 from advdiff_sumo.models.reward import RewardModel, RewardState
 
@@ -81,8 +82,4 @@ def direction(objective: Objective, latents: Tensor, attackers: Tensor) -> Tenso
 
 def reward_objective(model: RewardModel, state: RewardState) -> Objective:
     """Return Q(h, z, ·), the discounted adversarial reward of the scenes in *state*."""
-
-    def value(latents: Tensor) -> Tensor:
-        return model.value_of(state, latents)
-
-    return value
+    return FastReward(model, state)

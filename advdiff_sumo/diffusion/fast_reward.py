@@ -1,0 +1,111 @@
+"""The reward model for run time: Q of many actions in one state, with the gradient of the action by hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from advdiff_sumo.diffusion.graph_layer import GraphLayer, Heard
+from advdiff_sumo.models.interaction import InteractionLayer
+from advdiff_sumo.models.reward import RewardModel, RewardState
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """What the gradient needs: both hidden embeddings (G, R), the layers', and the value's hidden part (B, R)."""
+
+    first: Tensor
+    second: Tensor
+    heard: list[Heard]
+    hidden: Tensor
+
+
+class FastReward:
+    """Q of one state, the same as ``models.reward`` up to rounding.
+
+    Args:
+        model: the trained network; its weights are read when this is made.
+        state: what of Q does not depend on the action.
+    """
+
+    def __init__(self, model: RewardModel, state: RewardState) -> None:
+        self._shape = state.node.shape[:2]
+        self._state = RewardState(
+            state.node.detach(), [edge.detach() for edge in state.edges], state.present, state.target
+        )
+        layers = (x for x in model.interaction.layers if isinstance(x, InteractionLayer))
+        self._layers = [GraphLayer(layer) for layer in layers]
+        self._action = model.action.weight.detach()
+        self._mix = _affine(model.mix[1])
+        self._values = _affine(model.value[0]), _affine(model.value[2])
+        present = state.present
+        rows = torch.arange(present.shape[1], device=present.device)
+        kind = state.node.dtype
+        self._free = ((rows != state.target[:, None]) & present).to(kind).flatten()[:, None]
+        # (B, 2, A): what reads the target's node, and the mean of all
+        own = (rows == state.target[:, None]).to(kind)
+        mean = present.to(kind) / present.sum(1, keepdim=True).clamp(min=1)
+        self._read = torch.stack((own, mean), dim=1)
+        self._blocked: Tensor | None = None
+        if not bool(present.all()):
+            lower = torch.where(present, 0.0, -1e9).to(kind)
+            self._blocked = lower.repeat_interleave(present.shape[1], dim=0)
+
+    def __call__(self, mu: Tensor) -> Tensor:
+        """Return Q (B,) of actions *mu* (B, A, Z), with gradients to them."""
+        value: Tensor = _Function.apply(mu, self)
+        return value
+
+    def value(self, mu: Tensor) -> tuple[Tensor, _Pass]:
+        """Return Q (B,) and what :meth:`back` needs."""
+        scenes, agents = self._shape
+        node = torch.mm(mu.flatten(0, 1), self._action.t()).mul_(self._free)
+        first = node.add_(self._state.node.flatten(0, 1)).relu_()
+        h = second = torch.addmm(self._mix[1], first, self._mix[0].t()).relu_()
+        kept = []
+        for layer, edges in zip(self._layers, self._state.edges, strict=True):
+            receiver, sender = layer.ends(h)
+            message = edges + receiver.reshape(scenes, agents, 1, -1)
+            message += sender.reshape(scenes, 1, agents, -1)
+            h, heard = layer.forward(h, message.flatten(0, 1), self._blocked)
+            kept.append(heard)
+        read = torch.bmm(self._read, h.reshape(scenes, agents, -1)).flatten(1)
+        (weight, bias), (last, offset) = self._values
+        hidden = torch.addmm(bias, read, weight.t()).relu_()
+        return torch.addmm(offset, hidden, last.t())[:, 0], _Pass(first, second, kept, hidden)
+
+    def back(self, grad: Tensor, done: _Pass) -> Tensor:
+        """Return the gradient (B, A, Z) of actions for gradients (B,) of their values."""
+        scenes, agents = self._shape
+        (weight, _), (last, _) = self._values
+        read = torch.mm((grad[:, None] * last) * (done.hidden > 0.0), weight)
+        node = torch.bmm(self._read.transpose(1, 2), read.reshape(scenes, 2, -1)).flatten(0, 1)
+        for layer, heard in zip(reversed(self._layers), reversed(done.heard), strict=True):
+            past, message = layer.back(node, heard)
+            sender = message.reshape(scenes, agents, agents, -1).sum(1).flatten(0, 1)
+            node = past + layer.back_ends(message.sum(1), sender)
+        second = torch.mm(node * (done.second > 0.0), self._mix[0])
+        first = second * (done.first > 0.0) * self._free
+        return torch.mm(first, self._action).reshape(scenes, agents, -1)
+
+
+class _Function(torch.autograd.Function):
+    """Autograd's view of :class:`FastReward`."""
+
+    @staticmethod
+    def forward(ctx: Any, mu: Tensor, model: FastReward) -> Tensor:
+        value, ctx.done = model.value(mu.detach())
+        ctx.model = model
+        return value
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:  # type: ignore[override] # the one it has
+        return ctx.model.back(grad, ctx.done), None
+
+
+def _affine(layer: nn.Module) -> tuple[Tensor, Tensor]:
+    assert isinstance(layer, nn.Linear)  # noqa: S101 - tells the type checker what stands there
+    return layer.weight.detach(), layer.bias.detach()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib.resources import files
 from pathlib import Path
 
 import torch
@@ -17,6 +16,8 @@ from advdiff_sumo.diffusion.schedule import Schedule
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.reward_file import load_reward
+from advdiff_sumo.models.shipped import device_of as device_of
+from advdiff_sumo.models.shipped import shipped_weights as shipped_weights
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
 
 
@@ -56,11 +57,6 @@ def networks_of(options: DiffusionOptions) -> Networks:
     return _networks(str(path), options.reward, device, options.steps, options.family, options.eta)
 
 
-def shipped_weights() -> Path:
-    """Return the path of the shipped networks."""
-    return Path(str(files("advdiff_sumo"))) / "weights" / "traffic.safetensors"
-
-
 @lru_cache(maxsize=2)
 def _networks(path: str, reward: str, device: torch.device, steps: int, family: str, eta: float) -> Networks:
     bundle = load_bundle(Path(path))
@@ -85,27 +81,3 @@ def _networks(path: str, reward: str, device: torch.device, steps: int, family: 
         sampling=Sampling(steps=steps, family="printed" if family == "printed" else "consistent", eta=eta),
         device=device,
     )
-
-
-def device_of(name: str, whose: str) -> torch.device:
-    """Return the device that *name* stands for; "auto" is a GPU where there is one.
-
-    Args:
-        name: as the user gave it.
-        whose: whose option it is, for the message.
-
-    Raises:
-        ConfigError: PyTorch has no such device here.
-    """
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        device = torch.device(name)
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigError(
-            f"options of {whose}: device = '{name}' cannot be used ({reason}); "
-            "leave it at auto, or name cpu or cuda"
-        ) from None
-    return device

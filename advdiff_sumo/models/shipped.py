@@ -1,0 +1,40 @@
+"""Where the shipped networks lie, and on which device they run."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Literal
+
+import torch
+
+from advdiff_sumo.core.errors import ConfigError
+
+
+def shipped_weights(name: Literal["traffic", "simnet"] = "traffic") -> Path:
+    """Return the path of the shipped networks: the bundle of all traffic models, or SimNet."""
+    return Path(str(files("advdiff_sumo"))) / "weights" / f"{name}.safetensors"
+
+
+def device_of(name: str, whose: str) -> torch.device:
+    """Return the device that *name* stands for; "auto" is a GPU where there is one.
+
+    Args:
+        name: as the user gave it.
+        whose: whose option it is, for the message.
+
+    Raises:
+        ConfigError: PyTorch has no such device here.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(
+            f"options of {whose}: device = '{name}' cannot be used ({reason}); "
+            "leave it at auto, or name cpu or cuda"
+        ) from None
+    return device

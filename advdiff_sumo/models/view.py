@@ -1,0 +1,107 @@
+"""What the networks see of a scene: the road users near the target, in their order, as one batch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, IntArray
+from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.collate import model_history, scene_batch
+from advdiff_sumo.models.options import HISTORY_STEPS, MODEL_STEP_S
+
+if TYPE_CHECKING:
+    from advdiff_sumo.maps import RoadMap  # reads nets with SUMO's library, which training does without
+
+MOST_AGENTS = 32
+"""Road users that the networks see at once, unless more of them are to be moved."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A scene for the networks; A agents, the target first.
+
+    Attributes:
+        scene: the whole scene.
+        rows: (A,) rows of the scene.
+        moved: (A,) who gets a plan.
+        batch: the agents as a batch of one.
+        now: their histories.
+    """
+
+    scene: Scene
+    rows: IntArray
+    moved: BoolArray
+    batch: SceneBatch
+    now: Tracks
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Names of the agents."""
+        return self.now.ids
+
+
+def look(road: RoadMap, scene: Scene, left_out: BoolArray | None = None, most: int = MOST_AGENTS) -> View:
+    """Return what the networks see of *scene*.
+
+    Args:
+        road: the map.
+        scene: an instant, with a history at the model's step.
+        left_out: (agents,) movable vehicles that get no plan although they are seen.
+        most: road users that are seen, unless more of them get a plan.
+
+    Raises:
+        SceneError: the history has another spacing.
+    """
+    if not model_history(scene.history):
+        raise SceneError(
+            f"the trained networks need histories every {MODEL_STEP_S:g} s, "
+            f"not every {scene.history.dt_s:g} s: leave sim.model_step_s at its default"
+        )
+    moved = scene.movable & (scene.history.classes != AgentClass.PEDESTRIAN) & scene.history.valid[:, -1]
+    moved[scene.target] = False
+    if left_out is not None:
+        moved &= ~left_out
+    rows = _nearest(scene, moved, most)
+    history = _last(scene.history.rows(rows))
+    table = road.pieces
+    near = table.rows_near(history.xy_m[:, -1], history.yaw_rad[:, -1])
+    states = table.signal_states(scene.signals)
+    batch = scene_batch(
+        history, table.xy_m, table.features, table.signal, near.astype(np.int64), states.astype(np.int64)
+    )
+    return View(scene, rows, moved[rows], batch, history)
+
+
+def _nearest(scene: Scene, moved: BoolArray, most: int) -> IntArray:
+    """Return the target, the moved and then the nearest others, at most *most*; by distance."""
+    now = scene.history.xy_m[:, -1]
+    gap = np.where(scene.history.valid[:, -1], np.hypot(*(now - now[scene.target]).T), np.inf)
+    gap[scene.target] = -1.0
+    wanted = moved.copy()
+    wanted[scene.target] = True
+    order = np.lexsort((np.arange(len(gap)), gap, ~wanted))
+    count = max(most, int(wanted.sum()))
+    picked = order[:count]
+    picked = picked[np.isfinite(gap[picked])]
+    return np.asarray(picked[np.lexsort((picked, gap[picked]))], dtype=np.int64)
+
+
+def _last(history: Tracks) -> Tracks:
+    """Return the last instants that the networks read; what is missing before is marked as unknown."""
+    lacking = HISTORY_STEPS - history.steps
+    if lacking <= 0:
+        return history.window(history.steps - HISTORY_STEPS, history.steps)
+    pad = ((0, 0), (lacking, 0))
+    return replace(
+        history,
+        xy_m=np.pad(history.xy_m, (*pad, (0, 0)), constant_values=np.nan),
+        yaw_rad=np.pad(history.yaw_rad, pad, constant_values=np.nan),
+        speed_mps=np.pad(history.speed_mps, pad, constant_values=np.nan),
+        valid=np.pad(history.valid, pad, constant_values=False),
+        t0_s=history.t0_s - lacking * history.dt_s,
+    )

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-settings.register_profile("ci", derandomize=True)
+settings.register_profile("desk", deadline=None)  # a busy machine is no failure
+settings.register_profile("ci", derandomize=True, deadline=None)
+settings.load_profile("desk")
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 
-from advdiff_sumo.core.arrays import IntArray
+from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.scene import Tracks
 
 
@@ -66,6 +66,23 @@ class Failure:
 
 
 @dataclass(frozen=True)
+class MadePlans:
+    """What the target and vehicles near it meant to do at one instant; A agents, T instants.
+
+    Attributes:
+        made_s: when they were made, since the episode's start.
+        dt_s: spacing of the instants, the first of which is one of them after ``made_s``.
+        ids: A names.
+        xy_m: (A, T, 2) planned box centres; NaN where a plan does not reach or has nobody there.
+    """
+
+    made_s: float
+    dt_s: float
+    ids: tuple[str, ...]
+    xy_m: FloatArray
+
+
+@dataclass(frozen=True)
 class EpisodeRecord:
     """One closed-loop run; A agents, T instants at the simulation step (instant 0 is the start).
 
@@ -85,6 +102,9 @@ class EpisodeRecord:
         teleports: vehicles that SUMO teleported.
         rough_handovers: vehicles that SUMO got back although they stood askew in their lane.
         skipped_agents: agents of a log left to SUMO, which had them out of reach of where the log goes on.
+        plans: what was planned, in the order of time; of a SUMO-driven vehicle nothing is known.
+        natural: what everybody near did from the same start without attack, at the model step; None when it
+            was not to be kept.
         failure: set when ``end`` is FAILED.
     """
 
@@ -102,4 +122,6 @@ class EpisodeRecord:
     teleports: int = 0
     rough_handovers: int = 0
     skipped_agents: int = 0
+    plans: tuple[MadePlans, ...] = ()
+    natural: Tracks | None = None
     failure: Failure | None = field(default=None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.report.encode import PER_M, block, path_parts, wrapped_differences
 from advdiff_sumo.report.layer import MapLayer, View
+from advdiff_sumo.report.plans import Planned, packed_plans
 from advdiff_sumo.report.series import Series
 from advdiff_sumo.report.states import EpisodeStates
 
@@ -22,7 +23,13 @@ _DEVIATION_M = 0.5
 _CHARTED = ("speed_mps", "attacker_mps", "accel_mps2", "attacker_accel_mps2", "jerk_mps3", "ttc_s", "gap_m")
 
 
-def episode_block(states: EpisodeStates, attacker: str | None, series: Series, natural: Tracks | None) -> str:
+def episode_block(
+    states: EpisodeStates,
+    attacker: str | None,
+    series: Series,
+    natural: Tracks | None,
+    plans: Sequence[Planned] = (),
+) -> str:
     """Return the block of one episode.
 
     Args:
@@ -30,6 +37,7 @@ def episode_block(states: EpisodeStates, attacker: str | None, series: Series, n
         attacker: id of who hit the target or came nearest, or None.
         series: values of the charts.
         natural: what happened in the same seed scene without attack, or None.
+        plans: what was planned, as far as it is known.
     """
     tracks = states.tracks
     origin = np.rint(np.nanmin(tracks.xy_m.reshape(-1, 2), axis=0))
@@ -47,11 +55,14 @@ def episode_block(states: EpisodeStates, attacker: str | None, series: Series, n
         "agents": agents,
         "series": list(_CHARTED),
         "natural": None,
+        "plans": None,
     }
     if natural is not None and natural.agents:
         ghosts, more = _paths(natural, origin)
         header["natural"] = {"dt": natural.dt_s, "t0": natural.t0_s, "agents": ghosts}
         numbers += more
+    header["plans"], more = packed_plans(plans, tracks.index, origin)
+    numbers += more
     numbers += [wrapped_differences(getattr(series, name)) for name in _CHARTED]
     return block(header, numbers)
 

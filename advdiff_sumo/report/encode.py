@@ -31,13 +31,18 @@ def block(header: Mapping[str, Any], numbers: Sequence[IntArray]) -> str:
         ValueError: a number is out of range.
     """
     joined = np.concatenate([np.zeros(0, dtype=np.int64), *numbers])
-    if joined.size and (joined.min() < NOTHING or joined.max() > _GREATEST):
+    if not fits(joined):
         raise ValueError("a number does not fit 16 bits")
     codes = np.where(joined < 0, -2 * joined - 1, 2 * joined).astype("<u2")
     low, high = (codes & 0xFF).astype(np.uint8), (codes >> 8).astype(np.uint8)
     text = json.dumps(header, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
     raw = len(text).to_bytes(4, "little") + text + low.tobytes() + high.tobytes()
     return base64.b64encode(zlib.compress(raw, 9)).decode("ascii")
+
+
+def fits(numbers: IntArray) -> bool:
+    """Return whether all *numbers* may stand in a block."""
+    return not numbers.size or bool(numbers.min() >= NOTHING and numbers.max() <= _GREATEST)
 
 
 def second_differences(values: IntArray) -> IntArray:

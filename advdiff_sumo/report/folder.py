@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
+from advdiff_sumo.report.plans import PLAN_COLUMNS, Planned, plans_of
 from advdiff_sumo.report.states import EpisodeStates, states_of
 
 Row: TypeAlias = Mapping[str, Any]
@@ -97,7 +98,21 @@ class FinishedRun:
         Raises:
             FileError: the states are damaged.
         """
-        path = self.folder / "states.parquet"
+        return self._states(self.folder / "states.parquet", episode)
+
+    def natural(self, episode: int) -> EpisodeStates | None:
+        """Return what happens in the seed scene of *episode* without attack; None where it was not kept.
+
+        Raises:
+            FileError: the table is damaged.
+        """
+        path = self.folder / "unattacked.parquet"
+        if not path.exists():
+            return None
+        _require(path, STATE_COLUMNS)
+        return self._states(path, episode)
+
+    def _states(self, path: Path, episode: int) -> EpisodeStates | None:
         try:
             there = set(pq.read_schema(path).names)
             columns = [*STATE_COLUMNS, *({"controller"} & there)]
@@ -105,6 +120,23 @@ class FinishedRun:
         except (OSError, pa.ArrowException) as error:
             raise FileError(path, f"is damaged ({_first_line(error)})", _REMEDY) from None
         return states_of(table)
+
+    def plans(self, episode: int) -> tuple[Planned, ...]:
+        """Return what was planned in *episode*; nothing where the folder was made without plans.
+
+        Raises:
+            FileError: the plans are damaged.
+        """
+        path = self.folder / "plans.parquet"
+        if not path.exists():
+            return ()
+        _require(path, ("episode", *PLAN_COLUMNS))
+        try:
+            return plans_of(
+                pq.read_table(path, columns=[*PLAN_COLUMNS], filters=[("episode", "==", episode)])
+            )
+        except (OSError, pa.ArrowException) as error:
+            raise FileError(path, f"is damaged ({_first_line(error)})", _REMEDY) from None
 
     def logs(self) -> Iterator[tuple[str, str]]:
         """Yield (net, root of the driving log) of all places whose seed scenes came from a log."""

@@ -12,6 +12,7 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data import open_log
 from advdiff_sumo.data.base import LogReader, LogScene
 from advdiff_sumo.report.folder import FinishedRun, Row
+from advdiff_sumo.report.states import EpisodeStates
 
 #: Backgrounds that do not attack, the more natural one first.
 NATURAL = ("sumo", "replay")
@@ -21,8 +22,9 @@ _KEPT_DRIVES = 16
 class Naturals:
     """Finds the natural counterpart of each episode.
 
-    Where seed scenes come from a driving log, it is the log itself, read again. Otherwise, in a sweep, it is
-    the episode with the same scene and target in SUMO's own or in replayed traffic.
+    Where seed scenes come from a driving log, it is the log itself, read again. Otherwise, in a sweep that has
+    it, it is the episode with the same scene and target in SUMO's own or in replayed traffic; else the traffic
+    that the seed scene was cut from, which the episode has kept.
     """
 
     def __init__(self, run: FinishedRun) -> None:
@@ -38,7 +40,17 @@ class Naturals:
 
     def of(self, row: Row) -> Tracks | None:
         """Return (A, T) natural tracks of the episode in *row*, clock 0 at its start; None when none are known."""
-        return self._logged(row) if str(row["net"]) in self._logs else self._simulated(row)
+        found = self._logged(row) if str(row["net"]) in self._logs else self._simulated(row)
+        return found if found is not None else self._kept(row)
+
+    def kept(self, row: Row) -> EpisodeStates | None:
+        """Return the traffic that the seed scene of *row* was cut from, as the episode has kept it, or None."""
+        return self._run.natural(int(row["episode"]))
+
+    def _kept(self, row: Row) -> Tracks | None:
+        """Return the same where the background was not natural itself."""
+        kept = None if row["background"] == NATURAL[0] else self.kept(row)
+        return None if kept is None else kept.tracks
 
     def drive_of(self, row: Row) -> LogScene | None:
         """Return the logged drive that the episode's seed scene was cut from; None without a log."""

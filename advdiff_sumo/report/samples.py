@@ -17,6 +17,7 @@ from advdiff_sumo.report.naturals import NATURAL, Naturals, thinned
 #: Episodes looked at for each background, evenly spaced over all of them.
 MOST_EPISODES = 150
 LOGGED = "driving log"
+SCENES = "traffic of the seed scenes"
 _MOVES_MPS = 0.5
 
 
@@ -67,7 +68,10 @@ def samples_of(tracks: Tracks, target: int) -> Samples:
 
 
 def samples_by_background(run: FinishedRun, naturals: Naturals, labels: Labels) -> Mapping[str, Samples]:
-    """Return the samples of each background, natural traffic first: SUMO's own, or the log behind the scenes."""
+    """Return the samples of each background, natural traffic first: SUMO's own, or the log behind the scenes.
+
+    Where nothing was run in SUMO's own traffic, it is the traffic that the seed scenes were cut from.
+    """
     groups: dict[str, list[Row]] = {}
     for row in run.episodes:
         if row["end"] != "failed":
@@ -75,6 +79,9 @@ def samples_by_background(run: FinishedRun, naturals: Naturals, labels: Labels) 
     found = {name: Samples.joined(list(_driven(run, _spaced(rows)))) for name, rows in groups.items()}
     logged = Samples.joined(list(_logged(naturals, _spaced(run.episodes))))
     first = {LOGGED: logged} if logged.episodes else {}
+    if not first and all(row["background"] != NATURAL[0] for row in run.episodes):
+        kept = Samples.joined(list(_kept(naturals, _spaced(run.episodes))))
+        first = {SCENES: kept} if kept.episodes else {}
     ordered = sorted(found, key=lambda name: (NATURAL[0] not in name.split(), name))
     return first | {name: found[name] for name in ordered if found[name].episodes}
 
@@ -92,6 +99,14 @@ def _logged(naturals: Naturals, rows: Iterable[Row]) -> Iterable[Samples]:
         drive = naturals.drive_of(row)
         if drive is not None:
             yield samples_of(drive.tracks, drive.ego)
+
+
+def _kept(naturals: Naturals, rows: Iterable[Row]) -> Iterable[Samples]:
+    scenes = {(str(row["net"]), str(row["scene_key"]), str(row["scene"])): row for row in rows}
+    for row in scenes.values():
+        kept = naturals.kept(row)
+        if kept is not None:
+            yield samples_of(kept.tracks, kept.target)
 
 
 def _spaced(rows: Sequence[Row]) -> list[Row]:

@@ -18,7 +18,7 @@ from advdiff_sumo.report.naturals import Naturals
 from advdiff_sumo.report.nets import Nets
 from advdiff_sumo.report.picture import picture_of
 from advdiff_sumo.report.select import attacker_of, pictured
-from advdiff_sumo.report.series import series_of
+from advdiff_sumo.report.series import Series, series_of
 from advdiff_sumo.report.states import EpisodeStates
 from advdiff_sumo.report.svg import svg_picture
 from advdiff_sumo.report.templates import number, templates, title, words
@@ -107,9 +107,7 @@ class Sections:
         charts = charts_of(series, row["collision_time_s"])
         html = self._html(row, states, charts, contacts) if wanted and not self._pictures.full else ""
         fits = bool(html) and self._pictures.takes(html)
-        block = (
-            "" if self._played.full else episode_block(states, attacker, series, self._ghosts(row, states))
-        )
+        block = "" if self._played.full else self._block(row, states, attacker, series)
         return Section(
             episode=episode,
             net=net,
@@ -119,6 +117,10 @@ class Sections:
             target_xy_m=states.tracks.xy_m[states.target],
             left_out=wanted and not fits,
         )
+
+    def _block(self, row: Row, states: EpisodeStates, attacker: str | None, series: Series) -> str:
+        plans = self._run.plans(int(row["episode"]))
+        return episode_block(states, attacker, series, self._ghosts(row, states), plans)
 
     def _ghosts(self, row: Row, states: EpisodeStates) -> Tracks | None:
         natural = self._naturals.of(row)

@@ -91,6 +91,7 @@ class Background:
         name: for messages.
         planning_s: wall-clock seconds of each plan.
         skipped: ids that a log would have moved but that SUMO has elsewhere by now.
+        planned: the last plan that was not refused.
     """
 
     policy: TrafficPolicy
@@ -103,6 +104,7 @@ class Background:
     limits: Limits = field(default_factory=Limits)
     planning_s: list[float] = field(default_factory=list)
     skipped: set[str] = field(default_factory=set)
+    planned: JointPlan | None = None
     _memory: Any = None
 
     def start(self, scene: Scene) -> None:
@@ -124,7 +126,9 @@ class Background:
                 f"background '{self.name}' returned {type(made).__name__}, not (JointPlan, memory)"
             )
         plan, self._memory = made
-        return self.motion(plan, scene.target_id, steps)
+        motion = self.motion(plan, scene.target_id, steps)
+        self.planned = plan
+        return motion
 
     def motion(self, plan: JointPlan, target_id: str, steps: int) -> Motion:
         """Return *plan* as states after each of *steps* substeps, checked."""

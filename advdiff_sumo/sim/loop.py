@@ -20,6 +20,7 @@ from advdiff_sumo.sim.context import Context
 from advdiff_sumo.sim.handover import Handover
 from advdiff_sumo.sim.natural import remaining_route
 from advdiff_sumo.sim.perceive import read_signals, watch_signals
+from advdiff_sumo.sim.planned import natural_course
 from advdiff_sumo.sim.recorder import Recorder
 from advdiff_sumo.sim.seed_scene import PlacedTraffic, SavedTraffic
 from advdiff_sumo.sim.session import Session
@@ -126,6 +127,7 @@ class Loop:
             scene = self.scene_now()
             self.drive.replan(scene, period)
             motion = self._plan_background(scene, period)
+            self.recorder.add_plans(scene, self.drive.planned, self.background.planned)
             for k in range(min(period, steps - self.steps)):
                 end = self._step(motion, k)
                 if end is not None:
@@ -294,6 +296,9 @@ class Loop:
             rough_handovers=len(self.handover.rough),
             skipped_agents=len(self.background.skipped),
             failure=failure,
+            natural=natural_course(episode.scene.log, self.sim.model_step_s)
+            if self.sim.record_natural
+            else None,
         )
 
     def planning_s(self) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -22,6 +22,8 @@ class SimOptions(Options):
         release_factor: a moved vehicle is handed back beyond ``release_factor`` × ``control_radius_m``.
         observe_radius_m: planners and policies see road users up to here.
         record_radius_m: the record keeps road users that come this near to the target.
+        record_plans: the record keeps the plans of the target and of so many vehicles nearest to it; 0: none.
+        record_natural: the record keeps what happened in the seed scene without attack.
         stop_at_collision: end the episode at the target's first collision.
     """
 
@@ -34,6 +36,8 @@ class SimOptions(Options):
     release_factor: float = Field(1.2, ge=1.0)
     observe_radius_m: float = Field(80.0, gt=0.0)
     record_radius_m: float = Field(100.0, gt=0.0)
+    record_plans: int = Field(8, ge=0, le=200)
+    record_natural: bool = True
     stop_at_collision: bool = True
 
     @model_validator(mode="after")

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from advdiff_sumo.core.arrays import IntArray
-from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, SumoCollision
-from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.core.plan import JointPlan, Plan
+from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, MadePlans, SumoCollision
+from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.sim.planned import made_plans
 from advdiff_sumo.sim.world import Frame, World, stack
 
 
@@ -24,6 +26,7 @@ class Recorder:
         self.signals: list[Mapping[str, str]] = []
         self.visible: list[frozenset[str]] = []
         self.collisions: list[SumoCollision] = []
+        self.plans: list[MadePlans] = []
         self.teleports = 0
         self._running = False
 
@@ -41,6 +44,12 @@ class Recorder:
         self.signals.append(signals)
         if visible is not None:
             self.visible.append(visible)
+
+    def add_plans(self, scene: Scene, own: Plan | None, joint: JointPlan | None) -> None:
+        """Record what target and background plan in *scene*."""
+        made = made_plans(scene, own, joint, self.sim)
+        if made is not None:
+            self.plans.append(made)
 
     def note(self, api: Any) -> None:
         """Record what SUMO itself reports about the step that it has just done."""
@@ -78,6 +87,7 @@ class Recorder:
             signals=tuple(self.signals),
             sumo_collisions=tuple(self.collisions),
             teleports=self.teleports,
+            plans=tuple(self.plans),
         )
 
     def _near(self, target: int) -> IntArray:

@@ -18,7 +18,7 @@ import tomli_w
 
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.record import Controller, EpisodeRecord
-from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, Column
 from advdiff_sumo.sim.episode import Timing
 
@@ -40,6 +40,17 @@ STATE_COLUMNS: Mapping[str, Column] = {
     "controller": Column("str", "", "who moved it in this step: sumo, policy or planner", nullable=False),
     "is_target": Column("bool", "", "whether it is the tested vehicle", nullable=False),
 }
+PLAN_COLUMNS: Mapping[str, Column] = {
+    "episode": Column("int64", "", "number of the episode in its run", nullable=False),
+    "made_s": Column("float64", "s", "when the plan was made, since the episode's start", nullable=False),
+    "agent": Column("str", "", "whose plan: the target, or a vehicle that the policy moves", nullable=False),
+    "time_s": Column("float64", "s", "when it would be there, since the episode's start", nullable=False),
+    "x_m": Column("float64", "m", "east, planned centre of the box, to 1 cm", nullable=False),
+    "y_m": Column("float64", "m", "north, planned centre of the box, to 1 cm", nullable=False),
+}
+NATURAL_COLUMNS: Mapping[str, Column] = {
+    name: column for name, column in STATE_COLUMNS.items() if name != "controller"
+} | {"step": Column("int64", "", "number of the instant, `sim.model_step_s` apart", nullable=False)}
 TIMING_COLUMNS: Mapping[str, Column] = {
     "episode": Column("int64", "", "number of the episode in its run", nullable=False),
     "simulated_s": Column("float64", "s", "simulated time", nullable=False),
@@ -54,6 +65,8 @@ TABLES: Mapping[str, Mapping[str, Column]] = {
     "episodes": EPISODE_COLUMNS,
     "states": STATE_COLUMNS,
     "collisions": COLLISION_COLUMNS,
+    "plans": PLAN_COLUMNS,
+    "unattacked": NATURAL_COLUMNS,
     "timing": TIMING_COLUMNS,
 }
 
@@ -198,18 +211,35 @@ def episode_tables(
     """Return what one episode adds to each of ``TABLES``."""
     rows = {"episodes": [dict(episode)], "collisions": collisions, "timing": [timing_row(record, timing)]}
     tables = {name: table_of(content, TABLES[name]) for name, content in rows.items()}
-    return {**tables, "states": states_table(record)}
+    tables |= {"states": states_table(record), "plans": plans_table(record)}
+    return {**tables, "unattacked": natural_table(record)}
 
 
 def states_table(record: EpisodeRecord) -> pa.Table:
     """Return one row an agent and step of *record*, in the order of agents, then steps."""
-    tracks = record.tracks
+    movers = np.array([c.name.lower() for c in Controller if c >= 0], dtype=object)
+    columns = _state_columns(record.tracks, record.episode, record.target)
+    columns["controller"] = movers[record.controller[np.nonzero(record.tracks.valid)]]
+    return pa.table({name: columns[name] for name in STATE_COLUMNS}, schema=schema_of(STATE_COLUMNS))
+
+
+def natural_table(record: EpisodeRecord) -> pa.Table:
+    """Return one row an agent and instant of what happens without attack, to 1 cm, 1 mrad and 1 cm/s."""
+    natural = record.natural if record.natural is not None else Tracks.empty()
+    target = record.tracks.ids[record.target] if record.tracks.agents else ""
+    columns = _state_columns(natural, record.episode, natural.index.get(target, -1))
+    for name, digits in (("x_m", 2), ("y_m", 2), ("yaw_rad", 3), ("speed_mps", 2)):
+        columns[name] = np.round(columns[name], digits) + 0.0  # no −0
+    return pa.table({name: columns[name] for name in NATURAL_COLUMNS}, schema=schema_of(NATURAL_COLUMNS))
+
+
+def _state_columns(tracks: Tracks, episode: int, target: int) -> dict[str, Any]:
+    """Return the columns of *tracks* that ``states`` and ``unattacked`` share."""
     agent, step = np.nonzero(tracks.valid)
     names = np.array(tracks.ids, dtype=object)
     classes = np.array([c.name.lower() for c in AgentClass], dtype=object)
-    movers = np.array([c.name.lower() for c in Controller if c >= 0], dtype=object)
-    columns = {
-        "episode": np.full(len(agent), record.episode),
+    return {
+        "episode": np.full(len(agent), episode),
         "step": step,
         "time_s": np.round(tracks.times_s[step], 6),
         "agent": names[agent],
@@ -220,10 +250,28 @@ def states_table(record: EpisodeRecord) -> pa.Table:
         "y_m": tracks.xy_m[agent, step, 1],
         "yaw_rad": tracks.yaw_rad[agent, step],
         "speed_mps": tracks.speed_mps[agent, step],
-        "controller": movers[record.controller[agent, step]],
-        "is_target": agent == record.target,
+        "is_target": agent == target,
     }
-    return pa.table(columns, schema=schema_of(STATE_COLUMNS))
+
+
+def plans_table(record: EpisodeRecord) -> pa.Table:
+    """Return one row a planned position of *record*, in the order of plans, agents, times."""
+    there = [np.nonzero(np.isfinite(plans.xy_m).all(axis=-1)) for plans in record.plans]
+    counts = [len(agent) for agent, _ in there]
+    pairs = list(zip(record.plans, there, strict=True))
+    times = [plans.made_s + plans.dt_s * (step + 1) for plans, (_, step) in pairs]
+    places = [plans.xy_m[where] for plans, where in pairs]
+    xy = np.round(np.concatenate([np.zeros((0, 2)), *places]), 2) + 0.0  # no −0
+    made = [np.full(count, plans.made_s) for plans, count in zip(record.plans, counts, strict=True)]
+    columns = {
+        "episode": np.full(sum(counts), record.episode),
+        "made_s": np.round(np.concatenate([np.zeros(0), *made]), 6),
+        "agent": [plans.ids[row] for plans, (agent, _) in pairs for row in agent.tolist()],
+        "time_s": np.round(np.concatenate([np.zeros(0), *times]), 6),
+        "x_m": xy[:, 0],
+        "y_m": xy[:, 1],
+    }
+    return pa.table(columns, schema=schema_of(PLAN_COLUMNS))
 
 
 def timing_row(record: EpisodeRecord, timing: Timing) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.errors import AdvdiffError, OutOfMemoryFailure, PlannerError, PlanRefusedError
+from advdiff_sumo.core.plan import Plan
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.tracking import State, drive_plan
@@ -32,6 +33,7 @@ class SumoDrive:
     def __init__(self, api: Any, world: World, row: int) -> None:
         self.api, self.world, self.row = api, world, row
         self.planning_s: list[float] = []
+        self.planned: Plan | None = None  # SUMO does not tell
 
     def start(self, scene: Scene) -> None:
         """Nothing to prepare."""
@@ -75,6 +77,7 @@ class PlannerDrive:
         self.planner, self.road, self.actuator, self.world = planner, road, actuator, actuator.world
         self.row, self.route, self.rng, self.name, self.sim = row, route, rng, name, sim
         self.planning_s: list[float] = []
+        self.planned: Plan | None = None
         self._memory: Any = None
         self._states: State | None = None
         self._left_m = np.inf  # to the end of the route, once on its last edge
@@ -101,6 +104,7 @@ class PlannerDrive:
         plan, self._memory = made
         world, row = self.world, self.row
         check_plan(plan, world.xy_m[row], self.sim.model_step_s, f"target '{self.name}'")
+        self.planned = plan
         state: State = world.xy_m[row].copy(), world.yaw_rad[row].copy(), world.speed_mps[row].copy()
         length = world.size_m[row, 0]
         self._states = drive_plan(state, plan, length, self.sim.step_s, steps, Limits())

@@ -47,6 +47,8 @@ SWEEP_TABLES: Mapping[str, Mapping[str, Column]] = {
     },
     "collisions": TABLES["collisions"],
     "states": TABLES["states"],
+    "plans": TABLES["plans"],
+    "unattacked": TABLES["unattacked"],
     "timing": {**TABLES["timing"], **WORKER_COLUMNS},
     "failures": FAILURE_COLUMNS,
 }

@@ -20,7 +20,7 @@ from advdiff_sumo.sweep.store import SETTINGS, Store
 from advdiff_sumo.sweep.work import part_of, run_of
 
 _SHORTEST_KEY = 6
-_SAME = ("episodes", "collisions", "states")
+_SAME = ("episodes", "collisions", "states", "plans", "unattacked")
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from advdiff_sumo.sweep.columns import SWEEP_TABLES
 
 
 def query(folder: Path, sql: str) -> pa.Table:
-    """Return the answer to *sql* over the views episodes, states, collisions, timing and failures.
+    """Return the answer to *sql* over the views of the sweep's tables, such as episodes and states.
 
     Raises:
         MissingExtraError: DuckDB is not installed.

@@ -13,6 +13,7 @@ import pytest
 import tomli_w
 
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
+from advdiff_sumo.sim.store import PLAN_COLUMNS
 
 Row = dict[str, Any]
 _ARROW = {"str": pa.string(), "int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_()}
@@ -77,6 +78,31 @@ def drive(
         }
         for k in range(steps)
     ]
+
+
+def plan(
+    number: int, agent: str, made_s: float, points: Sequence[tuple[float, float]], dt_s: float = 0.5
+) -> list[Row]:
+    """Return the rows of one plan, whose first point is one *dt_s* ahead."""
+    return [
+        {
+            "episode": number,
+            "made_s": made_s,
+            "agent": agent,
+            "time_s": made_s + dt_s * (k + 1),
+            "x_m": x,
+            "y_m": y,
+        }
+        for k, (x, y) in enumerate(points)
+    ]
+
+
+def write_more(folder: Path, plans: Sequence[Row], unattacked: Sequence[Row] = ()) -> None:
+    """Put what was planned, and what happens without attack, beside the other tables."""
+    schema = pa.schema([(name, _ARROW[column.dtype]) for name, column in PLAN_COLUMNS.items()])
+    pq.write_table(pa.Table.from_pylist(list(plans), schema=schema), folder / "plans.parquet")
+    schema = pa.schema([field for field in _STATES if field.name != "controller"])
+    pq.write_table(pa.Table.from_pylist(list(unattacked), schema=schema), folder / "unattacked.parquet")
 
 
 def write_folder(
@@ -200,4 +226,10 @@ def sweep_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     states = drive(0, "ego", x - 15.0, y, 10.0, target=True) + drive(0, "bv", x - 15.0, y + 9.0, 10.0)
     states += drive(1, "ego", x - 15.0, y, 10.0, target=True) + moved(drive(1, "bv", x + 5.0, y, 5.0))
     states += drive(3, "ego", x - 40.0, y, 12.0, target=True) + moved(drive(3, "bv", x, y + 4.0, 3.0))
-    return write_sweep(tmp_path_factory.mktemp("sweep") / "planners", episodes, states)
+    folder = write_sweep(tmp_path_factory.mktemp("sweep") / "planners", episodes, states)
+    plans: list[Row] = []
+    for made in (0.0, 0.5, 1.0, 1.5, 2.0, 2.5):  # "bv" of episode 1 means to swerve to the north
+        ahead = x + 5.0 + 5.0 * made
+        plans += plan(1, "bv", made, [(ahead + 2.5 * (k + 1), y + 1.0 * (k + 1)) for k in range(6)])
+    write_more(folder, plans, drive(3, "ego", x - 40.0, y, 8.0, target=True))
+    return folder

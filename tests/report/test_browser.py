@@ -175,6 +175,31 @@ def test_natural_counterpart_is_drawn_until_it_is_switched_off(
     assert page.is_disabled("[data-part=natural]")
 
 
+def test_plans_are_drawn_as_they_are_at_the_moment(look: Callable[..., Any], report: Path) -> None:
+    page = look(report)
+    plans = page.evaluate(
+        "() => document.getElementById('player').player.episode.agents.map(({ id, plans }) => [id, (plans || []).map("
+        "(p) => [p.made, p.first, Array.from(p.x), Array.from(p.y)])])"
+    )
+    origin = page.evaluate("document.getElementById('player').player.episode.origin")
+    assert plans[0] == ["ego", []]
+    assert [made for made, *_ in plans[1][1]] == [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
+    made, first, x, y = plans[1][1][2]
+    assert (made, first) == (1.0, 1)
+    assert [value + origin[0] for value in x] == pytest.approx([432.5 + 2.5 * k for k in range(6)])
+    assert [value + origin[1] for value in y] == pytest.approx([411.0 + k for k in range(6)])
+    pixels = "document.querySelector('#player canvas').toDataURL()"
+    page.focus("#player")
+    page.keyboard.press("Home")
+    with_plans = page.evaluate(pixels)
+    page.keyboard.press("t")
+    assert page.get_attribute("[data-part=plans]", "aria-pressed") == "false"
+    assert page.evaluate(pixels) != with_plans
+    page.click("#episodes a[data-play='0']")  # SUMO's drivers do not tell theirs
+    page.wait_for_selector("#player[data-episode='0']")
+    assert page.is_disabled("[data-part=plans]")
+
+
 def test_filters_and_goes_through_what_is_left(look: Callable[..., Any], report: Path) -> None:
     page = look(report)
     output = "#filter output"

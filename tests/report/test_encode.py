@@ -24,6 +24,7 @@ from advdiff_sumo.report.encode import (
 )
 from advdiff_sumo.report.layer import MapLayer
 from advdiff_sumo.report.nets import RoadMap
+from advdiff_sumo.report.plans import Planned, packed_plans
 from advdiff_sumo.report.series import series_of
 from advdiff_sumo.report.states import EpisodeStates
 
@@ -131,6 +132,50 @@ def test_two_hundred_episodes_of_a_hundred_vehicles_fit() -> None:
     states = EpisodeStates(tracks, 0)
     text = episode_block(states, "v1", series_of(states, "v1"), None)
     assert 200 * len(text) < 24_000_000
+
+
+def _plans_again(
+    header: dict[str, Any], numbers: list[int]
+) -> dict[int, list[tuple[float, int, FloatArray]]]:
+    """Return by row (made, first step, positions relative to the origin) of a block's plans."""
+    found: dict[int, list[tuple[float, int, FloatArray]]] = {}
+    left = iter(numbers)
+    for series in header["series"]:
+        made, place = 0, np.array([series["x"], series["y"]])
+        for _ in range(series["n"]):
+            made, first, count = made + next(left), next(left), next(left)
+            place = place + np.array([next(left), next(left)])
+            steps = [np.cumsum(np.cumsum([next(left) for _ in range(count - 1)])) for _ in range(2)]
+            xy = np.stack([np.concatenate(([p], p + s)) for p, s in zip(place, steps, strict=True)], axis=-1)
+            found.setdefault(series["r"], []).append((made * header["dt"], first, xy / 100.0))
+    assert next(left, None) is None
+    return found
+
+
+def test_plans_come_back() -> None:
+    """The second plan of "a" starts a step late; its third is 400 m off, more than 16 bits hold."""
+    points = np.array([[400.0, 300.0], [402.5, 300.4], [405.5, 301.0]])
+    half = np.array([0.5, 1.0, 1.5])
+    plans = [
+        Planned("a", 0.0, half, points),
+        Planned("a", 1.0, 1.5 + half, points + 3.0),
+        Planned("a", 2.0, 2.0 + half, points + 400.0),
+        Planned("b", 1.0, 1.0 + half[:1], points[:1]),
+        Planned("stranger", 1.0, 1.0 + half, points),
+    ]
+    origin = np.array([10.0, 20.0])
+    header, numbers = packed_plans(plans, {"b": 0, "a": 4}, origin)
+    assert header is not None
+    assert (header["dt"], header["every"]) == (0.5, 1.0)
+    assert [series["n"] for series in header["series"]] == [2, 1, 1]
+    found = _plans_again(header, np.concatenate(numbers).tolist())
+    assert [(made, first) for made, first, _ in found[4]] == [(0.0, 1), (1.0, 2), (2.0, 1)]
+    for plan, (_, _, xy) in zip(plans, [*found[4], *found[0]], strict=False):
+        np.testing.assert_allclose(xy, plan.xy_m - origin, atol=1e-9)
+
+
+def test_no_plans_are_no_header() -> None:
+    assert packed_plans([], {"a": 0}, np.zeros(2)) == (None, [])
 
 
 def test_streets_cover_the_path_and_nothing_far(networks: Any) -> None:

@@ -86,7 +86,9 @@ def test_natural_counterpart_is_the_same_scene_and_target_in_sumos_traffic(run: 
     assert found.dt_s == pytest.approx(0.5)
     assert found.xy_m[found.index["bv"], 2] == pytest.approx((415.0, 419.0))  # 405 m, and 1 s at 10 m/s
     assert naturals.of(run.row(0)) is None  # natural itself
-    assert naturals.of(run.row(3)) is None  # its counterpart failed
+    kept = naturals.of(run.row(3))  # its counterpart failed: what the scene was cut from
+    assert kept is not None
+    assert kept.xy_m[0, -1] == pytest.approx((404.0, 410.0))
 
 
 def test_a_log_that_is_no_longer_there_is_done_without(

@@ -274,3 +274,19 @@ def test_a_fast_target_arrives_before_it_runs_off_the_net(networks: Path) -> Non
     lane = motorway.lanes[place.lane_id]
     assert lane.edge_id == route[0]
     assert place.s_m + 2.5 <= lane.length_m
+
+
+def test_plans_and_the_natural_course_are_kept(scene: SeedScene, road: RoadMap) -> None:
+    record, _ = episode(scene, road, "lane_graph", StraightOn(), horizon_s=3.0).run()
+    assert [plans.made_s for plans in record.plans] == pytest.approx([0.5 * k for k in range(6)])
+    assert all(plans.ids[0] == scene.target for plans in record.plans)
+    assert max(len(plans.ids) for plans in record.plans) > 1
+    for plans in record.plans:  # each begins where its vehicle is
+        rows = [record.tracks.index[name] for name in plans.ids]
+        now = record.tracks.xy_m[rows, round(plans.made_s / 0.1)]
+        assert (np.linalg.norm(plans.xy_m[:, 0] - now, axis=-1) < 0.5 * 20.0).all()
+    assert record.natural is not None
+    start = record.natural.xy_m[record.natural.index[scene.target], 0]
+    np.testing.assert_allclose(start, record.tracks.xy_m[record.target, 0], atol=1e-6)
+    plain, _ = episode(scene, road, horizon_s=1.0, record_natural=False).run()
+    assert (plain.plans, plain.natural) == ((), None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from advdiff_sumo.core.errors import ConfigError, FileError
-from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
+from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, MadePlans
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
 from advdiff_sumo.sim.episode import Timing
-from advdiff_sumo.sim.store import TABLES, RunFolder, states_table, timing_row
+from advdiff_sumo.sim.store import TABLES, RunFolder, natural_table, plans_table, states_table, timing_row
 
 BLANK = {"str": "word", "int64": 0, "float64": 0.5, "bool": False}
 TIMING = Timing(wall_s=0.1, target_plans_s=(0.01, 0.03))
@@ -72,6 +73,35 @@ def test_states_by_hand() -> None:
     assert table["is_target"] == [True] * 3 + [False] * 2
     assert set(table["episode"]) == {4}
     assert (table["length_m"][3], table["width_m"][3]) == (12.0, 2.5)
+
+
+def test_plans_by_hand() -> None:
+    nan = np.nan
+    first = MadePlans(
+        0.0, 0.5, ("ego", "bus7"), np.array([[[1.234, 0.0], [nan, nan]], [[nan, nan], [7.0, -0.001]]])
+    )
+    later = MadePlans(0.5, 0.5, ("ego",), np.array([[[2.0, 0.0], [3.0, 1.0]]]))
+    table = plans_table(replace(record(4), plans=(first, later))).to_pydict()
+    assert table == {
+        "episode": [4] * 4,
+        "made_s": [0.0, 0.0, 0.5, 0.5],
+        "agent": ["ego", "bus7", "ego", "ego"],
+        "time_s": [0.5, 1.0, 1.0, 1.5],
+        "x_m": [1.23, 7.0, 2.0, 3.0],
+        "y_m": [0.0, 0.0, 0.0, 1.0],
+    }
+    assert plans_table(record(4)).num_rows == 0
+
+
+def test_the_unattacked_by_hand() -> None:
+    natural = replace(record(4).tracks.rows([1, 0]), dt_s=0.5)
+    table = natural_table(replace(record(4), natural=natural)).to_pydict()
+    assert table["agent"] == ["bus7", "bus7", "ego", "ego", "ego"]
+    assert table["time_s"] == [0.5, 1.0, 0.0, 0.5, 1.0]
+    assert table["is_target"] == [False, False, True, True, True]
+    assert table["x_m"] == [8.0, 8.0, 0.0, 1.0, 2.0]
+    assert list(table) == list(TABLES["unattacked"])
+    assert natural_table(record(4)).num_rows == 0
 
 
 def test_timing_by_hand() -> None:

@@ -19,7 +19,7 @@ from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.store import Store
 from advdiff_sumo.sweep.tasks import Limits
 
-SAME_BYTES = ("episodes.parquet", "collisions.parquet", "states.parquet")
+SAME_BYTES = tuple(f"{name}.parquet" for name in ("episodes", "collisions", "states", "plans", "unattacked"))
 
 PLANNERS = '''
 import time

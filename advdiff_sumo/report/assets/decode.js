@@ -64,9 +64,26 @@ async function readEpisode(id) {
     agent.parts = block.parts(agent.p);
     agent.row = header.agents.findIndex((other) => other.id === agent.id);
   }
+  readPlans(block);
   const charts = {};
   for (const name of header.series) charts[name] = block.series(header.steps);
   return { ...header, charts, end: header.dt * (header.steps - 1) };
+}
+
+// Gives each agent its plans, in the order of time; see advdiff_sumo/report/plans.py.
+function readPlans(block) {
+  const { plans, agents } = block.header;
+  for (const { r, n, x, y } of plans?.series ?? []) {
+    const own = agents[r].plans = agents[r].plans || [];
+    let made = 0, left = x, down = y;
+    for (let k = 0; k < n; k++) {
+      made += block.next();
+      const first = block.next(), count = block.next();
+      left += block.next(); down += block.next();
+      const xs = block.smooth(left, count, PER_M), ys = block.smooth(down, count, PER_M);
+      own.push({ made: made * plans.dt, first, x: xs, y: ys });
+    }
+  }
 }
 
 async function readStreets(id) {

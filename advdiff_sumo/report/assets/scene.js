@@ -7,7 +7,7 @@ class Scene {
     this.canvas = canvas;
     this.pen = canvas.getContext("2d");
     this.ground = document.createElement("canvas");
-    this.shown = { natural: true, names: false };
+    this.shown = { natural: true, plans: true, names: false };
     this.view = { x: 0, y: 0, scale: 4 };
     this.colours();
   }
@@ -84,6 +84,7 @@ class Scene {
     pen.lineJoin = pen.lineCap = "round";
     if (this.shown.natural && episode.natural) this.drawNatural(time);
     this.drawPaths(instant);
+    if (this.shown.plans && episode.plans) this.drawPlans(time);
     const rows = [...episode.agents.keys()].filter((row) => !this.special.has(row));
     for (const row of [...rows, episode.attacker, episode.target]) if (row >= 0) this.drawAgent(row, instant);
     this.drawImpacts(time);
@@ -160,6 +161,32 @@ class Scene {
       pen.globalAlpha = this.special.has(row) ? 0.9 : 0.5;
       pen.lineWidth = (this.special.has(row) ? 3 : 2) * px;
       this.trace(agent.parts, past, instant);
+    });
+    pen.globalAlpha = 1;
+  }
+
+  // What target and vehicles near it mean to do now; of target and attacker with a circle at every step of the plan.
+  drawPlans(time) {
+    const { pen, episode, colour, view } = this, { every } = episode.plans, px = 1 / view.scale;
+    episode.agents.forEach(({ plans, parts }, row) => {
+      const plan = plans?.filter((one) => one.made <= time + 1e-6).pop();
+      if (!plan || time > plan.made + every + 1e-6) return;
+      const known = this.special.has(row), start = plan.first === 1 && poseAt(parts, plan.made / episode.dt);
+      pen.strokeStyle = this.role(row);
+      pen.globalAlpha = known ? 1 : 0.7;
+      pen.lineWidth = (known ? 2 : 1.2) * px;
+      pen.beginPath();
+      if (start) pen.moveTo(start.x, start.y);
+      plan.x.forEach((x, k) => pen.lineTo(x, plan.y[k]));
+      pen.stroke();
+      if (!known) return;
+      pen.fillStyle = colour.page;
+      plan.x.forEach((x, k) => {
+        pen.beginPath();
+        pen.arc(x, plan.y[k], 3.2 * px, 0, 2 * Math.PI);
+        pen.fill();
+        pen.stroke();
+      });
     });
     pen.globalAlpha = 1;
   }

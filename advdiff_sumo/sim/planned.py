@@ -1,0 +1,78 @@
+"""What was planned, and what would have happened without attack, thinned to the model step, for the record."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.bicycle import Limits
+from advdiff_sumo.core.plan import JointPlan, Plan, Trajectory
+from advdiff_sumo.core.record import MadePlans
+from advdiff_sumo.core.resample import resample
+from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.core.tracking import drive_controls
+from advdiff_sumo.sim.options import SimOptions
+
+#: Plans are kept so far ahead.
+AHEAD_S = 6.0
+
+
+def made_plans(scene: Scene, own: Plan | None, joint: JointPlan | None, sim: SimOptions) -> MadePlans | None:
+    """Return what was planned in *scene*, up to ``AHEAD_S`` ahead; None where nothing was.
+
+    Args:
+        scene: when the plans were made.
+        own: the target's; None when SUMO drives it.
+        joint: the background's.
+        sim: spacing, and how many vehicles are kept; the nearest ones, in the order of their distance.
+    """
+    found: dict[str, FloatArray] = {}
+    if sim.record_plans and own is not None:
+        found[scene.target_id] = _at_model_step(_own_tracks(scene, own, sim), scene.time_s, sim)[0]
+    if sim.record_plans and joint is not None and joint.tracks.agents:
+        near = _nearest(scene, joint.tracks, sim.record_plans)
+        found |= zip(near.ids, _at_model_step(near, scene.time_s, sim), strict=True)
+    known = {name: xy for name, xy in found.items() if np.isfinite(xy).any()}
+    if not known:
+        return None
+    return MadePlans(scene.time_s, sim.model_step_s, tuple(known), np.stack(list(known.values())))
+
+
+def natural_course(log: Tracks, dt_s: float) -> Tracks:
+    """Return *log* from the episode's start on, every *dt_s*, without those who are not there then."""
+    steps = max(0, int(np.floor((log.times_s[-1] if log.steps else -1.0) / dt_s + 1e-6)) + 1)
+    course = resample(log, dt_s, t0_s=0.0, steps=steps)
+    return course.rows(course.valid.any(axis=1))
+
+
+def _at_model_step(tracks: Tracks, now_s: float, sim: SimOptions) -> FloatArray:
+    """Return (A, T, 2) positions one model step after *now_s* and on; NaN where *tracks* has nobody."""
+    dt = sim.model_step_s
+    steps = max(1, round(AHEAD_S / dt))
+    return resample(tracks, dt, t0_s=now_s + dt, steps=steps).xy_m
+
+
+def _own_tracks(scene: Scene, plan: Plan, sim: SimOptions) -> Tracks:
+    """Return the target's plan as a track that begins now."""
+    now = scene.history.rows([scene.target]).window(scene.history.steps - 1, scene.history.steps)
+    if isinstance(plan, Trajectory):
+        states, dt = (plan.xy_m, plan.yaw_rad, plan.speed_mps), plan.dt_s
+    else:
+        steps, dt = round(min(len(plan.accel_mps2) * plan.dt_s, AHEAD_S) / sim.step_s), sim.step_s
+        state = now.xy_m[0, 0], now.yaw_rad[0, 0], now.speed_mps[0, 0]
+        states = drive_controls(state, plan, now.size_m[0, 0], dt, max(steps, 1), Limits())
+    xy, yaw, speed = (
+        np.concatenate((start, ahead[None]), axis=1)
+        for start, ahead in zip((now.xy_m, now.yaw_rad, now.speed_mps), states, strict=True)
+    )
+    there = np.isfinite(yaw)
+    return Tracks(now.ids, now.classes, now.size_m, xy, yaw, speed, there, scene.time_s, dt)
+
+
+def _nearest(scene: Scene, tracks: Tracks, most: int) -> Tracks:
+    """Return the *most* agents of *tracks* that are nearest to the target now; those not there yet come last."""
+    now = scene.history
+    rows = [now.index.get(name, -1) for name in tracks.ids]
+    gap = np.linalg.norm(now.xy_m[rows, -1] - now.xy_m[scene.target, -1], axis=-1)
+    gap[np.array(rows) < 0] = np.inf
+    return tracks.rows(np.argsort(np.nan_to_num(gap, nan=np.inf), kind="stable")[:most])

@@ -19,7 +19,8 @@ from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.diffusion.braking import brake, brake_ahead
 from advdiff_sumo.traffic.diffusion.futures import Futures, standing
-from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead, follow
+from advdiff_sumo.traffic.diffusion.lane_following import follow
+from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead
 
 OFF_SHARE = 0.25
 """Share of the box off the road, within the next seconds, that sends a vehicle back to its lane …"""

@@ -20,7 +20,9 @@ POLICIES = Registry(
         "sumo": "advdiff_sumo.traffic.sumo:SumoTraffic",
         "replay": "advdiff_sumo.traffic.replay:Replay",
         "diffusion": "advdiff_sumo.traffic.diffusion.policy:DiffusionTraffic",
+        "advsim": "advdiff_sumo.traffic.rivals.advsim:AdvSim",
         "strive": "advdiff_sumo.traffic.rivals.strive:Strive",
+        "adv-rl": "advdiff_sumo.traffic.rl.policy:AdvRl",
     },
 )
 """``sumo``, ``replay``, ``diffusion``, the rivals, and plug-ins of the group ``advdiff_sumo.policies``."""

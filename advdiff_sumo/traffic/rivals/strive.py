@@ -141,7 +141,7 @@ class Strive(Rival):
             finite = torch.isfinite(gradient) & start.moved[:, None]
             epsilon.grad = torch.where(finite, gradient, 0.0)
             adam.step()
-            losses.append(float(terms.total))
+            losses.append(float(terms.total.detach()))
             share = terms.share.cpu().numpy().astype(np.float64)
         return _Result(epsilon.detach(), forced, surrogate, tuple(losses), share)
 

@@ -66,18 +66,16 @@ class MapEncoder(nn.Module):
         """Return (B, A, D): what the map around each agent says to its state *h*."""
         columns = batch.map_features * self.feature_scale
         pieces = self.piece(torch.cat((0.05 * batch.map_xy.flatten(-2), columns), dim=-1))
-        query = self._heads(self.query(h))
-        key = self._heads(self.key(pieces))
-        value = self._heads(self.value(pieces))
-        score = torch.einsum("bahd,bakhd->bahk", query, key) * key.shape[-1] ** -0.5
+        query = self.query(h)
+        query = query.reshape(*query.shape[:-1], self.heads, -1) * (query.shape[-1] // self.heads) ** -0.5
+        # keys and values are linear in the pieces: each is asked for and summed up before it is made
+        key, value = (layer.weight.unflatten(0, (self.heads, -1)) for layer in (self.key, self.value))
+        score = torch.einsum("bahd,hdw->bahw", query, key) @ pieces.transpose(-1, -2)
         mask = batch.map_valid[:, :, None]
         weight = torch.softmax(score.masked_fill(~mask, -1e9), dim=-1) * mask
-        pooled = torch.einsum("bahk,bakhd->bahd", weight, value).flatten(-2)
+        pooled = torch.einsum("bahw,hdw->bahd", weight @ pieces, value).flatten(-2)
         out: Tensor = self.out(pooled)
         return out
-
-    def _heads(self, x: Tensor) -> Tensor:
-        return x.reshape(*x.shape[:-1], self.heads, -1)
 
 
 class ContextEncoder(nn.Module):

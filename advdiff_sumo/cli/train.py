@@ -92,7 +92,7 @@ def train(
         max_minutes=max_minutes,
     )
     job = prepare(plan)
-    _claim(out, resume)
+    claim(out, resume)
     done = _train(job, resume, Console(stderr=True, highlight=False))
     if done and judged and name != "simnet":  # its own figures are said when it ends
         bundle = load_bundle(out / WEIGHTS)
@@ -112,7 +112,7 @@ def _options(
     return preset(preset_name or "small", name, assignments)
 
 
-def _claim(out: Path, resume: bool) -> None:
+def claim(out: Path, resume: bool) -> None:
     """Make the folder; refuse one that holds anything, unless that is a training to go on with."""
     if resume:
         return

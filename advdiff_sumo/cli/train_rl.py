@@ -1,0 +1,105 @@
+"""``advdiff-sumo train-rl``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from advdiff_sumo.cli.run import progress_bar
+from advdiff_sumo.cli.train import claim
+from advdiff_sumo.config import set_dotted
+from advdiff_sumo.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from advdiff_sumo.rl.options import AdversaryOptions, PpoOptions
+    from advdiff_sumo.training.checkpoint import Progress as State
+    from advdiff_sumo.training.history import Record
+
+
+def train_rl(
+    out: Annotated[Path, typer.Option(help="Folder for the actor, checkpoint, curves and metrics.")],
+    net: Annotated[
+        list[str] | None,
+        typer.Option(help="SUMO net or shipped one; may be given several times.", show_default="downtown"),
+    ] = None,
+    target: Annotated[
+        list[str] | None,
+        typer.Option(help="What drives the tested vehicle; may be given several times.", show_default="IDM"),
+    ] = None,
+    steps: Annotated[
+        int,
+        typer.Option(
+            min=1, help="Decisions of the attacker, half a second each; rounded up to whole updates."
+        ),
+    ] = 50_000,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed and as many workers, same bytes.")] = 0,
+    prior: Annotated[
+        str | None,
+        typer.Option(help="Behaviour model to deviate from: simnet or traffic.", show_default="simnet"),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Environments, each in a process of its own.")] = 1,
+    assign: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", help="Any other option, as NAME=VALUE: --set ppo.n_steps=128, --set horizon_s=10."
+        ),
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in --out.")] = False,
+) -> None:
+    """Train the attacker of background adv-rl by PPO in closed loop with SUMO.
+
+    advdiff-sumo train-rl --net downtown --target lane_graph --out runs/attacker
+
+    Then: advdiff-sumo run --background adv-rl --weights runs/attacker/actor.safetensors
+
+    --out gets actor.safetensors, checkpoint.safetensors (for --resume), metrics.jsonl, curves.png and events for
+    TensorBoard. Ctrl-C leaves with the last update. Needs: pip install 'advdiff-sumo[rl]'.
+    """
+    import advdiff_sumo.rl  # noqa: F401 - first: it says which extra is missing
+    from advdiff_sumo.rl.train import ACTOR, Plan, train
+
+    given: dict[str, Any] = {"nets": net, "targets": target, "prior": prior}
+    adversary, ppo = _options({key: value for key, value in given.items() if value}, assign or [])
+    plan = Plan(out, steps, seed, adversary, ppo, workers)
+    claim(out, resume)
+    console = Console(stderr=True, highlight=False)
+    with progress_bar(console) as bar:
+        task = bar.add_task("steps", total=steps)
+
+        def tell(done: int, history: list[Record]) -> None:
+            bar.update(task, completed=done, description=_described(history))
+
+        state = train(plan, resume, tell)
+    _say(console, out / ACTOR, out, state)
+
+
+def _options(given: dict[str, Any], assignments: list[str]) -> tuple[AdversaryOptions, PpoOptions]:
+    """Return the options of the environment, and of PPO, which ``--set`` names "ppo.…"."""
+    from advdiff_sumo.rl.options import PpoOptions, adversary_options
+
+    values = dict(given)
+    for assignment in assignments:
+        set_dotted(values, assignment)
+    ppo = values.pop("ppo", {})
+    if not isinstance(ppo, dict):
+        raise ConfigError("ppo is a group of options; set one of them, such as ppo.n_steps")
+    return adversary_options(values), PpoOptions.parse(ppo, "options of ppo")
+
+
+def _described(history: list[Record]) -> str:
+    if not history or "reward" not in history[-1]["train"]:
+        return "steps"
+    last = history[-1]["train"]
+    return f"reward {last['reward']:.2f} · collisions {100.0 * last['collision']:.0f} %"
+
+
+def _say(console: Console, actor: Path, out: Path, state: State) -> None:
+    if not state.done:
+        console.print(f"stopped after {state.step} steps; go on with --resume --out {out}")
+        return
+    figures = [r["train"]["reward"] for r in state.history if "reward" in r["train"]]
+    came = f": reward {figures[0]:.2f} → {figures[-1]:.2f} an episode" if len(figures) > 1 else ""
+    console.print(f"{actor}: {state.step} steps, {len(state.history)} updates{came}", soft_wrap=True)

@@ -1,0 +1,230 @@
+"""The episode as a Gymnasium environment, seen from the attacker's seat."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import EpisodeFailure
+from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.record import EndReason
+from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.rl.options import adversary_options
+from advdiff_sumo.rl.reward import Half, mean_accel, reward_terms
+from advdiff_sumo.rl.sources import Sources
+from advdiff_sumo.sim.loop import Loop
+from advdiff_sumo.traffic.rl.actor import ACTIONS
+from advdiff_sumo.traffic.rl.features import FEATURES, LIMIT
+from advdiff_sumo.traffic.rl.prior import Prior, load_prior
+from advdiff_sumo.traffic.rl.situation import Situation, joint_plan, situation
+
+Observation = NDArray[np.float32]
+_OVER = (EndReason.HORIZON, EndReason.LOG_END)
+_TRIES = 5
+
+
+class Seat:
+    """A background policy whose attacker does what the environment was told; the loop asks it for its plans.
+
+    Attributes:
+        now: the situation that was observed last.
+        residual: (2,) what the attacker shall do in it.
+    """
+
+    def __init__(self, prior: Prior) -> None:
+        self.prior = prior
+        self.now: Situation | None = None
+        self.residual: FloatArray = np.zeros(ACTIONS)
+
+    def observe(self, road: RoadMap, scene: Scene) -> Situation:
+        """Take in what the attacker sees, and return it."""
+        before = self.now.attackers if self.now is not None else ()
+        self.now = situation(road, scene, self.prior, 1, before)
+        return self.now
+
+    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> None:  # noqa: ARG002 - the contract
+        """Forget the last episode."""
+        self.now = None
+
+    def plan(
+        self,
+        road: RoadMap,
+        scene: Scene,
+        memory: None,  # noqa: ARG002 - the contract
+        rng: np.random.Generator,  # noqa: ARG002 - the contract
+    ) -> tuple[JointPlan, None]:
+        """Return the plan for the situation that was observed."""
+        now = self.now
+        if now is None or now.view.scene.time_s != scene.time_s:
+            raise RuntimeError("the loop asks for a plan of an instant that nobody has observed")
+        residuals = np.repeat(self.residual[None], len(now.rows), axis=0)
+        return joint_plan(road, now, self.prior, residuals), None
+
+
+class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """One background vehicle against the target; a step is one model step of 0.5 s of the real episode loop.
+
+    The attacker is chosen as for background ``diffusion`` and may change from step to step; where nobody can reach
+    the target the observation is zero and the action has no effect. An action is the deviation from the behaviour
+    model's acceleration and curvature (left positive), so that zero is the behaviour model. Every plan passes the
+    safeguard of all learned policies. An episode terminates at the target's collision and at its arrival, and is
+    truncated at the horizon; ``info`` of the last step has an ``episode_summary``.
+
+    libsumo holds one simulation in a process: close an environment before another one of the same process is reset.
+
+    Args:
+        options: fields of :class:`~advdiff_sumo.rl.options.AdversaryOptions`.
+
+    Raises:
+        InputError: an option, a net or a target cannot be used.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+
+    def __init__(self, **options: Any) -> None:
+        self.options = adversary_options(options)
+        self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (FEATURES,), np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTIONS,), np.float32)
+        self.render_mode = None
+        self._sources = Sources(self.options)
+        self._seat = Seat(load_prior(self.options.prior, self.options.prior_weights))
+        self._open = ExitStack()
+        self._loop: Loop | None = None
+        self._accel_mps2, self._paid, self._done = 0.0, 0.0, 0
+
+    def reset(
+        self,
+        *,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,  # noqa: ARG002 - Gymnasium's interface
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin another episode; the same seed, the same episode.
+
+        Raises:
+            SceneError: the traffic never has a usable target.
+            SimulationError: another simulation is running in this process.
+        """
+        super().reset(seed=seed)
+        self._leave()
+        loop = self._begun()
+        self._loop = loop
+        self._accel_mps2, self._paid, self._done = 0.0, 0.0, 0
+        return self._look(loop), {"scene": loop.episode.scene.name, "target": loop.episode.names[0]}
+
+    def _begun(self) -> Loop:
+        """Return the loop of an episode that SUMO could start; a few that it could not are passed over."""
+        tries = 0
+        while True:
+            tries += 1
+            episode = self._sources.draw(self._seat, self.np_random)
+            try:
+                loop = self._open.enter_context(episode.opened())
+                loop.start()
+            except EpisodeFailure:
+                self._leave()
+                if tries == _TRIES:
+                    raise
+            else:
+                return loop
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Let half a second pass.
+
+        A failure of SUMO or of the target's planner ends the episode, truncated and unpaid; ``info`` tells it.
+
+        Raises:
+            RuntimeError: the environment has not been reset since the last episode's end.
+        """
+        loop = self.loop
+        self._seat.residual = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        longest = loop.episode.steps
+        try:
+            end = loop.run(min(loop.steps + loop.sim.substeps, longest))
+        except EpisodeFailure as error:
+            return self._failed(error)
+        terms = self._pay(loop, end)
+        reward = sum(terms.values())
+        self._paid, self._done = self._paid + reward, self._done + 1
+        truncated = end in _OVER and loop.steps >= longest
+        terminated = end not in _OVER
+        info: dict[str, Any] = {"reward_terms": terms}
+        if terminated or truncated:
+            info["episode_summary"] = self._summary(end, terms)
+        seen = self._blank() if terminated else self._look(loop)
+        if terminated or truncated:
+            self._leave()
+        return seen, reward, terminated, truncated, info
+
+    @property
+    def loop(self) -> Loop:
+        """The episode that is running.
+
+        Raises:
+            RuntimeError: there is none.
+        """
+        if self._loop is None:
+            raise RuntimeError("reset the environment before its first step and after an episode's end")
+        return self._loop
+
+    def close(self) -> None:
+        """End the simulation; allowed at any time."""
+        self._leave()
+
+    def _leave(self) -> None:
+        self._open.close()
+        self._loop = None
+
+    def _look(self, loop: Loop) -> Observation:
+        now = self._seat.observe(loop.road, loop.scene_now())
+        return now.observations[0].astype(np.float32) if len(now.rows) else self._blank()
+
+    def _blank(self) -> Observation:
+        return np.zeros(FEATURES, dtype=np.float32)
+
+    def _pay(self, loop: Loop, end: EndReason) -> dict[str, float]:
+        """Return the reward's terms of the step that has just been made."""
+        now = self._seat.now
+        names = now.attackers if now is not None else ()
+        attacker = loop.world.row_of(names[0]) if names else None
+        frames = loop.recorder.frames
+        made = min(loop.sim.substeps, len(frames) - 1)
+        half = Half(
+            frames=frames[-made - 1 :],
+            size_m=loop.world.size_m[: len(loop.world)],
+            attacker=attacker,
+            target=loop.target,
+            collided=end is EndReason.COLLISION,
+            accel_mps2=self._accel_mps2,
+            residual=self._seat.residual,
+            dt_s=loop.sim.step_s,
+        )
+        terms = reward_terms(half, self.options.reward, loop.road)
+        self._accel_mps2 = mean_accel(half, attacker) if "jerk" in terms and attacker is not None else 0.0
+        return terms
+
+    def _summary(self, end: EndReason, terms: dict[str, float]) -> dict[str, Any]:
+        hit = end is EndReason.COLLISION
+        return {
+            "reward": self._paid,
+            "steps": self._done,
+            "end": str(end),
+            "collision": float(hit),
+            "by_attacker": float(hit and terms["hit"] >= self.options.reward.hit),
+        }
+
+    def _failed(self, error: EpisodeFailure) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        summary = {
+            "reward": self._paid,
+            "steps": self._done,
+            "end": "failed",
+            "collision": 0.0,
+            "by_attacker": 0.0,
+        }
+        self._leave()
+        return self._blank(), 0.0, False, True, {"failure": str(error), "episode_summary": summary}

@@ -1,0 +1,62 @@
+"""Where the environment's episodes begin, and what drives the tested vehicle in them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.rl.options import AdversaryOptions
+from advdiff_sumo.sim.episode import Episode
+from advdiff_sumo.sim.run import Run, RunOptions
+from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.traffic.base import TrafficPolicy
+
+
+class Sources:
+    """Every net and target of an environment; nets are read at once, scenes when they are drawn.
+
+    Raises:
+        InputError: a net or target cannot be used.
+    """
+
+    def __init__(self, options: AdversaryOptions) -> None:
+        self._options = options
+        self._runs = [[self._prepared(net, target) for target in options.targets] for net in options.nets]
+        self._scenes: dict[tuple[int, int], list[SeedScene]] = {}
+
+    def _prepared(self, net: str, target: str) -> Run:
+        options = self._options
+        return Run.prepare(
+            RunOptions(
+                net=net,
+                target=target,
+                seed=options.scene_seed,
+                horizon_s=options.horizon_s,
+                scene=options.scene,
+            )
+        )
+
+    def draw(self, policy: TrafficPolicy, rng: np.random.Generator) -> Episode:
+        """Return an episode with *policy* in the background.
+
+        No simulation may be running: a scene that is drawn for the first time is made by one.
+
+        Raises:
+            SceneError: the traffic never has a usable target.
+        """
+        net = int(rng.integers(len(self._runs)))
+        run = self._runs[net][int(rng.integers(len(self._runs[net])))]
+        number = int(rng.integers(self._options.scenes))
+        seed = SeedTree(int(rng.integers(2**31))).child("adversary")
+        scene = self._scene(net, number)
+        made = run.episode(number, scene)
+        return replace(made, policy=policy, names=(made.names[0], "adv-rl"), seed=seed)
+
+    def _scene(self, net: int, number: int) -> SeedScene:
+        batch, place = divmod(number, self._options.scene.scenes_per_warmup)
+        if (net, batch) not in self._scenes:
+            self._scenes[net, batch] = self._runs[net][0].scene_batch(batch)
+        scenes = self._scenes[net, batch]
+        return scenes[place % len(scenes)]

@@ -1,0 +1,148 @@
+"""Trains an attacker by PPO: in a folder, resumable, and out comes an actor that needs PyTorch alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+from stable_baselines3 import PPO
+from stable_baselines3.common.utils import configure_logger
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+
+from advdiff_sumo.core.errors import WeightsError
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.rl import ENVIRONMENT
+from advdiff_sumo.rl.options import AdversaryOptions, PpoOptions
+from advdiff_sumo.rl.ppo import actor_net, new_ppo
+from advdiff_sumo.rl.watch import Tell, Watch
+from advdiff_sumo.traffic.rl.actor import Actor, save_actor
+from advdiff_sumo.training import checkpoint, history
+from advdiff_sumo.training.interrupt import graceful
+
+STAGE = "adv-rl"
+ACTOR = "actor.safetensors"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A training.
+
+    Attributes:
+        out: its folder.
+        steps: steps of all environments together.
+        seed: of everything that is drawn.
+        adversary: options of the environment.
+        ppo: hyper-parameters.
+        workers: environments, each in a process of its own where there are several.
+    """
+
+    out: Path
+    steps: int
+    seed: int
+    adversary: AdversaryOptions
+    ppo: PpoOptions
+    workers: int = 1
+
+    def options(self) -> dict[str, Any]:
+        """Return what has to be the same when the training goes on."""
+        return {"adversary": self.adversary.model_dump(mode="json"), "ppo": self.ppo.model_dump(mode="json")}
+
+
+def train(plan: Plan, resume: bool, tell: Tell) -> checkpoint.Progress:
+    """Train, or go on; the folder gets the actor, a checkpoint, metrics.jsonl, curves.png and TensorBoard events.
+
+    An update is the unit: what was collected since the last one is lost by an interrupt, and a training that goes on
+    begins new episodes. The same seed gives the same weights as long as it is not interrupted.
+
+    Raises:
+        InputError: the options cannot be used, or the folder's checkpoint is another training's.
+    """
+    progress = checkpoint.Progress(STAGE, plan.options(), data="")
+    groups: dict[str, Any] = {}
+    if resume:
+        progress, groups = checkpoint.load(plan.out)
+        if progress.stage != STAGE or progress.options != plan.options():
+            raise WeightsError(
+                plan.out / checkpoint.NAME,
+                "is of a training with other options",
+                "resume without changing them",
+            )
+    seed = SeedTree(plan.seed).child("ppo", progress.step)
+    envs = make_envs(plan.adversary, plan.workers)
+    try:
+        model = new_ppo(envs, plan.ppo, seed.integer())
+        if groups:
+            model.policy.load_state_dict(groups["policy"])
+            checkpoint.restore_optimiser(model.policy.optimizer, groups["optimiser"])
+        _learn(model, plan, progress, tell)
+    finally:
+        envs.close()
+    return progress
+
+
+def _learn(model: PPO, plan: Plan, progress: checkpoint.Progress, tell: Tell) -> None:
+    events = history.open_events(plan.out / "events", progress.step) or history.NoEvents()
+
+    def save() -> None:
+        progress.step, progress.epoch = model.num_timesteps, len(progress.history)
+        progress.done = progress.step >= plan.steps
+        for name, value in progress.history[-1]["train"].items():
+            events.add_scalar(f"train/{name}", value, progress.step)
+        write(model, plan, progress)
+
+    model.num_timesteps = progress.step
+    model.set_logger(configure_logger(verbose=0, tensorboard_log=None))
+    with graceful() as wish:
+        watch = Watch(progress.history, save, tell, wish)
+        left = plan.steps - progress.step
+        if left > 0:
+            model.learn(left, callback=watch, log_interval=None, reset_num_timesteps=False)
+    events.close()
+    if not progress.history:
+        write(model, plan, progress)
+
+
+def write(model: PPO, plan: Plan, progress: checkpoint.Progress) -> None:
+    """Write checkpoint, actor and curves."""
+    policy = model.policy
+    groups = {
+        "policy": policy.state_dict(),
+        "optimiser": checkpoint.optimiser_tensors(policy.optimizer),
+    }
+    checkpoint.save(plan.out, progress, groups)
+    actor = Actor(actor_net(model, plan.ppo), plan.ppo.hidden, plan.adversary.prior, _notes(plan, progress))
+    save_actor(actor, plan.out / ACTOR)
+    if progress.history:
+        history.write_lines(plan.out / "metrics.jsonl", progress.history)
+        history.draw_curves(plan.out / "curves.png", STAGE, progress.history)
+
+
+def _notes(plan: Plan, progress: checkpoint.Progress) -> dict[str, Any]:
+    adversary = plan.adversary
+    return {
+        "steps": progress.step,
+        "seed": plan.seed,
+        "nets": list(adversary.nets),
+        "targets": list(adversary.targets),
+        "scenes": adversary.scenes,
+        "horizon_s": adversary.horizon_s,
+    }
+
+
+def make_envs(options: AdversaryOptions, workers: int) -> VecEnv:
+    """Return *workers* environments: libsumo holds one simulation in a process, so several are several processes."""
+    values = options.model_dump()
+    makers = [_maker(values) for _ in range(workers)]
+    return DummyVecEnv(makers) if workers == 1 else SubprocVecEnv(makers, start_method="spawn")
+
+
+def _maker(values: dict[str, Any]) -> Callable[[], gymnasium.Env[Any, Any]]:
+    def make() -> gymnasium.Env[Any, Any]:
+        import advdiff_sumo.rl  # noqa: F401 - a new process knows no environment yet
+
+        return gymnasium.make(ENVIRONMENT, disable_env_checker=True, **values)
+
+    return make

@@ -1,0 +1,156 @@
+"""What an attacker observes: a fixed list of numbers in its own frame (x forward, y left), scaled to about one."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.boxes import axis_gaps
+from advdiff_sumo.core.frames import local_from_world, unit, wrap_angle
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.models.options import MODEL_STEP_S
+from advdiff_sumo.traffic.diffusion.futures import Futures
+from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead
+
+OTHERS: Final = 3
+"""Nearest road users besides the target that are observed."""
+LIMIT: Final = 5.0
+"""Every feature is clipped to ± this."""
+_AHEAD_M = (10.0, 20.0, 30.0)
+_LATER_STEPS = (2, 4, 6)
+_OWN, _LANE, _TARGET, _OTHER = 7, 7, 22, 8
+FEATURES: Final = _OWN + _LANE + _TARGET + OTHERS * _OTHER
+"""Numbers of an observation."""
+
+
+def observe(
+    road: RoadMap,
+    now: Tracks,
+    natural: Futures,
+    row: int,
+    lane: LaneAhead | None,
+    action: tuple[float, float],
+) -> FloatArray:
+    """Return the observation (F,) of one vehicle.
+
+    Args:
+        road: the map.
+        now: histories of the view, the target first.
+        natural: everybody's future by the behaviour model, from now on.
+        row: the vehicle.
+        lane: the lane that it would follow; None where it is on none.
+        action: acceleration (m/s²) and curvature (1/m) that the behaviour model takes next.
+    """
+    parts = (
+        _own(now, row, action),
+        _lane(road, now, row, lane),
+        _target(now, natural, row),
+        _others(natural, row),
+    )
+    seen = np.nan_to_num(np.concatenate(parts), nan=0.0, posinf=LIMIT, neginf=-LIMIT)
+    return np.asarray(np.clip(seen, -LIMIT, LIMIT), dtype=np.float64)
+
+
+def _own(now: Tracks, row: int, action: tuple[float, float]) -> FloatArray:
+    """Return speed, acceleration, yaw rate, size, and what comes next by nature (7)."""
+    speed = now.speed_mps[row, -1]
+    accel, turn = _rates(now, row)
+    lateral = action[1] * speed**2
+    length, width = now.size_m[row]
+    return np.array(
+        [0.1 * speed, 0.25 * accel, 2.0 * turn, 0.2 * length, 0.5 * width, 0.25 * action[0], 0.5 * lateral]
+    )
+
+
+def _rates(now: Tracks, row: int) -> tuple[float, float]:
+    """Return the last acceleration and yaw rate; 0 where the past is not known."""
+    if now.steps < 2 or not now.valid[row, -2]:
+        return 0.0, 0.0
+    accel = (now.speed_mps[row, -1] - now.speed_mps[row, -2]) / now.dt_s
+    turn = float(wrap_angle(now.yaw_rad[row, -1] - now.yaw_rad[row, -2])) / now.dt_s
+    return float(accel), turn
+
+
+def _lane(road: RoadMap, now: Tracks, row: int, lane: LaneAhead | None) -> FloatArray:
+    """Return offset, heading error, the lane's turn ahead, and the room to the road's edge (7)."""
+    xy, yaw = now.xy_m[row, -1], now.yaw_rad[row, -1]
+    edge = 0.2 * float(road.drivable_edge_distance(xy[None])[0])
+    if lane is None:
+        return np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, edge])
+    heading = np.array([_heading(lane, ahead) for ahead in (0.0, *_AHEAD_M)])
+    turn = wrap_angle(heading[1:] - heading[0])
+    error = float(wrap_angle(yaw - heading[0]))
+    return np.array([1.0, 0.5 * lane.offset_m, 2.0 * error, *turn, edge])
+
+
+def _heading(lane: LaneAhead, ahead_m: float) -> float:
+    """Return the heading of the lanes *ahead_m* on; at their end, that of the last one."""
+    s = lane.s_m + ahead_m
+    for driven in lane.lanes:
+        if s <= driven.length_m:
+            return float(driven.line.at(s)[1])
+        s -= driven.length_m
+    return float(lane.lanes[-1].line.at(lane.lanes[-1].length_m)[1])
+
+
+def _target(now: Tracks, natural: Futures, row: int) -> FloatArray:
+    """Return where the target is, how it moves, and where it would be by nature, seen from *row* (22)."""
+    accel, turn = _rates(now, 0)
+    length, width = now.size_m[0]
+    xy, yaw = natural.xy_m, natural.yaw_rad
+    later = [local_from_world(xy[0, k], xy[row, k], yaw[row, k]) for k in _LATER_STEPS]
+    apart = np.linalg.norm(xy[0] - xy[row], axis=-1)
+    closest = int(apart.argmin())
+    return np.array(
+        [
+            *_relative(natural, row, 0),
+            np.exp(-0.1 * apart[0]),
+            0.1 * gap_m(natural, row, 0),
+            0.25 * accel,
+            2.0 * turn,
+            0.2 * length,
+            0.5 * width,
+            *(0.05 * np.concatenate(later)),
+            0.05 * apart[closest],
+            closest * MODEL_STEP_S / 4.0,
+            0.1 * natural.speed_mps[0, 0],
+        ]
+    )
+
+
+def _relative(natural: Futures, row: int, other: int) -> FloatArray:
+    """Return place, heading, relative velocity and presence (7) of *other* as seen from *row*, now."""
+    yaw = natural.yaw_rad[row, 0]
+    place = local_from_world(natural.xy_m[other, 0], natural.xy_m[row, 0], yaw)
+    moves = natural.speed_mps[other, 0] * unit(natural.yaw_rad[other, 0])
+    moves = moves - natural.speed_mps[row, 0] * unit(yaw)
+    seen = local_from_world(moves, np.zeros(2), yaw)
+    turned = natural.yaw_rad[other, 0] - yaw
+    return np.array([*(0.05 * place), np.cos(turned), np.sin(turned), *(0.1 * seen), 1.0])
+
+
+def _others(natural: Futures, row: int) -> FloatArray:
+    """Return the nearest others, the target left out, nearest first (OTHERS × 8); zero where there are none."""
+    apart = np.linalg.norm(natural.xy_m[:, 0] - natural.xy_m[row, 0], axis=-1)
+    apart[[0, row]] = np.inf
+    out = np.zeros((OTHERS, _OTHER))
+    for place, other in enumerate(np.argsort(apart, kind="stable")[:OTHERS].tolist()):
+        if np.isfinite(apart[other]):
+            out[place] = (*_relative(natural, row, other), 0.2 * natural.size_m[other, 0])
+    return out.ravel()
+
+
+def gap_m(natural: Futures, row: int, other: int) -> float:
+    """Return the room between the boxes of two vehicles now: the largest separation along any of their axes."""
+    half = 0.5 * natural.size_m
+    gaps = axis_gaps(
+        natural.xy_m[other, 0] - natural.xy_m[row, 0],
+        natural.yaw_rad[row, 0],
+        half[row],
+        natural.yaw_rad[other, 0],
+        half[other],
+    )[0]
+    return float(gaps.max())

@@ -1,0 +1,25 @@
+"""Options of ``adv-rl``, in the words of a user."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from advdiff_sumo.config import Options
+
+
+class AdvRlOptions(Options):
+    """Options of ``adv-rl``.
+
+    Attributes:
+        weights: an actor of ``advdiff-sumo train-rl``; empty: the shipped one.
+        prior_weights: networks of the behaviour model, of the kind that the actor names; empty: the shipped ones.
+        strength: share of the actor's deviation from the behaviour model that is driven; 0 is the behaviour model.
+        attackers: most vehicles that the actor drives at a time; it was trained as one.
+        threads: of PyTorch on the CPU, for the whole process.
+    """
+
+    weights: str = ""
+    prior_weights: str = ""
+    strength: float = Field(1.0, ge=0.0, le=1.0)
+    attackers: int = Field(1, ge=1, le=8)
+    threads: int = Field(1, ge=1, le=64)

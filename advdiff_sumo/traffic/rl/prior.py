@@ -1,0 +1,78 @@
+"""The behaviour model that everybody drives by, and from which an attacker deviates."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal, Protocol, TypeAlias
+
+import torch
+
+from advdiff_sumo.diffusion.fast_decoder import FastDecoder
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.bundle import load_bundle
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.shipped import shipped_weights
+from advdiff_sumo.models.simnet_file import load_simnet
+
+PriorName: TypeAlias = Literal["simnet", "traffic"]
+PLAN_STEPS = 8
+"""Model steps of a plan: one is driven, the safeguard looks at six, the choice of attackers at all."""
+
+
+class Prior(Protocol):
+    """Everybody's natural future.
+
+    Attributes:
+        options: with the bounds of its actions.
+    """
+
+    options: ModelOptions
+
+    def rollout(self, batch: SceneBatch) -> Rollout:
+        """Return the futures (B, A, ``PLAN_STEPS``) of all agents; the same for the same scene."""
+        ...
+
+
+class SimNetPrior:
+    """SimNet: behaviour cloning, one action after the other (the paper's choice)."""
+
+    def __init__(self, path: Path) -> None:
+        self._net = load_simnet(path).eval().requires_grad_(False)
+        self.options = self._net.options
+
+    def rollout(self, batch: SceneBatch) -> Rollout:
+        """Return what SimNet would do."""
+        with torch.no_grad():
+            made: Rollout = self._net(batch, PLAN_STEPS)
+        return made
+
+
+class TrafficPrior:
+    """The traffic model's decoder at the mean of its prior over latents."""
+
+    def __init__(self, path: Path) -> None:
+        bundle = load_bundle(path).frozen()
+        self._encoder, self._decoder = bundle.traffic.encoder, FastDecoder(bundle.traffic.decoder)
+        self.options = bundle.options.model
+
+    def rollout(self, batch: SceneBatch) -> Rollout:
+        """Return what the traffic model finds most likely."""
+        with torch.no_grad():
+            context = self._encoder(batch)
+        return self._decoder.whole(context.prior.mean, context.h, batch, PLAN_STEPS)[0]
+
+
+@lru_cache(maxsize=4)
+def load_prior(name: PriorName, weights: str = "") -> Prior:
+    """Return the behaviour model of that kind, from the file *weights* or the shipped ones; read once a process.
+
+    Raises:
+        WeightsError: the file is missing or unusable.
+    """
+    kinds: dict[PriorName, type[SimNetPrior | TrafficPrior]] = {
+        "simnet": SimNetPrior,
+        "traffic": TrafficPrior,
+    }
+    return kinds[name](Path(weights) if weights else shipped_weights(name))

@@ -1,0 +1,116 @@
+"""The environment: what Gymnasium and stable-baselines3 check, and that it is the real episode."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_for_training
+
+from advdiff_sumo.core.errors import ConfigError, NetError, SimulationError, UnknownNameError
+from advdiff_sumo.core.record import EndReason
+from advdiff_sumo.rl import ENVIRONMENT
+from advdiff_sumo.rl.env import AdversaryEnv
+from advdiff_sumo.traffic.rl.actor import save_actor
+from advdiff_sumo.traffic.rl.policy import AdvRl
+from tests.traffic.rl.conftest import actor
+
+IDLE = np.zeros(2, dtype=np.float32)
+
+
+@pytest.fixture(scope="module")
+def env(settings: dict[str, Any]) -> Iterator[AdversaryEnv]:
+    made = gymnasium.make(ENVIRONMENT, **settings).unwrapped
+    assert isinstance(made, AdversaryEnv)
+    yield made
+    made.close()
+
+
+def test_it_passes_the_checkers(env: AdversaryEnv) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # what they only warn of counts too
+        check_env(env)
+        check_for_training(env)
+
+
+def test_its_name_works_without_an_import(settings: dict[str, Any]) -> None:
+    """Gymnasium imports what stands before the colon; importing the package itself registers nothing."""
+    made = gymnasium.make(f"advdiff_sumo.rl:{ENVIRONMENT}", **settings)
+    assert isinstance(made.unwrapped, AdversaryEnv)
+    made.close()
+
+
+def walk(env: AdversaryEnv, seed: int, action: np.ndarray) -> list[tuple[bytes, float]]:
+    seen, _ = env.reset(seed=seed)
+    out, over = [(seen.tobytes(), 0.0)], False
+    while not over:
+        seen, reward, terminated, truncated, _ = env.step(action)
+        assert seen in env.observation_space
+        out.append((seen.tobytes(), reward))
+        over = terminated or truncated
+    return out
+
+
+def test_the_same_seed_is_the_same_episode(env: AdversaryEnv) -> None:
+    push = np.array([0.5, -0.3], dtype=np.float32)
+    first = walk(env, 7, push)
+    assert first == walk(env, 7, push)
+    assert first != walk(env, 7, IDLE)
+
+
+def test_an_idle_attacker_is_the_untrained_policy(
+    env: AdversaryEnv, settings: dict[str, Any], tmp_path: Path
+) -> None:
+    """An episode with the action zero throughout is, to the byte, one of background adv-rl at strength 0."""
+    env.reset(seed=3)
+    loop = env.loop
+    for number in range(6):
+        _, _, terminated, truncated, info = env.step(IDLE)
+        assert not terminated
+        assert truncated == (number == 5), "3 s are six steps"
+    assert info["episode_summary"]["steps"] == 6
+    stepped = loop.record(EndReason.HORIZON, None)
+    save_actor(actor(0.7), tmp_path / "a.safetensors")
+    policy = AdvRl(
+        weights=str(tmp_path / "a.safetensors"), prior_weights=settings["prior_weights"], strength=0.0
+    )
+    record, timing = replace(loop.episode, policy=policy).run()
+    assert record.failure is None
+    assert record.tracks.ids == stepped.tracks.ids
+    assert record.tracks.xy_m.tobytes() == stepped.tracks.xy_m.tobytes()
+    assert (record.controller == stepped.controller).all()
+    assert len(timing.background_plans_s) == 6
+
+
+def test_an_episode_is_stepped_only_while_it_runs(env: AdversaryEnv, settings: dict[str, Any]) -> None:
+    env.close()
+    with pytest.raises(RuntimeError, match="reset the environment"):
+        env.step(IDLE)
+    env.reset(seed=0)
+    second = AdversaryEnv(**settings)
+    with pytest.raises(SimulationError, match="a second SUMO simulation"):
+        second.reset(seed=0)
+    env.close()
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "problem"),
+    [
+        ({"net": "downtown"}, ConfigError, "no option 'net'; did you mean 'nets'"),
+        ({"horizon_s": 0.3}, ConfigError, "horizon_s = 0.3"),
+        ({"nets": "moon"}, NetError, "moon"),
+        ({"targets": "IDN"}, UnknownNameError, "did you mean 'IDM'"),
+        ({"reward": {"hitt": 1.0}}, ConfigError, "reward.hit"),
+    ],
+)
+def test_bad_options_are_refused(wrong: dict[str, Any], error: type[Exception], problem: str) -> None:
+    with pytest.raises(error, match=problem):
+        AdversaryEnv(**wrong)

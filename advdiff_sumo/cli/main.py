@@ -23,6 +23,7 @@ from advdiff_sumo.cli.results import results
 from advdiff_sumo.cli.run import run
 from advdiff_sumo.cli.sweep import sweep
 from advdiff_sumo.cli.train import train
+from advdiff_sumo.cli.train_rl import train_rl
 from advdiff_sumo.cli.video import video
 from advdiff_sumo.cli.warmup import warmup
 from advdiff_sumo.core.errors import AdvdiffError
@@ -47,6 +48,7 @@ app.command("figure")(figure)
 app.command("video")(video)
 app.add_typer(data)
 app.command("train")(train)
+app.command("train-rl")(train_rl)
 app.command("evaluate")(evaluate)
 app.command("warmup")(warmup)
 app.command("export")(export)

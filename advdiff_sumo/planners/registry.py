@@ -17,9 +17,12 @@ TARGETS = Registry(
     builtins={
         **dict.fromkeys(CAR_FOLLOWING, "advdiff_sumo.planners.sumo:sumo_driver"),
         "lane_graph": "advdiff_sumo.planners.lane_graph:LaneGraphPlanner",
+        "simnet": "advdiff_sumo.planners.learned:SimNetPlanner",
+        "trafficsim": "advdiff_sumo.planners.learned:TrafficSimPlanner",
+        "diffusion": "advdiff_sumo.planners.learned:DiffusionPlanner",
     },
 )
-"""SUMO's car-following models, ``lane_graph``, and plug-ins of the group ``advdiff_sumo.planners``."""
+"""SUMO's models, ``lane_graph``, the learned targets, and plug-ins of the group ``advdiff_sumo.planners``."""
 
 
 def make_target(name: str, options: Mapping[str, Any]) -> Target:

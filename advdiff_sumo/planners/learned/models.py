@@ -1,0 +1,169 @@
+"""The three models, each as something that tells joint futures of what is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import ConfigError, WeightsError
+from advdiff_sumo.diffusion.fast_decoder import FastDecoder
+from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
+from advdiff_sumo.diffusion.sampler import Sampling, draw, sample
+from advdiff_sumo.diffusion.schedule import Schedule
+from advdiff_sumo.models.bundle import Bundle, load_bundle
+from advdiff_sumo.models.codec import LatentCodec
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.shipped import shipped_weights
+from advdiff_sumo.models.simnet import SimNet
+from advdiff_sumo.models.simnet_file import load_simnet
+from advdiff_sumo.models.view import View
+from advdiff_sumo.planners.learned.options import DiffusionPlannerOptions
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a model tells.
+
+    Attributes:
+        rollout: S joint futures of the view's agents, as S scenes.
+        noise: of the diffusion, per sample and id what it was started from; empty for the other models.
+    """
+
+    rollout: Rollout
+    noise: tuple[Mapping[str, FloatArray], ...] = field(default=())
+
+
+class Model(Protocol):
+    """A trained model that knows no route."""
+
+    def tell(
+        self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator, steps: int
+    ) -> Told:
+        """Return joint futures of *steps* model steps, going on from the last plan's *noise* where that is used."""
+        ...
+
+
+class SimNetModel:
+    """SimNet: one future, nothing is drawn.
+
+    Args:
+        weights: a file of SimNet; empty: the shipped one.
+        device: where it runs.
+    """
+
+    def __init__(self, weights: str, device: torch.device) -> None:
+        self._device = device
+        self._simnet = _simnet(weights or str(shipped_weights("simnet")), device)
+
+    @torch.no_grad()
+    def tell(
+        self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator, steps: int
+    ) -> Told:
+        """Return the one future."""
+        del noise, generator
+        rollout: Rollout = self._simnet(view.batch.to(self._device), steps)
+        return Told(rollout)
+
+
+class TrafficSimModel:
+    """The joint latent-variable model: the prior's mean, and draws from it.
+
+    Args:
+        weights: a bundle; empty: the shipped one.
+        device: where it runs.
+        draws: how many beside the mean.
+    """
+
+    def __init__(self, weights: str, device: torch.device, draws: int) -> None:
+        self._device, self._draws = device, draws
+        self._bundle, self._decoder = _bundle(weights or str(shipped_weights()), device)
+
+    @torch.no_grad()
+    def tell(
+        self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator, steps: int
+    ) -> Told:
+        """Return the future of the prior's mean, then those of the draws."""
+        del noise
+        batch = view.batch.to(self._device)
+        context = self._bundle.traffic.encoder(batch)
+        z = [context.prior.mean, *(context.prior.sample(generator) for _ in range(self._draws))]
+        h = context.h.expand(len(z), -1, -1)
+        return Told(self._decoder.whole(torch.cat(z), h, batch.repeat(len(z)), steps)[0])
+
+
+class DiffusionModel:
+    """Latent diffusion without a guide.
+
+    Args:
+        options: of the target.
+        device: where it runs.
+
+    Raises:
+        WeightsError: the bundle diffuses trajectories.
+        ConfigError: more steps than the networks were trained with.
+    """
+
+    def __init__(self, options: DiffusionPlannerOptions, device: torch.device) -> None:
+        path = options.weights or str(shipped_weights())
+        self._options, self._device = options, device
+        self._bundle, self._decoder = _bundle(path, device)
+        codec = self._bundle.codec
+        if not isinstance(codec, LatentCodec):
+            raise WeightsError(
+                Path(path), "diffuses trajectories, not latents", "give weights of codec latent"
+            )
+        self._codec = codec
+        self._schedule = Schedule(self._bundle.options.diffusion_steps, self._bundle.options.schedule)
+        if options.steps > self._schedule.steps:
+            raise ConfigError(
+                f"options of target 'diffusion': steps = {options.steps}: "
+                f"the networks were trained with {self._schedule.steps}; ask for at most so many"
+            )
+        self._denoiser = FastDenoiser(self._bundle.denoiser, self._schedule.ladder(options.steps)[:-1])
+
+    @torch.no_grad()
+    def tell(
+        self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator, steps: int
+    ) -> Told:
+        """Return the futures of all samples; the first goes on from the last plan's noise."""
+        options = self._options
+        batch = view.batch.to(self._device)
+        context = self._bundle.traffic.encoder(batch).repeat(options.samples)
+        start = self._start(view, noise, generator)
+        sampling = Sampling(steps=options.steps, eta=0.0)
+        x = sample(
+            self._denoiser.condition(context), start.to(self._device), self._schedule, sampling, generator
+        )
+        z = self._codec.unscale(x)[:, :, 0]
+        rollout = self._decoder.whole(z, context.h, batch.repeat(options.samples), steps)[0]
+        kept = start[:, :, 0].numpy().astype(np.float64)
+        return Told(rollout, tuple(dict(zip(view.ids, rows, strict=True)) for rows in kept))
+
+    def _start(self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator) -> Tensor:
+        """Return standard normal noise (S, A, 1, Z)."""
+        latent, share = self._bundle.options.model.latent, self._options.persistence
+        fresh = draw(torch.zeros(self._options.samples, len(view.ids), 1, latent), generator)
+        for row, name in enumerate(view.ids):
+            if name in noise:
+                old = torch.from_numpy(noise[name]).to(fresh.dtype)
+                fresh[0, row, 0] = share * old + (1.0 - share**2) ** 0.5 * fresh[0, row, 0]
+        return fresh
+
+
+@lru_cache(maxsize=2)
+def _simnet(path: str, device: torch.device) -> SimNet:
+    return load_simnet(Path(path)).eval().requires_grad_(False).to(device)
+
+
+@lru_cache(maxsize=2)
+def _bundle(path: str, device: torch.device) -> tuple[Bundle, FastDecoder]:
+    bundle = load_bundle(Path(path)).frozen().to(device)
+    return bundle, FastDecoder(bundle.traffic.decoder)

@@ -1,8 +1,8 @@
 """The denoiser for run time: what does not depend on the noisy sample is worked out beforehand.
 
 The same network as ``models.denoiser`` with the same weights, equal up to rounding. (k_s, k_b) of every AdaGN are
-kept for the steps of one ladder, what relative poses and the context say in the coupling once a plan, the condition's
-convolution too, and convolutions are matrix products, which for a few dozen vehicles is several times as fast as the library's convolution.
+kept for the steps of one ladder, what relative poses and the context say in the coupling once a plan, the
+condition's convolution too, and convolutions are matrix products, which for a few dozen vehicles is several times as fast as the library's convolution.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class FastDenoiser:
         weight, bias = self._state
         if self._coupling is None:
             fixed = torch.addmm(bias, context.h.flatten(0, 1), weight)[..., None]
-            return lambda x, k: fixed
+            return lambda _x, _k: fixed
         coupled = self._coupling(context)
         return lambda x, k: torch.addmm(bias, coupled(x, k).flatten(0, 1), weight)[..., None]
 

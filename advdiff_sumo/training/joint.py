@@ -47,7 +47,11 @@ class JointStage:
     def __init__(self, bundle: Bundle, elbo_options: ElboOptions, options: CollisionOptions) -> None:
         self._bundle, self.elbo_options, self.options = bundle, elbo_options, options
         self.schedule = schedule_of(bundle)
-        parts = {"traffic": bundle.traffic, "denoiser": bundle.denoiser, "codec": bundle.codec}
+        parts = {"denoiser": bundle.denoiser, "codec": bundle.codec}
+        if options.traffic:
+            parts["traffic"] = bundle.traffic
+        else:
+            bundle.traffic.eval().requires_grad_(False)
         self.module: nn.Module = nn.ModuleDict(parts)
         self.beside: nn.Module = nn.Module()
 
@@ -76,12 +80,11 @@ class JointStage:
         self, batch: SceneBatch, k: Tensor, share: float, generator: torch.Generator
     ) -> dict[str, Tensor]:
         bundle, options = self._bundle, self.options
-        encoded = encode(bundle.traffic, batch, generator)
-        terms = elbo(encoded, batch, self.elbo_options, share)
+        terms, rollouts, context = self._likely(batch, share, generator)
         with torch.no_grad():
-            x0 = clean(bundle, batch, encoded.context, generator)
-        terms["noise"] = noise_loss(bundle.denoiser, x0, encoded.context, batch, self.schedule, k, generator)
-        rollouts = [(encoded.rollout, 1.0), *self.sampled(encoded.context, batch, generator)]
+            x0 = clean(bundle, batch, context, generator)
+        terms["noise"] = noise_loss(bundle.denoiser, x0, context, batch, self.schedule, k, generator)
+        rollouts += self.sampled(context, batch, generator)
         terms["vehicles"] = torch.stack([w * vehicle_penalty(r, batch) for r, w in rollouts]).mean()
         terms["road"] = torch.stack([w * road_penalty(r, batch) for r, w in rollouts]).mean()
         terms["loss"] = (
@@ -91,6 +94,17 @@ class JointStage:
             + options.road * terms["road"]
         )
         return terms
+
+    def _likely(
+        self, batch: SceneBatch, share: float, generator: torch.Generator
+    ) -> tuple[dict[str, Tensor], list[tuple[Rollout, float]], Context]:
+        """Return the ELBO's terms, the posterior's futures and the context; of a fixed traffic model the last."""
+        traffic = self._bundle.traffic
+        if not self.options.traffic:
+            with torch.no_grad():
+                return {"loss": batch.past.new_zeros(())}, [], traffic.encoder(batch)
+        encoded = encode(traffic, batch, generator)
+        return elbo(encoded, batch, self.elbo_options, share), [(encoded.rollout, 1.0)], encoded.context
 
     def sampled(
         self, context: Context, batch: SceneBatch, generator: torch.Generator

@@ -59,7 +59,7 @@ class ArrayDecoder:
 
             def hear(node: Tensor, motion: Motion) -> tuple[Tensor, list[Heard]]:
                 state = [part.reshape(shape) for part in (motion.x, motion.y, motion.yaw, motion.speed)]
-                seen.append(np.stack(state, axis=-1))
+                seen.append(state)
                 said = []
                 for layer, message in zip(self.weights.layers, self.edges.of(*state), strict=True):
                     receiver, sender = layer.ends(node)
@@ -73,7 +73,7 @@ class ArrayDecoder:
             taken, _ = self._roll(z, h, cars_of(batch, None, self.options), steps, hear)
             said = torch.stack(senders)
         # out of inference mode, so that autograd may see what is made of it
-        trace = Trace(torch.from_numpy(np.stack(seen)), torch.from_numpy(said.numpy()))
+        trace = Trace(torch.from_numpy(np.moveaxis(np.array(seen), 1, -1)), torch.from_numpy(said.numpy()))
         return _rollout(taken, shape), trace
 
     def some(
@@ -112,15 +112,17 @@ class ArrayDecoder:
         hear: Callable[[Tensor, Motion], tuple[Tensor, list[Heard]]],
     ) -> _Step:
         w, width = self.weights, self.weights.width
-        held = torch.addmm(w.held_bias, memory, w.held.t())
+        held = torch.addmm(w.held_bias, memory, w.held_t)
         node = held[:, :width] + given
-        node = node.addmm_(torch.from_numpy(cars.features(motion)), w.motion.t()).relu_()
+        node = node.addmm_(torch.from_numpy(cars.features(motion)), w.motion_t).relu_()
         mixed, heard = hear(node, motion)
-        told = torch.addmm(w.told_bias, mixed, w.told.t())
+        told = torch.addmm(w.told_bias, mixed, w.told_t)
         hidden = told[:, :width].relu()
-        driven = drive(cars, torch.addmm(w.act_bias, hidden, w.act.t()).numpy(), motion)
-        done = self._scale * np.stack((driven.accel, driven.curvature), axis=-1)
-        gates = told[:, width:].addmm_(torch.from_numpy(done), w.done.t())
+        driven = drive(cars, torch.addmm(w.act_bias, hidden, w.act_t).numpy(), motion)
+        done = np.empty((len(driven.accel), 2), driven.accel.dtype)
+        done[:, 0], done[:, 1] = driven.accel, driven.curvature
+        done *= self._scale
+        gates = told[:, width:].addmm_(torch.from_numpy(done), w.done_t)
         both = (gates[:, : 2 * width] + held[:, width : 3 * width]).sigmoid_()
         reset, update = both[:, :width], both[:, width:]
         last = held[:, 3 * width :]

@@ -62,6 +62,9 @@ class DecoderWeights:
         self.told_bias = torch.cat((first.bias.detach(), cell.bias_ih.detach()))
         self.act, self.act_bias = last.weight.detach(), last.bias.detach()
         self.layers = [GraphLayer(layer) for layer in graph_layers(decoder)]
+        # views of the same, (in, out), for the way forward
+        self.held_t, self.told_t, self.done_t = self.held.t(), self.told.t(), self.done.t()
+        self.motion_t, self.act_t = self.motion.t(), self.act.t()
 
 
 class EdgeWeights:
@@ -82,15 +85,16 @@ class EdgeWeights:
         scales = (PLACE_SCALE, 1.0, SPEED_SCALE)
         planes = [scale * weight[list(pair)] for scale, pair in zip(scales, PLANES, strict=True)]
         self._first = torch.cat((*planes, weight[NEAR : NEAR + 1], SPEED_SCALE * own[None]))  # (8, E)
-        self._second = second.weight.detach()
+        self._second = second.weight.detach().t()
         self._bias = first.bias.detach(), second.bias.detach()
-        self._layers = [layer.edge.weight.detach() for layer in graph_layers(decoder)]
+        self._layers = [layer.edge.weight.detach().t() for layer in graph_layers(decoder)]
 
     def of(self, x: Array, y: Array, yaw: Array, speed: Array, rows: Array | None = None) -> list[Tensor]:
         """Return for each layer what agents (S, A) look like to *rows* of them, or to all: (S, R, A, M)."""
         turned = np.empty((*yaw.shape, 2), yaw.dtype)
         turned[..., 0], turned[..., 1] = np.cos(yaw), np.sin(yaw)
-        place = np.stack((x, y), axis=-1)
+        place = np.empty_like(turned)
+        place[..., 0], place[..., 1] = x, y
         kind = np.result_type(yaw.dtype, np.complex64)
         heading, where = turned.view(kind)[..., 0], place.view(kind)[..., 0]  # (S, A)
         pick = slice(None) if rows is None else rows
@@ -106,5 +110,5 @@ class EdgeWeights:
         seen[..., 7] = speed[:, pick, None]
         flat = torch.from_numpy(seen.reshape(-1, 8))
         hidden = torch.addmm(self._bias[0], flat, self._first).relu_()
-        hidden = torch.addmm(self._bias[1], hidden, self._second.t()).relu_()
-        return [torch.mm(hidden, layer.t()).reshape(*seen.shape[:3], -1) for layer in self._layers]
+        hidden = torch.addmm(self._bias[1], hidden, self._second).relu_()
+        return [torch.mm(hidden, layer).reshape(*seen.shape[:3], -1) for layer in self._layers]

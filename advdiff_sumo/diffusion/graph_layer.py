@@ -54,6 +54,9 @@ class GraphLayer:
             (part.weight.detach(), part.bias.detach())  # type: ignore[operator, union-attr] # both are linear
             for part in (first, second)
         )
+        # views, (in, out), for the way forward
+        self._ends_t, self._out_t = self._ends.t(), self._out[0].t()
+        self._first_t, self._second_t = self._first[0].t(), self._second[0].t()
         own = torch.arange(self.heads).repeat_interleave(self.width // self.heads)
         self._own = (torch.arange(self.heads)[:, None] == own).to(
             bias
@@ -61,7 +64,7 @@ class GraphLayer:
 
     def ends(self, h: Tensor) -> tuple[Tensor, Tensor]:
         """Return what agents *h* (G, D) add to messages as receivers and as senders, each (G, M)."""
-        made = torch.addmm(self._ends_bias, h, self._ends.t())
+        made = torch.addmm(self._ends_bias, h, self._ends_t)
         return made[:, : self.width], made[:, self.width :]
 
     def forward(self, h: Tensor, message: Tensor, blocked: Tensor | None) -> tuple[Tensor, Heard]:
@@ -78,11 +81,11 @@ class GraphLayer:
         weight = torch.softmax(score if blocked is None else score + blocked, dim=-1).transpose(0, 1)
         heads = torch.bmm(weight, message)  # (G, H, M): of each head the own columns count
         gathered = (heads * self._own).sum(1)
-        before = torch.addmm(self._out[1], gathered, self._out[0].t()).add_(h)
+        before = torch.addmm(self._out[1], gathered, self._out_t).add_(h)
         scale, shift, eps = self._norm
         mixed, *statistics = torch.native_layer_norm(before, scale.shape, scale, shift, eps)
-        hidden = torch.addmm(self._first[1], mixed, self._first[0].t()).relu_()
-        new = torch.addmm(self._second[1], hidden, self._second[0].t()).add_(mixed)
+        hidden = torch.addmm(self._first[1], mixed, self._first_t).relu_()
+        new = torch.addmm(self._second[1], hidden, self._second_t).add_(mixed)
         return new, Heard(message, weight, before, (statistics[0], statistics[1]), hidden)
 
     def back(self, grad: Tensor, heard: Heard) -> tuple[Tensor, Tensor]:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -20,6 +23,26 @@ _MAX_YAW_RATE_RADPS = 3.0
 _ARRAYS = ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
 
 
+class Part(StrEnum):
+    """Parts of the contract."""
+
+    METHODS = "methods"
+    RAISES = "raises nothing"
+    FORM = "form"
+    NUMBERS = "numbers"
+    MOTION = "motion"
+    REPEATS = "repeats itself"
+    SCENE = "scene left alone"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a planner does against a part of its contract, in one sentence."""
+
+    part: Part
+    text: str
+
+
 def check_planner(planner: Planner, road: RoadMap, scene: Scene) -> list[str]:
     """Return what *planner* does against its contract, one sentence each; empty when it keeps it.
 
@@ -31,28 +54,49 @@ def check_planner(planner: Planner, road: RoadMap, scene: Scene) -> list[str]:
         road: the map of the scene.
         scene: the first instant of an episode.
     """
+    return [problem.text for problem in problems_of(planner, road, scene)]
+
+
+def problems_of(planner: Planner, road: RoadMap, scene: Scene) -> list[Problem]:
+    """Return what :func:`check_planner` finds, each with the part of the contract that it belongs to."""
     missing = [method for method in ("start", "plan") if not callable(getattr(planner, method, None))]
     if missing:
-        return [f"it has no method {method}" for method in missing]
+        return [Problem(Part.METHODS, f"it has no method {method}") for method in missing]
     before = _prints(scene)
     try:
         first, memory = _begin(planner, road, scene)
         again, _ = _begin(planner, road, scene)
         later, _ = _unpacked(planner.plan(road, scene, memory, np.random.default_rng(_SEED)))
     except _BrokenContractError as error:
-        return [str(error)]
+        return [Problem(Part.FORM, str(error))]
     except Exception as error:  # noqa: BLE001 - a user's planner may raise anything; that is a finding
-        return [f"it raised {type(error).__name__}: {error}"]
-    problems = plan_problems(first, scene)
-    problems += [f"{problem} (in its second plan)" for problem in plan_problems(later, scene)]
-    if not _equal(first, again):
-        problems.append(
+        return [Problem(Part.RAISES, f"it raised {type(error).__name__}: {error}")]
+    problems = _of_plan(first, scene)
+    problems += [Problem(x.part, f"{x.text} (in its second plan)") for x in _of_plan(later, scene)]
+    if not same_plan(first, again):
+        text = (
             "the same scene, memory and random numbers gave two different plans; "
             "keep state in the memory and draw from the generator that is passed in"
         )
+        problems.append(Problem(Part.REPEATS, text))
     if _prints(scene) != before:
-        problems.append("it changed the scene that it was given; copy the arrays before writing to them")
+        text = "it changed the scene that it was given; copy the arrays before writing to them"
+        problems.append(Problem(Part.SCENE, text))
     return problems
+
+
+def carries_over(planner: Planner, road: RoadMap, scenes: Sequence[Scene]) -> bool:
+    """Return whether the first plan in the first scene changes once *planner* has planned in all of them.
+
+    A planner that raises is no matter of this check: False.
+    """
+    try:
+        before = _begin(planner, road, scenes[0])[0]
+        for scene in scenes:
+            _begin(planner, road, scene)
+        return not same_plan(before, _begin(planner, road, scenes[0])[0])
+    except Exception:  # noqa: BLE001 - found by problems_of already
+        return False
 
 
 def planning_times_s(planner: Planner, road: RoadMap, scene: Scene, plans: int = 20) -> FloatArray:
@@ -94,24 +138,27 @@ def plan_problems(plan: Plan, scene: Scene) -> list[str]:
         plan: for the target, from now on.
         scene: now.
     """
+    return [problem.text for problem in _of_plan(plan, scene)]
+
+
+def _of_plan(plan: Plan, scene: Scene) -> list[Problem]:
     names = ("accel_mps2", "steer_rad") if isinstance(plan, Controls) else ("xy_m", "yaw_rad", "speed_mps")
     arrays = [np.asarray(getattr(plan, name)) for name in names]
     steps = len(arrays[-1]) if arrays[-1].ndim else 0
     for name, array in zip(names, arrays, strict=True):
         expected = (steps, 2) if name == "xy_m" else (steps,)
         if array.shape != expected or array.dtype != np.float64:
-            return [f"{name} is {array.dtype} of shape {array.shape}, not float64 of shape {expected}"]
+            text = f"{name} is {array.dtype} of shape {array.shape}, not float64 of shape {expected}"
+            return [Problem(Part.FORM, text)]
         if not np.isfinite(array).all():
-            return [f"{name} holds values that are not finite"]
+            return [Problem(Part.NUMBERS, f"{name} holds values that are not finite")]
     if not plan.dt_s > 0.0:
-        return [f"dt_s = {plan.dt_s} is not positive"]
+        return [Problem(Part.FORM, f"dt_s = {plan.dt_s} is not positive")]
     if steps * plan.dt_s < scene.history.dt_s - 1e-9:
-        return [
-            f"the plan lasts {steps * plan.dt_s:g} s, less than one model step of {scene.history.dt_s:g} s"
-        ]
-    if isinstance(plan, Controls):
-        return _control_problems(plan)
-    return _trajectory_problems(plan, scene)
+        least = f"less than one model step of {scene.history.dt_s:g} s"
+        return [Problem(Part.FORM, f"the plan lasts {steps * plan.dt_s:g} s, {least}")]
+    found = _control_problems(plan) if isinstance(plan, Controls) else _trajectory_problems(plan, scene)
+    return [Problem(Part.MOTION, text) for text in found]
 
 
 def _control_problems(plan: Controls) -> list[str]:
@@ -147,7 +194,8 @@ def _trajectory_problems(plan: Trajectory, scene: Scene) -> list[str]:
     return [f"step {int(np.argmax(bad))} {words}" for bad, words in found if bad.any()]
 
 
-def _equal(one: Plan, other: Plan) -> bool:
+def same_plan(one: Plan, other: Plan) -> bool:
+    """Return whether two plans are equal to the bit."""
     if type(one) is not type(other):
         return False
     names = ("accel_mps2", "steer_rad") if isinstance(one, Controls) else ("xy_m", "yaw_rad", "speed_mps")

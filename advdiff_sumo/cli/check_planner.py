@@ -1,0 +1,58 @@
+"""``advdiff-sumo check-planner``: whether a planner keeps its contract."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from advdiff_sumo.config import set_dotted
+
+FAILS = 1
+
+
+def check_planner(
+    name: Annotated[
+        str, typer.Argument(help="As of --target: lane_graph, a plug-in's name, or package.module:Class.")
+    ],
+    net: Annotated[
+        str, typer.Option(help="SUMO net to drive on, or a shipped one: downtown, downtown-left, motorway.")
+    ] = "downtown",
+    assign: Annotated[
+        list[str] | None, typer.Option("--set", help="An option of the planner, as NAME=VALUE.")
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Drives in SUMO's traffic.")] = 2,
+    horizon: Annotated[float, typer.Option(min=1.0, help="Their length in seconds.")] = 10.0,
+    within_ms: Annotated[float, typer.Option(min=0.0, help="Longest median time of a plan.")] = 500.0,
+    seed: Annotated[int, typer.Option(help="Of traffic and planner.")] = 0,
+) -> None:
+    """Check a planner: its contract, that it repeats itself, how it copes with hard scenes, and how long it takes.
+
+    advdiff-sumo check-planner my_planner:MyPlanner --set headway_s=1.5
+
+    Exit code 0: it may be tested; 1: a check fails; 2: there is no such planner, or it cannot be made.
+    """
+    from advdiff_sumo.experiments.planner_check import Extent, check_target  # late: --help needs none of it
+
+    options: dict[str, Any] = {}
+    for assignment in assign or ():
+        set_dotted(options, assignment)
+    extent = Extent(net=net, episodes=episodes, horizon_s=horizon, within_ms=within_ms, seed=seed)
+    verdicts = check_target(name, options, extent)
+    table = Table(show_header=False, box=None, padding=(0, 1))
+    for _ in range(2):
+        table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for x in verdicts:
+        state = Text("ok", style="green") if x.ok else Text("fails", style="red")
+        table.add_row(state, x.name, Text(x.found))
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(table)
+    failed = sum(not x.ok for x in verdicts)
+    if failed:
+        console.print(Text(f"{name}: {failed} of {len(verdicts)} checks fail", style="red"))
+        raise typer.Exit(FAILS)
+    console.print(Text(f"{name} keeps the contract", style="green"))

@@ -1,0 +1,188 @@
+"""Whether a planner may be tested: its contract in scenes of real traffic and in hard ones, and its driving in SUMO."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.plan import Plan
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.shipped import find_net
+from advdiff_sumo.planners.base import Planner, SumoDriver
+from advdiff_sumo.planners.check import Part, Problem, carries_over, problems_of
+from advdiff_sumo.planners.hard_scenes import hard_scenes
+from advdiff_sumo.sim.episode import Episode
+from advdiff_sumo.sim.natural import NaturalTraffic
+from advdiff_sumo.sim.options import SceneOptions, SimOptions
+from advdiff_sumo.sim.run import RunOptions, target_of
+from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.traffic.sumo import SumoTraffic
+
+DRIVES, DRIVES_AGAIN, IN_TIME = "drives", "drives it again", "in time"
+_KEPT = 4
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One check.
+
+    Attributes:
+        name: what is checked.
+        ok: whether it holds.
+        found: what was seen; where it fails, the first problem.
+    """
+
+    name: str
+    ok: bool
+    found: str
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How much is tried.
+
+    Attributes:
+        net: a net's path, or a shipped one's name.
+        episodes: drives in SUMO.
+        horizon_s: length of a drive.
+        within_ms: longest median time of a plan.
+        seed: of traffic and planner.
+    """
+
+    net: str = "downtown"
+    episodes: int = 2
+    horizon_s: float = 10.0
+    within_ms: float = 500.0
+    seed: int = 0
+
+
+@dataclass
+class Watched:
+    """A planner whose first scenes in an episode are kept."""
+
+    planner: Planner
+    scenes: list[Scene] = field(default_factory=list)
+
+    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> Any:
+        """Pass the call on."""
+        return self.planner.start(road, scene, rng)
+
+    def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> tuple[Plan, Any]:
+        """Keep the scene, and pass the call on."""
+        self.scenes.append(scene)
+        return self.planner.plan(road, scene, memory, rng)
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What the drives came to."""
+
+    records: tuple[EpisodeRecord, ...]
+    again: EpisodeRecord
+    plans_s: FloatArray
+    scenes: tuple[Scene, ...]
+
+
+def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[Verdict]:
+    """Return the verdicts on the planner *name*.
+
+    Args:
+        name: as of ``--target``.
+        options: of the planner.
+        extent: how much is tried.
+
+    Raises:
+        InputError: there is no such planner, or it cannot be made.
+        ConfigError: it is one of SUMO's driver models.
+    """
+    planner = target_of(RunOptions.parse({"target": name, "target_options": dict(options)}))
+    if isinstance(planner, SumoDriver):
+        raise ConfigError(f"target '{name}' is driven by SUMO itself: there is no planner to check")
+    road = RoadMap.read(find_net(extent.net))
+    driven = drive(planner, name, road, extent)
+    scenes = _scenes(driven.scenes)
+    found = [(where, x) for where, scene in scenes.items() for x in problems_of(planner, road, scene)]
+    if carries_over(planner, road, list(scenes.values())):
+        text = "what it planned in other scenes changes its plan in the first; keep state in the memory alone"
+        found.append(("", Problem(Part.REPEATS, text)))
+    contract = [_part(part, found, len(scenes)) for part in Part]
+    return [*contract, *_drives(driven), _in_time(driven.plans_s, extent.within_ms)]
+
+
+def drive(planner: Planner, name: str, road: RoadMap, extent: Extent) -> Driven:
+    """Let *planner* drive in SUMO's traffic, the first scene twice."""
+    source = NaturalTraffic(
+        road,
+        None,
+        SceneOptions(scenes_per_warmup=extent.episodes),
+        SimOptions(),
+        extent.horizon_s,
+        SeedTree(extent.seed),
+    )
+    starts = source.batch(0)[: extent.episodes]
+    watched = Watched(planner)
+    made = [_episode(k, start, road, watched, name, extent) for k, start in enumerate(starts)]
+    again, _ = _episode(0, starts[0], road, planner, name, extent)
+    times = np.array([t for _, plans in made for t in plans])
+    return Driven(tuple(record for record, _ in made), again, times, tuple(watched.scenes))
+
+
+def _episode(
+    number: int, start: SeedScene, road: RoadMap, planner: Planner, name: str, extent: Extent
+) -> tuple[EpisodeRecord, tuple[float, ...]]:
+    sim = SimOptions(record_natural=False, record_plans=0)
+    seed = SeedTree(extent.seed).child("episode", number)
+    names = (name, "sumo")
+    episode = Episode(number, start, road, planner, SumoTraffic(), names, sim, extent.horizon_s, seed)
+    record, timing = episode.run()
+    return record, timing.target_plans_s
+
+
+def _scenes(seen: Sequence[Scene]) -> dict[str, Scene]:
+    """Return scenes out of the drives, evenly taken, and hard ones made of the first."""
+    if not seen:
+        return {}
+    picked = np.unique(np.linspace(0, len(seen) - 1, _KEPT).round().astype(np.int64)).tolist()
+    return {f"at {seen[k].time_s:.1f} s of a drive": seen[k] for k in picked} | hard_scenes(seen[0])
+
+
+def _part(part: Part, found: Sequence[tuple[str, Problem]], scenes: int) -> Verdict:
+    mine = [
+        f"{problem.text} ({where})" if where else problem.text
+        for where, problem in found
+        if problem.part is part
+    ]
+    if not mine:
+        return Verdict(part.value, bool(scenes), f"{scenes} scenes")
+    more = f"; {len(mine) - 1} more" if len(mine) > 1 else ""
+    return Verdict(part.value, False, mine[0] + more)
+
+
+def _drives(driven: Driven) -> list[Verdict]:
+    failed = [record.failure.message for record in driven.records if record.failure is not None]
+    span = sum(record.tracks.dt_s * (record.tracks.steps - 1) for record in driven.records)
+    ends = ", ".join(sorted({str(record.end) for record in driven.records}))
+    words = failed[0] if failed else f"{len(driven.records)} episodes, {span:.0f} s: {ends}"
+    first, again = driven.records[0].tracks, driven.again.tracks
+    same = first.ids == again.ids and all(
+        getattr(first, part).tobytes() == getattr(again, part).tobytes()
+        for part in ("xy_m", "yaw_rad", "speed_mps", "valid")
+    )
+    told = "the same bytes" if same else "the same scene and seed led to another drive"
+    return [Verdict(DRIVES, not failed, words), Verdict(DRIVES_AGAIN, same, told)]
+
+
+def _in_time(plans_s: FloatArray, within_ms: float) -> Verdict:
+    if not len(plans_s):
+        return Verdict(IN_TIME, False, "no plan was made")
+    median, late = 1e3 * np.median(plans_s), 1e3 * np.percentile(plans_s, 99)
+    words = f"median {median:.1f} ms, 99 % {late:.1f} ms, of {len(plans_s)} plans; {within_ms:g} ms allowed"
+    return Verdict(IN_TIME, bool(median <= within_ms), words)

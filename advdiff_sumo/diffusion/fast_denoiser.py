@@ -2,7 +2,8 @@
 
 The same network as ``models.denoiser`` with the same weights, equal up to rounding. (k_s, k_b) of every AdaGN are
 kept for the steps of one ladder, what relative poses and the context say in the coupling once a plan, the
-condition's convolution too, and convolutions are matrix products, which for a few dozen vehicles is several times as fast as the library's convolution.
+condition's convolution too, and convolutions are matrix products, which for a few dozen vehicles is several times as
+fast as the library's convolution.
 """
 
 from __future__ import annotations

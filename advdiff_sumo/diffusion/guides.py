@@ -49,21 +49,32 @@ class Guidance:
         terms: objectives; their unit gradients are added.
         attackers: (A,) who is moved.
         alpha: length of a step's shift in units of √Σ.
+        turns: parts in which the last step's shift is made, each along the gradient where the ones before led.
     """
 
     terms: Sequence[Term]
     attackers: Tensor
     alpha: float
+    turns: int = 1
 
     def __call__(self, mean: Tensor, rung: Rung) -> Tensor:
         """Return what is added to *mean* (B, A, 1, Z)."""
+        turns = self.turns if rung.left == 0 else 1
+        length = self.alpha * max(rung.deviation, FLOOR) / turns
         shift = torch.zeros_like(mean[:, :, 0])
+        for _ in range(turns):
+            latents = (mean[:, :, 0] + shift) / max(rung.alpha, 1e-2) ** 0.5
+            shift = shift + length * self._uphill(latents, rung.left)
+        return shift[:, :, None]
+
+    def _uphill(self, latents: Tensor, left: int) -> Tensor:
+        """Return the weighted mean (B, A, Z) of the unit gradients of the terms that count."""
         total = sum(term.weight for term in self.terms)
+        out = torch.zeros_like(latents)
         for term in self.terms:
-            if rung.left < term.rungs:
-                latents = mean[:, :, 0] / max(rung.alpha, 1e-2) ** 0.5
-                shift = shift + term.weight / total * direction(term.objective, latents, self.attackers)
-        return (self.alpha * max(rung.deviation, FLOOR) * shift)[:, :, None]
+            if left < term.rungs:
+                out = out + term.weight / total * direction(term.objective, latents, self.attackers)
+        return out
 
 
 def direction(objective: Objective, latents: Tensor, attackers: Tensor) -> Tensor:

@@ -59,6 +59,32 @@ def test_latents_are_shown_without_the_share_of_noise() -> None:
     torch.testing.assert_close(seen[0], torch.full((1, 1, 2), 2.0))
 
 
+def test_the_last_step_turns_with_the_gradient() -> None:
+    """Towards (0, 0) of −|μ|²/2 from (3, 4) with length 4 in two turns of 2: straight to it, μ = (0.6, 0.8).
+
+    A second objective with gradient along y only where μ₁ < 2 is felt in the second turn alone.
+    """
+    centre = Term(lambda mu: -0.5 * mu.square().sum((1, 2)), 1.0, 1)
+    start = torch.tensor([[[[3.0, 4.0]]]])
+    made = Guidance((centre,), torch.ones(1), 4.0, turns=2)(start, Rung(0, 1.0, 1.0))
+    torch.testing.assert_close(made, torch.tensor([[[[-2.4, -3.2]]]]))
+    late = Term(lambda mu: torch.where(mu[:, :, 0] < 2.0, mu[:, :, 1], -mu[:, :, 0]).sum(1), 1.0, 1)
+    made = Guidance((late,), torch.ones(1), 4.0, turns=2)(start, Rung(0, 1.0, 1.0))
+    torch.testing.assert_close(made, torch.tensor([[[[-2.0, 2.0]]]]))  # −x first, then +y
+
+
+def test_earlier_steps_are_made_in_one() -> None:
+    asked = []
+
+    def look(mu: Tensor) -> Tensor:
+        asked.append(mu)
+        return mu.sum((1, 2))
+
+    guide = Guidance((Term(look, 1.0, 9),), torch.ones(1), 1.0, turns=3)
+    guide(torch.ones(1, 1, 1, 2), Rung(2, 0.5, 0.5))
+    assert len(asked) == 1
+
+
 # --- attacks ---------------------------------------------------------------------------------------------
 
 

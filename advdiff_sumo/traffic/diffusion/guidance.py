@@ -22,6 +22,7 @@ ALPHA = 6.0
 HORIZON_STEPS = 8
 """Model steps of a future that an attack looks at."""
 _REWARD_RUNGS, _ATTACK_RUNGS = 3, 1
+_TURNS = 4
 _REWARD_WEIGHT, _ATTACK_WEIGHT = 0.5, 1.0
 
 
@@ -77,7 +78,9 @@ def guidance(
     )
     mask = torch.zeros(scenes.one.agents, dtype=h.dtype, device=networks.device)
     mask[attackers] = 1.0
-    return Guidance(terms, mask, ALPHA * options.strength), tuple(view.ids[row] for row in rows.tolist())
+    return Guidance(terms, mask, ALPHA * options.strength, _TURNS), tuple(
+        view.ids[row] for row in rows.tolist()
+    )
 
 
 def naturally(networks: Networks, scenes: Scenes) -> Natural:

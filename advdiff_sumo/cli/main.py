@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 
 from advdiff_sumo import __version__
+from advdiff_sumo.cli.bench import bench
 from advdiff_sumo.cli.check_planner import check_planner
 from advdiff_sumo.cli.compare import compare
 from advdiff_sumo.cli.convert import convert
@@ -48,6 +49,7 @@ app.command("report")(report)
 app.command("figure")(figure)
 app.command("video")(video)
 app.add_typer(data)
+app.add_typer(bench)
 app.command("train")(train)
 app.command("train-rl")(train_rl)
 app.command("evaluate")(evaluate)

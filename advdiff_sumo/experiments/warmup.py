@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -59,7 +59,13 @@ class WarmedUp:
     losses: tuple[float, ...]
 
 
-def warm_up(options: RunOptions, steps: int, tell: Callable[[int], None]) -> WarmedUp:
+def warm_up(
+    options: RunOptions,
+    steps: int,
+    tell: Callable[[int], None],
+    marks: Sequence[int] = (),
+    keep: Callable[[int, RewardModel], None] | None = None,
+) -> WarmedUp:
     """Let the diffusion policy meet the target of *options* for *steps* plans, and refit its reward model.
 
     After every episode the new experiences join the old ones and Q takes ``UPDATES_PER_STEP`` steps for each of
@@ -69,6 +75,8 @@ def warm_up(options: RunOptions, steps: int, tell: Callable[[int], None]) -> War
         options: of a run with background "diffusion"; its number of episodes does not count.
         steps: plans, the paper's interactive steps.
         tell: called with the steps done after each episode.
+        marks: steps at which *keep* gets a copy of the reward model as it is then.
+        keep: takes these copies.
 
     Raises:
         ConfigError: the background is another one, or is not guided.
@@ -87,14 +95,24 @@ def warm_up(options: RunOptions, steps: int, tell: Callable[[int], None]) -> War
         episodes += 1
         contacts += int(record.end == "collision")
         fresh = list(experiences(record, heard, reward_options))[: steps - len(stored)]
-        stored += fresh
-        if fresh:
-            losses += learner.fit(stored, UPDATES_PER_STEP * len(fresh))
+        for piece in _cut(fresh, len(stored), marks):
+            stored += piece
+            losses += learner.fit(stored, UPDATES_PER_STEP * len(piece))
+            if keep is not None and len(stored) in marks:
+                keep(len(stored), copy.deepcopy(bundle.reward))
         tell(len(stored))
         if len(stored) >= steps:
             break
     bundle.reward.eval().requires_grad_(False)
     return WarmedUp(bundle.reward, len(stored), episodes, contacts, tuple(losses))
+
+
+def _cut(fresh: list[Experience], done: int, marks: Sequence[int]) -> Iterator[list[Experience]]:
+    """Yield *fresh* in pieces that end at each of *marks*, which count from the first experience of all."""
+    ends = sorted({mark - done for mark in marks if 0 < mark - done < len(fresh)} | {len(fresh)})
+    for start, end in zip([0, *ends], ends, strict=False):
+        if start < end:
+            yield fresh[start:end]
 
 
 def _episodes(run: Run, policy: DiffusionTraffic) -> Iterator[tuple[EpisodeRecord, list[Heard]]]:

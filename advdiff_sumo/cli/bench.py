@@ -1,0 +1,253 @@
+"""``advdiff-sumo bench``: the paper's tables out of our own runs."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, TaskID
+
+from advdiff_sumo.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from advdiff_sumo.experiments.bench.request import BenchName
+    from advdiff_sumo.sweep.tasks import Limits
+
+bench = typer.Typer(
+    name="bench",
+    help="The paper's tables out of our own runs: paired by seed scene, with intervals, beside the paper's figures.",
+    no_args_is_help=True,
+)
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_FOLDER = Path("runs")
+
+Out = Annotated[
+    Path | None,
+    typer.Option(help="Folder of the bench; a finished one is only printed.", show_default="runs/bench-NAME"),
+]
+Workers = Annotated[int | None, typer.Option(min=1, help="Episodes at a time.", show_default="one a core")]
+Scenes = Annotated[
+    str | None,
+    typer.Option(
+        help="So many of the shipped list of seed scenes, or the file of a list.", show_default=False
+    ),
+]
+Horizon = Annotated[float | None, typer.Option(help="Longest duration of an episode, s.", show_default="10")]
+Policies = Annotated[
+    str | None, typer.Option(help="Only these rows, with commas.", show_default="all there are")
+]
+Targets = Annotated[
+    str | None, typer.Option(help="Only these targets, with commas.", show_default="all there are")
+]
+Timeout = Annotated[
+    float, typer.Option(min=0.1, help="Longest time for one episode, in seconds of the clock.")
+]
+
+
+@bench.command()
+def traffic(
+    scenes: Annotated[str | None, typer.Option(help="How many windows.", show_default="300")] = None,
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Window file, or a folder of them; may be given several times.",
+            show_default="made for it, on shipped and made-up nets",
+        ),
+    ] = None,
+    policies: Policies = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, help="Random seeds of the samples.", show_default="1")
+    ] = None,
+    samples: Annotated[
+        int | None, typer.Option(min=2, help="Joint samples of a window.", show_default="10")
+    ] = None,
+    workers: Workers = None,
+    out: Out = None,
+) -> None:
+    """Natural traffic, open loop: diversity, realism and common sense of each model (the paper's first table).
+
+    advdiff-sumo bench traffic --data windows/nuscenes --out runs/bench-nuscenes
+    """
+    given = {
+        "scenes": scenes,
+        "data": None if data is None else [str(path.resolve()) for path in data],
+        "policies": _names(policies),
+        "seeds": seeds,
+        "samples": samples,
+    }
+    _bench("traffic", out, workers, 300.0, given)
+
+
+@bench.command()
+def adversarial(
+    scenes: Scenes = None,
+    policies: Policies = None,
+    targets: Targets = None,
+    horizon: Horizon = None,
+    workers: Workers = None,
+    timeout: Timeout = 600.0,
+    out: Out = None,
+) -> None:
+    """Attacks, closed loop: collisions, comfort, plausibility and speed of each policy (the paper's second table).
+
+    advdiff-sumo bench adversarial --scenes 300 --policies diffusion,unguided,replay,sumo --out runs/guided
+    """
+    given = {
+        "scenes": scenes,
+        "policies": _names(policies),
+        "targets": _names(targets),
+        "horizon_s": horizon,
+    }
+    _bench("adversarial", out, workers, timeout, given)
+
+
+@bench.command()
+def transfer(
+    scenes: Scenes = None,
+    policies: Policies = None,
+    targets: Targets = None,
+    horizon: Horizon = None,
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Steps of each warm-up.", show_default="90")
+    ] = None,
+    workers: Workers = None,
+    timeout: Timeout = 600.0,
+    out: Out = None,
+) -> None:
+    """Adapted to one planner, met by another (the paper's third table).
+
+    advdiff-sumo bench transfer --policies diffusion,strive --targets lane_graph,IDM
+    """
+    given = {
+        "scenes": scenes,
+        "policies": _names(policies),
+        "targets": _names(targets),
+        "horizon_s": horizon,
+        "steps": steps,
+    }
+    _bench("transfer", out, workers, timeout, given)
+
+
+@bench.command()
+def fewshot(
+    scenes: Scenes = None,
+    targets: Targets = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, help="Warm-ups of each target.", show_default="5")
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Steps of each warm-up.", show_default="90")
+    ] = None,
+    horizon: Horizon = None,
+    workers: Workers = None,
+    timeout: Timeout = 600.0,
+    out: Out = None,
+) -> None:
+    """Collision rate against warm-up steps, for targets never met before (the paper's few-shot figure).
+
+    advdiff-sumo bench fewshot --targets EIDM --seeds 3
+    """
+    given = {
+        "scenes": scenes,
+        "targets": _names(targets),
+        "seeds": seeds,
+        "steps": steps,
+        "horizon_s": horizon,
+    }
+    _bench("fewshot", out, workers, timeout, given)
+
+
+def _bench(
+    name: BenchName, out: Path | None, workers: int | None, timeout_s: float, given: dict[str, Any]
+) -> None:
+    """Run a bench, or print it where it is finished."""
+    for variable in _ONE_THREAD:  # before numpy comes; sums of several threads differ in their last digits
+        os.environ[variable] = "1"
+    from advdiff_sumo.experiments.bench.print_table import print_table  # late: --help needs no simulator
+    from advdiff_sumo.experiments.bench.request import Folder, open_folder, request_of
+    from advdiff_sumo.experiments.bench.run import DEFAULTS, run_bench
+    from advdiff_sumo.experiments.bench.saved import finished
+
+    signal.signal(signal.SIGTERM, _as_ctrl_c)
+    console = Console()
+    path = (out or _FOLDER / f"bench-{name}").resolve()
+    request = request_of(name, path, DEFAULTS[name], given)
+    table = finished(Folder(path, request))
+    if table is None:
+        folder = open_folder(path, request)
+        with ExitStack() as stack:
+            limits = _limits(stack, timeout_s)
+            with _Bars(console) as bars:
+                table = run_bench(folder, workers or _cores(), limits, bars)
+    print_table(console, table)
+    console.print(f"table.csv, table.tex, table.md, table.png: {path}", soft_wrap=True, markup=False)
+
+
+def _names(text: str | None) -> list[str] | None:
+    """Return the names in *text*, which has commas between them.
+
+    Raises:
+        ConfigError: one is empty.
+    """
+    if text is None:
+        return None
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise ConfigError(f"'{text}': a name is empty; write them as a,b")
+    return names
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _as_ctrl_c(*_signal: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _limits(stack: ExitStack, timeout_s: float) -> Limits:
+    from advdiff_sumo.sweep.tasks import Limits
+
+    logs = Path(tempfile.mkdtemp(prefix="advdiff-bench-"))
+    stack.callback(shutil.rmtree, logs, ignore_errors=True)
+    return Limits(timeout_s=timeout_s, memory_mb=4000, tasks=250, recycle_share=0.5, logs=logs)
+
+
+class _Bars:
+    """One bar after the other."""
+
+    def __init__(self, console: Console) -> None:
+        from advdiff_sumo.cli.run import progress_bar
+
+        self._bar: Progress = progress_bar(console)
+        self._task: TaskID | None = None
+        self._what = ""
+
+    def __enter__(self) -> _Bars:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+    def begin(self, what: str, total: int, done: int = 0) -> None:
+        """Begin a bar."""
+        self._what = what
+        self._task = self._bar.add_task(what, total=total, completed=done)
+
+    def step(self, words: str = "") -> None:
+        """Go one step on."""
+        if self._task is not None:
+            said = f"{self._what} · {words}" if words else self._what
+            self._bar.update(self._task, advance=1, description=said)
+
+    def say(self, sentence: str) -> None:
+        """Print a sentence above the bars."""
+        self._bar.console.print(sentence, markup=False, soft_wrap=True)

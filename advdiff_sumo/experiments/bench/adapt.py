@@ -1,0 +1,88 @@
+"""Policies adapted to a planner: warm-up of Q (ours), or the planner as the rivals' surrogate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from advdiff_sumo.experiments.bench.collect import in_processes
+from advdiff_sumo.experiments.bench.scene_list import TUNING_SEED
+from advdiff_sumo.experiments.bench.telling import Teller
+from advdiff_sumo.maps.shipped import SHIPPED_NETS
+from advdiff_sumo.models.reward_file import save_reward
+from advdiff_sumo.planners.registry import TARGETS
+from advdiff_sumo.sim.run import RunOptions
+
+Marks = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Adaptation:
+    """One warm-up.
+
+    Attributes:
+        target: what is met, as registered.
+        target_options: of it.
+        seed: number of the warm-up; it also decides on which shipped net, in turn.
+        marks: plans after which Q is kept.
+        horizon_s: of its episodes.
+    """
+
+    target: str
+    target_options: Mapping[str, Any]
+    seed: int
+    marks: Marks
+    horizon_s: float
+
+    def path(self, folder: Path, mark: int) -> Path:
+        """Return where Q after *mark* plans lies."""
+        extra = "".join(f"-{key}={value}" for key, value in sorted(self.target_options.items()))
+        return folder / f"{self.target}{extra}-s{self.seed}-{mark:04d}.safetensors".replace("/", "_")
+
+    def missing(self, folder: Path) -> bool:
+        """Return whether it is still to be made."""
+        return not all(self.path(folder, mark).is_file() for mark in self.marks)
+
+
+def adapt(wanted: Sequence[Adaptation], folder: Path, workers: int, teller: Teller) -> None:
+    """Make the warm-ups that *folder* lacks, on seed scenes that no table uses.
+
+    Raises:
+        InputError: a target cannot be made.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    lacking = {one.path(folder, one.marks[-1]): one for one in wanted if one.missing(folder)}
+    teller.begin("warm-ups", len(wanted), len(wanted) - len(lacking))
+    tasks: dict[Path, tuple[Callable[..., Any], *tuple[Any, ...]]] = {
+        path: (_warm_up, one, folder) for path, one in lacking.items()
+    }
+    for _ in in_processes(tasks, workers):
+        teller.step()
+
+
+def surrogate_options(source: str) -> dict[str, Any]:
+    """Return the option by which AdvSim and Strive expect *source* as their target."""
+    return {"surrogate": source if source == "lane_graph" else TARGETS.builtins.get(source, source)}
+
+
+def _warm_up(one: Adaptation, folder: Path) -> None:
+    from advdiff_sumo.experiments.warmup import description, warm_up  # late: the worker alone needs it
+
+    options = RunOptions(
+        net=SHIPPED_NETS[one.seed % len(SHIPPED_NETS)],
+        target=one.target,
+        target_options=dict(one.target_options),
+        background="diffusion",
+        seed=TUNING_SEED + 1 + one.seed,
+        horizon_s=one.horizon_s,
+    )
+    kept = {}
+    done = warm_up(options, one.marks[-1], lambda _: None, one.marks, lambda mark, q: kept.update({mark: q}))
+    said = description(options, done)
+    for mark in one.marks:
+        path = one.path(folder, mark)
+        aside = path.with_name(f".{path.name}")
+        save_reward(kept[mark], aside, {**said, "steps": mark})
+        aside.replace(path)

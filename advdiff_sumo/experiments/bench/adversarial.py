@@ -1,0 +1,104 @@
+"""``bench adversarial``: the paper's second table, closed loop, and four columns that nobody has."""
+
+from __future__ import annotations
+
+from advdiff_sumo.experiments.bench.collect import Gathered, failures_told, gather
+from advdiff_sumo.experiments.bench.contests import Contest, Contests, plan_contests, run_contests
+from advdiff_sumo.experiments.bench.paper import paper_table
+from advdiff_sumo.experiments.bench.request import Folder, chosen
+from advdiff_sumo.experiments.bench.rows import NATURAL, OURS, REGISTERED, policy_row
+from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
+from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
+from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of
+from advdiff_sumo.experiments.bench.telling import Teller
+from advdiff_sumo.planners.registry import TARGETS
+from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.traffic.registry import POLICIES
+
+ATTACKED = {"lane_graph": "lane_graph", "IDM": "IDM"}
+HEADS = (
+    Head("collision_rate", "CR", "%", 100.0, 1, "high"),
+    Head("collision_mps", "coll. speed", "m/s", digits=2, better="high"),
+    Head("accel_mps2", "acc.", "m/s²", digits=2, better="high"),
+    Head("jerk_mps3", "jerk", "m/s³", digits=2, better="high"),
+    Head("jsd", "BV JSD", "10⁻²", 100.0, 2, "low"),
+    Head("env_rate", "env. coll.", "%", 100.0, 2, "low"),
+    Head("veh_rate", "veh. coll.", "%", 100.0, 2, "low"),
+    Head("hz", "plans", "Hz", digits=1, measured=True),
+    Head("fault_rate", "at fault", "%", 100.0, 1, "high"),
+    Head("solvable_rate", "solvable", "%", 100.0, 1, "high"),
+    Head("seen_rate", "seen", "%", 100.0, 1, "high"),
+    Head("nats", "log-lik.", "nats/s", digits=2, better="high"),
+)
+NOTES = (
+    "Columns as in the paper's Sec. IV, Metrics; docs/benches.md defines each. Intervals: Wilson for rates, bootstrap "
+    "over seed scenes for the rest; 95 %. n: episodes for CR, collisions for coll. speed, at fault, solvable and seen, "
+    "vehicles for env. and veh. coll., values for JSD, vehicle-seconds for log-lik.",
+    "JSD is against SUMO's natural traffic from the same seed scenes. The paper's figures are of nuScenes logs.",
+)
+
+
+def plan_adversarial(folder: Folder, teller: Teller) -> Contests:
+    """Return the contests that the request asks for.
+
+    Raises:
+        InputError: a name is unknown, or the list of scenes cannot be used.
+    """
+    request = folder.request
+    scenes = choose_scenes(request.scenes)
+    targets, _ = chosen(request.targets, ATTACKED, TARGETS, "--targets")
+    names, lacking = chosen(request.policies, REGISTERED, POLICIES, "--policies")
+    for name in lacking:
+        teller.say(f"row {name} is left out: this installation has no background '{REGISTERED[name]}' yet")
+    contests = [
+        Contest(name, target, policy_row(name).background, background_options=policy_row(name).options)
+        for target in targets
+        for name in names
+    ]
+    return plan_contests(contests, scenes, request.horizon_s)
+
+
+def run_adversarial(
+    folder: Folder, contests: Contests, workers: int, limits: Limits, teller: Teller
+) -> Table:
+    """Run what is missing and return the table.
+
+    Raises:
+        FileError: results cannot be stored.
+    """
+    store = run_contests(contests, folder.sweep, workers, limits, teller)
+    found = gather(contests, store, folder.path / "traces", workers, teller)
+    return adversarial_table(found, contests.scenes, folder)
+
+
+def adversarial_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
+    """Return the table of what was gathered."""
+    natural = {contest.target: seen for contest, seen in found.seen.items() if contest.row == NATURAL}
+    rows = []
+    for contest, seen in found.seen.items():
+        policy = policy_row(contest.row)
+        samples = collision_samples(seen) | background_samples(seen, natural.get(contest.target, ()))
+        ours = contest.row == OURS
+        rows.append(RowSamples(contest.row, contest.target, policy.title, samples, policy.reference, ours))
+    lines = lines_of(HEADS, rows, paper_table("adversarial").rows)
+    heads = tuple(head for head in HEADS if any(head.key in line.cells for line in lines))
+    title = (
+        f"Adversarial traffic, closed loop: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
+    )
+    return Table(
+        "adversarial", title, heads, lines, gaps_of(heads, rows), notes_of(found, scenes, folder, NOTES)
+    )
+
+
+def notes_of(found: Gathered, scenes: SceneList, folder: Folder, usual: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the notes of a closed-loop table: definitions, what failed, and what it was made of."""
+    failed = failures_told(found, found.seen)
+    moved = (
+        f"{found.moved} episodes did not begin as the list of seed scenes says: another version of SUMO."
+        if found.moved
+        else ""
+    )
+    made = (
+        f"Seed scenes: sha256 {scenes.sha256[:16]}. Revision: {', '.join(r[:10] for r in folder.revisions)}."
+    )
+    return tuple(note for note in (*usual, failed, moved, made) if note)

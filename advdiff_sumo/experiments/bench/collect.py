@@ -1,0 +1,141 @@
+"""Episodes of a bench's sweep with their traces, which workers compute once and the folder keeps."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from advdiff_sumo.experiments.bench.contests import Contest, Contests
+from advdiff_sumo.experiments.bench.scene_list import ListedScene
+from advdiff_sumo.experiments.bench.telling import Teller
+from advdiff_sumo.experiments.bench.traces import Trace, trace_of
+from advdiff_sumo.metrics.severity import is_failure
+from advdiff_sumo.sweep.files import read_checked, write_checked
+from advdiff_sumo.sweep.plan import Job
+from advdiff_sumo.sweep.store import Store
+from advdiff_sumo.sweep.work import one_thread
+
+_Key = TypeVar("_Key")
+_SAME_M = 0.05
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One finished episode.
+
+    Attributes:
+        scene: key of its seed scene; the same for all contests.
+        row: of ``episodes``.
+        trace: of its background.
+        plan_s: median time of a plan of the background; None where it plans nothing.
+    """
+
+    scene: str
+    row: Mapping[str, Any]
+    trace: Trace
+    plan_s: float | None
+
+
+@dataclass
+class Gathered:
+    """What a sweep came to.
+
+    Attributes:
+        seen: finished episodes of each contest, in the order of the scenes.
+        failed: how many each contest lost, by what kind of failure.
+        moved: scenes that do not begin as the list says.
+    """
+
+    seen: dict[Contest, list[Seen]] = field(default_factory=dict)
+    failed: dict[Contest, dict[str, int]] = field(default_factory=dict)
+    moved: int = 0
+
+
+def gather(contests: Contests, store: Store, cache: Path, workers: int, teller: Teller) -> Gathered:
+    """Return all finished episodes of *contests*; their traces are made where *cache* lacks them."""
+    cache.mkdir(parents=True, exist_ok=True)
+    jobs = list(contests.jobs())
+    lacking = {job.key: contests.plan.options(job).net for _, job in jobs if not (cache / job.key).exists()}
+    teller.begin("what the background did", len(jobs), len(jobs) - len(lacking))
+    tasks = {key: (trace_of, store.path, key, net) for key, net in lacking.items()}
+    for key, content in in_processes(tasks, workers):
+        write_checked(cache / key, content)
+        teller.step()
+    found, listed = Gathered(), _by_place(contests.scenes.scenes)
+    for contest, job in jobs:
+        _take(found, contest, job, store, cache, listed[_place(contests, job)])
+    return found
+
+
+def in_processes(
+    tasks: Mapping[_Key, tuple[Callable[..., Any], *tuple[Any, ...]]], workers: int
+) -> Iterator[tuple[_Key, Any]]:
+    """Yield the keys of *tasks* with what their functions return, as they finish; Ctrl-C ends the workers."""
+    if not tasks:
+        return
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(min(workers, len(tasks)), context, initializer=_quiet_worker)
+    try:
+        futures: dict[Future[Any], _Key] = {pool.submit(*task): key for key, task in tasks.items()}
+        for done in as_completed(futures):
+            yield futures[done], done.result()
+    except BaseException:
+        for process in list((pool._processes or {}).values()):
+            process.terminate()
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+def _quiet_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
+    os.environ["OMP_NUM_THREADS"] = "1"
+    import torch  # late: only here is it known that a worker is wanted
+
+    torch.set_num_threads(1)
+    one_thread()
+
+
+def _take(
+    found: Gathered, contest: Contest, job: Job, store: Store, cache: Path, listed: ListedScene
+) -> None:
+    seen, failed = found.seen.setdefault(contest, []), found.failed.setdefault(contest, {})
+    part, content = store.read(job.key), read_checked(cache / job.key)
+    if part is None:
+        return
+    if part.failed is not None:
+        failed[part.failed.kind] = failed.get(part.failed.kind, 0) + 1
+    if not content or "episodes" not in part.tables:
+        return
+    (row,) = part.tables["episodes"].to_pylist()
+    (timing,) = part.tables["timing"].to_pylist()
+    if is_failure(row):
+        return
+    trace = Trace.from_bytes(content)
+    name, x, y = trace.start
+    found.moved += name != listed.target or max(abs(x - listed.x_m), abs(y - listed.y_m)) > _SAME_M
+    seen.append(Seen(job.scene_key, row, trace, timing["background_plan_p50_s"]))
+
+
+def _place(contests: Contests, job: Job) -> tuple[str, int, int]:
+    options = contests.plan.options(job)
+    return options.net, options.seed, job.number
+
+
+def _by_place(scenes: Sequence[ListedScene]) -> dict[tuple[str, int, int], ListedScene]:
+    return {scene.place: scene for scene in scenes}
+
+
+def failures_told(found: Gathered, names: Iterable[Contest]) -> str:
+    """Return a sentence on failed episodes; empty where there are none."""
+    parts = []
+    for contest in names:
+        for kind, count in sorted(found.failed.get(contest, {}).items()):
+            parts.append(f"{count} of {contest.background} against {contest.target} ({kind})")
+    return f"Episodes that failed and do not count: {'; '.join(parts)}." if parts else ""

@@ -1,0 +1,137 @@
+"""Episodes of a bench: contests of a target and a background on the listed scenes, run as a sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from advdiff_sumo.experiments.bench.scene_list import SceneList
+from advdiff_sumo.experiments.bench.telling import Teller
+from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.sweep.executors import ProcessExecutor
+from advdiff_sumo.sweep.files import write_whole
+from advdiff_sumo.sweep.plan import Job, Plan, plan_sweep
+from advdiff_sumo.sweep.run import Todo, open_store, run_sweep, settings_of
+from advdiff_sumo.sweep.spec import Case, SweepSpec
+from advdiff_sumo.sweep.store import SETTINGS, Store
+from advdiff_sumo.sweep.tasks import Failed, Limits
+
+_RETRIES = 2
+#: What later options of the simulation record and no table reads.
+_NOT_KEPT = {"record_plans": 0, "record_natural": False}
+
+
+@dataclass(frozen=True)
+class Contest:
+    """A target against a background.
+
+    Attributes:
+        row: key of the table's row.
+        target: as registered.
+        background: as registered.
+        target_options: of the target.
+        background_options: of the background.
+    """
+
+    row: str
+    target: str
+    background: str
+    target_options: Mapping[str, Any] = field(default_factory=dict)
+    background_options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Contests:
+    """A planned sweep and what its episodes are for.
+
+    Attributes:
+        plan: of the sweep.
+        contests: in its order.
+        scenes: that each of them starts from.
+    """
+
+    plan: Plan
+    contests: tuple[Contest, ...]
+    scenes: SceneList
+
+    def jobs(self) -> Iterator[tuple[Contest, Job]]:
+        """Yield every episode with its contest."""
+        places = len(self.scenes.counts())
+        for job in self.plan.jobs:
+            yield self.contests[job.cell // places], job
+
+
+def plan_contests(contests: Sequence[Contest], scenes: SceneList, horizon_s: float) -> Contests:
+    """Check everything and lay out the episodes.
+
+    Raises:
+        InputError: a target or background cannot be made, or a net is missing.
+    """
+    cases = [
+        Case(
+            net=net,
+            target=contest.target,
+            target_options=dict(contest.target_options),
+            background=contest.background,
+            background_options=dict(contest.background_options),
+            seed=seed,
+            episodes=count,
+        )
+        for contest in contests
+        for (net, seed), count in scenes.counts().items()
+    ]
+    known = {name: value for name, value in _NOT_KEPT.items() if name in SimOptions.model_fields}
+    spec = SweepSpec.of(
+        {
+            "horizon_s": horizon_s,
+            "sim": known,
+            "scene": scenes.scene.model_dump(mode="json"),
+            "cases": tuple(case.model_dump(mode="json", exclude_none=True) for case in cases),
+        },
+        "the bench",
+    )
+    return Contests(plan_sweep(spec), tuple(contests), scenes)
+
+
+def open_bench_store(path: Path, plan: Plan, workers: int) -> Store:
+    """Return the store of the bench's sweep; one that was begun with fewer rows or scenes takes the new ones in.
+
+    Episodes are known by their content, so those that are there already stay.
+
+    Raises:
+        FileError: the folder cannot be written.
+    """
+    begun = (path / SETTINGS).exists()
+    if begun:
+        write_whole(path / SETTINGS, tomli_w.dumps(settings_of(plan)).encode())
+    return open_store(path, plan, workers, begun)
+
+
+def run_contests(contests: Contests, path: Path, workers: int, limits: Limits, teller: Teller) -> Store:
+    """Run what is missing in *path* and return the store.
+
+    Raises:
+        FileError: results cannot be stored; what had finished is.
+    """
+    store = open_bench_store(path, contests.plan, workers)
+    todo = Todo.of(contests.plan, store)
+    teller.begin("episodes", len(todo.jobs) + todo.done, todo.done)
+    counted = _Counted(teller)
+    run_sweep(contests.plan, store, todo, ProcessExecutor(workers, limits), _RETRIES, counted.tell)
+    return store
+
+
+class _Counted:
+    def __init__(self, teller: Teller) -> None:
+        self._teller = teller
+        self._hits = self._failed = 0
+
+    def tell(self, row: Mapping[str, Any] | None, failed: Failed | None) -> None:
+        """Count one episode."""
+        self._hits += bool(row and row["target_collision"])
+        self._failed += failed is not None
+        self._teller.step(f"{self._hits} collisions · {self._failed} failed")

@@ -1,0 +1,181 @@
+"""``bench fewshot``: collision rate against warm-up steps, for targets that Q has never met (the paper's Fig. 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
+from advdiff_sumo.experiments.bench.adversarial import notes_of
+from advdiff_sumo.experiments.bench.collect import Gathered, Seen, gather
+from advdiff_sumo.experiments.bench.contests import Contest, Contests, plan_contests, run_contests
+from advdiff_sumo.experiments.bench.request import Folder, chosen
+from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
+from advdiff_sumo.experiments.bench.statistics import RESAMPLES, Difference, Estimate, Ratio, estimate
+from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
+from advdiff_sumo.experiments.bench.telling import Teller
+from advdiff_sumo.planners.registry import TARGETS
+from advdiff_sumo.sweep.tasks import Limits
+
+RUNGS = 3
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """A target that Q was not trained with.
+
+    Attributes:
+        target: as registered.
+        options: of it.
+    """
+
+    target: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+UNSEEN: Mapping[str, Unseen] = {
+    "EIDM": Unseen("EIDM"),
+    "W99": Unseen("W99"),
+    "lane_graph-brisk": Unseen("lane_graph", {"speed_factor": 1.15, "time_headway_s": 0.8, "gap_s": 0.8}),
+}
+NOTES = (
+    "Each warm-up meets the target on seed scenes that no table uses and refits Q alone (Sec. III-C); the episodes "
+    "that are counted start from the same seed scenes at every step. Intervals: bootstrap over warm-ups and scenes "
+    "at once (Owen 2007, doi:10.1214/07-AOAS122), 95 %; Wilson before the first step, where there is one Q alone.",
+)
+
+
+def marks_of(steps: int) -> tuple[int, ...]:
+    """Return the rungs of the ladder: thirds of *steps*, for the default 30, 60 and 90."""
+    return tuple(sorted({max(1, round(steps * k / RUNGS)) for k in range(1, RUNGS + 1)}))
+
+
+def plan_fewshot(folder: Folder, workers: int, teller: Teller) -> Contests:
+    """Make the warm-ups and return the contests that the request asks for.
+
+    Raises:
+        InputError: a name is unknown, or the list of scenes cannot be used.
+    """
+    request = folder.request
+    if request.policies:
+        raise ConfigError("--policies: bench fewshot is of background diffusion alone; leave it out")
+    scenes = choose_scenes(request.scenes)
+    names, _ = chosen(
+        request.targets, {name: one.target for name, one in UNSEEN.items()}, TARGETS, "--targets"
+    )
+    q = folder.path / "adapted"
+    wanted = {
+        (name, seed): _adaptation(name, seed, folder) for name in names for seed in range(request.seeds)
+    }
+    adapt(list(wanted.values()), q, workers, teller)
+    contests = [Contest(f"{n}/0/0", _of(n).target, "diffusion", _of(n).options) for n in names]
+    for (name, seed), one in wanted.items():
+        for mark in one.marks:
+            options = {"reward": str(one.path(q, mark).resolve())}
+            contests.append(
+                Contest(f"{name}/{seed}/{mark}", one.target, "diffusion", one.target_options, options)
+            )
+    return plan_contests(contests, scenes, request.horizon_s)
+
+
+def run_fewshot(folder: Folder, contests: Contests, workers: int, limits: Limits, teller: Teller) -> Table:
+    """Run what is missing and return the table.
+
+    Raises:
+        FileError: results cannot be stored.
+    """
+    store = run_contests(contests, folder.sweep, workers, limits, teller)
+    found = gather(contests, store, folder.path / "traces", workers, teller)
+    return fewshot_table(found, contests.scenes, folder)
+
+
+def fewshot_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
+    """Return the table of what was gathered: a row for each target, a column for each step of the ladder."""
+    marks = (0, *marks_of(folder.request.steps))
+    heads = tuple(Head(f"steps_{mark}", f"{mark} steps", "%", 100.0, 1, "high") for mark in marks)
+    by_row = {contest.row: seen for contest, seen in found.seen.items()}
+    lines, gaps = [], []
+    for name in dict.fromkeys(row.partition("/")[0] for row in by_row):
+        before = by_row[f"{name}/0/0"]
+        cells = {heads[0].key: Cell(pooled([before]).estimate())}
+        for mark, head in zip(marks[1:], heads[1:], strict=True):
+            after = pooled([by_row[f"{name}/{seed}/{mark}"] for seed in range(folder.request.seeds)])
+            cells[head.key] = Cell(after.estimate())
+            gained = after.less(pooled([before]))
+            gaps.append(Gap(name, head.key, f"{mark} steps", "0 steps", gained))
+        lines.append(Line(name, "", name, cells))
+    title = (
+        f"Few-shot: collision rate after warm-up, {folder.request.seeds} warm-ups, "
+        f"{len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
+    )
+    return Table("fewshot", title, heads, tuple(lines), tuple(gaps), notes_of(found, scenes, folder, NOTES))
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """Collisions of several warm-ups on the same scenes.
+
+    Attributes:
+        scenes: keys of the S scenes that all of them finished.
+        hits: (W, S) whether the target collided.
+    """
+
+    scenes: tuple[str, ...]
+    hits: FloatArray
+
+    def at(self, warm_ups: FloatArray, scenes: FloatArray) -> FloatArray:
+        """Return the rate (R,) with warm-ups (R, W) and scenes (R, S) drawn so often."""
+        total = np.einsum("rw,ws,rs->r", warm_ups, self.hits, scenes)
+        return np.asarray(total / (warm_ups.sum(1) * scenes.sum(1)))
+
+    def estimate(self) -> Estimate:
+        """Return the rate; with Wilson's interval where there is one warm-up alone."""
+        if len(self.hits) == 1:
+            return estimate(Ratio(self.scenes, self.hits[0], np.ones(len(self.scenes)), rate=True))
+        if not self.hits.size:
+            return Estimate()
+        low, high = np.percentile(self.at(*_draws(self.hits.shape)), (2.5, 97.5))
+        return Estimate(float(self.hits.mean()), float(low), float(high), self.hits.size)
+
+    def less(self, before: Pooled) -> Difference:
+        """Return the rate less that of *before*, scenes drawn together."""
+        place = {scene: k for k, scene in enumerate(before.scenes)}
+        rows = [k for k, scene in enumerate(self.scenes) if scene in place]
+        if not rows:
+            return Difference()
+        own = self._rows(np.array(rows))
+        old = before._rows(np.array([place[self.scenes[k]] for k in rows]))
+        warm_ups, scenes = _draws(own.hits.shape)
+        ones = np.ones((len(scenes), len(old.hits)))
+        low, high = np.percentile(own.at(warm_ups, scenes) - old.at(ones, scenes), (2.5, 97.5))
+        return Difference(float(own.hits.mean() - old.hits.mean()), float(low), float(high), None, len(rows))
+
+    def _rows(self, rows: IntArray) -> Pooled:
+        return Pooled(tuple(self.scenes[k] for k in rows.tolist()), self.hits[:, rows])
+
+
+def pooled(runs: Sequence[Sequence[Seen]]) -> Pooled:
+    """Return the collisions of *runs* on the scenes that all of them finished."""
+    flags = [{one.scene: float(bool(one.row["target_collision"])) for one in run} for run in runs]
+    scenes = tuple(scene for scene in flags[0] if all(scene in other for other in flags))
+    return Pooled(scenes, np.array([[one[scene] for scene in scenes] for one in flags]))
+
+
+def _draws(shape: tuple[int, ...], seed: int = 0) -> tuple[FloatArray, FloatArray]:
+    rng = np.random.default_rng(seed)
+    made = [rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES).astype(np.float64) for n in shape]
+    return made[0], made[1]
+
+
+def _of(name: str) -> Unseen:
+    return UNSEEN.get(name, Unseen(name))
+
+
+def _adaptation(name: str, seed: int, folder: Folder) -> Adaptation:
+    request, one = folder.request, _of(name)
+    return Adaptation(one.target, one.options, seed, marks_of(request.steps), request.horizon_s)

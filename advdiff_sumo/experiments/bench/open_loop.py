@@ -1,0 +1,224 @@
+"""Rows of ``bench traffic``: ways to continue a window, and what is counted of their samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.metrics.pairwise import TTC_BINS_S, least_ttc, ttc_counts
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.bundle import Bundle, load_bundle
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.options import MODEL_STEP_S
+from advdiff_sumo.models.simnet_file import load_simnet
+from advdiff_sumo.traffic.diffusion.networks import shipped_weights
+from advdiff_sumo.training import realism
+from advdiff_sumo.training.denoiser import diffused
+from advdiff_sumo.training.displacement import displacement, driving
+from advdiff_sumo.training.evaluate import logged
+
+DDIM_STEPS = 10
+Draw = Callable[[SceneBatch, int, torch.Generator], tuple[Rollout, int]]
+"""Windows, how many samples → joint futures of each window that many times in a row, and how many times."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """A row of the table.
+
+    Attributes:
+        title: what is printed.
+        weights: file among the shipped weights; "" for the log itself.
+        load: path of the weights → what draws futures.
+    """
+
+    title: str
+    weights: str
+    load: Callable[[Path], Draw]
+
+    @property
+    def path(self) -> Path:
+        """Where its weights are."""
+        return shipped_weights().parent / self.weights
+
+    @property
+    def there(self) -> bool:
+        """Whether its weights ship with this installation."""
+        return not self.weights or self.path.is_file()
+
+
+@dataclass(frozen=True)
+class Counted:
+    """What is counted of W windows, each (W,) or (W, bins).
+
+    Attributes:
+        sfde_m: least final error of a sample, mean over its vehicles.
+        fdd_m: sum over vehicles of the mean distance of final positions between samples.
+        vehicles: driving vehicles.
+        trials: the same, once a sample.
+        hit: of these, those whose box meets another one.
+        off_road: of these, those whose centre leaves the road.
+        speed: counts of speeds.
+        accel: counts of accelerations.
+        ttc: counts of times to collision.
+    """
+
+    sfde_m: FloatArray
+    fdd_m: FloatArray
+    vehicles: FloatArray
+    trials: FloatArray
+    hit: FloatArray
+    off_road: FloatArray
+    speed: FloatArray
+    accel: FloatArray
+    ttc: FloatArray
+
+
+def _log(_: Path) -> Draw:
+    return lambda batch, _samples, _generator: (logged(batch), 1)
+
+
+def _simnet(path: Path) -> Draw:
+    simnet = load_simnet(path).eval().requires_grad_(False)
+    return lambda batch, _samples, _generator: (simnet(batch), 1)
+
+
+def _prior(path: Path) -> Draw:
+    bundle = _bundle(path)
+
+    def draw(batch: SceneBatch, samples: int, generator: torch.Generator) -> tuple[Rollout, int]:
+        encoded: Context = bundle.traffic.encoder(batch)
+        context = encoded.repeat(samples)
+        z = context.prior.sample(generator)
+        return bundle.traffic.decoder(z, context.h, batch.repeat(samples)), samples
+
+    return draw
+
+
+def _diffusion(path: Path) -> Draw:
+    bundle = _bundle(path)
+
+    def draw(batch: SceneBatch, samples: int, generator: torch.Generator) -> tuple[Rollout, int]:
+        encoded: Context = bundle.traffic.encoder(batch)
+        context = encoded.repeat(samples)
+        several = batch.repeat(samples)
+        drawn = diffused(bundle, context, DDIM_STEPS, generator)
+        return bundle.codec.decode(drawn, context, several), samples
+
+    return draw
+
+
+MODELS: Mapping[str, Model] = {
+    "log": Model("the log itself", "", _log),
+    "simnet": Model("SimNet", "simnet.safetensors", _simnet),
+    "trafficsim": Model("TrafficSim (prior)", "traffic.safetensors", _prior),
+    "traj2traj": Model("traj2traj", "traj2traj.safetensors", _diffusion),
+    "diffusion": Model("latent diffusion (ours)", "traffic.safetensors", _diffusion),
+}
+
+
+@torch.no_grad()
+def count(name: str, batch: SceneBatch, samples: int, seed: int) -> Counted:
+    """Return what is counted of the futures that model *name* gives the windows of *batch*.
+
+    Args:
+        name: of ``MODELS``.
+        batch: W windows with what happened.
+        samples: joint samples of each.
+        seed: of the random numbers.
+    """
+    node = SeedTree(seed, ("bench", "traffic", name))
+    generator = torch.Generator().manual_seed(node.integer(62))
+    rollout, times = _draw_of(name)(batch, samples, generator)
+    several = batch.repeat(times)
+    known = several.future_valid if name == "log" else several.present[..., None].expand(rollout.yaw.shape)
+    shape, who = (batch.scenes, times, batch.agents), driving(batch)
+    vehicles = who.sum(1)
+    fde = torch.where(who[:, None], displacement(rollout, several).fde_m.reshape(shape), 0.0)
+    hit = realism.colliding(rollout, several, known).reshape(batch.scenes, -1).sum(1)
+    off = realism.leaving_road(rollout, several, known).reshape(batch.scenes, -1).sum(1)
+    speed, accel, ttc = _histograms(rollout, several, times)
+    return Counted(
+        sfde_m=_array((fde.sum(2) / vehicles.clamp(min=1)[:, None]).amin(1)),
+        fdd_m=_array(_spread(rollout, several, times, who)),
+        vehicles=_array(vehicles),
+        trials=_array(vehicles * times),
+        hit=_array(hit),
+        off_road=_array(off),
+        speed=speed,
+        accel=accel,
+        ttc=ttc,
+    )
+
+
+def _spread(rollout: Rollout, several: SceneBatch, times: int, who: Tensor) -> Tensor:
+    """Return (W,) sums over vehicles of the mean distance of final positions over pairs of samples (FDD)."""
+    steps = torch.arange(rollout.xy.shape[2])
+    last = torch.where(several.future_valid, steps, 0).amax(-1)
+    at = last[..., None, None].expand(*last.shape, 1, 2)
+    final = rollout.xy.gather(2, at).squeeze(2).reshape(-1, times, who.shape[1], 2)
+    if times < 2:
+        return torch.zeros(len(final))
+    apart = (final[:, :, None] - final[:, None]).norm(dim=-1).sum((1, 2)) / (times * (times - 1))
+    return torch.where(who, apart, 0.0).sum(1)
+
+
+def _histograms(rollout: Rollout, batch: SceneBatch, times: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (W, bins) counts of speeds, accelerations and times to collision at the known instants."""
+    counted = driving(batch)[..., None] & batch.future_valid
+    before = torch.cat((batch.pose[..., 3:4], rollout.speed[..., :-1]), dim=-1)
+    accel = (rollout.speed - before) / MODEL_STEP_S
+    seconds = ttc_of(rollout, batch)
+    rows = counted.shape[0] // times
+    mask = counted.numpy().reshape(rows, -1)
+    parts = [_array(values).reshape(rows, -1) for values in (rollout.speed, accel)]
+    parts.append(seconds.reshape(rows, -1))
+    bins = (realism.SPEED_BINS, realism.ACCEL_BINS)
+    made = [
+        np.stack([np.histogram(np.clip(v[m], b[0], b[-1]), b)[0] for v, m in zip(part, mask, strict=True)])
+        for part, b in zip(parts, bins, strict=False)
+    ]
+    ttc = np.stack([ttc_counts(v[m]) for v, m in zip(parts[2], mask, strict=True)])
+    assert ttc.shape[1] == len(TTC_BINS_S)  # noqa: S101 - one more bin than edges less one
+    return made[0].astype(np.float64), made[1].astype(np.float64), ttc
+
+
+def ttc_of(rollout: Rollout, batch: SceneBatch) -> FloatArray:
+    """Return (B, A, T) least times to collision of the agents of *batch* on their way along *rollout*.
+
+    Velocities are the steps between instants, so that log and models are measured alike.
+    """
+    before = torch.cat((batch.pose[:, :, None, :2], rollout.xy[:, :, :-1]), dim=2)
+    velocity = _array((rollout.xy - before) / MODEL_STEP_S).swapaxes(1, 2)
+    there = (batch.future_valid & batch.present[..., None]).numpy().swapaxes(1, 2)
+    seconds = least_ttc(
+        _array(rollout.xy).swapaxes(1, 2),
+        _array(rollout.yaw).swapaxes(1, 2),
+        velocity,
+        _array(batch.size)[:, None],
+        there,
+    )
+    return np.asarray(seconds.swapaxes(1, 2))
+
+
+@lru_cache(maxsize=len(MODELS))
+def _draw_of(name: str) -> Draw:
+    return MODELS[name].load(MODELS[name].path)
+
+
+@lru_cache(maxsize=2)
+def _bundle(path: Path) -> Bundle:
+    return load_bundle(path).frozen()
+
+
+def _array(value: Tensor) -> FloatArray:
+    return value.double().cpu().numpy()

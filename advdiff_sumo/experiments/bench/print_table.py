@@ -1,0 +1,85 @@
+"""A bench's table on the terminal: our figures, their intervals, and the paper's beside them in grey."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table as RichTable
+
+from advdiff_sumo.experiments.bench import shown
+from advdiff_sumo.experiments.bench.table import Cell, Head, Line, Table
+
+_WIDEST = 250
+_NARROW_COLUMNS = 5
+
+
+def print_table(console: Console, table: Table) -> None:
+    """Print *table*, its differences and its notes."""
+    before = console.width
+    console.width = max(before, _width(table))
+    console.print(rich_table(table))
+    if table.gaps:
+        console.print(gap_table(table))
+    console.width = before
+    for note in table.notes:
+        console.print(note, markup=False, style="dim", soft_wrap=True)
+
+
+def rich_table(table: Table) -> RichTable:
+    """Return the figures as a table of Rich."""
+    made = RichTable(title=escape(table.title), title_justify="left")
+    groups = any(line.group for line in table.lines)
+    if groups:
+        made.add_column("target")
+    made.add_column("")
+    for head in table.heads:
+        made.add_column(escape(shown.heading(head)), justify="right", no_wrap=True)
+    before = None
+    for line in table.lines:
+        if before is not None and line.group != before:
+            made.add_section()
+        label = [escape(line.group) if line.group != before else ""] if groups else []
+        made.add_row(*label, _title(line), *(_cell(line.cells.get(h.key), h) for h in table.heads))
+        before = line.group
+    return made
+
+
+def gap_table(table: Table) -> RichTable:
+    """Return the differences to the best rival as a table of Rich."""
+    made = RichTable(title="less the best rival, paired by seed scene", title_justify="left")
+    for title in ("target", "figure", "ours", "best rival", "difference", "95 %", "", "scenes"):
+        made.add_column(title, no_wrap=True)
+    heads = {head.key: head for head in table.heads}
+    for gap in table.gaps:
+        head, found = heads[gap.column], gap.found
+        between = escape(shown.interval(found.low, found.high, head))
+        texts = (gap.group, shown.heading(head), gap.ours, gap.rival)
+        made.add_row(
+            *map(escape, texts), shown.change(found, head), between, shown.p_value(found.p), str(found.scenes)
+        )
+    return made
+
+
+def _title(line: Line) -> str:
+    return f"[dim]{escape(line.title)}[/dim]" if line.reference else escape(line.title)
+
+
+def _cell(cell: Cell | None, head: Head) -> str:
+    """Return figure, interval with sample size, and the paper's figure, each on its line."""
+    if cell is None:
+        return shown.NOTHING
+    value = shown.number(cell.found.value, head)
+    lines = [f"[bold]{value}[/bold]" if cell.best else value]
+    between = shown.interval(cell.found.low, cell.found.high, head)
+    if between:
+        lines.append(escape(between))
+    if cell.found.n:
+        lines.append(f"[dim]n {cell.found.n}[/dim]")
+    told = shown.paper_number(cell)
+    if told:
+        lines.append(f"[bright_black]paper {told}[/bright_black]")
+    return "\n".join(lines)
+
+
+def _width(table: Table) -> int:
+    return min(_WIDEST, 40 + 18 * len(table.heads)) if len(table.heads) > _NARROW_COLUMNS else 100

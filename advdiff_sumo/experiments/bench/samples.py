@@ -1,0 +1,105 @@
+"""From finished episodes to what the cells of the closed-loop tables are computed from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.experiments.bench.collect import Seen
+from advdiff_sumo.experiments.bench.statistics import Divergence, Ratio, Sample, aligned
+
+_HISTOGRAMS = ("speed", "accel", "ttc")
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Plans per second, from the median over the episodes' median times of a plan.
+
+    Attributes:
+        scenes: keys.
+        plan_s: (S,) median time of a plan of the background.
+    """
+
+    scenes: tuple[str, ...]
+    plan_s: FloatArray
+
+    @property
+    def n(self) -> int:
+        """Number of episodes."""
+        return len(self.scenes)
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return plans per second for each draw."""
+        order = np.argsort(self.plan_s, kind="stable")
+        reached = np.cumsum(times[:, order], axis=1)
+        middle = (reached >= 0.5 * reached[:, -1:]).argmax(axis=1)
+        return np.asarray(1.0 / self.plan_s[order][middle])
+
+    def rows(self, rows: IntArray) -> Rates:
+        """Return the sample of the scenes at *rows*."""
+        return Rates(tuple(self.scenes[k] for k in rows.tolist()), self.plan_s[rows])
+
+
+def collision_samples(seen: Sequence[Seen]) -> dict[str, Sample]:
+    """Return collision rate, speed at contact, comfort, and whose fault and how visible collisions were."""
+    hits = [one for one in seen if one.row["target_collision"]]
+    return {
+        "collision_rate": _rate(seen, lambda row: bool(row["target_collision"])),
+        "collision_mps": _mean(hits, "relative_speed_mps"),
+        "accel_mps2": _mean(seen, "accel_max_mps2"),
+        "jerk_mps3": _mean(seen, "jerk_max_mps3"),
+        "fault_rate": _rate(hits, lambda row: row["at_fault"] == "target"),
+        "seen_rate": _rate(
+            [one for one in hits if one.row["collision_partner"] is not None],
+            lambda row: row["attacker_visible"] is not False,
+        ),
+    }
+
+
+def background_samples(seen: Sequence[Seen], natural: Sequence[Seen]) -> dict[str, Sample]:
+    """Return how plausible the background was; *natural* is the same scenes' traffic without a policy."""
+    scenes = tuple(one.scene for one in seen)
+    vehicles = np.array([one.trace.vehicles for one in seen], dtype=np.float64)
+    hit = np.array([one.trace.hit for one in seen], dtype=np.float64)
+    made: dict[str, Sample] = {"veh_rate": Ratio(scenes, hit, vehicles, rate=True)}
+    if any(one.trace.off_road is not None for one in seen):
+        off = np.array([one.trace.off_road or 0 for one in seen], dtype=np.float64)
+        moved = np.where([one.trace.off_road is not None for one in seen], vehicles, 0.0)
+        made["env_rate"] = Ratio(scenes, off, moved, rate=True)
+    nats = np.array([one.trace.nats for one in seen])
+    made["nats"] = Ratio(scenes, nats, np.array([one.trace.seconds for one in seen]))
+    if natural and natural is not seen:
+        made["jsd"] = against(seen, natural)
+    times = [(one.scene, one.plan_s) for one in seen if one.plan_s is not None]
+    if times:
+        made["hz"] = Rates(tuple(scene for scene, _ in times), np.array([s for _, s in times]))
+    return made
+
+
+def against(seen: Sequence[Seen], natural: Sequence[Seen]) -> Divergence:
+    """Return the divergence of speeds, accelerations and times to collision from those of *natural*."""
+    own, reference = aligned(_histograms(seen), _histograms(natural))
+    assert isinstance(own, Divergence) and isinstance(reference, Divergence)  # noqa: S101, PT018 - for mypy
+    return Divergence(own.scenes, own.counts, reference.counts)
+
+
+def _histograms(seen: Sequence[Seen]) -> Divergence:
+    counts = tuple(
+        np.array([getattr(one.trace, name) for one in seen], dtype=np.float64) for name in _HISTOGRAMS
+    )
+    return Divergence(tuple(one.scene for one in seen), counts)
+
+
+def _rate(seen: Sequence[Seen], happened: Callable[[Any], bool]) -> Ratio:
+    flags = np.array([happened(one.row) for one in seen], dtype=np.float64)
+    return Ratio(tuple(one.scene for one in seen), flags, np.ones(len(flags)), rate=True)
+
+
+def _mean(seen: Sequence[Seen], column: str) -> Ratio:
+    known = [one for one in seen if one.row[column] is not None]
+    values = np.array([float(one.row[column]) for one in known])
+    return Ratio(tuple(one.scene for one in known), values, np.ones(len(values)))

@@ -1,0 +1,237 @@
+"""Fixed lists of seed scenes: what the benches start from, so that every row of a table is paired."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Callable, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+from pydantic import Field
+
+from advdiff_sumo.config import Options
+from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.maps.shipped import SHIPPED_NETS
+from advdiff_sumo.sim.options import SceneOptions, SimOptions
+from advdiff_sumo.sim.run import Run, RunOptions
+from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.sweep.content import digest, file_digest, net_files
+from advdiff_sumo.sweep.files import write_whole
+
+FORMAT = "advdiff-scenes-1"
+TABLE_LIST, TUNING_LIST = "scenes-300", "scenes-tuning"
+TABLE_SEED, TUNING_SEED = 3001, 7001
+_PLACE_DIGITS = 2
+
+Tell: TypeAlias = Callable[[int], None]
+
+
+class ListedScene(Options):
+    """One seed scene: (net, seed, number) makes it again, the rest says whether it is the same one.
+
+    Attributes:
+        net: a shipped net or a path.
+        seed: root of the random numbers, as ``run --seed``.
+        number: of the scene on that net with that seed.
+        target: name of the vehicle that becomes the target.
+        x_m: where its centre is, east.
+        y_m: the same, north.
+        speed_mps: how fast it is.
+        vehicles: how many road users there are around it, itself included.
+    """
+
+    net: str
+    seed: int = Field(ge=0)
+    number: int = Field(ge=0)
+    target: str
+    x_m: float
+    y_m: float
+    speed_mps: float
+    vehicles: int
+
+    @property
+    def place(self) -> tuple[str, int, int]:
+        """What makes it again."""
+        return self.net, self.seed, self.number
+
+
+class SceneList(Options):
+    """A list of seed scenes, such that its first n are a stratified sample for every n.
+
+    Attributes:
+        format: of the file.
+        about: what it is for.
+        nets: net → digest of its files when the list was made.
+        scene: how scenes are found.
+        scenes: nets in turn, numbers rising.
+        sha256: of all that precedes, as canonical JSON.
+    """
+
+    format: Literal["advdiff-scenes-1"] = FORMAT
+    about: str = ""
+    nets: dict[str, str]
+    scene: SceneOptions = SceneOptions()
+    scenes: tuple[ListedScene, ...]
+    sha256: str = ""
+
+    @property
+    def content_digest(self) -> str:
+        """SHA-256 of the list, the digest itself apart."""
+        text = json.dumps(
+            self.model_dump(mode="json", exclude={"sha256"}), sort_keys=True, separators=(",", ":")
+        )
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def first(self, count: int) -> SceneList:
+        """Return the first *count* scenes; smaller lists are contained in larger ones.
+
+        Raises:
+            ConfigError: there are not so many.
+        """
+        if count > len(self.scenes):
+            raise ConfigError(f"--scenes {count}: the list has {len(self.scenes)}; ask for at most so many")
+        few = self.model_copy(update={"scenes": self.scenes[:count], "sha256": ""})
+        return few.model_copy(update={"sha256": few.content_digest})
+
+    def counts(self) -> dict[tuple[str, int], int]:
+        """Return how many scenes each net and seed has, in the list's order."""
+        return dict(Counter((scene.net, scene.seed) for scene in self.scenes))
+
+
+def read_scene_list(path: Path) -> SceneList:
+    """Read a list and hold it against its own digest and against the nets.
+
+    Raises:
+        FileError: it is missing, no such list, was changed by hand, or its nets are others now.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror})", "give a list of seed scenes") from None
+    except ValueError as error:
+        raise FileError(path, f"is no JSON ({error})", "give a list of seed scenes") from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise FileError(path, "is no list of seed scenes", "make one with tools/make_bench_scenes.py")
+    found = SceneList.parse(content, str(path))
+    if found.sha256 != found.content_digest:
+        raise FileError(path, "is not what its sha256 says", "restore it, or make a list of your own")
+    _check_order(found, path)
+    for net, known in found.nets.items():
+        if file_digest(*net_files(net)) != known:
+            raise FileError(path, f"was made on another net '{net}'", "restore that net, or make a new list")
+    return found
+
+
+def shipped_list(name: str = TABLE_LIST) -> Path:
+    """Return the file of a list that ships with the project.
+
+    Raises:
+        FileError: the installation lacks it.
+    """
+    package = Path(__file__).resolve().parents[2]
+    for folder in (package / "scenarios", package.parent / "scenarios"):
+        path = folder / "benches" / f"{name}.json"
+        if path.is_file():
+            return path
+    raise FileError(
+        f"{name}.json", "the shipped list of seed scenes is missing", "give one with --scenes FILE"
+    )
+
+
+def choose_scenes(asked: str) -> SceneList:
+    """Return the scenes that ``--scenes`` asks for: a number of the shipped list's first, or a list's file.
+
+    Raises:
+        InputError: no such file or number.
+    """
+    if asked.isdigit() and int(asked) > 0:
+        return read_scene_list(shipped_list()).first(int(asked))
+    if asked.lstrip("+-").isdigit():
+        raise ConfigError(f"--scenes {asked}: give a number above 0, or the file of a list")
+    return read_scene_list(Path(asked))
+
+
+def make_list(
+    per_net: int,
+    seed: int,
+    about: str,
+    nets: Sequence[str] = SHIPPED_NETS,
+    scene: SceneOptions | None = None,
+    tell: Tell | None = None,
+) -> SceneList:
+    """Return a new list, made by simulating; the same arguments give the same list.
+
+    Args:
+        per_net: scenes on each net.
+        seed: of all of them.
+        about: what it is for.
+        nets: where.
+        scene: how scenes are found; None: as ``run`` does.
+        tell: called with how many are made.
+
+    Raises:
+        InputError: a net cannot be used.
+    """
+    scene = scene if scene is not None else SceneOptions()
+    made: dict[str, list[ListedScene]] = {net: [] for net in nets}
+    for net, found in made.items():  # what happens after the start is not looked at
+        run = Run.prepare(RunOptions(net=net, seed=seed, scene=scene, horizon_s=SimOptions().step_s))
+        for number, seed_scene in enumerate(islice(run.seed_scenes(), per_net)):
+            found.append(_listed(net, seed, number, seed_scene))
+            if tell is not None:
+                tell(sum(map(len, made.values())))
+    digests = {net: file_digest(*net_files(net)) for net in nets}
+    in_turn = tuple(one for group in zip(*made.values(), strict=True) for one in group)
+    whole = SceneList(about=about, nets=digests, scene=scene, scenes=in_turn)
+    return whole.model_copy(update={"sha256": whole.content_digest})
+
+
+def write_scene_list(path: Path, scenes: SceneList) -> None:
+    """Write a list, one scene a line.
+
+    Raises:
+        FileError: it cannot be written.
+    """
+    dumped = scenes.model_dump(mode="json")
+    rows = ",\n  ".join(json.dumps(row, sort_keys=True) for row in dumped.pop("scenes"))
+    head = json.dumps(dumped, sort_keys=True, indent=1)
+    write_whole(path, f'{head[:-2]},\n "scenes": [\n  {rows}\n ]\n}}\n'.encode())
+
+
+def list_digest(scenes: SceneList) -> str:
+    """Return what identifies the scenes alone, whatever else stands in their file."""
+    return digest([scene.place for scene in scenes.scenes])
+
+
+def _listed(net: str, seed: int, number: int, scene: SeedScene) -> ListedScene:
+    now = scene.history.index[scene.target]
+    x, y = np.round(scene.history.xy_m[now, -1], _PLACE_DIGITS).tolist()
+    return ListedScene(
+        net=net,
+        seed=seed,
+        number=number,
+        target=scene.target,
+        x_m=x,
+        y_m=y,
+        speed_mps=round(float(scene.history.speed_mps[now, -1]), _PLACE_DIGITS),
+        vehicles=int(scene.history.valid[:, -1].sum()),
+    )
+
+
+def _check_order(found: SceneList, path: Path) -> None:
+    """Refuse a list whose scenes of a net and seed are not numbered 0, 1, 2, …; sweeps count like that."""
+    seen: Counter[tuple[str, int]] = Counter()
+    for scene in found.scenes:
+        if scene.number != seen[scene.net, scene.seed]:
+            raise FileError(
+                path,
+                f"scene {scene.number} of {scene.net}, seed {scene.seed} is out of order",
+                "number them from 0",
+            )
+        seen[scene.net, scene.seed] += 1
+    if not found.scenes:
+        raise FileError(path, "holds no scene", "make a list with some")

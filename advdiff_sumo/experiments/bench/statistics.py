@@ -1,0 +1,245 @@
+"""Figures of a table's cell with their intervals: Wilson for rates, bootstrap over seed scenes for the rest.
+
+A sample holds one entry a seed scene, so that any figure is a function of how often each scene is drawn; what the
+episodes of a scene have in common, such as several vehicles or warm-ups, is drawn together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from scipy.stats import binomtest
+
+from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.metrics.intervals import wilson
+
+RESAMPLES = 4000
+_TAILS = (2.5, 97.5)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure with its 95 % interval.
+
+    Attributes:
+        value: the figure; None without a sample.
+        low: lower end; None where it is undefined.
+        high: upper end.
+        n: what it is out of.
+    """
+
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    n: int = 0
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One figure less another one, over the seed scenes that both have.
+
+    Attributes:
+        value: the difference; None where one of them is undefined.
+        low: lower end of its 95 % bootstrap interval.
+        high: upper end.
+        p: exact McNemar test, two-sided (doi:10.1007/BF02295996); None for what is no rate of episodes.
+        scenes: how many both have.
+    """
+
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    p: float | None = None
+    scenes: int = 0
+
+
+class Sample(Protocol):
+    """What a cell is computed from; S seed scenes.
+
+    Attributes:
+        scenes: their keys.
+    """
+
+    scenes: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        """What the figure is out of."""
+        ...
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return the figure (R,) with scenes drawn *times* (R, S); NaN where it is undefined."""
+        ...
+
+    def rows(self, rows: IntArray) -> Sample:
+        """Return the sample of the scenes at *rows*."""
+        ...
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """A sum over scenes divided by another one: a mean, or a share.
+
+    Attributes:
+        scenes: keys.
+        total: (S,) sums of values, or counts of what happened.
+        count: (S,) numbers of values, or of trials.
+        rate: it is a share of trials, which gets Wilson's interval.
+    """
+
+    scenes: tuple[str, ...]
+    total: FloatArray
+    count: FloatArray
+    rate: bool = False
+
+    @property
+    def n(self) -> int:
+        """Number of values or trials."""
+        return round(float(self.count.sum()))
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return the figure for each draw."""
+        out_of = times @ self.count
+        return np.asarray(
+            np.where(out_of > 0.0, times @ self.total / np.where(out_of > 0.0, out_of, 1.0), np.nan)
+        )
+
+    def rows(self, rows: IntArray) -> Ratio:
+        """Return the sample of the scenes at *rows*."""
+        return Ratio(
+            tuple(self.scenes[k] for k in rows.tolist()), self.total[rows], self.count[rows], self.rate
+        )
+
+    @property
+    def flags(self) -> FloatArray | None:
+        """(S,) 0 or 1 where each scene has one trial; NaN where it has none; None where one has several."""
+        if not self.rate or (self.count > 1.0).any():
+            return None
+        return np.where(self.count > 0.0, self.total, np.nan)
+
+
+@dataclass(frozen=True)
+class Divergence:
+    """Mean Jensen-Shannon divergence of several histograms against those of a reference, base 2.
+
+    Attributes:
+        scenes: keys.
+        counts: (S, K) histograms, each.
+        reference: (S, K) the reference's in the same scenes, each.
+    """
+
+    scenes: tuple[str, ...]
+    counts: tuple[FloatArray, ...]
+    reference: tuple[FloatArray, ...] = field(default=())
+
+    @property
+    def n(self) -> int:
+        """Values in the first histogram."""
+        return round(float(self.counts[0].sum()))
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return the divergence for each draw; the reference is drawn with it."""
+        parts = [
+            jensen_shannon(times @ own, times @ other)
+            for own, other in zip(self.counts, self.reference, strict=True)
+        ]
+        return np.asarray(np.mean(parts, axis=0))
+
+    def rows(self, rows: IntArray) -> Divergence:
+        """Return the sample of the scenes at *rows*."""
+        return Divergence(
+            tuple(self.scenes[k] for k in rows.tolist()),
+            tuple(one[rows] for one in self.counts),
+            tuple(one[rows] for one in self.reference),
+        )
+
+
+def jensen_shannon(p: FloatArray, q: FloatArray) -> FloatArray:
+    """Return (R,) Jensen-Shannon divergences of histograms (R, K), 0 … 1, base 2; NaN where one is empty."""
+    sums = p.sum(-1, keepdims=True), q.sum(-1, keepdims=True)
+    empty = (sums[0] <= 0.0) | (sums[1] <= 0.0)
+    p, q = (one / np.where(total > 0.0, total, 1.0) for one, total in zip((p, q), sums, strict=True))
+    middle = 0.5 * (p + q)
+    both = 0.5 * (_relative_entropy(p, middle) + _relative_entropy(q, middle))
+    return np.where(empty[..., 0], np.nan, both)
+
+
+def estimate(sample: Sample, seed: int = 0) -> Estimate:
+    """Return the figure of *sample*: Wilson's interval for a rate, else the percentile bootstrap over scenes."""
+    if not sample.scenes or not sample.n:
+        return Estimate()
+    value = _one(sample)
+    if np.isnan(value):
+        return Estimate(n=sample.n)
+    if isinstance(sample, Ratio) and sample.rate:
+        return Estimate(value, *wilson(round(float(sample.total.sum())), sample.n), sample.n)
+    return Estimate(value, *_percentiles(sample.at(draws(len(sample.scenes), seed))), sample.n)
+
+
+def difference(sample: Sample, other: Sample, seed: int = 0) -> Difference:
+    """Return the figure of *sample* less that of *other*, over the scenes that both have, drawn together."""
+    a, b = aligned(sample, other)
+    if not a.scenes:
+        return Difference()
+    value = _one(a) - _one(b)
+    if np.isnan(value):
+        return Difference(scenes=len(a.scenes))
+    times = draws(len(a.scenes), seed)
+    low, high = _percentiles(a.at(times) - b.at(times))
+    return Difference(value, low, high, _mcnemar_of(a, b), len(a.scenes))
+
+
+def aligned(a: Sample, b: Sample) -> tuple[Sample, Sample]:
+    """Return both samples over the scenes that both have, in the order of the first."""
+    place = {scene: row for row, scene in enumerate(b.scenes)}
+    rows = np.array([k for k, scene in enumerate(a.scenes) if scene in place], dtype=np.int64)
+    others = np.array([place[a.scenes[k]] for k in rows.tolist()], dtype=np.int64)
+    return a.rows(rows), b.rows(others)
+
+
+def mcnemar(only_a: int, only_b: int) -> float:
+    """Return the two-sided p of the exact McNemar test; 1 without discordant pairs."""
+    return float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
+
+
+def draws(scenes: int, seed: int, resamples: int = RESAMPLES) -> FloatArray:
+    """Return (R, S) how often each scene is drawn in each of the bootstrap's samples."""
+    rng = np.random.default_rng(seed)
+    return rng.multinomial(scenes, np.full(scenes, 1.0 / scenes), size=resamples).astype(np.float64)
+
+
+def ratio(scenes: Sequence[str], total: Sequence[float], count: Sequence[float], rate: bool = False) -> Ratio:
+    """Return a :class:`Ratio` of plain lists."""
+    return Ratio(tuple(scenes), np.asarray(total, np.float64), np.asarray(count, np.float64), rate)
+
+
+def _mcnemar_of(a: Sample, b: Sample) -> float | None:
+    if not isinstance(a, Ratio) or not isinstance(b, Ratio):
+        return None
+    first, second = a.flags, b.flags
+    if first is None or second is None:
+        return None
+    return mcnemar(
+        int(((first == 1.0) & (second == 0.0)).sum()), int(((first == 0.0) & (second == 1.0)).sum())
+    )
+
+
+def _one(sample: Sample) -> float:
+    return float(sample.at(np.ones((1, len(sample.scenes))))[0])
+
+
+def _percentiles(values: FloatArray) -> tuple[float | None, float | None]:
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return None, None
+    low, high = np.percentile(known, _TAILS)
+    return float(low), float(high)
+
+
+def _relative_entropy(p: FloatArray, q: FloatArray) -> FloatArray:
+    some = p > 0.0
+    share = np.where(some, p / np.where(some, q, 1.0), 1.0)
+    return np.asarray((p * np.log2(share)).sum(-1))

@@ -1,0 +1,169 @@
+"""What the tables need of an episode beyond its row: who the background vehicles were and how they drove."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.experiments.bench.likelihood import natural_nats
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.kinematics import velocities
+from advdiff_sumo.metrics.pairwise import least_ttc, ttc_counts
+from advdiff_sumo.report.states import EpisodeStates, states_of
+from advdiff_sumo.sim.run import read_road
+from advdiff_sumo.sweep.parts import Part
+from advdiff_sumo.sweep.store import Store
+from advdiff_sumo.training.realism import ACCEL_BINS, SPEED_BINS
+
+MODEL_STEP_S = 0.5
+NEAR_M = 60.0
+"""Background vehicles nearer than this to the target count, moved or not: the default control radius."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One episode's background; counts are of vehicles.
+
+    Attributes:
+        vehicles: background vehicles that the policy moved; with background sumo, those that came near.
+        hit: of these, how many ran into another background vehicle.
+        off_road: of these, how many came to be off the road; None where nobody was moved.
+        speed: counts of their speeds near the target, at 2 Hz.
+        accel: the same of accelerations, differences of speed over 0.5 s.
+        ttc: the same of the least time to collision with another background vehicle; the last bin is none in 10 s.
+        nats: sum of the bounds on log-likelihoods, see :mod:`likelihood`.
+        seconds: vehicle-seconds that they are of.
+        start: name and place of the target at the start.
+    """
+
+    vehicles: int
+    hit: int
+    off_road: int | None
+    speed: tuple[int, ...]
+    accel: tuple[int, ...]
+    ttc: tuple[int, ...]
+    nats: float
+    seconds: float
+    start: tuple[str, float, float]
+
+    def to_bytes(self) -> bytes:
+        """Return it as JSON."""
+        return json.dumps(asdict(self)).encode()
+
+    @staticmethod
+    def from_bytes(content: bytes) -> Trace:
+        """Return what :meth:`to_bytes` wrote."""
+        plain = json.loads(content)
+        return Trace(**{key: tuple(v) if isinstance(v, list) else v for key, v in plain.items()})
+
+
+def trace_of(folder: Path, key: str, net: str) -> bytes:
+    """Return the trace of the episode *key* of the sweep in *folder*; empty where it has no states."""
+    part = Store(folder).read(key)
+    return b"" if part is None or "states" not in part.tables else _trace(part, _road(net))
+
+
+def _trace(part: Part, road: RoadMap) -> bytes:
+    states = states_of(part.tables["states"])
+    if states is None:
+        return b""
+    (row,) = part.tables["episodes"].to_pylist()
+    coarse = at_model_step(states.tracks)
+    near = near_target(coarse, states.target)
+    counted = _counted(states, near)
+    speed, accel, ttc = histograms(coarse, near)
+    nats, seconds = natural_nats(road, coarse, states.target, near.any(axis=1))
+    x, y = states.tracks.xy_m[states.target, 0].tolist()
+    return Trace(
+        vehicles=int(counted.sum()),
+        hit=_hit(part.tables["collisions"], states.tracks, counted),
+        off_road=int(row["bv_offroad_vehicles"]) if states.moved else None,
+        speed=speed,
+        accel=accel,
+        ttc=ttc,
+        nats=nats,
+        seconds=seconds,
+        start=(states.tracks.ids[states.target], x, y),
+    ).to_bytes()
+
+
+def at_model_step(tracks: Tracks) -> Tracks:
+    """Return every instant of *tracks* that is a multiple of 0.5 s."""
+    stride = round(MODEL_STEP_S / tracks.dt_s)
+    return Tracks(
+        ids=tracks.ids,
+        classes=tracks.classes,
+        size_m=tracks.size_m,
+        xy_m=tracks.xy_m[:, ::stride],
+        yaw_rad=tracks.yaw_rad[:, ::stride],
+        speed_mps=tracks.speed_mps[:, ::stride],
+        valid=tracks.valid[:, ::stride],
+        t0_s=tracks.t0_s,
+        dt_s=stride * tracks.dt_s,
+    )
+
+
+def near_target(tracks: Tracks, target: int) -> BoolArray:
+    """Return (A, T) which background vehicles are near the target."""
+    with np.errstate(invalid="ignore"):
+        near = np.linalg.norm(tracks.xy_m - tracks.xy_m[target], axis=-1) < NEAR_M
+    near &= tracks.valid & tracks.valid[target]
+    near[tracks.classes == AgentClass.PEDESTRIAN] = False
+    near[target] = False
+    return np.asarray(near)
+
+
+def histograms(tracks: Tracks, near: BoolArray) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+    """Return counts of speeds, accelerations and times to collision of the vehicles *near* (A, T)."""
+    later = near[:, 1:] & tracks.valid[:, :-1]
+    accel = (np.diff(tracks.speed_mps, axis=1) / tracks.dt_s)[later]
+    others = tracks.valid & near.any(axis=1)[:, None]
+    seconds = least_ttc(
+        tracks.xy_m.swapaxes(0, 1),
+        tracks.yaw_rad.T,
+        velocities(tracks).swapaxes(0, 1),
+        tracks.size_m[None],
+        others.T,
+    )
+    return (
+        _whole(_counts(tracks.speed_mps[near], SPEED_BINS)),
+        _whole(_counts(accel, ACCEL_BINS)),
+        _whole(ttc_counts(seconds[near.T])),
+    )
+
+
+def _counted(states: EpisodeStates, near: BoolArray) -> BoolArray:
+    """Return (A,) the background vehicles that rates are of."""
+    if not states.moved:
+        return np.asarray(near.any(axis=1))
+    counted = np.zeros(states.tracks.agents, dtype=np.bool_)
+    counted[sorted(states.moved)] = True
+    return counted
+
+
+def _hit(collisions: pa.Table, tracks: Tracks, counted: BoolArray) -> int:
+    names: set[str] = set()
+    for row in collisions.to_pylist():
+        if not row["with_target"] and not row["initial"]:
+            names |= {str(row["first"]), str(row["second"])}
+    return sum(name in names and bool(counted[row]) for name, row in tracks.index.items())
+
+
+def _counts(values: FloatArray, bins: FloatArray) -> FloatArray:
+    return np.histogram(np.clip(values, bins[0], bins[-1]), bins)[0].astype(np.float64)
+
+
+def _whole(counts: FloatArray) -> tuple[int, ...]:
+    return tuple(int(count) for count in counts)
+
+
+@lru_cache(maxsize=4)
+def _road(net: str) -> RoadMap:
+    return read_road(net)

@@ -1,0 +1,198 @@
+"""``bench transfer``: the paper's third table: adapted to one planner, met by another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt, surrogate_options
+from advdiff_sumo.experiments.bench.adversarial import notes_of
+from advdiff_sumo.experiments.bench.collect import Gathered, Seen, gather
+from advdiff_sumo.experiments.bench.contests import Contest, Contests, plan_contests, run_contests
+from advdiff_sumo.experiments.bench.paper import paper_table
+from advdiff_sumo.experiments.bench.request import Folder, chosen
+from advdiff_sumo.experiments.bench.rows import OURS, POLICY_ROWS, TARGET_TITLES, policy_row
+from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
+from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
+from advdiff_sumo.experiments.bench.statistics import Estimate, Ratio, Sample, difference, draws
+from advdiff_sumo.experiments.bench.table import Gap, Head, RowSamples, Table, lines_of
+from advdiff_sumo.experiments.bench.telling import Teller
+from advdiff_sumo.planners.registry import TARGETS
+from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.traffic.registry import POLICIES
+
+SOURCES = ("lane_graph", "simnet", "trafficsim")
+"""What a policy is adapted to: the paper's three."""
+TARGETS_MET = {
+    name: name for name in ("lane_graph", "simnet", "trafficsim", "diffusion", "IDM", "EIDM", "W99")
+}
+ADAPTED = ("advsim", "strive", "adv-rl", OURS)
+BY_SURROGATE = ("advsim", "strive")
+FIXED_SOURCE = {"adv-rl": "lane_graph"}
+"""Policies whose shipped weights were trained against one planner alone."""
+NOTES = (
+    "A row is a policy and what it was adapted to: Q warmed up against it (ours), expected as the target (AdvSim, "
+    "Strive), or trained against (Adv-RL, rule-based alone). AV CR: share of episodes in which the target collides; BV "
+    "CR: share of moved background vehicles that hit another one or leave the road. Intervals: Wilson, 95 %.",
+)
+
+
+def plan_transfer(folder: Folder, workers: int, teller: Teller) -> Contests:
+    """Make the warm-ups and return the contests that the request asks for.
+
+    Raises:
+        InputError: a name is unknown, or the list of scenes cannot be used.
+    """
+    request = folder.request
+    scenes = choose_scenes(request.scenes)
+    usual = {name: POLICY_ROWS[name].background for name in ADAPTED}
+    names, lacking = chosen(request.policies, usual, POLICIES, "--policies")
+    if any(name not in ADAPTED for name in names):
+        raise ConfigError(f"--policies: bench transfer has {', '.join(ADAPTED)}; only these can be adapted")
+    targets, absent = chosen(request.targets, TARGETS_MET, TARGETS, "--targets")
+    for name in (*lacking, *absent):
+        teller.say(f"{name} is left out: this installation has nothing of that name yet")
+    sources, _ = chosen((), {name: name for name in SOURCES}, TARGETS, "--targets")
+    q = folder.path / "adapted"
+    if OURS in names:
+        adapt([_warm_up(source, folder) for source in sources], q, workers, teller)
+    contests = [
+        contest
+        for name in names
+        for source in sources
+        if FIXED_SOURCE.get(name, source) == source
+        for contest in _against(name, source, targets, folder, q)
+    ]
+    return plan_contests(contests, scenes, request.horizon_s)
+
+
+def run_transfer(folder: Folder, contests: Contests, workers: int, limits: Limits, teller: Teller) -> Table:
+    """Run what is missing and return the table.
+
+    Raises:
+        FileError: results cannot be stored.
+    """
+    store = run_contests(contests, folder.sweep, workers, limits, teller)
+    found = gather(contests, store, folder.path / "traces", workers, teller)
+    return transfer_table(found, contests.scenes, folder)
+
+
+def transfer_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
+    """Return the table of what was gathered: a row for each policy and source, two columns for each target."""
+    targets = tuple(dict.fromkeys(contest.target for contest in found.seen))
+    heads = tuple(head for target in targets for head in _heads(target))
+    cells: dict[str, dict[str, Sample]] = {}
+    for contest, seen in found.seen.items():
+        cells.setdefault(contest.row, {}).update(_samples(contest.target, seen))
+    rows = []
+    for key, samples in cells.items():
+        name, _, source = key.partition("/")
+        title = policy_row(name).title.removesuffix(" (ours)")
+        rows.append(RowSamples(key, "", f"{title} ← {TARGET_TITLES.get(source, source)}", samples))
+    lines = lines_of(heads, rows, paper_table("transfer").rows)
+    title = f"Transfer to other planners: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
+    notes = notes_of(found, scenes, folder, (*kept_shares(rows), *NOTES))
+    return Table("transfer", title, heads, lines, _kept(rows), notes)
+
+
+def _heads(target: str) -> tuple[Head, Head]:
+    title = TARGET_TITLES.get(target, target)
+    return (
+        Head(f"{target}:av_rate", f"{title}: AV CR", "%", 100.0, 1, "high"),
+        Head(f"{target}:bv_rate", f"{title}: BV CR", "%", 100.0, 2, "low"),
+    )
+
+
+def _samples(target: str, seen: Sequence[Seen]) -> dict[str, Sample]:
+    background = background_samples(seen, ())
+    made: dict[str, Sample] = {f"{target}:av_rate": collision_samples(seen)["collision_rate"]}
+    env, veh = background.get("env_rate"), background.get("veh_rate")
+    if isinstance(env, Ratio) and isinstance(veh, Ratio):
+        made[f"{target}:bv_rate"] = Ratio(
+            veh.scenes, np.minimum(env.total + veh.total, veh.count), veh.count, rate=True
+        )
+    return made
+
+
+def _warm_up(source: str, folder: Folder) -> Adaptation:
+    request = folder.request
+    return Adaptation(source, {}, 0, (request.steps,), request.horizon_s)
+
+
+def _against(name: str, source: str, targets: Sequence[str], folder: Folder, q: Path) -> list[Contest]:
+    """Return the contests of *name*, adapted to *source*, with each of *targets*."""
+    options = dict(policy_row(name).options)
+    if name in BY_SURROGATE:
+        options |= surrogate_options(source)
+    if name == OURS:
+        adapted = _warm_up(source, folder)
+        options["reward"] = str(adapted.path(q, folder.request.steps).resolve())
+    background = policy_row(name).background
+    return [Contest(f"{name}/{source}", t, background, background_options=options) for t in targets]
+
+
+def _kept(rows: Sequence[RowSamples]) -> tuple[Gap, ...]:
+    """Return, for each target that is a source too, what others' adaptation costs against its own."""
+    by_key = {row.key: row for row in rows}
+    gaps = []
+    for row in rows:
+        name, _, source = row.key.partition("/")
+        for target in SOURCES:
+            own, column = by_key.get(f"{name}/{target}"), f"{target}:av_rate"
+            if own is not None and target != source and column in row.samples and column in own.samples:
+                found = difference(row.samples[column], own.samples[column])
+                gaps.append(Gap(TARGET_TITLES.get(target, target), column, row.title, own.title, found))
+    return tuple(gaps)
+
+
+def kept_shares(rows: Sequence[RowSamples]) -> tuple[str, ...]:
+    """Return sentences on how much of its collision rate each policy keeps on targets it was not adapted to.
+
+    The share is the rate against a target with another one's adaptation, by the rate with its own, means over all such
+    pairs, with a bootstrap over seed scenes.
+    """
+    by_key = {row.key: row for row in rows}
+    said = []
+    for name in dict.fromkeys(row.key.partition("/")[0] for row in rows):
+        pairs = [
+            (foreign.samples[f"{target}:av_rate"], own.samples[f"{target}:av_rate"])
+            for target in SOURCES
+            if (own := by_key.get(f"{name}/{target}")) is not None
+            for source in SOURCES
+            if source != target and (foreign := by_key.get(f"{name}/{source}")) is not None
+            if f"{target}:av_rate" in own.samples and f"{target}:av_rate" in foreign.samples
+        ]
+        kept = share_kept(pairs)
+        if kept.value is not None:
+            between = "" if kept.low is None else f" [{100 * kept.low:.0f}, {100 * (kept.high or 0.0):.0f}]"
+            title = policy_row(name).title
+            said.append(
+                f"{title} keeps {100 * kept.value:.0f} %{between} of its AV CR on planners it was not adapted to."
+            )
+    return tuple(said)
+
+
+def share_kept(pairs: Sequence[tuple[Sample, Sample]], seed: int = 0) -> Estimate:
+    """Return Σ foreign rates by Σ own rates over the scenes that all have; nothing where own rates are 0."""
+    flat = [one for pair in pairs for one in pair]
+    common = [scene for scene in flat[0].scenes if all(scene in one.scenes for one in flat)] if flat else []
+    if not common:
+        return Estimate()
+    places = [{scene: k for k, scene in enumerate(one.scenes)} for one in flat]
+    same = [one.rows(np.array([at[s] for s in common])) for one, at in zip(flat, places, strict=True)]
+
+    def share(times: FloatArray) -> FloatArray:
+        rates = [one.at(times) for one in same]
+        foreign, own = np.sum(rates[::2], axis=0), np.sum(rates[1::2], axis=0)
+        return np.asarray(np.where(own > 0.0, foreign / np.where(own > 0.0, own, 1.0), np.nan))
+
+    value = float(share(np.ones((1, len(common))))[0])
+    if np.isnan(value):
+        return Estimate(n=len(common))
+    drawn = share(draws(len(common), seed))
+    low, high = np.nanpercentile(drawn, (2.5, 97.5))
+    return Estimate(value, float(low), float(high), len(common))

@@ -1,0 +1,180 @@
+"""A bench's table as files: CSV, LaTeX, Markdown and JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from advdiff_sumo.experiments.bench import shown
+from advdiff_sumo.experiments.bench.table import Cell, Head, Table
+from advdiff_sumo.sweep.files import write_whole
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "²": r"\textsuperscript{2}",
+    "³": r"\textsuperscript{3}",
+    "–": "--",
+    "×": r"$\times$",
+    "·": r"$\cdot$",
+    "α": r"$\alpha$",
+    "→": r"$\to$",
+    "⁻": r"\textsuperscript{--}",
+}
+
+
+def write_files(folder: Path, table: Table) -> None:
+    """Write ``table.csv``, ``differences.csv``, ``timing.csv``, ``table.tex``, ``table.md`` and ``table.json``.
+
+    Only ``timing.csv``, ``table.tex`` and ``table.md`` hold measured times; the others are the same on every machine.
+
+    Raises:
+        FileError: one cannot be written.
+    """
+    steady = tuple(head for head in table.heads if not head.measured)
+    timed = tuple(head for head in table.heads if head.measured)
+    write_whole(folder / "table.csv", csv_text(table, steady).encode())
+    if timed:
+        write_whole(folder / "timing.csv", csv_text(table, timed).encode())
+    write_whole(folder / "differences.csv", differences_text(table).encode())
+    write_whole(folder / "table.tex", latex_text(table).encode())
+    write_whole(folder / "table.md", markdown_text(table).encode())
+    write_whole(folder / "table.json", json_text(table, steady).encode())
+
+
+def csv_text(table: Table, heads: Sequence[Head]) -> str:
+    """Return one line a row and column: figure, interval, sample size, and the paper's figure."""
+    sink = io.StringIO()
+    writer = csv.writer(sink, lineterminator="\n")
+    writer.writerow(("target", "row", "column", "unit", "value", "low", "high", "n", "paper"))
+    for line in table.lines:
+        for head in heads:
+            cell = line.cells.get(head.key)
+            if cell is not None:
+                writer.writerow((line.group, line.title, head.key, head.unit, *_values(cell, head)))
+    return sink.getvalue()
+
+
+def differences_text(table: Table) -> str:
+    """Return the differences to the best rival, one a line."""
+    sink = io.StringIO()
+    writer = csv.writer(sink, lineterminator="\n")
+    writer.writerow(("target", "column", "unit", "ours", "rival", "difference", "low", "high", "p", "scenes"))
+    heads = {head.key: head for head in table.heads}
+    for gap in table.gaps:
+        head, found = heads[gap.column], gap.found
+        scaled = (_scaled(value, head) for value in (found.value, found.low, found.high))
+        p = "" if found.p is None else f"{found.p:.6g}"
+        writer.writerow((gap.group, gap.column, head.unit, gap.ours, gap.rival, *scaled, p, found.scenes))
+    return sink.getvalue()
+
+
+def json_text(table: Table, heads: Sequence[Head]) -> str:
+    """Return the table without its measured columns as JSON."""
+    keys = {head.key for head in heads}
+    plain = asdict(table)
+    plain["heads"] = [head for head in plain["heads"] if head["key"] in keys]
+    for line in plain["lines"]:
+        line["cells"] = {key: cell for key, cell in line["cells"].items() if key in keys}
+    return json.dumps(plain, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def latex_text(table: Table) -> str:
+    r"""Return a table for LaTeX; it needs the packages booktabs, xcolor and graphicx, the latter for ``\resizebox``."""
+    groups = any(line.group for line in table.lines)
+    columns = ("l" if groups else "") + "l" + "r" * len(table.heads)
+    titles = [*([""] if groups else []), "", *(escaped(shown.heading(head)) for head in table.heads)]
+    body, before = [], None
+    for line in table.lines:
+        if before is not None and line.group != before:
+            body.append(r"\midrule")
+        label = [escaped(line.group) if line.group != before else ""] if groups else []
+        cells = (_latex_cell(line.cells.get(head.key), head) for head in table.heads)
+        body.append(" & ".join((*label, escaped(line.title), *cells)) + r" \\")
+        before = line.group
+    rows = "\n".join(body)
+    return (
+        "% needs booktabs, xcolor, graphicx\n"
+        "\\begin{table*}\n\\centering\n"
+        f"\\caption{{{escaped(table.title)}. Intervals are 95\\,\\%; grey: the paper's own figures.}}\n"
+        f"\\label{{tab:{table.bench}}}\n\\resizebox{{\\linewidth}}{{!}}{{%\n\\begin{{tabular}}{{{columns}}}\n"
+        f"\\toprule\n{' & '.join(titles)} \\\\\n\\midrule\n{rows}\n\\bottomrule\n"
+        "\\end{tabular}}\n\\end{table*}\n"
+    )
+
+
+def markdown_text(table: Table) -> str:
+    """Return the table, its differences and notes as Markdown."""
+    groups = any(line.group for line in table.lines)
+    titles = [*(["target"] if groups else []), "", *(shown.heading(head) for head in table.heads)]
+    rows = [titles, ["---"] * len(titles)]
+    for line in table.lines:
+        cells = [_markdown_cell(line.cells.get(head.key), head) for head in table.heads]
+        rows.append([*([line.group] if groups else []), line.title, *cells])
+    text = "".join(f"| {' | '.join(row)} |\n" for row in rows)
+    if table.gaps:
+        text += "\n" + _markdown_gaps(table)
+    notes = "".join(f"- {note}\n" for note in table.notes)
+    return f"**{table.title}**\n\n{text}\n{notes}"
+
+
+def escaped(text: str) -> str:
+    """Return *text* so that LaTeX prints it as it stands."""
+    return "".join(_SPECIAL.get(letter, letter) for letter in text)
+
+
+def _markdown_gaps(table: Table) -> str:
+    heads = {head.key: head for head in table.heads}
+    text = "| target | figure | best rival | ours less it | 95 % | McNemar | scenes |\n|---|---|---|---|---|---|---|\n"
+    for gap in table.gaps:
+        head, found = heads[gap.column], gap.found
+        between = shown.interval(found.low, found.high, head)
+        cells = (gap.group, shown.heading(head), gap.rival, shown.change(found, head), between)
+        text += f"| {' | '.join((*cells, shown.p_value(found.p), str(found.scenes)))} |\n"
+    return text
+
+
+def _markdown_cell(cell: Cell | None, head: Head) -> str:
+    if cell is None:
+        return shown.NOTHING
+    value = shown.number(cell.found.value, head)
+    parts = [f"**{value}**" if cell.best else value, shown.interval(cell.found.low, cell.found.high, head)]
+    told = shown.paper_number(cell)
+    parts += [f"n {cell.found.n}" if cell.found.n else "", f"*paper {told}*" if told else ""]
+    return " ".join(part for part in parts if part)
+
+
+def _latex_cell(cell: Cell | None, head: Head) -> str:
+    if cell is None:
+        return "--"
+    value = escaped(shown.number(cell.found.value, head))
+    parts = [f"\\textbf{{{value}}}" if cell.best else value]
+    between = shown.interval(cell.found.low, cell.found.high, head)
+    if between:
+        parts.append(f"{{\\scriptsize {between}}}")
+    told = shown.paper_number(cell)
+    if told:
+        parts.append(f"\\textcolor{{gray}}{{{told}}}")
+    return " ".join(parts)
+
+
+def _values(cell: Cell, head: Head) -> tuple[str, ...]:
+    found = cell.found
+    scaled = (_scaled(value, head) for value in (found.value, found.low, found.high))
+    return (*scaled, str(found.n), "" if cell.paper is None else f"{cell.paper:g}")
+
+
+def _scaled(value: float | None, head: Head) -> str:
+    return "" if value is None else f"{head.scale * value:.6g}"

@@ -1,0 +1,68 @@
+"""Time to collision of every pair of a crowd: the histogram behind the TTC column of the benches."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.boxes import axis_gaps
+from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, overlap_times
+
+#: Half seconds up to the horizon; a last bin takes those who do not meet by then.
+TTC_BINS_S = np.arange(0.0, TTC_HORIZON_S + 0.25, 0.5)
+
+
+def least_ttc(
+    xy_m: FloatArray, yaw_rad: FloatArray, velocity_mps: FloatArray, size_m: FloatArray, there: BoolArray
+) -> FloatArray:
+    """Return (…, A) seconds until each agent's box first meets another one's, if all went on as they are.
+
+    Constant velocity and heading, up to ``TTC_HORIZON_S``; inf when it meets nobody by then, 0 when it overlaps
+    already, NaN where it is absent. The same boxes and the same test as
+    :func:`advdiff_sumo.metrics.criticality.time_to_collision`, which is for one target.
+
+    Args:
+        xy_m: (…, A, 2) centres.
+        yaw_rad: (…, A) headings.
+        velocity_mps: (…, A, 2) velocities.
+        size_m: (…, A, 2) lengths and widths.
+        there: (…, A) who is there.
+    """
+    size_m = np.broadcast_to(size_m, xy_m.shape)
+    seconds = np.full(there.shape, np.inf)
+    i, j = np.triu_indices(there.shape[-1], k=1)
+    offset = xy_m[..., j, :] - xy_m[..., i, :]
+    closing = velocity_mps[..., j, :] - velocity_mps[..., i, :]
+    reach = 0.5 * (np.linalg.norm(size_m[..., i, :], axis=-1) + np.linalg.norm(size_m[..., j, :], axis=-1))
+    with np.errstate(invalid="ignore"):
+        near = np.linalg.norm(offset, axis=-1) <= reach + TTC_HORIZON_S * np.linalg.norm(closing, axis=-1)
+    picked = np.nonzero(near & there[..., i] & there[..., j])
+    if len(picked[0]):
+        a, b = (*picked[:-1], i[picked[-1]]), (*picked[:-1], j[picked[-1]])
+        meets = _meeting_s(offset[picked], closing[picked], (yaw_rad[a], yaw_rad[b]), (size_m[a], size_m[b]))
+        np.minimum.at(seconds, a, meets)
+        np.minimum.at(seconds, b, meets)
+    return np.where(there, seconds, np.nan)
+
+
+def ttc_counts(seconds: FloatArray) -> FloatArray:
+    """Return counts of *seconds* in ``TTC_BINS_S``, and behind them of those beyond; NaN is left out."""
+    known = seconds[~np.isnan(seconds)]
+    inside = known[known <= TTC_HORIZON_S]
+    counts = np.histogram(inside, TTC_BINS_S)[0].astype(np.float64)
+    return np.append(counts, float(len(known) - len(inside)))
+
+
+def _meeting_s(
+    offset: FloatArray,
+    closing: FloatArray,
+    yaw: tuple[FloatArray, FloatArray],
+    size: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    """Return (P,) when the boxes of P pairs meet; inf when they do not."""
+    gaps, along, axes = axis_gaps(offset, yaw[0], 0.5 * size[0], yaw[1], 0.5 * size[1])
+    rate = np.einsum("pic,pc->pi", axes, closing)
+    enter, leave = overlap_times(np.abs(along) - gaps, along, rate)
+    start, end = enter.max(-1), leave.min(-1)
+    meets = (start < end) & (end > 0.0) & (start <= TTC_HORIZON_S)
+    return np.where(meets, np.maximum(start, 0.0), np.inf)

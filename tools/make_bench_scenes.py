@@ -1,0 +1,54 @@
+"""Make the lists of seed scenes in scenarios/benches, or check them: make_bench_scenes.py [--check] [--only NAME].
+
+Some ten minutes on one core for all; the same version of SUMO gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+from advdiff_sumo.experiments.bench.scene_list import (
+    TABLE_LIST,
+    TABLE_SEED,
+    TUNING_LIST,
+    TUNING_SEED,
+    make_list,
+    write_scene_list,
+)
+
+FOLDER = Path(__file__).resolve().parents[1] / "scenarios" / "benches"
+LISTS = {
+    TUNING_LIST: (20, TUNING_SEED, "to tune on: no table uses these scenes"),
+    TABLE_LIST: (100, TABLE_SEED, "seed scenes of the tables: nothing is tuned on them"),
+}
+
+
+def main() -> int:
+    """Write the lists, or with ``--check`` return 1 when one is not what this tool makes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing")
+    parser.add_argument("--only", choices=sorted(LISTS), help="this one alone")
+    asked = parser.parse_args()
+    stale = 0
+    for name, (per_net, seed, about) in LISTS.items():
+        if asked.only in (None, name):
+            made = make_list(per_net, seed, about, tell=lambda n: print(f"\r{n}", end="", file=sys.stderr))
+            path = FOLDER / f"{name}.json"
+            with tempfile.TemporaryDirectory() as aside:
+                write_scene_list(Path(aside) / path.name, made)
+                content = (Path(aside) / path.name).read_bytes()
+            if not asked.check:
+                path.write_bytes(content)
+            elif not path.exists() or path.read_bytes() != content:
+                stale += 1
+            print(f"\r{path.name}: {len(made.scenes)} scenes, sha256 {made.sha256}")
+    if stale:
+        print(f"{stale} lists are not what this tool makes")
+    return min(stale, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

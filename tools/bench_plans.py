@@ -3,6 +3,8 @@
 Scenes hold vehicles that follow lanes of a shipped net; all but the target are planned. Each row plans the same
 scene with new random numbers each time. "SUMO" is what the episode loop takes for the half second that a plan
 lasts, with as many moved vehicles. The first plans of a process are slower and left out.
+
+Where PyTorch finds a GPU, or with --device, a second table has the scenes per second of batched natural sampling.
 """
 
 from __future__ import annotations
@@ -15,14 +17,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from bench import STEPS, made_up_log, our_rate, scene_of
 from rich.console import Console
 from rich.table import Table
 
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.diffusion import guides
+from advdiff_sumo.diffusion.sampler import sample
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped import find_net
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.diffusion import draw, policy
 from advdiff_sumo.traffic.diffusion.policy import DiffusionTraffic
 
@@ -92,6 +98,10 @@ def main() -> None:
     parser.add_argument("--plans", type=int, default=60)
     parser.add_argument("--weights", default="", help="default: the shipped ones")
     parser.add_argument("--guide", choices=("reward", "none"), nargs="+", default=["reward", "none"])
+    parser.add_argument(
+        "--batches", type=int, nargs="+", default=[1, 16, 128], help="scenes sampled at once on --device"
+    )
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "", help="for batches")
     parser.add_argument("--clock", choices=tuple(CLOCKS), default="wall", help="cpu on a busy machine")
     arguments = parser.parse_args()
     road = RoadMap.read(arguments.net)
@@ -123,6 +133,37 @@ def main() -> None:
                 str(vehicles), f"{median:.1f}", f"{late:.1f}", *share, f"{sumo:.1f}", f"{speed:.1f}"
             )
         console.print(table)
+    if arguments.device:
+        made = DiffusionTraffic(weights=arguments.weights, guide="none", device=arguments.device)
+        console.print(batched(road, made, arguments.vehicles, arguments.batches))
+
+
+def batched(road: RoadMap, made: DiffusionTraffic, vehicles: list[int], batches: list[int]) -> Table:
+    """Return scenes per second, by vehicles and by scenes that are sampled at once."""
+    device = made.networks.device
+    table = Table(title=f"scenes per second on {device}, {made.options.steps} steps", title_justify="left")
+    for name in ("vehicles", *(f"{count} at once" for count in batches)):
+        table.add_column(name, justify="right")
+    for number in vehicles:
+        batch = look(road, crowd(road, number, 0)).batch.to(device)
+        table.add_row(str(number), *(f"{sampling_rate(made, batch.repeat(n)):.0f}" for n in batches))
+    return table
+
+
+def sampling_rate(made: DiffusionTraffic, batch: SceneBatch, rounds: int = 5) -> float:
+    """Return scenes per second of encoder, denoiser and decoder on *batch*."""
+    networks, generator, times = made.networks, torch.Generator().manual_seed(0), []
+    latent = networks.bundle.options.model.latent
+    for _ in range(rounds + 2):
+        begun = time.perf_counter()
+        with torch.no_grad():
+            context = draw.encode(networks, batch)
+            noise = torch.randn(batch.scenes, batch.agents, 1, latent, generator=generator)
+            noise_of = networks.denoiser.condition(context)
+            x = sample(noise_of, noise.to(networks.device), networks.schedule, networks.sampling, generator)
+            draw.decode(networks, x, context.h, batch).xy.cpu()  # waits for the device
+        times.append(time.perf_counter() - begun)
+    return batch.scenes / float(np.median(times[2:]))
 
 
 def sumo_rate(road: RoadMap, vehicles: int) -> float:

@@ -21,6 +21,7 @@ from advdiff_sumo.diffusion.graph_layer import GraphLayer, Heard
 from advdiff_sumo.diffusion.trace import Trace
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Decoder, Rollout
+from advdiff_sumo.models.options import ModelOptions
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ class ArrayDecoder:
     ) -> Rollout:
         """Return the futures of *rows*, with gradients to *z*; as :meth:`FastDecoder.some`."""
         run = _Rows(self, h, batch, rows, steps, trace)
-        return Rollout(*_Function.apply(z, run))
+        return Rollout(*_Function.apply(z, run))  # type: ignore[no-untyped-call] # PyTorch's
 
     def _roll(
         self,
@@ -146,13 +147,9 @@ class _Rows:
     def forward(self, z: Tensor) -> list[_Step]:
         """Roll out latents (B, R, Z)."""
         trace, layers = self.trace, self.decoder.weights.layers
-        state = trace.motion[: self.steps].flatten(0, 1).numpy()
-        edges = [
-            part.reshape(self.steps, *self.shape, *part.shape[2:])
-            for part in self.decoder.edges.of(
-                *np.ascontiguousarray(np.moveaxis(state, -1, 0)), self.rows.numpy()
-            )
-        ]
+        x, y, yaw, speed = np.moveaxis(trace.motion[: self.steps].flatten(0, 1).numpy(), -1, 0)
+        seen = self.decoder.edges.of(x, y, yaw, speed, self.rows.numpy())
+        edges = [part.reshape(self.steps, *self.shape, *part.shape[2:]) for part in seen]
 
         def hear(node: Tensor, _: Motion) -> tuple[Tensor, list[Heard]]:
             k, kept = len(self.heard), []
@@ -224,17 +221,16 @@ class _Function(torch.autograd.Function):
         return rollout.xy, rollout.yaw, rollout.speed, rollout.accel, rollout.curvature
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:  # type: ignore[override] # one by one
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
         return ctx.run.back(grads), None
 
 
-def cars_of(batch: SceneBatch, rows: Tensor | None, options: Any) -> Vehicles:
+def cars_of(batch: SceneBatch, rows: Tensor | None, options: ModelOptions) -> Vehicles:
     """Return the vehicles of *batch*, or *rows* of each scene, one after the other."""
-    pose, length, moved = batch.pose, batch.size[..., 0], batch.moved
+    pose, length, moved = batch.pose, batch.size[..., 0], batch.moved.to(batch.past.dtype)
     if rows is not None:
         pose, length, moved = pose[:, rows], length[:, rows], moved[:, rows]
-    pose, length = pose.flatten(0, 1).numpy(), length.flatten().numpy()
-    return Vehicles.of(pose, length, moved.flatten().numpy().astype(pose.dtype), options)
+    return Vehicles.of(pose.flatten(0, 1).numpy(), length.flatten().numpy(), moved.flatten().numpy(), options)
 
 
 def _blocked(batch: SceneBatch, receivers: int) -> Tensor | None:

@@ -49,13 +49,13 @@ class DecoderWeights:
         assert isinstance(first, nn.Linear)  # noqa: S101 - tells the type checker what stands there
         assert isinstance(last, nn.Linear)  # noqa: S101 - the same
         self.width = width
-        self.start_h, self.start_z = start.weight.detach().split((width, latent), dim=1)
+        self.start_h, self.start_z = torch.split(start.weight.detach(), [width, latent], dim=1)
         self.start_bias = start.bias.detach()
-        by_memory, self.node_z, self.motion = node.weight.detach().split(
-            (width, latent, node.in_features - width - latent), dim=1
+        by_memory, self.node_z, self.motion = torch.split(
+            node.weight.detach(), [width, latent, node.in_features - width - latent], dim=1
         )
         self.node_bias = node.bias.detach()
-        by_mixed, self.done = cell.weight_ih.detach().split((width, cell.input_size - width), dim=1)
+        by_mixed, self.done = torch.split(cell.weight_ih.detach(), [width, cell.input_size - width], dim=1)
         self.held = torch.cat((by_memory, cell.weight_hh.detach()))
         self.held_bias = torch.cat((torch.zeros_like(self.node_bias), cell.bias_hh.detach()))
         self.told = torch.cat((first.weight.detach(), by_mixed))

@@ -56,7 +56,7 @@ class FastReward:
 
     def __call__(self, mu: Tensor) -> Tensor:
         """Return Q (B,) of actions *mu* (B, A, Z), with gradients to them."""
-        value: Tensor = _Function.apply(mu, self)
+        value: Tensor = _Function.apply(mu, self)  # type: ignore[no-untyped-call] # PyTorch's
         return value
 
     def value(self, mu: Tensor) -> tuple[Tensor, _Pass]:
@@ -102,7 +102,7 @@ class _Function(torch.autograd.Function):
         return value
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:  # type: ignore[override] # the one it has
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
         return ctx.model.back(grad, ctx.done), None
 
 

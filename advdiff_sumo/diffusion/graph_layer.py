@@ -51,7 +51,7 @@ class GraphLayer:
         self._score = layer.score.weight.detach()
         self._out = layer.out.weight.detach(), layer.out.bias.detach()
         self._first, self._second = (
-            (part.weight.detach(), part.bias.detach())  # type: ignore[operator, union-attr] # both are linear
+            (part.weight.detach(), part.bias.detach())  # type: ignore[operator] # both are linear
             for part in (first, second)
         )
         # views, (in, out), for the way forward

@@ -69,13 +69,16 @@ class MapEncoder(nn.Module):
         query = self.query(h)
         query = query.reshape(*query.shape[:-1], self.heads, -1) * (query.shape[-1] // self.heads) ** -0.5
         # keys and values are linear in the pieces: each is asked for and summed up before it is made
-        key, value = (layer.weight.unflatten(0, (self.heads, -1)) for layer in (self.key, self.value))
+        key, value = (self._by_head(layer) for layer in (self.key, self.value))
         score = torch.einsum("bahd,hdw->bahw", query, key) @ pieces.transpose(-1, -2)
         mask = batch.map_valid[:, :, None]
         weight = torch.softmax(score.masked_fill(~mask, -1e9), dim=-1) * mask
         pooled = torch.einsum("bahw,hdw->bahd", weight @ pieces, value).flatten(-2)
         out: Tensor = self.out(pooled)
         return out
+
+    def _by_head(self, layer: nn.Linear) -> Tensor:
+        return layer.weight.reshape(self.heads, -1, layer.in_features)
 
 
 class ContextEncoder(nn.Module):

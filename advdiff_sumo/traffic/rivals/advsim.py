@@ -117,14 +117,21 @@ class AdvSim(Rival):
         batch = task.view.batch.to(self.prior.device)
         with torch.no_grad():
             rollout = self.driver(batch)
-            rows = self._attackers(task, rollout) if self.options.rounds else np.zeros(0, dtype=np.int64)
-            if not len(rows):
+            case = self._case(task, batch, rollout) if self.options.rounds else None
+            if case is None:
                 return self._natural(task, batch, rollout)
-            chosen = torch.from_numpy(rows).to(self.prior.device)
-            case = _Case(task, batch, rollout, chosen, initial_of(rollout, batch, chosen))
             best, losses = self._rounds(case)
             made = self._with(case, best.changes)
         return self._found(case, made, best, losses)
+
+    def _case(self, task: Task, batch: SceneBatch, rollout: Rollout) -> _Case | None:
+        """Return who shall attack and how they would drive; None where nobody can."""
+        futures = futures_of(task.view.now, rollout)
+        rows = choose(futures, task.view.moved, "any", self.options.attackers, task.before())
+        if not len(rows):
+            return None
+        chosen = torch.from_numpy(rows).to(self.prior.device)
+        return _Case(task, batch, rollout, chosen, initial_of(rollout, batch, chosen))
 
     def _rounds(self, case: _Case) -> tuple[_Best, tuple[float, ...]]:
         """Search in blocks of rounds; after each the surrogate reacts, and the better of both is kept."""
@@ -206,10 +213,6 @@ class AdvSim(Rival):
     def _cut(self, case: _Case, changes: Tensor) -> Rollout:
         """Return the attackers' futures (P, R, H) of *changes* (P, R, H, 2)."""
         return cut(driven(changes, case.initial, self.options, self.model), HORIZON_STEPS)
-
-    def _attackers(self, task: Task, rollout: Rollout) -> Any:
-        futures = futures_of(task.view.now, rollout)
-        return choose(futures, task.view.moved, "any", self.options.attackers, task.before())
 
     def _natural(self, task: Task, batch: SceneBatch, rollout: Rollout) -> Found:
         memory = replace(task.memory, found={}, attackers=())

@@ -16,6 +16,7 @@ from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.options import FUTURE_STEPS, MODEL_STEP_S
+from advdiff_sumo.models.view import View, look
 from advdiff_sumo.traffic.diffusion.draw import Drawn
 from advdiff_sumo.traffic.diffusion.futures import futures_of
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
@@ -27,7 +28,6 @@ from advdiff_sumo.traffic.diffusion.policy import (
     rest_of,
     tracks_of,
 )
-from advdiff_sumo.traffic.diffusion.view import View, look
 from advdiff_sumo.traffic.rivals.options import RivalOptions
 from advdiff_sumo.traffic.rivals.surrogate import Surrogate, imagine, make_surrogate
 

@@ -19,9 +19,9 @@ from advdiff_sumo.core.plan import Controls, Plan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.options import HISTORY_STEPS, MODEL_STEP_S
+from advdiff_sumo.models.view import View
 from advdiff_sumo.registry import Registry
 from advdiff_sumo.traffic.diffusion.futures import Futures
-from advdiff_sumo.traffic.diffusion.view import View
 
 SURROGATES = Registry(
     kind="surrogate",
@@ -68,13 +68,13 @@ def make_surrogate(name: str) -> Surrogate | None:
     """
     if name == MODEL:
         return None
-    made = SURROGATES.load(name)()
-    lacks = [method for method in ("start", "plan") if not callable(getattr(made, method, None))]
-    if lacks:
+    factory = SURROGATES.load(name)
+    if not all(callable(getattr(factory, method, None)) for method in ("start", "plan")):
         raise ConfigError(
-            f"surrogate '{name}' has no {' and no '.join(lacks)}: give a planner, or leave it at lane_graph"
+            f"surrogate '{name}' cannot stand for the target: it is no class with the methods start and plan; "
+            "give a planner, or leave it at lane_graph"
         )
-    return cast("Surrogate", made)
+    return cast("Surrogate", factory())
 
 
 def imagine(

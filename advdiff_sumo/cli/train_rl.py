@@ -59,11 +59,13 @@ def train_rl(
     TensorBoard. Ctrl-C leaves with the last update. Needs: pip install 'advdiff-sumo[rl]'.
     """
     import advdiff_sumo.rl  # noqa: F401 - first: it says which extra is missing
+    from advdiff_sumo.rl.sources import check
     from advdiff_sumo.rl.train import ACTOR, Plan, train
 
     given: dict[str, Any] = {"nets": net, "targets": target, "prior": prior}
     adversary, ppo = _options({key: value for key, value in given.items() if value}, assign or [])
     plan = Plan(out, steps, seed, adversary, ppo, workers)
+    check(adversary)
     claim(out, resume)
     console = Console(stderr=True, highlight=False)
     with progress_bar(console) as bar:
@@ -73,7 +75,7 @@ def train_rl(
             bar.update(task, completed=done, description=_described(history))
 
         state = train(plan, resume, tell)
-    _say(console, out / ACTOR, out, state)
+    _say(console, out / ACTOR, state)
 
 
 def _options(given: dict[str, Any], assignments: list[str]) -> tuple[AdversaryOptions, PpoOptions]:
@@ -96,10 +98,7 @@ def _described(history: list[Record]) -> str:
     return f"reward {last['reward']:.2f} · collisions {100.0 * last['collision']:.0f} %"
 
 
-def _say(console: Console, actor: Path, out: Path, state: State) -> None:
-    if not state.done:
-        console.print(f"stopped after {state.step} steps; go on with --resume --out {out}")
-        return
+def _say(console: Console, actor: Path, state: State) -> None:
     figures = [r["train"]["reward"] for r in state.history if "reward" in r["train"]]
     came = f": reward {figures[0]:.2f} → {figures[-1]:.2f} an episode" if len(figures) > 1 else ""
     console.print(f"{actor}: {state.step} steps, {len(state.history)} updates{came}", soft_wrap=True)

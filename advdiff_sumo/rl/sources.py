@@ -7,11 +7,27 @@ from dataclasses import replace
 import numpy as np
 
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.maps.shipped import find_net
 from advdiff_sumo.rl.options import AdversaryOptions
 from advdiff_sumo.sim.episode import Episode
-from advdiff_sumo.sim.run import Run, RunOptions
+from advdiff_sumo.sim.run import Run, RunOptions, check_together, target_of
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.traffic.base import TrafficPolicy
+from advdiff_sumo.traffic.rl.prior import load_prior
+
+
+def check(options: AdversaryOptions) -> None:
+    """Look at names and files that *options* give, without reading a net or starting anything.
+
+    Raises:
+        InputError: a net, a target or the behaviour model is not there or cannot be used.
+    """
+    for net in options.nets:
+        find_net(net)
+    for target in options.targets:
+        run = RunOptions(target=target, scene=options.scene)
+        check_together(run, target_of(run))
+    load_prior(options.prior, options.prior_weights)
 
 
 class Sources:

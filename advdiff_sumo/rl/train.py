@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,6 +61,7 @@ def train(plan: Plan, resume: bool, tell: Tell) -> checkpoint.Progress:
 
     Raises:
         InputError: the options cannot be used, or the folder's checkpoint is another training's.
+        KeyboardInterrupt: the user wants to stop; the last update is saved.
     """
     progress = checkpoint.Progress(STAGE, plan.options(), data="")
     groups: dict[str, Any] = {}
@@ -103,6 +106,8 @@ def _learn(model: PPO, plan: Plan, progress: checkpoint.Progress, tell: Tell) ->
     events.close()
     if not progress.history:
         write(model, plan, progress)
+    if wish:
+        raise KeyboardInterrupt
 
 
 def write(model: PPO, plan: Plan, progress: checkpoint.Progress) -> None:
@@ -143,6 +148,8 @@ def _maker(values: dict[str, Any]) -> Callable[[], gymnasium.Env[Any, Any]]:
     def make() -> gymnasium.Env[Any, Any]:
         import advdiff_sumo.rl  # noqa: F401 - a new process knows no environment yet
 
+        if multiprocessing.parent_process() is not None:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the trainer, which ends its workers
         return gymnasium.make(ENVIRONMENT, disable_env_checker=True, **values)
 
     return make

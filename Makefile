@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test check docs bench clean
+.PHONY: setup demo test readers check docs bench clean
 
 setup: .venv/.ready
 
@@ -17,6 +17,14 @@ demo: setup
 
 test: setup
 	$(BIN)/pytest --numprocesses 2 --dist loadfile --quiet
+
+# other people's programs that read what we export, in environments of their own; tests/export uses them where they are
+readers: build/readers/commonroad/.ready build/readers/asam/.ready
+
+build/readers/%/.ready: tests/export/readers/%.txt
+	$(PYTHON) -m venv build/readers/$*
+	build/readers/$*/bin/pip install --quiet --disable-pip-version-check --requirement $<
+	touch $@
 
 check: setup
 	$(BIN)/ruff check .
@@ -33,6 +41,8 @@ docs: setup
 bench: setup
 	$(BIN)/python tools/bench.py
 	$(BIN)/python tools/bench_plans.py
+	$(BIN)/python tools/bench_sweep.py
+	$(BIN)/python tools/bench_report.py
 
 clean:
 	rm -rf .venv build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.errors import ConfigError, FileError
 
 if TYPE_CHECKING:
     from advdiff_sumo.sweep.executors import Executor
@@ -72,6 +72,7 @@ def sweep(
         bool,
         typer.Option("--dry-run", help="Check everything, count, measure a few episodes, write nothing."),
     ] = False,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Draw report.html at the end.")] = True,
     junit: Annotated[Path | None, typer.Option(help="Write JUnit XML here, for CI.")] = None,
     fail_if: Annotated[
         str | None, typer.Option(help='Exit with code 1 if so, for example "collision_rate > 0.05".')
@@ -108,7 +109,19 @@ def sweep(
         todo = Todo.of(plan, store, limit, retry_failed)
         with _Progress(console, todo) as progress:
             missing = run_sweep(plan, store, todo, done_by, retries, progress.tell)
+    if report:
+        _draw(console, store.path)
     conclude(console, store, plan, missing, condition, junit)
+
+
+def _draw(console: Console, folder: Path) -> None:
+    """Write the page; that there is no room for it, say, does not change what the sweep came to."""
+    from advdiff_sumo.report import write_report
+
+    try:
+        console.print(f"look at {write_report(folder)}", soft_wrap=True)
+    except FileError as error:
+        console.print(f"[red]no report: {error}[/red]", soft_wrap=True)
 
 
 def _cores() -> int:

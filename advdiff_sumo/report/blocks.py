@@ -80,10 +80,13 @@ def _paths(tracks: Tracks, origin: FloatArray) -> tuple[list[dict[str, Any]], li
 
 
 def departed(states: EpisodeStates, natural: Tracks) -> Tracks:
-    """Return those of *natural* whose path is another than in the episode, and the target, cut to its duration."""
+    """Return those of *natural* whose path is another than in the episode, and the target.
+
+    Cut to the episode's duration and one instant more where it ends between two.
+    """
     driven = states.tracks
     end = driven.times_s[-1]
-    within = np.flatnonzero((natural.times_s >= -1e-6) & (natural.times_s <= end + 1e-6))
+    within = np.flatnonzero((natural.times_s >= -1e-6) & (natural.times_s < end + natural.dt_s - 1e-6))
     if not len(within):
         return Tracks.empty()
     cut = natural.window(int(within[0]), int(within[-1]) + 1)
@@ -97,6 +100,7 @@ def _differs(driven: Tracks, natural: Tracks, row: int, name: str, target: int) 
         return own is not None
     steps = np.clip(np.rint(natural.times_s / driven.dt_s).astype(np.int64), 0, driven.steps - 1)
     apart = np.linalg.norm(driven.xy_m[own, steps] - natural.xy_m[row], axis=-1)
+    apart = apart[natural.times_s <= driven.times_s[-1] + 1e-6]
     return bool((apart > _DEVIATION_M).any())  # NaN compares as False
 
 

@@ -39,6 +39,7 @@ def write_report(folder: Path) -> Path:
         aside.write_bytes(content)
         aside.replace(path)
     except OSError as error:
+        aside.unlink(missing_ok=True)
         raise FileError(path, f"cannot be written ({error.strerror})", "make the folder writable") from None
     return path
 

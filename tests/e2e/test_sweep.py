@@ -24,7 +24,10 @@ nets = ["grid.net.xml"]
 targets = ["IDM", "lane_graph"]
 backgrounds = ["replay"]
 """
-TABLES = ("episodes.parquet", "states.parquet", "collisions.parquet", "failures.parquet")
+TABLES = (
+    *("episodes.parquet", "states.parquet", "collisions.parquet", "failures.parquet"),
+    *("plans.parquet", "unattacked.parquet"),
+)
 
 
 @pytest.fixture
@@ -41,6 +44,8 @@ def test_a_sweep_from_file_to_verdict(sweeps: Path, here: Callable[..., Outcome]
     assert done.code == 0, done.err
     assert "6 episodes; rates in %" in done.out
     assert "coverage:" in done.out
+    assert "look at done/report.html" in done.out
+    assert b"<title>done " in (sweeps / "done" / "report.html").read_bytes()
     suites = parse(sweeps / "ci" / "junit.xml").getroot()
     assert suites.get("tests") == "7"
 
@@ -104,7 +109,8 @@ def test_a_wrong_command_is_one_sentence(sweeps: Path, refused: Callable[..., st
 def test_killed_interrupted_and_resumed(sweeps: Path) -> None:
     fewer = SWEEP.replace("episodes = 3", "episodes = 6").replace(', "lane_graph"', "")
     (sweeps / "small.toml").write_text(fewer)
-    whole = advdiff("sweep", "small.toml", "--workers", 1, "--out", "whole", cwd=sweeps, hash_seed=1)
+    words = ("--workers", 1, "--out", "whole", "--no-report")
+    whole = advdiff("sweep", "small.toml", *words, cwd=sweeps, hash_seed=1)
     assert whole.code == 0, whole.err
     first = begin("sweep", "small.toml", "--workers", 2, "--out", "broken", cwd=sweeps, hash_seed=2)
     _wait_for(sweeps / "broken", 2)
@@ -125,8 +131,12 @@ def test_killed_interrupted_and_resumed(sweeps: Path) -> None:
 
     damaged = _episodes(sweeps / "broken")[0]
     damaged.write_bytes(damaged.read_bytes()[:100])
+    (sweeps / "broken" / "report.html").unlink(missing_ok=True)
+    (sweeps / "broken" / "report.html").mkdir()
     done = advdiff("sweep", "small.toml", "--resume", "broken", "--workers", 2, cwd=sweeps, hash_seed=4)
     assert done.code == 0, done.err
+    assert "no report: " in done.out  # a folder is in its way, which does not change the results
+    (sweeps / "broken" / "report.html").rmdir()
     for table in TABLES:
         assert (sweeps / "broken" / table).read_bytes() == (sweeps / "whole" / table).read_bytes(), table
     assert sorted(path.name for path in (sweeps / "broken").iterdir()) == sorted(

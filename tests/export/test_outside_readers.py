@@ -1,10 +1,8 @@
 """Other people's programs read what is exported.
 
-SUMO's own are always there. The rest live in environments of their own, named by environment variables:
-
-- ``ADVDIFF_COMMONROAD``: Python with commonroad-io, and commonroad-crime for the criticality;
-- ``ADVDIFF_QC_OSC``: the program qc_openscenario of asam-qc-openscenarioxml;
-- ``ADVDIFF_QC``: the program qc_opendrive of asam-qc-opendrive.
+SUMO's own are always there. The rest live in environments of their own, which ``make readers`` makes:
+commonroad-io with commonroad-crime, and ASAM's checkers qc_openscenario and qc_opendrive. sumo-gui needs a display,
+for which Debian's xvfb will do.
 """
 
 from __future__ import annotations
@@ -12,6 +10,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -36,6 +35,7 @@ from advdiff_sumo.sim.logs import LoggedTraffic
 from advdiff_sumo.sim.options import SceneOptions, SimOptions
 from tests.sim import nets
 
+ROOT = Path(__file__).resolve().parents[2]
 SUMO_HOME = Path(sumolib.checkBinary("netconvert")).resolve().parents[1]
 COMMONROAD_READER = """
 import json, sys
@@ -68,15 +68,18 @@ print("FOUND" + json.dumps(found))
 """
 
 
+def reader(environment: str, program: str) -> str:
+    """Return a program of an environment of ``make readers``, or skip."""
+    path = ROOT / "build" / "readers" / environment
+    if not (path / ".ready").exists():
+        pytest.skip("the outside readers are not installed: make readers")
+    return str(path / "bin" / program)
+
+
 def commonroad(path: Path, *steps: int) -> dict[str, object]:
     """Return what commonroad-io reads, and the TTC of commonroad-crime at *steps*."""
-    python = os.environ.get("ADVDIFF_COMMONROAD")
-    if not python:
-        pytest.skip("ADVDIFF_COMMONROAD does not name a Python with commonroad-io")
-    command = [python, "-c", COMMONROAD_READER, str(path), *map(str, steps)]
+    command = [reader("commonroad", "python"), "-c", COMMONROAD_READER, str(path), *map(str, steps)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-    if steps and "No module named 'commonroad_crime'" in done.stderr:
-        pytest.skip("that Python has no commonroad-crime")
     assert done.returncode == 0, done.stderr
     found: dict[str, object] = json.loads(done.stdout.partition("FOUND")[2])
     return found
@@ -134,9 +137,7 @@ def test_commonroad_crime_agrees_on_ttc(plain: ExportScene, tmp_path: Path) -> N
 
 def quality(program: str, bundle: str, path: Path, folder: Path) -> None:
     """Run a checker of ASAM on *path*; it must complete its checks and find nothing."""
-    checker = os.environ.get(program)
-    if not checker:
-        pytest.skip(f"{program} does not name ASAM's checker for {path.suffix}")
+    checker = reader("asam", program)
     report = folder / f"{path.suffix[1:]}.xqar"
     config = folder / f"{path.suffix[1:]}.xml"
     config.write_text(
@@ -153,11 +154,11 @@ def quality(program: str, bundle: str, path: Path, folder: Path) -> None:
 
 
 def test_the_checker_of_openscenario_finds_nothing(busy: ExportScene, tmp_path: Path) -> None:
-    quality("ADVDIFF_QC_OSC", "xoscBundle", make_exporter("openscenario").write(busy, tmp_path)[0], tmp_path)
+    quality("qc_openscenario", "xoscBundle", make_exporter("openscenario").write(busy, tmp_path)[0], tmp_path)
 
 
 def test_the_checker_of_opendrive_finds_nothing(busy: ExportScene, tmp_path: Path) -> None:
-    quality("ADVDIFF_QC", "xodrBundle", make_exporter("openscenario").write(busy, tmp_path)[1], tmp_path)
+    quality("qc_opendrive", "xodrBundle", make_exporter("openscenario").write(busy, tmp_path)[1], tmp_path)
 
 
 def netconverted(roads: Path, folder: Path) -> sumolib.net.Net:
@@ -223,6 +224,22 @@ def test_sumo_plays_the_configuration(busy: ExportScene, tmp_path: Path) -> None
         for key in steps:
             assert played[key][:2] == pytest.approx(written[key][:2], abs=0.01)
             assert wrap_angle(np.deg2rad(played[key][2] - written[key][2])) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_sumo_gui_plays_the_configuration(busy: ExportScene, tmp_path: Path) -> None:
+    """The window opens with network, lines and replayed vehicles, plays to the end and closes without a complaint."""
+    display = [] if os.environ.get("DISPLAY") else [shutil.which("xvfb-run"), "--auto-servernum"]
+    if None in display:
+        pytest.skip("no display here: apt-get install xvfb")
+    config = make_exporter("fcd").write(busy, tmp_path)[2]
+    command = [*display, sumolib.checkBinary("sumo-gui"), "-c", config.name, "--start", "--quit-on-end"]
+    command += ["--delay", "0", "--fcd-output", "played.xml", "--precision", "4"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120)
+    if "error while loading shared libraries" in done.stderr:
+        pytest.skip(f"sumo-gui lacks a library of the system: {done.stderr.strip()}")
+    assert done.returncode == 0, done.stderr
+    assert "Error" not in done.stderr
+    assert {name for name, _ in states_of(tmp_path / "played.xml")} >= {"target", "agent_1", "gone:early"}
 
 
 def test_sumo_s_schemas(busy: ExportScene, tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from advdiff_sumo.report.encode import (
     wrapped_differences,
 )
 from advdiff_sumo.report.layer import MapLayer
+from advdiff_sumo.report.naturals import thinned
 from advdiff_sumo.report.nets import RoadMap
 from advdiff_sumo.report.plans import Planned, packed_plans
 from advdiff_sumo.report.series import series_of
@@ -110,6 +111,10 @@ def test_only_those_who_depart_have_a_ghost_and_the_target() -> None:
     other[2, 10:, 1] += 0.4
     natural = _tracks(other[..., 1])
     assert departed(EpisodeStates(driven, 0), natural).ids == ("a", "b")
+    half = thinned(natural)  # 0, 0.5, … 2.0 s
+    between = departed(EpisodeStates(driven.window(0, 8), 0), half)
+    assert between.times_s == pytest.approx([0.0, 0.5, 1.0])  # it ends at 0.7 s
+    assert between.ids == ("a",)  # "b" departs later
     late = departed(EpisodeStates(driven, 0), natural.shifted(-1.5))
     assert late.t0_s == pytest.approx(0.0)
     assert late.steps == 6

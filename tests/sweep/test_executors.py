@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from advdiff_sumo.report.folder import FinishedRun
+from advdiff_sumo.report.page import report_html
 from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.plan import Plan
 from advdiff_sumo.sweep.repeat import repeat, sweep_with
@@ -40,6 +42,10 @@ def test_two_workers_that_are_replaced_and_another_order(
     often = replace(limits, tasks=3)
     assert run_sweep(plan, store, backwards, ProcessExecutor(2, often), 0, lambda *_: None) == 0
     assert bytes_of(store) == bytes_of(one_by_one)
+    settings = (one_by_one.path / "sweep.toml").read_bytes()
+    (store.path / "sweep.toml").write_bytes(settings)  # a commit may have come in between
+    pages = [report_html(FinishedRun.read(folder.path)) for folder in (store, one_by_one)]
+    assert pages[0] == pages[1]  # both folders have the same name
 
 
 def test_a_worker_that_holds_much_is_replaced_before_its_next_task(

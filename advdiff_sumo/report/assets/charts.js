@@ -8,7 +8,7 @@ const CHARTS = [
   { key: "gap_m", title: "Gap to the nearest", unit: "m", low: 0, high: 1 },
 ];
 
-const asText = (value) => (value === null || value === undefined ? "–" : value.toFixed(1).replace("-", "−"));
+const asText = (value) => (value === null || value === undefined ? "–" : value.toFixed(1).replace(/^-0\.0$/, "0.0").replace("-", "−"));
 
 class Charts {
   constructor(place, seek) {

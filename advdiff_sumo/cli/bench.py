@@ -172,7 +172,7 @@ def _bench(
         os.environ[variable] = "1"
     from advdiff_sumo.experiments.bench.print_table import print_table  # late: --help needs no simulator
     from advdiff_sumo.experiments.bench.request import Folder, open_folder, request_of
-    from advdiff_sumo.experiments.bench.run import DEFAULTS, run_bench
+    from advdiff_sumo.experiments.bench.run import DEFAULTS, check_request, run_bench
     from advdiff_sumo.experiments.bench.saved import finished
 
     signal.signal(signal.SIGTERM, _as_ctrl_c)
@@ -181,6 +181,7 @@ def _bench(
     request = request_of(name, path, DEFAULTS[name], given)
     table = finished(Folder(path, request))
     if table is None:
+        check_request(request)
         folder = open_folder(path, request)
         with ExitStack() as stack:
             limits = _limits(stack, timeout_s)

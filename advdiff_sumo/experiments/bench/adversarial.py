@@ -5,8 +5,15 @@ from __future__ import annotations
 from advdiff_sumo.experiments.bench.collect import Gathered, failures_told, gather
 from advdiff_sumo.experiments.bench.contests import Contest, Contests, plan_contests, run_contests
 from advdiff_sumo.experiments.bench.paper import paper_table
-from advdiff_sumo.experiments.bench.request import Folder, chosen
-from advdiff_sumo.experiments.bench.rows import NATURAL, OURS, REGISTERED, policy_row
+from advdiff_sumo.experiments.bench.request import Folder, Request, chosen
+from advdiff_sumo.experiments.bench.rows import (
+    NATURAL,
+    OURS,
+    REGISTERED,
+    made_policy,
+    made_target,
+    policy_row,
+)
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
 from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
 from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of
@@ -45,17 +52,29 @@ def plan_adversarial(folder: Folder, teller: Teller) -> Contests:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     request = folder.request
-    scenes = choose_scenes(request.scenes)
-    targets, _ = chosen(request.targets, ATTACKED, TARGETS, "--targets")
-    names, lacking = chosen(request.policies, REGISTERED, POLICIES, "--policies")
-    for name in lacking:
-        teller.say(f"row {name} is left out: this installation has no background '{REGISTERED[name]}' yet")
+    scenes, targets, names = asked_of(request, teller)
     contests = [
         Contest(name, target, policy_row(name).background, background_options=policy_row(name).options)
         for target in targets
         for name in names
     ]
     return plan_contests(contests, scenes, request.horizon_s)
+
+
+def asked_of(request: Request, teller: Teller) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
+    """Return the seed scenes, targets and rows that the request asks for.
+
+    Raises:
+        InputError: a name is unknown, or the list of scenes cannot be used.
+    """
+    scenes = choose_scenes(request.scenes)
+    targets, _ = chosen(request.targets, ATTACKED, TARGETS, "--targets", made_target)
+    names, lacking = chosen(request.policies, REGISTERED, POLICIES, "--policies", made_policy)
+    for name in lacking:
+        teller.say(
+            f"row {name} is left out: this installation lacks background '{REGISTERED[name]}' or its weights"
+        )
+    return scenes, targets, names
 
 
 def run_adversarial(

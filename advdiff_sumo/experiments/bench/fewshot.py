@@ -14,12 +14,12 @@ from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
 from advdiff_sumo.experiments.bench.adversarial import notes_of
 from advdiff_sumo.experiments.bench.collect import Gathered, Seen, gather
 from advdiff_sumo.experiments.bench.contests import Contest, Contests, plan_contests, run_contests
-from advdiff_sumo.experiments.bench.request import Folder, chosen
+from advdiff_sumo.experiments.bench.request import Folder, Request, chosen
 from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
 from advdiff_sumo.experiments.bench.statistics import RESAMPLES, Difference, Estimate, Ratio, estimate
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
 from advdiff_sumo.experiments.bench.telling import Teller
-from advdiff_sumo.planners.registry import TARGETS
+from advdiff_sumo.planners.registry import TARGETS, make_target
 from advdiff_sumo.sweep.tasks import Limits
 
 RUNGS = 3
@@ -62,12 +62,7 @@ def plan_fewshot(folder: Folder, workers: int, teller: Teller) -> Contests:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     request = folder.request
-    if request.policies:
-        raise ConfigError("--policies: bench fewshot is of background diffusion alone; leave it out")
-    scenes = choose_scenes(request.scenes)
-    names, _ = chosen(
-        request.targets, {name: one.target for name, one in UNSEEN.items()}, TARGETS, "--targets"
-    )
+    scenes, names = asked_of(request)
     q = folder.path / "adapted"
     wanted = {
         (name, seed): _adaptation(name, seed, folder) for name in names for seed in range(request.seeds)
@@ -81,6 +76,20 @@ def plan_fewshot(folder: Folder, workers: int, teller: Teller) -> Contests:
                 Contest(f"{name}/{seed}/{mark}", one.target, "diffusion", one.target_options, options)
             )
     return plan_contests(contests, scenes, request.horizon_s)
+
+
+def asked_of(request: Request) -> tuple[SceneList, tuple[str, ...]]:
+    """Return the seed scenes and targets that the request asks for.
+
+    Raises:
+        InputError: a name is unknown, or the list of scenes cannot be used.
+    """
+    if request.policies:
+        raise ConfigError("--policies: bench fewshot is of background diffusion alone; leave it out")
+    scenes = choose_scenes(request.scenes)
+    usual = {name: one.target for name, one in UNSEEN.items()}
+    names, _ = chosen(request.targets, usual, TARGETS, "--targets", _made)
+    return scenes, names
 
 
 def run_fewshot(folder: Folder, contests: Contests, workers: int, limits: Limits, teller: Teller) -> Table:
@@ -174,6 +183,10 @@ def _draws(shape: tuple[int, ...], seed: int = 0) -> tuple[FloatArray, FloatArra
 
 def _of(name: str) -> Unseen:
     return UNSEEN.get(name, Unseen(name))
+
+
+def _made(name: str) -> object:
+    return make_target(_of(name).target, _of(name).options)
 
 
 def _adaptation(name: str, seed: int, folder: Folder) -> Adaptation:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias
 from pydantic import Field
 
 from advdiff_sumo.config import Options
-from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, WeightsError
 from advdiff_sumo.registry import Registry, fold
 from advdiff_sumo.sim.run import versions
 from advdiff_sumo.sweep.content import digest, file_digest
@@ -150,7 +150,11 @@ def weights_digests() -> dict[str, str]:
 
 
 def chosen(
-    asked: Sequence[str], usual: Mapping[str, str], registry: Registry, option: str
+    asked: Sequence[str],
+    usual: Mapping[str, str],
+    registry: Registry,
+    option: str,
+    make: Callable[[str], object],
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return which rows or targets take part, and which of the usual ones this installation does not have.
 
@@ -159,13 +163,16 @@ def chosen(
         usual: name in the table → name in the registry.
         registry: of targets or backgrounds.
         option: for the message.
+        make: makes the target or policy of a name in the table; one whose weights are missing counts as not there,
+            unless the user named it.
 
     Raises:
-        InputError: a name was asked for that is not registered.
+        InputError: a name was asked for that is not registered or cannot be made.
     """
     registered = {fold(name) for name in registry.names()}
     there = {name for name, behind in usual.items() if fold(behind) in registered}
     if not asked:
+        there = {name for name in there if _has_weights(make, name)}
         return tuple(n for n in usual if n in there), tuple(n for n in usual if n not in there)
     by_fold = {fold(name): name for name in usual}
     picked = []
@@ -177,5 +184,14 @@ def chosen(
             raise ConfigError(
                 f"{option} {name}: this installation has no {registry.kind} '{usual[known]}' yet; leave it out"
             )
+        make(known)
         picked.append(known)
     return tuple(picked), ()
+
+
+def _has_weights(make: Callable[[str], object], name: str) -> bool:
+    try:
+        make(name)
+    except (WeightsError, MissingExtraError):
+        return False
+    return True

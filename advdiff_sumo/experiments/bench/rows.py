@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from advdiff_sumo.planners.registry import make_target
+from advdiff_sumo.traffic.registry import make_policy
+
 
 @dataclass(frozen=True)
 class PolicyRow:
@@ -46,3 +49,18 @@ TARGET_TITLES: Mapping[str, str] = {
 def policy_row(name: str) -> PolicyRow:
     """Return the row *name*; a background of the user's own is one as it is."""
     return POLICY_ROWS.get(name, PolicyRow(name, name))
+
+
+def made_policy(name: str) -> object:
+    """Return the policy of the row *name*.
+
+    Raises:
+        InputError: it cannot be made, for example as its weights are missing.
+    """
+    row = policy_row(name)
+    return make_policy(row.background, row.options)
+
+
+def made_target(name: str) -> object:
+    """Return the target *name* with its defaults; errors as in :func:`made_policy`."""
+    return make_target(name, {})

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from advdiff_sumo.experiments.bench import adversarial, fewshot, transfer
 from advdiff_sumo.experiments.bench.adversarial import plan_adversarial, run_adversarial
 from advdiff_sumo.experiments.bench.contests import Contests
 from advdiff_sumo.experiments.bench.estimate import forecast
 from advdiff_sumo.experiments.bench.fewshot import plan_fewshot, run_fewshot
-from advdiff_sumo.experiments.bench.request import BenchName, Folder
+from advdiff_sumo.experiments.bench.request import BenchName, Folder, Request
 from advdiff_sumo.experiments.bench.saved import save
 from advdiff_sumo.experiments.bench.table import Table
-from advdiff_sumo.experiments.bench.telling import Teller
-from advdiff_sumo.experiments.bench.traffic import run_traffic
+from advdiff_sumo.experiments.bench.telling import Silent, Teller
+from advdiff_sumo.experiments.bench.traffic import check_traffic, run_traffic
 from advdiff_sumo.experiments.bench.transfer import plan_transfer, run_transfer
 from advdiff_sumo.sweep.run import Todo
 from advdiff_sumo.sweep.store import SETTINGS, Store
@@ -33,6 +34,22 @@ _CLOSED_LOOP: Mapping[BenchName, tuple[_Plan, _Run]] = {
     "transfer": (plan_transfer, run_transfer),
     "fewshot": (plan_fewshot, run_fewshot),
 }
+
+
+def check_request(request: Request) -> None:
+    """Look at what is asked before anything is made.
+
+    Raises:
+        InputError: it cannot be met.
+    """
+    if request.bench == "traffic":
+        check_traffic(request, Silent())
+    elif request.bench == "adversarial":
+        adversarial.asked_of(request, Silent())
+    elif request.bench == "transfer":
+        transfer.asked_of(request, Silent())
+    else:
+        fewshot.asked_of(request)
 
 
 def run_bench(folder: Folder, workers: int, limits: Limits, teller: Teller) -> Table:

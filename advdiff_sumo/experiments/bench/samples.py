@@ -53,6 +53,7 @@ def collision_samples(seen: Sequence[Seen]) -> dict[str, Sample]:
         "accel_mps2": _mean(seen, "accel_max_mps2"),
         "jerk_mps3": _mean(seen, "jerk_max_mps3"),
         "fault_rate": _rate(hits, lambda row: row["at_fault"] == "target"),
+        "solvable_rate": _shares([(one.scene, one.trace.solvable) for one in hits]),
         "seen_rate": _rate(
             [one for one in hits if one.row["collision_partner"] is not None],
             lambda row: row["attacker_visible"] is not False,
@@ -97,6 +98,12 @@ def _histograms(seen: Sequence[Seen]) -> Divergence:
 def _rate(seen: Sequence[Seen], happened: Callable[[Any], bool]) -> Ratio:
     flags = np.array([happened(one.row) for one in seen], dtype=np.float64)
     return Ratio(tuple(one.scene for one in seen), flags, np.ones(len(flags)), rate=True)
+
+
+def _shares(found: Sequence[tuple[str, bool | None]]) -> Ratio:
+    known = [(scene, flag) for scene, flag in found if flag is not None]
+    flags = np.array([flag for _, flag in known], dtype=np.float64)
+    return Ratio(tuple(scene for scene, _ in known), flags, np.ones(len(flags)), rate=True)
 
 
 def _mean(seen: Sequence[Seen], column: str) -> Ratio:

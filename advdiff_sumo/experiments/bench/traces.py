@@ -11,8 +11,10 @@ import numpy as np
 import pyarrow as pa
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.errors import AdvdiffError
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.experiments.bench.likelihood import natural_nats
+from advdiff_sumo.experiments.solution import solve
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.kinematics import velocities
 from advdiff_sumo.metrics.pairwise import least_ttc, ttc_counts
@@ -41,6 +43,7 @@ class Trace:
         nats: sum of the bounds on log-likelihoods, see :mod:`likelihood`.
         seconds: vehicle-seconds that they are of.
         start: name and place of the target at the start.
+        solvable: where the target collided, whether it could have driven otherwise, see ``experiments.solution``.
     """
 
     vehicles: int
@@ -52,6 +55,7 @@ class Trace:
     nats: float
     seconds: float
     start: tuple[str, float, float]
+    solvable: bool | None = None
 
     def to_bytes(self) -> bytes:
         """Return it as JSON."""
@@ -91,7 +95,16 @@ def _trace(part: Part, road: RoadMap) -> bytes:
         nats=nats,
         seconds=seconds,
         start=(states.tracks.ids[states.target], x, y),
+        solvable=_solvable(states, road) if row["target_collision"] else None,
     ).to_bytes()
+
+
+def _solvable(states: EpisodeStates, road: RoadMap) -> bool | None:
+    """Return whether the target could have avoided its collision; None where that cannot be searched."""
+    try:
+        return solve(states, road).solvable
+    except AdvdiffError:
+        return None
 
 
 def at_model_step(tracks: Tracks) -> Tracks:

@@ -15,7 +15,7 @@ from advdiff_sumo.core.errors import ConfigError, did_you_mean
 from advdiff_sumo.experiments.bench.collect import in_processes
 from advdiff_sumo.experiments.bench.open_loop import MODELS, Counted, count
 from advdiff_sumo.experiments.bench.paper import paper_table
-from advdiff_sumo.experiments.bench.request import Folder
+from advdiff_sumo.experiments.bench.request import Folder, Request
 from advdiff_sumo.experiments.bench.statistics import Divergence, Ratio, Sample
 from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of
 from advdiff_sumo.experiments.bench.telling import Teller
@@ -65,6 +65,18 @@ def run_traffic(folder: Folder, workers: int, teller: Teller) -> Table:
     )
     made = f"Windows: {source}, sha256 {windows.digest[:16]}. Revision: {', '.join(r[:10] for r in folder.revisions)}."
     return Table("traffic", title, HEADS, lines, gaps_of(HEADS, samples), (*NOTES, made))
+
+
+def check_traffic(request: Request, teller: Teller) -> None:
+    """Look at what is asked before anything is made.
+
+    Raises:
+        InputError: a row or number makes no sense, or a window file cannot be used.
+    """
+    chosen_models(request.policies, teller)
+    _wanted(request.scenes, 1)
+    if request.data:
+        read_window_set([Path(place) for place in request.data])
 
 
 def chosen_models(asked: tuple[str, ...], teller: Teller) -> tuple[str, ...]:

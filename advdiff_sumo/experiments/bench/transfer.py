@@ -14,8 +14,15 @@ from advdiff_sumo.experiments.bench.adversarial import notes_of
 from advdiff_sumo.experiments.bench.collect import Gathered, Seen, gather
 from advdiff_sumo.experiments.bench.contests import Contest, Contests, plan_contests, run_contests
 from advdiff_sumo.experiments.bench.paper import paper_table
-from advdiff_sumo.experiments.bench.request import Folder, chosen
-from advdiff_sumo.experiments.bench.rows import OURS, POLICY_ROWS, TARGET_TITLES, policy_row
+from advdiff_sumo.experiments.bench.request import Folder, Request, chosen
+from advdiff_sumo.experiments.bench.rows import (
+    OURS,
+    POLICY_ROWS,
+    TARGET_TITLES,
+    made_policy,
+    made_target,
+    policy_row,
+)
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
 from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
 from advdiff_sumo.experiments.bench.statistics import Estimate, Ratio, Sample, difference, draws
@@ -48,15 +55,8 @@ def plan_transfer(folder: Folder, workers: int, teller: Teller) -> Contests:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     request = folder.request
-    scenes = choose_scenes(request.scenes)
-    usual = {name: POLICY_ROWS[name].background for name in ADAPTED}
-    names, lacking = chosen(request.policies, usual, POLICIES, "--policies")
-    if any(name not in ADAPTED for name in names):
-        raise ConfigError(f"--policies: bench transfer has {', '.join(ADAPTED)}; only these can be adapted")
-    targets, absent = chosen(request.targets, TARGETS_MET, TARGETS, "--targets")
-    for name in (*lacking, *absent):
-        teller.say(f"{name} is left out: this installation has nothing of that name yet")
-    sources, _ = chosen((), {name: name for name in SOURCES}, TARGETS, "--targets")
+    scenes, targets, names = asked_of(request, teller)
+    sources, _ = chosen((), {name: name for name in SOURCES}, TARGETS, "--targets", made_target)
     q = folder.path / "adapted"
     if OURS in names:
         adapt([_warm_up(source, folder) for source in sources], q, workers, teller)
@@ -68,6 +68,23 @@ def plan_transfer(folder: Folder, workers: int, teller: Teller) -> Contests:
         for contest in _against(name, source, targets, folder, q)
     ]
     return plan_contests(contests, scenes, request.horizon_s)
+
+
+def asked_of(request: Request, teller: Teller) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
+    """Return the seed scenes, targets and policies that the request asks for.
+
+    Raises:
+        InputError: a name is unknown or cannot be adapted, or the list of scenes cannot be used.
+    """
+    scenes = choose_scenes(request.scenes)
+    usual = {name: POLICY_ROWS[name].background for name in ADAPTED}
+    names, lacking = chosen(request.policies, usual, POLICIES, "--policies", made_policy)
+    if any(name not in ADAPTED for name in names):
+        raise ConfigError(f"--policies: bench transfer has {', '.join(ADAPTED)}; only these can be adapted")
+    targets, absent = chosen(request.targets, TARGETS_MET, TARGETS, "--targets", made_target)
+    for name in (*lacking, *absent):
+        teller.say(f"{name} is left out: this installation lacks it or its weights")
+    return scenes, targets, names
 
 
 def run_transfer(folder: Folder, contests: Contests, workers: int, limits: Limits, teller: Teller) -> Table:

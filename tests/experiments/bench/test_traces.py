@@ -1,0 +1,145 @@
+"""What is counted of an episode's background, on an episode made by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.experiments.bench.collect import Seen, in_processes
+from advdiff_sumo.experiments.bench.likelihood import natural_nats
+from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
+from advdiff_sumo.experiments.bench.statistics import estimate
+from advdiff_sumo.experiments.bench.traces import Trace, at_model_step, histograms, near_target
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.shipped import find_net
+
+STEPS = 41
+
+
+def driving(
+    speeds: list[float], starts: list[tuple[float, float]], classes: list[AgentClass] | None = None
+) -> Tracks:
+    """Return straight drives to the east at 10 Hz."""
+    time = 0.1 * np.arange(STEPS)
+    xy = np.array([[(x + v * t, y) for t in time] for v, (x, y) in zip(speeds, starts, strict=True)])
+    count = len(speeds)
+    return Tracks(
+        ids=tuple(f"v{k}" for k in range(count)),
+        classes=np.array([int(c) for c in classes or [AgentClass.CAR] * count], dtype=np.int64),
+        size_m=np.tile((5.0, 2.0), (count, 1)),
+        xy_m=xy,
+        yaw_rad=np.zeros((count, STEPS)),
+        speed_mps=np.tile(np.array(speeds)[:, None], STEPS),
+        valid=np.ones((count, STEPS), dtype=np.bool_),
+        t0_s=0.0,
+        dt_s=0.1,
+    )
+
+
+def test_who_is_near() -> None:
+    """The target does not count, nor does a walker, nor who is 60 m away; one comes near on the way."""
+    walker = [AgentClass.CAR, AgentClass.CAR, AgentClass.PEDESTRIAN, AgentClass.CAR, AgentClass.CAR]
+    tracks = driving([0.0, 5.0, 0.0, 0.0, -5.0], [(0, 0), (0, 8), (3, 3), (61, 0), (70, 8)], walker)
+    near = near_target(at_model_step(tracks), 0)
+    assert near.shape == (5, 9)
+    assert near[1].all()
+    assert not near[[0, 2, 3]].any()
+    assert near[4].tolist() == [False] * 5 + [True] * 4  # 70 − 5 t < √(60² − 8²) = 59.5 after 2.1 s
+
+
+def test_histograms_by_hand() -> None:
+    """One is 5 m/s faster than who is 21 m ahead of it: 4.2 s at first; the target itself is no partner."""
+    tracks = at_model_step(driving([0.0, 10.0, 5.0], [(20, 9), (0, 0), (26, 0)]))
+    near = near_target(tracks, 0)
+    speed, accel, ttc = histograms(tracks, near)
+    assert speed[10] == speed[20] == 9  # bins of 0.5 m/s
+    assert sum(speed) == 18
+    assert sum(accel) == 16
+    assert accel[40] == 16  # no acceleration: the bin from 0 on
+    assert sum(ttc) == 18
+    assert ttc[8] == 2  # 4.2 s, of both
+    assert ttc[-1] == 0
+
+
+def test_a_trace_survives_being_stored() -> None:
+    trace = Trace(3, 1, None, (1, 2), (3,), (4, 5), -7.25, 12.5, ("v0", 1.5, 2.5), True)
+    assert Trace.from_bytes(trace.to_bytes()) == trace
+
+
+def seen(scene: str, hit: bool, trace: Trace, **row: object) -> Seen:
+    usual: dict[str, object] = {
+        "target_collision": hit,
+        "relative_speed_mps": 6.0 if hit else None,
+        "accel_max_mps2": 3.0,
+        "jerk_max_mps3": None,
+        "at_fault": "target" if hit else None,
+        "collision_partner": "v1" if hit else None,
+        "attacker_visible": None,
+    }
+    return Seen(scene, {**usual, **row}, trace, 0.05)
+
+
+def test_columns_of_the_closed_loop() -> None:
+    bins = (1,) * 80, (1,) * 80, (1,) * 21
+    moved = Trace(4, 2, 1, *bins, -20.0, 10.0, ("v0", 0.0, 0.0), False)
+    natural = Trace(5, 0, None, *bins, -5.0, 10.0, ("v0", 0.0, 0.0))
+    episodes = [
+        seen("a", True, moved, attacker_visible=False),
+        seen("b", True, moved, at_fault="other"),
+        seen("c", False, moved),
+        seen("d", False, moved),
+    ]
+    samples = collision_samples(episodes) | background_samples(episodes, [seen("a", False, natural)])
+    found = {name: estimate(sample) for name, sample in samples.items()}
+    assert (found["collision_rate"].value, found["collision_rate"].n) == (0.5, 4)
+    assert (found["collision_mps"].value, found["collision_mps"].n) == (6.0, 2)
+    assert (found["fault_rate"].value, found["seen_rate"].value) == (0.5, 0.5)
+    assert (found["solvable_rate"].value, found["solvable_rate"].n) == (0.0, 2)
+    assert found["jerk_mps3"].value is None
+    assert (found["veh_rate"].value, found["veh_rate"].n) == (0.5, 16)
+    assert found["env_rate"].value == 0.25
+    assert found["nats"].value == pytest.approx(-2.0)
+    assert (found["jsd"].value, samples["jsd"].scenes) == (0.0, ("a",))  # only scenes that both have
+    assert found["hz"].value == pytest.approx(20.0)
+
+
+def test_nobody_moved_has_no_rate_of_leaving_the_road() -> None:
+    natural = Trace(5, 0, None, (1,), (1,), (1,), -5.0, 10.0, ("v0", 0.0, 0.0))
+    assert "env_rate" not in background_samples([seen("a", False, natural)], ())
+
+
+def test_who_drives_along_the_road_is_likelier_than_who_does_not() -> None:
+    """On the shipped motorway a steady drive along a lane has a higher bound than one that goes sideways."""
+    road = RoadMap.read(find_net("motorway"))
+    lane = max((one for one in road.lanes.values() if not one.is_internal), key=lambda one: one.length_m)
+    start, end = lane.centre_xy_m[0], lane.centre_xy_m[-1]
+    ahead = (end - start) / np.linalg.norm(end - start)
+    yaw = float(np.arctan2(ahead[1], ahead[0]))
+    along = np.arange(17)[:, None] * 0.5 * 12.0 * ahead
+    side = np.array([-ahead[1], ahead[0]])
+    astray = along + (np.maximum(np.arange(17) - 4, 0) ** 2)[:, None] * 0.2 * side
+
+    def bound(path: np.ndarray) -> float:
+        tracks = Tracks(
+            ids=("target", "other"),
+            classes=np.zeros(2, dtype=np.int64),
+            size_m=np.tile((4.5, 1.8), (2, 1)),
+            xy_m=np.stack((start + 40.0 * ahead + along, start + path)),
+            yaw_rad=np.full((2, 17), yaw),
+            speed_mps=np.full((2, 17), 12.0),
+            valid=np.ones((2, 17), dtype=np.bool_),
+            t0_s=0.0,
+            dt_s=0.5,
+        )
+        nats, seconds = natural_nats(road, tracks, 0, np.array([False, True]))
+        assert (
+            seconds == 16.0
+        )  # windows at 2, 4 and 6 s with 12, 8 and 4 instants of future: 24 … less the last
+        return nats / seconds
+
+    assert bound(along) > bound(astray)
+
+
+def test_work_in_processes_comes_back_by_its_key() -> None:
+    assert dict(in_processes({"a": (divmod, 7, 2), "b": (divmod, 9, 4)}, 1)) == {"a": (3, 1), "b": (2, 1)}

@@ -75,8 +75,10 @@ def _check_values(verb: str, values: dict[str, Any]) -> None:
         AdvdiffError: a target, background, exporter or net is unknown, or a setting is refused.
     """
     for key, registry in (("target", TARGETS), ("background", POLICIES)):
-        if values.get(key) and ":" not in values[key]:
-            registry.canonical(values[key])
+        named = values.get(key) or ()
+        for name in [named] if isinstance(named, str) else named:
+            if ":" not in name:
+                registry.canonical(name)
     for name in values.get("formats") or ():
         if name != "all" and ":" not in name:
             EXPORTERS.canonical(name)

@@ -122,6 +122,25 @@ def sample(
     return x
 
 
+@dataclass(frozen=True)
+class Foresight:
+    """What the network predicts on its way to a sample.
+
+    Attributes:
+        clean: (B, A, C, L) the data that it expects.
+        noise: (B, A, C, L) the noise it sees, before clipping.
+        x: (B, A, C, L) what it was shown, without gradients.
+        k: at which step.
+        alpha: α of that step.
+    """
+
+    clean: Tensor
+    noise: Tensor
+    x: Tensor
+    k: int
+    alpha: float
+
+
 def foresee(
     noise_of: Noise,
     start: Tensor,
@@ -129,8 +148,8 @@ def foresee(
     sampling: Sampling,
     generator: torch.Generator,
     done: int,
-) -> tuple[Tensor, float]:
-    """Return the data (B, A, C, L) that the network predicts after *done* natural steps, and the step's α.
+) -> Foresight:
+    """Return what the network predicts after *done* natural steps.
 
     Gradients reach the last prediction alone: what led to it is taken as it came.
 
@@ -148,8 +167,9 @@ def foresee(
             x, deviation = transition(x, noise_of(x, k), k, to, schedule, sampling)
             x = x + deviation * draw(x, generator)
     k = ladder[done]
-    clean, _ = transition(x, noise_of(x, k), k, 0, schedule, sampling)
-    return clean, float(schedule.alpha[k])
+    noise = noise_of(x, k)
+    clean, _ = transition(x, noise, k, 0, schedule, sampling)
+    return Foresight(clean, noise, x, k, float(schedule.alpha[k]))
 
 
 def draw(like: Tensor, generator: torch.Generator) -> Tensor:

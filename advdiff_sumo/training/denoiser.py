@@ -127,15 +127,15 @@ def diffused(bundle: Bundle, context: Context, steps: int, generator: torch.Gene
     """Return samples x̃⁰ (B, A, C, L) of the denoiser, without a guide."""
     shape = (*context.h.shape[:2], *bundle.codec.shape)
     start = torch.randn(shape, generator=generator).to(context.h)
-    return sample(noise_at(bundle, context), start, schedule_of(bundle), Sampling(steps=steps), generator)
+    return sample(noise_at(bundle.denoiser, context), start, schedule_of(bundle), Sampling(steps=steps), generator)
 
 
-def noise_at(bundle: Bundle, context: Context) -> Noise:
-    """Return the denoiser as ε(x, k) for the scenes of *context*."""
+def noise_at(denoiser: Denoiser, context: Context) -> Noise:
+    """Return *denoiser* as ε(x, k) for the scenes of *context*."""
 
     def noise_of(x: Tensor, k: int) -> Tensor:
         at = torch.full((x.shape[0],), k, device=x.device)
-        out: Tensor = bundle.denoiser(x, at, context)
+        out: Tensor = denoiser(x, at, context)
         return out
 
     return noise_of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -47,6 +48,7 @@ class JointStage:
     def __init__(self, bundle: Bundle, elbo_options: ElboOptions, options: CollisionOptions) -> None:
         self._bundle, self.elbo_options, self.options = bundle, elbo_options, options
         self.schedule = schedule_of(bundle)
+        self._began = copy.deepcopy(bundle.denoiser).eval().requires_grad_(False)
         parts = {"denoiser": bundle.denoiser, "codec": bundle.codec}
         if options.traffic:
             parts["traffic"] = bundle.traffic
@@ -84,7 +86,8 @@ class JointStage:
         with torch.no_grad():
             x0 = clean(bundle, batch, context, generator)
         terms["noise"] = noise_loss(bundle.denoiser, x0, context, batch, self.schedule, k, generator)
-        rollouts += self.sampled(context, batch, generator)
+        more, terms["anchor"] = self.sampled(context, batch, generator)
+        rollouts += more
         terms["vehicles"] = torch.stack([w * vehicle_penalty(r, batch) for r, w in rollouts]).mean()
         terms["road"] = torch.stack([w * road_penalty(r, batch) for r, w in rollouts]).mean()
         terms["loss"] = (
@@ -92,6 +95,7 @@ class JointStage:
             + options.noise * terms["noise"]
             + options.vehicles * terms["vehicles"]
             + options.road * terms["road"]
+            + options.anchor * terms["anchor"]
         )
         return terms
 
@@ -108,35 +112,39 @@ class JointStage:
 
     def sampled(
         self, context: Context, batch: SceneBatch, generator: torch.Generator
-    ) -> list[tuple[Rollout, float]]:
-        """Return what the model makes of these scenes on its own, as the options say, with its weight."""
-        options = self.options
+    ) -> tuple[list[tuple[Rollout, float]], Tensor]:
+        """Return what the model makes of these scenes on its own, with its weight, and how far it has strayed."""
+        options, unmoved = self.options, batch.past.new_zeros(())
         if options.samples == "none":
-            return []
+            return [], unmoved
         if options.samples == "prior":
             drawn = context.prior.sample(generator)
-            return [(self._bundle.traffic.decoder(drawn, context.h, batch), 1.0)]
+            return [(self._bundle.traffic.decoder(drawn, context.h, batch), 1.0)], unmoved
         if options.samples == "denoiser":
-            return [self._foreseen(_fixed(context), batch, generator)]
+            rollout, weight, strayed = self._foreseen(_fixed(context), batch, generator)
+            return [(rollout, weight)], strayed
         with torch.no_grad():
             drawn = diffused(self._bundle, context, options.sampling_steps, generator)
-        return [(self._bundle.codec.decode(drawn, context, batch), 1.0)]
+        return [(self._bundle.codec.decode(drawn, context, batch), 1.0)], unmoved
 
     def _foreseen(
         self, context: Context, batch: SceneBatch, generator: torch.Generator
-    ) -> tuple[Rollout, float]:
+    ) -> tuple[Rollout, float, Tensor]:
         """Return what the denoiser predicts somewhere on its way, decoded by a decoder that stays as it is.
 
-        Early predictions blur what may happen: they count less, by α.
+        Early predictions blur what may happen: they count less, by α. The third value is ‖ε − ε of the beginning‖²
+        there, the mean over vehicles and numbers.
         """
         bundle, sampling = self._bundle, Sampling(steps=self.options.sampling_steps)
         done = int(torch.randint(sampling.steps, (), generator=generator))
         shape = (*context.h.shape[:2], *bundle.codec.shape)
         start = torch.randn(shape, generator=generator).to(context.h)
-        noise_of = noise_at(bundle, context)
-        x, weight = foresee(noise_of, start, self.schedule, sampling, generator, done)
+        seen = foresee(noise_at(bundle.denoiser, context), start, self.schedule, sampling, generator, done)
+        with torch.no_grad():
+            before = noise_at(self._began, context)(seen.x, seen.k)
+        strayed = masked_mean((seen.noise - before).square().flatten(2).mean(-1), batch.moved)
         with _untrained(bundle.traffic.decoder):
-            return bundle.codec.decode(x, context, batch), weight
+            return bundle.codec.decode(seen.clean, context, batch), seen.alpha, strayed
 
 
 def _fixed(context: Context) -> Context:

@@ -45,6 +45,8 @@ class CollisionOptions(Options):
             or "none".
         sampling_steps: DDIM steps of these samples.
         noise: weight of the noise loss.
+        anchor: weight of how far the denoiser's predictions on its way go from those of the denoiser that the
+            stage began with; without it the easiest traffic that never collides is traffic that stands.
         traffic: whether encoder, posterior and decoder are trained as well, as in the paper; without them a step
             takes half the time.
     """
@@ -54,6 +56,7 @@ class CollisionOptions(Options):
     samples: Literal["denoiser", "decoder", "prior", "none"] = "denoiser"
     sampling_steps: int = Field(5, ge=1, le=1000)
     noise: float = Field(1.0, ge=0.0)
+    anchor: float = Field(2.0, ge=0.0)
     traffic: bool = True
 
 

@@ -75,7 +75,7 @@ def test_joint_training_adds_the_terms_with_their_weights(bundle: Bundle, batch:
     with torch.no_grad():
         terms = JointStage(bundle, ElboOptions(kl_weight=0.1), options).loss(batch, Moment(1, 1, chance()))
     total = terms["reconstruction"] + 0.1 * terms["kl"] + 0.5 * terms["noise"]
-    total = total + 3.0 * terms["vehicles"] + 0.25 * terms["road"]
+    total = total + 3.0 * terms["vehicles"] + 0.25 * terms["road"] + 2.0 * terms["anchor"]
     assert float(terms["loss"]) == pytest.approx(float(total), rel=1e-5)
 
 
@@ -92,9 +92,13 @@ def reached_by(bundle: Bundle, batch: SceneBatch, samples: Literal["denoiser", "
     options = CollisionOptions(samples=samples, sampling_steps=2)
     stage = JointStage(bundle, ElboOptions(), options)
     for number in range(4):
-        (made,) = stage.sampled(bundle.traffic.encoder(batch), batch, chance(number))
-        made[0].xy.sum().backward()
-    parts = {"encoder": bundle.traffic.encoder, "decoder": bundle.traffic.decoder, "denoiser": bundle.denoiser}
+        made, _ = stage.sampled(bundle.traffic.encoder(batch), batch, chance(number))
+        made[0][0].xy.sum().backward()
+    parts = {
+        "encoder": bundle.traffic.encoder,
+        "decoder": bundle.traffic.decoder,
+        "denoiser": bundle.denoiser,
+    }
     return {
         name
         for name, part in parts.items()
@@ -110,6 +114,17 @@ def test_samples_are_for_the_denoiser_or_for_the_decoder_to_mend(bundle: Bundle,
         module.zero_grad()
     assert reached_by(bundle, batch, "decoder") == {"encoder", "decoder"}
     assert all(weight.requires_grad for weight in bundle.traffic.decoder.parameters())
+
+
+def test_the_anchor_is_nothing_at_first_and_grows_with_what_is_changed(
+    bundle: Bundle, batch: SceneBatch
+) -> None:
+    stage = JointStage(bundle, ElboOptions(), CollisionOptions())
+    found = []
+    for shift in (0.0, 0.1, 0.2):
+        bundle.denoiser.out.bias.data.fill_(shift)
+        found.append(float(stage.loss(batch, Moment(1, 1, chance()))["anchor"].detach()))
+    assert found == pytest.approx([0.0, 0.01, 0.04], abs=1e-6)
 
 
 def test_the_weight_of_kl_rises_straight() -> None:

@@ -15,7 +15,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.bicycle_arrays import Array, Driven, Motion, Vehicles, drive, drive_back
+from advdiff_sumo.diffusion.bicycle_arrays import (
+    Array,
+    Driven,
+    Motion,
+    Vehicles,
+    blank,
+    drive,
+    drive_back,
+)
 from advdiff_sumo.diffusion.decoder_weights import CONTROL_SCALE, DecoderWeights, EdgeWeights
 from advdiff_sumo.diffusion.graph_layer import GraphLayer, Heard
 from advdiff_sumo.diffusion.trace import Trace
@@ -120,7 +128,7 @@ class ArrayDecoder:
         told = torch.addmm(w.told_bias, mixed, w.told_t)
         hidden = told[:, :width].relu()
         driven = drive(cars, torch.addmm(w.act_bias, hidden, w.act_t).numpy(), motion)
-        done = np.empty((len(driven.accel), 2), driven.accel.dtype)
+        done = blank((len(driven.accel), 2), driven.accel)
         done[:, 0], done[:, 1] = driven.accel, driven.curvature
         done *= self._scale
         gates = told[:, width:].addmm_(torch.from_numpy(done), w.done_t)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from advdiff_sumo.core.bicycle import WHEELBASE_PER_LENGTH
@@ -22,6 +23,17 @@ MOTION = 6
 _PLACE_SCALE, _SPEED_SCALE = 0.05, 0.1
 _LEAST_MPS, _LEAST_LENGTH_M = 0.1, 0.5
 _SERIES = 0.03  # below it the slope of sin x / x by its series, which loses no digits
+
+
+def blank(shape: tuple[int, ...], like: Array) -> Array:
+    """Return an array that begins where PyTorch's do.
+
+    A product's last digits depend on how its factors lie in memory; NumPy's own arrays lie elsewhere each time.
+    """
+    made: Array = torch.empty(
+        shape, dtype=torch.float64 if like.dtype == np.float64 else torch.float32
+    ).numpy()
+    return made
 
 
 @dataclass(frozen=True)
@@ -56,7 +68,7 @@ class Vehicles:
 
     def features(self, motion: Motion) -> Array:
         """Return (N, 6): place, heading and speed relative to the present, as the decoder's node reads them."""
-        out = np.empty((len(self.x), MOTION), self.x.dtype)
+        out = blank((len(self.x), MOTION), self.x)
         east, north = _PLACE_SCALE * (motion.x - self.x), _PLACE_SCALE * (motion.y - self.y)
         cos, sin, turn = np.cos(self.yaw), np.sin(self.yaw), motion.yaw - self.yaw
         out[:, 0] = cos * east + sin * north
@@ -175,7 +187,7 @@ def drive_back(
     pressed, turned = done.pressed
     grip = (done.limit < cars.steep) & (speed >= _LEAST_MPS)
     tighter = np.where(grip, -2.0 * done.limit / np.maximum(speed, _LEAST_MPS), 0.0)
-    raw = np.empty((len(speed), 2), speed.dtype)
+    raw = blank((len(speed), 2), speed)
     raw[:, 0] = cars.moved * accel * (1.0 - pressed * pressed)
     raw[:, 1] = cars.moved * curvature * done.limit * (1.0 - turned * turned)
     by_speed = done.moving_s * by_way + goes + cars.moved * curvature * turned * tighter

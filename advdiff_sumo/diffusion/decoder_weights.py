@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from advdiff_sumo.diffusion.bicycle_arrays import Array
+from advdiff_sumo.diffusion.bicycle_arrays import Array, blank
 from advdiff_sumo.diffusion.graph_layer import GraphLayer
 from advdiff_sumo.models.decoder import Decoder
 from advdiff_sumo.models.geometry import RELATIVE_FEATURES
@@ -99,7 +99,7 @@ class EdgeWeights:
         heading, where = turned.view(kind)[..., 0], place.view(kind)[..., 0]  # (S, A)
         pick = slice(None) if rows is None else rows
         back, here = heading[:, pick, None].conj(), where[:, pick, None]
-        seen = np.empty((*back.shape[:2], yaw.shape[1], 8), yaw.dtype)
+        seen = blank((*back.shape[:2], yaw.shape[1], 8), yaw)
         vectors, delta = seen.view(kind), where[:, None] - here
         np.multiply(delta, back, out=vectors[..., 0])
         course = heading[:, None] * back

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -85,7 +85,7 @@ class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         InputError: an option, a net or a target cannot be used.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
 
     def __init__(self, **options: Any) -> None:
         self.options = adversary_options(options)

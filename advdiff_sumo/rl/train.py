@@ -26,6 +26,7 @@ from advdiff_sumo.training.interrupt import graceful
 
 STAGE = "adv-rl"
 ACTOR = "actor.safetensors"
+_NEVER = 2**62
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def _learn(model: PPO, plan: Plan, progress: checkpoint.Progress, tell: Tell) ->
         watch = Watch(progress.history, save, tell, wish)
         left = plan.steps - progress.step
         if left > 0:
-            model.learn(left, callback=watch, log_interval=None, reset_num_timesteps=False)
+            model.learn(left, callback=watch, log_interval=_NEVER, reset_num_timesteps=False)
     events.close()
     if not progress.history:
         write(model, plan, progress)

@@ -74,16 +74,11 @@ def _check_values(verb: str, values: dict[str, Any]) -> None:
     Raises:
         AdvdiffError: a target, background, exporter or net is unknown, or a setting is refused.
     """
-    for key, registry in (("target", TARGETS), ("background", POLICIES)):
-        named = values.get(key) or ()
-        for name in [named] if isinstance(named, str) else named:
-            if ":" not in name:
+    for key, registry in (("target", TARGETS), ("background", POLICIES), ("formats", EXPORTERS)):
+        for name in _listed(values.get(key)):
+            if name != "all" and ":" not in name:
                 registry.canonical(name)
-    for name in values.get("formats") or ():
-        if name != "all" and ":" not in name:
-            EXPORTERS.canonical(name)
-    net = values.get("net")
-    for name in [net] if isinstance(net, str) else net or ():
+    for name in _listed(values.get("net")):
         if ".net.xml" not in name:
             find_net(name)
     if verb == "run":
@@ -94,6 +89,11 @@ def _check_values(verb: str, values: dict[str, Any]) -> None:
     if verb == "train":
         stage = STAGES[STAGES.index(values["stage"])]
         preset(values["preset"] or "small", stage, values["assign"] or [])
+
+
+def _listed(value: str | list[str] | None) -> list[str]:
+    """Return the names of an option that takes one or several."""
+    return [value] if isinstance(value, str) else value or []
 
 
 def _python(words: list[str]) -> str:

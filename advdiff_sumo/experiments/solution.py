@@ -119,7 +119,7 @@ def first_contact(tracks: Tracks, target: int) -> int:
     """Return the first instant at which the box of *target* overlaps another; the last one it is there otherwise."""
     boxes = corners(tracks.xy_m, tracks.yaw_rad, np.repeat(tracks.size_m[:, None], tracks.steps, axis=1))
     with np.errstate(invalid="ignore"):
-        meets = separation(boxes, boxes[target][None]) < 0.0
+        meets = separation(boxes, np.broadcast_to(boxes[target], boxes.shape)) < 0.0
     meets[target] = False
     touched = np.flatnonzero(meets.any(axis=0))
     return int(touched[0]) if len(touched) else int(np.flatnonzero(tracks.valid[target])[-1])

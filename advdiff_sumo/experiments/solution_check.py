@@ -67,9 +67,9 @@ def drive(around: Surroundings, accel_mps2: FloatArray, curvature_1pm: FloatArra
     """Return the target's states (K, T + 1, 4) under actions (K, S) that each last *stride* instants."""
     count = len(accel_mps2)
     start = np.repeat(around.start[None], count, axis=0)
-    actions = (np.repeat(part, stride, axis=1) for part in (accel_mps2, curvature_1pm))
+    accel, curvature = (np.repeat(part, stride, axis=1) for part in (accel_mps2, curvature_1pm))
     speed = np.maximum(start[:, 3], 0.0)
-    xy, yaw, moving = rollout(start[:, :2], start[:, 2], speed, *actions, around.dt_s)
+    xy, yaw, moving = rollout(start[:, :2], start[:, 2], speed, accel, curvature, around.dt_s)
     later = np.concatenate((xy, yaw[..., None], moving[..., None]), axis=-1)
     return np.concatenate((start[:, None], later), axis=1)
 
@@ -85,9 +85,10 @@ def usable(road: RoadMap, around: Surroundings, states: FloatArray) -> BoolArray
     around_size = np.broadcast_to(around.size_m[:, None], (*others.shape[:2], 2))
     theirs = corners(others[..., :2], others[..., 2], around_size)
     fine = on_road(road, boxes)
+    present = np.asarray(np.isfinite(others).all(axis=-1))
     with np.errstate(invalid="ignore"):
-        for own, there in zip(theirs, np.isfinite(others).all(axis=-1), strict=True):
-            touches = (separation(boxes, own[None]) < 0.0) & there
+        for own, there in zip(theirs, present, strict=True):
+            touches = (separation(boxes, np.broadcast_to(own, boxes.shape)) < 0.0) & there
             if not touches[:, 0].any():
                 fine &= ~touches.any(axis=1)
     return fine

@@ -76,7 +76,7 @@ def search(
 
 def _forced(others: FloatArray, view: View, device: torch.device) -> Forced:
     local = others - np.array([*view.now.xy_m[0, -1], 0.0, 0.0])
-    there = np.isfinite(others).all(axis=-1)
+    there = np.asarray(np.isfinite(others).all(axis=-1))
     there[0] = False
     states = np.where(there[..., None], local, 0.0)
     return Forced(

@@ -18,6 +18,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Forced, Rollout
+from advdiff_sumo.models.options import FUTURE_STEPS
 from advdiff_sumo.traffic.diffusion.attackers import FARTHEST_M, closest_m
 from advdiff_sumo.traffic.diffusion.draw import Drawn
 from advdiff_sumo.traffic.diffusion.futures import futures_of
@@ -149,7 +150,7 @@ class Strive(Rival):
         prior = start.context.prior
         return prior.mean[0] + torch.exp(0.5 * prior.logvar[0]) * epsilon
 
-    def _decode(self, start: _Start, epsilon: Tensor, forced: Forced | None, steps: int = 12) -> Rollout:
+    def _decode(self, start: _Start, epsilon: Tensor, forced: Forced | None, steps: int = FUTURE_STEPS) -> Rollout:
         z = self._latents(start, epsilon)[None]
         rollout: Rollout = self.prior.traffic.decoder(z, start.context.h, start.batch, steps, forced)
         return with_target(rollout, forced)

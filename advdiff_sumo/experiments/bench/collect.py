@@ -82,7 +82,9 @@ def in_processes(
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(workers, len(tasks)), context, initializer=_quiet_worker)
     try:
-        futures: dict[Future[Any], _Key] = {pool.submit(*task): key for key, task in tasks.items()}
+        futures: dict[Future[Any], _Key] = {
+            pool.submit(task[0], *task[1:]): key for key, task in tasks.items()
+        }
         for done in as_completed(futures):
             yield futures[done], done.result()
     except BaseException:

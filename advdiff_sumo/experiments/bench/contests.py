@@ -25,9 +25,9 @@ _RETRIES = 2
 _NOT_KEPT = {"record_plans": 0, "record_natural": False}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Contest:
-    """A target against a background.
+    """A target against a background; one and the same only with itself.
 
     Attributes:
         row: key of the table's row.

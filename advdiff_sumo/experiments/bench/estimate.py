@@ -60,7 +60,8 @@ def forecast(contests: Contests, todo: tuple[Job, ...], horizon_s: float, limits
                 update={"horizon_s": _TRIAL_S, "net": batch.options.net}
             )
             tries = [
-                _do(executor, EpisodeTask(f"{name}-{k}", options, 0, made.product[0], net)) for k in (0, 1)
+                _do(executor, EpisodeTask(f"{name}-{k}".replace("/", "_"), options, 0, made.product[0], net))
+                for k in (0, 1)
             ]
             episode_s[name] = tries[-1].wall_s * horizon_s / _TRIAL_S + _TRACE_S
     batches = len({job.batch for job in todo})

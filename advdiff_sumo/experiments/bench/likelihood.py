@@ -56,8 +56,8 @@ def natural_nats(road: RoadMap, tracks: Tracks, target: int, counted: BoolArray)
         return 0.0, 0.0
     batch = collate(windows.build(), np.arange(len(names), dtype=np.int64))
     mask = np.zeros(tuple(batch.present.shape), dtype=np.bool_)
-    for w, rows in enumerate(names):
-        mask[w, : len(rows)] = counted[list(rows)]
+    for w, agents in enumerate(names):
+        mask[w, : len(agents)] = counted[list(agents)]
     return _bound(batch, torch.from_numpy(mask))
 
 

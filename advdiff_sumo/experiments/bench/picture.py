@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from advdiff_sumo.experiments.bench import shown
@@ -28,7 +27,7 @@ def draw(path: Path, table: Table) -> None:
     kinds = {"transfer": _heat_map, "fewshot": _curves}
     figure = kinds.get(table.bench, _intervals)(table)
     sink = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(sink, metadata={"Software": None})
+    figure.savefig(sink, format="png", metadata={"Software": None})
     write_whole(path, sink.getvalue())
 
 

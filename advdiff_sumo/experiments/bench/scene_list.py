@@ -22,7 +22,7 @@ from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sweep.content import digest, file_digest, net_files
 from advdiff_sumo.sweep.files import write_whole
 
-FORMAT = "advdiff-scenes-1"
+FORMAT: Literal["advdiff-scenes-1"] = "advdiff-scenes-1"
 TABLE_LIST, TUNING_LIST = "scenes-300", "scenes-tuning"
 TABLE_SEED, TUNING_SEED = 3001, 7001
 _PLACE_DIGITS = 2

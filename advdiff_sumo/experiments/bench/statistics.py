@@ -57,13 +57,12 @@ class Difference:
 
 
 class Sample(Protocol):
-    """What a cell is computed from; S seed scenes.
+    """What a cell is computed from; S seed scenes."""
 
-    Attributes:
-        scenes: their keys.
-    """
-
-    scenes: tuple[str, ...]
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Their keys."""
+        ...
 
     @property
     def n(self) -> int:

@@ -6,6 +6,7 @@ import json
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -64,8 +65,10 @@ class Trace:
     @staticmethod
     def from_bytes(content: bytes) -> Trace:
         """Return what :meth:`to_bytes` wrote."""
-        plain = json.loads(content)
-        return Trace(**{key: tuple(v) if isinstance(v, list) else v for key, v in plain.items()})
+        plain: dict[str, Any] = json.loads(content)
+        for key, value in plain.items():
+            plain[key] = tuple(value) if isinstance(value, list) else value
+        return Trace(**plain)
 
 
 def trace_of(folder: Path, key: str, net: str) -> bytes:
@@ -83,7 +86,7 @@ def _trace(part: Part, road: RoadMap) -> bytes:
     near = near_target(coarse, states.target)
     counted = _counted(states, near)
     speed, accel, ttc = histograms(coarse, near)
-    nats, seconds = natural_nats(road, coarse, states.target, near.any(axis=1))
+    nats, seconds = natural_nats(road, coarse, states.target, _ever(near))
     x, y = states.tracks.xy_m[states.target, 0].tolist()
     return Trace(
         vehicles=int(counted.sum()),
@@ -137,7 +140,7 @@ def histograms(tracks: Tracks, near: BoolArray) -> tuple[tuple[int, ...], tuple[
     """Return counts of speeds, accelerations and times to collision of the vehicles *near* (A, T)."""
     later = near[:, 1:] & tracks.valid[:, :-1]
     accel = (np.diff(tracks.speed_mps, axis=1) / tracks.dt_s)[later]
-    others = tracks.valid & near.any(axis=1)[:, None]
+    others = tracks.valid & _ever(near)[:, None]
     seconds = least_ttc(
         tracks.xy_m.swapaxes(0, 1),
         tracks.yaw_rad.T,
@@ -155,10 +158,15 @@ def histograms(tracks: Tracks, near: BoolArray) -> tuple[tuple[int, ...], tuple[
 def _counted(states: EpisodeStates, near: BoolArray) -> BoolArray:
     """Return (A,) the background vehicles that rates are of."""
     if not states.moved:
-        return np.asarray(near.any(axis=1))
+        return _ever(near)
     counted = np.zeros(states.tracks.agents, dtype=np.bool_)
     counted[sorted(states.moved)] = True
     return counted
+
+
+def _ever(near: BoolArray) -> BoolArray:
+    """Return (A,) who of (A, T) is so at any instant."""
+    return np.asarray(near.any(axis=1), dtype=np.bool_)
 
 
 def _hit(collisions: pa.Table, tracks: Tracks, counted: BoolArray) -> int:

@@ -42,7 +42,7 @@ def natural_course(log: Tracks, dt_s: float) -> Tracks:
     """Return *log* from the episode's start on, every *dt_s*, without those who are not there then."""
     steps = max(0, int(np.floor((log.times_s[-1] if log.steps else -1.0) / dt_s + 1e-6)) + 1)
     course = resample(log, dt_s, t0_s=0.0, steps=steps)
-    return course.rows(course.valid.any(axis=1))
+    return course.rows(np.flatnonzero(course.valid.any(axis=1)))
 
 
 def _at_model_step(tracks: Tracks, now_s: float, sim: SimOptions) -> FloatArray:

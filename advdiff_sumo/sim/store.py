@@ -263,7 +263,7 @@ def plans_table(record: EpisodeRecord) -> pa.Table:
     places = [plans.xy_m[where] for plans, where in pairs]
     xy = np.round(np.concatenate([np.zeros((0, 2)), *places]), 2) + 0.0  # no −0
     made = [np.full(count, plans.made_s) for plans, count in zip(record.plans, counts, strict=True)]
-    columns = {
+    columns: dict[str, Any] = {
         "episode": np.full(sum(counts), record.episode),
         "made_s": np.round(np.concatenate([np.zeros(0), *made]), 6),
         "agent": [plans.ids[row] for plans, (agent, _) in pairs for row in agent.tolist()],

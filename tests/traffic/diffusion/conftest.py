@@ -22,6 +22,8 @@ MODEL = {
     "channels": (8, 16, 24),
     "reward_hidden": 16,
 }
+SEED = 2
+"""Of weights with which the vehicles of the street below drive somewhere and stay on the road."""
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -31,17 +33,27 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
-@pytest.fixture(scope="session")
-def weights(tmp_path_factory: pytest.TempPathFactory) -> str:
+def untrained(folder: Path, layers: int) -> str:
     """Return the file of an untrained bundle whose weights are no longer the cautious first ones."""
-    bundle = new_bundle(BundleOptions.parse({"model": MODEL}))
-    generator = torch.Generator().manual_seed(1)
+    bundle = new_bundle(BundleOptions.parse({"model": {**MODEL, "denoiser_layers": layers}}))
+    generator = torch.Generator().manual_seed(SEED)
     for module in bundle.modules().values():
         for weight in module.parameters():
             weight.data += 0.05 * torch.randn(weight.shape, generator=generator)
-    path = tmp_path_factory.mktemp("weights") / "small.safetensors"
+    path = folder / "small.safetensors"
     save_bundle(bundle, path, ())
     return str(path)
+
+
+@pytest.fixture(scope="session")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return untrained(tmp_path_factory.mktemp("weights"), 1)
+
+
+@pytest.fixture(scope="session")
+def uncoupled(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return weights whose denoiser looks at one vehicle at a time."""
+    return untrained(tmp_path_factory.mktemp("uncoupled"), 0)
 
 
 @pytest.fixture(scope="session")

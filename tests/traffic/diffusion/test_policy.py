@@ -85,11 +85,11 @@ def test_strength_0_is_no_guide_exactly(weights: str, downtown: RoadMap, street:
 
 
 @pytest.mark.parametrize("attack", ["any", "brake"])
-def test_attackers_alone_are_shifted(attack: str, weights: str, downtown: RoadMap, street: Street) -> None:
+def test_attackers_alone_are_shifted(attack: str, uncoupled: str, downtown: RoadMap, street: Street) -> None:
     """One attacker: nobody else's latent changes by a bit."""
     scene = street(PLACES, SPEEDS)
     view = look(downtown, scene)
-    options = {"weights": weights, "attack": attack, "attackers": 1, "strength": 1.0}
+    options = {"weights": uncoupled, "attack": attack, "attackers": 1, "strength": 1.0}
     policy = DiffusionTraffic(**options)
     drawn = draw_plan(policy.networks, policy.options, view, {}, (), 5)
     natural = latents(DiffusionTraffic(**options, guide="none"), downtown, scene)

@@ -1,0 +1,37 @@
+"""``advdiff-sumo check-planner`` as a user meets it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from tests.e2e.commands import Outcome
+
+
+def test_a_planner_that_draws_by_itself_and_breaks_its_plans_is_told_so(here: Callable[..., Outcome]) -> None:
+    done = here(
+        "check-planner", "our_planners:NotANumber", "--net", "grid.net.xml", "--episodes", 1, "--horizon", 4
+    )
+    assert done.code == 1, done.err
+    lines = {line.split("  ")[0].strip(): line for line in done.out.splitlines()}
+    failing = [line for line in lines if line.startswith("fails")]
+    assert [line.removeprefix("fails ").strip() for line in failing] == ["numbers", "drives"]
+    assert "xy_m holds values that are not finite" in done.out
+    assert done.out.strip().endswith("our_planners:NotANumber: 2 of 10 checks fail")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("lane_grpah", "did you mean 'lane_graph'"),
+        ("IDM", "driven by SUMO itself"),
+        ("our_planners:Nothing", "lacks start and plan"),
+        ("our_planners:Broken", "no weights found"),
+    ],
+)
+def test_a_name_that_cannot_be_used(here: Callable[..., Outcome], name: str, words: str) -> None:
+    done = here("check-planner", name)
+    assert (done.code, done.out) == (2, "")
+    assert words in done.err
+    assert "Traceback" not in done.err

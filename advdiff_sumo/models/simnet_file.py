@@ -43,9 +43,8 @@ def load_simnet(path: Path) -> SimNet:
     Raises:
         WeightsError: no such file, another format, or tensors that do not fit the options in its header.
     """
-    header, tensors = read_stored(
-        path, FORMAT, "train it, or leave the option out for the shipped weights", _AGAIN
-    )
+    missing = "make it with advdiff-sumo train simnet, and name it by the option weights"
+    header, tensors = read_stored(path, FORMAT, missing, _AGAIN)
     simnet = new_simnet(_options(header.get("options"), path))
     _fill(simnet, tensors, path)
     return simnet

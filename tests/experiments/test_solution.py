@@ -57,8 +57,9 @@ def test_who_drives_into_a_standing_car_could_have_braked(downtown: RoadMap, wei
     assert (made.begin_s, made.contact_s) == (0.0, pytest.approx(4.0))
     np.testing.assert_allclose(made.states[0, :2], tracks.xy_m[0, 0])
     size = np.broadcast_to([_LENGTH_M, 1.9], (len(made.states), 2))
+    mine = corners(made.states[:, :2], made.states[:, 2], size)
     other = corners(tracks.xy_m[1, :1], tracks.yaw_rad[1, :1], tracks.size_m[1:])
-    assert not overlap(corners(made.states[:, :2], made.states[:, 2], size), other).any()
+    assert not overlap(mine, np.broadcast_to(other, mine.shape)).any()
     assert np.diff(made.states[:, 3]).min() >= -8.0 * 0.1 - 1e-6  # no harder than the model's limits
     again = solve(EpisodeStates(tracks, 0), downtown, SolveOptions(weights=weights, draws=2, rounds=10))
     assert again.states is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.check import carries_over
@@ -29,7 +30,7 @@ def test_each_is_what_it_says(crossing: Callable[..., RoadMap]) -> None:
     assert np.isnan(past.xy_m[:, :-1]).all()
     assert not crossing().covers(made["it is off the road"].history.xy_m[0, -1])
     wall = made["somebody stands right before it"].history
-    assert np.hypot(*(wall.xy_m[1, -1] - wall.xy_m[0, -1])) == 4.6 + 8.0
+    assert np.hypot(*(wall.xy_m[1, -1] - wall.xy_m[0, -1])) == pytest.approx(4.6 + 8.0)
     assert (scene.history.xy_m.tobytes(), scene.history.speed_mps.tobytes()) == before
 
 

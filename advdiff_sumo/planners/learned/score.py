@@ -86,12 +86,12 @@ def risk(made: Candidates, around: Around, size_m: FloatArray, dt_s: float) -> F
     samples, count = theirs.shape[:2]
     hit = np.zeros((len(xy), samples))
     if not count:
-        return hit.sum(1)
+        return np.zeros(len(xy))
     reach = 0.5 * (np.hypot(*around.size_m.T) + np.hypot(*size_m)) + _MARGIN_M
     gap = np.hypot(*np.moveaxis(xy[:, None, None] - theirs[None], -1, 0))  # (C, S, N, 2 T)
     c, s, n, t = np.nonzero((gap < reach[:, None]) & ~around.ignored[:, None])
     if not len(c):
-        return hit.sum(1)
+        return np.zeros(len(xy))
     mine = corners(xy[c, t], yaw[c, t], size_m + 2.0 * np.array([_MARGIN_M, 0.5 * _MARGIN_M]))
     touching = separation(mine, corners(theirs[s, n, t], turned[s, n, t], around.size_m[n])) < 0.0
     weight = np.where(touching, np.exp(-0.5 * dt_s * t / _FADE_S), 0.0)

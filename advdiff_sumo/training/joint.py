@@ -49,7 +49,7 @@ class JointStage:
         self._bundle, self.elbo_options, self.options = bundle, elbo_options, options
         self.schedule = schedule_of(bundle)
         self._began = copy.deepcopy(bundle.denoiser).eval().requires_grad_(False)
-        parts = {"denoiser": bundle.denoiser, "codec": bundle.codec}
+        parts: dict[str, nn.Module] = {"denoiser": bundle.denoiser, "codec": bundle.codec}
         if options.traffic:
             parts["traffic"] = bundle.traffic
         else:

@@ -14,7 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_for_training
 
-from advdiff_sumo.core.errors import ConfigError, NetError, SimulationError, UnknownNameError
+from advdiff_sumo.core.errors import AdvdiffError, ConfigError, NetError, UnknownNameError
 from advdiff_sumo.core.record import EndReason
 from advdiff_sumo.rl import ENVIRONMENT
 from advdiff_sumo.rl.env import AdversaryEnv
@@ -95,7 +95,7 @@ def test_an_episode_is_stepped_only_while_it_runs(env: AdversaryEnv, settings: d
         env.step(IDLE)
     env.reset(seed=0)
     second = AdversaryEnv(**settings)
-    with pytest.raises(SimulationError, match="a second SUMO simulation"):
+    with pytest.raises(AdvdiffError, match="a second SUMO simulation"):
         second.reset(seed=0)
     env.close()
     env.close()

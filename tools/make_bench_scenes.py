@@ -1,6 +1,6 @@
 """Make the lists of seed scenes in scenarios/benches, or check them: make_bench_scenes.py [--check] [--only NAME].
 
-Some ten minutes on one core for all; the same version of SUMO gives the same bytes.
+The same nets and version of SUMO give the same bytes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def main() -> int:
     stale = 0
     for name, (per_net, seed, about) in LISTS.items():
         if asked.only in (None, name):
-            made = make_list(per_net, seed, about, tell=lambda n: print(f"\r{n}", end="", file=sys.stderr))
+            made = make_list(per_net, seed, about)
             path = FOLDER / f"{name}.json"
             with tempfile.TemporaryDirectory() as aside:
                 write_scene_list(Path(aside) / path.name, made)
@@ -44,7 +44,7 @@ def main() -> int:
                 path.write_bytes(content)
             elif not path.exists() or path.read_bytes() != content:
                 stale += 1
-            print(f"\r{path.name}: {len(made.scenes)} scenes, sha256 {made.sha256}")
+            print(f"{path.name}: {len(made.scenes)} scenes, sha256 {made.sha256}")
     if stale:
         print(f"{stale} lists are not what this tool makes")
     return min(stale, 1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.metadata import version
+
 from advdiff_sumo.experiments.bench.collect import Gathered, failures_told, gather
 from advdiff_sumo.experiments.bench.contests import Contest, Contests, plan_contests, run_contests
 from advdiff_sumo.experiments.bench.paper import paper_table
@@ -22,6 +24,7 @@ from advdiff_sumo.planners.registry import TARGETS
 from advdiff_sumo.sweep.tasks import Limits
 from advdiff_sumo.traffic.registry import POLICIES
 
+PLAN_NOTHING = ("sumo", "replay")
 ATTACKED = {"lane_graph": "lane_graph", "IDM": "IDM"}
 HEADS = (
     Head("collision_rate", "CR", "%", 100.0, 1, "high"),
@@ -96,7 +99,9 @@ def adversarial_table(found: Gathered, scenes: SceneList, folder: Folder) -> Tab
     rows = []
     for contest, seen in found.seen.items():
         policy = policy_row(contest.row)
-        samples = collision_samples(seen) | background_samples(seen, natural.get(contest.target, ()))
+        samples = collision_samples(seen) | background_samples(
+            seen, natural.get(contest.target, ()), plans=contest.background not in PLAN_NOTHING
+        )
         ours = contest.row == OURS
         rows.append(RowSamples(contest.row, contest.target, policy.title, samples, policy.reference, ours))
     lines = lines_of(HEADS, rows, paper_table("adversarial").rows)
@@ -112,9 +117,11 @@ def adversarial_table(found: Gathered, scenes: SceneList, folder: Folder) -> Tab
 def notes_of(found: Gathered, scenes: SceneList, folder: Folder, usual: tuple[str, ...]) -> tuple[str, ...]:
     """Return the notes of a closed-loop table: definitions, what failed, and what it was made of."""
     failed = failures_told(found, found.seen)
+    other = scenes.sumo != version("libsumo") or scenes.horizon_s != folder.request.horizon_s
     moved = (
-        f"{found.moved} episodes did not begin as the list of seed scenes says: another version of SUMO."
-        if found.moved
+        f"The list of seed scenes is for SUMO {scenes.sumo} and episodes of {scenes.horizon_s:g} s: these are others, "
+        "from the same seeds."
+        if other
         else ""
     )
     made = (

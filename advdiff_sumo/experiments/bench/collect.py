@@ -5,14 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from advdiff_sumo.experiments.bench.contests import Contest, Contests
-from advdiff_sumo.experiments.bench.scene_list import ListedScene
 from advdiff_sumo.experiments.bench.telling import Teller
 from advdiff_sumo.experiments.bench.traces import Trace, trace_of
 from advdiff_sumo.metrics.severity import is_failure
@@ -22,7 +21,6 @@ from advdiff_sumo.sweep.store import Store
 from advdiff_sumo.sweep.work import one_thread
 
 _Key = TypeVar("_Key")
-_SAME_M = 0.05
 
 
 @dataclass(frozen=True)
@@ -49,27 +47,27 @@ class Gathered:
     Attributes:
         seen: finished episodes of each contest, in the order of the scenes.
         failed: how many each contest lost, by what kind of failure.
-        moved: scenes that do not begin as the list says.
     """
 
     seen: dict[Contest, list[Seen]] = field(default_factory=dict)
     failed: dict[Contest, dict[str, int]] = field(default_factory=dict)
-    moved: int = 0
 
 
 def gather(contests: Contests, store: Store, cache: Path, workers: int, teller: Teller) -> Gathered:
     """Return all finished episodes of *contests*; their traces are made where *cache* lacks them."""
     cache.mkdir(parents=True, exist_ok=True)
     jobs = list(contests.jobs())
-    lacking = {job.key: contests.plan.options(job).net for _, job in jobs if not (cache / job.key).exists()}
+    lacking = {
+        job.key: contests.plan.options(job).net for _, job in jobs if read_checked(cache / job.key) is None
+    }
     teller.begin("what the background did", len(jobs), len(jobs) - len(lacking))
     tasks = {key: (trace_of, store.path, key, net) for key, net in lacking.items()}
     for key, content in in_processes(tasks, workers):
         write_checked(cache / key, content)
         teller.step()
-    found, listed = Gathered(), _by_place(contests.scenes.scenes)
+    found = Gathered()
     for contest, job in jobs:
-        _take(found, contest, job, store, cache, listed[_place(contests, job)])
+        _take(found, contest, job, store, cache)
     return found
 
 
@@ -104,9 +102,7 @@ def _quiet_worker() -> None:
     one_thread()
 
 
-def _take(
-    found: Gathered, contest: Contest, job: Job, store: Store, cache: Path, listed: ListedScene
-) -> None:
+def _take(found: Gathered, contest: Contest, job: Job, store: Store, cache: Path) -> None:
     seen, failed = found.seen.setdefault(contest, []), found.failed.setdefault(contest, {})
     part, content = store.read(job.key), read_checked(cache / job.key)
     if part is None:
@@ -120,18 +116,7 @@ def _take(
     if is_failure(row):
         return
     trace = Trace.from_bytes(content)
-    name, x, y = trace.start
-    found.moved += name != listed.target or max(abs(x - listed.x_m), abs(y - listed.y_m)) > _SAME_M
     seen.append(Seen(job.scene_key, row, trace, timing["background_plan_p50_s"]))
-
-
-def _place(contests: Contests, job: Job) -> tuple[str, int, int]:
-    options = contests.plan.options(job)
-    return options.net, options.seed, job.number
-
-
-def _by_place(scenes: Sequence[ListedScene]) -> dict[tuple[str, int, int], ListedScene]:
-    return {scene.place: scene for scene in scenes}
 
 
 def failures_told(found: Gathered, names: Iterable[Contest]) -> str:

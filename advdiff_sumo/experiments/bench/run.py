@@ -24,7 +24,7 @@ from advdiff_sumo.sweep.tasks import Limits
 DEFAULTS: Mapping[BenchName, Mapping[str, Any]] = {
     "traffic": {"scenes": "300", "seeds": 1},
     "adversarial": {"scenes": "60"},
-    "transfer": {"scenes": "15"},
+    "transfer": {"scenes": "10"},
     "fewshot": {"scenes": "30", "seeds": 5},
 }
 _Plan = Callable[[Folder, int, Teller], Contests]

@@ -61,8 +61,16 @@ def collision_samples(seen: Sequence[Seen]) -> dict[str, Sample]:
     }
 
 
-def background_samples(seen: Sequence[Seen], natural: Sequence[Seen]) -> dict[str, Sample]:
-    """Return how plausible the background was; *natural* is the same scenes' traffic without a policy."""
+def background_samples(
+    seen: Sequence[Seen], natural: Sequence[Seen], plans: bool = True
+) -> dict[str, Sample]:
+    """Return how plausible the background was, and how fast it planned.
+
+    Args:
+        seen: its episodes.
+        natural: the same scenes' traffic without a policy.
+        plans: whether it plans anything.
+    """
     scenes = tuple(one.scene for one in seen)
     vehicles = np.array([one.trace.vehicles for one in seen], dtype=np.float64)
     hit = np.array([one.trace.hit for one in seen], dtype=np.float64)
@@ -75,7 +83,7 @@ def background_samples(seen: Sequence[Seen], natural: Sequence[Seen]) -> dict[st
     made["nats"] = Ratio(scenes, nats, np.array([one.trace.seconds for one in seen]))
     if natural and natural is not seen:
         made["jsd"] = against(seen, natural)
-    times = [(one.scene, one.plan_s) for one in seen if one.plan_s is not None]
+    times = [(one.scene, one.plan_s) for one in seen if one.plan_s is not None and plans]
     if times:
         made["hz"] = Rates(tuple(scene for scene, _ in times), np.array([s for _, s in times]))
     return made

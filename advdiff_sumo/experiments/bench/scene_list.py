@@ -5,53 +5,38 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
-from itertools import islice
+from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import ConfigError, FileError
-from advdiff_sumo.maps.shipped import SHIPPED_NETS
-from advdiff_sumo.sim.options import SceneOptions, SimOptions
-from advdiff_sumo.sim.run import Run, RunOptions
-from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.sweep.content import digest, file_digest, net_files
+from advdiff_sumo.maps.shipped import SHIPPED_NETS, net_name
+from advdiff_sumo.sim.options import SceneOptions
+from advdiff_sumo.sweep.content import file_digest, net_files
 from advdiff_sumo.sweep.files import write_whole
 
 FORMAT: Literal["advdiff-scenes-1"] = "advdiff-scenes-1"
 TABLE_LIST, TUNING_LIST = "scenes-300", "scenes-tuning"
 TABLE_SEED, TUNING_SEED = 3001, 7001
-_PLACE_DIGITS = 2
-
-Tell: TypeAlias = Callable[[int], None]
+HORIZON_S = 10.0
 
 
 class ListedScene(Options):
-    """One seed scene: (net, seed, number) makes it again, the rest says whether it is the same one.
+    """One seed scene; net, seed and number make it again with one version of SUMO.
 
     Attributes:
         net: a shipped net or a path.
         seed: root of the random numbers, as ``run --seed``.
         number: of the scene on that net with that seed.
-        target: name of the vehicle that becomes the target.
-        x_m: where its centre is, east.
-        y_m: the same, north.
-        speed_mps: how fast it is.
-        vehicles: how many road users there are around it, itself included.
     """
 
     net: str
     seed: int = Field(ge=0)
     number: int = Field(ge=0)
-    target: str
-    x_m: float
-    y_m: float
-    speed_mps: float
-    vehicles: int
 
     @property
     def place(self) -> tuple[str, int, int]:
@@ -66,6 +51,9 @@ class SceneList(Options):
         format: of the file.
         about: what it is for.
         nets: net → digest of its files when the list was made.
+        sumo: version of SUMO that the list is for; another one may draw other traffic from the same seeds.
+        horizon_s: duration of the episodes that it is for; traffic is drawn until their end, so that another one
+            draws other traffic from the same seeds, too.
         scene: how scenes are found.
         scenes: nets in turn, numbers rising.
         sha256: of all that precedes, as canonical JSON.
@@ -74,6 +62,8 @@ class SceneList(Options):
     format: Literal["advdiff-scenes-1"] = FORMAT
     about: str = ""
     nets: dict[str, str]
+    sumo: str
+    horizon_s: float = HORIZON_S
     scene: SceneOptions = SceneOptions()
     scenes: tuple[ListedScene, ...]
     sha256: str = ""
@@ -161,9 +151,8 @@ def make_list(
     about: str,
     nets: Sequence[str] = SHIPPED_NETS,
     scene: SceneOptions | None = None,
-    tell: Tell | None = None,
 ) -> SceneList:
-    """Return a new list, made by simulating; the same arguments give the same list.
+    """Return a new list; the same arguments give the same list.
 
     Args:
         per_net: scenes on each net.
@@ -171,22 +160,15 @@ def make_list(
         about: what it is for.
         nets: where.
         scene: how scenes are found; None: as ``run`` does.
-        tell: called with how many are made.
 
     Raises:
-        InputError: a net cannot be used.
+        InputError: there is no such net.
     """
-    scene = scene if scene is not None else SceneOptions()
-    made: dict[str, list[ListedScene]] = {net: [] for net in nets}
-    for net, found in made.items():  # what happens after the start is not looked at
-        run = Run.prepare(RunOptions(net=net, seed=seed, scene=scene, horizon_s=SimOptions().step_s))
-        for number, seed_scene in enumerate(islice(run.seed_scenes(), per_net)):
-            found.append(_listed(net, seed, number, seed_scene))
-            if tell is not None:
-                tell(sum(map(len, made.values())))
-    digests = {net: file_digest(*net_files(net)) for net in nets}
-    in_turn = tuple(one for group in zip(*made.values(), strict=True) for one in group)
-    whole = SceneList(about=about, nets=digests, scene=scene, scenes=in_turn)
+    names = [net_name(net) for net in nets]
+    scenes = tuple(ListedScene(net=n, seed=seed, number=k) for k in range(per_net) for n in names)
+    digests = {net: file_digest(*net_files(net)) for net in names}
+    found = scene if scene is not None else SceneOptions()
+    whole = SceneList(about=about, nets=digests, sumo=version("libsumo"), scene=found, scenes=scenes)
     return whole.model_copy(update={"sha256": whole.content_digest})
 
 
@@ -200,26 +182,6 @@ def write_scene_list(path: Path, scenes: SceneList) -> None:
     rows = ",\n  ".join(json.dumps(row, sort_keys=True) for row in dumped.pop("scenes"))
     head = json.dumps(dumped, sort_keys=True, indent=1)
     write_whole(path, f'{head[:-2]},\n "scenes": [\n  {rows}\n ]\n}}\n'.encode())
-
-
-def list_digest(scenes: SceneList) -> str:
-    """Return what identifies the scenes alone, whatever else stands in their file."""
-    return digest([scene.place for scene in scenes.scenes])
-
-
-def _listed(net: str, seed: int, number: int, scene: SeedScene) -> ListedScene:
-    now = scene.history.index[scene.target]
-    x, y = np.round(scene.history.xy_m[now, -1], _PLACE_DIGITS).tolist()
-    return ListedScene(
-        net=net,
-        seed=seed,
-        number=number,
-        target=scene.target,
-        x_m=x,
-        y_m=y,
-        speed_mps=round(float(scene.history.speed_mps[now, -1]), _PLACE_DIGITS),
-        vehicles=int(scene.history.valid[:, -1].sum()),
-    )
 
 
 def _check_order(found: SceneList, path: Path) -> None:

@@ -43,7 +43,6 @@ class Trace:
         ttc: the same of the least time to collision with another background vehicle; the last bin is none in 10 s.
         nats: sum of the bounds on log-likelihoods, see :mod:`likelihood`.
         seconds: vehicle-seconds that they are of.
-        start: name and place of the target at the start.
         solvable: where the target collided, whether it could have driven otherwise, see ``experiments.solution``.
     """
 
@@ -55,7 +54,6 @@ class Trace:
     ttc: tuple[int, ...]
     nats: float
     seconds: float
-    start: tuple[str, float, float]
     solvable: bool | None = None
 
     def to_bytes(self) -> bytes:
@@ -87,7 +85,6 @@ def _trace(part: Part, road: RoadMap) -> bytes:
     counted = _counted(states, near)
     speed, accel, ttc = histograms(coarse, near)
     nats, seconds = natural_nats(road, coarse, states.target, _ever(near))
-    x, y = states.tracks.xy_m[states.target, 0].tolist()
     return Trace(
         vehicles=int(counted.sum()),
         hit=_hit(part.tables["collisions"], states.tracks, counted),
@@ -97,7 +94,6 @@ def _trace(part: Part, road: RoadMap) -> bytes:
         ttc=ttc,
         nats=nats,
         seconds=seconds,
-        start=(states.tracks.ids[states.target], x, y),
         solvable=_solvable(states, road) if row["target_collision"] else None,
     ).to_bytes()
 

@@ -11,7 +11,9 @@ import pytest
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.experiments.bench.scene_list import (
     TABLE_LIST,
+    TABLE_SEED,
     TUNING_LIST,
+    TUNING_SEED,
     SceneList,
     choose_scenes,
     make_list,
@@ -19,10 +21,10 @@ from advdiff_sumo.experiments.bench.scene_list import (
     shipped_list,
     write_scene_list,
 )
-from advdiff_sumo.sim.options import SceneOptions
 
 DIGESTS = {
-    TUNING_LIST: "0b49853a16500375752b6d89c54f52ede7e04afb2c6f87cbe1d09828643858bd",
+    TUNING_LIST: "4bc5a5e4ead4aaa472b56f488c7e7bf51ca03c717ad8968f9e5e7645b5ec2a75",
+    TABLE_LIST: "c34b7930804bf5646eeff8e9e2dbaec77b4dfaa45c5988e174ed2d2853219cb5",
 }
 
 
@@ -94,11 +96,13 @@ def test_numbers_that_make_no_sense_are_refused(asked: str, said: str) -> None:
         choose_scenes(asked)
 
 
-def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
-    scene = SceneOptions(warmup_s=8.0, scenes_per_warmup=2, spacing_s=2.0, min_neighbours=1)
-    for name in ("a", "b"):
-        write_scene_list(tmp_path / name, make_list(2, 5, "a test", ("motorway",), scene))
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-    found = read_scene_list(tmp_path / "a")
-    assert [scene.place for scene in found.scenes] == [("motorway", 5, 0), ("motorway", 5, 1)]
-    assert found.scenes[0].vehicles > 1
+def test_the_shipped_lists_are_what_their_tool_makes(tmp_path: Path) -> None:
+    for name, seed, per_net in ((TABLE_LIST, TABLE_SEED, 100), (TUNING_LIST, TUNING_SEED, 20)):
+        shipped = read_scene_list(shipped_list(name))
+        write_scene_list(tmp_path / name, make_list(per_net, seed, shipped.about))
+        assert (tmp_path / name).read_bytes() == shipped_list(name).read_bytes()
+
+
+def test_the_first_scene_is_the_one_of_a_run_with_that_seed() -> None:
+    first = read_scene_list(shipped_list(TUNING_LIST)).scenes[0]
+    assert first.place == ("downtown", TUNING_SEED, 0)

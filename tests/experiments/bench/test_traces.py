@@ -63,7 +63,7 @@ def test_histograms_by_hand() -> None:
 
 
 def test_a_trace_survives_being_stored() -> None:
-    trace = Trace(3, 1, None, (1, 2), (3,), (4, 5), -7.25, 12.5, ("v0", 1.5, 2.5), True)
+    trace = Trace(3, 1, None, (1, 2), (3,), (4, 5), -7.25, 12.5, True)
     assert Trace.from_bytes(trace.to_bytes()) == trace
 
 
@@ -82,8 +82,8 @@ def seen(scene: str, hit: bool, trace: Trace, **row: object) -> Seen:
 
 def test_columns_of_the_closed_loop() -> None:
     bins = (1,) * 80, (1,) * 80, (1,) * 21
-    moved = Trace(4, 2, 1, *bins, -20.0, 10.0, ("v0", 0.0, 0.0), False)
-    natural = Trace(5, 0, None, *bins, -5.0, 10.0, ("v0", 0.0, 0.0))
+    moved = Trace(4, 2, 1, *bins, -20.0, 10.0, False)
+    natural = Trace(5, 0, None, *bins, -5.0, 10.0)
     episodes = [
         seen("a", True, moved, attacker_visible=False),
         seen("b", True, moved, at_fault="other"),
@@ -105,7 +105,7 @@ def test_columns_of_the_closed_loop() -> None:
 
 
 def test_nobody_moved_has_no_rate_of_leaving_the_road() -> None:
-    natural = Trace(5, 0, None, (1,), (1,), (1,), -5.0, 10.0, ("v0", 0.0, 0.0))
+    natural = Trace(5, 0, None, (1,), (1,), (1,), -5.0, 10.0)
     assert "env_rate" not in background_samples([seen("a", False, natural)], ())
 
 

@@ -43,7 +43,7 @@ def test_a_bench_that_was_killed_goes_on_and_ends_with_the_same_bytes(scenes: Pa
     assert done.code == 0, done.err
     for name in STEADY:
         assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "broken" / name).read_bytes(), name
-    rows = list(csv.DictReader((tmp_path / "whole" / "table.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "whole" / "table.csv").read_text().splitlines()))
     rates = {row["row"]: row for row in rows if row["column"] == "collision_rate"}
     assert set(rates) == {"SUMO (natural)", "Replay", "diffusion, unguided"}
     assert all(row["n"] == "8" and row["low"] and row["high"] for row in rates.values())
@@ -80,7 +80,7 @@ def test_fewshot_and_transfer(scenes: Path, tmp_path: Path) -> None:
         cwd=tmp_path,
     )
     assert done.code == 0, done.err
-    rows = list(csv.DictReader((tmp_path / "few" / "table.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "few" / "table.csv").read_text().splitlines()))
     assert [(row["column"], row["n"]) for row in rows] == [
         ("steps_0", "8"),
         ("steps_2", "16"),
@@ -93,7 +93,7 @@ def test_fewshot_and_transfer(scenes: Path, tmp_path: Path) -> None:
         cwd=tmp_path,
     )
     assert done.code == 0, done.err
-    rows = list(csv.DictReader((tmp_path / "over" / "table.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "over" / "table.csv").read_text().splitlines()))
     assert {row["column"] for row in rows} == {
         f"{t}:{c}" for t in ("lane_graph", "IDM") for c in ("av_rate", "bv_rate")
     }
@@ -129,7 +129,10 @@ def test_traffic_on_windows_of_its_own(tmp_path: Path) -> None:
     )
     done = advdiff(*asked, "--workers", "1", "--out", "t", cwd=tmp_path)
     assert done.code == 0, done.err
-    rows = {(row["row"], row["column"]): row for row in csv.DictReader((tmp_path / "t" / "table.csv").open())}
+    rows = {
+        (row["row"], row["column"]): row
+        for row in csv.DictReader((tmp_path / "t" / "table.csv").read_text().splitlines())
+    }
     assert rows["latent diffusion (ours)", "min_sfde_m"]["n"] == "8"
     assert ("the log itself", "env_rate") in rows
     assert float(rows["latent diffusion (ours)", "fdd_m"]["value"]) > 0.0

@@ -24,7 +24,9 @@ def results(
     folder: Annotated[Path, typer.Argument(help="Folder of a sweep, finished or not.", show_default=False)],
     sql: Annotated[
         str | None,
-        typer.Option(help="Query over the tables: episodes, states, collisions, failures … (needs the extra sql)."),
+        typer.Option(
+            help="Query over the tables: episodes, states, collisions, failures … (needs the extra sql)."
+        ),
     ] = None,
     form: Annotated[Form, typer.Option("--format", help="Of the answer to --sql.")] = Form.table,
     junit: Annotated[Path | None, typer.Option(help="Write JUnit XML here, for CI.")] = None,

@@ -16,10 +16,10 @@ from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.options import MODEL_STEP_S
 from advdiff_sumo.models.reward import RewardModel
+from advdiff_sumo.models.view import View
 from advdiff_sumo.sim.run import Run, RunOptions
 from advdiff_sumo.traffic.diffusion.draw import Drawn
 from advdiff_sumo.traffic.diffusion.policy import DiffusionTraffic
-from advdiff_sumo.traffic.diffusion.view import View
 from advdiff_sumo.training.experience import Experience, observed
 from advdiff_sumo.training.presets import RewardOptions
 from advdiff_sumo.training.warmup import WarmUp

@@ -127,7 +127,9 @@ def diffused(bundle: Bundle, context: Context, steps: int, generator: torch.Gene
     """Return samples x̃⁰ (B, A, C, L) of the denoiser, without a guide."""
     shape = (*context.h.shape[:2], *bundle.codec.shape)
     start = torch.randn(shape, generator=generator).to(context.h)
-    return sample(noise_at(bundle.denoiser, context), start, schedule_of(bundle), Sampling(steps=steps), generator)
+    return sample(
+        noise_at(bundle.denoiser, context), start, schedule_of(bundle), Sampling(steps=steps), generator
+    )
 
 
 def noise_at(denoiser: Denoiser, context: Context) -> Noise:
@@ -149,4 +151,3 @@ def measure_scale(bundle: Bundle, batches: Iterable[SceneBatch], generator: torc
         context = bundle.traffic.encoder(batch)
         raw.append(bundle.codec.raw(batch, context, generator)[modelled(batch)])
     bundle.codec.measure(torch.cat(raw))
-

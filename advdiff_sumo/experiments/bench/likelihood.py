@@ -26,7 +26,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.collate import collate
-from advdiff_sumo.traffic.diffusion.networks import shipped_weights
+from advdiff_sumo.models.shipped import shipped_weights
 
 SIGMA_M = 0.5
 _EVERY = 4

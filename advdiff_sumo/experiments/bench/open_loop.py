@@ -19,8 +19,8 @@ from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.options import MODEL_STEP_S
+from advdiff_sumo.models.shipped import shipped_weights
 from advdiff_sumo.models.simnet_file import load_simnet
-from advdiff_sumo.traffic.diffusion.networks import shipped_weights
 from advdiff_sumo.training import realism
 from advdiff_sumo.training.denoiser import diffused
 from advdiff_sumo.training.displacement import displacement, driving

@@ -12,11 +12,11 @@ from pydantic import Field
 
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, WeightsError
+from advdiff_sumo.models.shipped import shipped_weights
 from advdiff_sumo.registry import Registry, fold
 from advdiff_sumo.sim.run import versions
 from advdiff_sumo.sweep.content import digest, file_digest
 from advdiff_sumo.sweep.files import write_whole
-from advdiff_sumo.traffic.diffusion.networks import shipped_weights
 
 BenchName: TypeAlias = Literal["traffic", "adversarial", "transfer", "fewshot"]
 _FILE = "bench.json"

@@ -16,10 +16,10 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.losses import off_road, pair_overlap
+from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.diffusion.guidance import Scenes, guidance
 from advdiff_sumo.traffic.diffusion.networks import Networks
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
-from advdiff_sumo.traffic.diffusion.view import View
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from advdiff_sumo.diffusion.attacks import Natural, attack_objective
 from advdiff_sumo.diffusion.guides import Guidance, Term, reward_objective
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.diffusion.attackers import choose
 from advdiff_sumo.traffic.diffusion.futures import futures_of
 from advdiff_sumo.traffic.diffusion.networks import Networks
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
-from advdiff_sumo.traffic.diffusion.view import View
 
 ALPHA = 6.0
 """Shift of a step at strength 1, in units of √Σ."""

@@ -16,8 +16,7 @@ from advdiff_sumo.diffusion.schedule import Schedule
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.reward_file import load_reward
-from advdiff_sumo.models.shipped import device_of as device_of
-from advdiff_sumo.models.shipped import shipped_weights as shipped_weights
+from advdiff_sumo.models.shipped import device_of, shipped_weights
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
 
 

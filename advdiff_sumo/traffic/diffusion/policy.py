@@ -12,13 +12,13 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.models.options import MODEL_STEP_S
+from advdiff_sumo.models.view import View, look
 from advdiff_sumo.traffic.diffusion.draw import Drawn, draw_plan
 from advdiff_sumo.traffic.diffusion.futures import Futures, coasting, futures_of, join
 from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.diffusion.networks import Networks, networks_of
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
 from advdiff_sumo.traffic.diffusion.safeguard import Guarded, Watched, safeguard
-from advdiff_sumo.traffic.diffusion.view import View, look
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap

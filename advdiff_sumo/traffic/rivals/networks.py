@@ -11,8 +11,8 @@ import torch
 from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.codec import LatentCodec
+from advdiff_sumo.models.shipped import device_of, shipped_weights
 from advdiff_sumo.models.traffic import TrafficModel
-from advdiff_sumo.traffic.diffusion.networks import device_of, shipped_weights
 from advdiff_sumo.traffic.rivals.options import RivalOptions
 
 

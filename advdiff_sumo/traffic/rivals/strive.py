@@ -150,7 +150,9 @@ class Strive(Rival):
         prior = start.context.prior
         return prior.mean[0] + torch.exp(0.5 * prior.logvar[0]) * epsilon
 
-    def _decode(self, start: _Start, epsilon: Tensor, forced: Forced | None, steps: int = FUTURE_STEPS) -> Rollout:
+    def _decode(
+        self, start: _Start, epsilon: Tensor, forced: Forced | None, steps: int = FUTURE_STEPS
+    ) -> Rollout:
         z = self._latents(start, epsilon)[None]
         rollout: Rollout = self.prior.traffic.decoder(z, start.context.h, start.batch, steps, forced)
         return with_target(rollout, forced)

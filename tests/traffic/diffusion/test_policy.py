@@ -17,10 +17,10 @@ from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.bundle import BundleOptions, load_bundle, new_bundle, save_bundle
 from advdiff_sumo.models.reward_file import load_reward, save_reward
+from advdiff_sumo.models.view import MOST_AGENTS, look
 from advdiff_sumo.traffic.check import check_policy
 from advdiff_sumo.traffic.diffusion.draw import draw_plan
 from advdiff_sumo.traffic.diffusion.policy import DiffusionTraffic, Memory
-from advdiff_sumo.traffic.diffusion.view import MOST_AGENTS, look
 from advdiff_sumo.traffic.registry import make_policy
 
 Street = Callable[..., Scene]

@@ -17,13 +17,13 @@ from advdiff_sumo.traffic.diffusion.futures import futures_of
 from advdiff_sumo.traffic.diffusion.networks import Networks
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
 
-ALPHA = 6.0
+ALPHA = 10.0
 """Shift of a step at strength 1, in units of √Σ."""
 HORIZON_STEPS = 8
 """Model steps of a future that an attack looks at."""
 _REWARD_RUNGS, _ATTACK_RUNGS = 3, 1
 _TURNS = 4
-_REWARD_WEIGHT, _ATTACK_WEIGHT = 0.5, 1.0
+_REWARD_WEIGHT, _ATTACK_WEIGHT = 0.25, 1.0
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Forced, Rollout
+from advdiff_sumo.models.options import FUTURE_STEPS
 from advdiff_sumo.training.dataset import join
 from advdiff_sumo.training.denoiser import diffused, schedule_of
 from advdiff_sumo.training.payoff import Payoff, payoffs
@@ -119,12 +120,19 @@ def prior_action(bundle: Bundle, context: Context, generator: torch.Generator) -
     return bundle.codec.scale(context.prior.sample(generator)[:, :, None])[:, :, 0]
 
 
-def decoded(bundle: Bundle, action: Tensor, context: Context, batch: SceneBatch, target: Tensor) -> Rollout:
+def decoded(
+    bundle: Bundle,
+    action: Tensor,
+    context: Context,
+    batch: SceneBatch,
+    target: Tensor,
+    steps: int = FUTURE_STEPS,
+) -> Rollout:
     """Return what scaled latents (B, A, Z) lead to while the target replays its log, as far as that is known."""
     rows = torch.arange(batch.agents, device=target.device) == target[:, None]
     forced = Forced(batch.future, rows[..., None] & batch.future_valid)
     z = bundle.codec.unscale(action[:, :, None])[:, :, 0]
-    path: Rollout = bundle.traffic.decoder(z, context.h, batch, forced=forced)
+    path: Rollout = bundle.traffic.decoder(z, context.h, batch, steps, forced=forced)
     return path
 
 

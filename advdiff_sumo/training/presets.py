@@ -68,6 +68,8 @@ class RewardOptions(Options):
         execute: model steps l that a transition executes.
         returns: transitions of one plan whose rewards are summed before Q takes over (n-step targets); 1 is
             the paper's target.
+        slope: weight of the error of ∂Q/∂a, which is what guides: against the gradient, through the decoder, of what
+            the experience's own rewards are worth, as a share of that gradient's square; 0 is the paper's loss.
         transitions: experiences taken from one window one after another, while its log lasts.
         candidates: latents of the prior over which the maximum of Q is taken.
         target_decay: share of the old target network that a step keeps.
@@ -81,6 +83,7 @@ class RewardOptions(Options):
     discount: float = Field(0.9, ge=0.0, lt=1.0)
     execute: int = Field(2, ge=1, le=12)
     returns: int = Field(1, ge=1, le=12)
+    slope: float = Field(0.02, ge=0.0)
     transitions: int = Field(2, ge=1, le=12)
     candidates: int = Field(6, ge=1, le=64)
     target_decay: float = Field(0.995, ge=0.0, lt=1.0)
@@ -200,7 +203,9 @@ def preset(name: str, stage: StageName, assignments: Iterable[str] = ()) -> Trai
 
 
 def _paper(stage: StageName) -> dict[str, Any]:
-    return {**_PAPER, **(_PAPER_REWARD if stage == "reward" else {})}
+    if stage == "reward":
+        return {**_PAPER, **_PAPER_REWARD, "reward": {"slope": 0.0}}
+    return dict(_PAPER)
 
 
 def _small(stage: StageName) -> dict[str, Any]:

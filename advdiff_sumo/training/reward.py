@@ -25,6 +25,7 @@ from advdiff_sumo.training.presets import RewardOptions
 from advdiff_sumo.training.stage import Moment, Tally
 
 _CHOICES = 6
+_FLAT = 1e-10
 
 
 class RewardStage:
@@ -53,14 +54,16 @@ class RewardStage:
         weight = sum(float(one.weight.sum()) for one in made)
         loss = torch.stack([term for term, _ in terms]).sum() / max(weight, 1.0)
         value = torch.stack([q for _, q in terms]).sum() / max(weight, 1.0)
+        slope = slope_loss(self._bundle, made[0], self.options) if made else loss.new_zeros(())
         contact = sum(float((one.weight * (one.remains == 0.0)).sum()) for one in made) / max(weight, 1.0)
-        return {"loss": loss, "value": value, "contact": torch.tensor(contact)}
+        total = loss + self.options.slope * slope
+        return {"loss": total, "td": loss, "slope": slope, "value": value, "contact": torch.tensor(contact)}
 
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
         """Judge Q as a chooser among random actions by what each is worth when its plan is executed to its end.
 
         "regret" is how much the best action is worth more than the one that Q likes most, "chance" the same for
-        an action drawn at random, "td" the loss.
+        an action drawn at random, "td" the error of its values, "slope" that of its gradient (1: it knows nothing).
         """
         worth, liked, usable = self._choices(batch, generator)
         best = worth.amax(1)
@@ -72,7 +75,10 @@ class RewardStage:
         made = list(from_logs(self._bundle, batch, self.options, generator))
         losses = [q_loss(self._bundle, self._target, one, self.options, generator)[0] for one in made]
         weight = sum(float(one.weight.sum()) for one in made)
-        return tally | {"td": (float(torch.stack(losses).sum()), weight)}
+        tally |= {"td": (float(torch.stack(losses).sum()), weight)}
+        if made:
+            tally["slope"] = (float(slope_loss(self._bundle, made[0], self.options)) * weight, weight)
+        return tally
 
     def after_step(self) -> None:
         """Let the target network follow."""
@@ -116,6 +122,27 @@ def q_loss(
         wanted = made.gain + made.remains * future
     q = bundle.reward(context.h, context.prior.mean, made.action, made.state, made.target)
     return (made.weight * (q - wanted).square()).sum(), (made.weight * q.detach()).sum()
+
+
+def slope_loss(bundle: Bundle, made: Experience, options: RewardOptions) -> Tensor:
+    """Return ‖∂Q/∂a − ∂g/∂a‖² over ‖∂g/∂a‖², both summed over the scenes that count; 0 where g is flat.
+
+    g is what the rewards of the experience's stretches are worth, as a function of the latents a through the
+    decoder (Sobolev training, Czarnecki et al. 2017, arXiv:1706.04859).
+    """
+    with torch.no_grad():
+        context = bundle.traffic.encoder(made.state)
+    with torch.enable_grad():
+        action = made.action.detach().requires_grad_(True)
+        steps = options.execute * options.returns
+        path = decoded(bundle, action, context, made.state, made.target, steps)
+        rewards = payoffs(path, made.state, made.target, options, options.returns)
+        gain = made.weight * value_of(rewards, options.discount)[0]
+        wanted = torch.autograd.grad(gain.sum(), action)[0].nan_to_num()
+        q = made.weight * bundle.reward(context.h, context.prior.mean, action, made.state, made.target)
+        slope = torch.autograd.grad(q.sum(), action, create_graph=True)[0]
+    size = wanted.square().sum()
+    return torch.where(size > _FLAT, (slope - wanted).square().sum() / size.clamp(min=_FLAT), 0.0)
 
 
 def best_value(

@@ -23,7 +23,7 @@ from advdiff_sumo.training.experience import (
 )
 from advdiff_sumo.training.payoff import Payoff, payoffs
 from advdiff_sumo.training.presets import RewardOptions
-from advdiff_sumo.training.reward import RewardStage, best_value, q_loss
+from advdiff_sumo.training.reward import RewardStage, best_value, q_loss, slope_loss
 from advdiff_sumo.training.warmup import WarmUp
 
 OPTIONS = RewardOptions(execute=2, returns=1, reach_m=2.0, vehicles=0.5, road=0.2)
@@ -128,6 +128,27 @@ def test_the_dqn_loss_is_the_squared_error_to_reward_and_best_candidate(
     assert float(loss) == pytest.approx(float((made.weight * (q - wanted) ** 2).sum()), rel=1e-5)
     few = best_value(bundle, bundle.reward, made, after, 1, chance(5))
     assert (best >= few).all()
+
+
+def test_a_q_that_ignores_actions_has_a_slope_error_of_one(bundle: Bundle, batch: SceneBatch) -> None:
+    made = next(iter(from_logs(bundle, batch, OPTIONS, chance())))
+    bundle.reward.action.weight.data.zero_()
+    assert float(slope_loss(bundle, made, OPTIONS).detach()) == pytest.approx(1.0, abs=1e-6)
+    made = replace(made, weight=torch.zeros_like(made.weight))
+    assert float(slope_loss(bundle, made, OPTIONS).detach()) == 0.0
+
+
+def test_the_slope_is_learnt(bundle: Bundle, batch: SceneBatch) -> None:
+    """One experience by heart: the gradient of Q comes near that of the rewards."""
+    bundle.traffic.requires_grad_(False)
+    made = next(iter(from_logs(bundle, batch, OPTIONS, chance())))
+    optimiser = torch.optim.Adam(bundle.reward.parameters(), 1e-2)
+    for _ in range(250):
+        optimiser.zero_grad()
+        loss = slope_loss(bundle, made, OPTIONS)
+        loss.backward()
+        optimiser.step()
+    assert float(loss.detach()) < 0.9  # 1: what a Q without a slope has
 
 
 def test_the_target_replays_its_log(bundle: Bundle, batch: SceneBatch) -> None:

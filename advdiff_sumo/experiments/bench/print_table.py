@@ -46,8 +46,8 @@ def rich_table(table: Table) -> RichTable:
 
 def gap_table(table: Table) -> RichTable:
     """Return the differences to the best rival as a table of Rich."""
-    made = RichTable(title="less the best rival, paired by seed scene", title_justify="left")
-    for title in ("target", "figure", "ours", "best rival", "difference", "95 %", "", "scenes"):
+    made = RichTable(title="differences, paired by seed scene", title_justify="left")
+    for title in ("target", "figure", "this", "less this", "difference", "95 %", "", "scenes"):
         made.add_column(title, no_wrap=True)
     heads = {head.key: head for head in table.heads}
     for gap in table.gaps:
@@ -82,4 +82,4 @@ def _cell(cell: Cell | None, head: Head) -> str:
 
 
 def _width(table: Table) -> int:
-    return min(_WIDEST, 40 + 18 * len(table.heads)) if len(table.heads) > _NARROW_COLUMNS else 100
+    return min(_WIDEST, 40 + 18 * len(table.heads)) if len(table.heads) > _NARROW_COLUMNS else 130

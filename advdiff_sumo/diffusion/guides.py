@@ -19,6 +19,8 @@ from advdiff_sumo.diffusion.fast_reward import FastReward
 from advdiff_sumo.diffusion.sampler import Rung
 from advdiff_sumo.models.reward import RewardModel, RewardState
 
+MOST = 2.0
+"""Longest shift of a last step that begins where the one before ended, in what one plan makes."""
 FLOOR = 0.3
 """Least √Σ of a guided step."""
 
@@ -41,7 +43,7 @@ class Term:
     rungs: int
 
 
-@dataclass(frozen=True)
+@dataclass
 class Guidance:
     """A guide of ``sampler.sample`` for latents.
 
@@ -50,21 +52,30 @@ class Guidance:
         attackers: (A,) who is moved.
         alpha: length of a step's shift in units of √Σ.
         turns: parts in which the last step's shift is made, each along the gradient where the ones before led.
+        begin: (A, Z) where the last step's shift begins: what was left of the plan before. With it, a shift can
+            grow from plan to plan up to ``MOST`` times what one plan makes.
+        made: (B, A, Z) the last step's shift, once it is made.
     """
 
     terms: Sequence[Term]
     attackers: Tensor
     alpha: float
     turns: int = 1
+    begin: Tensor | None = None
+    made: Tensor | None = None
 
     def __call__(self, mean: Tensor, rung: Rung) -> Tensor:
         """Return what is added to *mean* (B, A, 1, Z)."""
         turns = self.turns if rung.left == 0 else 1
         length = self.alpha * max(rung.deviation, FLOOR) / turns
         shift = torch.zeros_like(mean[:, :, 0])
+        if rung.left == 0 and self.begin is not None:
+            shift = shift + self.begin * self.attackers[:, None]
         for _ in range(turns):
             latents = (mean[:, :, 0] + shift) / max(rung.alpha, 1e-2) ** 0.5
-            shift = shift + length * self._uphill(latents, rung.left)
+            shift = within(shift + length * self._uphill(latents, rung.left), MOST * turns * length)
+        if rung.left == 0:
+            self.made = shift
         return shift[:, :, None]
 
     def _uphill(self, latents: Tensor, left: int) -> Tensor:
@@ -75,6 +86,12 @@ class Guidance:
             if left < term.rungs:
                 out = out + term.weight / total * direction(term.objective, latents, self.attackers)
         return out
+
+
+def within(shift: Tensor, most: float) -> Tensor:
+    """Return *shift* (B, A, Z), shortened in scenes where it is longer than *most*."""
+    norm = shift.square().sum(dim=(1, 2), keepdim=True).sqrt()
+    return shift * (most / norm.clamp(min=1e-9)).clamp(max=1.0)
 
 
 def direction(objective: Objective, latents: Tensor, attackers: Tensor) -> Tensor:

@@ -73,6 +73,21 @@ def test_the_last_step_turns_with_the_gradient() -> None:
     torch.testing.assert_close(made, torch.tensor([[[[-2.0, 2.0]]]]))  # −x first, then +y
 
 
+def test_a_shift_begins_where_the_last_one_ended_and_has_a_longest() -> None:
+    """Length 1 a plan along x, from (0, 1.5) for the attacker: (1, 1.5) is 1.80 long; from (0, 3) it is cut to 2."""
+    along = Term(lambda mu: mu[:, :, 0].sum(1), 1.0, 1)
+    mean, mask = torch.zeros(1, 2, 1, 2), torch.tensor([1.0, 0.0])
+    guide = Guidance((along,), mask, 1.0, begin=torch.tensor([[0.0, 1.5], [0.0, 9.0]]))
+    made = guide(mean, Rung(0, 1.0, 1.0))
+    torch.testing.assert_close(made[:, :, 0], torch.tensor([[[1.0, 1.5], [0.0, 0.0]]]))
+    torch.testing.assert_close(guide.made, made[:, :, 0])
+    made = Guidance((along,), mask, 1.0, begin=torch.tensor([[0.0, 3.0], [0.0, 0.0]]))(
+        mean, Rung(0, 1.0, 1.0)
+    )
+    assert float(made.norm()) == pytest.approx(2.0)
+    torch.testing.assert_close(made[0, 0, 0] / 2.0, torch.tensor([1.0, 3.0]) / 10.0**0.5)
+
+
 def test_earlier_steps_are_made_in_one() -> None:
     asked = []
 

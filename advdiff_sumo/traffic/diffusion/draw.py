@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -30,6 +30,7 @@ class Drawn:
         rollout: joint future of the view's agents, a batch of one.
         noise: id → starting noise that led to it.
         attackers: ids that were guided.
+        shifts: id → what an attacker's latent was shifted by in the last step, (Z,).
         latents: (A, Z) what the decoder was given, scaled.
     """
 
@@ -37,6 +38,7 @@ class Drawn:
     noise: Mapping[str, FloatArray]
     attackers: tuple[str, ...]
     latents: Tensor
+    shifts: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 def draw_plan(
@@ -44,7 +46,7 @@ def draw_plan(
     options: DiffusionOptions,
     view: View,
     noise: Mapping[str, FloatArray],
-    attackers: tuple[str, ...],
+    before: Mapping[str, FloatArray],
     seed: int,
 ) -> Drawn:
     """Return a joint future of *view*.
@@ -54,7 +56,7 @@ def draw_plan(
         options: of the policy.
         view: what they see.
         noise: id → starting noise of the last plan.
-        attackers: ids that were guided last; they stay where they still can do something.
+        before: id → shift of who was guided last; they stay where they still can do something, and go on from there.
         seed: of the random numbers, which are drawn on the CPU.
     """
     generator = torch.Generator().manual_seed(seed)
@@ -68,7 +70,7 @@ def draw_plan(
     guide: Guidance | None = None
     chosen: tuple[str, ...] = ()
     if options.guided:
-        guide, chosen = guidance(networks, options, view, Scenes(batch, many, context), attackers)
+        guide, chosen = guidance(networks, options, view, Scenes(batch, many, context), before)
     x = sample(
         networks.denoiser.condition(several),
         start.to(networks.device),
@@ -85,6 +87,7 @@ def draw_plan(
         noise={name: kept[row] for row, name in enumerate(view.ids)},
         attackers=chosen,
         latents=x[best, :, 0],
+        shifts=_shifts(guide, view, chosen, best),
     )
 
 
@@ -115,6 +118,15 @@ def _start(
             old = torch.from_numpy(noise[name]).to(fresh.dtype)
             fresh[0, row, 0] = share * old + (1.0 - share**2) ** 0.5 * fresh[0, row, 0]
     return fresh
+
+
+def _shifts(
+    guide: Guidance | None, view: View, attackers: tuple[str, ...], best: int
+) -> dict[str, FloatArray]:
+    if guide is None or guide.made is None:
+        return {}
+    made = guide.made[best].cpu().numpy().astype(np.float64)
+    return {name: made[view.ids.index(name)] for name in attackers}
 
 
 def _most_plausible(rollout: Rollout, batch: SceneBatch) -> int:

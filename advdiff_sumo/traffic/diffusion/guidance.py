@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
+from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.diffusion.attacks import Natural, attack_objective
 from advdiff_sumo.diffusion.guides import Guidance, Term, reward_objective
 from advdiff_sumo.models.batch import SceneBatch
@@ -17,12 +19,14 @@ from advdiff_sumo.traffic.diffusion.futures import futures_of
 from advdiff_sumo.traffic.diffusion.networks import Networks
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
 
-ALPHA = 10.0
+ALPHA = 20.0
 """Shift of a step at strength 1, in units of √Σ."""
 HORIZON_STEPS = 8
 """Model steps of a future that an attack looks at."""
 _REWARD_RUNGS, _ATTACK_RUNGS = 3, 1
 _TURNS = 4
+KEPT = 0.8
+"""Share of an attacker's shift that its next plan begins with."""
 _REWARD_WEIGHT, _ATTACK_WEIGHT = 0.25, 1.0
 
 
@@ -42,7 +46,11 @@ class Scenes:
 
 
 def guidance(
-    networks: Networks, options: DiffusionOptions, view: View, scenes: Scenes, before: tuple[str, ...]
+    networks: Networks,
+    options: DiffusionOptions,
+    view: View,
+    scenes: Scenes,
+    before: Mapping[str, FloatArray],
 ) -> tuple[Guidance | None, tuple[str, ...]]:
     """Return the guide and the names of those it guides; no guide where nobody can attack.
 
@@ -51,11 +59,11 @@ def guidance(
         options: of the policy.
         view: the scene.
         scenes: the same as tensors, with its context.
-        before: who attacked last.
+        before: who attacked last, and by what shift of its latent, (Z,).
     """
     natural = naturally(networks, scenes)
     futures = futures_of(view.now, natural.rollout)
-    rows = choose(futures, view.moved, options.attack, options.attackers, np.isin(view.ids, before))
+    rows = choose(futures, view.moved, options.attack, options.attackers, np.isin(view.ids, tuple(before)))
     if not len(rows):
         return None, ()
     attackers = torch.from_numpy(rows).to(networks.device)
@@ -78,9 +86,12 @@ def guidance(
     )
     mask = torch.zeros(scenes.one.agents, dtype=h.dtype, device=networks.device)
     mask[attackers] = 1.0
-    return Guidance(terms, mask, ALPHA * options.strength, _TURNS), tuple(
-        view.ids[row] for row in rows.tolist()
-    )
+    names = tuple(view.ids[row] for row in rows.tolist())
+    begin = torch.zeros(scenes.one.agents, mean.shape[-1], dtype=h.dtype, device=networks.device)
+    for row, name in zip(rows.tolist(), names, strict=True):
+        if name in before:
+            begin[row] = KEPT * torch.from_numpy(before[name]).to(begin)
+    return Guidance(terms, mask, ALPHA * options.strength, _TURNS, begin), names
 
 
 def naturally(networks: Networks, scenes: Scenes) -> Natural:

@@ -35,13 +35,13 @@ class Memory:
 
     Attributes:
         noise: id → starting noise of the vehicle, (Z,).
-        attackers: ids that were guided last.
+        shifts: id of who was guided last → what its latent was shifted by, (Z,).
         plan: the last plan, at its own clock.
         driven: model steps of it that have been driven when the next plan is asked for.
     """
 
     noise: Mapping[str, FloatArray] = field(default_factory=dict)
-    attackers: tuple[str, ...] = ()
+    shifts: Mapping[str, FloatArray] = field(default_factory=dict)
     plan: Tracks | None = None
     driven: int = 0
 
@@ -93,12 +93,12 @@ class DiffusionTraffic:
         if not view.moved.any():
             empty = Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=scene.time_s + MODEL_STEP_S)
             return JointPlan(empty), replace(memory, plan=None)
-        drawn = draw_plan(self.networks, self.options, view, memory.noise, memory.attackers, seed)
+        drawn = draw_plan(self.networks, self.options, view, memory.noise, memory.shifts, seed)
         if self.listener is not None:
             self.listener(view, drawn)
         guarded = guard(road, view, drawn, lanes)
         tracks = tracks_of(view, guarded.futures)
-        return JointPlan(tracks), Memory(drawn.noise, drawn.attackers, tracks, 1)
+        return JointPlan(tracks), Memory(drawn.noise, drawn.shifts, tracks, 1)
 
     def _lanes(self, road: RoadMap, scene: Scene) -> dict[int, LaneAhead | None]:
         return lanes_of(road, scene)

@@ -20,6 +20,7 @@ from advdiff_sumo.models.reward_file import load_reward, save_reward
 from advdiff_sumo.models.view import MOST_AGENTS, look
 from advdiff_sumo.traffic.check import check_policy
 from advdiff_sumo.traffic.diffusion.draw import draw_plan
+from advdiff_sumo.traffic.diffusion.guidance import ALPHA
 from advdiff_sumo.traffic.diffusion.policy import DiffusionTraffic, Memory
 from advdiff_sumo.traffic.registry import make_policy
 
@@ -36,7 +37,7 @@ def planned(policy: DiffusionTraffic, road: RoadMap, scene: Scene, seed: int = 3
 
 def latents(policy: DiffusionTraffic, road: RoadMap, scene: Scene) -> np.ndarray:
     view = look(road, scene)
-    drawn = draw_plan(policy.networks, policy.options, view, {}, (), 5)
+    drawn = draw_plan(policy.networks, policy.options, view, {}, {}, 5)
     return drawn.latents.numpy()
 
 
@@ -91,7 +92,7 @@ def test_attackers_alone_are_shifted(attack: str, uncoupled: str, downtown: Road
     view = look(downtown, scene)
     options = {"weights": uncoupled, "attack": attack, "attackers": 1, "strength": 1.0}
     policy = DiffusionTraffic(**options)
-    drawn = draw_plan(policy.networks, policy.options, view, {}, (), 5)
+    drawn = draw_plan(policy.networks, policy.options, view, {}, {}, 5)
     natural = latents(DiffusionTraffic(**options, guide="none"), downtown, scene)
     changed = (drawn.latents.numpy() != natural).any(axis=1)
     assert [name for name, yes in zip(view.ids, changed, strict=True) if yes] == list(drawn.attackers)
@@ -102,11 +103,28 @@ def test_attackers_stay_attackers(weights: str, downtown: RoadMap, street: Stree
     scene = street(PLACES, SPEEDS)
     policy = DiffusionTraffic(weights=weights)
     _, memory = planned(policy, downtown, scene)
-    (chosen,) = memory.attackers
+    (chosen,) = memory.shifts
     other = next(name for name in ("v1", "v2") if name != chosen)
-    kept = replace(memory, attackers=(other,), plan=None)
+    kept = replace(memory, shifts={other: np.zeros(8)}, plan=None)
     _, after = policy.plan(downtown, scene, kept, np.random.default_rng(3))
-    assert after.attackers == (other,)
+    assert tuple(after.shifts) == (other,)
+
+
+def test_an_attack_goes_on_from_the_shift_of_the_plan_before(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
+    """The same scene planned again and again: shifts grow up to twice what one plan makes, and no further."""
+    scene = street(PLACES, SPEEDS)
+    policy = DiffusionTraffic(weights=weights, strength=0.5)
+    memory, lengths = policy.start(downtown, scene, None, np.random.default_rng(3)), []
+    for _ in range(8):
+        _, memory = policy.plan(downtown, scene, replace(memory, plan=None), np.random.default_rng(3))
+        (shift,) = memory.shifts.values()
+        lengths.append(float(np.linalg.norm(shift)))
+    most = 2.0 * 0.5 * ALPHA * 0.3
+    assert lengths[0] <= 0.5 * most + 1e-5
+    assert lengths[-1] > 1.2 * lengths[0]
+    assert max(lengths) <= most + 1e-5
 
 
 def test_the_plan_does_not_depend_on_where_the_world_begins(

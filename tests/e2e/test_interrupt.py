@@ -53,7 +53,7 @@ def test_ctrl_c_keeps_what_has_finished(
 ) -> None:
     folder, process = waiting
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=240)
     assert process.returncode == 130
     assert said.splitlines() == ["interrupted; what had finished is kept"]
     whole = pq.read_table(undisturbed / "episodes.parquet")
@@ -67,7 +67,7 @@ def test_ctrl_c_keeps_what_has_finished(
 def test_a_killed_run_can_be_resumed(waiting: tuple[Path, subprocess.Popen[str]], undisturbed: Path) -> None:
     folder, process = waiting
     process.kill()
-    process.communicate(timeout=60)
+    process.communicate(timeout=240)
     assert process.returncode == -signal.SIGKILL
     assert not (folder / "run" / "episodes.parquet").exists()
     _resume(folder, undisturbed)

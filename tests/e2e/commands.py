@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -51,10 +52,15 @@ def advdiff(*words: object, cwd: Path, hash_seed: int = 0, program: tuple[str, .
 
 
 def begin(*words: object, cwd: Path, hash_seed: int = 0) -> subprocess.Popen[str]:
-    """Start a command."""
+    """Start a command; Ctrl-C reaches it also where the tests were started in the background, deaf to it."""
     pipe = subprocess.PIPE
     command = [*MODULE, *map(str, words)]
-    return subprocess.Popen(command, cwd=cwd, env=environment(hash_seed), stdout=pipe, stderr=pipe, text=True)
+    heard = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:  # a handler of Python's own becomes the default in the new process, "ignored" would stay
+        env = environment(hash_seed)
+        return subprocess.Popen(command, cwd=cwd, env=env, stdout=pipe, stderr=pipe, text=True)
+    finally:
+        signal.signal(signal.SIGINT, heard)
 
 
 def bytes_of(folder: Path) -> dict[str, bytes]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -67,6 +69,39 @@ class DecoderWeights:
         self.motion_t, self.act_t = self.motion.t(), self.act.t()
 
 
+@dataclass(frozen=True)
+class EdgeTerms:
+    """The edge encoder's first layer by what it multiplies, and its second; all but one column are products.
+
+    Attributes:
+        planes: (3, 2, E) of the vectors in the receiver's frame, scaled: place, heading, velocity.
+        near: (E,) of the compressed distance.
+        own: (E,) of the receiver's speed, scaled.
+        bias: (E,) of the first layer.
+        second: the second layer.
+    """
+
+    planes: Tensor
+    near: Tensor
+    own: Tensor
+    bias: Tensor
+    second: nn.Linear
+
+
+def edge_terms(decoder: Decoder) -> EdgeTerms:
+    """Return the terms of *decoder*'s edge encoder."""
+    first, second = decoder.interaction.edges.net[0], decoder.interaction.edges.net[2]
+    assert isinstance(first, nn.Linear)  # noqa: S101 - tells the type checker what stands there
+    assert isinstance(second, nn.Linear)  # noqa: S101 - the same
+    weight = first.weight.detach().t().clone()  # (9, E)
+    assert len(weight) == RELATIVE_FEATURES  # noqa: S101 - the columns named above are those
+    own = weight[OWN_SPEED] - weight[AHEAD_SPEED]
+    weight[PLANES[2][0]] += weight[AHEAD_SPEED]
+    scales = (PLACE_SCALE, 1.0, SPEED_SCALE)
+    planes = [scale * weight[list(pair)] for scale, pair in zip(scales, PLANES, strict=True)]
+    return EdgeTerms(torch.stack(planes), weight[NEAR], SPEED_SCALE * own, first.bias.detach(), second)
+
+
 class EdgeWeights:
     """Embeds relative poses; the three vectors in the receiver's frame are products of complex numbers.
 
@@ -75,18 +110,10 @@ class EdgeWeights:
     """
 
     def __init__(self, decoder: Decoder) -> None:
-        first, second = decoder.interaction.edges.net[0], decoder.interaction.edges.net[2]
-        assert isinstance(first, nn.Linear)  # noqa: S101 - tells the type checker what stands there
-        assert isinstance(second, nn.Linear)  # noqa: S101 - the same
-        weight = first.weight.detach().t().clone()  # (9, E)
-        assert len(weight) == RELATIVE_FEATURES  # noqa: S101 - the columns named above are those
-        own = weight[OWN_SPEED] - weight[AHEAD_SPEED]
-        weight[PLANES[2][0]] += weight[AHEAD_SPEED]
-        scales = (PLACE_SCALE, 1.0, SPEED_SCALE)
-        planes = [scale * weight[list(pair)] for scale, pair in zip(scales, PLANES, strict=True)]
-        self._first = torch.cat((*planes, weight[NEAR : NEAR + 1], SPEED_SCALE * own[None]))  # (8, E)
-        self._second = second.weight.detach().t()
-        self._bias = first.bias.detach(), second.bias.detach()
+        terms = edge_terms(decoder)
+        self._first = torch.cat((terms.planes.flatten(0, 1), terms.near[None], terms.own[None]))  # (8, E)
+        self._second = terms.second.weight.detach().t()
+        self._bias = terms.bias, terms.second.bias.detach()
         self._layers = [layer.edge.weight.detach().t() for layer in graph_layers(decoder)]
 
     def of(self, x: Array, y: Array, yaw: Array, speed: Array, rows: Array | None = None) -> list[Tensor]:

@@ -5,23 +5,14 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import layer_norm, linear
 
-from advdiff_sumo.diffusion.decoder_weights import (
-    AHEAD_SPEED,
-    NEAR,
-    OWN_SPEED,
-    PLACE_SCALE,
-    PLANES,
-    SPEED_SCALE,
-    graph_layers,
-)
+from advdiff_sumo.diffusion.decoder_weights import PLACE_SCALE, SPEED_SCALE, edge_terms, graph_layers
 from advdiff_sumo.diffusion.trace import Trace
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bicycle import controls, step
 from advdiff_sumo.models.decoder import Decoder, Rollout
-from advdiff_sumo.models.geometry import RELATIVE_FEATURES
 from advdiff_sumo.models.interaction import InteractionLayer
 from advdiff_sumo.models.options import MODEL_STEP_S
 
@@ -156,22 +147,11 @@ class _Edges:
     """
 
     def __init__(self, decoder: Decoder) -> None:
-        net = decoder.interaction.edges.net
-        first, second = net[0], net[2]
-        assert isinstance(first, nn.Linear)  # noqa: S101 - tells the type checker what stands there
-        assert isinstance(second, nn.Linear)  # noqa: S101 - the same
-        weight = first.weight.detach().t().clone()  # (9, E)
-        assert len(weight) == RELATIVE_FEATURES  # noqa: S101 - the columns named above are those
-        own = weight[OWN_SPEED] - weight[AHEAD_SPEED]
-        weight[PLANES[2][0]] += weight[AHEAD_SPEED]
-        plane = torch.stack([weight[list(pair)] for pair in PLANES])  # (3, 2, E)
-        scale = torch.tensor((PLACE_SCALE, 1.0, SPEED_SCALE), device=plane.device, dtype=plane.dtype)
-        plane = plane * scale[:, None, None]
-        self._straight = plane.flatten(0, 1)
-        self._turned = torch.stack((-plane[:, 1], plane[:, 0]), dim=1).flatten(0, 1)
-        self._near, self._own = weight[NEAR], SPEED_SCALE * own
-        self._bias = first.bias.detach()
-        self._second = second
+        terms = edge_terms(decoder)
+        self._straight = terms.planes.flatten(0, 1)
+        self._turned = torch.stack((-terms.planes[:, 1], terms.planes[:, 0]), dim=1).flatten(0, 1)
+        self._near, self._own = terms.near, terms.own
+        self._bias, self._second = terms.bias, terms.second
         self._layers = [x.edge for x in graph_layers(decoder)]
 
     def of(self, motion: _Motion) -> tuple[Tensor, ...]:

@@ -3,7 +3,8 @@
 The paper's guide is μ ← μ + α Σ ∇_μ Q(h, z, μ) (Sec. III-C, Alg. 1). Here each objective's gradient is masked to
 the attackers and scaled to unit length over them before it is weighed, so that α means the same for every reward
 model and scene: a step moves the attackers' latents by at most α √Σ in total (√Σ ≥ ``FLOOR``, or the last step,
-where Σ is 0 and the decoder sees clean latents, would not be guided at all).
+where Σ is 0 and the decoder sees clean latents, would not be guided at all). A last step that begins with what was
+left of the plan before moves them by at most ``MOST`` times as much.
 """
 
 from __future__ import annotations

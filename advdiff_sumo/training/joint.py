@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -88,8 +88,8 @@ class JointStage:
         terms["noise"] = noise_loss(bundle.denoiser, x0, context, batch, self.schedule, k, generator)
         more, terms["anchor"] = self.sampled(context, batch, generator)
         rollouts += more
-        terms["vehicles"] = torch.stack([w * vehicle_penalty(r, batch) for r, w in rollouts]).mean()
-        terms["road"] = torch.stack([w * road_penalty(r, batch) for r, w in rollouts]).mean()
+        terms["vehicles"] = _mean(vehicle_penalty, rollouts, batch)
+        terms["road"] = _mean(road_penalty, rollouts, batch)
         terms["loss"] = (
             terms["loss"]
             + options.noise * terms["noise"]
@@ -164,6 +164,15 @@ def _untrained(module: nn.Module) -> Iterator[None]:
     finally:
         for weight in trained:
             weight.requires_grad_(True)
+
+
+def _mean(
+    penalty: Callable[[Rollout, SceneBatch], Tensor], rollouts: list[tuple[Rollout, float]], batch: SceneBatch
+) -> Tensor:
+    """Return the mean of the weighted *penalty* of *rollouts*; 0 without any, as of a fixed model unsampled."""
+    if not rollouts:
+        return batch.past.new_zeros(())
+    return torch.stack([weight * penalty(rollout, batch) for rollout, weight in rollouts]).mean()
 
 
 def vehicle_penalty(rollout: Rollout, batch: SceneBatch) -> Tensor:

@@ -127,6 +127,14 @@ def test_the_anchor_is_nothing_at_first_and_grows_with_what_is_changed(
     assert found == pytest.approx([0.0, 0.01, 0.04], abs=1e-6)
 
 
+def test_a_fixed_traffic_model_without_samples_leaves_the_noise_loss(
+    bundle: Bundle, batch: SceneBatch
+) -> None:
+    stage = JointStage(bundle, ElboOptions(), CollisionOptions(traffic=False, samples="none"))
+    terms = stage.loss(batch, Moment(0, 1, chance()))
+    assert float(terms["loss"].detach()) == float(terms["noise"].detach()) > 0.0
+
+
 def test_the_weight_of_kl_rises_straight() -> None:
     options = ElboOptions(kl_anneal_share=0.4)
     shares = [kl_share(progress, options) for progress in (0.0, 0.2, 0.4, 1.0)]

@@ -21,6 +21,8 @@ _PATIENCE_S = 8.0  # then SUMO gets it as it is, which is counted
 _LOOK_AHEAD_S, _MIN_LOOK_AHEAD_M = 1.0, 5.0
 _ROUTE_AHEAD_M = 200.0
 _SEES_M, _KEEPS_M, _SIDE_M = 50.0, 1.5, 0.2
+_STRAIGHT = 1e-4  # curvature, 1/m
+_LATERAL_MPS2, _BEND_BRAKE_MPS2 = 3.0, 3.0
 
 
 class Handover:
@@ -100,14 +102,15 @@ class Handover:
         return bool(s_m >= 0.5 * self.world.size_m[row, 0] or self.world.speed_mps[row] < _STANDS_MPS)
 
     def _align(self, rows: IntArray, steps: int) -> Motion:
-        """Steer *rows* onto their lanes by pure pursuit, at their present speed or behind who is in the way."""
+        """Steer *rows* onto their lanes by pure pursuit, no faster than now, than who is ahead, and than bends ask."""
         world = self.world
         xy, yaw, speed = world.xy_m[rows].copy(), world.yaw_rad[rows].copy(), world.speed_mps[rows].copy()
         length = world.size_m[rows, 0]
         states = []
         for _ in range(steps):
             bend = np.array([self._pursue(xy[i], float(yaw[i]), float(speed[i])) for i in range(len(rows))])
-            slower = np.array([self._behind(row, xy[i], yaw[i], speed[i]) for i, row in enumerate(rows)])
+            poses = zip(rows, xy, yaw, speed, bend, strict=True)
+            slower = np.array([min(self._behind(*pose), gently(*pose[3:])) for pose in poses])
             accel, bend = clip_controls(speed, slower, bend, length, Limits())
             xy, yaw, speed = step(xy, yaw, speed, accel, bend, self.sim.step_s)
             states.append((xy, yaw, speed))
@@ -119,18 +122,21 @@ class Handover:
             np.ones((len(rows), steps), dtype=np.bool_),
         )
 
-    def _behind(self, row: int, xy_m: FloatArray, yaw_rad: float, speed_mps: float) -> float:
-        """Return the acceleration, at most 0, with which *row* at a pose does not run into who is ahead now."""
+    def _behind(self, row: int, xy_m: FloatArray, yaw_rad: float, speed_mps: float, bend: float) -> float:
+        """Return the acceleration, at most 0, with which *row* on its arc does not run into who is ahead now."""
         world, count = self.world, len(self.world)
-        offset = local_from_world(world.xy_m[:count], xy_m, yaw_rad)
+        way, side = on_arc(local_from_world(world.xy_m[:count], xy_m, yaw_rad), bend)
         size = world.size_m[:count]
-        beside = np.abs(offset[:, 1]) < 0.5 * (size[:, 1] + size[row, 1]) + _SIDE_M
-        ahead = beside & (offset[:, 0] > 0.0) & (offset[:, 0] < _SEES_M)  # NaN compares as False
+        turned = world.yaw_rad[:count] - yaw_rad - bend * np.nan_to_num(way)
+        cos, sin = np.abs(np.cos(turned)), np.abs(np.sin(turned))
+        half, wide = 0.5 * (size[:, 0] * cos + size[:, 1] * sin), 0.5 * (size[:, 1] * cos + size[:, 0] * sin)
+        ahead = np.abs(side) < wide + 0.5 * size[row, 1] + _SIDE_M
+        ahead &= (way > 0.0) & (way < _SEES_M)  # NaN compares as False
         ahead[row] = False
         if not ahead.any():
             return 0.0
-        gap = offset[ahead, 0] - 0.5 * (size[ahead, 0] + size[row, 0]) - _KEEPS_M
-        along = world.speed_mps[:count][ahead] * np.cos(world.yaw_rad[:count][ahead] - yaw_rad)
+        gap = way[ahead] - half[ahead] - 0.5 * size[row, 0] - _KEEPS_M
+        along = world.speed_mps[:count][ahead] * np.cos(turned[ahead])
         closing = np.maximum(speed_mps - np.maximum(along, 0.0), 0.0)
         return -float((0.5 * closing**2 / np.maximum(gap, 0.1)).max())
 
@@ -187,3 +193,22 @@ class Handover:
         while lane.is_internal and lane.successors:
             lane = self.road.lanes[lane.successors[0].to_lane]
         return lane.edge_id
+
+
+def on_arc(xy_m: FloatArray, bend: float) -> tuple[FloatArray, FloatArray]:
+    """Return how far (N,) along an arc of curvature *bend* points (N, 2) lie, and how far (N,) to its left.
+
+    The arc begins at the origin along the x axis. What is behind, or beyond a third of the circle, is at NaN.
+    """
+    if abs(bend) < _STRAIGHT:
+        return np.where(xy_m[:, 0] >= 0.0, xy_m[:, 0], np.nan), xy_m[:, 1]
+    turn, radius = np.sign(bend), 1.0 / abs(bend)
+    x, y = xy_m[:, 0], turn * xy_m[:, 1]
+    angle = np.arctan2(x, radius - y)
+    inside = (angle >= 0.0) & (angle <= 2.0 * np.pi / 3.0)
+    return np.where(inside, radius * angle, np.nan), turn * (radius - np.hypot(x, radius - y))
+
+
+def gently(speed_mps: float, bend: float) -> float:
+    """Return the acceleration, at most 0, of who drives a bend faster than drivers do."""
+    return -_BEND_BRAKE_MPS2 if speed_mps**2 * abs(bend) > _LATERAL_MPS2 else 0.0

@@ -15,7 +15,7 @@ from advdiff_sumo.core.record import Controller
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background import Motion
-from advdiff_sumo.sim.handover import Handover
+from advdiff_sumo.sim.handover import Handover, gently, on_arc
 from advdiff_sumo.sim.options import SimOptions
 from advdiff_sumo.sim.world import World, read, register
 from tests.sim import nets
@@ -193,3 +193,23 @@ def test_any_offset_in_a_curve(bend: Path, s_m: float, d_m: float, turn: float, 
         got = hand_over(s, RoadMap.read(bend), ("AB", "BZ"), "AB_0", s_m, d_m, turn, speed)
     if not got.rough:
         got.check_smooth(BEND_CORNER_RAD)
+
+
+@pytest.mark.parametrize("turn", [1.0, -1.0])
+def test_places_along_an_arc(turn: float) -> None:
+    """A circle of 20 m: a quarter of it away, 2 m beside that towards the centre, straight ahead, and behind."""
+    points = np.array([[20.0, 20.0], [18.0, 20.0], [10.0, 0.0], [-1.0, 0.0]]) * (1.0, turn)
+    way, side = on_arc(points, turn / 20.0)
+    assert way.tolist() == pytest.approx(
+        [10.0 * np.pi, 10.0 * np.pi, 20.0 * np.arctan(0.5), np.nan], nan_ok=True
+    )
+    assert side[:3].tolist() == pytest.approx([0.0, 2.0 * turn, turn * (20.0 - np.hypot(10.0, 20.0))])
+    straight = on_arc(points, 0.0)
+    assert straight[0].tolist() == pytest.approx([20.0, 18.0, 10.0, np.nan], nan_ok=True)
+    assert straight[1].tolist() == points[:, 1].tolist()
+
+
+@pytest.mark.parametrize(("speed", "accel"), [(7.7, 0.0), (7.8, -3.0)])
+def test_bends_are_driven_at_3_mps2_at_most(speed: float, accel: float) -> None:
+    """7.75 m/s on a radius of 20 m."""
+    assert gently(speed, 0.05) == gently(speed, -0.05) == accel

@@ -1,7 +1,8 @@
 """Brakes planned vehicles along their own paths where plans would run through each other or a stop line.
 
 Who brakes: of two whose boxes would meet, the one that has the other before its front; both where neither or both
-have. Nobody brakes for a vehicle that comes from behind, and attackers never brake for the target.
+have. For one whose speed is not ours to change everybody brakes that has it before its front, even if it ought to
+brake itself. Nobody brakes for a vehicle that comes from behind, and attackers never brake for the target.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ GAP_M = 1.0
 """Room that is kept before and behind a vehicle, where there is any."""
 SIDE_M = 0.15
 """Room that is kept on each side."""
-_SAME_BEARING = 0.15
+_SHARES = (1.0, 0.5, 0.25, 0.1)
+"""Shares of that room that are tried where two are nearer than it now."""
+_SAME_BEARING, _BEFORE_FRONT = 0.15, 0.3
 _ROUNDS = 3
 
 
@@ -75,7 +78,7 @@ def brake(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray
     path = _Paths(futures)
     braked, unsolved = np.zeros(len(may), dtype=np.bool_), np.zeros(len(may), dtype=np.bool_)
     for _ in range(_ROUNDS):
-        pairs = _conflicts(made, minds & may[:, None])
+        pairs = _conflicts(made, minds & may[:, None], may)
         late = may & (path.length_m(made) > stop_m) & ~unsolved
         rows = np.flatnonzero(pairs.any(axis=1) | late)
         if not len(rows):
@@ -141,8 +144,8 @@ class _Boxes:
         return np.asarray(gaps.max(-1))
 
 
-def _conflicts(futures: Futures, minds: BoolArray) -> BoolArray:
-    """Return (N, N) whether the first has to brake for the second."""
+def _conflicts(futures: Futures, minds: BoolArray, may: BoolArray) -> BoolArray:
+    """Return (N, N) whether the first has to brake for the second, of whom *may* (N,) can be asked to."""
     boxes = _Boxes.later(futures)
     reach = 0.5 * np.hypot(*futures.size_m.T) + 0.5 * GAP_M
     out = np.zeros_like(minds)
@@ -160,19 +163,21 @@ def _conflicts(futures: Futures, minds: BoolArray) -> BoolArray:
     offset /= np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
     mine = (offset * unit(boxes.yaw_rad[first, when])).sum(-1)
     yours = -(offset * unit(boxes.yaw_rad[second, when])).sum(-1)
-    out[first, second] = mine >= yours - _SAME_BEARING
-    out[second, first] = yours >= mine - _SAME_BEARING
+    out[first, second] = (mine >= yours - _SAME_BEARING) | (~may[second] & (mine > _BEFORE_FRONT))
+    out[second, first] = (yours >= mine - _SAME_BEARING) | (~may[first] & (yours > _BEFORE_FRONT))
     return out & minds
 
 
 def _room(futures: Futures, first: IntArray, second: IntArray) -> tuple[FloatArray, BoolArray]:
-    """Return (P, 2) the room to keep in each pair, none where they are nearer now, and (P,) who overlaps now."""
+    """Return (P, 2) the room to keep in each pair, as much of it as there is now, and (P,) who overlaps now."""
     now = _Boxes.now(futures)
     mine, yours = now.rows(first), now.rows(second)
-    wide = np.tile((GAP_M, SIDE_M), (len(first), 1))
-    near = mine.gaps(yours, wide) < 0.0
-    inside = mine.gaps(yours, np.zeros_like(wide)) < 0.0
-    return np.where(near[:, None], 0.0, wide), inside
+    full = np.tile((GAP_M, SIDE_M), (len(first), 1))
+    room = np.zeros_like(full)
+    for share in reversed(_SHARES):
+        there = mine.gaps(yours, share * full) >= 0.0
+        room[there] = share * full[there]
+    return room, mine.gaps(yours, np.zeros_like(full)) < 0.0
 
 
 def _ease(

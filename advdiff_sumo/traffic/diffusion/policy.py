@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.models.options import MODEL_STEP_S
@@ -18,13 +19,13 @@ from advdiff_sumo.traffic.diffusion.futures import Futures, coasting, futures_of
 from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.diffusion.networks import Networks, networks_of
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
-from advdiff_sumo.traffic.diffusion.safeguard import Guarded, Watched, safeguard
+from advdiff_sumo.traffic.diffusion.safeguard import Guarded, Plan, Watched, safeguard
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
 
 _LEAVES_M, _LEAVES_S = 12.0, 2.0
-_STANDS_MPS = 0.2
+_STANDS_MPS, _SLIPPED_M = 0.2, 0.3
 
 Listener: TypeAlias = Callable[[View, Drawn], None]
 
@@ -96,7 +97,7 @@ class DiffusionTraffic:
         drawn = draw_plan(self.networks, self.options, view, memory.noise, memory.shifts, seed)
         if self.listener is not None:
             self.listener(view, drawn)
-        guarded = guard(road, view, drawn, lanes)
+        guarded = guard(road, view, drawn, lanes, (memory.plan, memory.driven))
         tracks = tracks_of(view, guarded.futures)
         return JointPlan(tracks), Memory(drawn.noise, drawn.shifts, tracks, 1)
 
@@ -114,8 +115,22 @@ def lanes_of(road: RoadMap, scene: Scene) -> dict[int, LaneAhead | None]:
     return dict(zip(rows.tolist(), found, strict=True))
 
 
-def guard(road: RoadMap, view: View, drawn: Drawn, lanes: Mapping[int, LaneAhead | None]) -> Guarded:
-    """Return the plans *drawn* for *view* made plausible, among everybody else's predictions."""
+def guard(
+    road: RoadMap,
+    view: View,
+    drawn: Drawn,
+    lanes: Mapping[int, LaneAhead | None],
+    before: tuple[Tracks | None, int] = (None, 0),
+) -> Guarded:
+    """Return the plans *drawn* for *view* made plausible, among everybody else's predictions.
+
+    Args:
+        road: the map.
+        view: the scene.
+        drawn: the plans.
+        lanes: what each movable vehicle, by its row in the scene, would follow.
+        before: the last plan and how many model steps of it have been driven.
+    """
     seen = futures_of(view.now, drawn.rollout)
     scene = view.scene
     rest = np.setdiff1d(np.flatnonzero(scene.history.valid[:, -1]), view.rows)
@@ -136,8 +151,30 @@ def guard(road: RoadMap, view: View, drawn: Drawn, lanes: Mapping[int, LaneAhead
         stood=np.concatenate((_stood(view.now), more)),
         lanes=[lanes.get(row) for row in (*view.rows.tolist(), *rest.tolist())],
         signals=scene.signals,
+        before=rests(*before, view, seen.steps),
     )
     return safeguard(road, join(seen, others), watched)
+
+
+def rests(plan: Tracks | None, driven: int, view: View, steps: int) -> dict[int, Plan]:
+    """Return by row of *view* what is left of the last plan, gone on with at its last speed, for *steps* instants.
+
+    Who is not where its plan had it by now is left out.
+    """
+    if plan is None or not 0 < driven < plan.steps:
+        return {}
+    rest = {name: row for row, name in enumerate(plan.ids)}
+    ahead = np.arange(driven, driven + steps)
+    index, beyond = np.minimum(ahead, plan.steps - 1), plan.dt_s * np.maximum(ahead - plan.steps + 1, 0)
+    out: dict[int, Plan] = {}
+    for row in np.flatnonzero(view.moved).tolist():
+        mine = rest.get(view.ids[row])
+        if mine is None:
+            continue
+        if np.linalg.norm(plan.xy_m[mine, driven - 1] - view.now.xy_m[row, -1]) < _SLIPPED_M:
+            yaw, speed = plan.yaw_rad[mine, index], plan.speed_mps[mine, index]
+            out[row] = plan.xy_m[mine, index] + (speed * beyond)[:, None] * unit(yaw), yaw, speed
+    return out
 
 
 def _stood(now: Tracks) -> BoolArray:

@@ -1,26 +1,29 @@
 """Keeps sampled plans plausible by construction; applied to every plan, guided or not.
 
-In this order: a vehicle far from the target, and one whose plan leaves the road, follows its lane instead (in the
-second case it stops where it has none); one that stands and has nowhere to go stands exactly still, and one that
-has stood for its whole history and means to leave within its plan leaves now; plans are braked (``braking``) where
-boxes would meet or a red light would be passed. Attackers are left alone towards the target, and signals do not
-bind them; everybody else behaves.
+In this order: a vehicle far from the target, one whose plan leaves the road (it stops where it has no lane), and one
+that is no attacker and plans to drive on the wrong side, follows its lane instead; one that stands and has nowhere
+to go stands exactly still, and one that has stood for its whole history and means to leave within its plan leaves
+now; plans are braked (``braking``) where boxes would meet or a red light would be passed. Who could not avoid
+another box by braking drives on as the plan before said, which was free, or along its lane, where that helps.
+Attackers are left alone towards the target, and signals do not bind them; everybody else behaves.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.traffic.diffusion.braking import brake, brake_ahead
+from advdiff_sumo.traffic.diffusion.braking import Braked, brake, brake_ahead
 from advdiff_sumo.traffic.diffusion.futures import Futures, standing
 from advdiff_sumo.traffic.diffusion.lane_following import follow
 from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead
+from advdiff_sumo.traffic.diffusion.oncoming import drives_against
 
 OFF_SHARE = 0.25
 """Share of the box off the road, within the next seconds, that sends a vehicle back to its lane …"""
@@ -36,6 +39,9 @@ _BEFORE_LINE_M = 1.0
 _LOOK_STEPS = 6
 """Instants of a plan that have to be clear: 3 s, from 14 m/s a stop at less than 5 m/s²."""
 
+Plan: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+"""Positions (T, 2), headings (T,) and speeds (T,) of one vehicle."""
+
 
 @dataclass(frozen=True)
 class Watched:
@@ -48,6 +54,7 @@ class Watched:
         stood: (N,) who has not moved for as long as its history goes back.
         lanes: what each would follow, where asked for.
         signals: states of the traffic lights.
+        before: row → what is left of the plan before, as long as the new one.
     """
 
     planned: BoolArray
@@ -56,6 +63,7 @@ class Watched:
     stood: BoolArray
     lanes: Sequence[LaneAhead | None]
     signals: Mapping[str, str]
+    before: Mapping[int, Plan] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -64,7 +72,7 @@ class Guarded:
 
     Attributes:
         futures: the plans.
-        lane: follows its lane, as its plan would have left the road.
+        lane: follows its lane, as its plan would have left the road or its side of it.
         held: stands still.
         braked: was slowed down.
         unsolved: its box meets another one however hard it brakes.
@@ -83,9 +91,10 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     nowhere = np.array([lane is None for lane in watched.lanes], dtype=np.bool_)
     off = leaves_road(road, made, watched.planned)
     lost = off & nowhere
+    off |= drives_against(road, made, watched.planned & ~watched.attacker & ~nowhere)
     far = np.linalg.norm(made.xy_m[:, 0] - made.xy_m[watched.target, 0], axis=-1) > FAR_M
     followed = (off | (far & watched.planned & ~watched.attacker)) & ~nowhere
-    _back_to_lane(made, np.flatnonzero(followed), watched.lanes)
+    _back_to_lane(made, np.flatnonzero(followed), watched)
     moved = made.travelled_m()
     held = watched.planned & (made.speed_mps[:, 0] < _STANDS_MPS)
     held &= moved[:, min(_NOWHERE_STEPS, made.steps)] < _NOWHERE_M
@@ -97,11 +106,30 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     may = watched.planned & ~held
     stop = stop_distances(made, watched, may)
     stop[lost] = np.minimum(stop[lost], 0.5 * made.speed_mps[lost, 0] ** 2 / _LOST_BRAKE_MPS2)
+    clear = _settled(made, watched, may, stop)
+    return Guarded(clear.futures, off & ~lost, held, clear.rows, clear.unsolved)
+
+
+def _settled(futures: Futures, watched: Watched, may: BoolArray, stop_m: FloatArray) -> Braked:
+    """Return *futures* braked; who is not clear then tries the plan before, then its lane."""
     minds = _minds(watched)
-    stopped = brake(made, may, np.zeros_like(minds), stop)  # a stop line stays where it is, however far
-    clear = brake_ahead(stopped.futures, may, minds, stop, _LOOK_STEPS)
-    braked, unsolved = stopped.rows | clear.rows, stopped.unsolved | clear.unsolved
-    return Guarded(clear.futures, off & ~lost, held, braked, unsolved)
+    best = _braked(futures, may, minds, stop_m)
+    for way in (_as_before, _back_to_lane):
+        rows = np.flatnonzero(best.unsolved)
+        if not len(rows):
+            break
+        other = futures.copy()
+        way(other, rows, watched)
+        tried = _braked(other, may, minds, stop_m)
+        if tried.unsolved.sum() < best.unsolved.sum():
+            futures, best = other, tried
+    return best
+
+
+def _braked(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray) -> Braked:
+    stopped = brake(futures, may, np.zeros_like(minds), stop_m)  # a stop line stays where it is, however far
+    clear = brake_ahead(stopped.futures, may, minds, stop_m, _LOOK_STEPS)
+    return Braked(clear.futures, stopped.rows | clear.rows, stopped.unsolved | clear.unsolved)
 
 
 def _minds(watched: Watched) -> BoolArray:
@@ -129,13 +157,21 @@ def leaves_road(road: RoadMap, futures: Futures, rows: BoolArray) -> BoolArray:
     return out
 
 
-def _back_to_lane(futures: Futures, rows: IntArray, lanes: Sequence[LaneAhead | None]) -> None:
-    """Let *rows* (V,) follow their lanes, in place."""
-    own = [lane for lane in (lanes[row] for row in rows.tolist()) if lane is not None]
+def _as_before(futures: Futures, rows: IntArray, watched: Watched) -> None:
+    """Let those of *rows* (V,) that have one go on with the plan before, in place."""
+    for row in rows.tolist():
+        if row in watched.before:
+            futures.put(row, *watched.before[row])
+
+
+def _back_to_lane(futures: Futures, rows: IntArray, watched: Watched) -> None:
+    """Let those of *rows* (V,) that have one follow their lanes, in place."""
+    own = {row: lane for row in rows.tolist() if (lane := watched.lanes[row]) is not None}
     if own:
-        now = futures.xy_m[rows, 0], futures.yaw_rad[rows, 0], futures.speed_mps[rows, 0]
-        plan = follow(own, *now, futures.size_m[rows, 0], futures.steps, futures.dt_s)
-        futures.xy_m[rows, 1:], futures.yaw_rad[rows, 1:], futures.speed_mps[rows, 1:] = plan
+        who = np.array(list(own))
+        now = futures.xy_m[who, 0], futures.yaw_rad[who, 0], futures.speed_mps[who, 0]
+        plan = follow(list(own.values()), *now, futures.size_m[who, 0], futures.steps, futures.dt_s)
+        futures.xy_m[who, 1:], futures.yaw_rad[who, 1:], futures.speed_mps[who, 1:] = plan
 
 
 def _start_now(futures: Futures, row: int) -> None:

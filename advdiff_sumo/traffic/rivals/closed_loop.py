@@ -135,7 +135,8 @@ class Rival(ABC):
         found = self.search(Task(road, view, memory, seed))
         if self.listener is not None:
             self.listener(view, found.drawn)
-        tracks = tracks_of(view, guard(road, view, found.drawn, lanes).futures)
+        guarded = guard(road, view, found.drawn, lanes, (memory.plan, memory.driven))
+        tracks = tracks_of(view, guarded.futures)
         return JointPlan(tracks), replace(found.memory, plan=tracks, driven=1)
 
     def react(self, task: Task, rollout: Rollout) -> tuple[Forced | None, Any]:

@@ -71,6 +71,32 @@ def test_the_one_whose_front_would_hit_a_side_brakes() -> None:
     assert not touching(made.futures)
 
 
+def test_for_one_that_is_not_ours_everybody_brakes_that_has_it_ahead() -> None:
+    """As above, but the one from the south is SUMO's and will not brake; who has such a one behind still does not."""
+    plans = cars((0, 0, 0, 10), (30, -32, np.pi / 2, 10))
+    minds, ours = ~np.eye(2, dtype=np.bool_), np.array([True, False])
+    made = brake(plans, ours, minds, np.full(2, FREE))
+    assert made.rows.tolist() == [True, False]
+    assert not touching(made.futures)
+    behind = brake(cars((0, 0, 0, 10), (-25, 0, 0, 20)), ours, minds, np.full(2, FREE))
+    assert not behind.rows.any()
+
+
+def test_who_is_near_already_comes_no_nearer_than_a_share_of_the_room() -> None:
+    """Side by side with 0.1 m between them, less than the usual room; one closes in on the other."""
+    plans = cars((0, 0, 0, 2.0), (0, 2.1, 0, 2.0))
+    plans.xy_m[1, :, 1] -= np.minimum(
+        0.02 * np.arange(T + 1), 0.2
+    )  # 2 cm in half a second, touching in the end
+    assert touching(plans)
+    made = braked(plans)
+    assert made.rows.any()
+    assert not touching(made.futures)
+    apart = np.abs(made.futures.xy_m[0, :, 1] - made.futures.xy_m[1, :, 1]) - 2.0
+    beside = np.abs(made.futures.xy_m[0, :, 0] - made.futures.xy_m[1, :, 0]) < 4.0
+    assert apart[beside].min() >= 0.0
+
+
 def test_both_brake_head_on() -> None:
     made = braked(cars((0, 0, 0, 8), (60, 0, np.pi, 8)))
     assert made.rows.tolist() == [True, True]

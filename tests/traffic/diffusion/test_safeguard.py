@@ -73,9 +73,9 @@ def test_a_plan_off_the_road_becomes_one_along_the_lane(downtown: RoadMap, lane:
 
 
 def test_far_from_the_target_cars_follow_their_lanes(downtown: RoadMap, lane: Lane) -> None:
-    """A metre beside its lane and 60 m from the target, it is on its way back to the middle."""
-    plans = on(lane, 10.0, 8.0, left=1.0)
-    assert abs(lane.line.project(guarded(downtown, plans).futures.xy_m[1, -1])[1]) > 0.9
+    """Half a metre beside its lane and 60 m from the target, it is on its way back to the middle."""
+    plans = on(lane, 10.0, 4.0, left=0.5)
+    assert abs(lane.line.project(guarded(downtown, plans).futures.xy_m[1, -1])[1]) > 0.4
     plans.xy_m[0] += plans.xy_m[0] - plans.xy_m[1, :1]  # twice as far
     made = guarded(downtown, plans)
     assert not made.lane.any()  # which counts plans that would have left the road
@@ -179,3 +179,23 @@ def test_the_order_of_vehicles_does_not_matter(downtown: RoadMap, lane: Lane) ->
         return guarded(downtown, joined).futures.xy_m[1:]
 
     np.testing.assert_array_equal(run([0, 1, 2, 3]), run([3, 1, 0, 2])[[2, 1, 3, 0]])
+
+
+def test_who_cannot_brake_in_time_goes_on_as_before(downtown: RoadMap, lane: Lane) -> None:
+    """A new plan at 10 m/s goes 0.6 m to the left into a car that stands 6 m ahead; the one before went past it."""
+    moving, parked = on(lane, 10.0, 10.0), on(lane, 16.0, 0.0, left=2.2)
+    plans = replace(
+        moving,
+        xy_m=np.concatenate((moving.xy_m, parked.xy_m[1:])),
+        yaw_rad=np.concatenate((moving.yaw_rad, parked.yaw_rad[1:])),
+        speed_mps=np.concatenate((moving.speed_mps, parked.speed_mps[1:])),
+        size_m=np.tile(SIZE, (3, 1)),
+    )
+    s = 10.0 + 5.0 * np.arange(1, T + 1)
+    before = *lane.line.at(s), np.full(T, 10.0)
+    plans.xy_m[1, 1:], plans.yaw_rad[1, 1:] = lane.line.at(s, 0.6)
+    who = replace(watched(downtown, plans), planned=np.array([False, True, False]), lanes=[None, None, None])
+    assert safeguard(downtown, plans, who).unsolved.tolist() == [False, True, False]
+    made = safeguard(downtown, plans, replace(who, before={1: before}))
+    assert not made.unsolved.any()
+    np.testing.assert_allclose(made.futures.xy_m[1, 1:7], before[0][:6], atol=1e-9)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,44 +12,9 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.export import ExportScene
 from advdiff_sumo.maps import RoadMap
+from tests.export.drives import DT_S, STEPS, straight, tracks_of
+from tests.export.outside import CommonRoadReader, commonroad_reader
 from tests.sim import nets
-
-STEPS, DT_S = 21, 0.1
-
-
-def tracks_of(*agents: tuple[str, AgentClass, tuple[float, float], FloatArray], dt_s: float = DT_S) -> Tracks:
-    """Return tracks of (name, class, size, rows (T, 4) of x, y, yaw, speed; NaN where absent)."""
-    rows = np.stack([agent[3] for agent in agents])
-    return Tracks(
-        ids=tuple(agent[0] for agent in agents),
-        classes=np.array([int(agent[1]) for agent in agents]),
-        size_m=np.array([agent[2] for agent in agents]),
-        xy_m=rows[..., :2].copy(),
-        yaw_rad=rows[..., 2].copy(),
-        speed_mps=rows[..., 3].copy(),
-        valid=np.isfinite(rows[..., 0]),
-        t0_s=0.0,
-        dt_s=dt_s,
-    )
-
-
-def straight(
-    x: float, y: float, yaw: float, speed: float, there: slice = slice(None), steps: int = STEPS
-) -> FloatArray:
-    """Return rows of somebody who keeps heading and speed and is there at the instants *there*."""
-    time = DT_S * np.arange(steps)
-    rows = np.column_stack(
-        (
-            x + speed * time * np.cos(yaw),
-            y + speed * time * np.sin(yaw),
-            np.full(steps, yaw),
-            np.full(steps, speed),
-        )
-    )
-    absent = np.ones(steps, dtype=np.bool_)
-    absent[there] = False
-    rows[absent] = np.nan
-    return rows
 
 
 def turning(x: float, y: float) -> FloatArray:
@@ -122,3 +87,10 @@ def on_net() -> Callable[[Path], ExportScene]:
         return ExportScene("net", tracks_of(*agents), 0, road)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def commonroad() -> Iterator[CommonRoadReader]:
+    """Return what commonroad-io and commonroad-crime read, or skip."""
+    with commonroad_reader() as read:
+        yield read

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,18 +38,6 @@ def test_the_ending_tells_the_format(name: str, plain: ExportScene, tmp_path: Pa
     assert list(compare(read, plain)) == []
     assert read.tracks.ids[read.target] == "ego"
     assert read.tracks.speed_mps[read.target] == pytest.approx(12.0, abs=0.01)
-
-
-@pytest.mark.parametrize("net", ["motorway", "downtown-left"])
-def test_shipped_nets(
-    net: str, networks: Path, on_net: Callable[[Path], ExportScene], tmp_path: Path
-) -> None:
-    scene = on_net(networks / f"{net}.net.xml")
-    for name in ("commonroad", "scenarionet", "fcd"):
-        assert (
-            list(compare(make_exporter(name).read(make_exporter(name).write(scene, tmp_path)[0]), scene))
-            == []
-        )
 
 
 def test_another_step(plain: ExportScene, tmp_path: Path) -> None:

@@ -1,14 +1,11 @@
-"""Other people's programs read what is exported.
+"""Other people's programs read what is exported of everybody on a tiny crossing (see ``outside.py``).
 
-SUMO's own are always there. The rest live in environments of their own, which ``make readers`` makes:
-commonroad-io with commonroad-crime, and ASAM's checkers qc_openscenario and qc_opendrive. sumo-gui needs a display,
-for which Debian's xvfb will do.
+sumo-gui needs a display, for which Debian's xvfb will do. Real nets: ``test_converted_nets.py``.
 """
 
 from __future__ import annotations
 
 import csv
-import json
 import os
 import shutil
 import subprocess
@@ -18,74 +15,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sumolib
-from defusedxml import ElementTree
 from lxml import etree
 
 from advdiff_sumo.core.frames import wrap_angle
-from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data import ScenarioNetReader
 from advdiff_sumo.data.pickles import load_plain
 from advdiff_sumo.export import ExportScene, make_exporter
-from advdiff_sumo.maps.convert import convert_map
 from advdiff_sumo.maps.convert.scenarionet_map import read_record_map
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.following import following
 from advdiff_sumo.sim.logs import LoggedTraffic
 from advdiff_sumo.sim.options import SceneOptions, SimOptions
+from tests.export.outside import CommonRoadReader, netconverted, played, quality, same_obstacles, states_of
 from tests.sim import nets
 
-ROOT = Path(__file__).resolve().parents[2]
 SUMO_HOME = Path(sumolib.checkBinary("netconvert")).resolve().parents[1]
-COMMONROAD_READER = """
-import json, sys
-from commonroad.common.file_reader import CommonRoadFileReader
-from commonroad import scenario_definition
-scenario, problems = CommonRoadFileReader(sys.argv[1]).open(lanelet_assignment=True)
-rows = []
-for obstacle in scenario.dynamic_obstacles:
-    states = [obstacle.initial_state]
-    if obstacle.prediction is not None:
-        states += obstacle.prediction.trajectory.state_list
-    box = obstacle.obstacle_shape
-    rows.append({"type": obstacle.obstacle_type.value, "size": [box.length, box.width],
-        "states": [[s.time_step, *map(float, s.position), s.orientation, s.velocity] for s in states]})
-(problem,) = problems.planning_problem_dict.values()
-net = scenario.lanelet_network
-found = {"dt": scenario.dt, "id": str(scenario.scenario_id), "obstacles": rows,
-    "lanelets": len(net.lanelets), "links": sum(len(x.successor) for x in net.lanelets),
-    "start": [*map(float, problem.initial_state.position), problem.initial_state.velocity],
-    "schema": str(scenario_definition.__path__[0])}
-if len(sys.argv) > 2:
-    from commonroad_crime.data_structure.configuration import CriMeConfiguration
-    from commonroad_crime.measure import TTC
-    other, ego = sorted(o.obstacle_id for o in scenario.dynamic_obstacles)
-    config = CriMeConfiguration()
-    config.vehicle.ego_id = ego
-    config.update(ego_id=ego, sce=scenario)
-    found["ttc"] = [float(TTC(config).compute(other, t, verbose=False)) for t in map(int, sys.argv[2:])]
-print("FOUND" + json.dumps(found))
-"""
 
 
-def reader(environment: str, program: str) -> str:
-    """Return a program of an environment of ``make readers``, or skip."""
-    path = ROOT / "build" / "readers" / environment
-    if not (path / ".ready").exists():
-        pytest.skip("the outside readers are not installed: make readers")
-    return str(path / "bin" / program)
-
-
-def commonroad(path: Path, *steps: int) -> dict[str, object]:
-    """Return what commonroad-io reads, and the TTC of commonroad-crime at *steps*."""
-    command = [reader("commonroad", "python"), "-c", COMMONROAD_READER, str(path), *map(str, steps)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0, done.stderr
-    found: dict[str, object] = json.loads(done.stdout.partition("FOUND")[2])
-    return found
-
-
-def test_commonroad_io_reads_everybody(busy: ExportScene, tmp_path: Path) -> None:
+def test_commonroad_io_reads_everybody(
+    busy: ExportScene, commonroad: CommonRoadReader, tmp_path: Path
+) -> None:
     found = commonroad(make_exporter("commonroad").write(busy, tmp_path)[0])
     tracks = busy.tracks
     assert found["dt"] == tracks.dt_s
@@ -93,22 +43,12 @@ def test_commonroad_io_reads_everybody(busy: ExportScene, tmp_path: Path) -> Non
     assert found["start"] == pytest.approx([-30.0, -1.6, 8.0])
     assert found["lanelets"] == len(busy.lanes)
     assert found["links"] == len(busy.joints({lane.id for lane in busy.lanes})) > 0
-    seen = np.zeros_like(tracks.valid)
-    for obstacle in found["obstacles"]:  # type: ignore[attr-defined]  # JSON
-        states = np.array(obstacle["states"])
-        step = states[:, 0].astype(int)
-        gaps = np.hypot(*(tracks.xy_m[:, step[0]] - states[0, 1:3]).T)
-        row = int(np.nanargmin(gaps))
-        assert AgentClass(int(tracks.classes[row])).name.lower() == obstacle["type"]
-        assert obstacle["size"] == pytest.approx(tracks.size_m[row].tolist())
-        assert np.abs(states[:, 1:3] - tracks.xy_m[row, step]).max() <= 0.01
-        assert np.abs(wrap_angle(states[:, 3] - tracks.yaw_rad[row, step])).max() <= np.deg2rad(0.1)
-        assert np.abs(states[:, 4] - tracks.speed_mps[row, step]).max() <= 0.01
-        seen[row, step] = True
-    assert (seen == tracks.valid).all()
+    same_obstacles(found, busy)
 
 
-def test_commonroad_keeps_its_schema(plain: ExportScene, busy: ExportScene, tmp_path: Path) -> None:
+def test_commonroad_keeps_its_schema(
+    plain: ExportScene, busy: ExportScene, commonroad: CommonRoadReader, tmp_path: Path
+) -> None:
     """Late arrivals break one rule of it, that obstacles begin at 0; commonroad-io writes them so itself."""
     path = make_exporter("commonroad").write(plain, tmp_path)[0]
     folder = Path(str(commonroad(path)["schema"])) / "xml_definition_files"
@@ -124,7 +64,9 @@ def test_commonroad_keeps_its_schema(plain: ExportScene, busy: ExportScene, tmp_
     assert all(late in message or lone in message for message in said), said
 
 
-def test_commonroad_crime_agrees_on_ttc(plain: ExportScene, tmp_path: Path) -> None:
+def test_commonroad_crime_agrees_on_ttc(
+    plain: ExportScene, commonroad: CommonRoadReader, tmp_path: Path
+) -> None:
     """It rounds to 0.01 s; the leader keeps 4 m/s, the target 12 m/s: (25 − 8 t) / 8."""
     steps = (0, 5, 10, 20)
     found = commonroad(make_exporter("commonroad").write(plain, tmp_path)[0], *steps)
@@ -135,24 +77,6 @@ def test_commonroad_crime_agrees_on_ttc(plain: ExportScene, tmp_path: Path) -> N
     assert found["ttc"] == pytest.approx(ours, abs=0.01)
 
 
-def quality(program: str, bundle: str, path: Path, folder: Path) -> None:
-    """Run a checker of ASAM on *path*; it must complete its checks and find nothing."""
-    checker = reader("asam", program)
-    report = folder / f"{path.suffix[1:]}.xqar"
-    config = folder / f"{path.suffix[1:]}.xml"
-    config.write_text(
-        f'<Config><Param name="InputFile" value="{path}"/><CheckerBundle application="{bundle}">'
-        f'<Param name="resultFile" value="{report}"/></CheckerBundle></Config>'
-    )
-    done = subprocess.run([checker, "-c", str(config)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    root = ElementTree.fromstring(report.read_bytes())
-    assert [issue.get("description") for issue in root.iter("Issue")] == []
-    states = [check.get("status") for check in root.iter("Checker")]
-    assert states.count("completed") >= 15
-    assert "error" not in states
-
-
 def test_the_checker_of_openscenario_finds_nothing(busy: ExportScene, tmp_path: Path) -> None:
     quality("qc_openscenario", "xoscBundle", make_exporter("openscenario").write(busy, tmp_path)[0], tmp_path)
 
@@ -161,69 +85,22 @@ def test_the_checker_of_opendrive_finds_nothing(busy: ExportScene, tmp_path: Pat
     quality("qc_opendrive", "xodrBundle", make_exporter("openscenario").write(busy, tmp_path)[1], tmp_path)
 
 
-def netconverted(roads: Path, folder: Path) -> sumolib.net.Net:
-    """Return the net that netconvert makes of an OpenDRIVE file."""
-    net = folder / "again.net.xml"
-    command = [sumolib.checkBinary("netconvert"), "--opendrive-files", str(roads), "-o", str(net)]
-    command += ["--offset.disable-normalization", "true", "--opendrive.import-all-lanes", "true"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return sumolib.net.readNet(str(net))
-
-
 def test_netconvert_reads_the_roads(busy: ExportScene, tmp_path: Path) -> None:
     again = netconverted(make_exporter("openscenario").write(busy, tmp_path)[1], tmp_path)
     assert len(again.getEdges()) == 8
     assert sum(len(edge.getOutgoing()) for edge in again.getEdges()) == 12
 
 
-@pytest.mark.data
-@pytest.mark.slow
-def test_a_converted_map(adv_data: Path, on_net: Callable[[Path], ExportScene], tmp_path: Path) -> None:
-    source = adv_data / "nuscenes-mini" / "maps" / "expansion" / "singapore-onenorth.json"
-    net = convert_map(source, tmp_path / "onenorth.net.xml").net
-    scene = on_net(net)
-    again = netconverted(make_exporter("openscenario").write(scene, tmp_path)[1], tmp_path)
-    assert len(again.getEdges()) == sum(
-        len(e.lane_ids) for e in scene.road.edges.values() if not e.is_internal
-    )
-    found = commonroad(make_exporter("commonroad").write(scene, tmp_path)[0])
-    assert found["lanelets"] == len(scene.lanes)
-
-
-def states_of(path: Path) -> dict[tuple[str, float], list[float]]:
-    """Return (vehicle, time) → x, y, angle of an FCD file."""
-    return {
-        (agent.get("id"), round(float(instant.get("time")), 3)): [
-            float(agent.get(key)) for key in ("x", "y", "angle")
-        ]
-        for instant in ElementTree.fromstring(path.read_bytes()).iter("timestep")
-        for agent in instant
-    }
-
-
 def test_sumo_plays_the_configuration(busy: ExportScene, tmp_path: Path) -> None:
     """Who drives on the road is where and when the data have it (see docs/exports.md on the others)."""
     data, _, config, _ = make_exporter("fcd").write(busy, tmp_path)
-    command = [
-        sumolib.checkBinary("sumo"),
-        "-c",
-        config.name,
-        "--fcd-output",
-        "played.xml",
-        "--precision",
-        "4",
-    ]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=100)
-    assert done.returncode == 0, done.stderr
-    assert "Error" not in done.stderr
-    written, played = states_of(data), states_of(tmp_path / "played.xml")
+    written, there = states_of(data), played(config)
     for name in ("target", "agent_1", "gone:early"):
         steps = [key for key in written if key[0] == name]
         assert len(steps) >= 12
         for key in steps:
-            assert played[key][:2] == pytest.approx(written[key][:2], abs=0.01)
-            assert wrap_angle(np.deg2rad(played[key][2] - written[key][2])) == pytest.approx(0.0, abs=1e-3)
+            assert there[key][:2] == pytest.approx(written[key][:2], abs=0.01)
+            assert wrap_angle(np.deg2rad(there[key][2] - written[key][2])) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_sumo_gui_plays_the_configuration(busy: ExportScene, tmp_path: Path) -> None:

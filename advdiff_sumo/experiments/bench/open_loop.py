@@ -13,6 +13,7 @@ from torch import Tensor
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.diffusion.together import together
 from advdiff_sumo.metrics.pairwise import TTC_BINS_S, least_ttc, ttc_counts
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
@@ -117,12 +118,25 @@ def _diffusion(path: Path) -> Draw:
     return draw
 
 
+def _together(path: Path) -> Draw:
+    bundle = _bundle(path)
+
+    def draw(batch: SceneBatch, samples: int, generator: torch.Generator) -> tuple[Rollout, int]:
+        encoded: Context = bundle.traffic.encoder(batch)
+        context, several = encoded.repeat(samples), batch.repeat(samples)
+        drawn = diffused(bundle, context, DDIM_STEPS, generator)
+        return bundle.codec.decode(together(drawn, bundle.codec, context, several), context, several), samples
+
+    return draw
+
+
 MODELS: Mapping[str, Model] = {
     "log": Model("the log itself", "", _log),
     "simnet": Model("SimNet", "simnet.safetensors", _simnet),
     "trafficsim": Model("TrafficSim (prior)", "traffic.safetensors", _prior),
     "traj2traj": Model("traj2traj", "traj2traj.safetensors", _diffusion),
     "diffusion": Model("latent diffusion (ours)", "traffic.safetensors", _diffusion),
+    "together": Model("… made to fit together", "traffic.safetensors", _together),
 }
 
 

@@ -1,0 +1,81 @@
+"""Samples made to fit together, on cars whose numbers are their places: what is wrong goes, the rest stays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import cast
+
+import pytest
+import torch
+from torch import Tensor
+
+from advdiff_sumo.diffusion.together import Together, penalty, together
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.decoder import Rollout
+
+NOTHING = cast("Context", None)
+EDGE = [(60.0 - 8.0 * k, 1.8) for k in range(6)]  # the road is to the right of it as one drives along
+
+
+class Places:
+    """Two numbers a car: how far from where it is now it stands in its one future instant."""
+
+    shape = (1, 2)
+
+    def raw(self, batch: SceneBatch, context: Context, generator: torch.Generator | None) -> Tensor:
+        return torch.zeros(*batch.pose.shape[:2], 1, 2, dtype=batch.past.dtype)
+
+    def decode(self, x: Tensor, context: Context, batch: SceneBatch) -> Rollout:
+        xy = batch.pose[..., None, :2] + x
+        flat = torch.zeros_like(xy[..., 0])
+        return Rollout(xy, flat + batch.pose[..., None, 2], flat, flat, flat)
+
+
+def test_cars_inside_each_other_part_and_the_third_stays(driving: Callable[..., SceneBatch]) -> None:
+    """Two cars of 4 × 2 m, 5 m apart, were drawn 1 m apart; a third one is far away."""
+    scene = driving([(0.0, 0.0, 0.0, 5.0), (5.0, 0.5, 0.0, 5.0), (40.0, 0.0, 0.0, 5.0)])
+    drawn = torch.zeros(1, 3, 1, 2, dtype=torch.float64)
+    drawn[0, 0, 0, 0] = 4.0
+    how = Together(steps=100)
+    before = penalty(drawn, Places(), NOTHING, scene, how)
+    assert (before[0, :2] > 0.5).all()
+    made = together(drawn, Places(), NOTHING, scene, how)
+    after = penalty(made, Places(), NOTHING, scene, how)
+    assert float(after.max()) < 0.1
+    xy = Places().decode(made, NOTHING, scene).xy[0, :, 0]
+    apart = (xy[1] - xy[0]).abs()
+    assert bool((apart > torch.tensor([4.0, 2.0])).any())
+    assert torch.equal(made[0, 2], drawn[0, 2])
+
+
+def test_cars_that_are_apart_keep_their_numbers_to_the_bit(driving: Callable[..., SceneBatch]) -> None:
+    scene = driving([(0.0, 0.0, 0.0, 5.0), (6.0, 0.0, 0.0, 5.0)])
+    drawn = torch.randn(1, 2, 1, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) * 0.1
+    assert torch.equal(together(drawn, Places(), NOTHING, scene), drawn)
+
+
+@pytest.mark.parametrize("still", ["parked", "moved"])
+def test_who_is_parked_or_not_ours_does_not_move(driving: Callable[..., SceneBatch], still: str) -> None:
+    scene = driving([(0.0, 0.0, 0.0, 5.0), (3.0, 0.5, 0.0, 0.0)])
+    getattr(scene, still)[0, 1] = still == "parked"
+    made = together(torch.zeros(1, 2, 1, 2, dtype=torch.float64), Places(), NOTHING, scene)
+    assert float(made[0, 1].abs().max()) == 0.0
+    assert float(made[0, 0].abs().max()) > 0.1
+
+
+def test_without_steps_or_without_weights_nothing_changes(driving: Callable[..., SceneBatch]) -> None:
+    scene = driving([(0.0, 0.0, 0.0, 5.0), (3.0, 0.5, 0.0, 0.0)])
+    drawn = torch.zeros(1, 2, 1, 2, dtype=torch.float64)
+    for how in (Together(steps=0), Together(vehicles=0.0, road=0.0)):
+        assert torch.equal(together(drawn, Places(), NOTHING, scene, how), drawn)
+
+
+def test_who_was_drawn_off_the_road_comes_back(driving: Callable[..., SceneBatch]) -> None:
+    """A car of 2 m beside an edge at 1.8 m to its left was drawn 2 m to the left."""
+    scene = driving([(40.0, 0.0, 0.0, 5.0)], edges=[EDGE])
+    drawn = torch.tensor([0.0, 2.0], dtype=torch.float64).reshape(1, 1, 1, 2)
+    how = Together(steps=150)
+    assert float(penalty(drawn, Places(), NOTHING, scene, how).max()) > 1.0
+    made = together(drawn, Places(), NOTHING, scene, how)
+    assert 0.3 < float(made[0, 0, 0, 1]) < 1.0  # its left side at the edge, no farther back than it has to

@@ -1,7 +1,8 @@
 """Memory and speed of a sweep's workers: bench_sweep.py [--episodes 2000] [--alone N] [--background diffusion].
 
 Short episodes on one worker, then on two. Figures: memory of each worker over its episodes, and by how much two are
-faster than one. The exit code is 1 where a bar of ``BARS`` is missed.
+faster than one. With --of, the memory of the workers of a finished sweep or bench instead. The exit code is 1 where a
+bar of ``BARS`` is missed.
 """
 
 from __future__ import annotations
@@ -114,13 +115,22 @@ def main() -> int:
     parser.add_argument("--episodes", type=int, default=2000)
     parser.add_argument("--alone", type=int, help="episodes of the run on one worker; a tenth by default")
     parser.add_argument("--background", default="diffusion")
+    parser.add_argument("--of", type=Path, help="folder of a finished sweep, or of a bench")
     given = parser.parse_args()
+    if given.of is not None:
+        return told(workers_of(read_rows(given.of, "timing")), [])
     few = given.alone or max(10, given.episodes // 10)
     with tempfile.TemporaryDirectory() as folder:
         alone, _ = timed(sweep_of(few, given.background), 1, Path(folder, "one"))
         both, rows = timed(sweep_of(given.episodes, given.background), 2, Path(folder, "two"))
-    workers, ratio = workers_of(rows), both / alone
-    print(f"one worker {alone:.3f} episodes/s, two {both:.3f}: {ratio:.2f} times")
+    return told(workers_of(rows), [alone, both])
+
+
+def told(workers: list[Worker], rates: list[float]) -> int:
+    """Print the figures; returns the exit code. *rates*: episodes a second of one worker and of two, where measured."""
+    ratio = rates[1] / rates[0] if rates else BARS["rate"]
+    if rates:
+        print(f"one worker {rates[0]:.3f} episodes/s, two {rates[1]:.3f}: {ratio:.2f} times")
     for number, worker in enumerate(workers):
         print(f"worker {number}: {worker}")
     problems = missed(workers, ratio)

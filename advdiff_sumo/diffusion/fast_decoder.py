@@ -2,19 +2,23 @@
 
 It can also roll out a few rows of a scene against the rest of an earlier rollout, which is what guidance needs:
 the gradient for one or two attackers then costs a fraction of that for the whole scene. On the CPU that is done by
-``array_decoder``, elsewhere by ``tensor_decoder``.
+``compiled``, elsewhere by ``tensor_decoder``.
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from torch import Tensor
 
-from advdiff_sumo.diffusion.array_decoder import ArrayDecoder
 from advdiff_sumo.diffusion.tensor_decoder import TensorDecoder
 from advdiff_sumo.diffusion.trace import Trace
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Decoder, Rollout
 from advdiff_sumo.models.options import FUTURE_STEPS
+
+if TYPE_CHECKING:
+    from advdiff_sumo.diffusion.compiled.decoder import CompiledDecoder
 
 
 class FastDecoder:
@@ -22,12 +26,12 @@ class FastDecoder:
 
     Args:
         decoder: the trained network; its weights are read when this is made.
-        by_arrays: roll out as :class:`ArrayDecoder`; None: where the network is on the CPU.
+        compiled: roll out by compiled loops; None: where the network is on the CPU.
     """
 
-    def __init__(self, decoder: Decoder, by_arrays: bool | None = None) -> None:
-        here = decoder.start.weight.device.type == "cpu" if by_arrays is None else by_arrays
-        self._roller = ArrayDecoder(decoder) if here else TensorDecoder(decoder)
+    def __init__(self, decoder: Decoder, compiled: bool | None = None) -> None:
+        here = decoder.start.weight.device.type == "cpu" if compiled is None else compiled
+        self._roller = _compiled(decoder) if here else TensorDecoder(decoder)
 
     def whole(
         self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS
@@ -59,3 +63,10 @@ class FastDecoder:
             trace: of the whole scene.
         """
         return self._roller.some(z, h, batch, rows, steps, trace)
+
+
+def _compiled(decoder: Decoder) -> CompiledDecoder:
+    """Return the compiled form; who never asks for it does not wait for the compiler's import."""
+    from advdiff_sumo.diffusion.compiled.decoder import CompiledDecoder
+
+    return CompiledDecoder(decoder)

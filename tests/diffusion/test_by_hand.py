@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.bicycle_arrays import Motion, Vehicles, drive, drive_back
+from advdiff_sumo.diffusion.compiled.vehicle import DONE, cars_of, drive, drive_back, limits_of
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_reward import FastReward
 from advdiff_sumo.models import bicycle
@@ -61,8 +61,8 @@ def test_some_rows_against_autograd(made: Bundle, rows: list[int]) -> None:
     batch, context = two_scenes(made)
     picked, z = torch.tensor(rows), context.prior.mean
     results = []
-    for by_arrays in (True, False):
-        fast = FastDecoder(made.traffic.decoder, by_arrays)
+    for compiled in (True, False):
+        fast = FastDecoder(made.traffic.decoder, compiled)
         whole, trace = fast.whole(z, context.h, batch, 6)
         free = (z[:, picked] + 0.3).requires_grad_()
         some = fast.some(free, context.h, batch, picked, 6, trace)
@@ -100,14 +100,16 @@ def test_one_step_against_the_bicycle_on_tensors(speed: float) -> None:
     length, moved = np.full(6, 4.6), np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
     raw = rng.normal(size=(6, 2)) * (3.0, 1.0)
     raw[0, 0] = -9.0
-    cars = Vehicles.of(pose, length, moved, SMALL)
-    done = drive(cars, raw, cars.start())
+    cars, limits = cars_of(pose, length, moved, SMALL), limits_of(SMALL, pose)
+    motion, done = pose.copy(), np.empty((6, DONE))
+    for row in range(6):
+        drive(cars[row], limits, raw[row], motion[row], done[row])
     leaves = [torch.tensor(x, requires_grad=True) for x in (pose[:, :2], pose[:, 2], pose[:, 3], raw)]
     xy, yaw, v, controls = leaves
     accel, curvature = bicycle.controls(controls, v, torch.tensor(length), SMALL)
     accel, curvature = accel * torch.tensor(moved), curvature * torch.tensor(moved)
     to, turned, fast = bicycle.step(xy, yaw, v, accel, curvature, MODEL_STEP_S)
-    mine = (done.motion.x, done.motion.y, done.motion.yaw, done.motion.speed, done.accel, done.curvature)
+    mine = (*motion.T, done[:, 4], done[:, 5])
     theirs = (to[:, 0], to[:, 1], turned, fast, accel, curvature)
     for a, b in zip(mine, theirs, strict=True):
         np.testing.assert_allclose(a, b.detach(), atol=1e-12)
@@ -115,11 +117,14 @@ def test_one_step_against_the_bicycle_on_tensors(speed: float) -> None:
     total = sum((torch.tensor(w) * part).sum() for w, part in zip(weights, theirs, strict=True))
     assert isinstance(total, Tensor)
     wanted = torch.autograd.grad(total, leaves)
-    by_raw, motion = drive_back(cars, done, Motion(*weights[:4]), weights[4], weights[5])
-    for a, b in zip((motion.x, motion.y, motion.yaw, by_raw), (*wanted[0].T, *wanted[1::2]), strict=True):
+    before, by_raw = np.ascontiguousarray(weights[:4].T), np.empty((6, 2))
+    controls_by = np.ascontiguousarray(weights[4:].T)
+    for row in range(6):
+        drive_back(cars[row], limits, done[row], before[row], controls_by[row], by_raw[row])
+    for a, b in zip((*before.T[:3], by_raw), (*wanted[0].T, *wanted[1::2]), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-7, rtol=1e-6)
     if speed > 0.1:  # at a standstill the way has a corner
-        np.testing.assert_allclose(motion.speed, wanted[2], atol=1e-7, rtol=1e-6)
+        np.testing.assert_allclose(before[:, 3], wanted[2], atol=1e-7, rtol=1e-6)
 
 
 def test_q_and_its_gradient(made: Bundle) -> None:

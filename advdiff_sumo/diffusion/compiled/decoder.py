@@ -1,0 +1,159 @@
+"""The decoder at run time on the CPU, for tensors: whole scenes, and some of their rows with gradients."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from advdiff_sumo.diffusion.compiled.backward import roll_back
+from advdiff_sumo.diffusion.compiled.kernel import Array, array_of
+from advdiff_sumo.diffusion.compiled.records import Tape
+from advdiff_sumo.diffusion.compiled.records import Trace as SceneTrace
+from advdiff_sumo.diffusion.compiled.rollout import roll
+from advdiff_sumo.diffusion.compiled.vehicle import DONE, cars_of
+from advdiff_sumo.diffusion.compiled.weights import graph_weights, roll_weights, see_weights
+from advdiff_sumo.diffusion.decoder_weights import graph_layers
+from advdiff_sumo.diffusion.trace import Trace
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.decoder import Decoder, Rollout
+
+ABSENT = -1e9
+"""Added to the scores of those who are not there."""
+
+
+class CompiledDecoder:
+    """Rolls out scenes on the CPU, one after the other.
+
+    Args:
+        decoder: the trained network; its weights are read when this is made.
+    """
+
+    def __init__(self, decoder: Decoder) -> None:
+        self.options = decoder.options
+        self.weights = roll_weights(decoder)
+        self.eyes = see_weights(decoder)
+        self.graph = graph_weights(graph_layers(decoder))
+
+    def whole(self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int) -> tuple[Rollout, Trace]:
+        """Return the futures of all agents and their trace; as :meth:`FastDecoder.whole`."""
+        scenes, agents = z.shape[:2]
+        rows = np.arange(agents)
+        layers, _, wide = self.eyes.edge.shape
+        made = self._blank(scenes, steps, agents, 6)
+        motion, senders = (
+            self._blank(scenes, steps, agents, 4),
+            self._blank(scenes, steps, layers, agents, wide),
+        )
+        tape, cars, lower = self.tape(1, agents, agents), self.cars(batch), lowered(batch, made)
+        latents, known = array_of(z), array_of(h)
+        for b in range(scenes):
+            trace = SceneTrace(motion[b], senders[b])
+            given = latents[b], known[b], cars[b], rows, lower[b]
+            roll(self.weights, self.eyes, self.graph, *given, trace, False, tape, made[b])
+        swapped = Trace(torch.from_numpy(motion).transpose(0, 1), torch.from_numpy(senders).movedim(0, 2))
+        return rollout_of(made), swapped
+
+    def some(
+        self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
+    ) -> Rollout:
+        """Return the futures of *rows*, with gradients to *z*; as :meth:`FastDecoder.some`."""
+        run = _Rows(self, h, batch, rows, steps, trace)
+        return Rollout(*_Function.apply(z, run))  # type: ignore[no-untyped-call] # PyTorch's
+
+    def cars(self, batch: SceneBatch) -> Array:
+        """Return (B, A, 6) the vehicles of *batch*."""
+        pose = array_of(batch.pose)
+        length, moved = batch.size[..., 0].numpy().ravel(), batch.moved.numpy().ravel()
+        made = cars_of(pose.reshape(-1, 4), length, moved, self.options)
+        return made.reshape(*pose.shape[:2], -1)
+
+    def tape(self, slots: int, count: int, agents: int) -> Tape:
+        """Return room for what roll-outs of *count* vehicles among *agents* leave."""
+        width, inner = self.weights.start_h.shape[1], self.graph.first.shape[2]
+        layers, heads, wide = self.graph.score.shape
+        each = (slots, layers, count)
+        return Tape(
+            first=self._blank(count, width),
+            memory=self._blank(slots, count, width),
+            held=self._blank(slots, count, 4 * width),
+            node=self._blank(slots, count, width),
+            hidden=self._blank(slots, count, width),
+            gates=self._blank(slots, count, 3 * width),
+            done=self._blank(slots, count, DONE),
+            message=self._blank(*each, agents, wide),
+            weight=self._blank(*each, heads, agents),
+            normal=self._blank(*each, width),
+            deviation=self._blank(*each),
+            inner=self._blank(*each, inner),
+        )
+
+    def _blank(self, *shape: int) -> Array:
+        return np.empty(shape, self.weights.limits.dtype)
+
+
+class _Rows:
+    """A roll-out of some rows against a trace, and its gradient."""
+
+    def __init__(
+        self, decoder: CompiledDecoder, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
+    ) -> None:
+        self.decoder, self.rows, self.steps = decoder, rows.numpy(), steps
+        self.h, self.cars = array_of(h[:, rows]), array_of(torch.from_numpy(decoder.cars(batch))[:, rows])
+        self.agents, self.lower = batch.agents, lowered(batch, self.h)
+        self.traces = [
+            SceneTrace(array_of(trace.motion[:, b]), array_of(trace.senders[:, :, b]))
+            for b in range(batch.scenes)
+        ]
+        self.tapes: list[Tape] = []
+
+    def forward(self, z: Tensor) -> Array:
+        """Return (B, T, R, 6) what latents (B, R, Z) lead to."""
+        latents, count = array_of(z), len(self.rows)
+        made = np.empty((len(latents), self.steps, count, 6), latents.dtype)
+        for b, trace in enumerate(self.traces):
+            tape = self.decoder.tape(self.steps, count, self.agents)
+            given = latents[b], self.h[b], self.cars[b], self.rows, self.lower[b]
+            networks = self.decoder.weights, self.decoder.eyes, self.decoder.graph
+            roll(*networks, *given, trace, True, tape, made[b])
+            self.tapes.append(tape)
+        return made
+
+    def back(self, grads: tuple[Tensor, ...]) -> Tensor:
+        """Return the gradient (B, R, Z) for gradients of the five parts of a roll-out."""
+        parts = [part.numpy() for part in grads]
+        every = np.concatenate((parts[0], np.stack(parts[1:], axis=-1)), axis=-1)  # (B, R, T, 6)
+        grad = np.ascontiguousarray(every.swapaxes(1, 2))
+        decoder = self.decoder
+        made = [
+            roll_back(decoder.weights, decoder.graph, self.cars[b], self.rows, tape, grad[b])
+            for b, tape in enumerate(self.tapes)
+        ]
+        return torch.from_numpy(np.stack(made))
+
+
+class _Function(torch.autograd.Function):
+    """Autograd's view of :class:`_Rows`."""
+
+    @staticmethod
+    def forward(ctx: Any, z: Tensor, run: _Rows) -> tuple[Tensor, ...]:
+        ctx.run = run
+        rollout = rollout_of(run.forward(z))
+        return rollout.xy, rollout.yaw, rollout.speed, rollout.accel, rollout.curvature
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+        return ctx.run.back(grads), None
+
+
+def lowered(batch: SceneBatch, like: Array) -> Array:
+    """Return (B, A) what is added to the scores of senders: very negative where nobody is."""
+    return np.where(batch.present.numpy(), 0.0, ABSENT).astype(like.dtype)
+
+
+def rollout_of(made: Array) -> Rollout:
+    """Return *made* (B, T, A, 6) as futures."""
+    parts = torch.from_numpy(np.ascontiguousarray(made.transpose(3, 0, 2, 1)))  # (6, B, A, T)
+    return Rollout(torch.stack((parts[0], parts[1]), dim=-1), *parts[2:].unbind())

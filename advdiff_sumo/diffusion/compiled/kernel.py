@@ -1,0 +1,130 @@
+"""How loops are compiled, and the small ones that all others are made of.
+
+A kernel takes C-contiguous arrays of one precision, writes into arrays that it is given, and is kept on disk once it
+is compiled. Sums run in the order in which they are written, so that results are the same in every process.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, TypeAlias, TypeVar, cast
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from torch import Tensor
+
+Array: TypeAlias = NDArray[np.floating[Any]]
+_HOW: dict[str, Any] = {"fastmath": False, "nogil": True, "error_model": "numpy"}
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def kernel(function: _Function) -> _Function:
+    """Return *function* compiled when it is first called; kept on disk where there is a place for it."""
+    try:
+        return cast("_Function", njit(cache=True, **_HOW)(function))
+    except RuntimeError:  # numba's word for: neither the package's folder nor the user's can be written
+        return cast("_Function", njit(**_HOW)(function))
+
+
+def array_of(tensor: Tensor) -> Array:
+    """Return *tensor*'s numbers as kernels read them, without a copy where they lie so already."""
+    made: Array = np.ascontiguousarray(tensor.detach().numpy())
+    return made
+
+
+@kernel
+def product(a: Array, w: Array, out: Array) -> None:
+    """Add *a* (G, K) times *w* (K, N) to *out* (G, N); eight rows of *w* at a time, so that they stay near."""
+    rows, depth = a.shape
+    wide = w.shape[1]
+    even = depth - depth % 8
+    for k in range(0, even, 8):
+        w0, w1, w2, w3 = w[k], w[k + 1], w[k + 2], w[k + 3]
+        w4, w5, w6, w7 = w[k + 4], w[k + 5], w[k + 6], w[k + 7]
+        for i in range(rows):
+            to = out[i]
+            a0, a1, a2, a3 = a[i, k], a[i, k + 1], a[i, k + 2], a[i, k + 3]
+            a4, a5, a6, a7 = a[i, k + 4], a[i, k + 5], a[i, k + 6], a[i, k + 7]
+            for j in range(wide):
+                to[j] += ((a0 * w0[j] + a1 * w1[j]) + (a2 * w2[j] + a3 * w3[j])) + (
+                    (a4 * w4[j] + a5 * w5[j]) + (a6 * w6[j] + a7 * w7[j])
+                )
+    for k in range(even, depth):
+        w0 = w[k]
+        for i in range(rows):
+            to, a0 = out[i], a[i, k]
+            for j in range(wide):
+                to[j] += a0 * w0[j]
+
+
+@kernel
+def affine(a: Array, w: Array, bias: Array, out: Array) -> None:
+    """Set *out* (G, N) to *a* (G, K) times *w* (K, N) plus *bias* (N,)."""
+    for i in range(len(out)):
+        to = out[i]
+        for j in range(len(bias)):
+            to[j] = bias[j]
+    product(a, w, out)
+
+
+@kernel
+def relu(x: Array) -> None:
+    """Set negative numbers of *x* (G, N) to 0."""
+    zero = x.dtype.type(0.0)
+    for i in range(len(x)):
+        row = x[i]
+        for j in range(len(row)):
+            row[j] = row[j] if row[j] > zero else zero
+
+
+@kernel
+def keep(grad: Array, x: Array) -> None:
+    """Set *grad* (G, N) to 0 where *x*, after its ReLU, is."""
+    zero = x.dtype.type(0.0)
+    for i in range(len(x)):
+        to, row = grad[i], x[i]
+        for j in range(len(row)):
+            to[j] = to[j] if row[j] > zero else zero
+
+
+@kernel
+def clear(out: Array) -> None:
+    """Set all of *out* (G, N) to 0."""
+    zero = out.dtype.type(0.0)
+    for i in range(len(out)):
+        to = out[i]
+        for j in range(len(to)):
+            to[j] = zero
+
+
+@kernel
+def place(x: Array, begin: int, out: Array, at: int, count: int) -> None:
+    """Copy *count* columns of *x* (G, N) from *begin* on into *out* (G, N') from *at* on."""
+    for i in range(len(x)):
+        row, to = x[i], out[i]
+        for j in range(count):
+            to[at + j] = row[begin + j]
+
+
+@kernel
+def dot(a: Array, b: Array) -> Any:
+    """Return the product of *a* (N,) and *b* (N,), of their precision, summed in four lanes."""
+    zero = a.dtype.type(0.0)
+    s0 = s1 = s2 = s3 = zero
+    even = len(a) - len(a) % 4
+    for i in range(0, even, 4):
+        s0 += a[i] * b[i]
+        s1 += a[i + 1] * b[i + 1]
+        s2 += a[i + 2] * b[i + 2]
+        s3 += a[i + 3] * b[i + 3]
+    for i in range(even, len(a)):
+        s0 += a[i] * b[i]
+    return (s0 + s1) + (s2 + s3)
+
+
+@kernel
+def logistic(x: float) -> float:
+    """Return 1 / (1 + exp(−x))."""
+    return 1.0 / (1.0 + math.exp(-x))

@@ -1,17 +1,18 @@
 """Kinds of attack as differentiable objectives of what the decoder makes of the attackers' latents.
 
 Each compares the attackers' futures with the target's natural one, which is not differentiated: to collide with
-where the target is going to be. Distances are between five discs a vehicle (``models.losses``).
+where the target is going to be.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from advdiff_sumo.diffusion.bodies import Placed, bodies_of, distance
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.guides import Objective
 from advdiff_sumo.diffusion.trace import Trace
@@ -20,7 +21,6 @@ from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.geometry import into_frame
-from advdiff_sumo.models.losses import discs, off_road
 from advdiff_sumo.models.options import MODEL_STEP_S
 
 _SOFT_M = 1.0
@@ -71,14 +71,26 @@ class Encounter:
     time_s: Tensor
 
 
-def encounter(rollout: Rollout, size: Tensor, natural: Natural, target_size: Tensor) -> Encounter:
-    """Return how *rollout* (B, R, T) of vehicles of *size* (R, 2) meets the target of *target_size* (2,)."""
+def encounter(
+    rollout: Rollout, size: Tensor, natural: Natural, target_size: Tensor, gap: Tensor | None = None
+) -> Encounter:
+    """Return how *rollout* (B, R, T) of vehicles of *size* (R, 2) meets the target of *target_size* (2,).
+
+    Args:
+        rollout: of the attackers.
+        size: their length and width.
+        natural: where the target goes.
+        target_size: its length and width.
+        gap: (B, R, T) distance of the bodies where it is known.
+    """
     target = natural.rollout
     xy, yaw, speed = target.xy[0, 0], target.yaw[0, 0], target.speed[0, 0]
     steps = rollout.yaw.shape[2]
     offset = into_frame(rollout.xy, xy[:steps], yaw[:steps].expand(rollout.yaw.shape))
+    if gap is None:
+        gap = distance(rollout, size, xy[:steps], yaw[:steps], target_size)
     return Encounter(
-        gap=_gap(rollout, size, xy[:steps], yaw[:steps], target_size),
+        gap=gap,
         ahead=offset[..., 0],
         left=offset[..., 1],
         same=torch.cos(rollout.yaw - yaw[:steps]),
@@ -87,14 +99,6 @@ def encounter(rollout: Rollout, size: Tensor, natural: Natural, target_size: Ten
         reach=0.5 * (size[:, :1] + target_size[0]),
         time_s=MODEL_STEP_S * torch.arange(1, steps + 1, device=xy.device),
     )
-
-
-def _gap(rollout: Rollout, size: Tensor, xy: Tensor, yaw: Tensor, other: Tensor) -> Tensor:
-    """Return the distance (B, R, T) of bodies made of discs; *xy* (…, T, 2) and *yaw* (…, T) are the other's."""
-    mine, radius = discs(rollout.xy, rollout.yaw, size[:, None].expand(*rollout.yaw.shape, 2))
-    yours, reach = discs(xy, yaw, other.expand(*yaw.shape, 2))
-    squared = (mine[..., :, None, :] - yours[..., None, :, :]).square().sum(-1).flatten(-2).amin(-1)
-    return torch.sqrt(squared + 1e-9) - radius - reach
 
 
 def _nearest(gap: Tensor) -> Tensor:
@@ -196,16 +200,16 @@ def attack_objective(
         natural: where everybody would go without an attack.
     """
     scene = _Scene(decoder, codec, context, batch, rows, natural)
-    cost, own = COSTS[kind], _rows_of(batch, rows)
-    size = batch.size[0]
+    bodies = bodies_of(Placed(batch, rows, natural.rollout))
+    cost, size = COSTS[kind], batch.size[0]
 
     def value(latents: Tensor) -> Tensor:
         z = codec.unscale(latents[:, rows, None])[:, :, 0]
         rollout = _futures(scene, z)
-        met = encounter(rollout, size[rows], natural, size[0])
+        met = bodies(rollout)
         unlikely = _PRIOR_WEIGHT * _surprise(scene, z)
-        off = off_road(rollout, own.repeat(len(z))).sum(-1)
-        loss = cost(met) + _OTHERS_WEIGHT * _overlap(scene, rollout) + _ROAD_WEIGHT * off + unlikely
+        aim = cost(encounter(rollout, size[rows], natural, size[0], met.gap))
+        loss = aim + _OTHERS_WEIGHT * met.overlap + _ROAD_WEIGHT * met.off + unlikely
         return -loss.mean(-1)
 
     return value
@@ -223,29 +227,6 @@ def _futures(scene: _Scene, z: Tensor) -> Rollout:
             trace.repeat(count),
         )
     return scene.decoder.some(z, h, batch, scene.rows, scene.natural.steps, trace)
-
-
-def _rows_of(batch: SceneBatch, rows: Tensor) -> SceneBatch:
-    """Return the scenes with agents *rows* alone."""
-    return SceneBatch(**{f.name: getattr(batch, f.name)[:, rows] for f in fields(batch)})
-
-
-def _overlap(scene: _Scene, rollout: Rollout) -> Tensor:
-    """Return how far (B, R) the attackers' discs are inside those of others than the target, summed over time."""
-    agents = torch.arange(scene.batch.agents, device=scene.rows.device)
-    others = agents[(agents != 0) & ~torch.isin(agents, scene.rows)]
-    if not len(others):
-        return torch.zeros_like(rollout.yaw[..., 0])
-    size, natural = scene.batch.size[0], scene.natural.rollout
-    mine, radius = discs(rollout.xy, rollout.yaw, size[scene.rows, None].expand(*rollout.yaw.shape, 2))
-    steps = natural.yaw.shape[2]
-    yours, reach = discs(
-        natural.xy[0, others], natural.yaw[0, others], size[others, None].expand(-1, steps, 2)
-    )
-    delta = mine[:, :, None, :, :, None] - yours[None, None, :, :, None, :]
-    squared = delta.square().sum(-1).flatten(-2).amin(-1)  # (B, R, O, T)
-    wide = radius[:, :, None] + reach
-    return (1.0 - torch.sqrt(squared + 1e-9) / wide).clamp(min=0.0).sum(dim=(2, 3))
 
 
 def _surprise(scene: _Scene, z: Tensor) -> Tensor:

@@ -70,3 +70,7 @@ class SceneBatch:
     def rows(self, rows: Tensor | slice) -> SceneBatch:
         """Return the scenes at *rows*."""
         return SceneBatch(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+    def rows_of(self, rows: Tensor) -> SceneBatch:
+        """Return all scenes with agents *rows* alone."""
+        return SceneBatch(**{f.name: getattr(self, f.name)[:, rows] for f in fields(self)})

@@ -91,14 +91,20 @@ def edge_clearance(xy: Tensor, batch: SceneBatch) -> Tensor:
     return clearance_in_frame(local, batch)
 
 
-def clearance_in_frame(local: Tensor, batch: SceneBatch) -> Tensor:
-    """Return :func:`edge_clearance` of points (B, A, M, 2) that are already in each agent's own frame now."""
+def road_edges(batch: SceneBatch) -> tuple[Tensor, Tensor, Tensor]:
+    """Return begins and ends (B, A, S, 2) of road edges' segments in each agent's frame, and which count (B, A, S)."""
     is_edge = batch.map_valid & (batch.map_features[..., _ROAD_EDGE] > 0.5)
     some = is_edge.flatten(0, 1).any(0)
     some[0] |= ~some.any()  # one piece to look at, though it counts for nothing
     pieces, is_edge = batch.map_xy[:, :, some], is_edge[:, :, some]
     first, last = pieces[..., :-1, :].flatten(2, 3), pieces[..., 1:, :].flatten(2, 3)
     usable = is_edge[..., None].expand(*is_edge.shape, pieces.shape[3] - 1).flatten(2)
+    return first, last, usable
+
+
+def clearance_in_frame(local: Tensor, batch: SceneBatch) -> Tensor:
+    """Return :func:`edge_clearance` of points (B, A, M, 2) that are already in each agent's own frame now."""
+    first, last, usable = road_edges(batch)
     along = last - first
     delta = local[:, :, :, None] - first[:, :, None]
     squared = along.square().sum(-1).clamp(min=1e-6)[:, :, None]

@@ -1,0 +1,71 @@
+"""What attackers meet, by compiled loops and by tensors: the same values and gradients."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from advdiff_sumo.diffusion.bodies import Met, Placed, bodies_of
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.decoder import Rollout
+from tests.diffusion.test_by_hand import double
+from tests.diffusion.test_fast import scene
+
+STEPS = 6
+
+
+def futures(scenes: int, agents: int, seed: int) -> Rollout:
+    """Return futures anywhere within a dozen metres, so that many bodies touch."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+    xy, yaw = 6.0 * normal(scenes, agents, STEPS, 2), 2.0 * normal(scenes, agents, STEPS)
+    return Rollout(xy, yaw, yaw.abs(), yaw, yaw)
+
+
+def crowd(edges: bool) -> SceneBatch:
+    batch = double(scene(agents=7))
+    batch.size[0, 3] = torch.tensor([0.6, 0.6])
+    batch.moved[0, 4] = False
+    batch.map_valid[0, :, 30:] = edges
+    batch.map_features[..., 4] = 0.0
+    batch.map_features[0, :, 30:, 4] = 1.0
+    batch.map_xy.mul_(0.4)
+    return batch
+
+
+@pytest.mark.parametrize("edges", [True, False])
+@pytest.mark.parametrize("rows", [[2], [4, 1], [1, 2, 3, 4, 5, 6]])
+def test_values_and_gradients(rows: list[int], edges: bool) -> None:
+    """With somebody on foot, with edges and without, and where nobody else is there."""
+    placed = Placed(crowd(edges), torch.tensor(rows), futures(1, 7, 1))
+    driven = futures(3, len(rows), 2)
+    weight = torch.randn(3, len(rows), STEPS + 2, generator=torch.Generator().manual_seed(3)).double()
+    results = []
+    for compiled in (True, False):
+        xy, yaw = driven.xy.clone().requires_grad_(), driven.yaw.clone().requires_grad_()
+        met = bodies_of(placed, compiled)(Rollout(xy, yaw, driven.speed, driven.accel, driven.curvature))
+        made = torch.cat((met.gap, met.overlap[..., None], met.off[..., None]), dim=-1)
+        results.append((made, *torch.autograd.grad((weight * made).sum(), (xy, yaw))))
+    for mine, theirs in zip(*results, strict=True):
+        torch.testing.assert_close(mine, theirs, atol=1e-9, rtol=1e-7)
+    assert (results[0][0][..., -1] > 0.0).any() == edges
+    assert (results[0][0][..., -2] > 0.0).any() == (len(rows) < 6)
+
+
+def test_in_line_the_slope_is_the_mean_of_all_nearest_discs() -> None:
+    """Side by side five pairs of discs are equally near: closer by sideways motion alone, not by turning."""
+    batch = double(scene(agents=2))
+    natural, driven = futures(1, 2, 0), futures(1, 1, 0)
+    natural.xy[:], natural.yaw[:] = 0.0, 0.0
+    driven.xy[:] = torch.tensor([0.0, 3.0], dtype=torch.float64)
+    yaw = torch.zeros_like(driven.yaw).requires_grad_()
+    xy = driven.xy.requires_grad_()
+    met: Met = bodies_of(Placed(batch, torch.tensor([1]), natural), True)(Rollout(xy, yaw, yaw, yaw, yaw))
+    by_xy, by_yaw = torch.autograd.grad(met.gap.sum(), (xy, yaw))
+    torch.testing.assert_close(met.gap.detach(), torch.full((1, 1, STEPS), 1.1).double(), atol=1e-6, rtol=0.0)
+    torch.testing.assert_close(by_xy, torch.tensor([0.0, 1.0]).double().expand_as(by_xy))
+    torch.testing.assert_close(by_yaw, torch.zeros_like(by_yaw))

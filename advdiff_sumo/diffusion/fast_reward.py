@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -19,7 +20,7 @@ class _Pass:
 
     first: Tensor
     second: Tensor
-    heard: list[Heard]
+    heard: Any
     hidden: Tensor
 
 
@@ -29,15 +30,15 @@ class FastReward:
     Args:
         model: the trained network; its weights are read when this is made.
         state: what of Q does not depend on the action.
+        compiled: let compiled loops mix the agents; None: where the state is on the CPU.
     """
 
-    def __init__(self, model: RewardModel, state: RewardState) -> None:
+    def __init__(self, model: RewardModel, state: RewardState, compiled: bool | None = None) -> None:
         self._shape = state.node.shape[:2]
         self._state = RewardState(
             state.node.detach(), [edge.detach() for edge in state.edges], state.present, state.target
         )
-        layers = (x for x in model.interaction.layers if isinstance(x, InteractionLayer))
-        self._layers = [GraphLayer(layer) for layer in layers]
+        layers = [x for x in model.interaction.layers if isinstance(x, InteractionLayer)]
         self._action = model.action.weight.detach()
         self._mix = _affine(model.mix[1])
         self._values = _affine(model.value[0]), _affine(model.value[2])
@@ -49,10 +50,9 @@ class FastReward:
         own = (rows == state.target[:, None]).to(kind)
         mean = present.to(kind) / present.sum(1, keepdim=True).clamp(min=1)
         self._read = torch.stack((own, mean), dim=1)
-        self._blocked: Tensor | None = None
-        if not bool(present.all()):
-            lower = torch.where(present, 0.0, -1e9).to(kind)
-            self._blocked = lower.repeat_interleave(present.shape[1], dim=0)
+        self._layers = layers_of(
+            layers, self._state.edges, torch.where(present, 0.0, -1e9).to(kind), compiled
+        )
 
     def __call__(self, mu: Tensor) -> Tensor:
         """Return Q (B,) of actions *mu* (B, A, Z), with gradients to them."""
@@ -64,15 +64,9 @@ class FastReward:
         scenes, agents = self._shape
         node = torch.mm(mu.flatten(0, 1), self._action.t()).mul_(self._free)
         first = node.add_(self._state.node.flatten(0, 1)).relu_()
-        h = second = torch.addmm(self._mix[1], first, self._mix[0].t()).relu_()
-        kept = []
-        for layer, edges in zip(self._layers, self._state.edges, strict=True):
-            receiver, sender = layer.ends(h)
-            message = edges + receiver.reshape(scenes, agents, 1, -1)
-            message += sender.reshape(scenes, 1, agents, -1)
-            h, heard = layer.forward(h, message.flatten(0, 1), self._blocked)
-            kept.append(heard)
-        read = torch.bmm(self._read, h.reshape(scenes, agents, -1)).flatten(1)
+        second = torch.addmm(self._mix[1], first, self._mix[0].t()).relu_()
+        h, kept = self._layers.forward(second.reshape(scenes, agents, -1))
+        read = torch.bmm(self._read, h).flatten(1)
         (weight, bias), (last, offset) = self._values
         hidden = torch.addmm(bias, read, weight.t()).relu_()
         return torch.addmm(offset, hidden, last.t())[:, 0], _Pass(first, second, kept, hidden)
@@ -82,11 +76,8 @@ class FastReward:
         scenes, agents = self._shape
         (weight, _), (last, _) = self._values
         read = torch.mm((grad[:, None] * last) * (done.hidden > 0.0), weight)
-        node = torch.bmm(self._read.transpose(1, 2), read.reshape(scenes, 2, -1)).flatten(0, 1)
-        for layer, heard in zip(reversed(self._layers), reversed(done.heard), strict=True):
-            past, message = layer.back(node, heard)
-            sender = message.reshape(scenes, agents, agents, -1).sum(1).flatten(0, 1)
-            node = past + layer.back_ends(message.sum(1), sender)
+        node = torch.bmm(self._read.transpose(1, 2), read.reshape(scenes, 2, -1))
+        node = self._layers.back(node, done.heard).flatten(0, 1)
         second = torch.mm(node * (done.second > 0.0), self._mix[0])
         first = second * (done.first > 0.0) * self._free
         return torch.mm(first, self._action).reshape(scenes, agents, -1)
@@ -104,6 +95,58 @@ class _Function(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
         return ctx.model.back(grad, ctx.done), None
+
+
+class _Layers(Protocol):
+    """Interaction layers with their gradient."""
+
+    def forward(self, h: Tensor) -> tuple[Tensor, Any]:
+        """Return new embeddings (B, A, D) of *h*, and what :meth:`back` needs."""
+
+    def back(self, grad: Tensor, kept: Any) -> Tensor:
+        """Return the gradient (B, A, D) of the embeddings for that of the new ones."""
+
+
+class TensorLayers:
+    """Layers on tensors of any device; arguments are those of :class:`CompiledLayers`."""
+
+    def __init__(self, layers: Sequence[InteractionLayer], edges: Sequence[Tensor], lower: Tensor) -> None:
+        self._layers, self._edges = [GraphLayer(layer) for layer in layers], edges
+        self._lower = lower.repeat_interleave(lower.shape[1], dim=0)
+
+    def forward(self, h: Tensor) -> tuple[Tensor, list[Heard]]:
+        """Return new embeddings (B, A, D) of *h*, and what :meth:`back` needs."""
+        scenes, agents = h.shape[:2]
+        node, kept = h.flatten(0, 1), []
+        for layer, edges in zip(self._layers, self._edges, strict=True):
+            receiver, sender = layer.ends(node)
+            message = edges + receiver.reshape(scenes, agents, 1, -1)
+            message += sender.reshape(scenes, 1, agents, -1)
+            node, heard = layer.forward(node, message.flatten(0, 1), self._lower)
+            kept.append(heard)
+        return node.reshape(scenes, agents, -1), kept
+
+    def back(self, grad: Tensor, kept: list[Heard]) -> Tensor:
+        """Return the gradient (B, A, D) of the embeddings for that of the new ones."""
+        scenes, agents = grad.shape[:2]
+        node = grad.flatten(0, 1)
+        for layer, heard in zip(reversed(self._layers), reversed(kept), strict=True):
+            past, message = layer.back(node, heard)
+            sender = message.reshape(scenes, agents, agents, -1).sum(1).flatten(0, 1)
+            node = past + layer.back_ends(message.sum(1), sender)
+        return node.reshape(scenes, agents, -1)
+
+
+def layers_of(
+    layers: Sequence[InteractionLayer], edges: Sequence[Tensor], lower: Tensor, compiled: bool | None
+) -> _Layers:
+    """Return the layers in the form for the device of *lower*, or compiled if told so."""
+    here = lower.device.type == "cpu" if compiled is None else compiled
+    if not here:
+        return TensorLayers(layers, edges, lower)
+    from advdiff_sumo.diffusion.compiled.layers import CompiledLayers
+
+    return CompiledLayers(layers, edges, lower)
 
 
 def _affine(layer: nn.Module) -> tuple[Tensor, Tensor]:

@@ -127,11 +127,12 @@ def test_one_step_against_the_bicycle_on_tensors(speed: float) -> None:
         np.testing.assert_allclose(before[:, 3], wanted[2], atol=1e-7, rtol=1e-6)
 
 
-def test_q_and_its_gradient(made: Bundle) -> None:
+@pytest.mark.parametrize("compiled", [True, False])
+def test_q_and_its_gradient(made: Bundle, compiled: bool) -> None:
     batch, context = two_scenes(made)
     target = torch.tensor([0, 3])
     state = made.reward.prepare(context.h, context.prior.mean, batch, target)
-    fast = FastReward(made.reward, state)
+    fast = FastReward(made.reward, state, compiled)
     mu = torch.randn(2, 8, SMALL.latent, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
     weight = torch.tensor([1.0, -2.0], dtype=torch.float64)
     gradients = []

@@ -2,6 +2,9 @@
 
 A kernel takes C-contiguous arrays of one precision, writes into arrays that it is given, and is kept on disk once it
 is compiled. Sums run in the order in which they are written, so that results are the same in every process.
+
+numba looks at the file of a kernel for changes, not at those of the kernels that it calls: who changes one of them
+removes ``__pycache__`` of this folder.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ demo: setup
 	$(BIN)/advdiff-sumo run --target lane_graph --background diffusion --episodes 5 --out runs/demo-$$(date +%Y%m%d-%H%M%S)
 
 test: setup
-	$(BIN)/pytest --numprocesses 2 --dist loadfile --quiet
+	$(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --quiet
 
 # other people's programs that read what we export, in environments of their own; tests/export uses them where they are
 readers: build/readers/commonroad/.ready build/readers/asam/.ready

@@ -12,6 +12,14 @@ settings.register_profile("desk", deadline=None)  # a busy machine is no failure
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.load_profile("desk")
 
+LONG = ("test_bench.py", "test_commands.py", "test_converted_nets.py", "test_browser.py", "test_faults.py")
+"""Files of minutes, longest first: begun last, one of them would run alone while the other worker waits."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the tests of long files first; ``make test`` keeps that order."""
+    items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
+
 
 @pytest.fixture(scope="session")
 def adv_data() -> Path:

@@ -78,6 +78,16 @@ class LaneIndex:
         """(L,) whether each lane lies on a junction."""
         return np.array([lane.is_internal for lane in self._lanes.values()])
 
+    @cached_property
+    def is_drivable(self) -> BoolArray:
+        """(L,) whether each lane is open to some road motor vehicle."""
+        return self.permits(None)
+
+    @cached_property
+    def width_m(self) -> FloatArray:
+        """(L,) width of each lane."""
+        return np.array([lane.width_m for lane in self._lanes.values()])
+
     def permits(self, vclass: str | None) -> BoolArray:
         """Return (L,) whether each lane is open to *vclass* (None: to any road motor vehicle)."""
         return np.array([lane.permits(vclass) for lane in self._lanes.values()])

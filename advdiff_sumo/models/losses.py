@@ -16,8 +16,10 @@ from advdiff_sumo.models.geometry import into_frame, wrap_angle
 
 DISCS = 5
 _ROAD_EDGE = 4
-_FAR_M = 1e3
-_CORNER = 1e-3
+FAR_M = 1e3
+"""Clearance where there is no road edge."""
+CORNER = 1e-3
+"""How much seeing a point from the side counts, where two segments are equally near."""
 _LEAST_REACH_M = 0.1
 
 
@@ -111,13 +113,13 @@ def clearance_in_frame(local: Tensor, batch: SceneBatch) -> Tensor:
     share = ((delta * along[:, :, None]).sum(-1) / squared).clamp(0.0, 1.0)
     away = delta - share[..., None] * along[:, :, None]
     distance = torch.sqrt(away.square().sum(-1) + 1e-9)
-    distance = distance.masked_fill(~usable[:, :, None], _FAR_M)
+    distance = distance.masked_fill(~usable[:, :, None], FAR_M)
     cross = along[:, :, None, :, 0] * delta[..., 1] - along[:, :, None, :, 1] * delta[..., 0]
     aside = cross / squared.sqrt()
     # both segments of a corner are equally near; the one that sees the point more from the side knows the side
-    which = (distance - _CORNER * aside.abs()).argmin(dim=-1, keepdim=True)
+    which = (distance - CORNER * aside.abs()).argmin(dim=-1, keepdim=True)
     nearest, side = distance.gather(-1, which), aside.gather(-1, which)
-    return torch.where((side >= 0.0) | (nearest >= _FAR_M), nearest, -nearest).squeeze(-1)
+    return torch.where((side >= 0.0) | (nearest >= FAR_M), nearest, -nearest).squeeze(-1)
 
 
 def off_road(rollout: Rollout, batch: SceneBatch) -> Tensor:

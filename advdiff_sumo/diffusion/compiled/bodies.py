@@ -15,11 +15,9 @@ from torch import Tensor
 from advdiff_sumo.diffusion.bodies import Met, Placed
 from advdiff_sumo.diffusion.compiled.kernel import Array, array_of, kernel
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.losses import DISCS, road_edges
+from advdiff_sumo.models.losses import CORNER, DISCS, FAR_M, road_edges
 
 _SOFT_M2 = 1e-9
-_FAR_M = 1e3
-_CORNER = 1e-3
 _LEAST_RADIUS_M = 0.1
 _MOST = 2.0
 
@@ -86,7 +84,7 @@ def apart(mine: Array, my_reach: float, yours: Array, your_reach: float, slope: 
 def clearance(x: float, y: float, segments: Array, usable: Array, slope: Array) -> float:
     """Return the signed distance of a point to the nearest road edge, and write its *slope* (2,)."""
     best = math.inf
-    out = _FAR_M
+    out = FAR_M
     slope[0] = slope[1] = 0.0
     for s in range(len(segments)):
         if usable[s] == 0.0:
@@ -98,8 +96,8 @@ def clearance(x: float, y: float, segments: Array, usable: Array, slope: Array) 
         away_x, away_y = dx - share * ex, dy - share * ey
         distance = math.sqrt(away_x * away_x + away_y * away_y + _SOFT_M2)
         aside = (ex * dy - ey * dx) / math.sqrt(squared)
-        if distance - _CORNER * abs(aside) < best:
-            best = distance - _CORNER * abs(aside)
+        if distance - CORNER * abs(aside) < best:
+            best = distance - CORNER * abs(aside)
             sign = 1.0 if aside >= 0.0 else -1.0
             out = sign * distance
             slope[0], slope[1] = sign * away_x / distance, sign * away_y / distance

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -105,7 +105,8 @@ def _prior(path: Path) -> Draw:
     return draw
 
 
-def _diffusion(path: Path) -> Draw:
+def _diffusion(path: Path, fitted: bool = False) -> Draw:
+    """Return what draws samples; *fitted*: made to fit together."""
     bundle = _bundle(path)
 
     def draw(batch: SceneBatch, samples: int, generator: torch.Generator) -> tuple[Rollout, int]:
@@ -113,19 +114,9 @@ def _diffusion(path: Path) -> Draw:
         context = encoded.repeat(samples)
         several = batch.repeat(samples)
         drawn = diffused(bundle, context, DDIM_STEPS, generator)
+        if fitted:
+            drawn = together(drawn, bundle.codec, context, several)
         return bundle.codec.decode(drawn, context, several), samples
-
-    return draw
-
-
-def _together(path: Path) -> Draw:
-    bundle = _bundle(path)
-
-    def draw(batch: SceneBatch, samples: int, generator: torch.Generator) -> tuple[Rollout, int]:
-        encoded: Context = bundle.traffic.encoder(batch)
-        context, several = encoded.repeat(samples), batch.repeat(samples)
-        drawn = diffused(bundle, context, DDIM_STEPS, generator)
-        return bundle.codec.decode(together(drawn, bundle.codec, context, several), context, several), samples
 
     return draw
 
@@ -136,7 +127,7 @@ MODELS: Mapping[str, Model] = {
     "trafficsim": Model("TrafficSim (prior)", "traffic.safetensors", _prior),
     "traj2traj": Model("traj2traj", "traj2traj.safetensors", _diffusion),
     "diffusion": Model("latent diffusion (ours)", "traffic.safetensors", _diffusion),
-    "together": Model("… made to fit together", "traffic.safetensors", _together),
+    "together": Model("… made to fit together", "traffic.safetensors", partial(_diffusion, fitted=True)),
 }
 
 

@@ -24,12 +24,9 @@ def over_line_m(road: RoadMap, xy_m: FloatArray, yaw_rad: FloatArray) -> FloatAr
     """
     index = road.index
     found = index.candidates(xy_m, _REACH_M)
-    lanes = [road.lanes[index.lane_ids[row]] for row in found.lane.tolist()]
-    wide = np.array([0.5 * lane.width_m for lane in lanes])
-    counts = np.array([lane.is_drivable and not lane.is_internal for lane in lanes], dtype=np.bool_)
-    depth = wide - np.abs(found.d_m)
+    depth = 0.5 * index.width_m[found.lane] - np.abs(found.d_m)
     turned = np.abs(wrap_angle(yaw_rad[found.point] - found.yaw_rad))
-    inside = (depth > 0.0) & counts
+    inside = (depth > 0.0) & (index.is_drivable & ~index.is_internal)[found.lane]
     out = np.zeros(len(xy_m))
     against = inside & (turned > _AGAINST_RAD)
     np.maximum.at(out, found.point[against], depth[against])

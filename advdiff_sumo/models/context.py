@@ -43,6 +43,16 @@ class Context:
         prior = Gaussian(many(self.prior.mean), many(self.prior.logvar))
         return Context(many(self.h), prior, many(self.relative), many(self.drawn))
 
+    def rows(self, rows: Tensor | slice) -> Context:
+        """Return the context of the scenes at *rows*, as ``SceneBatch.rows`` does."""
+        prior = Gaussian(self.prior.mean[rows], self.prior.logvar[rows])
+        return Context(self.h[rows], prior, self.relative[rows], self.drawn[rows])
+
+    def first(self, agents: int) -> Context:
+        """Return all scenes with their first *agents* alone, who know of the others what they did."""
+        prior = Gaussian(self.prior.mean[:, :agents], self.prior.logvar[:, :agents])
+        return Context(self.h[:, :agents], prior, self.relative[:, :agents, :agents], self.drawn[:, :agents])
+
 
 class MapEncoder(nn.Module):
     """Embeds each map piece and pools them by attention from the agent's state."""

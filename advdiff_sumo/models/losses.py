@@ -71,14 +71,20 @@ def pair_overlap(rollout: Rollout, size: Tensor, present: Tensor) -> Tensor:
 
 def pair_distance(rollout: Rollout, size: Tensor) -> tuple[Tensor, Tensor]:
     """Return the smallest distance of disc centres (B, A, A, T) and the sums of radii (B, A, A, 1)."""
+    squared, reach = disc_pairs(rollout, size)
+    return torch.sqrt(squared.amin(-1) + 1e-9), reach
+
+
+def disc_pairs(rollout: Rollout, size: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the squared distances of all pairs of disc centres (B, A, A, T, 25) and the sums of radii (B, A, A, 1)."""
     steps = rollout.xy.shape[2]
     centres, radius = discs(rollout.xy, rollout.yaw, size[:, :, None].expand(-1, -1, steps, -1))
     mine, yours = centres[:, :, None, :, :, None], centres[:, None, :, :, None]
-    squared = (mine - yours).square().sum(-1).flatten(-2).amin(-1)
+    squared = (mine - yours).square().sum(-1).flatten(-2)
     wide = radius[:, :, 0]
     # padding has no width: a gap divided by nothing would make every gradient not a number
     reach = (wide[:, :, None] + wide[:, None]).clamp(min=_LEAST_REACH_M)
-    return torch.sqrt(squared + 1e-9), reach[..., None]
+    return squared, reach[..., None]
 
 
 def edge_clearance(xy: Tensor, batch: SceneBatch) -> Tensor:

@@ -13,10 +13,12 @@ from torch import Tensor
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.seeds import SeedTree
-from advdiff_sumo.diffusion.together import together
+from advdiff_sumo.diffusion.fast_decoder import FastDecoder
+from advdiff_sumo.diffusion.together import held_decode, together
 from advdiff_sumo.metrics.pairwise import TTC_BINS_S, least_ttc, ttc_counts
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
+from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.options import MODEL_STEP_S
@@ -27,7 +29,8 @@ from advdiff_sumo.training.denoiser import diffused
 from advdiff_sumo.training.displacement import displacement, driving
 from advdiff_sumo.training.evaluate import logged
 
-DDIM_STEPS = 10
+DDIM_STEPS = 5
+"""As many as in closed loop."""
 Draw = Callable[[SceneBatch, int, torch.Generator], tuple[Rollout, int]]
 """Windows, how many samples → joint futures of each window that many times in a row, and how many times."""
 
@@ -115,10 +118,23 @@ def _diffusion(path: Path, fitted: bool = False) -> Draw:
         several = batch.repeat(samples)
         drawn = diffused(bundle, context, DDIM_STEPS, generator)
         if fitted:
-            drawn = together(drawn, bundle.codec, context, several)
+            drawn = _fitted(bundle, drawn, context, several, samples)
         return bundle.codec.decode(drawn, context, several), samples
 
     return draw
+
+
+def _fitted(bundle: Bundle, drawn: Tensor, context: Context, several: SceneBatch, samples: int) -> Tensor:
+    """Return *drawn* made to fit together, one window at a time, so that padding costs nothing."""
+    assert isinstance(bundle.codec, LatentCodec)  # noqa: S101 - the row names latent weights
+    decode, made = held_decode(bundle.codec, FastDecoder(bundle.traffic.decoder)), drawn.clone()
+    for begin in range(0, several.scenes, samples):
+        window = slice(begin, begin + samples)
+        agents = int(several.present[begin].nonzero().max()) + 1
+        batch = several.rows(window).rows_of(torch.arange(agents))
+        known = context.rows(window).first(agents)
+        made[window, :agents] = together(drawn[window, :agents], decode, known, batch)
+    return made
 
 
 MODELS: Mapping[str, Model] = {

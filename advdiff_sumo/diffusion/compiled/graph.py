@@ -21,6 +21,7 @@ from advdiff_sumo.diffusion.compiled.kernel import (
     relu,
 )
 from advdiff_sumo.diffusion.compiled.records import GraphWeights, Heard
+from advdiff_sumo.diffusion.compiled.smooth import exponential
 
 
 @kernel
@@ -48,7 +49,8 @@ def attend(message: Array, score: Array, lower: Array, weight: Array, gathered: 
             most = max(most, share[a])
         total = zero
         for a in range(senders):
-            share[a] = math.exp(share[a] - most)
+            share[a] = exponential(share[a] - most)
+        for a in range(senders):
             total += share[a]
         begin = head * span
         for a in range(senders):

@@ -16,7 +16,6 @@ from advdiff_sumo.diffusion.compiled.kernel import (
     affine,
     clear,
     kernel,
-    logistic,
     place,
     product,
     relu,
@@ -31,6 +30,7 @@ from advdiff_sumo.diffusion.compiled.records import (
     heard_at,
     heard_in,
 )
+from advdiff_sumo.diffusion.compiled.smooth import logistic, tangent
 from advdiff_sumo.diffusion.compiled.vehicle import MOTION, drive, features
 
 _NEAR_PER_M = 0.1
@@ -131,7 +131,7 @@ def remember(weight: Array, told: Array, done: Array, held: Array, gates: Array,
         for d in range(2 * width):
             line[d] = logistic(line[d] + last[width + d])
         for d in range(width):
-            new = math.tanh(line[2 * width + d] + line[d] * last[3 * width + d])
+            new = tangent(line[2 * width + d] + line[d] * last[3 * width + d])
             line[2 * width + d] = new
             kept[d] = new + line[width + d] * (kept[d] - new)
 
@@ -171,7 +171,7 @@ def roll(
     product(z, w.start_z, tape.first)
     for g in range(len(z)):
         for d in range(tape.first.shape[1]):
-            tape.first[g, d] = math.tanh(tape.first[g, d])
+            tape.first[g, d] = tangent(tape.first[g, d])
     count, width = tape.first.shape
     memory, given = np.empty((count, width), z.dtype), np.empty((count, width), z.dtype)
     told, motion = np.empty((count, 4 * width), z.dtype), np.empty((count, 4), z.dtype)

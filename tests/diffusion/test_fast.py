@@ -53,15 +53,17 @@ def scene(scenes: int = 1, agents: int = 6, seed: int = 0) -> SceneBatch:
     )
 
 
+@pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("layers", [0, 1, 2])
 @pytest.mark.parametrize("codec", ["latent", "trajectory"])
-def test_the_denoiser_at_every_step_of_a_ladder(codec: str, layers: int) -> None:
-    made, batch = bundle(codec, layers), scene(scenes=2)
+def test_the_denoiser_at_every_step_of_a_ladder(codec: str, layers: int, compiled: bool) -> None:
+    """For more vehicles than are predicted at a time, some of them on foot."""
+    made, batch = bundle(codec, layers), scene(scenes=2, agents=11)
     batch.moved[1, 3:] = False
     context = made.traffic.encoder(batch)
     steps = [100, 75, 50, 25]
-    noise = FastDenoiser(made.denoiser, steps).condition(context)
-    x = torch.randn(2, 6, *made.codec.shape, generator=torch.Generator().manual_seed(3))
+    noise = FastDenoiser(made.denoiser, steps, compiled).condition(context)
+    x = torch.randn(2, 11, *made.codec.shape, generator=torch.Generator().manual_seed(3))
     for k in steps:
         torch.testing.assert_close(
             noise(x, k), made.denoiser(x, torch.full((2,), k), context), atol=2e-5, rtol=1e-4

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from advdiff_sumo.diffusion.compiled.backward import mix_back
 from advdiff_sumo.diffusion.compiled.kernel import Array, array_of
-from advdiff_sumo.diffusion.compiled.records import Heard
+from advdiff_sumo.diffusion.compiled.records import GraphWeights, Heard
 from advdiff_sumo.diffusion.compiled.rollout import mix
 from advdiff_sumo.diffusion.compiled.weights import graph_weights
 from advdiff_sumo.models.interaction import InteractionLayer
@@ -37,7 +37,7 @@ class CompiledLayers:
         _, layers, agents, _, wide = self._edges.shape
         for b in range(len(node)):
             senders = np.empty((layers, agents, wide), node.dtype)
-            heard = self._heard(b)
+            heard = room(self._weights, self._edges[b])
             made.append(mix(self._weights, node[b], self._rows, self._lower[b], senders, False, heard))
             kept.append(heard)
         return torch.from_numpy(np.stack(made)), kept
@@ -48,12 +48,14 @@ class CompiledLayers:
         made = [mix_back(self._weights, node[b], self._rows, heard) for b, heard in enumerate(kept)]
         return torch.from_numpy(np.stack(made))
 
-    def _heard(self, scene: int) -> Heard:
-        layers, agents = self._edges.shape[1:3]
-        width, inner = self._weights.first.shape[1:]
-        heads = self._weights.score.shape[1]
 
-        def blank(*shape: int) -> Array:
-            return np.empty((layers, agents, *shape), self._edges.dtype)
+def room(weights: GraphWeights, edges: Array) -> Heard:
+    """Return room for what the layers of a scene leave; its messages hold *edges* (L, A, A, M)."""
+    layers, agents = edges.shape[:2]
+    width, inner = weights.first.shape[1:]
+    heads = weights.score.shape[1]
 
-        return Heard(self._edges[scene].copy(), blank(heads, agents), blank(width), blank(), blank(inner))
+    def blank(*shape: int) -> Array:
+        return np.empty((layers, agents, *shape), edges.dtype)
+
+    return Heard(edges.copy(), blank(heads, agents), blank(width), blank(), blank(inner))

@@ -59,6 +59,12 @@ class FastReward:
         value: Tensor = _Function.apply(mu, self)  # type: ignore[no-untyped-call] # PyTorch's
         return value
 
+    @torch.no_grad()
+    def slope(self, mu: Tensor) -> Tensor:
+        """Return the gradient (B, A, Z) of the sum of Q for actions *mu* (B, A, Z)."""
+        value, done = self.value(mu)
+        return self.back(torch.ones_like(value), done)
+
     def value(self, mu: Tensor) -> tuple[Tensor, _Pass]:
         """Return Q (B,) and what :meth:`back` needs."""
         scenes, agents = self._shape

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -27,6 +27,14 @@ FLOOR = 0.3
 
 Objective: TypeAlias = Callable[[Tensor], Tensor]
 """Scaled latents (B, A, Z) → what shall grow (B,)."""
+
+
+@runtime_checkable
+class Sloped(Protocol):
+    """An objective that knows its gradient."""
+
+    def slope(self, latents: Tensor) -> Tensor:
+        """Return the gradient (B, A, Z) of the objective's sum over scenes."""
 
 
 @dataclass(frozen=True)
@@ -100,13 +108,18 @@ def direction(objective: Objective, latents: Tensor, attackers: Tensor) -> Tenso
 
     A gradient that is not finite counts as none.
     """
-    with torch.enable_grad():
-        free = latents.detach().requires_grad_(True)
-        gradient = torch.autograd.grad(objective(free).sum(), free)[0]
-    gradient = gradient * attackers[:, None]
+    gradient = _gradient(objective, latents.detach()) * attackers[:, None]
     norm = gradient.square().sum(dim=(1, 2), keepdim=True).sqrt()
     usable = torch.isfinite(norm) & (norm > 1e-12)
     return torch.where(usable, gradient / norm.clamp(min=1e-12), 0.0)
+
+
+def _gradient(objective: Objective, latents: Tensor) -> Tensor:
+    if isinstance(objective, Sloped):
+        return objective.slope(latents)
+    with torch.enable_grad():
+        free = latents.requires_grad_(True)
+        return torch.autograd.grad(objective(free).sum(), free)[0]
 
 
 def reward_objective(model: RewardModel, state: RewardState) -> Objective:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import TypeAlias
 
 import torch
 from torch import Tensor
@@ -26,15 +26,7 @@ FLOOR = 0.3
 """Least √Σ of a guided step."""
 
 Objective: TypeAlias = Callable[[Tensor], Tensor]
-"""Scaled latents (B, A, Z) → what shall grow (B,)."""
-
-
-@runtime_checkable
-class Sloped(Protocol):
-    """An objective that knows its gradient."""
-
-    def slope(self, latents: Tensor) -> Tensor:
-        """Return the gradient (B, A, Z) of the objective's sum over scenes."""
+"""Scaled latents (B, A, Z) → what shall grow (B,); one that has a method ``slope`` gives its gradient (B, A, Z)."""
 
 
 @dataclass(frozen=True)
@@ -115,8 +107,9 @@ def direction(objective: Objective, latents: Tensor, attackers: Tensor) -> Tenso
 
 
 def _gradient(objective: Objective, latents: Tensor) -> Tensor:
-    if isinstance(objective, Sloped):
-        return objective.slope(latents)
+    slope: Objective | None = getattr(objective, "slope", None)
+    if slope is not None:
+        return slope(latents)
     with torch.enable_grad():
         free = latents.requires_grad_(True)
         return torch.autograd.grad(objective(free).sum(), free)[0]

@@ -33,6 +33,11 @@ def sums(function: _Function) -> _Function:
     return _compiled(function, {**_HOW, "fastmath": {"reassoc", "nsz"}})
 
 
+def extremes(function: _Function) -> _Function:
+    """Return *function*, which finds extremes of numbers that are none of them NaN, compiled as a kernel."""
+    return _compiled(function, {**_HOW, "fastmath": {"nnan", "nsz"}})
+
+
 def _compiled(function: _Function, how: dict[str, Any]) -> _Function:
     try:
         return cast("_Function", njit(cache=True, **how)(function))
@@ -63,6 +68,14 @@ def product(a: Array, w: Array, out: Array) -> None:
                 to[j] += ((a0 * w0[j] + a1 * w1[j]) + (a2 * w2[j] + a3 * w3[j])) + (
                     (a4 * w4[j] + a5 * w5[j]) + (a6 * w6[j] + a7 * w7[j])
                 )
+    if depth - even >= 4:
+        w0, w1, w2, w3 = w[even], w[even + 1], w[even + 2], w[even + 3]
+        for i in range(rows):
+            to = out[i]
+            a0, a1, a2, a3 = a[i, even], a[i, even + 1], a[i, even + 2], a[i, even + 3]
+            for j in range(wide):
+                to[j] += (a0 * w0[j] + a1 * w1[j]) + (a2 * w2[j] + a3 * w3[j])
+        even += 4
     for k in range(even, depth):
         w0 = w[k]
         for i in range(rows):
@@ -127,3 +140,21 @@ def dot(a: Array, b: Array) -> Any:
     for i in range(len(a)):
         total += a[i] * b[i]
     return total
+
+
+@sums
+def total(x: Array) -> Any:
+    """Return the sum of *x* (N,)."""
+    out = x.dtype.type(0.0)
+    for i in range(len(x)):
+        out += x[i]
+    return out
+
+
+@extremes
+def largest(x: Array) -> Any:
+    """Return the largest of *x* (N,)."""
+    out = x[0]
+    for i in range(len(x)):
+        out = x[i] if x[i] > out else out
+    return out

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from advdiff_sumo.diffusion.compiled.kernel import Array, kernel, product, sums
+from advdiff_sumo.diffusion.compiled.kernel import Array, kernel, product, sums, total
 from advdiff_sumo.diffusion.compiled.smooth import logistic
 from advdiff_sumo.models.options import GROUPS
 
@@ -47,15 +47,6 @@ class UNetWeights(NamedTuple):
 
 
 @sums
-def total(x: Array, less: float) -> float:
-    """Return the sum of *x* (L,), each number *less* as much."""
-    out = x.dtype.type(0.0)
-    for i in range(len(x)):
-        out += x[i] - less
-    return out
-
-
-@sums
 def spread(x: Array, less: float) -> float:
     """Return the sum of the squares of *x* (L,), each number *less* as much."""
     out = x.dtype.type(0.0)
@@ -70,7 +61,7 @@ def normalise(x: Array, begin: int, end: int, n: int) -> tuple[float, float]:
     count = (end - begin) * x.shape[2]
     mean = square = 0.0
     for c in range(begin, end):
-        mean += total(x[c, n], x.dtype.type(0.0))
+        mean += total(x[c, n])
     middle = x.dtype.type(mean / count)
     for c in range(begin, end):
         square += spread(x[c, n], middle)

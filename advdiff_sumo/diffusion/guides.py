@@ -16,9 +16,9 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.fast_reward import FastReward
+from advdiff_sumo.diffusion.fast_reward import FastReward, RewardWeights
 from advdiff_sumo.diffusion.sampler import Rung
-from advdiff_sumo.models.reward import RewardModel, RewardState
+from advdiff_sumo.models.reward import RewardState
 
 MOST = 2.0
 """Longest shift of a last step that begins where the one before ended, in what one plan makes."""
@@ -115,6 +115,6 @@ def _gradient(objective: Objective, latents: Tensor) -> Tensor:
         return torch.autograd.grad(objective(free).sum(), free)[0]
 
 
-def reward_objective(model: RewardModel, state: RewardState) -> Objective:
+def reward_objective(weights: RewardWeights, state: RewardState) -> Objective:
     """Return Q(h, z, ·), the discounted adversarial reward of the scenes in *state*."""
-    return FastReward(model, state)
+    return FastReward(weights, state)

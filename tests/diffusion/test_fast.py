@@ -9,6 +9,7 @@ from torch import Tensor
 
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
+from advdiff_sumo.diffusion.fast_encoder import FastEncoder
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, new_bundle
 from advdiff_sumo.models.options import EDGE_PIECES, LANE_PIECES, PIECE_FEATURES, PIECE_POINTS, ModelOptions
@@ -68,6 +69,23 @@ def test_the_denoiser_at_every_step_of_a_ladder(codec: str, layers: int, compile
         torch.testing.assert_close(
             noise(x, k), made.denoiser(x, torch.full((2,), k), context), atol=2e-5, rtol=1e-4
         )
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_the_encoder_with_somebody_absent(compiled: bool) -> None:
+    made, batch = bundle(), scene(scenes=2)
+    batch.present[1, 4:] = False
+    batch.moved[1, 3:] = False
+    wanted = made.traffic.encoder(batch)
+    context = FastEncoder(made.traffic.encoder, compiled)(batch)
+    assert context.drawn.tolist() == wanted.drawn.tolist()
+    for mine, theirs in (
+        (context.h, wanted.h),
+        (context.prior.mean, wanted.prior.mean),
+        (context.prior.logvar, wanted.prior.logvar),
+        (context.relative, wanted.relative),
+    ):
+        torch.testing.assert_close(mine, theirs, atol=2e-5, rtol=1e-4)
 
 
 def test_the_decoder_on_whole_scenes_with_somebody_absent_and_somebody_on_foot() -> None:

@@ -12,21 +12,19 @@ from advdiff_sumo.diffusion.compiled.backward import mix_back
 from advdiff_sumo.diffusion.compiled.kernel import Array, array_of
 from advdiff_sumo.diffusion.compiled.records import GraphWeights, Heard
 from advdiff_sumo.diffusion.compiled.rollout import mix
-from advdiff_sumo.diffusion.compiled.weights import graph_weights
-from advdiff_sumo.models.interaction import InteractionLayer
 
 
 class CompiledLayers:
     """Layers with their gradient, for scenes of which only the embeddings change.
 
     Args:
-        layers: trained; their weights are read when this is made.
+        weights: of the layers.
         edges: for each layer (B, A, A, M) what relative poses add to messages.
         lower: (B, A) added to the scores: very negative where nobody is.
     """
 
-    def __init__(self, layers: Sequence[InteractionLayer], edges: Sequence[Tensor], lower: Tensor) -> None:
-        self._weights = graph_weights(layers)
+    def __init__(self, weights: GraphWeights, edges: Sequence[Tensor], lower: Tensor) -> None:
+        self._weights = weights
         self._edges = array_of(torch.stack([edge.detach() for edge in edges], dim=1))  # (B, L, A, A, M)
         self._lower = array_of(lower)
         self._rows = np.arange(lower.shape[1])

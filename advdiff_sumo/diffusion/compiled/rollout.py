@@ -127,13 +127,15 @@ def remember(weight: Array, told: Array, done: Array, held: Array, gates: Array,
     place(told, width, gates, 0, 3 * width)
     product(done, weight, gates)
     for g in range(count):
-        line, last, kept = gates[g], held[g], memory[g]
+        line, kept = gates[g], memory[g]
+        both, last = held[g][width : 3 * width], held[g][3 * width :]
+        reset, update, new = line[:width], line[width : 2 * width], line[2 * width :]
         for d in range(2 * width):
-            line[d] = logistic(line[d] + last[width + d])
+            line[d] = logistic(line[d] + both[d])
         for d in range(width):
-            new = tangent(line[2 * width + d] + line[d] * last[3 * width + d])
-            line[2 * width + d] = new
-            kept[d] = new + line[width + d] * (kept[d] - new)
+            new[d] = tangent(new[d] + reset[d] * last[d])
+        for d in range(width):
+            kept[d] = new[d] + update[d] * (kept[d] - new[d])
 
 
 @kernel

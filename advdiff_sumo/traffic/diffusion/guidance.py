@@ -80,7 +80,7 @@ def guidance(
     scene = AttackScene(networks.decoder, networks.codec, scenes.context, scenes.one, attackers, natural)
     attack = attack_objective(options.attack, scene)
     terms = (
-        Term(reward_objective(reward, state), _REWARD_WEIGHT, _REWARD_RUNGS),
+        Term(reward_objective(networks.reward, state), _REWARD_WEIGHT, _REWARD_RUNGS),
         Term(attack, _ATTACK_WEIGHT, _ATTACK_RUNGS),
     )
     mask = torch.zeros(scenes.one.agents, dtype=h.dtype, device=networks.device)

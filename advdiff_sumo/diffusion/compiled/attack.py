@@ -87,9 +87,9 @@ class CompiledAttack:
             gaps, xy, yaw, speed = (part.requires_grad_(True) for part in free)
             driven = Rollout(xy, yaw, speed, rollout.accel, rollout.curvature)
             seen = encounter(driven, size[scene.rows], scene.natural, size[0], gaps)
-            by = torch.autograd.grad(COSTS[self._kind](seen).sum(), (gaps, xy, yaw, speed), allow_unused=True)
-        parts = [torch.zeros_like(x) if y is None else y for x, y in zip(free, by, strict=True)]
-        by_gap, by_xy, by_yaw, by_speed = (part.numpy() for part in parts)
+            aim = COSTS[self._kind](seen).sum()
+            by = torch.autograd.grad(aim, (gaps, xy, yaw, speed), allow_unused=True, materialize_grads=True)
+        by_gap, by_xy, by_yaw, by_speed = (part.numpy() for part in by)
         return by_gap, np.concatenate((by_xy, by_yaw[..., None], by_speed[..., None]), axis=-1)
 
     def _run(self, count: int) -> RowsAgainst:
@@ -99,9 +99,7 @@ class CompiledAttack:
             h, batch, trace = scene.context.h, scene.batch, scene.natural.trace
             if count > 1:
                 h, batch, trace = h.expand(count, -1, -1), batch.repeat(count), trace.repeat(count)
-            self._runs[count] = RowsAgainst(
-                self._decoder, h, batch, scene.rows, scene.natural.steps, trace
-            )
+            self._runs[count] = RowsAgainst(self._decoder, h, batch, scene.rows, scene.natural.steps, trace)
         return self._runs[count]
 
 

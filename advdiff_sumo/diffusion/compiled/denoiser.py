@@ -104,11 +104,8 @@ class CompiledDenoiser:
 
 def _block_of(block: ResidualBlock) -> BlockWeights:
     """Return its weights; the bias of the way past is the second convolution's."""
-    first, second = kernel_of(block.first), kernel_of(block.second)
-    if not isinstance(block.past, nn.Conv1d):
-        past, bias = first[0].new_zeros(0, 0), second[1]
-    else:
+    first, (second, bias) = kernel_of(block.first), kernel_of(block.second)
+    if isinstance(block.past, nn.Conv1d):
         past, offset = kernel_of(block.past)
-        bias = second[1] + offset
-    parts = (*first, second[0], bias, past)
-    return BlockWeights(*(array_of(part) for part in parts))
+        second, bias = torch.cat((second, past), dim=1), bias + offset
+    return BlockWeights(*(array_of(part) for part in (*first, second, bias)))

@@ -68,14 +68,6 @@ def product(a: Array, w: Array, out: Array) -> None:
                 to[j] += ((a0 * w0[j] + a1 * w1[j]) + (a2 * w2[j] + a3 * w3[j])) + (
                     (a4 * w4[j] + a5 * w5[j]) + (a6 * w6[j] + a7 * w7[j])
                 )
-    if depth - even >= 4:
-        w0, w1, w2, w3 = w[even], w[even + 1], w[even + 2], w[even + 3]
-        for i in range(rows):
-            to = out[i]
-            a0, a1, a2, a3 = a[i, even], a[i, even + 1], a[i, even + 2], a[i, even + 3]
-            for j in range(wide):
-                to[j] += (a0 * w0[j] + a1 * w1[j]) + (a2 * w2[j] + a3 * w3[j])
-        even += 4
     for k in range(even, depth):
         w0 = w[k]
         for i in range(rows):

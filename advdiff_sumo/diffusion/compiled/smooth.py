@@ -14,7 +14,7 @@ import numpy as np
 from numba import types
 from numba.extending import overload
 
-_HOW = {"error_model": "numpy"}
+_HOW: Any = {"error_model": "numpy"}
 _LOG2_E = np.float32(1.4426950408889634)
 _LN2_BEGIN, _LN2_REST = np.float32(0.693359375), np.float32(-2.12194440e-4)  # the first has few digits
 _MOST = np.float32(87.0)

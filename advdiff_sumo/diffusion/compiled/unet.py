@@ -6,7 +6,7 @@ The same function as ``models.denoiser``, equal up to rounding.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,15 +22,14 @@ class BlockWeights(NamedTuple):
 
     Attributes:
         first, first_bias: of the first convolution.
-        second, second_bias: of the second.
-        past: (C', C) of the way past both, or (0, 0) where that is nothing but the input.
+        second, second_bias: of the second, (C', 3 C'); behind it what the way past both reads of the block's input,
+            (C', C), or nothing where it is the input itself.
     """
 
     first: Array
     first_bias: Array
     second: Array
     second_bias: Array
-    past: Array
 
 
 class UNetWeights(NamedTuple):
@@ -47,7 +46,7 @@ class UNetWeights(NamedTuple):
 
 
 @sums
-def spread(x: Array, less: float) -> float:
+def spread(x: Array, less: Any) -> Any:
     """Return the sum of the squares of *x* (L,), each number *less* as much."""
     out = x.dtype.type(0.0)
     for i in range(len(x)):
@@ -56,7 +55,7 @@ def spread(x: Array, less: float) -> float:
 
 
 @kernel
-def normalise(x: Array, begin: int, end: int, n: int) -> tuple[float, float]:
+def normalise(x: Array, begin: int, end: int, n: int) -> tuple[Any, Any]:
     """Return the mean and 1 over the deviation of channels *begin* … *end* of vehicle *n* in *x* (C, N, L)."""
     count = (end - begin) * x.shape[2]
     mean = square = 0.0
@@ -123,27 +122,51 @@ def biased(bias: Array, vehicles: int, length: int) -> Array:
     """Return *bias* (C,) everywhere, (C, N, L)."""
     out = np.empty((len(bias), vehicles, length), bias.dtype)
     for c in range(len(bias)):
-        out[c] = bias[c]
+        row = out[c].reshape(vehicles * length)
+        for i in range(len(row)):
+            row[i] = bias[c]
     return out
+
+
+@kernel
+def add(x: Array, out: Array) -> None:
+    """Add *x* (C, N, L) to *out* (C, N, L)."""
+    wide = x.shape[1] * x.shape[2]
+    for c in range(len(x)):
+        row, to = x[c].reshape(wide), out[c].reshape(wide)
+        for i in range(wide):
+            to[i] += row[i]
+
+
+@kernel
+def copy(x: Array, out: Array, at: int) -> None:
+    """Set the channels of *out* (C', N, L) from *at* on to those of *x* (C, N, L)."""
+    wide = x.shape[1] * x.shape[2]
+    for c in range(len(x)):
+        row, to = x[c].reshape(wide), out[at + c].reshape(wide)
+        for i in range(wide):
+            to[i] = row[i]
 
 
 @kernel
 def residual(w: BlockWeights, x: Array, scale: Array, shift: Array, at: int) -> Array:
     """Return (C', N, L) of *x* (C, N, L); *scale*, *shift* and *at* as in :func:`activate`."""
-    channels, vehicles, length = x.shape
-    columns = np.empty((3 * channels, vehicles, length), x.dtype)
-    activate(x, scale, shift, at, columns)
-    made = biased(w.first_bias, vehicles, length)
-    convolve(w.first, columns, made)
-    columns = np.empty((3 * len(made), vehicles, length), x.dtype)
-    activate(made, scale, shift, at + channels, columns)
-    out = biased(w.second_bias, vehicles, length)
-    if len(w.past):
-        convolve(w.past, x, out)
-    else:
-        out += x
-    convolve(w.second, columns, out)
-    return out
+    _, vehicles, length = x.shape
+    y = x
+    for second in range(
+        2
+    ):  # one call of each kernel for both: what is compiled twice takes twice as long to compile
+        weight, bias = (w.second, w.second_bias) if second else (w.first, w.first_bias)
+        columns = np.empty((weight.shape[1], vehicles, length), x.dtype)
+        activate(y, scale, shift, at, columns)
+        at += len(y)
+        if weight.shape[1] > 3 * len(y):
+            copy(x, columns, 3 * len(y))
+        y = biased(bias, vehicles, length)
+        convolve(weight, columns, y)
+    if w.second.shape[1] == 3 * len(y):
+        add(x, y)
+    return y
 
 
 @kernel
@@ -168,7 +191,7 @@ def doubled(x: Array, skip: Array) -> Array:
         for n in range(vehicles):
             for i in range(length):
                 out[c, n, 2 * i] = out[c, n, 2 * i + 1] = x[c, n, i]
-    out[channels:] = skip
+    copy(skip, out, channels)
     return out
 
 
@@ -178,28 +201,34 @@ def unet(w: UNetWeights, blocks: tuple[BlockWeights, ...], y: Array, scale: Arra
 
     The norms' channels lie in *scale* and *shift* one after the other, those of the last norm at the end.
     """
-    at = 0
-    first = residual(blocks[0], y, scale, shift, at)
-    at += len(y) + len(first)
-    y = halved(first)
-    second = residual(blocks[1], y, scale, shift, at)
-    at += len(y) + len(second)
-    y = halved(second)
-    third = residual(blocks[2], y, scale, shift, at)
-    at += len(y) + len(third)
-    y = residual(blocks[3], third, scale, shift, at)
-    at += len(third) + len(y)
-    wide = doubled(y, second)
-    y = residual(blocks[4], wide, scale, shift, at)
-    at += len(wide) + len(y)
-    wide = doubled(y, first)
-    y = residual(blocks[5], wide, scale, shift, at)
-    at += len(wide) + len(y)
+    at, first, second = 0, y, y
+    for number in range(len(blocks)):
+        if number in (1, 2):
+            y = halved(y)
+        elif number in (4, 5):
+            y = doubled(y, second if number == 4 else first)
+        channels = len(y)
+        y = residual(blocks[number], y, scale, shift, at)
+        at += channels + len(y)
+        if number == 0:
+            first = y
+        elif number == 1:
+            second = y
     columns = np.empty((3 * len(y), y.shape[1], y.shape[2]), y.dtype)
     activate(y, scale, shift, at, columns)
     out = biased(w.out_bias, y.shape[1], y.shape[2])
     convolve(w.out, columns, out)
     return out
+
+
+@kernel
+def turn(x: Array, out: Array) -> None:
+    """Set *out* (M, N, L) to *x* (N, M, L)."""
+    for n in range(x.shape[0]):
+        for c in range(x.shape[1]):
+            row, to = x[n, c], out[c, n]
+            for i in range(len(row)):
+                to[i] = row[i]
 
 
 @kernel
@@ -230,15 +259,9 @@ def predict(
         end = min(begin + span, vehicles)
         columns = np.empty((3 * channels, end - begin, length), x.dtype)
         y = np.empty((about.shape[1], end - begin, length), x.dtype)
-        for n in range(begin, end):
-            for c in range(channels):
-                columns[channels + c, n - begin] = x[n, c]
-            for c in range(len(y)):
-                y[c, n - begin] = about[n, c]
+        turn(x[begin:end], columns[channels : 2 * channels])
+        turn(about[begin:end], y)
         for c in range(channels):
             beside(columns, channels, c)
         convolve(w.into, columns, y)
-        out = unet(w, blocks, y, scale[begin:end], shift[begin:end])
-        for n in range(begin, end):
-            for c in range(channels):
-                made[n, c] = out[c, n - begin]
+        turn(unet(w, blocks, y, scale[begin:end], shift[begin:end]), made[begin:end])

@@ -1,4 +1,4 @@
-"""Pure pursuit of lanes through the bicycle model of ``core.bicycle``, in compiled loops: one vehicle after the other."""
+"""Pure pursuit of lanes through the bicycle model of ``core.bicycle``, in compiled loops."""
 
 from __future__ import annotations
 

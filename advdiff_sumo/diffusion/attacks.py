@@ -23,9 +23,10 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.geometry import into_frame
 from advdiff_sumo.models.options import MODEL_STEP_S
 
-_SOFT_M = 1.0
-_TOUCHES_M = -0.5  # nearer than this does not count as more
-_OTHERS_WEIGHT, _ROAD_WEIGHT, _PRIOR_WEIGHT = 10.0, 4.0, 0.01
+SOFT_M = 1.0
+TOUCHES_M = -0.5
+"""Nearer than this does not count as more."""
+OTHERS_WEIGHT, ROAD_WEIGHT, PRIOR_WEIGHT = 10.0, 4.0, 0.01
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def encounter(
 
 def _nearest(gap: Tensor) -> Tensor:
     """Return the smooth least (B, R) of gaps (B, R, T)."""
-    return -_SOFT_M * torch.logsumexp(-gap.clamp(min=_TOUCHES_M) / _SOFT_M, dim=-1)
+    return -SOFT_M * torch.logsumexp(-gap.clamp(min=TOUCHES_M) / SOFT_M, dim=-1)
 
 
 def _between(value: Tensor, low: Tensor | float, high: Tensor | float) -> Tensor:
@@ -166,8 +167,17 @@ COSTS: Mapping[str, Callable[[Encounter], Tensor]] = {
 
 
 @dataclass(frozen=True)
-class _Scene:
-    """Attackers of one scene, drawn B times at once."""
+class AttackScene:
+    """Attackers of one scene, drawn B times at once.
+
+    Attributes:
+        decoder: makes futures of latents.
+        codec: between scaled latents and the decoder's.
+        context: of the one scene.
+        batch: the one scene.
+        rows: (R,) attackers, the target (row 0) not among them.
+        natural: where everybody would go without an attack.
+    """
 
     decoder: FastDecoder
     codec: LatentCodec
@@ -177,45 +187,37 @@ class _Scene:
     natural: Natural
 
 
-def attack_objective(
-    kind: str,
-    decoder: FastDecoder,
-    codec: LatentCodec,
-    context: Context,
-    batch: SceneBatch,
-    rows: Tensor,
-    natural: Natural,
-) -> Objective:
-    """Return what attackers *rows* (R,) shall make large: minus the cost of *kind* and of being implausible.
+def attack_objective(kind: str, scene: AttackScene) -> Objective:
+    """Return what the attackers shall make large: minus the cost of *kind*, of ``COSTS``, and of being implausible.
 
     Implausible is to overlap another vehicle but the target, to leave the road, and what the prior finds unlikely.
-
-    Args:
-        kind: a key of ``COSTS``.
-        decoder: makes futures of latents.
-        codec: between scaled latents and the decoder's.
-        context: of the one scene.
-        batch: the one scene.
-        rows: attackers, the target (row 0) not among them.
-        natural: where everybody would go without an attack.
     """
-    scene = _Scene(decoder, codec, context, batch, rows, natural)
-    bodies = bodies_of(Placed(batch, rows, natural.rollout))
-    cost, size = COSTS[kind], batch.size[0]
+    if scene.decoder.compiled is None:
+        return tensor_attack(kind, scene)
+    from advdiff_sumo.diffusion.compiled.attack import CompiledAttack
+
+    return CompiledAttack(kind, scene, scene.decoder.compiled)
+
+
+def tensor_attack(kind: str, scene: AttackScene) -> Objective:
+    """Return :func:`attack_objective` on tensors, with gradients by autograd."""
+    rows, size, natural = scene.rows, scene.batch.size[0], scene.natural
+    bodies = bodies_of(Placed(scene.batch, rows, natural.rollout))
+    cost = COSTS[kind]
 
     def value(latents: Tensor) -> Tensor:
-        z = codec.unscale(latents[:, rows, None])[:, :, 0]
+        z = scene.codec.unscale(latents[:, rows, None])[:, :, 0]
         rollout = _futures(scene, z)
         met = bodies(rollout)
-        unlikely = _PRIOR_WEIGHT * _surprise(scene, z)
+        unlikely = PRIOR_WEIGHT * _surprise(scene, z)
         aim = cost(encounter(rollout, size[rows], natural, size[0], met.gap))
-        loss = aim + _OTHERS_WEIGHT * met.overlap + _ROAD_WEIGHT * met.off + unlikely
+        loss = aim + OTHERS_WEIGHT * met.overlap + ROAD_WEIGHT * met.off + unlikely
         return -loss.mean(-1)
 
     return value
 
 
-def _futures(scene: _Scene, z: Tensor) -> Rollout:
+def _futures(scene: AttackScene, z: Tensor) -> Rollout:
     """Return the futures (B, R, T) of the attackers' latents *z* (B, R, Z) against everybody's natural ones."""
     count, trace = len(z), scene.natural.trace
     if count == 1:
@@ -229,7 +231,7 @@ def _futures(scene: _Scene, z: Tensor) -> Rollout:
     return scene.decoder.some(z, h, batch, scene.rows, scene.natural.steps, trace)
 
 
-def _surprise(scene: _Scene, z: Tensor) -> Tensor:
+def _surprise(scene: AttackScene, z: Tensor) -> Tensor:
     """Return half the squared distance (B, R) of *z* from the prior's mean in its deviations."""
     prior = scene.context.prior
     mean, logvar = prior.mean[:, scene.rows], prior.logvar[:, scene.rows]

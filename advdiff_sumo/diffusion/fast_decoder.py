@@ -27,11 +27,15 @@ class FastDecoder:
     Args:
         decoder: the trained network; its weights are read when this is made.
         compiled: roll out by compiled loops; None: where the network is on the CPU.
+
+    Attributes:
+        compiled: the compiled form, or None where it is not used.
     """
 
     def __init__(self, decoder: Decoder, compiled: bool | None = None) -> None:
         here = decoder.start.weight.device.type == "cpu" if compiled is None else compiled
-        self._roller = _compiled(decoder) if here else TensorDecoder(decoder)
+        self.compiled = _compiled(decoder) if here else None
+        self._roller = self.compiled or TensorDecoder(decoder)
 
     def whole(
         self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS

@@ -1,185 +1,43 @@
-"""The denoiser for run time: what does not depend on the noisy sample is worked out beforehand.
+"""The denoiser for run time: the same network as ``models.denoiser``, equal up to rounding.
 
-The same network as ``models.denoiser`` with the same weights, equal up to rounding. (k_s, k_b) of every AdaGN are
-kept for the steps of one ladder, what relative poses and the context say in the coupling once a plan, the
-condition's convolution too, and convolutions are matrix products, which for a few dozen vehicles is several times as
-fast as the library's convolution.
+What does not depend on the noisy sample is worked out beforehand. On the CPU the rest is done by ``compiled``,
+elsewhere by ``tensor_denoiser``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-
-import torch
-from torch import Tensor, nn
-from torch.nn.functional import group_norm, pad, silu
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from advdiff_sumo.diffusion.sampler import Noise
+from advdiff_sumo.diffusion.tensor_denoiser import TensorDenoiser
 from advdiff_sumo.models.context import Context
-from advdiff_sumo.models.denoiser import STEP_WIDTH, AdaGN, Coupling, Denoiser, ResidualBlock, sinusoidal
-from advdiff_sumo.models.options import GROUPS
+from advdiff_sumo.models.denoiser import Denoiser
 
-
-@dataclass(frozen=True)
-class _Block:
-    """A residual block: kernels (C', 3 C) or (C', C), biases (C', 1), and where its norms' channels lie."""
-
-    norms: tuple[slice, slice]
-    first: tuple[Tensor, Tensor]
-    second: tuple[Tensor, Tensor]
-    past: tuple[Tensor, Tensor] | None
+if TYPE_CHECKING:
+    from advdiff_sumo.diffusion.compiled.denoiser import CompiledDenoiser
 
 
 class FastDenoiser:
     """Noise prediction of one network along one ladder of steps.
 
     Args:
-        denoiser: the trained network.
+        denoiser: the trained network; its weights are read when this is made.
         steps: the diffusion steps at which it will be asked.
+        compiled: predict by compiled loops; None: where the network is on the CPU.
     """
 
-    def __init__(self, denoiser: Denoiser, steps: Iterable[int]) -> None:
-        self._net = denoiser
-        blocks = [*denoiser.down, denoiser.middle, *denoiser.up]
-        residual = [block for block in blocks if isinstance(block, ResidualBlock)]
-        norms = [norm for block in residual for norm in (block.first_norm, block.second_norm)]
-        self._state = _state_of(norms)
-        self._blocks = _blocks_of(residual)
-        self._into = _kernel(denoiser.into)
-        self._out = _kernel(denoiser.out)
-        self._steps = {k: self._step(norms, k) for k in steps}
-        self._coupling = _coupling_of(denoiser.coupling, self._steps) if denoiser.coupling else None
-
-    def _step(self, norms: list[AdaGN], k: int) -> tuple[Tensor, Tensor]:
-        """Return k_s and k_b (1, ΣC, 1) of all norms at step *k*."""
-        device = self._into[0].device
-        code = sinusoidal(torch.tensor([k], device=device), STEP_WIDTH)
-        with torch.no_grad():
-            made = [norm.step(code).chunk(2, dim=1) for norm in norms]
-        scale, shift = (torch.cat(part, dim=1)[..., None] for part in zip(*made, strict=True))
-        return scale, shift
+    def __init__(self, denoiser: Denoiser, steps: Iterable[int], compiled: bool | None = None) -> None:
+        here = denoiser.into.weight.device.type == "cpu" if compiled is None else compiled
+        self._predicts = _compiled(denoiser, steps) if here else TensorDenoiser(denoiser, steps)
 
     def condition(self, context: Context) -> Noise:
-        """Return ε(x, k) for the scenes of *context*."""
-        scenes, agents = context.h.shape[:2]
-        with torch.no_grad():
-            state_of = self._states(context)
-            given = self._net.condition(context.prior.mean).flatten(0, 1)[:, None]
-            channels = self._net.shape[0]
-            kernel, offset = self._into
-            wide = kernel.reshape(len(kernel), 3, -1)
-            about = _convolve((wide[:, :, channels:].flatten(1), offset), _across(given))
-        into = wide[:, :, :channels].flatten(1), torch.zeros_like(offset)
-
-        def noise(x: Tensor, k: int) -> Tensor:
-            scale, shift = self._steps[k]
-            state = state_of(x, k)
-            y = _convolve(into, _across(x.flatten(0, 1))) + about
-            made = self._unet(y, state * scale, state * shift)
-            return _across(made).reshape(scenes, agents, *x.shape[2:])
-
-        return noise
-
-    def _states(self, context: Context) -> Callable[[Tensor, int], Tensor]:
-        """Return h_s (M, ΣC, 1) of all norms as a function of noisy sample and step."""
-        weight, bias = self._state
-        if self._coupling is None:
-            fixed = torch.addmm(bias, context.h.flatten(0, 1), weight)[..., None]
-            return lambda _x, _k: fixed
-        coupled = self._coupling(context)
-        return lambda x, k: torch.addmm(bias, coupled(x, k).flatten(0, 1), weight)[..., None]
-
-    @torch.no_grad()
-    def _unet(self, x: Tensor, scale: Tensor, shift: Tensor) -> Tensor:
-        def block(number: int, y: Tensor) -> Tensor:
-            return _residual(self._blocks[number], y, scale, shift)
-
-        first = block(0, x)
-        second = block(1, _halved(first))
-        third = block(2, _halved(second))
-        y = block(3, third)
-        y = block(4, torch.cat((_doubled(y), second)))
-        y = block(5, torch.cat((_doubled(y), first)))
-        norm = self._net.norm
-        y = silu(group_norm(_across(y), GROUPS, norm.weight, norm.bias, norm.eps))
-        return _convolve(self._out, _across(y))
+        """Return ε(x, k) for the scenes of *context*, without gradients."""
+        return self._predicts.condition(context)
 
 
-def _coupling_of(
-    layer: Coupling, steps: Iterable[int]
-) -> Callable[[Context], Callable[[Tensor, int], Tensor]]:
-    """Return *layer* as: context, once a plan → (noisy sample, step) → embeddings (B, A, D)."""
-    device = layer.out.weight.device
-    with torch.no_grad():
-        codes = {k: layer.step(sinusoidal(torch.tensor([k], device=device), STEP_WIDTH)) for k in steps}
+def _compiled(denoiser: Denoiser, steps: Iterable[int]) -> CompiledDenoiser:
+    """Return the compiled form; who never asks for it does not wait for the compiler's import."""
+    from advdiff_sumo.diffusion.compiled.denoiser import CompiledDenoiser
 
-    def given(context: Context) -> Callable[[Tensor, int], Tensor]:
-        known = layer.known(torch.cat((context.prior.mean, context.h), dim=-1))
-        edges = layer.net.prepare(context.relative)
-
-        @torch.no_grad()
-        def coupled(x: Tensor, k: int) -> Tensor:
-            begin = torch.relu(layer.sample(x.flatten(2)) + known + codes[k])
-            out: Tensor = context.h + layer.out(layer.net.mix(begin, edges, context.drawn))
-            return out
-
-        return coupled
-
-    return given
-
-
-def _state_of(norms: list[AdaGN]) -> tuple[Tensor, Tensor]:
-    """Return weight (D, ΣC) and bias (ΣC,) that give h_s of every norm at once."""
-    weight = torch.cat([norm.state.weight for norm in norms]).t().contiguous()
-    return weight.detach(), torch.cat([norm.state.bias for norm in norms]).detach()
-
-
-def _blocks_of(residual: list[ResidualBlock]) -> list[_Block]:
-    begin, blocks = 0, []
-    for block in residual:
-        spans = []
-        for norm in (block.first_norm, block.second_norm):
-            spans.append(slice(begin, begin + norm.norm.num_channels))
-            begin = spans[-1].stop
-        past = _kernel(block.past) if isinstance(block.past, nn.Conv1d) else None
-        blocks.append(_Block((spans[0], spans[1]), _kernel(block.first), _kernel(block.second), past))
-    return blocks
-
-
-def _kernel(layer: nn.Conv1d) -> tuple[Tensor, Tensor]:
-    """Return a convolution's weights as (C', taps · C), tap by tap, and its bias (C', 1)."""
-    assert layer.bias is not None  # noqa: S101 - tells the type checker that every layer here has one
-    return layer.weight.detach().transpose(1, 2).flatten(1).contiguous(), layer.bias.detach()[:, None]
-
-
-def _across(x: Tensor) -> Tensor:
-    """Return (C, M, L) of (M, C, L) or the other way round; maps are kept channels first, for one product each."""
-    return x.transpose(0, 1)
-
-
-def _convolve(kernel: tuple[Tensor, Tensor], x: Tensor) -> Tensor:
-    """Return (C', M, L) of *x* (C, M, L): one product of the kernel with each place and its two neighbours."""
-    weight, bias = kernel
-    wide = pad(x, (1, 1))
-    columns = torch.cat((wide[..., :-2], x, wide[..., 2:])).flatten(1)
-    return torch.addmm(bias, weight, columns).reshape(-1, *x.shape[1:])
-
-
-def _residual(block: _Block, x: Tensor, scale: Tensor, shift: Tensor) -> Tensor:
-    y = x
-    for span, kernel in zip(block.norms, (block.first, block.second), strict=True):
-        normal = group_norm(_across(y), GROUPS)
-        y = _convolve(kernel, _across(silu(torch.addcmul(shift[:, span], normal, scale[:, span]))))
-    if block.past is None:
-        return y + x
-    weight, bias = block.past
-    return y + torch.addmm(bias, weight, x.flatten(1)).reshape(y.shape)
-
-
-def _halved(x: Tensor) -> Tensor:
-    return 0.5 * (x[..., ::2] + x[..., 1::2])
-
-
-def _doubled(x: Tensor) -> Tensor:
-    return x.repeat_interleave(2, dim=-1)
+    return CompiledDenoiser(denoiser, steps)

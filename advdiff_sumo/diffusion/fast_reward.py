@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import torch
@@ -24,46 +25,61 @@ class _Pass:
     hidden: Tensor
 
 
+class RewardWeights:
+    """The weights of a reward model, in the order in which :class:`FastReward` multiplies by them.
+
+    Args:
+        model: the trained network; its weights are read when this is made.
+        compiled: let compiled loops mix the agents; None: where the network is on the CPU.
+    """
+
+    def __init__(self, model: RewardModel, compiled: bool | None = None) -> None:
+        layers = [x for x in model.interaction.layers if isinstance(x, InteractionLayer)]
+        self.action = model.action.weight.detach()
+        self.mix = _affine(model.mix[1])
+        self.values = _affine(model.value[0]), _affine(model.value[2])
+        self.layers = layers_of(layers, self.action.device.type == "cpu" if compiled is None else compiled)
+
+
 class FastReward:
     """Q of one state, the same as ``models.reward`` up to rounding.
 
     Args:
-        model: the trained network; its weights are read when this is made.
+        weights: of the model.
         state: what of Q does not depend on the action.
-        compiled: let compiled loops mix the agents; None: where the state is on the CPU.
     """
 
-    def __init__(self, model: RewardModel, state: RewardState, compiled: bool | None = None) -> None:
+    def __init__(self, weights: RewardWeights, state: RewardState) -> None:
         self._shape = state.node.shape[:2]
-        self._state = RewardState(
-            state.node.detach(), [edge.detach() for edge in state.edges], state.present, state.target
-        )
-        layers = [x for x in model.interaction.layers if isinstance(x, InteractionLayer)]
-        self._action = model.action.weight.detach()
-        self._mix = _affine(model.mix[1])
-        self._values = _affine(model.value[0]), _affine(model.value[2])
+        self._node = state.node.detach()
+        self._action, self._mix, self._values = weights.action, weights.mix, weights.values
         present = state.present
         rows = torch.arange(present.shape[1], device=present.device)
         kind = state.node.dtype
-        self._free = ((rows != state.target[:, None]) & present).to(kind).flatten()[:, None]
+        own = rows == state.target[:, None]
+        self._free = (~own & present).to(kind).flatten()[:, None]
         # (B, 2, A): what reads the target's node, and the mean of all
-        own = (rows == state.target[:, None]).to(kind)
         mean = present.to(kind) / present.sum(1, keepdim=True).clamp(min=1)
-        self._read = torch.stack((own, mean), dim=1)
-        self._layers = layers_of(
-            layers, self._state.edges, torch.where(present, 0.0, -1e9).to(kind), compiled
-        )
+        self._read = torch.stack((own.to(kind), mean), dim=1)
+        edges = [edge.detach() for edge in state.edges]
+        self._layers = weights.layers(edges, torch.where(present, 0.0, -1e9).to(kind))
 
     def __call__(self, mu: Tensor) -> Tensor:
         """Return Q (B,) of actions *mu* (B, A, Z), with gradients to them."""
         value: Tensor = _Function.apply(mu, self)  # type: ignore[no-untyped-call] # PyTorch's
         return value
 
+    @torch.no_grad()
+    def slope(self, mu: Tensor) -> Tensor:
+        """Return the gradient (B, A, Z) of the sum of Q for actions *mu* (B, A, Z)."""
+        value, done = self.value(mu)
+        return self.back(torch.ones_like(value), done)
+
     def value(self, mu: Tensor) -> tuple[Tensor, _Pass]:
         """Return Q (B,) and what :meth:`back` needs."""
         scenes, agents = self._shape
         node = torch.mm(mu.flatten(0, 1), self._action.t()).mul_(self._free)
-        first = node.add_(self._state.node.flatten(0, 1)).relu_()
+        first = node.add_(self._node.flatten(0, 1)).relu_()
         second = torch.addmm(self._mix[1], first, self._mix[0].t()).relu_()
         h, kept = self._layers.forward(second.reshape(scenes, agents, -1))
         read = torch.bmm(self._read, h).flatten(1)
@@ -110,8 +126,8 @@ class _Layers(Protocol):
 class TensorLayers:
     """Layers on tensors of any device; arguments are those of :class:`CompiledLayers`."""
 
-    def __init__(self, layers: Sequence[InteractionLayer], edges: Sequence[Tensor], lower: Tensor) -> None:
-        self._layers, self._edges = [GraphLayer(layer) for layer in layers], edges
+    def __init__(self, layers: Sequence[GraphLayer], edges: Sequence[Tensor], lower: Tensor) -> None:
+        self._layers, self._edges = layers, edges
         self._lower = lower.repeat_interleave(lower.shape[1], dim=0)
 
     def forward(self, h: Tensor) -> tuple[Tensor, list[Heard]]:
@@ -138,15 +154,15 @@ class TensorLayers:
 
 
 def layers_of(
-    layers: Sequence[InteractionLayer], edges: Sequence[Tensor], lower: Tensor, compiled: bool | None
-) -> _Layers:
-    """Return the layers in the form for the device of *lower*, or compiled if told so."""
-    here = lower.device.type == "cpu" if compiled is None else compiled
-    if not here:
-        return TensorLayers(layers, edges, lower)
+    layers: Sequence[InteractionLayer], compiled: bool
+) -> Callable[[Sequence[Tensor], Tensor], _Layers]:
+    """Return the layers, on tensors or compiled, as a function of edges and what is added to scores."""
+    if not compiled:
+        return partial(TensorLayers, [GraphLayer(layer) for layer in layers])
     from advdiff_sumo.diffusion.compiled.layers import CompiledLayers
+    from advdiff_sumo.diffusion.compiled.weights import graph_weights
 
-    return CompiledLayers(layers, edges, lower)
+    return partial(CompiledLayers, graph_weights(layers))
 
 
 def _affine(layer: nn.Module) -> tuple[Tensor, Tensor]:

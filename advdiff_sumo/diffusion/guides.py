@@ -16,9 +16,9 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.fast_reward import FastReward
+from advdiff_sumo.diffusion.fast_reward import FastReward, RewardWeights
 from advdiff_sumo.diffusion.sampler import Rung
-from advdiff_sumo.models.reward import RewardModel, RewardState
+from advdiff_sumo.models.reward import RewardState
 
 MOST = 2.0
 """Longest shift of a last step that begins where the one before ended, in what one plan makes."""
@@ -26,7 +26,7 @@ FLOOR = 0.3
 """Least √Σ of a guided step."""
 
 Objective: TypeAlias = Callable[[Tensor], Tensor]
-"""Scaled latents (B, A, Z) → what shall grow (B,)."""
+"""Scaled latents (B, A, Z) → what shall grow (B,); one that has a method ``slope`` gives its gradient (B, A, Z)."""
 
 
 @dataclass(frozen=True)
@@ -100,15 +100,21 @@ def direction(objective: Objective, latents: Tensor, attackers: Tensor) -> Tenso
 
     A gradient that is not finite counts as none.
     """
-    with torch.enable_grad():
-        free = latents.detach().requires_grad_(True)
-        gradient = torch.autograd.grad(objective(free).sum(), free)[0]
-    gradient = gradient * attackers[:, None]
+    gradient = _gradient(objective, latents.detach()) * attackers[:, None]
     norm = gradient.square().sum(dim=(1, 2), keepdim=True).sqrt()
     usable = torch.isfinite(norm) & (norm > 1e-12)
     return torch.where(usable, gradient / norm.clamp(min=1e-12), 0.0)
 
 
-def reward_objective(model: RewardModel, state: RewardState) -> Objective:
+def _gradient(objective: Objective, latents: Tensor) -> Tensor:
+    slope: Objective | None = getattr(objective, "slope", None)
+    if slope is not None:
+        return slope(latents)
+    with torch.enable_grad():
+        free = latents.requires_grad_(True)
+        return torch.autograd.grad(objective(free).sum(), free)[0]
+
+
+def reward_objective(weights: RewardWeights, state: RewardState) -> Objective:
     """Return Q(h, z, ·), the discounted adversarial reward of the scenes in *state*."""
-    return FastReward(model, state)
+    return FastReward(weights, state)

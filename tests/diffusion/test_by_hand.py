@@ -11,7 +11,7 @@ from torch import Tensor
 
 from advdiff_sumo.diffusion.compiled.vehicle import DONE, cars_of, drive, drive_back, limits_of
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.fast_reward import FastReward
+from advdiff_sumo.diffusion.fast_reward import FastReward, RewardWeights
 from advdiff_sumo.models import bicycle
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
@@ -132,7 +132,7 @@ def test_q_and_its_gradient(made: Bundle, compiled: bool) -> None:
     batch, context = two_scenes(made)
     target = torch.tensor([0, 3])
     state = made.reward.prepare(context.h, context.prior.mean, batch, target)
-    fast = FastReward(made.reward, state, compiled)
+    fast = FastReward(RewardWeights(made.reward, compiled), state)
     mu = torch.randn(2, 8, SMALL.latent, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
     weight = torch.tensor([1.0, -2.0], dtype=torch.float64)
     gradients = []

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
+from advdiff_sumo.diffusion.fast_encoder import FastEncoder
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, new_bundle
 from advdiff_sumo.models.options import EDGE_PIECES, LANE_PIECES, PIECE_FEATURES, PIECE_POINTS, ModelOptions
@@ -53,19 +54,38 @@ def scene(scenes: int = 1, agents: int = 6, seed: int = 0) -> SceneBatch:
     )
 
 
+@pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("layers", [0, 1, 2])
 @pytest.mark.parametrize("codec", ["latent", "trajectory"])
-def test_the_denoiser_at_every_step_of_a_ladder(codec: str, layers: int) -> None:
-    made, batch = bundle(codec, layers), scene(scenes=2)
+def test_the_denoiser_at_every_step_of_a_ladder(codec: str, layers: int, compiled: bool) -> None:
+    """For more vehicles than are predicted at a time, some of them on foot."""
+    made, batch = bundle(codec, layers), scene(scenes=2, agents=11)
     batch.moved[1, 3:] = False
     context = made.traffic.encoder(batch)
     steps = [100, 75, 50, 25]
-    noise = FastDenoiser(made.denoiser, steps).condition(context)
-    x = torch.randn(2, 6, *made.codec.shape, generator=torch.Generator().manual_seed(3))
+    noise = FastDenoiser(made.denoiser, steps, compiled).condition(context)
+    x = torch.randn(2, 11, *made.codec.shape, generator=torch.Generator().manual_seed(3))
     for k in steps:
         torch.testing.assert_close(
             noise(x, k), made.denoiser(x, torch.full((2,), k), context), atol=2e-5, rtol=1e-4
         )
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_the_encoder_with_somebody_absent(compiled: bool) -> None:
+    made, batch = bundle(), scene(scenes=2)
+    batch.present[1, 4:] = False
+    batch.moved[1, 3:] = False
+    wanted = made.traffic.encoder(batch)
+    context = FastEncoder(made.traffic.encoder, compiled)(batch)
+    assert context.drawn.tolist() == wanted.drawn.tolist()
+    for mine, theirs in (
+        (context.h, wanted.h),
+        (context.prior.mean, wanted.prior.mean),
+        (context.prior.logvar, wanted.prior.logvar),
+        (context.relative, wanted.relative),
+    ):
+        torch.testing.assert_close(mine, theirs, atol=2e-5, rtol=1e-4)
 
 
 def test_the_decoder_on_whole_scenes_with_somebody_absent_and_somebody_on_foot() -> None:

@@ -189,20 +189,23 @@ class CompiledBodies:
 
     def __call__(self, rollout: Rollout) -> Met:
         """Return what the attackers of *rollout* (B, R, T) meet, with gradients to it."""
-        values: Tensor = _Function.apply(rollout.xy, rollout.yaw, self._around)  # type: ignore[no-untyped-call] # PyTorch's
+        values: Tensor = _Function.apply(rollout.xy, rollout.yaw, self)  # type: ignore[no-untyped-call] # PyTorch's
         return Met(values[0], values[1].sum(-1), values[2].sum(-1))
+
+    def met(self, poses: Array) -> tuple[Array, Array]:
+        """Return values (3, B, R, T) and slopes (3, B, R, T, 3) of :func:`meet` at *poses* (B, R, T, 3)."""
+        values = np.empty((3, *poses.shape[:3]), poses.dtype)
+        slopes = np.empty((3, *poses.shape), poses.dtype)
+        meet(poses, self._around, values, slopes)
+        return values, slopes
 
 
 class _Function(torch.autograd.Function):
-    """Autograd's view of :func:`meet`."""
+    """Autograd's view of :meth:`CompiledBodies.met`."""
 
     @staticmethod
-    def forward(ctx: Any, xy: Tensor, yaw: Tensor, around: Around) -> Tensor:
-        poses = array_of(torch.cat((xy, yaw[..., None]), dim=-1))
-        values = np.empty((3, *poses.shape[:3]), poses.dtype)
-        slopes = np.empty((3, *poses.shape), poses.dtype)
-        meet(poses, around, values, slopes)
-        ctx.slopes = slopes
+    def forward(ctx: Any, xy: Tensor, yaw: Tensor, bodies: CompiledBodies) -> Tensor:
+        values, ctx.slopes = bodies.met(array_of(torch.cat((xy, yaw[..., None]), dim=-1)))
         return torch.from_numpy(values)
 
     @staticmethod

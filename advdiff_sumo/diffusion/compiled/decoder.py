@@ -60,7 +60,7 @@ class CompiledDecoder:
         self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
     ) -> Rollout:
         """Return the futures of *rows*, with gradients to *z*; as :meth:`FastDecoder.some`."""
-        run = _Rows(self, h, batch, rows, steps, trace)
+        run = RowsAgainst(self, h, batch, rows, steps, trace)
         return Rollout(*_Function.apply(z, run))  # type: ignore[no-untyped-call] # PyTorch's
 
     def cars(self, batch: SceneBatch) -> Array:
@@ -94,58 +94,63 @@ class CompiledDecoder:
         return np.empty(shape, self.weights.limits.dtype)
 
 
-class _Rows:
-    """A roll-out of some rows against a trace, and its gradient."""
+class RowsAgainst:
+    """Roll-outs of some rows against a trace, and their gradients; the tape is of the last one.
+
+    Args:
+        decoder: the networks.
+        h: (B, A, D) embeddings of all.
+        batch: the scenes.
+        rows: (R,) agents, the same in every scene.
+        steps: model steps, at most those of the trace.
+        trace: of the whole scenes.
+    """
 
     def __init__(
         self, decoder: CompiledDecoder, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
     ) -> None:
         self.decoder, self.rows, self.steps = decoder, rows.numpy(), steps
-        self.h, self.cars = array_of(h[:, rows]), array_of(torch.from_numpy(decoder.cars(batch))[:, rows])
-        self.agents, self.lower = batch.agents, lowered(batch, self.h)
+        self.h, self.cars = array_of(h[:, rows]), decoder.cars(batch.rows_of(rows))
+        self.lower = lowered(batch, self.h)
         self.traces = [
             SceneTrace(array_of(trace.motion[:, b]), array_of(trace.senders[:, :, b]))
             for b in range(batch.scenes)
         ]
-        self.tapes: list[Tape] = []
+        self.tapes = [decoder.tape(steps, len(self.rows), batch.agents) for _ in self.traces]
 
-    def forward(self, z: Tensor) -> Array:
-        """Return (B, T, R, 6) what latents (B, R, Z) lead to."""
-        latents, count = array_of(z), len(self.rows)
-        made = np.empty((len(latents), self.steps, count, 6), latents.dtype)
+    def forward(self, latents: Array) -> Array:
+        """Return (B, T, R, 6) what *latents* (B, R, Z) lead to."""
+        made = np.empty((len(latents), self.steps, len(self.rows), 6), latents.dtype)
+        networks = self.decoder.weights, self.decoder.eyes, self.decoder.graph
         for b, trace in enumerate(self.traces):
-            tape = self.decoder.tape(self.steps, count, self.agents)
             given = latents[b], self.h[b], self.cars[b], self.rows, self.lower[b]
-            networks = self.decoder.weights, self.decoder.eyes, self.decoder.graph
-            roll(*networks, *given, trace, True, tape, made[b])
-            self.tapes.append(tape)
+            roll(*networks, *given, trace, True, self.tapes[b], made[b])
         return made
 
-    def back(self, grads: tuple[Tensor, ...]) -> Tensor:
-        """Return the gradient (B, R, Z) for gradients of the five parts of a roll-out."""
-        parts = [part.numpy() for part in grads]
-        every = np.concatenate((parts[0], np.stack(parts[1:], axis=-1)), axis=-1)  # (B, R, T, 6)
-        grad = np.ascontiguousarray(every.swapaxes(1, 2))
-        decoder = self.decoder
+    def back(self, grad: Array) -> Array:
+        """Return the gradient (B, R, Z) of latents for that, *grad* (B, T, R, 6), of what they lead to."""
+        weights, graph = self.decoder.weights, self.decoder.graph
         made = [
-            roll_back(decoder.weights, decoder.graph, self.cars[b], self.rows, tape, grad[b])
+            roll_back(weights, graph, self.cars[b], self.rows, tape, grad[b])
             for b, tape in enumerate(self.tapes)
         ]
-        return torch.from_numpy(np.stack(made))
+        return np.stack(made)
 
 
 class _Function(torch.autograd.Function):
-    """Autograd's view of :class:`_Rows`."""
+    """Autograd's view of :class:`RowsAgainst`."""
 
     @staticmethod
-    def forward(ctx: Any, z: Tensor, run: _Rows) -> tuple[Tensor, ...]:
+    def forward(ctx: Any, z: Tensor, run: RowsAgainst) -> tuple[Tensor, ...]:
         ctx.run = run
-        rollout = rollout_of(run.forward(z))
+        rollout = rollout_of(run.forward(array_of(z)))
         return rollout.xy, rollout.yaw, rollout.speed, rollout.accel, rollout.curvature
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
-        return ctx.run.back(grads), None
+        parts = [part.numpy() for part in grads]
+        every = np.concatenate((parts[0], np.stack(parts[1:], axis=-1)), axis=-1)  # (B, R, T, 6)
+        return torch.from_numpy(ctx.run.back(np.ascontiguousarray(every.swapaxes(1, 2)))), None
 
 
 def lowered(batch: SceneBatch, like: Array) -> Array:

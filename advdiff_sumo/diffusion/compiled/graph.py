@@ -16,11 +16,43 @@ from advdiff_sumo.diffusion.compiled.kernel import (
     dot,
     keep,
     kernel,
+    largest,
     place,
     product,
     relu,
+    total,
 )
 from advdiff_sumo.diffusion.compiled.records import GraphWeights, Heard
+from advdiff_sumo.diffusion.compiled.smooth import exponential
+
+
+@kernel
+def soften(share: Array) -> None:
+    """Turn scores *share* (A,) into their softmax."""
+    most = largest(share)
+    for a in range(len(share)):
+        share[a] = exponential(share[a] - most)
+    every = total(share)
+    for a in range(len(share)):
+        share[a] /= every
+
+
+@kernel
+def gather(share: Array, message: Array, begin: int, out: Array) -> None:
+    """Set *out* (N,) to the mean of columns *begin* … of *message* (A, M), weighed by *share* (A,)."""
+    end, even = begin + len(out), len(share) - len(share) % 4
+    for m in range(len(out)):
+        out[m] = share.dtype.type(0.0)
+    for a in range(0, even, 4):
+        p0, p1, p2, p3 = share[a], share[a + 1], share[a + 2], share[a + 3]
+        r0, r1 = message[a][begin:end], message[a + 1][begin:end]
+        r2, r3 = message[a + 2][begin:end], message[a + 3][begin:end]
+        for m in range(len(out)):
+            out[m] += (p0 * r0[m] + p1 * r1[m]) + (p2 * r2[m] + p3 * r3[m])
+    for a in range(even, len(share)):
+        p0, r0 = share[a], message[a][begin:end]
+        for m in range(len(out)):
+            out[m] += p0 * r0[m]
 
 
 @kernel
@@ -36,26 +68,12 @@ def attend(message: Array, score: Array, lower: Array, weight: Array, gathered: 
     """
     heads, senders = weight.shape
     span = len(gathered) // heads
-    zero = gathered.dtype.type(0.0)
-    for m in range(len(gathered)):
-        gathered[m] = zero
     for head in range(heads):
-        share = weight[head]
+        share, line = weight[head], score[head]
         for a in range(senders):
-            share[a] = dot(message[a], score[head]) + lower[a]
-        most = share[0]
-        for a in range(senders):
-            most = max(most, share[a])
-        total = zero
-        for a in range(senders):
-            share[a] = math.exp(share[a] - most)
-            total += share[a]
-        begin = head * span
-        for a in range(senders):
-            share[a] /= total
-            part, row = share[a], message[a]
-            for m in range(begin, begin + span):
-                gathered[m] += part * row[m]
+            share[a] = dot(message[a], line) + lower[a]
+        soften(share)
+        gather(share, message, head * span, gathered[head * span : head * span + span])
 
 
 @kernel
@@ -171,27 +189,27 @@ def attend_back(
     heads, senders = weight.shape
     span = len(gathered) // heads
     zero = gathered.dtype.type(0.0)
-    slope = np.empty(weight.shape, weight.dtype)
+    slope = np.empty((senders, heads), weight.dtype)
     for head in range(heads):
         begin, end = head * span, (head + 1) * span
         mean = zero
         for a in range(senders):
-            slope[head, a] = dot(gathered[begin:end], message[a, begin:end])
-            mean += weight[head, a] * slope[head, a]
+            slope[a, head] = dot(gathered[begin:end], message[a][begin:end])
+            mean += weight[head, a] * slope[a, head]
         for a in range(senders):
-            slope[head, a] = weight[head, a] * (slope[head, a] - mean)
-    row = np.empty(len(gathered), gathered.dtype)
+            slope[a, head] = weight[head, a] * (slope[a, head] - mean)
+    rows = np.zeros(message.shape, message.dtype)
+    product(slope, score, rows)
     for a in range(senders):
+        row, to, heard = rows[a], sender[a], message[a]
         for head in range(heads):
-            share = weight[head, a]
-            for m in range(head * span, head * span + span):
-                row[m] = share * gathered[m]
-        for head in range(heads):
-            part, line = slope[head, a], score[head]
-            for m in range(len(row)):
-                row[m] += part * line[m]
-        to, heard = sender[a], message[a]
+            begin, end, share = head * span, (head + 1) * span, weight[head, a]
+            part, by = row[begin:end], gathered[begin:end]
+            for m in range(span):
+                part[m] += share * by[m]
         for m in range(len(row)):
-            by = row[m] if heard[m] > zero else zero
-            receiver[m] += by
-            to[m] += by
+            row[m] = row[m] if heard[m] > zero else zero
+        for m in range(len(row)):
+            receiver[m] += row[m]
+        for m in range(len(row)):
+            to[m] += row[m]

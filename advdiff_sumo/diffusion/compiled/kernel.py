@@ -1,7 +1,8 @@
 """How loops are compiled, and the small ones that all others are made of.
 
 A kernel takes C-contiguous arrays of one precision, writes into arrays that it is given, and is kept on disk once it
-is compiled. Sums run in the order in which they are written, so that results are the same in every process.
+is compiled. Sums run in the order in which they are written, but for those of a few small kernels, which the compiler
+may run in several lanes; in either case results are the same in every process.
 
 numba looks at the file of a kernel for changes, not at those of the kernels that it calls: who changes one of them
 removes ``__pycache__`` of this folder.
@@ -9,7 +10,6 @@ removes ``__pycache__`` of this folder.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any, TypeAlias, TypeVar, cast
 
@@ -25,10 +25,24 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 def kernel(function: _Function) -> _Function:
     """Return *function* compiled when it is first called; kept on disk where there is a place for it."""
+    return _compiled(function, _HOW)
+
+
+def sums(function: _Function) -> _Function:
+    """Return *function* compiled as a kernel whose sums may run in several lanes."""
+    return _compiled(function, {**_HOW, "fastmath": {"reassoc", "nsz"}})
+
+
+def extremes(function: _Function) -> _Function:
+    """Return *function*, which finds extremes of numbers that are none of them NaN, compiled as a kernel."""
+    return _compiled(function, {**_HOW, "fastmath": {"nnan", "nsz"}})
+
+
+def _compiled(function: _Function, how: dict[str, Any]) -> _Function:
     try:
-        return cast("_Function", njit(cache=True, **_HOW)(function))
+        return cast("_Function", njit(cache=True, **how)(function))
     except RuntimeError:  # numba's word for: neither the package's folder nor the user's can be written
-        return cast("_Function", njit(**_HOW)(function))
+        return cast("_Function", njit(**how)(function))
 
 
 def array_of(tensor: Tensor) -> Array:
@@ -111,23 +125,28 @@ def place(x: Array, begin: int, out: Array, at: int, count: int) -> None:
             to[at + j] = row[begin + j]
 
 
-@kernel
+@sums
 def dot(a: Array, b: Array) -> Any:
-    """Return the product of *a* (N,) and *b* (N,), of their precision, summed in four lanes."""
-    zero = a.dtype.type(0.0)
-    s0 = s1 = s2 = s3 = zero
-    even = len(a) - len(a) % 4
-    for i in range(0, even, 4):
-        s0 += a[i] * b[i]
-        s1 += a[i + 1] * b[i + 1]
-        s2 += a[i + 2] * b[i + 2]
-        s3 += a[i + 3] * b[i + 3]
-    for i in range(even, len(a)):
-        s0 += a[i] * b[i]
-    return (s0 + s1) + (s2 + s3)
+    """Return the product of *a* (N,) and *b* (N,), of their precision."""
+    total = a.dtype.type(0.0)
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total
 
 
-@kernel
-def logistic(x: float) -> float:
-    """Return 1 / (1 + exp(−x))."""
-    return 1.0 / (1.0 + math.exp(-x))
+@sums
+def total(x: Array) -> Any:
+    """Return the sum of *x* (N,)."""
+    out = x.dtype.type(0.0)
+    for i in range(len(x)):
+        out += x[i]
+    return out
+
+
+@extremes
+def largest(x: Array) -> Any:
+    """Return the largest of *x* (N,)."""
+    out = x[0]
+    for i in range(len(x)):
+        out = x[i] if x[i] > out else out
+    return out

@@ -10,23 +10,21 @@ from torch import Tensor
 
 from advdiff_sumo.diffusion.compiled.backward import mix_back
 from advdiff_sumo.diffusion.compiled.kernel import Array, array_of
-from advdiff_sumo.diffusion.compiled.records import Heard
+from advdiff_sumo.diffusion.compiled.records import GraphWeights, Heard
 from advdiff_sumo.diffusion.compiled.rollout import mix
-from advdiff_sumo.diffusion.compiled.weights import graph_weights
-from advdiff_sumo.models.interaction import InteractionLayer
 
 
 class CompiledLayers:
     """Layers with their gradient, for scenes of which only the embeddings change.
 
     Args:
-        layers: trained; their weights are read when this is made.
+        weights: of the layers.
         edges: for each layer (B, A, A, M) what relative poses add to messages.
         lower: (B, A) added to the scores: very negative where nobody is.
     """
 
-    def __init__(self, layers: Sequence[InteractionLayer], edges: Sequence[Tensor], lower: Tensor) -> None:
-        self._weights = graph_weights(layers)
+    def __init__(self, weights: GraphWeights, edges: Sequence[Tensor], lower: Tensor) -> None:
+        self._weights = weights
         self._edges = array_of(torch.stack([edge.detach() for edge in edges], dim=1))  # (B, L, A, A, M)
         self._lower = array_of(lower)
         self._rows = np.arange(lower.shape[1])
@@ -37,7 +35,7 @@ class CompiledLayers:
         _, layers, agents, _, wide = self._edges.shape
         for b in range(len(node)):
             senders = np.empty((layers, agents, wide), node.dtype)
-            heard = self._heard(b)
+            heard = room(self._weights, self._edges[b])
             made.append(mix(self._weights, node[b], self._rows, self._lower[b], senders, False, heard))
             kept.append(heard)
         return torch.from_numpy(np.stack(made)), kept
@@ -48,12 +46,14 @@ class CompiledLayers:
         made = [mix_back(self._weights, node[b], self._rows, heard) for b, heard in enumerate(kept)]
         return torch.from_numpy(np.stack(made))
 
-    def _heard(self, scene: int) -> Heard:
-        layers, agents = self._edges.shape[1:3]
-        width, inner = self._weights.first.shape[1:]
-        heads = self._weights.score.shape[1]
 
-        def blank(*shape: int) -> Array:
-            return np.empty((layers, agents, *shape), self._edges.dtype)
+def room(weights: GraphWeights, edges: Array) -> Heard:
+    """Return room for what the layers of a scene leave; its messages hold *edges* (L, A, A, M)."""
+    layers, agents = edges.shape[:2]
+    width, inner = weights.first.shape[1:]
+    heads = weights.score.shape[1]
 
-        return Heard(self._edges[scene].copy(), blank(heads, agents), blank(width), blank(), blank(inner))
+    def blank(*shape: int) -> Array:
+        return np.empty((layers, agents, *shape), edges.dtype)
+
+    return Heard(edges.copy(), blank(heads, agents), blank(width), blank(), blank(inner))

@@ -16,7 +16,6 @@ from advdiff_sumo.diffusion.compiled.kernel import (
     affine,
     clear,
     kernel,
-    logistic,
     place,
     product,
     relu,
@@ -31,6 +30,7 @@ from advdiff_sumo.diffusion.compiled.records import (
     heard_at,
     heard_in,
 )
+from advdiff_sumo.diffusion.compiled.smooth import logistic, tangent
 from advdiff_sumo.diffusion.compiled.vehicle import MOTION, drive, features
 
 _NEAR_PER_M = 0.1
@@ -127,13 +127,15 @@ def remember(weight: Array, told: Array, done: Array, held: Array, gates: Array,
     place(told, width, gates, 0, 3 * width)
     product(done, weight, gates)
     for g in range(count):
-        line, last, kept = gates[g], held[g], memory[g]
+        line, kept = gates[g], memory[g]
+        both, last = held[g][width : 3 * width], held[g][3 * width :]
+        reset, update, new = line[:width], line[width : 2 * width], line[2 * width :]
         for d in range(2 * width):
-            line[d] = logistic(line[d] + last[width + d])
+            line[d] = logistic(line[d] + both[d])
         for d in range(width):
-            new = math.tanh(line[2 * width + d] + line[d] * last[3 * width + d])
-            line[2 * width + d] = new
-            kept[d] = new + line[width + d] * (kept[d] - new)
+            new[d] = tangent(new[d] + reset[d] * last[d])
+        for d in range(width):
+            kept[d] = new[d] + update[d] * (kept[d] - new[d])
 
 
 @kernel
@@ -171,7 +173,7 @@ def roll(
     product(z, w.start_z, tape.first)
     for g in range(len(z)):
         for d in range(tape.first.shape[1]):
-            tape.first[g, d] = math.tanh(tape.first[g, d])
+            tape.first[g, d] = tangent(tape.first[g, d])
     count, width = tape.first.shape
     memory, given = np.empty((count, width), z.dtype), np.empty((count, width), z.dtype)
     told, motion = np.empty((count, 4 * width), z.dtype), np.empty((count, 4), z.dtype)

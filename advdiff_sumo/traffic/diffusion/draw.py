@@ -93,8 +93,7 @@ def draw_plan(
 
 def encode(networks: Networks, batch: SceneBatch) -> Context:
     """Return embeddings and prior of *batch*."""
-    context: Context = networks.bundle.traffic.encoder(batch)
-    return context
+    return networks.encoder(batch)
 
 
 def decode(networks: Networks, x: Tensor, h: Tensor, batch: SceneBatch) -> Rollout:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.diffusion.attacks import Natural, attack_objective
+from advdiff_sumo.diffusion.attacks import AttackScene, Natural, attack_objective
 from advdiff_sumo.diffusion.guides import Guidance, Term, reward_objective
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import Context
@@ -77,11 +77,10 @@ def guidance(
             scenes.many,
             torch.zeros(count, dtype=torch.long, device=networks.device),
         )
-    attack = attack_objective(
-        options.attack, networks.decoder, networks.codec, scenes.context, scenes.one, attackers, natural
-    )
+    scene = AttackScene(networks.decoder, networks.codec, scenes.context, scenes.one, attackers, natural)
+    attack = attack_objective(options.attack, scene)
     terms = (
-        Term(reward_objective(reward, state), _REWARD_WEIGHT, _REWARD_RUNGS),
+        Term(reward_objective(networks.reward, state), _REWARD_WEIGHT, _REWARD_RUNGS),
         Term(attack, _ATTACK_WEIGHT, _ATTACK_RUNGS),
     )
     mask = torch.zeros(scenes.one.agents, dtype=h.dtype, device=networks.device)

@@ -11,6 +11,8 @@ import torch
 from advdiff_sumo.core.errors import ConfigError, WeightsError
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
+from advdiff_sumo.diffusion.fast_encoder import FastEncoder
+from advdiff_sumo.diffusion.fast_reward import RewardWeights
 from advdiff_sumo.diffusion.sampler import Sampling
 from advdiff_sumo.diffusion.schedule import Schedule
 from advdiff_sumo.models.bundle import Bundle, load_bundle
@@ -29,6 +31,8 @@ class Networks:
         codec: between latents and what is diffused.
         denoiser: for the steps of one ladder.
         decoder: of whole scenes and of some of their rows.
+        encoder: of scenes.
+        reward: weights of Q as guidance reads them.
         schedule: what the denoiser was trained with.
         sampling: how plans are drawn.
         device: where they are.
@@ -38,6 +42,8 @@ class Networks:
     codec: LatentCodec
     denoiser: FastDenoiser
     decoder: FastDecoder
+    encoder: FastEncoder
+    reward: RewardWeights
     schedule: Schedule
     sampling: Sampling
     device: torch.device
@@ -76,6 +82,8 @@ def _networks(path: str, reward: str, device: torch.device, steps: int, family: 
         codec=codec,
         denoiser=FastDenoiser(bundle.denoiser, schedule.ladder(steps)[:-1]),
         decoder=FastDecoder(bundle.traffic.decoder),
+        encoder=FastEncoder(bundle.traffic.encoder),
+        reward=RewardWeights(bundle.reward),
         schedule=schedule,
         sampling=Sampling(steps=steps, family="printed" if family == "printed" else "consistent", eta=eta),
         device=device,

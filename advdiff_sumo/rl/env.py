@@ -41,6 +41,7 @@ class Seat:
         self.prior = prior
         self.now: Situation | None = None
         self.residual: FloatArray = np.zeros(ACTIONS)
+        self._last: Tracks | None = None
 
     def observe(self, road: RoadMap, scene: Scene) -> Situation:
         """Take in what the attacker sees, and return it."""
@@ -50,7 +51,7 @@ class Seat:
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> None:  # noqa: ARG002 - the contract
         """Forget the last episode."""
-        self.now = None
+        self.now = self._last = None
 
     def plan(
         self,
@@ -64,7 +65,9 @@ class Seat:
         if now is None or now.view.scene.time_s != scene.time_s:
             raise RuntimeError("the loop asks for a plan of an instant that nobody has observed")
         residuals = np.repeat(self.residual[None], len(now.rows), axis=0)
-        return joint_plan(road, now, self.prior, residuals), None
+        plan = joint_plan(road, now, self.prior, residuals, self._last)
+        self._last = plan.tracks
+        return plan, None
 
 
 class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):

@@ -33,8 +33,8 @@ from advdiff_sumo.traffic.rivals.advsim_cost import (
     Ground,
     attack_cost,
     discomfort,
-    feasible,
     ground_of,
+    keeps,
     search_cost,
     violation,
 )
@@ -48,6 +48,7 @@ from advdiff_sumo.traffic.rivals.closed_loop import (
 )
 from advdiff_sumo.traffic.rivals.networks import prior_of
 from advdiff_sumo.traffic.rivals.options import AdvSimOptions
+from advdiff_sumo.traffic.rivals.surrogate import Answer
 
 Driver: TypeAlias = Callable[[SceneBatch], Rollout]
 """What drives everybody before the search."""
@@ -63,6 +64,7 @@ class _Case:
         rollout: everybody's initial future, (1, A, T).
         rows: (R,) attackers.
         initial: their initial actions.
+        answer: what the surrogate does now.
     """
 
     task: Task
@@ -70,6 +72,7 @@ class _Case:
     rollout: Rollout
     rows: Tensor
     initial: Initial
+    answer: Answer | None
 
 
 @dataclass(frozen=True)
@@ -80,13 +83,13 @@ class _Best:
         changes: (R, H, 2).
         cost: distance to the reacting target and its discomfort; less is better.
         ground: what was met.
-        surrogate: memory of the surrogate.
+        keeps: whether they keep the constraints.
     """
 
     changes: Tensor
     cost: float
     ground: Ground
-    surrogate: Any
+    keeps: bool
 
 
 class AdvSim(Rival):
@@ -131,7 +134,7 @@ class AdvSim(Rival):
         if not len(rows):
             return None
         chosen = torch.from_numpy(rows).to(self.prior.device)
-        return _Case(task, batch, rollout, chosen, initial_of(rollout, batch, chosen))
+        return _Case(task, batch, rollout, chosen, initial_of(rollout, batch, chosen), self.ask(task))
 
     def _rounds(self, case: _Case) -> tuple[_Best, tuple[float, ...]]:
         """Search in blocks of rounds; after each the surrogate reacts, and the better of both is kept."""
@@ -139,7 +142,7 @@ class AdvSim(Rival):
         best = self._judged(case, zero)
         mean = self._warm(case)
         if mean.any():
-            best = self._better(best, self._judged(case, mean, best.ground.allowed), case)
+            best = self._better(best, self._judged(case, mean, best.ground.allowed))
         optimiser = self._optimiser(case, mean)
         ground, losses, done = best.ground, list[float](), 0
         while done < self.options.rounds:
@@ -149,7 +152,7 @@ class AdvSim(Rival):
             done += block
             judged = self._judged(case, found, best.ground.allowed)
             ground = judged.ground
-            best = self._better(best, judged, case)
+            best = self._better(best, judged)
         return best, tuple(losses)
 
     def _block(self, case: _Case, optimiser: Any, ground: Ground, rounds: int) -> tuple[Tensor, list[float]]:
@@ -169,21 +172,26 @@ class AdvSim(Rival):
         return kept.to(case.rollout.xy), costs
 
     def _judged(self, case: _Case, changes: Tensor, allowed: float | None = None) -> _Best:
-        """Return *changes* (R, H, 2) with their cost while the surrogate reacts to them."""
+        """Return *changes* (R, H, 2) with their cost while the surrogate reacts to them.
+
+        Args:
+            case: the search.
+            changes: to be judged.
+            allowed: violation of the constraints that the first sequence has; None: this is the first one.
+        """
         made = self._with(case, changes)
-        forced, surrogate = self.react(case.task, made)
+        forced = self.react(case.task, case.answer, made)
         seen = with_target(made, forced)
         ground = ground_of(seen, case.batch, case.rows, HORIZON_STEPS)
-        own = self._cut(case, changes[None])
-        if allowed is None:
-            allowed = float(violation(own, ground))
+        own = cut(Rollout(*(part[:, case.rows] for part in parts(made))), HORIZON_STEPS)
+        over = float(violation(own, ground))
+        ground = replace(ground, allowed=over if allowed is None else allowed)
         states = torch.cat((case.batch.pose[0, :1], seen.states()[0, 0, :HORIZON_STEPS]))
         cost = float(attack_cost(own, ground)) - self.options.comfort * discomfort(states)
-        return _Best(changes, cost, replace(ground, allowed=allowed), surrogate)
+        return _Best(changes, cost, ground, keeps(over, ground))
 
-    def _better(self, best: _Best, other: _Best, case: _Case) -> _Best:
-        kept = bool(feasible(self._cut(case, other.changes[None]), other.ground))
-        return other if kept and other.cost < best.cost else best
+    def _better(self, best: _Best, other: _Best) -> _Best:
+        return other if other.keeps and other.cost < best.cost else best
 
     def _optimiser(self, case: _Case, mean: Tensor) -> Any:
         size = mean.numel()
@@ -212,7 +220,7 @@ class AdvSim(Rival):
 
     def _cut(self, case: _Case, changes: Tensor) -> Rollout:
         """Return the attackers' futures (P, R, H) of *changes* (P, R, H, 2)."""
-        return cut(driven(changes, case.initial, self.options, self.model), HORIZON_STEPS)
+        return driven(changes, case.initial, self.options, self.model, HORIZON_STEPS)
 
     def _natural(self, task: Task, batch: SceneBatch, rollout: Rollout) -> Found:
         memory = replace(task.memory, found={}, attackers=())
@@ -225,7 +233,7 @@ class AdvSim(Rival):
             case.task.memory,
             found=dict(zip(names, kept, strict=True)),
             attackers=names,
-            surrogate=best.surrogate,
+            surrogate=case.task.memory.surrogate if case.answer is None else case.answer.memory,
         )
         return Found(Drawn(made, {}, names, self._latents(case.batch)), memory, losses)
 

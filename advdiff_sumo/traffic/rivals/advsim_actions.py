@@ -21,7 +21,7 @@ from advdiff_sumo.models.geometry import wrap_angle
 from advdiff_sumo.models.options import MODEL_STEP_S, ModelOptions
 from advdiff_sumo.traffic.rivals.options import AdvSimOptions
 
-_CRAWL_MPS = 2.0
+_CRAWL_MPS, _SLOW_MPS = 2.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -57,60 +57,63 @@ def initial_of(rollout: Rollout, batch: SceneBatch, rows: Tensor) -> Initial:
     return Initial(batch.pose[0, rows], batch.size[0, rows, 0], accel, curvature, last)
 
 
-def driven(changes: Tensor, initial: Initial, options: AdvSimOptions, model: ModelOptions) -> Rollout:
-    """Return the futures (P, R, T) of *changes* (P, R, H, 2), H at most T; afterwards the initial actions again."""
-    count, steps = len(changes), initial.accel.shape[1]
+def driven(
+    changes: Tensor, initial: Initial, options: AdvSimOptions, model: ModelOptions, steps: int | None = None
+) -> Rollout:
+    """Return the futures (P, R, T) of *changes* (P, R, H, 2); where T is more than H, with the initial actions again.
+
+    Args:
+        changes: in [−1, 1].
+        initial: the attackers before the search.
+        options: bounds of the changes.
+        model: bounds of the actions.
+        steps: T; None: all that the initial actions have.
+    """
+    count, steps = len(changes), initial.accel.shape[1] if steps is None else steps
+    wish = _filled(changes, steps)
     pose = initial.pose.expand(count, -1, -1)
     xy, yaw, speed = pose[..., :2], pose[..., 2], pose[..., 3].clamp(min=0.0)
     accel, curvature = initial.last[:, 0].expand(count, -1), initial.last[:, 1].expand(count, -1)
+    push = initial.accel[:, :steps] + options.accel_mps2 * wish[..., 0]
+    jump = _jumps(initial.accel, initial.last[:, 0]).clamp(min=options.jerk_mps3 * MODEL_STEP_S)
+    turn, bent = options.steer_share * wish[..., 1], _jumps(initial.curvature, initial.last[:, 1])
+    tightest = tightest_curvature(initial.length, model)
     states = []
     for k in range(steps):
-        wish = changes[:, :, k] if k < changes.shape[2] else torch.zeros_like(changes[:, :, 0])
-        accel = _accel(k, wish[..., 0], accel, initial, options, model)
-        curvature = _curvature(k, wish[..., 1], curvature, speed, initial, options, model)
+        accel = _within(push[..., k], accel, jump[:, k]).clamp(-model.brake_mps2, model.accel_mps2)
+        limit = torch.minimum(tightest, model.lateral_mps2 / speed.clamp(min=_SLOW_MPS) ** 2)
+        swerve = options.swerve_mps3 * MODEL_STEP_S / speed.clamp(min=_CRAWL_MPS) ** 2
+        wanted = initial.curvature[:, k] + limit * turn[..., k]
+        curvature = _within(wanted, curvature, torch.maximum(bent[:, k], swerve))
+        curvature = torch.minimum(torch.maximum(curvature, -limit), limit)
         xy, yaw, speed = step(xy, yaw, speed, accel, curvature, MODEL_STEP_S)
         states.append((xy, yaw, speed, accel, curvature))
     return Rollout(*(torch.stack(column, dim=2) for column in zip(*states, strict=True)))
 
 
-def _accel(
-    k: int, wish: Tensor, before: Tensor, initial: Initial, options: AdvSimOptions, model: ModelOptions
-) -> Tensor:
-    wanted = initial.accel[:, k] + options.accel_mps2 * wish
-    most = torch.maximum(
-        _jump(k, initial.accel, initial.last[:, 0]), _full(wish, options.jerk_mps3 * MODEL_STEP_S)
-    )
-    wanted = torch.minimum(torch.maximum(wanted, before - most), before + most)
-    return wanted.clamp(-model.brake_mps2, model.accel_mps2)
+def _filled(changes: Tensor, steps: int) -> Tensor:
+    """Return *changes* (P, R, H, 2) with as many instants as *steps*, no change in those that are added."""
+    more = steps - changes.shape[2]
+    if more <= 0:
+        return changes[:, :, :steps]
+    return torch.cat((changes, changes.new_zeros(*changes.shape[:2], more, 2)), dim=2)
 
 
-def _curvature(
-    k: int,
-    wish: Tensor,
-    before: Tensor,
-    speed: Tensor,
-    initial: Initial,
-    options: AdvSimOptions,
-    model: ModelOptions,
-) -> Tensor:
-    limit = largest_curvature(speed, initial.length, model)
-    wanted = initial.curvature[:, k] + options.steer_share * limit * wish
-    swerve = options.swerve_mps3 * MODEL_STEP_S / speed.clamp(min=_CRAWL_MPS) ** 2
-    most = torch.maximum(_jump(k, initial.curvature, initial.last[:, 1]).expand_as(swerve), swerve)
-    wanted = torch.minimum(torch.maximum(wanted, before - most), before + most)
-    return torch.minimum(torch.maximum(wanted, -limit), limit)
+def _within(wanted: Tensor, before: Tensor, most: Tensor) -> Tensor:
+    return torch.minimum(torch.maximum(wanted, before - most), before + most)
+
+
+def _jumps(values: Tensor, last: Tensor) -> Tensor:
+    """Return (R, T) how much the initial sequence itself changes at each step."""
+    return torch.diff(values, dim=1, prepend=last[:, None]).abs()
+
+
+def tightest_curvature(length: Tensor, model: ModelOptions) -> Tensor:
+    """Return the bound that the steering angle sets."""
+    return math.tan(model.steer_rad) / (WHEELBASE_PER_LENGTH * length.clamp(min=0.5))
 
 
 def largest_curvature(speed: Tensor, length: Tensor, model: ModelOptions) -> Tensor:
     """Return the bound that steering angle and lateral acceleration set at *speed*."""
-    geometric = math.tan(model.steer_rad) / (WHEELBASE_PER_LENGTH * length.clamp(min=0.5))
-    return torch.minimum(geometric, model.lateral_mps2 / speed.clamp(min=0.1) ** 2)
-
-
-def _jump(k: int, values: Tensor, last: Tensor) -> Tensor:
-    """Return (R,) how much the initial sequence itself changes at step *k*."""
-    return (values[:, k] - (values[:, k - 1] if k else last)).abs()
-
-
-def _full(like: Tensor, value: float) -> Tensor:
-    return torch.full_like(like, value)
+    grip = model.lateral_mps2 / speed.clamp(min=_SLOW_MPS) ** 2
+    return torch.minimum(tightest_curvature(length, model), grip)

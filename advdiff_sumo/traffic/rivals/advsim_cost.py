@@ -8,6 +8,7 @@ and nobody leaves the road.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import TypeAlias
 
 import torch
 from torch import Tensor
@@ -63,32 +64,24 @@ def ground_of(rollout: Rollout, batch: SceneBatch, rows: Tensor, steps: int) -> 
 
 def attack_cost(rollout: Rollout, ground: Ground) -> Tensor:
     """Return (P,) the smooth least distance in metres of candidates (P, R, H) to the target."""
-    dense = _dense(rollout, ground)
-    gap = _gaps(dense, ground.size, ground.target[None], ground.target_size[None])[:, :, 0]
-    return -_SOFT_M * torch.logsumexp(-gap.clamp(min=_TOUCHES_M).flatten(1) / _SOFT_M, dim=1)
+    return _attack(_bodies(rollout, ground), ground)
 
 
 def violation(rollout: Rollout, ground: Ground) -> Tensor:
     """Return (P,) metres by which candidates are inside others, or over the road's edge, worst instants added."""
-    dense = _dense(rollout, ground)
-    inside = torch.zeros(len(dense.yaw), device=dense.yaw.device)
-    if len(ground.others):
-        gaps = _gaps(dense, ground.size, ground.others, ground.other_size)
-        inside = (-gaps).clamp(min=0.0).amax(dim=(2, 3)).sum(1)
-    if len(ground.size) > 1:
-        inside = inside + _among(dense, ground.size)
-    return inside + _over(dense, ground).amax(-1).sum(1)
+    return _violation(_bodies(rollout, ground), ground)
 
 
 def search_cost(rollout: Rollout, ground: Ground, changes: Tensor, effort: float) -> Tensor:
     """Return (P,) what the search makes small."""
-    excess = (violation(rollout, ground) - ground.allowed).clamp(min=0.0)
-    return attack_cost(rollout, ground) + _VIOLATION * excess + effort * changes.square().mean(dim=(1, 2, 3))
+    bodies = _bodies(rollout, ground)
+    excess = (_violation(bodies, ground) - ground.allowed).clamp(min=0.0)
+    return _attack(bodies, ground) + _VIOLATION * excess + effort * changes.square().mean(dim=(1, 2, 3))
 
 
-def feasible(rollout: Rollout, ground: Ground) -> Tensor:
-    """Return (P,) which candidates keep the constraints as well as the initial sequence does."""
-    return violation(rollout, ground) <= ground.allowed + _TOLERANCE
+def keeps(over: float, ground: Ground) -> bool:
+    """Return whether a candidate of violation *over* keeps the constraints as well as the initial sequence does."""
+    return over <= ground.allowed + _TOLERANCE
 
 
 def discomfort(states: Tensor) -> float:
@@ -98,32 +91,53 @@ def discomfort(states: Tensor) -> float:
     return float(accel.abs().mean() + jerk.abs().mean())
 
 
-def _dense(rollout: Rollout, ground: Ground) -> Rollout:
-    return halves(rollout, ground.batch.pose.expand(len(rollout.yaw), -1, -1))
+_Bodies: TypeAlias = tuple[Tensor, Tensor]
+"""Discs of attackers: centres (P, R, 2 H, 5, 2) at half steps, and radii (P, R, 2 H)."""
 
 
-def _gaps(dense: Rollout, size: Tensor, states: Tensor, other: Tensor) -> Tensor:
-    """Return the distances (P, R, O, 2 H) of bodies made of discs to others at *states* (O, 2 H, 3)."""
-    mine, radius = discs(dense.xy, dense.yaw, size[:, None].expand(*dense.yaw.shape, 2))
+def _bodies(rollout: Rollout, ground: Ground) -> _Bodies:
+    dense = halves(rollout, ground.batch.pose.expand(len(rollout.yaw), -1, -1))
+    return discs(dense.xy, dense.yaw, ground.size[:, None].expand(*dense.yaw.shape, 2))
+
+
+def _attack(bodies: _Bodies, ground: Ground) -> Tensor:
+    gap = _gaps(bodies, ground.target[None], ground.target_size[None])[:, :, 0]
+    return -_SOFT_M * torch.logsumexp(-gap.clamp(min=_TOUCHES_M).flatten(1) / _SOFT_M, dim=1)
+
+
+def _violation(bodies: _Bodies, ground: Ground) -> Tensor:
+    inside = torch.zeros(len(bodies[0]), device=bodies[0].device)
+    if len(ground.others):
+        gaps = _gaps(bodies, ground.others, ground.other_size)
+        inside = (-gaps).clamp(min=0.0).amax(dim=(2, 3)).sum(1)
+    if len(ground.size) > 1:
+        inside = inside + _among(bodies)
+    return inside + _over(bodies, ground).amax(-1).sum(1)
+
+
+def _gaps(bodies: _Bodies, states: Tensor, other: Tensor) -> Tensor:
+    """Return the distances (P, R, O, 2 H) of bodies to others at *states* (O, 2 H, 3)."""
+    mine, radius = bodies
     yours, reach = discs(states[..., :2], states[..., 2], other[:, None].expand(*states.shape[:2], 2))
     delta = mine[:, :, None, :, :, None] - yours[:, :, None]
     near = delta.square().sum(-1).flatten(-2).amin(-1)
     return torch.sqrt(near + 1e-9) - radius[:, :, None] - reach
 
 
-def _among(dense: Rollout, size: Tensor) -> Tensor:
+def _among(bodies: _Bodies) -> Tensor:
     """Return (P,) how far attackers are inside each other."""
-    mine, radius = discs(dense.xy, dense.yaw, size[:, None].expand(*dense.yaw.shape, 2))
+    mine, radius = bodies
     delta = mine[:, :, None, :, :, None] - mine[:, None, :, :, None, :]
     near = delta.square().sum(-1).flatten(-2).amin(-1)
     gap = torch.sqrt(near + 1e-9) - radius[:, :, None] - radius[:, None]
-    pairs = torch.ones(len(size), len(size), dtype=torch.bool, device=gap.device).triu(1)
+    count = mine.shape[1]
+    pairs = torch.ones(count, count, dtype=torch.bool, device=gap.device).triu(1)
     return (-gap).clamp(min=0.0).amax(-1)[:, pairs].sum(1)
 
 
-def _over(dense: Rollout, ground: Ground) -> Tensor:
+def _over(bodies: _Bodies, ground: Ground) -> Tensor:
     """Return (P, R, 2 H) metres over the road's edge."""
-    centres, radius = discs(dense.xy, dense.yaw, ground.size[:, None].expand(*dense.yaw.shape, 2))
+    centres, radius = bodies
     points = centres[..., ::2, :].permute(1, 0, 2, 3, 4)  # (R, P, 2 H, 3, 2)
     flat = points.flatten(1, 3)[None]
     pose = ground.batch.pose[:, :, None]

@@ -29,7 +29,7 @@ from advdiff_sumo.traffic.diffusion.policy import (
     tracks_of,
 )
 from advdiff_sumo.traffic.rivals.options import RivalOptions
-from advdiff_sumo.traffic.rivals.surrogate import Surrogate, imagine, make_surrogate
+from advdiff_sumo.traffic.rivals.surrogate import Answer, Surrogate, ask, imagine, make_surrogate
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
@@ -139,15 +139,19 @@ class Rival(ABC):
         tracks = tracks_of(view, guarded.futures)
         return JointPlan(tracks), replace(found.memory, plan=tracks, driven=1)
 
-    def react(self, task: Task, rollout: Rollout) -> tuple[Forced | None, Any]:
-        """Return what the surrogate does for ``HORIZON_STEPS`` while the others drive *rollout*, and its memory."""
+    def ask(self, task: Task) -> Answer | None:
+        """Return what the surrogate does now; None where the traffic model's prediction stands for the target."""
         if self.surrogate is None:
-            return None, None
+            return None
+        return ask(task.road, self.surrogate, task.view, task.memory.surrogate, task.seed)
+
+    def react(self, task: Task, answer: Answer | None, rollout: Rollout) -> Forced | None:
+        """Return what the surrogate does, first of all *answer*, while the others drive *rollout*."""
+        if self.surrogate is None or answer is None:
+            return None
         futures = futures_of(task.view.now, rollout)
-        made = imagine(
-            task.road, self.surrogate, task.view, futures, task.memory.surrogate, HORIZON_STEPS, task.seed
-        )
-        return forced_target(made.states, task.view, rollout.xy.device), made.memory
+        states = imagine(task.road, self.surrogate, task.view, futures, answer, HORIZON_STEPS)
+        return forced_target(states, task.view, rollout.xy.device)
 
 
 def forced_target(states: FloatArray, view: View, device: torch.device) -> Forced:

@@ -51,7 +51,7 @@ class StriveOptions(RivalOptions):
         start_attacker: the same for who attacks.
     """
 
-    rate: float = Field(0.2, gt=0.0, le=10.0)
+    rate: float = Field(0.4, gt=0.0, le=10.0)
     temperature: float = Field(0.0, ge=0.0, le=1.0)
     persistence: float = Field(0.9, ge=0.0, le=1.0)
     adversarial: float = Field(2.0, ge=0.0)

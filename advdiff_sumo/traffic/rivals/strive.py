@@ -23,7 +23,9 @@ from advdiff_sumo.traffic.diffusion.attackers import FARTHEST_M, closest_m
 from advdiff_sumo.traffic.diffusion.draw import Drawn
 from advdiff_sumo.traffic.diffusion.futures import futures_of
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
+from advdiff_sumo.traffic.rivals.adam import Adam
 from advdiff_sumo.traffic.rivals.closed_loop import Found, Memory, Rival, Task, with_target
+from advdiff_sumo.traffic.rivals.joint.decoder import JointDecoder
 from advdiff_sumo.traffic.rivals.networks import Prior, prior_of
 from advdiff_sumo.traffic.rivals.options import StriveOptions
 from advdiff_sumo.traffic.rivals.strive_loss import Terms, strive_loss
@@ -73,6 +75,7 @@ class Strive(Rival):
     Attributes:
         options: checked.
         prior: the traffic model.
+        decoder: its roll-out, equal up to rounding on every device.
     """
 
     Options: ClassVar[type[StriveOptions]] = StriveOptions
@@ -87,6 +90,8 @@ class Strive(Rival):
         """
         super().__init__(StriveOptions.parse(options, "options of background 'strive'"))
         self.prior: Prior = prior_of(self.options, "background 'strive'")
+        decoder = self.prior.traffic.decoder
+        self.decoder = JointDecoder(decoder) if self.prior.device.type == "cpu" else decoder
 
     def search(self, task: Task) -> Found:
         """Return the futures of the latents that lower the loss most within the rounds."""
@@ -129,21 +134,22 @@ class Strive(Rival):
 
     def _rounds(self, task: Task, start: _Start) -> _Result:
         options = self.options
-        epsilon = start.warm.clone().requires_grad_(True)
-        adam = torch.optim.Adam([epsilon], lr=options.rate)
-        forced, surrogate = None, task.memory.surrogate
+        epsilon, adam, forced = start.warm, Adam(options.rate), None
+        answer = self.ask(task)
         losses, share = [], np.zeros(len(start.moved))
         for number in range(options.rounds):
             if number % options.refresh == 0:
                 with torch.no_grad():
-                    forced, surrogate = self.react(task, self._decode(start, epsilon, forced))
+                    seen = self._decode(start, epsilon, forced, HORIZON_STEPS)
+                forced = self.react(task, answer, seen)
+            epsilon = epsilon.detach().requires_grad_(True)
             terms = self.loss(start, epsilon, forced)
             (gradient,) = torch.autograd.grad(terms.total, epsilon)
             finite = torch.isfinite(gradient) & start.moved[:, None]
-            epsilon.grad = torch.where(finite, gradient, 0.0)
-            adam.step()
+            epsilon = adam.step(epsilon.detach(), torch.where(finite, gradient, 0.0))
             losses.append(float(terms.total.detach()))
             share = terms.share.cpu().numpy().astype(np.float64)
+        surrogate = task.memory.surrogate if answer is None else answer.memory
         return _Result(epsilon.detach(), forced, surrogate, tuple(losses), share)
 
     def _latents(self, start: _Start, epsilon: Tensor) -> Tensor:
@@ -154,7 +160,7 @@ class Strive(Rival):
         self, start: _Start, epsilon: Tensor, forced: Forced | None, steps: int = FUTURE_STEPS
     ) -> Rollout:
         z = self._latents(start, epsilon)[None]
-        rollout: Rollout = self.prior.traffic.decoder(z, start.context.h, start.batch, steps, forced)
+        rollout: Rollout = self.decoder(z, start.context.h, start.batch, steps, forced)
         return with_target(rollout, forced)
 
     def _attackers(self, task: Task, rollout: Rollout, share: FloatArray) -> tuple[str, ...]:

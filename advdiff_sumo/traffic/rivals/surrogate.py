@@ -7,6 +7,7 @@ planner as surrogate (Sec. IV-C), and so is the default here.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, cast
 
@@ -47,16 +48,18 @@ class Surrogate(Protocol):
 
 
 @dataclass(frozen=True)
-class Imagined:
-    """The target's future as a surrogate drives it.
+class Answer:
+    """What a surrogate does in the real scene, whatever the others are going to do.
 
     Attributes:
-        states: (T, 4) x, y, yaw and speed at model steps, world frame.
-        memory: of the surrogate after its first plan, the one that was made in the real scene.
+        states: (K, 4) x, y, yaw and speed at the model steps that are driven of its plan, world frame.
+        memory: of the surrogate afterwards.
+        rng: its random numbers, as it left them.
     """
 
     states: FloatArray
     memory: Any
+    rng: np.random.Generator
 
 
 def make_surrogate(name: str) -> Surrogate | None:
@@ -77,36 +80,44 @@ def make_surrogate(name: str) -> Surrogate | None:
     return cast("Surrogate", factory())
 
 
-def imagine(
-    road: RoadMap,
-    planner: Surrogate,
-    view: View,
-    futures: Futures,
-    memory: Any,
-    steps: int,
-    seed: int,
-) -> Imagined:
-    """Let *planner* drive the target for *steps* model steps while the others do what *futures* says.
+def ask(road: RoadMap, planner: Surrogate, view: View, memory: Any, seed: int) -> Answer:
+    """Return what *planner* does now; all futures that are imagined of one scene begin with it.
 
     Args:
         road: the map.
         planner: drives the target.
         view: the scene; its agents are all that the planner sees.
-        futures: of the view's agents, the target's row is not read.
         memory: of the planner.
-        steps: at most those of *futures*.
         seed: of the planner's random numbers.
     """
     rng = np.random.default_rng(seed)
-    own = np.empty((0, 4))
-    first: Any = memory
+    scene = _scene(road, view, view.now)
+    plan, memory = planner.plan(road, scene, memory, rng)
+    return Answer(states_of(plan, scene)[:_DRIVEN_STEPS], memory, rng)
+
+
+def imagine(
+    road: RoadMap, planner: Surrogate, view: View, futures: Futures, answer: Answer, steps: int
+) -> FloatArray:
+    """Let *planner* drive the target for *steps* model steps while the others do what *futures* says.
+
+    Args:
+        road: the map.
+        planner: drives the target.
+        view: the scene.
+        futures: of the view's agents, the target's row is not read.
+        answer: what it does now.
+        steps: at most those of *futures*.
+
+    Returns:
+        (steps, 4) x, y, yaw and speed at model steps, world frame.
+    """
+    own, memory, rng = answer.states, answer.memory, deepcopy(answer.rng)
     while len(own) < steps:
-        scene = _scene(road, view, futures, own)
+        scene = _scene(road, view, _history(view, futures, own))
         plan, memory = planner.plan(road, scene, memory, rng)
-        if not len(own):
-            first = memory
         own = np.concatenate((own, states_of(plan, scene)[:_DRIVEN_STEPS]))
-    return Imagined(own[:steps], first)
+    return own[:steps]
 
 
 def states_of(plan: Plan, scene: Scene) -> FloatArray:
@@ -133,8 +144,8 @@ def states_of(plan: Plan, scene: Scene) -> FloatArray:
     return np.column_stack([np.interp(wanted, known, column) for column in columns.T])
 
 
-def _scene(road: RoadMap, view: View, futures: Futures, own: FloatArray) -> Scene:
-    """Return the scene after ``len(own)`` model steps, in which the target has driven *own* (K, 4)."""
+def _history(view: View, futures: Futures, own: FloatArray) -> Tracks:
+    """Return everybody's past after ``len(own)`` model steps, in which the target has driven *own* (K, 4)."""
     k, now = len(own), view.now
 
     def last(past: FloatArray, future: FloatArray, mine: FloatArray) -> FloatArray:
@@ -143,7 +154,7 @@ def _scene(road: RoadMap, view: View, futures: Futures, own: FloatArray) -> Scen
         return np.concatenate((past, ahead), axis=1)[:, -HISTORY_STEPS:]
 
     valid = np.concatenate((now.valid, np.ones((now.agents, k), dtype=np.bool_)), axis=1)[:, -HISTORY_STEPS:]
-    history = replace(
+    return replace(
         now,
         xy_m=last(now.xy_m, futures.xy_m, own[:, :2]),
         yaw_rad=last(now.yaw_rad, futures.yaw_rad, own[:, 2]),
@@ -151,6 +162,10 @@ def _scene(road: RoadMap, view: View, futures: Futures, own: FloatArray) -> Scen
         valid=valid,
         t0_s=now.t0_s + k * now.dt_s,
     )
+
+
+def _scene(road: RoadMap, view: View, history: Tracks) -> Scene:
+    """Return the scene of *view* at the end of *history*."""
     routes = [view.scene.routes[row] for row in view.rows.tolist()]
     routes[0] = _ahead(road, history, routes[0])
     return Scene(history, 0, view.moved, tuple(routes), view.scene.signals)

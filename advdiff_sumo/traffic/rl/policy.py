@@ -27,9 +27,11 @@ class Memory:
 
     Attributes:
         attackers: names of those who attacked last.
+        plan: the last plan.
     """
 
     attackers: tuple[str, ...] = ()
+    plan: Tracks | None = None
 
 
 class AdvRl:
@@ -71,7 +73,8 @@ class AdvRl:
         """Return the futures of all movable vehicles, 4 s at 2 Hz; nothing is drawn."""
         now = situation(road, scene, self.prior, self.options.attackers, memory.attackers)
         residuals = self.options.strength * self.actor.residuals(now.observations)
-        return joint_plan(road, now, self.prior, residuals), Memory(now.attackers)
+        plan = joint_plan(road, now, self.prior, residuals, memory.plan)
+        return plan, Memory(now.attackers, plan.tracks)
 
 
 def shipped_actor() -> Path:

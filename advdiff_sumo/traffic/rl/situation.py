@@ -73,15 +73,25 @@ def situation(road: RoadMap, scene: Scene, prior: Prior, count: int, before: tup
     return Situation(view, lanes, natural, rows, np.array(seen).reshape(len(rows), FEATURES))
 
 
-def joint_plan(road: RoadMap, now: Situation, prior: Prior, residuals: FloatArray) -> JointPlan:
-    """Return the plan in which attackers deviate by *residuals* (R, 2) in [−1, 1], made plausible as every policy's."""
+def joint_plan(
+    road: RoadMap, now: Situation, prior: Prior, residuals: FloatArray, before: Tracks | None = None
+) -> JointPlan:
+    """Return the plan in which attackers deviate, made plausible as every policy's.
+
+    Args:
+        road: the map.
+        now: the situation.
+        prior: the behaviour model.
+        residuals: (R, 2) deviations in [−1, 1].
+        before: the plan before, of which one model step has been driven; who cannot stop in time may go on with it.
+    """
     if now.natural is None:
         t0 = now.view.scene.time_s + MODEL_STEP_S
         return JointPlan(Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=t0))
     rows = torch.from_numpy(now.rows)
     made = steered(now.natural, now.view.batch, rows, torch.from_numpy(residuals), prior.options)
     drawn = Drawn(made, {}, now.attackers, torch.zeros(len(now.view.ids), 0))
-    return JointPlan(tracks_of(now.view, guard(road, now.view, drawn, now.lanes).futures))
+    return JointPlan(tracks_of(now.view, guard(road, now.view, drawn, now.lanes, (before, 1)).futures))
 
 
 def _actions(natural: Rollout, row: int) -> tuple[float, float]:

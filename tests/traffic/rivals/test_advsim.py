@@ -20,8 +20,8 @@ from advdiff_sumo.traffic.rivals.advsim_actions import Initial, driven, initial_
 from advdiff_sumo.traffic.rivals.advsim_cost import (
     attack_cost,
     discomfort,
-    feasible,
     ground_of,
+    keeps,
     violation,
 )
 from advdiff_sumo.traffic.rivals.closed_loop import Task, cut
@@ -108,7 +108,7 @@ def test_costs_by_hand(downtown: RoadMap, street: Street) -> None:
     ahead = torch.tensor([torch.cos(states[0, 0, 0, 2]), torch.sin(states[0, 0, 0, 2])])
     inside = Rollout(own.xy + 6.4 * ahead, own.yaw, own.speed, own.accel, own.curvature)
     assert float(violation(inside, ground)) == pytest.approx(1.0, abs=1e-3)
-    assert not bool(feasible(inside, ground))
+    assert not keeps(float(violation(inside, ground)), ground)
 
 
 def test_discomfort_by_hand() -> None:

@@ -81,7 +81,7 @@ def test_no_rounds_is_the_priors_mean(made: Callable[..., Rival], downtown: Road
     traffic, batch = policy.prior.traffic, look(downtown, scene).batch
     with torch.no_grad():
         context = traffic.encoder(batch)
-        natural = traffic.decoder(context.prior.mean, context.h, batch)
+        natural = policy.decoder(context.prior.mean, context.h, batch)
     assert same(found.drawn.rollout, natural)
     assert (found.drawn.attackers, found.losses) == ((), ())
     assert same(searched(policy, downtown, scene, found.memory).drawn.rollout, natural)

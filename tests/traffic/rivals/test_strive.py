@@ -99,7 +99,7 @@ def test_the_loss_goes_down_and_the_start_is_beaten(
     assert found.losses[-1] < found.losses[0]
     start = policy._start(task)
     with torch.no_grad():
-        forced, _ = policy.react(task, policy._decode(start, start.warm, None))
+        forced = policy.react(task, policy.ask(task), policy._decode(start, start.warm, None))
         moved = found.memory.found
         epsilon = torch.from_numpy(np.stack([moved[name] for name in task.view.ids])).float()
         before, after = (policy.loss(start, e, forced) for e in (start.natural, epsilon))

@@ -13,7 +13,7 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.diffusion.futures import coasting
-from advdiff_sumo.traffic.rivals.surrogate import imagine, make_surrogate, states_of
+from advdiff_sumo.traffic.rivals.surrogate import ask, imagine, make_surrogate, states_of
 
 Street = Callable[..., Scene]
 
@@ -57,11 +57,13 @@ def test_it_reacts_to_what_the_others_are_going_to_do(downtown: RoadMap, street:
     made = []
     for futures in (going, stopped):
         memory = planner.start(downtown, scene, np.random.default_rng(0))
-        made.append(imagine(downtown, planner, view, futures, memory, 8, 0))
-    free, braked = (np.linalg.norm(x.states[-1, :2] - now.xy_m[0, -1]) for x in made)
+        answer = ask(downtown, planner, view, memory, 0)
+        assert answer.memory is not None
+        made.append(imagine(downtown, planner, view, futures, answer, 8))
+    free, braked = (np.linalg.norm(x[-1, :2] - now.xy_m[0, -1]) for x in made)
     assert free > 25.0
     assert braked < 20.0 - 4.6 + 0.1
-    assert all(x.states.shape == (8, 4) and x.memory is not None for x in made)
+    assert all(x.shape == (8, 4) for x in made)
 
 
 def test_the_models_own_prediction_needs_no_planner() -> None:

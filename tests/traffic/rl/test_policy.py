@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,9 @@ from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.stored import write_stored
 from advdiff_sumo.traffic.check import check_policy
+from advdiff_sumo.traffic.diffusion.policy import guard
 from advdiff_sumo.traffic.registry import make_policy
+from advdiff_sumo.traffic.rl import situation
 from advdiff_sumo.traffic.rl.actor import load_actor, save_actor
 from advdiff_sumo.traffic.rl.features import FEATURES
 from advdiff_sumo.traffic.rl.policy import AdvRl
@@ -79,6 +82,24 @@ def test_only_the_attacker_deviates(actor_file: Files, downtown: RoadMap, street
     moved = np.abs(plan.tracks.xy_m[:, 0] - before.xy_m[:, 0]).max(axis=-1)
     deviating = {name for name, far in zip(plan.tracks.ids, moved, strict=True) if far > 0.0}
     assert deviating == set(memory.attackers)
+
+
+def test_the_safeguard_knows_the_plan_before(
+    actor_file: Files, downtown: RoadMap, street: Street, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, rng = street(PLACES, SPEEDS), np.random.default_rng(0)
+    made = policy(actor_file, "", 0.4)
+    given: list[tuple[Tracks | None, int]] = []
+
+    def spy(*arguments: Any) -> Any:
+        given.append(arguments[4])
+        return guard(*arguments)
+
+    monkeypatch.setattr(situation, "guard", spy)
+    first, memory = made.plan(downtown, scene, made.start(downtown, scene, None, rng), rng)
+    made.plan(downtown, scene, memory, rng)
+    assert given[0] == (None, 1)
+    assert given[1][0] is first.tracks
 
 
 def test_an_actor_survives_its_file(tmp_path_factory: pytest.TempPathFactory) -> None:

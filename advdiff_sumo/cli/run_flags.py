@@ -60,7 +60,7 @@ Strength: TypeAlias = Annotated[
     ),
 ]
 Attackers: TypeAlias = Annotated[
-    int | None, typer.Option(help="diffusion: how many vehicles attack at a time.", show_default="1")
+    int | None, typer.Option(help="diffusion: how many vehicles attack at a time.", show_default="2")
 ]
 Attack: TypeAlias = Annotated[
     str | None,

@@ -21,8 +21,8 @@ from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
 
 ALPHA = 20.0
 """Shift of a step at strength 1, in units of √Σ."""
-HORIZON_STEPS = 8
-"""Model steps of a future that an attack looks at."""
+HORIZON_STEPS, NEAR_STEPS = 8, 6
+"""Model steps of a future that an attack of a certain kind looks at, and one of any kind."""
 _REWARD_RUNGS, _ATTACK_RUNGS = 3, 1
 _TURNS = 4
 KEPT = 0.8
@@ -61,7 +61,7 @@ def guidance(
         scenes: the same as tensors, with its context.
         before: who attacked last, and by what shift of its latent, (Z,).
     """
-    natural = naturally(networks, scenes)
+    natural = naturally(networks, scenes, NEAR_STEPS if options.attack == "any" else HORIZON_STEPS)
     futures = futures_of(view.now, natural.rollout)
     rows = choose(futures, view.moved, options.attack, options.attackers, np.isin(view.ids, tuple(before)))
     if not len(rows):
@@ -93,9 +93,9 @@ def guidance(
     return Guidance(terms, mask, ALPHA * options.strength, _TURNS, begin), names
 
 
-def naturally(networks: Networks, scenes: Scenes) -> Natural:
-    """Return where everybody would go: the decoder at the prior's mean."""
+def naturally(networks: Networks, scenes: Scenes, steps: int) -> Natural:
+    """Return where everybody would go in the next *steps*: the decoder at the prior's mean."""
     rollout, trace = networks.decoder.whole(
-        scenes.context.prior.mean, scenes.context.h, scenes.one, HORIZON_STEPS
+        scenes.context.prior.mean, scenes.context.h, scenes.one, steps
     )
     return Natural(rollout, trace)

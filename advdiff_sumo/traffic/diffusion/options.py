@@ -32,7 +32,7 @@ class DiffusionOptions(Options):
     """
 
     strength: float = Field(0.5, ge=0.0, le=1.0)
-    attackers: int = Field(1, ge=1, le=8)
+    attackers: int = Field(2, ge=1, le=8)
     attack: Attack = "any"
     guide: Literal["reward", "none"] = "reward"
     steps: int = Field(5, ge=1, le=1000)

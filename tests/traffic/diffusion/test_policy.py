@@ -101,7 +101,7 @@ def test_attackers_alone_are_shifted(attack: str, uncoupled: str, downtown: Road
 
 def test_attackers_stay_attackers(weights: str, downtown: RoadMap, street: Street) -> None:
     scene = street(PLACES, SPEEDS)
-    policy = DiffusionTraffic(weights=weights)
+    policy = DiffusionTraffic(weights=weights, attackers=1)
     _, memory = planned(policy, downtown, scene)
     (chosen,) = memory.shifts
     other = next(name for name in ("v1", "v2") if name != chosen)
@@ -115,7 +115,7 @@ def test_an_attack_goes_on_from_the_shift_of_the_plan_before(
 ) -> None:
     """The same scene planned again and again: shifts grow up to twice what one plan makes, and no further."""
     scene = street(PLACES, SPEEDS)
-    policy = DiffusionTraffic(weights=weights, strength=0.5)
+    policy = DiffusionTraffic(weights=weights, strength=0.5, attackers=1)
     memory, lengths = policy.start(downtown, scene, None, np.random.default_rng(3)), []
     for _ in range(8):
         _, memory = policy.plan(downtown, scene, replace(memory, plan=None), np.random.default_rng(3))

@@ -25,7 +25,7 @@ class RivalOptions(Options):
     """
 
     rounds: int = Field(20, ge=0, le=1000)
-    attackers: int = Field(1, ge=1, le=8)
+    attackers: int = Field(2, ge=1, le=8)
     surrogate: str = "lane_graph"
     refresh: int = Field(5, ge=1, le=1000)
     replan: int = Field(1, ge=1, le=12)

@@ -161,7 +161,7 @@ def sampling_rate(made: DiffusionTraffic, batch: SceneBatch, rounds: int = 5) ->
             noise = torch.randn(batch.scenes, batch.agents, 1, latent, generator=generator)
             noise_of = networks.denoiser.condition(context)
             x = sample(noise_of, noise.to(networks.device), networks.schedule, networks.sampling, generator)
-            draw.decode(networks, x, context.h, batch).xy.cpu()  # waits for the device
+            draw.decode(networks, x, context, batch).xy.cpu()  # waits for the device
         times.append(time.perf_counter() - begun)
     return batch.scenes / float(np.median(times[2:]))
 

@@ -11,8 +11,8 @@ import torch
 from advdiff_sumo.core.errors import ConfigError
 
 
-def shipped_weights(name: Literal["traffic", "simnet"] = "traffic") -> Path:
-    """Return the path of the shipped networks: the bundle of all traffic models, or SimNet."""
+def shipped_weights(name: Literal["traffic", "simnet", "traj2traj"] = "traffic") -> Path:
+    """Return the path of the shipped networks: the bundle of all traffic models, SimNet, or traj2traj."""
     return Path(str(files("advdiff_sumo"))) / "weights" / f"{name}.safetensors"
 
 

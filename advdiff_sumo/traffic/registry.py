@@ -20,6 +20,7 @@ POLICIES = Registry(
         "sumo": "advdiff_sumo.traffic.sumo:SumoTraffic",
         "replay": "advdiff_sumo.traffic.replay:Replay",
         "diffusion": "advdiff_sumo.traffic.diffusion.policy:DiffusionTraffic",
+        "traj2traj": "advdiff_sumo.traffic.diffusion.policy:Traj2Traj",
         "advsim": "advdiff_sumo.traffic.rivals.advsim:AdvSim",
         "strive": "advdiff_sumo.traffic.rivals.strive:Strive",
         "adv-rl": "advdiff_sumo.traffic.rl.policy:AdvRl",

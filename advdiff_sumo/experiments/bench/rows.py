@@ -32,6 +32,7 @@ POLICY_ROWS: Mapping[str, PolicyRow] = {
     NATURAL: PolicyRow("SUMO (natural)", "sumo", {}, True),
     "replay": PolicyRow("Replay", "replay", {}, True),
     UNGUIDED: PolicyRow("diffusion, unguided", "diffusion", {"guide": "none"}, True),
+    "traj2traj": PolicyRow("traj2traj", "traj2traj", {}, True),
     "advsim": PolicyRow("AdvSim", "advsim"),
     "strive": PolicyRow("Strive", "strive"),
     "adv-rl": PolicyRow("Adv-RL", "adv-rl"),

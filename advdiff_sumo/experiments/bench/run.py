@@ -23,8 +23,8 @@ from advdiff_sumo.sweep.tasks import Limits
 #: What a bench asks for where the user does not say; together within three hours on two cores.
 DEFAULTS: Mapping[BenchName, Mapping[str, Any]] = {
     "traffic": {"scenes": "300", "seeds": 1},
-    "adversarial": {"scenes": "90"},
-    "transfer": {"scenes": "12"},
+    "adversarial": {"scenes": "60"},
+    "transfer": {"scenes": "8"},
     "fewshot": {"scenes": "30", "seeds": 5},
 }
 _Plan = Callable[[Folder, int, Teller], Contests]

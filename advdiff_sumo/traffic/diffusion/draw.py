@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -13,13 +13,17 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.diffusion.guides import Guidance
 from advdiff_sumo.diffusion.sampler import draw, sample
 from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.losses import off_road, pair_overlap
+from advdiff_sumo.models.options import MODEL_STEP_S
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.diffusion.guidance import Scenes, guidance
 from advdiff_sumo.traffic.diffusion.networks import Networks
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
+
+_FASTEST_MPS = 40.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,7 @@ def draw_plan(
     batch = view.batch.to(networks.device)
     with torch.no_grad():
         context = encode(networks, batch)
-    start = _start(options, view, noise, networks.bundle.options.model.latent, generator)
+    start = _start(options, view, noise, networks.codec.shape, generator)
     many, several = batch, context
     if options.samples > 1:
         many, several = batch.repeat(options.samples), context.repeat(options.samples)
@@ -79,14 +83,14 @@ def draw_plan(
         generator,
         guide,
     )
-    rollout = decode(networks, x, several.h, many)
+    rollout = decode(networks, x, several, many)
     best = _most_plausible(rollout, many) if options.samples > 1 else 0
-    kept = start[best, :, 0].numpy().astype(np.float64)
+    kept = start[best].flatten(1).numpy().astype(np.float64)
     return Drawn(
         rollout=_only(rollout, best),
         noise={name: kept[row] for row, name in enumerate(view.ids)},
         attackers=chosen,
-        latents=x[best, :, 0],
+        latents=x[best].flatten(1),
         shifts=_shifts(guide, view, chosen, best),
     )
 
@@ -96,26 +100,38 @@ def encode(networks: Networks, batch: SceneBatch) -> Context:
     return networks.encoder(batch)
 
 
-def decode(networks: Networks, x: Tensor, h: Tensor, batch: SceneBatch) -> Rollout:
-    """Return the futures of scaled latents *x* (B, A, 1, Z)."""
-    z = networks.codec.unscale(x)[:, :, 0]
-    return networks.decoder.whole(z, h, batch)[0]
+def decode(networks: Networks, x: Tensor, context: Context, batch: SceneBatch) -> Rollout:
+    """Return the futures of scaled samples *x* (B, A, C, L)."""
+    if isinstance(networks.codec, LatentCodec):
+        return networks.decoder.whole(networks.codec.unscale(x)[:, :, 0], context.h, batch)[0]
+    return without_jumps(networks.codec.decode(x, context, batch), batch)
+
+
+def without_jumps(rollout: Rollout, batch: SceneBatch) -> Rollout:
+    """Return *rollout* with moves of an instant no longer than ``_FASTEST_MPS`` makes them.
+
+    Trajectories that are diffused know no vehicle; a plan with a jump would be refused.
+    """
+    moves = torch.diff(rollout.xy, dim=2, prepend=batch.pose[:, :, None, :2])
+    share = (_FASTEST_MPS * MODEL_STEP_S / moves.norm(dim=-1, keepdim=True).clamp(min=1e-6)).clamp(max=1.0)
+    speed = rollout.speed.clamp(0.0, _FASTEST_MPS)
+    return replace(rollout, xy=batch.pose[:, :, None, :2] + (share * moves).cumsum(2), speed=speed)
 
 
 def _start(
     options: DiffusionOptions,
     view: View,
     noise: Mapping[str, FloatArray],
-    latent: int,
+    shape: tuple[int, int],
     generator: torch.Generator,
 ) -> Tensor:
-    """Return standard normal noise (samples, A, 1, Z); the first sample goes on from the last plan's."""
-    fresh = draw(torch.zeros(options.samples, len(view.ids), 1, latent), generator)
+    """Return standard normal noise (samples, A, C, L); the first sample goes on from the last plan's."""
+    fresh = draw(torch.zeros(options.samples, len(view.ids), *shape), generator)
     share = options.persistence
     for row, name in enumerate(view.ids):
         if name in noise:
             old = torch.from_numpy(noise[name]).to(fresh.dtype)
-            fresh[0, row, 0] = share * old + (1.0 - share**2) ** 0.5 * fresh[0, row, 0]
+            fresh[0, row] = share * old.reshape(shape) + (1.0 - share**2) ** 0.5 * fresh[0, row]
     return fresh
 
 

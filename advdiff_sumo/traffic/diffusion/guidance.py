@@ -12,6 +12,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.diffusion.attacks import AttackScene, Natural, attack_objective
 from advdiff_sumo.diffusion.guides import Guidance, Term, reward_objective
 from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.diffusion.attackers import choose
@@ -77,6 +78,7 @@ def guidance(
             scenes.many,
             torch.zeros(count, dtype=torch.long, device=networks.device),
         )
+    assert isinstance(networks.codec, LatentCodec)  # noqa: S101 - networks_of refuses others where there is a guide
     scene = AttackScene(networks.decoder, networks.codec, scenes.context, scenes.one, attackers, natural)
     attack = attack_objective(options.attack, scene)
     terms = (
@@ -95,7 +97,5 @@ def guidance(
 
 def naturally(networks: Networks, scenes: Scenes, steps: int) -> Natural:
     """Return where everybody would go in the next *steps*: the decoder at the prior's mean."""
-    rollout, trace = networks.decoder.whole(
-        scenes.context.prior.mean, scenes.context.h, scenes.one, steps
-    )
+    rollout, trace = networks.decoder.whole(scenes.context.prior.mean, scenes.context.h, scenes.one, steps)
     return Natural(rollout, trace)

@@ -16,9 +16,9 @@ from advdiff_sumo.diffusion.fast_reward import RewardWeights
 from advdiff_sumo.diffusion.sampler import Sampling
 from advdiff_sumo.diffusion.schedule import Schedule
 from advdiff_sumo.models.bundle import Bundle, load_bundle
-from advdiff_sumo.models.codec import LatentCodec
+from advdiff_sumo.models.codec import LatentCodec, TrajectoryCodec
 from advdiff_sumo.models.reward_file import load_reward
-from advdiff_sumo.models.shipped import device_of, shipped_weights
+from advdiff_sumo.models.shipped import device_of
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
 
 
@@ -39,7 +39,7 @@ class Networks:
     """
 
     bundle: Bundle
-    codec: LatentCodec
+    codec: LatentCodec | TrajectoryCodec
     denoiser: FastDenoiser
     decoder: FastDecoder
     encoder: FastEncoder
@@ -58,18 +58,25 @@ def networks_of(options: DiffusionOptions) -> Networks:
     """
     device = device_of(options.device, "background 'diffusion'")
     torch.set_num_threads(options.threads)
-    path = Path(options.weights) if options.weights else shipped_weights()
-    return _networks(str(path), options.reward, device, options.steps, options.family, options.eta)
+    return _networks(
+        str(options.path), options.reward, device, options.steps, options.family, options.eta, options.guided
+    )
 
 
 @lru_cache(maxsize=2)
-def _networks(path: str, reward: str, device: torch.device, steps: int, family: str, eta: float) -> Networks:
+def _networks(
+    path: str, reward: str, device: torch.device, steps: int, family: str, eta: float, guided: bool
+) -> Networks:
     bundle = load_bundle(Path(path))
     if reward:
         bundle = replace(bundle, reward=load_reward(Path(reward), bundle))
     codec = bundle.codec
-    if not isinstance(codec, LatentCodec):
-        raise WeightsError(Path(path), "diffuses trajectories, not latents", "give weights of codec latent")
+    if guided and not isinstance(codec, LatentCodec):
+        raise WeightsError(
+            Path(path),
+            "diffuses trajectories, which nothing guides",
+            "give weights of codec latent, or --guide none",
+        )
     schedule = Schedule(bundle.options.diffusion_steps, bundle.options.schedule)
     if steps > schedule.steps:
         raise ConfigError(

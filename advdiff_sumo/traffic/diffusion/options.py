@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal, TypeAlias
 
 from pydantic import Field
 
 from advdiff_sumo.config import Options
+from advdiff_sumo.models.shipped import shipped_weights
 
 Attack: TypeAlias = Literal["any", "cut-in", "rear-end", "head-on", "junction", "brake"]
 
@@ -50,3 +52,19 @@ class DiffusionOptions(Options):
     def guided(self) -> bool:
         """Whether anybody is attacked at all."""
         return self.guide != "none" and self.strength > 0.0
+
+    @property
+    def path(self) -> Path:
+        """The networks' file."""
+        return Path(self.weights) if self.weights else shipped_weights()
+
+
+class Traj2TrajOptions(DiffusionOptions):
+    """Options of ``traj2traj``: those of ``diffusion``, less the guide, for networks that diffuse trajectories."""
+
+    guide: Literal["none"] = "none"
+
+    @property
+    def path(self) -> Path:
+        """The networks' file."""
+        return Path(self.weights) if self.weights else shipped_weights("traj2traj")

@@ -18,7 +18,7 @@ from advdiff_sumo.traffic.diffusion.draw import Drawn, draw_plan
 from advdiff_sumo.traffic.diffusion.futures import Futures, coasting, futures_of, join
 from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.diffusion.networks import Networks, networks_of
-from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
+from advdiff_sumo.traffic.diffusion.options import DiffusionOptions, Traj2TrajOptions
 from advdiff_sumo.traffic.diffusion.safeguard import Guarded, Plan, Watched, safeguard
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ class DiffusionTraffic:
     """
 
     Options: ClassVar[type[DiffusionOptions]] = DiffusionOptions
+    name: ClassVar[str] = "diffusion"
 
     def __init__(self, **options: Any) -> None:
         """Check the options and read the networks.
@@ -67,7 +68,7 @@ class DiffusionTraffic:
             ConfigError: an option has no such name or value.
             WeightsError: the networks are missing or unusable.
         """
-        self.options = DiffusionOptions.parse(options, "options of background 'diffusion'")
+        self.options = self.Options.parse(options, f"options of background '{self.name}'")
         self.networks: Networks = networks_of(self.options)
         self.listener: Listener | None = None
 
@@ -103,6 +104,13 @@ class DiffusionTraffic:
 
     def _lanes(self, road: RoadMap, scene: Scene) -> dict[int, LaneAhead | None]:
         return lanes_of(road, scene)
+
+
+class Traj2Traj(DiffusionTraffic):
+    """The paper's ablation in closed loop: trajectories are diffused, without decoder, bicycle model or guide."""
+
+    Options: ClassVar[type[DiffusionOptions]] = Traj2TrajOptions
+    name: ClassVar[str] = "traj2traj"
 
 
 def lanes_of(road: RoadMap, scene: Scene) -> dict[int, LaneAhead | None]:

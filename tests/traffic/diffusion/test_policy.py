@@ -15,7 +15,7 @@ import torch
 from advdiff_sumo.core.errors import ConfigError, SceneError, WeightsError
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.models.bundle import BundleOptions, load_bundle, new_bundle, save_bundle
+from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.reward_file import load_reward, save_reward
 from advdiff_sumo.models.view import MOST_AGENTS, look
 from advdiff_sumo.traffic.check import check_policy
@@ -286,19 +286,7 @@ def test_wrong_options(options: dict[str, Any], said: str, weights: str) -> None
         make_policy("diffusion", {"weights": weights, **options})
 
 
-def test_weights_of_another_kind(tmp_path: Path) -> None:
-    path = tmp_path / "t.safetensors"
-    model = {
-        "hidden": 32,
-        "latent": 8,
-        "edge": 8,
-        "message": 16,
-        "channels": (8, 16, 24),
-        "reward_hidden": 16,
-    }
-    save_bundle(new_bundle(BundleOptions.parse({"model": model, "codec": "trajectory"})), path, ())
-    with pytest.raises(WeightsError, match="diffuses trajectories"):
-        DiffusionTraffic(weights=str(path))
+def test_weights_that_are_not_there(tmp_path: Path) -> None:
     with pytest.raises(WeightsError, match="no such file"):
         DiffusionTraffic(weights=str(tmp_path / "none.safetensors"))
 

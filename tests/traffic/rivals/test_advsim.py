@@ -146,7 +146,7 @@ def test_the_search_beats_its_start_and_keeps_its_constraints(
 
 def test_the_next_search_starts_one_step_on(weights: str, downtown: RoadMap, street: Street) -> None:
     scene = street(PLACES, SPEEDS)
-    policy = AdvSim(weights=weights, initial="model", rounds=5, candidates=8, surrogate="model")
+    policy = AdvSim(weights=weights, initial="model", rounds=5, candidates=8, surrogate="model", attackers=1)
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
     view = look(downtown, scene)
     first = policy.search(Task(downtown, view, memory, 3)).memory

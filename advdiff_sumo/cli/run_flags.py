@@ -56,7 +56,7 @@ Resume: TypeAlias = Annotated[bool, typer.Option("--resume", help="Go on with an
 Strength: TypeAlias = Annotated[
     float | None,
     typer.Option(
-        help="diffusion: how hard attackers go for the target, 0 (natural traffic) to 1.", show_default="0.5"
+        help="diffusion: how hard attackers go for the target, 0 (natural traffic) to 1.", show_default="1"
     ),
 ]
 Attackers: TypeAlias = Annotated[

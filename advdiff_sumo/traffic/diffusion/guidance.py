@@ -20,7 +20,7 @@ from advdiff_sumo.traffic.diffusion.futures import futures_of
 from advdiff_sumo.traffic.diffusion.networks import Networks
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
 
-ALPHA = 20.0
+ALPHA = 10.0
 """Shift of a step at strength 1, in units of √Σ."""
 HORIZON_STEPS, NEAR_STEPS = 8, 6
 """Model steps of a future that an attack of a certain kind looks at, and one of any kind."""

@@ -33,7 +33,7 @@ class DiffusionOptions(Options):
         threads: of PyTorch on the CPU, for the whole process; results differ in the last digits with their number.
     """
 
-    strength: float = Field(0.5, ge=0.0, le=1.0)
+    strength: float = Field(1.0, ge=0.0, le=1.0)
     attackers: int = Field(2, ge=1, le=8)
     attack: Attack = "any"
     guide: Literal["reward", "none"] = "reward"

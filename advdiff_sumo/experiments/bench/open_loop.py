@@ -29,8 +29,8 @@ from advdiff_sumo.training.denoiser import diffused
 from advdiff_sumo.training.displacement import displacement, driving
 from advdiff_sumo.training.evaluate import logged
 
-DDIM_STEPS = 5
-"""As many as in closed loop."""
+LATENT_STEPS, TRAJECTORY_STEPS = 5, 10
+"""As many as in closed loop; with five, trajectories are rougher by half."""
 Draw = Callable[[SceneBatch, int, torch.Generator], tuple[Rollout, int]]
 """Windows, how many samples → joint futures of each window that many times in a row, and how many times."""
 
@@ -108,15 +108,15 @@ def _prior(path: Path) -> Draw:
     return draw
 
 
-def _diffusion(path: Path, fitted: bool = False) -> Draw:
-    """Return what draws samples; *fitted*: made to fit together."""
+def _diffusion(path: Path, fitted: bool = False, steps: int = LATENT_STEPS) -> Draw:
+    """Return what draws samples by *steps* of DDIM; *fitted*: made to fit together."""
     bundle = _bundle(path)
 
     def draw(batch: SceneBatch, samples: int, generator: torch.Generator) -> tuple[Rollout, int]:
         encoded: Context = bundle.traffic.encoder(batch)
         context = encoded.repeat(samples)
         several = batch.repeat(samples)
-        drawn = diffused(bundle, context, DDIM_STEPS, generator)
+        drawn = diffused(bundle, context, steps, generator)
         if fitted:
             drawn = _fitted(bundle, drawn, context, several, samples)
         return bundle.codec.decode(drawn, context, several), samples
@@ -141,7 +141,7 @@ MODELS: Mapping[str, Model] = {
     "log": Model("the log itself", "", _log),
     "simnet": Model("SimNet", "simnet.safetensors", _simnet),
     "trafficsim": Model("TrafficSim (prior)", "traffic.safetensors", _prior),
-    "traj2traj": Model("traj2traj", "traj2traj.safetensors", _diffusion),
+    "traj2traj": Model("traj2traj", "traj2traj.safetensors", partial(_diffusion, steps=TRAJECTORY_STEPS)),
     "diffusion": Model("latent diffusion (ours)", "traffic.safetensors", _diffusion),
     "together": Model("… made to fit together", "traffic.safetensors", partial(_diffusion, fitted=True)),
 }

@@ -63,6 +63,7 @@ class Traj2TrajOptions(DiffusionOptions):
     """Options of ``traj2traj``: those of ``diffusion``, less the guide, for networks that diffuse trajectories."""
 
     guide: Literal["none"] = "none"
+    steps: int = Field(10, ge=1, le=1000)
 
     @property
     def path(self) -> Path:

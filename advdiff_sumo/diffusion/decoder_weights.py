@@ -9,7 +9,6 @@ from torch import Tensor, nn
 
 from advdiff_sumo.models.decoder import Decoder
 from advdiff_sumo.models.geometry import RELATIVE_FEATURES
-from advdiff_sumo.models.interaction import InteractionLayer
 
 NEAR = 2
 """Column of ``relative_features``: compressed distance."""
@@ -17,11 +16,6 @@ PLANES = ((0, 1), (3, 4), (5, 6))
 """Columns that are vectors in the receiver's frame: place, heading, velocity."""
 AHEAD_SPEED, OWN_SPEED = 7, 8
 PLACE_SCALE, SPEED_SCALE = 0.05, 0.1
-
-
-def graph_layers(decoder: Decoder) -> list[InteractionLayer]:
-    """Return the decoder's interaction layers."""
-    return [x for x in decoder.interaction.layers if isinstance(x, InteractionLayer)]
 
 
 @dataclass(frozen=True)

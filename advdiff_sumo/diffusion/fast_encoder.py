@@ -7,7 +7,7 @@ import torch
 from advdiff_sumo.diffusion.fast_reward import layers_of
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import Context, ContextEncoder
-from advdiff_sumo.models.interaction import InteractionLayer
+from advdiff_sumo.models.interaction import ABSENT
 
 
 class FastEncoder:
@@ -21,8 +21,7 @@ class FastEncoder:
     def __init__(self, encoder: ContextEncoder, compiled: bool | None = None) -> None:
         self._net = encoder
         here = encoder.prior.weight.device.type == "cpu" if compiled is None else compiled
-        layers = [x for x in encoder.interaction.layers if isinstance(x, InteractionLayer)]
-        self._layers = layers_of(layers, compiled=True) if here else None
+        self._layers = layers_of(encoder.interaction.in_order(), compiled=True) if here else None
 
     @torch.no_grad()
     def __call__(self, batch: SceneBatch) -> Context:
@@ -31,6 +30,6 @@ class FastEncoder:
             context: Context = self._net(batch)
             return context
         h, relative = self._net.alone(batch)
-        lower = torch.where(batch.present, 0.0, -1e9).to(h.dtype)
+        lower = torch.where(batch.present, 0.0, ABSENT).to(h.dtype)
         mixed, _ = self._layers(self._net.interaction.prepare(relative), lower).forward(h)
         return self._net.known(mixed * batch.present[..., None], relative, batch)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.diffusion.graph_layer import GraphLayer, Heard
-from advdiff_sumo.models.interaction import InteractionLayer
+from advdiff_sumo.models.interaction import ABSENT, InteractionLayer
 from advdiff_sumo.models.reward import RewardModel, RewardState
 
 
@@ -34,11 +34,11 @@ class RewardWeights:
     """
 
     def __init__(self, model: RewardModel, compiled: bool | None = None) -> None:
-        layers = [x for x in model.interaction.layers if isinstance(x, InteractionLayer)]
         self.action = model.action.weight.detach()
         self.mix = _affine(model.mix[1])
         self.values = _affine(model.value[0]), _affine(model.value[2])
-        self.layers = layers_of(layers, self.action.device.type == "cpu" if compiled is None else compiled)
+        here = self.action.device.type == "cpu" if compiled is None else compiled
+        self.layers = layers_of(model.interaction.in_order(), here)
 
 
 class FastReward:
@@ -62,7 +62,7 @@ class FastReward:
         mean = present.to(kind) / present.sum(1, keepdim=True).clamp(min=1)
         self._read = torch.stack((own.to(kind), mean), dim=1)
         edges = [edge.detach() for edge in state.edges]
-        self._layers = weights.layers(edges, torch.where(present, 0.0, -1e9).to(kind))
+        self._layers = weights.layers(edges, torch.where(present, 0.0, ABSENT).to(kind))
 
     def __call__(self, mu: Tensor) -> Tensor:
         """Return Q (B,) of actions *mu* (B, A, Z), with gradients to them."""

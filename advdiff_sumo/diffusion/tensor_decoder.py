@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import layer_norm, linear
 
-from advdiff_sumo.diffusion.decoder_weights import PLACE_SCALE, SPEED_SCALE, edge_terms, graph_layers
+from advdiff_sumo.diffusion.decoder_weights import PLACE_SCALE, SPEED_SCALE, edge_terms
 from advdiff_sumo.diffusion.trace import Trace
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bicycle import controls, step
 from advdiff_sumo.models.decoder import Decoder, Rollout
-from advdiff_sumo.models.interaction import InteractionLayer
+from advdiff_sumo.models.interaction import ABSENT, InteractionLayer
 from advdiff_sumo.models.options import MODEL_STEP_S
 
 _Motion: TypeAlias = tuple[Tensor, Tensor, Tensor]  # xy (B, A, 2), yaw (B, A), speed (B, A)
@@ -28,7 +28,7 @@ class TensorDecoder:
 
     def __init__(self, decoder: Decoder) -> None:
         self._net = decoder
-        self._layers = graph_layers(decoder)
+        self._layers = decoder.interaction.in_order()
         self._edge = _Edges(decoder)
         width = decoder.options.hidden
         weight = decoder.node.weight.detach()
@@ -55,7 +55,7 @@ class TensorDecoder:
         memory = torch.tanh(net.start(torch.cat((h[:, rows], z), dim=-1)))
         given = linear(z, self._node_z, net.node.bias)
         blocked = (
-            None if bool(batch.present.all()) else torch.where(batch.present, 0.0, -1e9)[:, None, :, None]
+            None if bool(batch.present.all()) else torch.where(batch.present, 0.0, ABSENT)[:, None, :, None]
         )
         motion: _Motion = pose[..., :2], pose[..., 2], pose[..., 3].clamp(min=0.0)
         states, seen, senders = [], [], []
@@ -152,7 +152,7 @@ class _Edges:
         self._turned = torch.stack((-terms.planes[:, 1], terms.planes[:, 0]), dim=1).flatten(0, 1)
         self._near, self._own = terms.near, terms.own
         self._bias, self._second = terms.bias, terms.second
-        self._layers = [x.edge for x in graph_layers(decoder)]
+        self._layers = [x.edge for x in decoder.interaction.in_order()]
 
     def of(self, motion: _Motion) -> tuple[Tensor, ...]:
         """Return for each layer what everybody looks like to everybody: (B, A, A, M)."""

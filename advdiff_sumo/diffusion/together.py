@@ -14,17 +14,17 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
+from advdiff_sumo.diffusion.adam import Adam
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.geometry import wrap_angle
-from advdiff_sumo.models.losses import disc_pairs, off_road
+from advdiff_sumo.models.losses import between_two, disc_pairs, off_road
 from advdiff_sumo.models.options import FUTURE_STEPS
 
 _WIDER_M = (0.8, 0.3)
-_BETAS, _TINY = (0.9, 0.999), 1e-8
 _ROUND, _FIRST, _DISCS = 10, 2, 5
 
 Decode: TypeAlias = Callable[[Tensor, Context, SceneBatch], Rollout]
@@ -99,9 +99,7 @@ def _overlap(rollout: Rollout, size: Tensor, present: Tensor) -> Tensor:
     """
     squared, reach = disc_pairs(rollout, size)
     overlap = (1.0 - torch.sqrt(squared + 1e-9) / reach[..., None]).clamp(min=0.0).sum(-1) / _DISCS
-    others = present[:, :, None] & present[:, None]
-    others = others & ~torch.eye(present.shape[1], dtype=torch.bool, device=present.device)
-    return torch.where(others[..., None], overlap, 0.0)
+    return between_two(overlap, present)
 
 
 def _until_contact(overlap: Tensor) -> Tensor:
@@ -126,53 +124,32 @@ def together(
         how: weights and steps.
     """
     how = how or Together()
-    made, rows = drawn.clone(), torch.arange(batch.scenes, device=drawn.device)
-    state = _Adam(drawn, torch.zeros_like(drawn), torch.zeros_like(drawn))
-    for begin in range(0, how.steps, _ROUND):
-        steps = range(begin + 1, min(begin + _ROUND, how.steps) + 1)
-        state, wrong = _round(state, drawn[rows], decode, context, batch, how, steps)
-        made[rows] = state.x
+    made, x, origin, adam = drawn.clone(), drawn, drawn, Adam(how.rate)
+    rows = torch.arange(batch.scenes, device=drawn.device)
+    for step in range(1, how.steps + 1):
+        wrong, gradient = _slope(x, origin, decode, context, batch, how)
+        x = torch.where(wrong[:, None, None, None], adam.step(x, gradient), x)
+        made[rows] = x
+        if step % _ROUND:
+            continue
         left = torch.nonzero(wrong).ravel()
         if not len(left):
             break
         if len(left) < len(rows):
-            rows, batch, context = rows[left], batch.rows(left), context.rows(left)
-            state = _Adam(state.x[left], state.first[left], state.second[left])
+            rows, x, origin = rows[left], x[left], origin[left]
+            batch, context = batch.rows(left), context.rows(left)
+            adam.keep(left)
     return made
 
 
-@dataclass(frozen=True)
-class _Adam:
-    """Samples and the running means of their gradient and its square, each (B, A, C, L)."""
-
-    x: Tensor
-    first: Tensor
-    second: Tensor
-
-
-def _round(
-    state: _Adam,
-    drawn: Tensor,
-    decode: Decode,
-    context: Context,
-    batch: SceneBatch,
-    how: Together,
-    steps: range,
-) -> tuple[_Adam, Tensor]:
-    """Return the state after *steps*, and with which scenes (B,) something was wrong before the last one."""
-    x, first, second = state.x, state.first, state.second
-    free = (batch.moved & ~batch.parked).to(drawn.dtype)
-    wrong = torch.zeros(batch.scenes, dtype=torch.bool, device=x.device)
-    for step in steps:
-        with torch.enable_grad():
-            at = x.detach().requires_grad_(True)
-            each = penalty(at, decode, context, batch, how) * free
-            gradient = torch.autograd.grad(each.sum(), at)[0].nan_to_num()
-        wrong = each.detach().sum(1) > 0.0
-        gradient = (gradient + 2.0 * how.keep * (x - drawn)) * free[..., None, None]
-        first = torch.lerp(gradient, first, _BETAS[0])
-        second = torch.lerp(gradient.square(), second, _BETAS[1])
-        pace = (second / (1.0 - _BETAS[1] ** step)).sqrt() + _TINY
-        moved = x - how.rate * first / (1.0 - _BETAS[0] ** step) / pace
-        x = torch.where(wrong[:, None, None, None], moved, x)
-    return _Adam(x, first, second), wrong
+def _slope(
+    x: Tensor, drawn: Tensor, decode: Decode, context: Context, batch: SceneBatch, how: Together
+) -> tuple[Tensor, Tensor]:
+    """Return with which scenes (B,) something is wrong, and the gradient (B, A, C, L) of what shall become less."""
+    free = (batch.moved & ~batch.parked).to(x.dtype)
+    with torch.enable_grad():
+        at = x.detach().requires_grad_(True)
+        each = penalty(at, decode, context, batch, how) * free
+        gradient = torch.autograd.grad(each.sum(), at)[0].nan_to_num()
+    gradient = (gradient + 2.0 * how.keep * (x - drawn)) * free[..., None, None]
+    return each.detach().sum(1) > 0.0, gradient

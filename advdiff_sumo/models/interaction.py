@@ -8,6 +8,9 @@ from torch import Tensor, nn
 from advdiff_sumo.models.geometry import RELATIVE_FEATURES
 from advdiff_sumo.models.options import ModelOptions
 
+ABSENT = -1e9
+"""What stands for, or is added to, the scores of senders who are not there."""
+
 
 class EdgeEncoder(nn.Module):
     """Embeds relative poses once for all layers of a net."""
@@ -47,7 +50,7 @@ class InteractionLayer(nn.Module):
             mask: (B, A) who takes part.
         """
         message = torch.relu(edges + self.receiver(h)[:, :, None] + self.sender(h)[:, None])
-        score = self.score(message).masked_fill(~mask[:, None, :, None], -1e9)
+        score = self.score(message).masked_fill(~mask[:, None, :, None], ABSENT)
         weight = torch.softmax(score, dim=2) * mask[:, None, :, None]
         split = message.reshape(*message.shape[:-1], self.heads, -1)
         gathered = (weight[..., None] * split).sum(2).flatten(-2)
@@ -86,13 +89,14 @@ class InteractionNet(nn.Module):
     def prepare(self, relative: Tensor) -> list[Tensor]:
         """Return for each layer what relative poses (B, A, A, 9) add to the messages; free of the embeddings."""
         edges = self.edges(relative)
-        return [layer.edge(edges) for layer in self._layers()]
+        return [layer.edge(edges) for layer in self.in_order()]
 
     def mix(self, h: Tensor, edges: list[Tensor], mask: Tensor) -> Tensor:
         """Return :meth:`forward` of embeddings *h* (B, A, D) with *edges* prepared beforehand."""
-        for layer, edge in zip(self._layers(), edges, strict=True):
+        for layer, edge in zip(self.in_order(), edges, strict=True):
             h = layer(h, edge, mask)
         return h
 
-    def _layers(self) -> list[InteractionLayer]:
+    def in_order(self) -> list[InteractionLayer]:
+        """Return the layers, the first one first."""
         return [layer for layer in self.layers if isinstance(layer, InteractionLayer)]

@@ -63,10 +63,14 @@ def pair_overlap(rollout: Rollout, size: Tensor, present: Tensor) -> Tensor:
         present: (B, A) who is there.
     """
     gap, reach = pair_distance(rollout, size)
-    overlap = (1.0 - gap / reach).clamp(min=0.0)
+    return between_two((1.0 - gap / reach).clamp(min=0.0), present)
+
+
+def between_two(value: Tensor, present: Tensor) -> Tensor:
+    """Return *value* (B, A, A, T) where two different agents are both *present* (B, A), 0 elsewhere."""
     others = present[:, :, None] & present[:, None]
     others = others & ~torch.eye(present.shape[1], dtype=torch.bool, device=present.device)
-    return torch.where(others[..., None], overlap, 0.0)
+    return torch.where(others[..., None], value, 0.0)
 
 
 def pair_distance(rollout: Rollout, size: Tensor) -> tuple[Tensor, Tensor]:

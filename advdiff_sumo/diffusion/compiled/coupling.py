@@ -9,7 +9,6 @@ import numpy as np
 import torch
 
 from advdiff_sumo.core.arrays import BoolArray
-from advdiff_sumo.diffusion.compiled.decoder import ABSENT
 from advdiff_sumo.diffusion.compiled.kernel import Array, affine, array_of, kernel, product, relu
 from advdiff_sumo.diffusion.compiled.layers import room
 from advdiff_sumo.diffusion.compiled.records import GraphWeights, Heard
@@ -17,7 +16,7 @@ from advdiff_sumo.diffusion.compiled.rollout import mix
 from advdiff_sumo.diffusion.compiled.weights import graph_weights
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.denoiser import STEP_WIDTH, Coupling, sinusoidal
-from advdiff_sumo.models.interaction import InteractionLayer
+from advdiff_sumo.models.interaction import ABSENT
 
 
 class CouplingWeights(NamedTuple):
@@ -77,7 +76,7 @@ class CompiledCoupling:
 
     def __init__(self, layer: Coupling, steps: Iterable[int]) -> None:
         self._layer = layer
-        self._graph = graph_weights([x for x in layer.net.layers if isinstance(x, InteractionLayer)])
+        self._graph = graph_weights(layer.net.in_order())
         self._weights = CouplingWeights(
             array_of(layer.sample.weight.t()), array_of(layer.out.weight.t()), array_of(layer.out.bias)
         )
@@ -98,6 +97,7 @@ class CompiledCoupling:
             {k: array_of(known) + code for k, code in self._codes.items()},
             array_of(edges),
             drawn,
+            np.where(drawn, 0.0, ABSENT).astype(self._weights.out.dtype),
             array_of(context.h),
         )
 
@@ -111,6 +111,7 @@ class CoupledScenes(NamedTuple):
         known: step → (B, A, M) what is known without the noisy latents.
         edges: (B, L, A, A, M) what relative poses add to messages.
         drawn: (B, A) whose latents mean something.
+        lower: (B, A) added to the scores of senders: very negative where nobody is drawn.
         h: (B, A, D) embeddings.
     """
 
@@ -119,15 +120,15 @@ class CoupledScenes(NamedTuple):
     known: dict[int, Array]
     edges: Array
     drawn: BoolArray
+    lower: Array
     h: Array
 
     def states(self, x: Array, k: int) -> Array:
         """Return embeddings (B, A, D) that know of all noisy latents *x* (B, A, C, L) at step *k*."""
-        lower = np.where(self.drawn, 0.0, ABSENT).astype(x.dtype)
         latents = x.reshape(*x.shape[:2], -1)
         made = np.empty_like(self.h)
         for b, edges in enumerate(self.edges):
             begin, heard = self.known[k][b].copy(), room(self.graph, edges)
-            given = latents[b], begin, lower[b], self.drawn[b], heard, self.h[b]
+            given = latents[b], begin, self.lower[b], self.drawn[b], heard, self.h[b]
             made[b] = couple(self.weights, self.graph, *given)
         return made

@@ -15,13 +15,10 @@ from advdiff_sumo.diffusion.compiled.records import Trace as SceneTrace
 from advdiff_sumo.diffusion.compiled.rollout import roll
 from advdiff_sumo.diffusion.compiled.vehicle import DONE, cars_of
 from advdiff_sumo.diffusion.compiled.weights import graph_weights, roll_weights, see_weights
-from advdiff_sumo.diffusion.decoder_weights import graph_layers
 from advdiff_sumo.diffusion.trace import Trace
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Decoder, Rollout
-
-ABSENT = -1e9
-"""Added to the scores of those who are not there."""
+from advdiff_sumo.models.interaction import ABSENT
 
 
 class CompiledDecoder:
@@ -35,7 +32,7 @@ class CompiledDecoder:
         self.options = decoder.options
         self.weights = roll_weights(decoder)
         self.eyes = see_weights(decoder)
-        self.graph = graph_weights(graph_layers(decoder))
+        self.graph = graph_weights(decoder.interaction.in_order())
 
     def whole(self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int) -> tuple[Rollout, Trace]:
         """Return the futures of all agents and their trace; as :meth:`FastDecoder.whole`."""

@@ -69,6 +69,7 @@ def _by_precision(single: Callable[[Any], Any], other: Callable[[Any], Any]) -> 
     return chosen
 
 
+# numba does not take a function as its own implementation, so the three above stand here once more
 def _double(x: Any) -> Any:
     return math.exp(x)
 

@@ -153,9 +153,8 @@ def residual(w: BlockWeights, x: Array, scale: Array, shift: Array, at: int) -> 
     """Return (C', N, L) of *x* (C, N, L); *scale*, *shift* and *at* as in :func:`activate`."""
     _, vehicles, length = x.shape
     y = x
-    for second in range(
-        2
-    ):  # one call of each kernel for both: what is compiled twice takes twice as long to compile
+    # one call of each kernel for both: what is compiled twice takes twice as long to compile
+    for second in range(2):
         weight, bias = (w.second, w.second_bias) if second else (w.first, w.first_bias)
         columns = np.empty((weight.shape[1], vehicles, length), x.dtype)
         activate(y, scale, shift, at, columns)

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from advdiff_sumo.diffusion.compiled.kernel import Array, array_of
 from advdiff_sumo.diffusion.compiled.records import GraphWeights, RollWeights, SeeWeights
 from advdiff_sumo.diffusion.compiled.vehicle import limits_of
-from advdiff_sumo.diffusion.decoder_weights import edge_terms, graph_layers
+from advdiff_sumo.diffusion.decoder_weights import edge_terms
 from advdiff_sumo.models.decoder import Decoder
 from advdiff_sumo.models.interaction import InteractionLayer
 
@@ -55,7 +55,7 @@ def see_weights(decoder: Decoder) -> SeeWeights:
     """Return how *decoder* embeds relative poses."""
     terms = edge_terms(decoder)
     see = torch.cat((terms.planes.flatten(0, 1), terms.near[None], terms.own[None]))  # (8, E)
-    edge = torch.stack([layer.edge.weight.t() for layer in graph_layers(decoder)])
+    edge = torch.stack([layer.edge.weight.t() for layer in decoder.interaction.in_order()])
     second = terms.second
     return SeeWeights(
         array_of(see),

@@ -14,7 +14,7 @@ from torch import Tensor
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.together import held_decode, together
+from advdiff_sumo.diffusion.together import Decode, held_decode, together
 from advdiff_sumo.metrics.pairwise import TTC_BINS_S, least_ttc, ttc_counts
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
@@ -111,23 +111,29 @@ def _prior(path: Path) -> Draw:
 def _diffusion(path: Path, fitted: bool = False, steps: int = LATENT_STEPS) -> Draw:
     """Return what draws samples by *steps* of DDIM; *fitted*: made to fit together."""
     bundle = _bundle(path)
+    decode = _held(bundle) if fitted else None
 
     def draw(batch: SceneBatch, samples: int, generator: torch.Generator) -> tuple[Rollout, int]:
         encoded: Context = bundle.traffic.encoder(batch)
         context = encoded.repeat(samples)
         several = batch.repeat(samples)
         drawn = diffused(bundle, context, steps, generator)
-        if fitted:
-            drawn = _fitted(bundle, drawn, context, several, samples)
+        if decode is not None:
+            drawn = _fitted(decode, drawn, context, several, samples)
         return bundle.codec.decode(drawn, context, several), samples
 
     return draw
 
 
-def _fitted(bundle: Bundle, drawn: Tensor, context: Context, several: SceneBatch, samples: int) -> Tensor:
-    """Return *drawn* made to fit together, one window at a time, so that padding costs nothing."""
+def _held(bundle: Bundle) -> Decode:
+    """Return the decoder that samples are made to fit by."""
     assert isinstance(bundle.codec, LatentCodec)  # noqa: S101 - the row names latent weights
-    decode, made = held_decode(bundle.codec, FastDecoder(bundle.traffic.decoder)), drawn.clone()
+    return held_decode(bundle.codec, FastDecoder(bundle.traffic.decoder))
+
+
+def _fitted(decode: Decode, drawn: Tensor, context: Context, several: SceneBatch, samples: int) -> Tensor:
+    """Return *drawn* made to fit together, one window at a time, so that padding costs nothing."""
+    made = drawn.clone()
     for begin in range(0, several.scenes, samples):
         window = slice(begin, begin + samples)
         agents = int(several.present[begin].nonzero().max()) + 1

@@ -58,25 +58,21 @@ def networks_of(options: DiffusionOptions) -> Networks:
     """
     device = device_of(options.device, "background 'diffusion'")
     torch.set_num_threads(options.threads)
-    return _networks(
-        str(options.path), options.reward, device, options.steps, options.family, options.eta, options.guided
-    )
-
-
-@lru_cache(maxsize=2)
-def _networks(
-    path: str, reward: str, device: torch.device, steps: int, family: str, eta: float, guided: bool
-) -> Networks:
-    bundle = load_bundle(Path(path))
-    if reward:
-        bundle = replace(bundle, reward=load_reward(Path(reward), bundle))
-    codec = bundle.codec
-    if guided and not isinstance(codec, LatentCodec):
+    made = _networks(str(options.path), options.reward, device, options.steps, options.family, options.eta)
+    if options.guided and not isinstance(made.codec, LatentCodec):
         raise WeightsError(
-            Path(path),
+            options.path,
             "diffuses trajectories, which nothing guides",
             "give weights of codec latent, or --guide none",
         )
+    return made
+
+
+@lru_cache(maxsize=2)
+def _networks(path: str, reward: str, device: torch.device, steps: int, family: str, eta: float) -> Networks:
+    bundle = load_bundle(Path(path))
+    if reward:
+        bundle = replace(bundle, reward=load_reward(Path(reward), bundle))
     schedule = Schedule(bundle.options.diffusion_steps, bundle.options.schedule)
     if steps > schedule.steps:
         raise ConfigError(
@@ -86,7 +82,7 @@ def _networks(
     bundle = bundle.frozen().to(device)
     return Networks(
         bundle=bundle,
-        codec=codec,
+        codec=bundle.codec,
         denoiser=FastDenoiser(bundle.denoiser, schedule.ladder(steps)[:-1]),
         decoder=FastDecoder(bundle.traffic.decoder),
         encoder=FastEncoder(bundle.traffic.encoder),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import ClassVar, Literal, TypeAlias
 
 from pydantic import Field
 
@@ -33,6 +33,7 @@ class DiffusionOptions(Options):
         threads: of PyTorch on the CPU, for the whole process; results differ in the last digits with their number.
     """
 
+    shipped: ClassVar[Literal["traffic", "traj2traj"]] = "traffic"
     strength: float = Field(1.0, ge=0.0, le=1.0)
     attackers: int = Field(2, ge=1, le=8)
     attack: Attack = "any"
@@ -56,16 +57,12 @@ class DiffusionOptions(Options):
     @property
     def path(self) -> Path:
         """The networks' file."""
-        return Path(self.weights) if self.weights else shipped_weights()
+        return Path(self.weights) if self.weights else shipped_weights(self.shipped)
 
 
 class Traj2TrajOptions(DiffusionOptions):
     """Options of ``traj2traj``: those of ``diffusion``, less the guide, for networks that diffuse trajectories."""
 
+    shipped: ClassVar[Literal["traffic", "traj2traj"]] = "traj2traj"
     guide: Literal["none"] = "none"
     steps: int = Field(10, ge=1, le=1000)
-
-    @property
-    def path(self) -> Path:
-        """The networks' file."""
-        return Path(self.weights) if self.weights else shipped_weights("traj2traj")

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.diffusion.adam import Adam
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Forced, Rollout
@@ -23,7 +24,6 @@ from advdiff_sumo.traffic.diffusion.attackers import FARTHEST_M, closest_m
 from advdiff_sumo.traffic.diffusion.draw import Drawn
 from advdiff_sumo.traffic.diffusion.futures import futures_of
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
-from advdiff_sumo.traffic.rivals.adam import Adam
 from advdiff_sumo.traffic.rivals.closed_loop import Found, Memory, Rival, Task, with_target
 from advdiff_sumo.traffic.rivals.joint.decoder import JointDecoder
 from advdiff_sumo.traffic.rivals.networks import Prior, prior_of

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Decoder, Forced, Rollout
-from advdiff_sumo.models.interaction import InteractionLayer
 from advdiff_sumo.models.options import FUTURE_STEPS
 from advdiff_sumo.traffic.rivals.joint.arrays import Array, Linear, array_of, relu
 from advdiff_sumo.traffic.rivals.joint.cell import Cell, Kept
@@ -70,7 +69,7 @@ class JointDecoder:
         self._node_memory, self._node_z = node.columns(0, wide), node.columns(wide, wide + latent)
         self._node_own = node.columns(wide + latent, node.back.shape[1])
         self._edges = Edges(decoder.interaction)
-        self._layers = [Layer(x) for x in decoder.interaction.layers if isinstance(x, InteractionLayer)]
+        self._layers = [Layer(x) for x in decoder.interaction.in_order()]
         self._hidden, self._act = Linear.of(decoder.action[0]), Linear.of(decoder.action[2])
         self._cell = Cell(decoder.memory)
 

@@ -1,4 +1,4 @@
-"""Adam for one small tensor (Kingma and Ba 2015, Alg. 1).
+"""Adam for a tensor, or for many that are searched side by side (Kingma and Ba 2015, Alg. 1).
 
 PyTorch's own imports its compiler when it is first made, which takes seconds in every worker.
 """
@@ -32,3 +32,8 @@ class Adam:
         mean = self._first / (1.0 - _BETAS[0] ** self._steps)
         pace = (self._second / (1.0 - _BETAS[1] ** self._steps)).sqrt() + _TINY
         return x - self._rate * mean / pace
+
+    def keep(self, rows: Tensor) -> None:
+        """Go on with *rows* of the tensor alone."""
+        if self._first is not None and self._second is not None:
+            self._first, self._second = self._first[rows], self._second[rows]

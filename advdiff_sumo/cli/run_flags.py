@@ -70,7 +70,10 @@ Attack: TypeAlias = Annotated[
 ]
 Guide: TypeAlias = Annotated[
     str | None,
-    typer.Option(help="diffusion: reward, or none for natural traffic.", show_default="reward"),
+    typer.Option(
+        help="diffusion: reward, reward-only without the attack's own terms, or none for natural traffic.",
+        show_default="reward",
+    ),
 ]
 Weights: TypeAlias = Annotated[
     Path | None, typer.Option(help="diffusion: trained networks.", show_default="the shipped ones")

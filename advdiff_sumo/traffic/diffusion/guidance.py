@@ -78,13 +78,11 @@ def guidance(
             scenes.many,
             torch.zeros(count, dtype=torch.long, device=networks.device),
         )
-    assert isinstance(networks.codec, LatentCodec)  # noqa: S101 - networks_of refuses others where there is a guide
-    scene = AttackScene(networks.decoder, networks.codec, scenes.context, scenes.one, attackers, natural)
-    attack = attack_objective(options.attack, scene)
-    terms = (
-        Term(reward_objective(networks.reward, state), _REWARD_WEIGHT, _REWARD_RUNGS),
-        Term(attack, _ATTACK_WEIGHT, _ATTACK_RUNGS),
-    )
+    terms = [Term(reward_objective(networks.reward, state), _REWARD_WEIGHT, _REWARD_RUNGS)]
+    if options.guide == "reward":
+        assert isinstance(networks.codec, LatentCodec)  # noqa: S101 - networks_of refuses others where there is a guide
+        scene = AttackScene(networks.decoder, networks.codec, scenes.context, scenes.one, attackers, natural)
+        terms.append(Term(attack_objective(options.attack, scene), _ATTACK_WEIGHT, _ATTACK_RUNGS))
     mask = torch.zeros(scenes.one.agents, dtype=h.dtype, device=networks.device)
     mask[attackers] = 1.0
     names = tuple(view.ids[row] for row in rows.tolist())

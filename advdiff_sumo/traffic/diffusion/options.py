@@ -20,7 +20,8 @@ class DiffusionOptions(Options):
         strength: how hard attackers are guided against the target; 0 is natural traffic exactly.
         attackers: most vehicles that are guided at a time.
         attack: what they shall do; "any": whatever gets them close.
-        guide: "reward": by the reward model and the attack's own terms; "none": natural traffic.
+        guide: "reward": by the reward model and the attack's own terms; "reward-only": by the reward model alone,
+            as in the paper; "none": natural traffic.
         steps: denoising steps of a plan.
         family: transition of the denoising, see ``diffusion.sampler``.
         eta: share of fresh noise in each denoising step; the family "printed" has 1.
@@ -37,7 +38,7 @@ class DiffusionOptions(Options):
     strength: float = Field(1.0, ge=0.0, le=1.0)
     attackers: int = Field(2, ge=1, le=8)
     attack: Attack = "any"
-    guide: Literal["reward", "none"] = "reward"
+    guide: Literal["reward", "reward-only", "none"] = "reward"
     steps: int = Field(5, ge=1, le=1000)
     family: Literal["printed", "consistent"] = "consistent"
     eta: float = Field(0.0, ge=0.0, le=1.0)

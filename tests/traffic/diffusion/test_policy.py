@@ -46,6 +46,7 @@ def latents(policy: DiffusionTraffic, road: RoadMap, scene: Scene) -> np.ndarray
     [
         {},
         {"guide": "none"},
+        {"guide": "reward-only"},
         {"attack": "rear-end", "attackers": 3, "strength": 1.0},
         {"samples": 3, "eta": 1.0, "family": "printed", "steps": 3},
     ],
@@ -85,18 +86,34 @@ def test_strength_0_is_no_guide_exactly(weights: str, downtown: RoadMap, street:
     assert natural.xy_m.tobytes() != full.xy_m.tobytes()
 
 
-@pytest.mark.parametrize("attack", ["any", "brake"])
-def test_attackers_alone_are_shifted(attack: str, uncoupled: str, downtown: RoadMap, street: Street) -> None:
+@pytest.mark.parametrize(("guide", "attack"), [("reward", "any"), ("reward", "brake"), ("reward-only", "any")])
+def test_attackers_alone_are_shifted(
+    guide: str, attack: str, uncoupled: str, downtown: RoadMap, street: Street
+) -> None:
     """One attacker: nobody else's latent changes by a bit."""
     scene = street(PLACES, SPEEDS)
     view = look(downtown, scene)
     options = {"weights": uncoupled, "attack": attack, "attackers": 1, "strength": 1.0}
-    policy = DiffusionTraffic(**options)
+    policy = DiffusionTraffic(**options, guide=guide)
     drawn = draw_plan(policy.networks, policy.options, view, {}, {}, 5)
     natural = latents(DiffusionTraffic(**options, guide="none"), downtown, scene)
     changed = (drawn.latents.numpy() != natural).any(axis=1)
     assert [name for name, yes in zip(view.ids, changed, strict=True) if yes] == list(drawn.attackers)
     assert len(drawn.attackers) == 1
+
+
+def test_q_alone_knows_no_kinds_of_attack(weights: str, downtown: RoadMap, street: Street) -> None:
+    """Both kinds choose the same one of two who follow the target; with the attack's terms they part."""
+    scene = street(PLACES[:3], SPEEDS[:3])
+
+    def of(guide: str, attack: str) -> bytes:
+        policy = DiffusionTraffic(weights=weights, guide=guide, attack=attack, attackers=1)
+        tracks, memory = planned(policy, downtown, scene)
+        assert tuple(memory.shifts) == ("v1",)
+        return tracks.xy_m.tobytes()
+
+    assert of("reward-only", "any") == of("reward-only", "brake")
+    assert of("reward", "any") != of("reward", "brake")
 
 
 def test_attackers_stay_attackers(weights: str, downtown: RoadMap, street: Street) -> None:

@@ -81,11 +81,9 @@ def test_fewshot_and_transfer(scenes: Path, tmp_path: Path) -> None:
     )
     assert done.code == 0, done.err
     rows = list(csv.DictReader((tmp_path / "few" / "table.csv").read_text().splitlines()))
-    assert [(row["column"], row["n"]) for row in rows] == [
-        ("steps_0", "4"),
-        ("steps_2", "8"),
-        ("steps_4", "8"),
-        ("steps_6", "8"),
+    ladder = [("steps_0", "4"), ("steps_2", "8"), ("steps_4", "8"), ("steps_6", "8")]
+    assert [(row["row"], row["column"], row["n"]) for row in rows] == [
+        (f"{guide}/EIDM", *step) for guide in ("reward-only", "reward") for step in ladder
     ]
     done = advdiff(
         *("bench", "transfer", *small, "--policies", "diffusion", "--targets", "lane_graph,IDM"),

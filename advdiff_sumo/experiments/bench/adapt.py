@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ class Adaptation:
         seed: number of the warm-up; it also decides on which shipped net, in turn.
         marks: plans after which Q is kept.
         horizon_s: of its episodes.
+        background_options: of the policy that is warmed up.
     """
 
     target: str
@@ -35,10 +36,12 @@ class Adaptation:
     seed: int
     marks: Marks
     horizon_s: float
+    background_options: Mapping[str, Any] = field(default_factory=dict)
 
     def path(self, folder: Path, mark: int) -> Path:
         """Return where Q after *mark* plans lies."""
-        extra = "".join(f"-{key}={value}" for key, value in sorted(self.target_options.items()))
+        options = (*sorted(self.target_options.items()), *sorted(self.background_options.items()))
+        extra = "".join(f"-{key}={value}" for key, value in options)
         return folder / f"{self.target}{extra}-s{self.seed}-{mark:04d}.safetensors".replace("/", "_")
 
     def missing(self, folder: Path) -> bool:
@@ -75,6 +78,7 @@ def _warm_up(one: Adaptation, folder: Path) -> None:
         target=one.target,
         target_options=dict(one.target_options),
         background="diffusion",
+        background_options=dict(one.background_options),
         seed=TUNING_SEED + 1 + one.seed,
         horizon_s=one.horizon_s,
     )

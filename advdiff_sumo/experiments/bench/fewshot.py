@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,10 +44,17 @@ UNSEEN: Mapping[str, Unseen] = {
     "W99": Unseen("W99"),
     "lane_graph-brisk": Unseen("lane_graph", {"speed_factor": 1.15, "time_headway_s": 0.8, "gap_s": 0.8}),
 }
+GUIDES: Mapping[str, str] = {
+    "reward-only": "guided by Q alone",
+    "reward": "guided by Q and the attack's terms",
+}
+"""Rows: what is warmed up and counted, the paper's guide and the default one."""
+ALL = "all targets"
 NOTES = (
     "Each warm-up meets the target on seed scenes that no table uses and refits Q alone (Sec. III-C); the episodes "
     "that are counted start from the same seed scenes at every step. Intervals: bootstrap over warm-ups and scenes "
-    "at once (Owen 2007, doi:10.1214/07-AOAS122), 95 %; Wilson before the first step, where there is one Q alone.",
+    "at once (Owen 2007, doi:10.1214/07-AOAS122), 95 %; Wilson before the first step, where there is one Q alone. "
+    "All targets: the mean over them, a scene and the warm-ups of one number drawn together.",
 )
 
 
@@ -65,17 +73,24 @@ def plan_fewshot(folder: Folder, workers: int, teller: Teller) -> Contests:
     scenes, names = asked_of(request)
     q = folder.path / "adapted"
     wanted = {
-        (name, seed): _adaptation(name, seed, folder) for name in names for seed in range(request.seeds)
+        (guide, name, seed): _adaptation(guide, name, seed, folder)
+        for guide in GUIDES
+        for name in names
+        for seed in range(request.seeds)
     }
     adapt(list(wanted.values()), q, workers, teller)
-    contests = [Contest(f"{n}/0/0", _of(n).target, "diffusion", _of(n).options) for n in names]
-    for (name, seed), one in wanted.items():
-        for mark in one.marks:
-            options = {"reward": str(one.path(q, mark).resolve())}
-            contests.append(
-                Contest(f"{name}/{seed}/{mark}", one.target, "diffusion", one.target_options, options)
-            )
+    contests = [_contest(guide, name, 0, 0) for guide in GUIDES for name in names]
+    contests += [
+        _contest(guide, name, seed, mark, one.path(q, mark))
+        for (guide, name, seed), one in wanted.items()
+        for mark in one.marks
+    ]
     return plan_contests(contests, scenes, request.horizon_s)
+
+
+def _contest(guide: str, name: str, seed: int, mark: int, reward: Path | None = None) -> Contest:
+    options = {"guide": guide} | ({} if reward is None else {"reward": str(reward.resolve())})
+    return Contest(f"{guide}/{name}/{seed}/{mark}", _of(name).target, "diffusion", _of(name).options, options)
 
 
 def asked_of(request: Request) -> tuple[SceneList, tuple[str, ...]]:
@@ -104,25 +119,42 @@ def run_fewshot(folder: Folder, contests: Contests, workers: int, limits: Limits
 
 
 def fewshot_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
-    """Return the table of what was gathered: a row for each target, a column for each step of the ladder."""
-    marks = (0, *marks_of(folder.request.steps))
+    """Return the table of what was gathered: a row for each guide and target, a column for each step of the ladder."""
+    request = folder.request
+    marks = (0, *marks_of(request.steps))
     heads = tuple(Head(f"steps_{mark}", f"{mark} steps", "%", 100.0, 1, "high") for mark in marks)
     by_row = {contest.row: seen for contest, seen in found.seen.items()}
-    lines, gaps = [], []
-    for name in dict.fromkeys(row.partition("/")[0] for row in by_row):
-        before = by_row[f"{name}/0/0"]
-        cells = {heads[0].key: Cell(pooled([before]).estimate())}
-        for mark, head in zip(marks[1:], heads[1:], strict=True):
-            after = pooled([by_row[f"{name}/{seed}/{mark}"] for seed in range(folder.request.seeds)])
-            cells[head.key] = Cell(after.estimate())
-            gained = after.less(pooled([before]))
-            gaps.append(Gap(name, head.key, f"{mark} steps", "0 steps", gained))
-        lines.append(Line(name, "", name, cells))
-    title = (
-        f"Few-shot: collision rate after warm-up, {folder.request.seeds} warm-ups, "
-        f"{len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
+    names = tuple(dict.fromkeys(row.split("/")[1] for row in by_row))
+
+    def ladder(guide: str, name: str) -> list[Pooled]:
+        ends = [f"{guide}/{name}/{{}}/{mark}" for mark in marks[1:]]
+        later = [pooled([by_row[end.format(seed)] for seed in range(request.seeds)]) for end in ends]
+        return [pooled([by_row[f"{guide}/{name}/0/0"]]), *later]
+
+    rows: dict[tuple[str, str], list[Pooled]] = {}
+    for guide in GUIDES:
+        own = [ladder(guide, name) for name in names]
+        rows |= {(guide, name): one for name, one in zip(names, own, strict=True)}
+        if len(names) > 1:
+            rows[guide, ALL] = [averaged(column) for column in zip(*own, strict=True)]
+    lines = tuple(
+        Line(f"{guide}/{name}", GUIDES[guide], name, _cells(heads, one))
+        for (guide, name), one in rows.items()
     )
-    return Table("fewshot", title, heads, tuple(lines), tuple(gaps), notes_of(found, scenes, folder, NOTES))
+    gaps = tuple(
+        Gap(GUIDES[guide], head.key, f"{name}, {head.title}", "0 steps", after.less(one[0]))
+        for (guide, name), one in rows.items()
+        for head, after in zip(heads[1:], one[1:], strict=True)
+    )
+    title = (
+        f"Few-shot: collision rate after warm-up, {request.seeds} warm-ups, "
+        f"{len(scenes.scenes)} seed scenes, {request.horizon_s:g} s"
+    )
+    return Table("fewshot", title, heads, lines, gaps, notes_of(found, scenes, folder, NOTES))
+
+
+def _cells(heads: Sequence[Head], ladder: Sequence[Pooled]) -> dict[str, Cell]:
+    return {head.key: Cell(one.estimate()) for head, one in zip(heads, ladder, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -131,11 +163,13 @@ class Pooled:
 
     Attributes:
         scenes: keys of the S scenes that all of them finished.
-        hits: (W, S) whether the target collided.
+        hits: (W, S) whether the target collided; of several targets, the share of them.
+        targets: how many they are.
     """
 
     scenes: tuple[str, ...]
     hits: FloatArray
+    targets: int = 1
 
     def at(self, warm_ups: FloatArray, scenes: FloatArray) -> FloatArray:
         """Return the rate (R,) with warm-ups (R, W) and scenes (R, S) drawn so often."""
@@ -144,12 +178,12 @@ class Pooled:
 
     def estimate(self) -> Estimate:
         """Return the rate; with Wilson's interval where there is one warm-up alone."""
-        if len(self.hits) == 1:
+        if len(self.hits) == 1 and self.targets == 1:
             return estimate(Ratio(self.scenes, self.hits[0], np.ones(len(self.scenes)), rate=True))
         if not self.hits.size:
             return Estimate()
         low, high = np.percentile(self.at(*_draws(self.hits.shape)), (2.5, 97.5))
-        return Estimate(float(self.hits.mean()), float(low), float(high), self.hits.size)
+        return Estimate(float(self.hits.mean()), float(low), float(high), self.targets * self.hits.size)
 
     def less(self, before: Pooled) -> Difference:
         """Return the rate less that of *before*, scenes drawn together."""
@@ -165,7 +199,7 @@ class Pooled:
         return Difference(float(own.hits.mean() - old.hits.mean()), float(low), float(high), None, len(rows))
 
     def _rows(self, rows: IntArray) -> Pooled:
-        return Pooled(tuple(self.scenes[k] for k in rows.tolist()), self.hits[:, rows])
+        return Pooled(tuple(self.scenes[k] for k in rows.tolist()), self.hits[:, rows], self.targets)
 
 
 def pooled(runs: Sequence[Sequence[Seen]]) -> Pooled:
@@ -173,6 +207,17 @@ def pooled(runs: Sequence[Sequence[Seen]]) -> Pooled:
     flags = [{one.scene: float(bool(one.row["target_collision"])) for one in run} for run in runs]
     scenes = tuple(scene for scene in flags[0] if all(scene in other for other in flags))
     return Pooled(scenes, np.array([[one[scene] for scene in scenes] for one in flags]))
+
+
+def averaged(parts: Sequence[Pooled]) -> Pooled:
+    """Return the mean over targets, on the scenes that all of them finished; as many warm-ups of each."""
+    common = [scene for scene in parts[0].scenes if all(scene in part.scenes for part in parts)]
+    same = [
+        part._rows(np.array([part.scenes.index(scene) for scene in common], dtype=np.int64)) for part in parts
+    ]
+    return Pooled(
+        tuple(common), np.mean([part.hits for part in same], axis=0), sum(part.targets for part in parts)
+    )
 
 
 def _draws(shape: tuple[int, ...], seed: int = 0) -> tuple[FloatArray, FloatArray]:
@@ -189,6 +234,8 @@ def _made(name: str) -> object:
     return make_target(_of(name).target, _of(name).options)
 
 
-def _adaptation(name: str, seed: int, folder: Folder) -> Adaptation:
+def _adaptation(guide: str, name: str, seed: int, folder: Folder) -> Adaptation:
     request, one = folder.request, _of(name)
-    return Adaptation(one.target, one.options, seed, marks_of(request.steps), request.horizon_s)
+    return Adaptation(
+        one.target, one.options, seed, marks_of(request.steps), request.horizon_s, {"guide": guide}
+    )

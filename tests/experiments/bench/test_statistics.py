@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from advdiff_sumo.experiments.bench.fewshot import Pooled
+from advdiff_sumo.experiments.bench.fewshot import Pooled, averaged
 from advdiff_sumo.experiments.bench.samples import Rates
 from advdiff_sumo.experiments.bench.statistics import (
     Divergence,
@@ -125,6 +125,20 @@ def test_warm_ups_and_scenes_are_drawn_at_once() -> None:
     assert Pooled(tuple("abcd"), hits[:1]).estimate().low == pytest.approx(0.0456, abs=1e-4)
     gained = Pooled(tuple("abcd"), hits).less(Pooled(tuple("dcba"), np.array([[0.0, 0.0, 0.0, 1.0]])))
     assert (gained.value, gained.low, gained.high, gained.scenes) == (0.0, 0.0, 0.0, 4)
+
+
+def test_the_mean_over_targets_takes_the_scenes_that_all_have() -> None:
+    one = Pooled(tuple("abc"), np.array([[1.0, 0.0, 1.0], [1.0, 1.0, 1.0]]))
+    other = Pooled(tuple("cb"), np.array([[0.0, 0.0], [1.0, 0.0]]))
+    both = averaged([one, other])
+    assert (both.scenes, both.targets) == (("b", "c"), 2)
+    assert both.hits.tolist() == [[0.0, 0.5], [0.5, 1.0]]
+    found = both.estimate()
+    assert (found.value, found.n) == (0.5, 8)
+    assert found.low == 0.0  # both draws of b, of the first warm-up
+    assert found.high == 1.0
+    gained = both.less(averaged([Pooled(tuple("bc"), np.array([[0.0, 0.0]]))] * 2))
+    assert (gained.value, gained.scenes) == (0.5, 2)
 
 
 def test_share_of_the_rate_that_is_kept() -> None:

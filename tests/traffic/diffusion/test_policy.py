@@ -86,7 +86,9 @@ def test_strength_0_is_no_guide_exactly(weights: str, downtown: RoadMap, street:
     assert natural.xy_m.tobytes() != full.xy_m.tobytes()
 
 
-@pytest.mark.parametrize(("guide", "attack"), [("reward", "any"), ("reward", "brake"), ("reward-only", "any")])
+@pytest.mark.parametrize(
+    ("guide", "attack"), [("reward", "any"), ("reward", "brake"), ("reward-only", "any")]
+)
 def test_attackers_alone_are_shifted(
     guide: str, attack: str, uncoupled: str, downtown: RoadMap, street: Street
 ) -> None:

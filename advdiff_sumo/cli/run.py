@@ -18,6 +18,7 @@ from advdiff_sumo.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from advdiff_sumo.sim.run import Run, RunOptions
+    from advdiff_sumo.sim.store import RunFolder
 
 _RUNS = Path("runs")
 
@@ -56,7 +57,6 @@ def run(
     """
     from advdiff_sumo.cli.check import print_check  # late: --help needs neither SUMO nor plots
     from advdiff_sumo.cli.summary import print_summary
-    from advdiff_sumo.report import write_report
     from advdiff_sumo.sim.run import Run
     from advdiff_sumo.sim.store import RunFolder
 
@@ -86,25 +86,31 @@ def run(
     prepared = Run.prepare(_options(config, given, policy, assign or []), gui)
     folder = RunFolder.create(out or _free_folder(prepared), prepared.settings, resume)
     console = Console()
+    count = _episodes(prepared, folder, console)
+    print_summary(console, folder.path, prepared.options.episodes - count)
+    if check:
+        print_check(console, folder.path, prepared.road)
+
+
+def _episodes(prepared: Run, folder: RunFolder, console: Console) -> int:
+    """Run what *folder* lacks behind a bar, write the report whatever happens, and return how many finished."""
+    from advdiff_sumo.report import write_report
+
     rows: list[Mapping[str, Any]] = []
     try:
         with progress_bar(console) as progress:
-            task = progress.add_task(
-                "episodes", total=prepared.options.episodes, completed=len(folder.done())
-            )
+            done = len(folder.done())
+            task = progress.add_task("episodes", total=prepared.options.episodes, completed=done)
 
             def tell(row: Mapping[str, Any]) -> None:
                 rows.append(row)
                 hits = sum(bool(r["target_collision"]) for r in rows)
                 progress.update(task, advance=1, description=f"episodes · {hits} collisions")
 
-            count = prepared.into(folder, tell)
+            return prepared.into(folder, tell)
     finally:
         if (folder.path / "episodes.parquet").exists():
             write_report(folder.path)
-    print_summary(console, folder.path, prepared.options.episodes - count)
-    if check:
-        print_check(console, folder.path, prepared.road)
 
 
 def _begun(out: Path | None) -> Path | None:

@@ -35,6 +35,7 @@ class Contest:
         background: as registered.
         target_options: of the target.
         background_options: of the background.
+        like: contests of the same name here take as long as each other; "" for the row's.
     """
 
     row: str
@@ -42,6 +43,7 @@ class Contest:
     background: str
     target_options: Mapping[str, Any] = field(default_factory=dict)
     background_options: Mapping[str, Any] = field(default_factory=dict)
+    like: str = ""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ class Forecast:
     Attributes:
         scenes_s: for the seed scenes.
         episodes_s: for the episodes, and what is computed from them.
-        by_background: seconds an episode.
+        by_background: seconds an episode, by ``Contest.like`` or row.
     """
 
     scenes_s: float
@@ -45,7 +45,7 @@ def forecast(contests: Contests, todo: tuple[Job, ...], horizon_s: float, limits
     kinds: dict[str, list[tuple[Contest, Job]]] = {}
     for contest, job in contests.jobs():
         if job.key in left:
-            kinds.setdefault(contest.row, []).append((contest, job))
+            kinds.setdefault(contest.like or contest.row, []).append((contest, job))
     if len(left) < FEW:
         return None
     with ProcessExecutor(1, limits) as executor:

@@ -90,7 +90,8 @@ def plan_fewshot(folder: Folder, workers: int, teller: Teller) -> Contests:
 
 def _contest(guide: str, name: str, seed: int, mark: int, reward: Path | None = None) -> Contest:
     options = {"guide": guide} | ({} if reward is None else {"reward": str(reward.resolve())})
-    return Contest(f"{guide}/{name}/{seed}/{mark}", _of(name).target, "diffusion", _of(name).options, options)
+    row, target = f"{guide}/{name}/{seed}/{mark}", _of(name)
+    return Contest(row, target.target, "diffusion", target.options, options, like=f"--guide {guide}")
 
 
 def asked_of(request: Request) -> tuple[SceneList, tuple[str, ...]]:

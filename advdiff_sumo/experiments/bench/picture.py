@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -94,23 +95,32 @@ def _heat_map(table: Table) -> Figure:
 
 
 def _curves(table: Table) -> Figure:
-    """Return a curve a target: collision rate over steps, with its interval as a band."""
-    figure = Figure(figsize=(6.0, 4.0), dpi=_DPI, layout="constrained")
-    axes = figure.subplots()
-    steps = [int(head.key.rpartition("_")[2]) for head in table.heads]
-    for line in table.lines:
-        found = [line.cells[head.key].found for head in table.heads]
-        value = [np.nan if one.value is None else 100.0 * one.value for one in found]
-        low = [np.nan if one.low is None else 100.0 * one.low for one in found]
-        high = [np.nan if one.high is None else 100.0 * one.high for one in found]
-        (curve,) = axes.plot(steps, value, marker="o", markersize=4, label=line.title)
-        axes.fill_between(steps, low, high, color=curve.get_color(), alpha=0.15)
-    axes.set_xlabel("warm-up steps")
-    axes.set_ylabel("collision rate (%)")
-    axes.set_title(table.title, fontsize=9)
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
+    """Return a panel a group of rows, and in it a curve a row: collision rate over steps, its interval as a band."""
+    groups = tuple(dict.fromkeys(line.group for line in table.lines))
+    figure = Figure(figsize=(1.5 + 4.5 * len(groups), 4.0), dpi=_DPI, layout="constrained")
+    figure.suptitle(table.title, fontsize=9)
+    panels = figure.subplots(1, len(groups), squeeze=False, sharey=True)[0]
+    for group, axes in zip(groups, panels, strict=True):
+        for line in table.lines:
+            if line.group == group:
+                _curve(axes, line, table.heads)
+        axes.set_title(group, fontsize=9)
+        axes.set_xlabel("warm-up steps")
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("collision rate (%)")
+    panels[-1].legend(fontsize=8)
     return figure
+
+
+def _curve(axes: Axes, line: Line, heads: Sequence[Head]) -> None:
+    steps = [int(head.key.rpartition("_")[2]) for head in heads]
+    found = [line.cells[head.key].found for head in heads]
+    value, low, high = (
+        [np.nan if part is None else 100.0 * part for part in parts]
+        for parts in zip(*((one.value, one.low, one.high) for one in found), strict=True)
+    )
+    (curve,) = axes.plot(steps, value, marker="o", markersize=4, label=line.title)
+    axes.fill_between(steps, low, high, color=curve.get_color(), alpha=0.12)
 
 
 def _value(line: Line, head: Head) -> float:

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from advdiff_sumo.experiments.bench.contests import Contest, Contests
 from advdiff_sumo.experiments.bench.telling import Teller
-from advdiff_sumo.experiments.bench.traces import Trace, trace_of
+from advdiff_sumo.experiments.bench.traces import UNTRACED, Trace, trace_of
 from advdiff_sumo.metrics.severity import is_failure
 from advdiff_sumo.sweep.files import read_checked, write_checked
 from advdiff_sumo.sweep.plan import Job
@@ -30,7 +30,7 @@ class Seen:
     Attributes:
         scene: key of its seed scene; the same for all contests.
         row: of ``episodes``.
-        trace: of its background.
+        trace: of its background; ``UNTRACED`` where nobody asks for it.
         plan_s: median time of a plan of the background; None where it plans nothing.
     """
 
@@ -53,21 +53,40 @@ class Gathered:
     failed: dict[Contest, dict[str, int]] = field(default_factory=dict)
 
 
-def gather(contests: Contests, store: Store, cache: Path, workers: int, teller: Teller) -> Gathered:
-    """Return all finished episodes of *contests*; their traces are made where *cache* lacks them."""
+def gather(
+    contests: Contests, store: Store, cache: Path, workers: int, teller: Teller, judged: bool = True
+) -> Gathered:
+    """Return all finished episodes of *contests*; their traces are made where *cache* lacks them.
+
+    Args:
+        contests: what was asked for.
+        store: of their sweep.
+        cache: folder of traces.
+        workers: processes.
+        teller: hears how far it is.
+        judged: traces are to have likelihoods and solutions, which is what takes long.
+    """
     cache.mkdir(parents=True, exist_ok=True)
     jobs = list(contests.jobs())
     lacking = {
         job.key: contests.plan.options(job).net for _, job in jobs if read_checked(cache / job.key) is None
     }
     teller.begin("what the background did", len(jobs), len(jobs) - len(lacking))
-    tasks = {key: (trace_of, store.path, key, net) for key, net in lacking.items()}
+    tasks = {key: (trace_of, store.path, key, net, judged) for key, net in lacking.items()}
     for key, content in in_processes(tasks, workers):
         write_checked(cache / key, content)
         teller.step()
     found = Gathered()
     for contest, job in jobs:
         _take(found, contest, job, store, cache)
+    return found
+
+
+def gather_rows(contests: Contests, store: Store) -> Gathered:
+    """Return all finished episodes of *contests* without traces."""
+    found = Gathered()
+    for contest, job in contests.jobs():
+        _take(found, contest, job, store, None)
     return found
 
 
@@ -102,20 +121,21 @@ def _quiet_worker() -> None:
     one_thread()
 
 
-def _take(found: Gathered, contest: Contest, job: Job, store: Store, cache: Path) -> None:
+def _take(found: Gathered, contest: Contest, job: Job, store: Store, cache: Path | None) -> None:
     seen, failed = found.seen.setdefault(contest, []), found.failed.setdefault(contest, {})
-    part, content = store.read(job.key), read_checked(cache / job.key)
+    part = store.read(job.key)
+    content = None if cache is None else read_checked(cache / job.key)
     if part is None:
         return
     if part.failed is not None:
         failed[part.failed.kind] = failed.get(part.failed.kind, 0) + 1
-    if not content or "episodes" not in part.tables:
+    if (cache is not None and not content) or "episodes" not in part.tables:
         return
     (row,) = part.tables["episodes"].to_pylist()
     (timing,) = part.tables["timing"].to_pylist()
     if is_failure(row):
         return
-    trace = Trace.from_bytes(content)
+    trace = Trace.from_bytes(content) if content else UNTRACED
     seen.append(Seen(job.scene_key, row, trace, timing["background_plan_p50_s"]))
 
 

@@ -13,7 +13,7 @@ from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
 from advdiff_sumo.experiments.bench.adversarial import notes_of
-from advdiff_sumo.experiments.bench.collect import Gathered, Seen, gather
+from advdiff_sumo.experiments.bench.collect import Gathered, Seen, gather_rows
 from advdiff_sumo.experiments.bench.contests import Contest, Contests, plan_contests, run_contests
 from advdiff_sumo.experiments.bench.request import Folder, Request, chosen
 from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
@@ -115,8 +115,7 @@ def run_fewshot(folder: Folder, contests: Contests, workers: int, limits: Limits
         FileError: results cannot be stored.
     """
     store = run_contests(contests, folder.sweep, workers, limits, teller)
-    found = gather(contests, store, folder.path / "traces", workers, teller)
-    return fewshot_table(found, contests.scenes, folder)
+    return fewshot_table(gather_rows(contests, store), contests.scenes, folder)
 
 
 def fewshot_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:

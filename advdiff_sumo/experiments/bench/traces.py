@@ -42,8 +42,9 @@ class Trace:
         accel: the same of accelerations, differences of speed over 0.5 s.
         ttc: the same of the least time to collision with another background vehicle; the last bin is none in 10 s.
         nats: sum of the bounds on log-likelihoods, see :mod:`likelihood`.
-        seconds: vehicle-seconds that they are of.
-        solvable: where the target collided, whether it could have driven otherwise, see ``experiments.solution``.
+        seconds: vehicle-seconds that they are of; 0 where they were not asked for.
+        solvable: where the target collided and it was asked for, whether it could have driven otherwise, see
+            ``experiments.solution``.
     """
 
     vehicles: int
@@ -69,13 +70,24 @@ class Trace:
         return Trace(**plain)
 
 
-def trace_of(folder: Path, key: str, net: str) -> bytes:
-    """Return the trace of the episode *key* of the sweep in *folder*; empty where it has no states."""
+UNTRACED = Trace(0, 0, None, (), (), (), 0.0, 0.0)
+"""Nothing is known of the background."""
+
+
+def trace_of(folder: Path, key: str, net: str, judged: bool = True) -> bytes:
+    """Return the trace of the episode *key* of the sweep in *folder*; empty where it has no states.
+
+    Args:
+        folder: of the sweep.
+        key: of the episode.
+        net: that it was driven on.
+        judged: say how likely it was and whether its collision could have been avoided.
+    """
     part = Store(folder).read(key)
-    return b"" if part is None or "states" not in part.tables else _trace(part, _road(net))
+    return b"" if part is None or "states" not in part.tables else _trace(part, _road(net), judged)
 
 
-def _trace(part: Part, road: RoadMap) -> bytes:
+def _trace(part: Part, road: RoadMap, judged: bool) -> bytes:
     states = states_of(part.tables["states"])
     if states is None:
         return b""
@@ -84,7 +96,7 @@ def _trace(part: Part, road: RoadMap) -> bytes:
     near = near_target(coarse, states.target)
     counted = _counted(states, near)
     speed, accel, ttc = histograms(coarse, near)
-    nats, seconds = natural_nats(road, coarse, states.target, _ever(near))
+    nats, seconds = natural_nats(road, coarse, states.target, _ever(near)) if judged else (0.0, 0.0)
     return Trace(
         vehicles=int(counted.sum()),
         hit=_hit(part.tables["collisions"], states.tracks, counted),
@@ -94,7 +106,7 @@ def _trace(part: Part, road: RoadMap) -> bytes:
         ttc=ttc,
         nats=nats,
         seconds=seconds,
-        solvable=_solvable(states, road) if row["target_collision"] else None,
+        solvable=_solvable(states, road) if judged and row["target_collision"] else None,
     ).to_bytes()
 
 

@@ -94,7 +94,7 @@ def run_transfer(folder: Folder, contests: Contests, workers: int, limits: Limit
         FileError: results cannot be stored.
     """
     store = run_contests(contests, folder.sweep, workers, limits, teller)
-    found = gather(contests, store, folder.path / "traces", workers, teller)
+    found = gather(contests, store, folder.path / "traces", workers, teller, judged=False)
     return transfer_table(found, contests.scenes, folder)
 
 

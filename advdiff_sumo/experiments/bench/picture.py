@@ -17,6 +17,8 @@ from advdiff_sumo.sweep.files import write_whole
 _OURS, _OTHERS, _REFERENCE, _PAPER = "#00796b", "#37474f", "#90a4ae", "#bdbdbd"
 _PER_ROW = 4
 _DPI = 130
+_DARK = 0.7
+"""Of a heat map's highest value; beyond it letters are white."""
 
 
 def draw(path: Path, table: Table) -> None:
@@ -87,7 +89,8 @@ def _heat_map(table: Table) -> Figure:
             if cell is not None:
                 told = shown.paper_number(cell)
                 text = shown.number(cell.found.value, head) + (f"\n({told})" if told else "")
-                axes.text(column, row, text, ha="center", va="center", fontsize=7)
+                colour = "white" if values[row, column] > _DARK * np.nanmax(values) else "black"
+                axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
     axes.set_yticks(range(len(table.lines)), [line.title for line in table.lines], fontsize=7)
     axes.set_xticks(range(len(heads)), [head.title.partition(":")[0] for head in heads], fontsize=7)
     axes.set_title(f"{table.title}\nAV CR in %, the paper's in brackets", fontsize=8)

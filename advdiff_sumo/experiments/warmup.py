@@ -13,6 +13,7 @@ import torch
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.diffusion.fast_reward import RewardWeights
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.options import MODEL_STEP_S
 from advdiff_sumo.models.reward import RewardModel
@@ -100,6 +101,7 @@ def warm_up(
             losses += learner.fit(stored, UPDATES_PER_STEP * len(piece))
             if keep is not None and len(stored) in marks:
                 keep(len(stored), copy.deepcopy(bundle.reward))
+        policy.networks = replace(policy.networks, reward=RewardWeights(bundle.reward))
         tell(len(stored))
         if len(stored) >= steps:
             break

@@ -13,7 +13,8 @@ from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.experiments.warmup import WarmedUp, warm_up
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
 from advdiff_sumo.models.reward_file import load_reward, save_reward
-from advdiff_sumo.sim.run import RunOptions
+from advdiff_sumo.sim.run import Run, RunOptions
+from advdiff_sumo.traffic.diffusion.policy import DiffusionTraffic
 
 MODEL = {"hidden": 32, "latent": 8, "edge": 8, "message": 16, "channels": (8, 16, 24), "reward_hidden": 16}
 STEPS = 7
@@ -74,6 +75,23 @@ def test_the_same_again_is_the_same_to_the_bit(warmed: tuple[WarmedUp, list[int]
     assert again.losses == warmed[0].losses
     for mine, theirs in zip(again.reward.parameters(), warmed[0].reward.parameters(), strict=True):
         assert torch.equal(mine, theirs)
+
+
+def test_the_guide_follows_the_new_q(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its weights are read when a guide's are made, so that they have to be read again after each episode."""
+    made: list[Run] = []
+    prepare = Run.prepare
+
+    def remember(given: RunOptions) -> Run:
+        made.append(prepare(given))
+        return made[0]
+
+    monkeypatch.setattr(Run, "prepare", remember)
+    done = warm_up(options(weights), STEPS, [].append)
+    policy = made[0].policy
+    assert isinstance(policy, DiffusionTraffic)
+    assert torch.equal(policy.networks.reward.action, done.reward.action.weight)
+    assert not torch.equal(policy.networks.reward.action, load_bundle(weights).reward.action.weight)
 
 
 def test_a_file_holds_q_alone(warmed: tuple[WarmedUp, list[int]], weights: Path, tmp_path: Path) -> None:

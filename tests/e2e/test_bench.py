@@ -74,16 +74,18 @@ def test_fewshot_and_transfer(scenes: Path, tmp_path: Path) -> None:
         "--seeds",
         "2",
         "--steps",
-        "6",
+        "2",
         "--out",
         "few",
         cwd=tmp_path,
     )
     assert done.code == 0, done.err
     rows = list(csv.DictReader((tmp_path / "few" / "table.csv").read_text().splitlines()))
-    ladder = [("steps_0", "4"), ("steps_2", "8"), ("steps_4", "8"), ("steps_6", "8")]
-    assert [(row["row"], row["column"], row["n"]) for row in rows] == [
-        (f"{guide}/EIDM", *step) for guide in ("reward-only", "reward") for step in ladder
+    ladder = [("steps_0", "4"), ("steps_1", "8"), ("steps_2", "8")]
+    assert [(row["target"], row["row"], row["column"], row["n"]) for row in rows] == [
+        (f"guided by {guide}", "EIDM", *step)
+        for guide in ("Q alone", "Q and the attack's terms")
+        for step in ladder
     ]
     done = advdiff(
         *("bench", "transfer", *small, "--policies", "diffusion", "--targets", "lane_graph,IDM"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,6 @@ import torch
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.record import EpisodeRecord
-from advdiff_sumo.diffusion.fast_reward import RewardWeights
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.options import MODEL_STEP_S
 from advdiff_sumo.models.reward import RewardModel
@@ -86,8 +85,8 @@ def warm_up(
     policy = run.policy
     if not isinstance(policy, DiffusionTraffic) or not policy.options.guided:
         raise ConfigError("warm-up is for background 'diffusion' with its guide and a strength above 0")
-    bundle = replace(policy.networks.bundle, reward=copy.deepcopy(policy.networks.bundle.reward))
-    policy.networks = replace(policy.networks, bundle=bundle)
+    policy.networks = policy.networks.guided_by(copy.deepcopy(policy.networks.bundle.reward))
+    bundle = policy.networks.bundle
     learner, reward_options = WarmUp(bundle, RewardOptions(), seed=options.seed), RewardOptions()
     stored: list[Experience] = []
     losses: list[float] = []
@@ -101,7 +100,7 @@ def warm_up(
             losses += learner.fit(stored, UPDATES_PER_STEP * len(piece))
             if keep is not None and len(stored) in marks:
                 keep(len(stored), copy.deepcopy(bundle.reward))
-        policy.networks = replace(policy.networks, reward=RewardWeights(bundle.reward))
+        policy.networks = policy.networks.guided_by(bundle.reward)
         tell(len(stored))
         if len(stored) >= steps:
             break

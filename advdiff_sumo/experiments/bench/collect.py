@@ -78,7 +78,8 @@ def gather(
         teller.step()
     found = Gathered()
     for contest, job in jobs:
-        _take(found, contest, job, store, cache)
+        content = read_checked(cache / job.key)
+        _take(found, contest, job, store, Trace.from_bytes(content) if content else None)
     return found
 
 
@@ -86,7 +87,7 @@ def gather_rows(contests: Contests, store: Store) -> Gathered:
     """Return all finished episodes of *contests* without traces."""
     found = Gathered()
     for contest, job in contests.jobs():
-        _take(found, contest, job, store, None)
+        _take(found, contest, job, store, UNTRACED)
     return found
 
 
@@ -121,21 +122,19 @@ def _quiet_worker() -> None:
     one_thread()
 
 
-def _take(found: Gathered, contest: Contest, job: Job, store: Store, cache: Path | None) -> None:
+def _take(found: Gathered, contest: Contest, job: Job, store: Store, trace: Trace | None) -> None:
     seen, failed = found.seen.setdefault(contest, []), found.failed.setdefault(contest, {})
     part = store.read(job.key)
-    content = None if cache is None else read_checked(cache / job.key)
     if part is None:
         return
     if part.failed is not None:
         failed[part.failed.kind] = failed.get(part.failed.kind, 0) + 1
-    if (cache is not None and not content) or "episodes" not in part.tables:
+    if trace is None or "episodes" not in part.tables:
         return
     (row,) = part.tables["episodes"].to_pylist()
     (timing,) = part.tables["timing"].to_pylist()
     if is_failure(row):
         return
-    trace = Trace.from_bytes(content) if content else UNTRACED
     seen.append(Seen(job.scene_key, row, trace, timing["background_plan_p50_s"]))
 
 

@@ -142,7 +142,7 @@ def fewshot_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
         for (guide, name), one in rows.items()
     )
     gaps = tuple(
-        Gap(GUIDES[guide], head.key, f"{name}, {head.title}", "0 steps", after.less(one[0]))
+        Gap(f"{GUIDES[guide]}: {name}", head.key, head.title, "0 steps", after.less(one[0]))
         for (guide, name), one in rows.items()
         for head, after in zip(heads[1:], one[1:], strict=True)
     )

@@ -82,6 +82,7 @@ def _heat_map(table: Table) -> Figure:
     size = (1.6 + 1.3 * len(heads), 1.6 + 0.4 * len(table.lines))
     figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
     axes = figure.subplots()
+    dark = _DARK * np.nan_to_num(values).max()
     axes.imshow(np.nan_to_num(values), cmap="YlOrRd", aspect="auto", vmin=0.0)
     for row, line in enumerate(table.lines):
         for column, head in enumerate(heads):
@@ -89,7 +90,7 @@ def _heat_map(table: Table) -> Figure:
             if cell is not None:
                 told = shown.paper_number(cell)
                 text = shown.number(cell.found.value, head) + (f"\n({told})" if told else "")
-                colour = "white" if values[row, column] > _DARK * np.nanmax(values) else "black"
+                colour = "white" if values[row, column] > dark else "black"
                 axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
     axes.set_yticks(range(len(table.lines)), [line.title for line in table.lines], fontsize=7)
     axes.set_xticks(range(len(heads)), [head.title.partition(":")[0] for head in heads], fontsize=7)

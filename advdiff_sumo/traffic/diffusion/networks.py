@@ -17,6 +17,7 @@ from advdiff_sumo.diffusion.sampler import Sampling
 from advdiff_sumo.diffusion.schedule import Schedule
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec, TrajectoryCodec
+from advdiff_sumo.models.reward import RewardModel
 from advdiff_sumo.models.reward_file import load_reward
 from advdiff_sumo.models.shipped import device_of
 from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
@@ -47,6 +48,10 @@ class Networks:
     schedule: Schedule
     sampling: Sampling
     device: torch.device
+
+    def guided_by(self, reward: RewardModel) -> Networks:
+        """Return the same networks with *reward* as it is now; what is trained further has to be given again."""
+        return replace(self, bundle=replace(self.bundle, reward=reward), reward=RewardWeights(reward))
 
 
 def networks_of(options: DiffusionOptions) -> Networks:

@@ -96,11 +96,11 @@ def within(shift: Tensor, most: float) -> Tensor:
 
 
 def direction(objective: Objective, latents: Tensor, attackers: Tensor) -> Tensor:
-    """Return the gradient (B, A, Z) of *objective*, of attackers (A,) only, with length 1 over each scene, or 0.
+    """Return the gradient (B, A, Z) of *objective*, with length 1 over each scene, or 0.
 
-    A gradient that is not finite counts as none.
+    Only that of attackers, (A,) or (B, A), counts. A gradient that is not finite counts as none.
     """
-    gradient = _gradient(objective, latents.detach()) * attackers[:, None]
+    gradient = _gradient(objective, latents.detach()) * attackers[..., None]
     norm = gradient.square().sum(dim=(1, 2), keepdim=True).sqrt()
     usable = torch.isfinite(norm) & (norm > 1e-12)
     return torch.where(usable, gradient / norm.clamp(min=1e-12), 0.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ import torch
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.options import MODEL_STEP_S
 from advdiff_sumo.models.reward import RewardModel
@@ -135,13 +136,26 @@ def _episodes(run: Run, policy: DiffusionTraffic) -> Iterator[tuple[EpisodeRecor
 def experiences(record: EpisodeRecord, heard: list[Heard], options: RewardOptions) -> Iterator[Experience]:
     """Yield what each plan led to within ``options.execute`` model steps, as the record tells.
 
-    A plan counts when the target is still there then, or has been hit; who has gone coasts on.
+    A plan counts when the target is still there then, or has been hit; who has gone coasts on. Its scene knows the
+    target's drive in the next ``options.look`` steps, where the record goes on for so long.
     """
     for plan in heard:
         path = _happened(record, plan.view, options.execute)
         if path is not None:
             target = torch.zeros(1, dtype=torch.long)
-            yield observed(plan.view.batch, path, target, plan.latents[None], options)
+            state = _with_drive(plan.view.batch, _happened(record, plan.view, options.look))
+            yield observed(state, path, target, plan.latents[None], options)
+
+
+def _with_drive(batch: SceneBatch, path: Rollout | None) -> SceneBatch:
+    """Return *batch* with the target's drive, row 0 of *path*, as its future; unknown where there is no path."""
+    if path is None:
+        return batch
+    future, known = batch.future.clone(), batch.future_valid.clone()
+    steps = path.yaw.shape[2]
+    future[0, 0, :steps] = torch.cat((path.xy, path.yaw[..., None], path.speed[..., None]), dim=-1)[0, 0]
+    known[0, 0, :steps] = True
+    return replace(batch, future=future, future_valid=known)
 
 
 def _happened(record: EpisodeRecord, view: View, steps: int) -> Rollout | None:

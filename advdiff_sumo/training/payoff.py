@@ -47,8 +47,8 @@ def payoffs(
     shape = (batch.scenes, stretches, -1)
     gap = target_gap(finer(cut, batch), batch, target).amin(1).reshape(shape).amin(-1)  # (B, S)
     near = torch.exp(-gap.clamp(min=0.0) / options.reach_m)
-    vehicles = _among_background(cut, batch, target).reshape(shape).amax(-1)
-    road = _off_road(cut, batch, target).reshape(shape).amax(-1)
+    vehicles = among_background(cut, batch, target).reshape(shape).amax(-1)
+    road = over_edge(cut, batch, target).reshape(shape).amax(-1)
     reward = near - options.vehicles * vehicles.clamp(max=1.0) - options.road * road.clamp(max=1.0)
     return [Payoff(reward[:, i], gap[:, i] <= 0.0) for i in range(stretches)]
 
@@ -88,7 +88,7 @@ def background(batch: SceneBatch, target: Tensor) -> Tensor:
     return batch.moved & batch.present & ~batch.parked & (agents != target[:, None])
 
 
-def _among_background(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor:
+def among_background(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor:
     """Return (B, T) overlap summed over pairs without the target; pairs that overlap before it begins are left out."""
     agents = torch.arange(batch.agents, device=target.device)
     others = batch.present & (agents != target[:, None])
@@ -101,7 +101,7 @@ def _among_background(path: Rollout, batch: SceneBatch, target: Tensor) -> Tenso
     return (both * pairs).sum((1, 2))
 
 
-def _off_road(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor:
+def over_edge(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor:
     """Return (B, T) overlap with the road's edge, beyond that before it begins, summed over background vehicles."""
     over = off_road(path, batch) - off_road(standing(batch), batch)
     return torch.where(background(batch, target)[..., None], over.clamp(min=0.0), 0.0).sum(1)

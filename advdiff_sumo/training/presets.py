@@ -68,8 +68,10 @@ class RewardOptions(Options):
         execute: model steps l that a transition executes.
         returns: transitions of one plan whose rewards are summed before Q takes over (n-step targets); 1 is
             the paper's target.
-        slope: weight of the error of ∂Q/∂a, which is what guides: against the gradient, through the decoder, of what
-            the experience's own rewards are worth, as a share of that gradient's square; 0 is the paper's loss.
+        direction: weight of 1 − cos between ∂Q/∂a, which is what guides, and the way that leads to contact, see
+            ``training.direction``; 0 is the paper's loss.
+        look: model steps ahead of which that way is the way.
+        push: longest shift up Q, in scaled latents, at which it is taught; guidance goes as far.
         transitions: experiences taken from one window one after another, while its log lasts.
         candidates: latents of the prior over which the maximum of Q is taken.
         target_decay: share of the old target network that a step keeps.
@@ -83,7 +85,9 @@ class RewardOptions(Options):
     discount: float = Field(0.9, ge=0.0, lt=1.0)
     execute: int = Field(2, ge=1, le=12)
     returns: int = Field(1, ge=1, le=12)
-    slope: float = Field(0.05, ge=0.0)
+    direction: float = Field(0.3, ge=0.0)
+    look: int = Field(6, ge=1, le=12)
+    push: float = Field(6.0, ge=0.0)
     transitions: int = Field(2, ge=1, le=12)
     candidates: int = Field(6, ge=1, le=64)
     target_decay: float = Field(0.995, ge=0.0, lt=1.0)
@@ -91,8 +95,8 @@ class RewardOptions(Options):
     vehicles: float = Field(0.5, ge=0.0)
     road: float = Field(0.2, ge=0.0)
     prior: float = Field(0.4, ge=0.0)
-    noise: float = Field(0.3, ge=0.0)
-    diffusion: float = Field(0.3, ge=0.0)
+    noise: float = Field(0.1, ge=0.0)
+    diffusion: float = Field(0.5, ge=0.0)
     sampling_steps: int = Field(10, ge=1, le=1000)
 
 
@@ -204,7 +208,7 @@ def preset(name: str, stage: StageName, assignments: Iterable[str] = ()) -> Trai
 
 def _paper(stage: StageName) -> dict[str, Any]:
     if stage == "reward":
-        return {**_PAPER, **_PAPER_REWARD, "reward": {"slope": 0.0}}
+        return {**_PAPER, **_PAPER_REWARD, "reward": {"direction": 0.0}}
     return dict(_PAPER)
 
 

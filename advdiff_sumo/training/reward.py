@@ -11,6 +11,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.reward import RewardModel
+from advdiff_sumo.training.direction import agreement_of, direction_loss
 from advdiff_sumo.training.experience import (
     Experience,
     decoded,
@@ -25,7 +26,6 @@ from advdiff_sumo.training.presets import RewardOptions
 from advdiff_sumo.training.stage import Moment, Tally
 
 _CHOICES = 6
-_FLAT = 1e-10
 
 
 class RewardStage:
@@ -54,16 +54,24 @@ class RewardStage:
         weight = sum(float(one.weight.sum()) for one in made)
         loss = torch.stack([term for term, _ in terms]).sum() / max(weight, 1.0)
         value = torch.stack([q for _, q in terms]).sum() / max(weight, 1.0)
-        slope = slope_loss(self._bundle, made[0], self.options) if made else loss.new_zeros(())
+        direction = loss.new_zeros(())
+        if made and self.options.direction > 0.0:
+            direction = direction_loss(self._bundle, made[0], self.options, moment.generator)
         contact = sum(float((one.weight * (one.remains == 0.0)).sum()) for one in made) / max(weight, 1.0)
-        total = loss + self.options.slope * slope
-        return {"loss": total, "td": loss, "slope": slope, "value": value, "contact": torch.tensor(contact)}
+        return {
+            "loss": loss + self.options.direction * direction,
+            "td": loss,
+            "direction": direction,
+            "value": value,
+            "contact": torch.tensor(contact),
+        }
 
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
         """Judge Q as a chooser among random actions by what each is worth when its plan is executed to its end.
 
         "regret" is how much the best action is worth more than the one that Q likes most, "chance" the same for
-        an action drawn at random, "td" the error of its values, "slope" that of its gradient (1: it knows nothing).
+        an action drawn at random, "td" the error of its values, "direction" 1 − cos of its gradient (1: it knows
+        nothing).
         """
         worth, liked, usable = self._choices(batch, generator)
         best = worth.amax(1)
@@ -77,7 +85,11 @@ class RewardStage:
         weight = sum(float(one.weight.sum()) for one in made)
         tally |= {"td": (float(torch.stack(losses).sum()), weight)}
         if made:
-            tally["slope"] = (float(slope_loss(self._bundle, made[0], self.options)) * weight, weight)
+            agreement = agreement_of(self._bundle, made[0], self.options, generator)
+            tally["direction"] = (
+                float((1.0 - agreement.cosine)[agreement.counts].sum()),
+                float(agreement.counts.sum()),
+            )
         return tally
 
     def after_step(self) -> None:
@@ -122,27 +134,6 @@ def q_loss(
         wanted = made.gain + made.remains * future
     q = bundle.reward(context.h, context.prior.mean, made.action, made.state, made.target)
     return (made.weight * (q - wanted).square()).sum(), (made.weight * q.detach()).sum()
-
-
-def slope_loss(bundle: Bundle, made: Experience, options: RewardOptions) -> Tensor:
-    """Return ‖∂Q/∂a − ∂g/∂a‖² over ‖∂g/∂a‖², both summed over the scenes that count; 0 where g is flat.
-
-    g is what the rewards of the experience's stretches are worth, as a function of the latents a through the
-    decoder (Sobolev training, Czarnecki et al. 2017, arXiv:1706.04859).
-    """
-    with torch.no_grad():
-        context = bundle.traffic.encoder(made.state)
-    with torch.enable_grad():
-        action = made.action.detach().requires_grad_(True)
-        steps = options.execute * options.returns
-        path = decoded(bundle, action, context, made.state, made.target, steps)
-        rewards = payoffs(path, made.state, made.target, options, options.returns)
-        gain = made.weight * value_of(rewards, options.discount)[0]
-        wanted = torch.autograd.grad(gain.sum(), action)[0].nan_to_num()
-        q = made.weight * bundle.reward(context.h, context.prior.mean, action, made.state, made.target)
-        slope = torch.autograd.grad(q.sum(), action, create_graph=True)[0]
-    size = wanted.square().sum()
-    return torch.where(size > _FLAT, (slope - wanted).square().sum() / size.clamp(min=_FLAT), 0.0)
 
 
 def best_value(

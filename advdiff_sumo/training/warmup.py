@@ -10,6 +10,7 @@ import torch
 from advdiff_sumo.core.errors import TrainingError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.training.direction import direction_loss
 from advdiff_sumo.training.experience import Experience, gathered
 from advdiff_sumo.training.presets import RewardOptions
 from advdiff_sumo.training.reward import follow, q_loss
@@ -65,6 +66,8 @@ class WarmUp:
         generator = torch.Generator().manual_seed(node.child("noise").integer(62))
         total, _ = q_loss(self.bundle, self._target, made, self.options, generator)
         loss = total / made.weight.sum().clamp(min=1.0)
+        if self.options.direction > 0.0:
+            loss = loss + self.options.direction * direction_loss(self.bundle, made, self.options, generator)
         if not torch.isfinite(loss):
             raise TrainingError(f"warm-up step {self._steps}: the loss is {float(loss.detach())}")
         self._optimiser.zero_grad(set_to_none=True)

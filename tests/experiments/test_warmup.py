@@ -10,11 +10,12 @@ import torch
 from safetensors import safe_open
 
 from advdiff_sumo.core.errors import ConfigError
-from advdiff_sumo.experiments.warmup import WarmedUp, warm_up
+from advdiff_sumo.experiments.warmup import Heard, WarmedUp, experiences, warm_up
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
 from advdiff_sumo.models.reward_file import load_reward, save_reward
 from advdiff_sumo.sim.run import Run, RunOptions
 from advdiff_sumo.traffic.diffusion.policy import DiffusionTraffic
+from advdiff_sumo.training.presets import RewardOptions
 
 MODEL = {"hidden": 32, "latent": 8, "edge": 8, "message": 16, "channels": (8, 16, 24), "reward_hidden": 16}
 STEPS = 7
@@ -55,6 +56,24 @@ def test_it_learns_from_as_many_plans_as_asked(warmed: tuple[WarmedUp, list[int]
     assert done.episodes == len(told)
     assert len(done.losses) == 2 * STEPS
     assert np.isfinite(done.losses).all()
+
+
+def test_plans_know_the_drive_that_followed(weights: Path) -> None:
+    """As far as the record goes: 3 s of a 3 s episode for the plan at 0 s, nothing for the later ones."""
+    run = Run.prepare(options(weights))
+    policy = run.policy
+    assert isinstance(policy, DiffusionTraffic)
+    heard: list[Heard] = []
+    policy.listener = lambda view, drawn: heard.append(Heard(view, drawn.latents))
+    record, _ = run.episode(0, next(iter(run.seed_scenes()))).run()
+    made = list(experiences(record, heard, RewardOptions()))
+    assert record.end == "horizon"
+    assert [int(one.state.future_valid.sum()) for one in made] == [6, *[0] * (len(made) - 1)]
+    tracks, view = record.tracks, heard[0].view
+    step = round((view.scene.time_s + 3.0 - tracks.t0_s) / tracks.dt_s)
+    last = tracks.xy_m[tracks.index[view.ids[0]], step]
+    drive = made[0].state.future[0, 0, 5, :2].numpy() + view.now.xy_m[0, -1]
+    assert np.allclose(drive, last, atol=1e-3)
 
 
 def test_only_the_reward_model_changes(warmed: tuple[WarmedUp, list[int]], weights: Path) -> None:

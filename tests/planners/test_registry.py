@@ -17,7 +17,7 @@ from advdiff_sumo.planners.sumo import CAR_FOLLOWING, PARAMS, SumoDriverOptions
 
 
 class Idle:
-    """A planner of a user's own."""
+    """A planner of a user's own, which stays where it is."""
 
     def __init__(self, patience_s: float = 1.0) -> None:
         self.patience_s = patience_s
@@ -26,7 +26,7 @@ class Idle:
         return road, scene, rng
 
     def plan(self, road: Any, scene: Any, memory: Any, rng: np.random.Generator) -> Any:
-        raise NotImplementedError
+        return scene, memory
 
 
 class NoPlanner:

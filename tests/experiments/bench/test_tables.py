@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 
 from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.experiments.bench.fewshot import marks_of
 from advdiff_sumo.experiments.bench.paper import paper_table
 from advdiff_sumo.experiments.bench.print_table import print_table
 from advdiff_sumo.experiments.bench.request import Folder, Request
@@ -138,3 +139,10 @@ def test_pictures_of_the_other_benches(bench: str, tmp_path: Path) -> None:
     lines = lines_of(heads, [RowSamples("diffusion/lane_graph", "", "ours", samples)], {})
     save(Folder(tmp_path, Request(bench="transfer")), Table(bench, "t", heads, lines))
     assert (tmp_path / "table.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize(
+    ("steps", "marks"), [(90, (30, 60, 90)), (100, (33, 67, 100)), (2, (1, 2)), (1, (1,))]
+)
+def test_rungs_of_a_warm_up_are_thirds(steps: int, marks: tuple[int, ...]) -> None:
+    assert marks_of(steps) == marks

@@ -21,5 +21,5 @@ class AdvRlOptions(Options):
     weights: str = ""
     prior_weights: str = ""
     strength: float = Field(1.0, ge=0.0, le=1.0)
-    attackers: int = Field(1, ge=1, le=8)
+    attackers: int = Field(2, ge=1, le=8)
     threads: int = Field(1, ge=1, le=64)

@@ -64,6 +64,19 @@ def test_ctrl_c_keeps_what_has_finished(
     _resume(folder, undisturbed)
 
 
+def test_ctrl_c_while_the_package_is_imported(grid: Path, tmp_path: Path) -> None:
+    running = begin("run", "--net", grid, "--out", "out", cwd=tmp_path)
+    maps = Path(f"/proc/{running.pid}/maps")
+    until = time.monotonic() + 60.0
+    while "numpy" not in maps.read_text():
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert said.splitlines() == ["interrupted; what had finished is kept"]
+
+
 def test_a_killed_run_can_be_resumed(waiting: tuple[Path, subprocess.Popen[str]], undisturbed: Path) -> None:
     folder, process = waiting
     process.kill()

@@ -107,7 +107,7 @@ def test_a_wrong_command_is_one_sentence(sweeps: Path, refused: Callable[..., st
 
 
 def test_killed_interrupted_and_resumed(sweeps: Path) -> None:
-    fewer = SWEEP.replace("episodes = 3", "episodes = 6").replace(', "lane_graph"', "")
+    fewer = SWEEP.replace("episodes = 3", "episodes = 9").replace(', "lane_graph"', "")
     (sweeps / "small.toml").write_text(fewer)
     words = ("--workers", 1, "--out", "whole", "--no-report")
     whole = advdiff("sweep", "small.toml", *words, cwd=sweeps, hash_seed=1)
@@ -122,7 +122,7 @@ def test_killed_interrupted_and_resumed(sweeps: Path) -> None:
 
     second = begin("sweep", "--resume", "broken", "--workers", 2, cwd=sweeps, hash_seed=3)
     before = len(_episodes(sweeps / "broken"))
-    _wait_for(sweeps / "broken", min(before + 1, 6))
+    _wait_for(sweeps / "broken", min(before + 1, 9))
     second.send_signal(signal.SIGINT)
     _, said = second.communicate(timeout=60)
     if second.returncode != 0:  # it may have been quicker

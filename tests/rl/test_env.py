@@ -79,7 +79,10 @@ def test_an_idle_attacker_is_the_untrained_policy(
     stepped = loop.record(EndReason.HORIZON, None)
     save_actor(actor(0.7), tmp_path / "a.safetensors")
     policy = AdvRl(
-        weights=str(tmp_path / "a.safetensors"), prior_weights=settings["prior_weights"], strength=0.0
+        weights=str(tmp_path / "a.safetensors"),
+        prior_weights=settings["prior_weights"],
+        strength=0.0,
+        attackers=1,  # as in the environment
     )
     record, timing = replace(loop.episode, policy=policy).run()
     assert record.failure is None

@@ -6,7 +6,7 @@ import os
 import signal
 from types import FrameType
 
-_INTERRUPTED = 130
+from advdiff_sumo.core.errors import INTERRUPTED, KEPT
 
 
 def main() -> None:
@@ -23,8 +23,8 @@ def main() -> None:
 
 def _leave(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - what a handler is given
     """Leave at once: nothing has been begun, and libraries that are half imported cannot be unwound."""
-    os.write(2, b"interrupted; what had finished is kept\n")
-    os._exit(_INTERRUPTED)
+    os.write(2, f"{KEPT}\n".encode())
+    os._exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

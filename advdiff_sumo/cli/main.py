@@ -28,9 +28,9 @@ from advdiff_sumo.cli.train import train
 from advdiff_sumo.cli.train_rl import train_rl
 from advdiff_sumo.cli.video import video
 from advdiff_sumo.cli.warmup import warmup
-from advdiff_sumo.core.errors import AdvdiffError
+from advdiff_sumo.core.errors import INTERRUPTED, KEPT, AdvdiffError
 
-INPUT_ERROR, INTERRUPTED = 2, 130
+INPUT_ERROR = 2
 
 app = typer.Typer(
     name="advdiff-sumo",
@@ -87,7 +87,7 @@ def main() -> None:
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
     if code == INTERRUPTED:
-        Console(stderr=True, highlight=False).print("interrupted; what had finished is kept", style="yellow")
+        Console(stderr=True, highlight=False).print(KEPT, style="yellow")
     sys.exit(code)
 
 

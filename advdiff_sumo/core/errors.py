@@ -26,6 +26,10 @@ import difflib
 from collections.abc import Iterable
 from pathlib import Path
 
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+KEPT = "interrupted; what had finished is kept"
+
 
 class AdvdiffError(Exception):
     """Base of all errors of this package; its message is one sentence for the user."""

@@ -20,6 +20,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.geometry import into_frame
 from advdiff_sumo.models.options import MODEL_STEP_S
 
@@ -102,7 +103,7 @@ def encounter(
     )
 
 
-def _nearest(gap: Tensor) -> Tensor:
+def nearest(gap: Tensor) -> Tensor:
     """Return the smooth least (B, R) of gaps (B, R, T)."""
     return -SOFT_M * torch.logsumexp(-gap.clamp(min=TOUCHES_M) / SOFT_M, dim=-1)
 
@@ -119,40 +120,40 @@ def _during(e: Encounter, cost: Tensor, begin_s: float, end_s: float) -> Tensor:
 
 
 def _any(e: Encounter) -> Tensor:
-    return _nearest(e.gap)
+    return nearest(e.gap)
 
 
 def _cut_in(e: Encounter) -> Tensor:
     """Into the target's lane ahead of it and slower, between 2 and 4 s."""
     place = e.left.abs() + 0.3 * _between(e.ahead, e.reach + 0.5, e.reach + 6.0)
     slower = 0.3 * torch.relu(e.speed - (e.target_speed - 2.0))
-    return _during(e, place + slower + 3.0 * (1.0 - e.same), 1.5, 4.0) + 0.3 * _nearest(e.gap)
+    return _during(e, place + slower + 3.0 * (1.0 - e.same), 1.5, 4.0) + 0.3 * nearest(e.gap)
 
 
 def _brake(e: Encounter) -> Tensor:
     """Ahead in the target's lane, down to a fifth of its speed."""
     place = e.left.abs() + 0.3 * torch.relu(e.reach - e.ahead)
     slower = 0.5 * torch.relu(e.speed - 0.2 * e.target_speed)
-    return _during(e, place + slower, 0.5, 4.0) + 0.3 * _nearest(e.gap)
+    return _during(e, place + slower, 0.5, 4.0) + 0.3 * nearest(e.gap)
 
 
 def _rear_end(e: Encounter) -> Tensor:
     """Behind in the target's lane and faster by 3 m/s."""
     place = e.left.abs() + 0.2 * _between(e.ahead, -e.reach - 1.0, -e.reach + 0.5)
     faster = 0.3 * torch.relu(e.target_speed + 3.0 - e.speed)
-    return _during(e, place + faster, 1.0, 4.0) + 0.5 * _nearest(e.gap)
+    return _during(e, place + faster, 1.0, 4.0) + 0.5 * nearest(e.gap)
 
 
 def _head_on(e: Encounter) -> Tensor:
     """Into the target's lane against its heading."""
     meeting = torch.exp(-(e.gap.detach().clamp(min=0.0) / 15.0))
-    return _nearest(e.gap) + (meeting * (0.5 * e.left.abs() + (1.0 + e.same))).mean(-1)
+    return nearest(e.gap) + (meeting * (0.5 * e.left.abs() + (1.0 + e.same))).mean(-1)
 
 
 def _junction(e: Encounter) -> Tensor:
     """Across the target's way at the same place and time."""
     meeting = torch.exp(-(e.gap.detach().clamp(min=0.0) / 5.0))
-    return _nearest(e.gap) + (meeting * e.same.square()).mean(-1)
+    return nearest(e.gap) + (meeting * e.same.square()).mean(-1)
 
 
 COSTS: Mapping[str, Callable[[Encounter], Tensor]] = {
@@ -204,12 +205,14 @@ def tensor_attack(kind: str, scene: AttackScene) -> Objective:
     rows, size, natural = scene.rows, scene.batch.size[0], scene.natural
     bodies = bodies_of(Placed(scene.batch, rows, natural.rollout))
     cost = COSTS[kind]
+    whole = scene.context.prior
+    prior = Gaussian(whole.mean[:, rows], whole.logvar[:, rows])
 
     def value(latents: Tensor) -> Tensor:
         z = scene.codec.unscale(latents[:, rows, None])[:, :, 0]
         rollout = _futures(scene, z)
         met = bodies(rollout)
-        unlikely = PRIOR_WEIGHT * _surprise(scene, z)
+        unlikely = PRIOR_WEIGHT * surprise(prior, z)
         aim = cost(encounter(rollout, size[rows], natural, size[0], met.gap))
         loss = aim + OTHERS_WEIGHT * met.overlap + ROAD_WEIGHT * met.off + unlikely
         return -loss.mean(-1)
@@ -231,8 +234,6 @@ def _futures(scene: AttackScene, z: Tensor) -> Rollout:
     return scene.decoder.some(z, h, batch, scene.rows, scene.natural.steps, trace)
 
 
-def _surprise(scene: AttackScene, z: Tensor) -> Tensor:
-    """Return half the squared distance (B, R) of *z* from the prior's mean in its deviations."""
-    prior = scene.context.prior
-    mean, logvar = prior.mean[:, scene.rows], prior.logvar[:, scene.rows]
-    return 0.5 * ((z - mean).square() * torch.exp(-logvar)).sum(-1)
+def surprise(prior: Gaussian, z: Tensor) -> Tensor:
+    """Return half the squared distance (B, A) of *z* (B, A, Z) from the prior's mean in its deviations."""
+    return 0.5 * ((z - prior.mean).square() * torch.exp(-prior.logvar)).sum(-1)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.attacks import OTHERS_WEIGHT, PRIOR_WEIGHT, ROAD_WEIGHT, SOFT_M, TOUCHES_M
+from advdiff_sumo.diffusion.attacks import OTHERS_WEIGHT, PRIOR_WEIGHT, ROAD_WEIGHT, nearest, surprise
 from advdiff_sumo.diffusion.guides import direction
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
@@ -81,7 +81,7 @@ def agreement_of(
 def approach(path: Rollout, batch: SceneBatch, target: Tensor) -> tuple[Tensor, Tensor]:
     """Return what attackers want small but for the prior (B,), and who comes near enough to count (B, A)."""
     gap = target_gap(path, batch, target)
-    least = -SOFT_M * torch.logsumexp(-gap.clamp(min=TOUCHES_M) / SOFT_M, dim=-1)
+    least = nearest(gap)
     near = background(batch, target) & (least.detach() < _FAR_M)
     cost = torch.where(near, least, 0.0).sum(1)
     cost = cost + OTHERS_WEIGHT * among_background(path, batch, target).sum(-1)
@@ -91,8 +91,7 @@ def approach(path: Rollout, batch: SceneBatch, target: Tensor) -> tuple[Tensor, 
 def _cost(bundle: Bundle, made: Experience, context: Context, steps: int) -> tuple[Tensor, Tensor]:
     path = decoded(bundle, made.action, context, made.state, made.target, steps)
     cost, near = approach(path, made.state, made.target)
-    z, prior = bundle.codec.unscale(made.action[:, :, None])[:, :, 0], context.prior
-    unlikely = 0.5 * ((z - prior.mean).square() * torch.exp(-prior.logvar)).sum(-1)
+    unlikely = surprise(context.prior, bundle.codec.unscale(made.action[:, :, None])[:, :, 0])
     return cost + PRIOR_WEIGHT * torch.where(near, unlikely, 0.0).sum(1), near
 
 

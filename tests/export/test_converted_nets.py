@@ -84,8 +84,8 @@ def test_commonroad_reads_everybody_and_agrees_on_ttc(place: Place, commonroad: 
 
 def test_the_checkers_of_asam_find_nothing(place: Place, tmp_path: Path) -> None:
     story, roads = place.files["openscenario"]
-    quality("qc_openscenario", "xoscBundle", story, tmp_path)
-    quality("qc_opendrive", "xodrBundle", roads, tmp_path)
+    assert quality("qc_openscenario", "xoscBundle", story, tmp_path) == []
+    assert quality("qc_opendrive", "xodrBundle", roads, tmp_path) == []
 
 
 def test_netconvert_reads_the_roads(place: Place, tmp_path: Path) -> None:

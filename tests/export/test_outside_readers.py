@@ -78,11 +78,21 @@ def test_commonroad_crime_agrees_on_ttc(
 
 
 def test_the_checker_of_openscenario_finds_nothing(busy: ExportScene, tmp_path: Path) -> None:
-    quality("qc_openscenario", "xoscBundle", make_exporter("openscenario").write(busy, tmp_path)[0], tmp_path)
+    assert (
+        quality(
+            "qc_openscenario", "xoscBundle", make_exporter("openscenario").write(busy, tmp_path)[0], tmp_path
+        )
+        == []
+    )
 
 
 def test_the_checker_of_opendrive_finds_nothing(busy: ExportScene, tmp_path: Path) -> None:
-    quality("qc_opendrive", "xodrBundle", make_exporter("openscenario").write(busy, tmp_path)[1], tmp_path)
+    assert (
+        quality(
+            "qc_opendrive", "xodrBundle", make_exporter("openscenario").write(busy, tmp_path)[1], tmp_path
+        )
+        == []
+    )
 
 
 def test_netconvert_reads_the_roads(busy: ExportScene, tmp_path: Path) -> None:

@@ -67,8 +67,10 @@ def by_hand() -> WindowFile:
     )
 
 
-def close(made: torch.Tensor, wanted: object) -> None:
-    torch.testing.assert_close(made, torch.tensor(wanted, dtype=made.dtype), atol=1e-5, rtol=0.0)
+def close(made: torch.Tensor, wanted: object) -> bool:
+    """Return whether *made* has the shape of *wanted* and is it to 1e-5."""
+    right = torch.tensor(wanted, dtype=made.dtype)
+    return made.shape == right.shape and torch.allclose(made, right, atol=1e-5, rtol=0.0)
 
 
 def test_masks_and_padding(by_hand: WindowFile) -> None:
@@ -81,7 +83,7 @@ def test_masks_and_padding(by_hand: WindowFile) -> None:
     assert batch.future_valid[1].tolist() == [[True] * 2 + [False] * 10, [False] * 12]
     assert batch.map_valid[0].tolist() == [[True, True, False, False], [False, False, True, False]]
     assert not bool(batch.map_valid[1, 1].any())
-    close(batch.size[1], [[12.0, 2.5], [1.0, 1.0]])
+    assert close(batch.size[1], [[12.0, 2.5], [1.0, 1.0]])
     for name in ("past", "future", "map_xy", "map_features"):
         assert not bool(getattr(batch, name)[1, 1].any()), name
         assert getattr(batch, name).dtype == torch.float32
@@ -93,35 +95,35 @@ def test_masks_and_padding(by_hand: WindowFile) -> None:
 
 def test_states_are_about_the_focal_agent(by_hand: WindowFile) -> None:
     batch = collate(by_hand, np.arange(2))
-    close(batch.pose[0], [[0.0, 0.0, NORTH, 4.0], [10.0, 0.0, 0.0, 0.0]])
-    close(batch.past[0, 0, 0], [0.0, -8.0, NORTH, 4.0])
-    close(batch.future[0, 0, -1], [0.0, 24.0, NORTH, 4.0])
-    close(batch.future[0, 1, 0], [10.0, 0.0, 0.0, 0.0])
-    close(batch.pose[1, 0], [0.0, 0.0, math.pi, 0.0])
+    assert close(batch.pose[0], [[0.0, 0.0, NORTH, 4.0], [10.0, 0.0, 0.0, 0.0]])
+    assert close(batch.past[0, 0, 0], [0.0, -8.0, NORTH, 4.0])
+    assert close(batch.future[0, 0, -1], [0.0, 24.0, NORTH, 4.0])
+    assert close(batch.future[0, 1, 0], [10.0, 0.0, 0.0, 0.0])
+    assert close(batch.pose[1, 0], [0.0, 0.0, math.pi, 0.0])
 
 
 def test_pieces_are_seen_from_each_agent(by_hand: WindowFile) -> None:
     batch = collate(by_hand, np.arange(2))
     # the car looks north: the lane leaves to its right, the edge is 2 m to its left and comes towards it
-    close(batch.map_xy[0, 0, 0], [[0.0, -float(k)] for k in range(6)])
-    close(batch.map_xy[0, 0, 1], [[5.0 - 2.0 * k, 2.0] for k in range(6)])
+    assert close(batch.map_xy[0, 0, 0], [[0.0, -float(k)] for k in range(6)])
+    assert close(batch.map_xy[0, 0, 1], [[5.0 - 2.0 * k, 2.0] for k in range(6)])
     # the walker at (110, 50) looks east: the edge is 12 m behind it
-    close(batch.map_xy[0, 1, 2], [[-12.0, 5.0 - 2.0 * k] for k in range(6)])
+    assert close(batch.map_xy[0, 1, 2], [[-12.0, 5.0 - 2.0 * k] for k in range(6)])
     # the bus at (105, 50) looks west: the lane ends under it
-    close(batch.map_xy[1, 0, 0], [[5.0 - float(k), 0.0] for k in range(6)])
+    assert close(batch.map_xy[1, 0, 0], [[5.0 - float(k), 0.0] for k in range(6)])
 
 
 def test_signals_are_one_hot_behind_the_columns(by_hand: WindowFile) -> None:
     batch = collate(by_hand, np.arange(2))
     lane, edge = [3.0, 13.0, 1.0] + [0.0] * 7, [0.0] * 4 + [1.0] + [0.0] * 5
-    close(batch.map_features[0, 0, 0], [*lane, 1.0, 0.0, 0.0])  # red in window 0
-    close(batch.map_features[1, 0, 0], [*lane, 0.0, 1.0, 0.0])  # yellow in window 1
-    close(batch.map_features[0, 0, 1], [*edge, 0.0, 0.0, 0.0])  # no signal there
-    close(batch.map_features[0, 1, 2], [*edge, 0.0, 0.0, 0.0])
+    assert close(batch.map_features[0, 0, 0], [*lane, 1.0, 0.0, 0.0])  # red in window 0
+    assert close(batch.map_features[1, 0, 0], [*lane, 0.0, 1.0, 0.0])  # yellow in window 1
+    assert close(batch.map_features[0, 0, 1], [*edge, 0.0, 0.0, 0.0])  # no signal there
+    assert close(batch.map_features[0, 1, 2], [*edge, 0.0, 0.0, 0.0])
     for state, lit in ((0, [0.0, 0.0, 0.0]), (3, [0.0, 0.0, 1.0])):
         signals = np.array(((0, state), (0, state)), dtype=np.uint8)
         other = collate(replace(by_hand, signals=signals), np.array([0]))
-        close(other.map_features[0, 0, 0, 10:], lit)
+        assert close(other.map_features[0, 0, 0, 10:], lit)
 
 
 def test_a_map_without_signals(by_hand: WindowFile) -> None:
@@ -195,7 +197,7 @@ def test_displaced_vehicles_see_the_map_from_where_they_are(by_hand: WindowFile)
     )
     delta = torch.tensor([100.0, 50.0]) - car
     assert float(delta.norm()) > 1e-3
-    close(moved.map_xy[0, 0, 0, 0], [float(delta @ ahead), float(delta @ left)])
+    assert close(moved.map_xy[0, 0, 0, 0], [float(delta @ ahead), float(delta @ left)])
 
 
 def test_displacement_hits_its_share_of_moving_vehicles(windows: Callable[..., WindowFile]) -> None:

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from advdiff_sumo.config import Options, read_toml, set_dotted
 from advdiff_sumo.core.errors import ConfigError, FileError, InputError
-from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.sim.sim_options import SimOptions
 
 
 class Inner(Options):

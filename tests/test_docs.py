@@ -12,7 +12,7 @@ import pytest
 
 from advdiff_sumo.core.errors import EpisodeFailure
 from advdiff_sumo.core.record import EndReason
-from advdiff_sumo.sim.store import TABLES
+from advdiff_sumo.sim.run_store import TABLES
 
 ROOT = Path(__file__).resolve().parents[1]
 

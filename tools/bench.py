@@ -22,16 +22,16 @@ from advdiff_sumo.core.frames import bumper_from_centre, sumo_from_yaw
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.maps.shipped import find_net
-from advdiff_sumo.planners.registry import make_target
+from advdiff_sumo.maps.shipped_nets import find_net
+from advdiff_sumo.planners.planner_registry import make_target
 from advdiff_sumo.sim.episode import Episode
-from advdiff_sumo.sim.loop import Loop
-from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.sim.episode_loop import Loop
 from advdiff_sumo.sim.seed_scene import PlacedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session, SessionOptions
+from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.start import prepare
 from advdiff_sumo.sim.world import VARIABLES
-from advdiff_sumo.traffic.registry import make_policy
+from advdiff_sumo.traffic.policy_registry import make_policy
 
 LENGTH_M, WIDTH_M, SPEED_MPS = 4.6, 1.9, 8.0
 STEPS, REPEATS = 300, 5

@@ -26,11 +26,12 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.diffusion import guides
 from advdiff_sumo.diffusion.sampler import sample
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.maps.shipped import find_net
+from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.view import look
-from advdiff_sumo.traffic.diffusion import draw, policy
-from advdiff_sumo.traffic.diffusion.policy import DiffusionTraffic
+from advdiff_sumo.traffic.diffusion import diffusion_policy
+from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
+from advdiff_sumo.traffic.planning import draw
 
 APART_M = 8.0
 STAGES = ("view", "encoder", "denoiser", "guide", "decoder", "safeguard")
@@ -106,14 +107,14 @@ def main() -> None:
     arguments = parser.parse_args()
     road = RoadMap.read(arguments.net)
     watch = Stopwatch(CLOCKS[arguments.clock])
-    watch.wrap(policy, "look", "view")
+    watch.wrap(diffusion_policy, "look", "view")
     watch.wrap(DiffusionTraffic, "_lanes", "view")
     watch.wrap(draw, "encode", "encoder")
     watch.wrap(draw, "guidance", "guide")
     watch.wrap(guides.Guidance, "__call__", "guide")
     watch.wrap(draw, "sample", "denoiser", minus="guide")
     watch.wrap(draw, "decode", "decoder")
-    watch.wrap(policy, "guard", "safeguard")
+    watch.wrap(diffusion_policy, "guard", "safeguard")
     console = Console(width=120)
     for guide in arguments.guide:
         made = DiffusionTraffic(weights=arguments.weights, guide=guide)

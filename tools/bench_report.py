@@ -22,8 +22,8 @@ import pyarrow.parquet as pq
 import tomli_w
 
 from advdiff_sumo.report import write_report
-from advdiff_sumo.sim.run import Run, RunOptions
-from advdiff_sumo.sim.store import TABLES, RunFolder
+from advdiff_sumo.sim.run_episodes import Run, RunOptions
+from advdiff_sumo.sim.run_store import TABLES, RunFolder
 
 _PLAY = """async ([from, seconds]) => {
   const { player } = document.getElementById("player"), gaps = [], spent = [];

@@ -21,9 +21,9 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.executors import ProcessExecutor
-from advdiff_sumo.sweep.plan import Plan, plan_sweep
-from advdiff_sumo.sweep.run import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.job_plan import Plan, plan_sweep
 from advdiff_sumo.sweep.spec import SweepSpec
+from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
 from advdiff_sumo.sweep.tasks import Limits
 
 #: Episodes of a worker after which its memory may grow no more.

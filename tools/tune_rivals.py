@@ -21,10 +21,10 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from advdiff_sumo.experiments.bench.contests import Contest, Contests, plan_contests, run_contests
+from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
 from advdiff_sumo.experiments.bench.scene_list import TUNING_LIST, SceneList, read_scene_list, shipped_list
 from advdiff_sumo.metrics.intervals import wilson
-from advdiff_sumo.sweep.store import Store
+from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
 
 COLUMNS = ("configuration", "target", "collisions", "95 %", "BV collisions", "BV off the road", "s/episode")
@@ -84,11 +84,11 @@ def _value(text: str) -> int | float | str:
     return text
 
 
-def results(contests: Contests, store: Store) -> dict[tuple[str, str], Result]:
+def results(cells: BenchCells, store: Store) -> dict[tuple[str, str], Result]:
     """Return the result of each configuration and target."""
     found: dict[tuple[str, str], list[tuple[dict[str, Any], float]]] = {}
-    for contest, job in contests.jobs():
-        rows = found.setdefault((contest.row, contest.target), [])
+    for cell, job in cells.jobs():
+        rows = found.setdefault((cell.row, cell.target), [])
         part = store.read(job.key)
         if part is not None and "episodes" in part.tables:
             (row,), (timing,) = part.tables["episodes"].to_pylist(), part.tables["timing"].to_pylist()
@@ -128,9 +128,9 @@ def measure(
 ) -> dict[tuple[str, str], Result]:
     """Run what *folder* lacks and return all results."""
     made = [(text, *options_of(text)) for text in configurations]
-    contests = plan_contests(
+    cells = plan_cells(
         [
-            Contest(text, target, policy, background_options=options)
+            BenchCell(text, target, policy, background_options=options)
             for text, policy, options in made
             for target in targets
         ],
@@ -139,8 +139,8 @@ def measure(
     )
     with tempfile.TemporaryDirectory() as logs:
         limits = Limits(timeout_s=600.0, memory_mb=4000, tasks=250, recycle_share=0.5, logs=Path(logs))
-        store = run_contests(contests, folder, workers, limits, Printed(Console()))
-    return results(contests, store)
+        store = run_cells(cells, folder, workers, limits, Printed(Console()))
+    return results(cells, store)
 
 
 def write(found: dict[tuple[str, str], Result], path: Path) -> None:

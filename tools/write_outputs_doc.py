@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from advdiff_sumo.metrics.columns import Column
-from advdiff_sumo.sim.store import TABLES
+from advdiff_sumo.sim.run_store import TABLES
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "outputs.md"
 _PLACE = re.compile(r"(<!-- columns of (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)

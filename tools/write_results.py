@@ -11,7 +11,7 @@ import re
 import sys
 from pathlib import Path
 
-from advdiff_sumo.experiments.bench.saved import read_table
+from advdiff_sumo.experiments.bench.table_cache import read_table
 from advdiff_sumo.experiments.bench.write_table import markdown_text
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "results.md"

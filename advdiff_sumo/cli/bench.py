@@ -17,7 +17,7 @@ from rich.progress import Progress, TaskID
 from advdiff_sumo.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from advdiff_sumo.experiments.bench.request import BenchName
+    from advdiff_sumo.experiments.bench.bench_config import BenchName
     from advdiff_sumo.sweep.tasks import Limits
 
 bench = typer.Typer(
@@ -170,10 +170,10 @@ def _bench(
     """Run a bench, or print it where it is finished."""
     for variable in _ONE_THREAD:  # before numpy comes; sums of several threads differ in their last digits
         os.environ[variable] = "1"
+    from advdiff_sumo.experiments.bench.bench_config import Folder, open_folder, request_of
     from advdiff_sumo.experiments.bench.print_table import print_table  # late: --help needs no simulator
-    from advdiff_sumo.experiments.bench.request import Folder, open_folder, request_of
-    from advdiff_sumo.experiments.bench.run import DEFAULTS, check_request, run_bench
-    from advdiff_sumo.experiments.bench.saved import finished
+    from advdiff_sumo.experiments.bench.runner import DEFAULTS, check_request, run_bench
+    from advdiff_sumo.experiments.bench.table_cache import finished
 
     signal.signal(signal.SIGTERM, _as_ctrl_c)
     console = Console()

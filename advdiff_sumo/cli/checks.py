@@ -120,7 +120,7 @@ def gpu() -> Iterator[Finding]:
 def nets() -> Iterator[Finding]:
     """Look for the shipped nets."""
     from advdiff_sumo.core.errors import FileError  # late, as above
-    from advdiff_sumo.maps.shipped import SHIPPED_NETS, shipped_networks
+    from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, shipped_networks
 
     try:
         folder = shipped_networks()

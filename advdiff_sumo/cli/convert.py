@@ -55,8 +55,8 @@ def convert(
     Example: advdiff-sumo convert boston-seaport.json -o networks/boston-seaport.net.xml --report
     """
     from advdiff_sumo.maps.convert.fidelity import measure  # late: --help needs neither SUMO nor plots
+    from advdiff_sumo.maps.convert.fidelity_report import fidelity_path, write_figures, write_page
     from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
-    from advdiff_sumo.maps.convert.report import fidelity_path, write_figures, write_page
     from advdiff_sumo.sim.driving_test import driving_test
 
     if tls not in ("guess", "map"):

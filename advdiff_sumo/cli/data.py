@@ -47,7 +47,7 @@ def simulate(
 
     advdiff-sumo data simulate --out windows --windows 20000 --seed 1
     """
-    from advdiff_sumo.maps.shipped import SHIPPED_NETS  # late: --help needs no SUMO
+    from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS  # late: --help needs no SUMO
     from advdiff_sumo.sim.simulate import SimulateOptions, plan
     from advdiff_sumo.sim.simulate import simulate as simulated
 
@@ -118,7 +118,7 @@ def build(
     """
     from advdiff_sumo.data import open_log  # late, as above
     from advdiff_sumo.maps import RoadMap
-    from advdiff_sumo.maps.shipped import find_net
+    from advdiff_sumo.maps.shipped_nets import find_net
     from advdiff_sumo.sim.log_windows import BuildOptions, Nets
     from advdiff_sumo.sim.log_windows import build as built
 
@@ -151,8 +151,8 @@ def stats(
 
     advdiff-sumo data stats windows
     """
-    from advdiff_sumo.data.files import read_windows, window_paths  # late, as above
     from advdiff_sumo.data.stats import window_stats
+    from advdiff_sumo.data.window_files import read_windows, window_paths  # late, as above
 
     found = window_stats(read_windows(path) for path in window_paths(places))
     if as_json:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from advdiff_sumo.models.bundle import Bundle
     from advdiff_sumo.training.dataset import WindowSet
-    from advdiff_sumo.training.evaluate import Figures, Judging
+    from advdiff_sumo.training.evaluation import Figures, Judging
 
 
 def evaluate(
@@ -61,7 +61,7 @@ def evaluate(
 
     from advdiff_sumo.models.bundle import load_bundle
     from advdiff_sumo.training.dataset import read_window_set, split
-    from advdiff_sumo.training.evaluate import Judging
+    from advdiff_sumo.training.evaluation import Judging
     from advdiff_sumo.training.setup import choose_device, weights_file
 
     if threads is not None:
@@ -78,7 +78,7 @@ def judge_and_show(
     bundle: Bundle, windows: WindowSet, judging: Judging, device: torch.device, out: Path | None
 ) -> None:
     """Judge *bundle* on *windows*, print the table, and write *out*."""
-    from advdiff_sumo.training.evaluate import evaluate_bundle, write_figures
+    from advdiff_sumo.training.evaluation import evaluate_bundle, write_figures
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("windows judged")
@@ -96,7 +96,7 @@ def judge_and_show(
 
 def table(figures: dict[str, Figures]) -> Table:
     """Return the figures as a table, one row for each way to predict."""
-    from advdiff_sumo.training.evaluate import columns
+    from advdiff_sumo.training.evaluation import columns
 
     names = columns(figures)
     made = Table(box=SIMPLE, padding=(0, 1), caption="errors in metres, rates of vehicles")

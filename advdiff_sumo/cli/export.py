@@ -88,7 +88,7 @@ def scene_of(folder: Path, episode: int | None) -> ExportScene:
 
 def _net_file(folder: Path, named: str) -> Path:
     """Return the net's file: as it is named, or beside the run's tables, or a shipped one."""
-    from advdiff_sumo.maps.shipped import SHIPPED_NETS, find_net  # late, as above
+    from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, find_net  # late, as above
 
     if named in SHIPPED_NETS:
         return find_net(named)

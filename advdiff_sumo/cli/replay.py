@@ -37,9 +37,9 @@ def replay(
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # as in a sweep
         os.environ[name] = "1"
-    from advdiff_sumo.metrics.rows import collision_rows, episode_row  # late: --help is quick
+    from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row  # late: --help is quick
     from advdiff_sumo.report import write_report
-    from advdiff_sumo.sim.store import RunFolder
+    from advdiff_sumo.sim.run_store import RunFolder
     from advdiff_sumo.sweep.repeat import repeat, settings_for, sweep_with
     from advdiff_sumo.sweep.work import one_thread
 

@@ -17,8 +17,8 @@ from advdiff_sumo.config import read_toml, set_dotted
 from advdiff_sumo.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from advdiff_sumo.sim.run import Run, RunOptions
-    from advdiff_sumo.sim.store import RunFolder
+    from advdiff_sumo.sim.run_episodes import Run, RunOptions
+    from advdiff_sumo.sim.run_store import RunFolder
 
 _RUNS = Path("runs")
 
@@ -55,10 +55,10 @@ def run(
     The folder of results holds run.toml (repeats the run: advdiff-sumo run --config run.toml),
     episodes.parquet, collisions.parquet, states.parquet, timing.parquet and report.html.
     """
-    from advdiff_sumo.cli.check import print_check  # late: --help needs neither SUMO nor plots
+    from advdiff_sumo.cli.check_exports import print_check  # late: --help needs neither SUMO nor plots
     from advdiff_sumo.cli.summary import print_summary
-    from advdiff_sumo.sim.run import Run
-    from advdiff_sumo.sim.store import RunFolder
+    from advdiff_sumo.sim.run_episodes import Run
+    from advdiff_sumo.sim.run_store import RunFolder
 
     given = {
         "net": net,
@@ -139,7 +139,7 @@ def _options(
 
     *policy* holds options of the background, which a file has in a table of their own.
     """
-    from advdiff_sumo.sim.run import RunOptions  # late, as above
+    from advdiff_sumo.sim.run_episodes import RunOptions  # late, as above
 
     values: dict[str, Any] = {}
     if config is not None:

@@ -19,9 +19,9 @@ from advdiff_sumo.core.errors import ConfigError, FileError
 
 if TYPE_CHECKING:
     from advdiff_sumo.sweep.executors import Executor
-    from advdiff_sumo.sweep.plan import Plan
-    from advdiff_sumo.sweep.run import Todo
-    from advdiff_sumo.sweep.store import Store
+    from advdiff_sumo.sweep.job_plan import Plan
+    from advdiff_sumo.sweep.sweep_runner import Todo
+    from advdiff_sumo.sweep.sweep_store import Store
     from advdiff_sumo.sweep.tasks import Failed, Limits
 
 _RUNS = Path("runs")
@@ -88,8 +88,8 @@ def sweep(
     for name in _ONE_THREAD:  # before numpy comes; sums of several threads differ in their last digits
         os.environ[name] = "1"
     from advdiff_sumo.cli.sweep_results import conclude, condition_of  # late: --help needs no simulator
-    from advdiff_sumo.sweep.plan import plan_sweep
-    from advdiff_sumo.sweep.run import Todo, open_store, run_sweep
+    from advdiff_sumo.sweep.job_plan import plan_sweep
+    from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
 
     signal.signal(signal.SIGTERM, _as_ctrl_c)
     condition = condition_of(fail_if)
@@ -136,7 +136,7 @@ def _as_ctrl_c(*_signal: object) -> None:
 
 
 def _begun(resume: Path | None) -> Store | None:
-    from advdiff_sumo.sweep.store import Store
+    from advdiff_sumo.sweep.sweep_store import Store
 
     return None if resume is None else Store.open(resume)
 
@@ -144,7 +144,7 @@ def _begun(resume: Path | None) -> Store | None:
 def _spec(file: Path | None, store: Store | None) -> Any:
     """Return what is asked: the file's, or that of the sweep to go on with; both must agree."""
     from advdiff_sumo.sweep.spec import SweepSpec
-    from advdiff_sumo.sweep.store import must_equal
+    from advdiff_sumo.sweep.sweep_store import must_equal
 
     if file is None:
         if store is None:
@@ -175,16 +175,16 @@ def _executor(
         return SerialExecutor()
     if name is ExecutorName.process:
         return ProcessExecutor(workers or 1, limits)
+    from advdiff_sumo.sweep.job_plan import needed_nets
     from advdiff_sumo.sweep.on_ray import RayExecutor
-    from advdiff_sumo.sweep.plan import needed_nets
 
     return RayExecutor(address, workers, limits, needed_nets(plan))
 
 
 def _tell_estimate(console: Console, plan: Plan, todo: Todo, workers: int, limits: Limits) -> None:
     from advdiff_sumo.cli.sweep_results import duration
-    from advdiff_sumo.sweep.estimate import estimate
     from advdiff_sumo.sweep.executors import ProcessExecutor
+    from advdiff_sumo.sweep.time_estimate import estimate
 
     console.print(f"{len(plan.jobs)} episodes in {len(plan.cells)} runs; {len(todo.jobs)} to do")
     with ProcessExecutor(1, limits) as executor:

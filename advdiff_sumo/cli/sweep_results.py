@@ -12,16 +12,16 @@ from rich.console import Console
 from rich.table import Table
 
 from advdiff_sumo.metrics.severity import worst_first
-from advdiff_sumo.sweep.columns import job_row
 from advdiff_sumo.sweep.condition import Condition, Undefined
 from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.coverage import bands, coverage
-from advdiff_sumo.sweep.figures import FIGURE_NAMES, Figures, Rate, by_kind
-from advdiff_sumo.sweep.files import write_whole
 from advdiff_sumo.sweep.findings import Finding, findings
+from advdiff_sumo.sweep.job_plan import Plan
 from advdiff_sumo.sweep.junit import junit_xml
-from advdiff_sumo.sweep.plan import Plan
-from advdiff_sumo.sweep.store import Store
+from advdiff_sumo.sweep.summary_stats import FIGURE_NAMES, Figures, Rate, by_kind
+from advdiff_sumo.sweep.sweep_columns import job_row
+from advdiff_sumo.sweep.sweep_files import write_whole
+from advdiff_sumo.sweep.sweep_store import Store
 
 CONDITION_MET = 1
 _WORST, _FINDINGS = 20, 12
@@ -210,7 +210,7 @@ def must_be_sweep(folder: Path) -> tuple[Store, Plan]:
     Raises:
         InputError: there is none, or its nets are no longer what they were.
     """
-    from advdiff_sumo.sweep.plan import plan_sweep
+    from advdiff_sumo.sweep.job_plan import plan_sweep
 
     store = Store.open(folder)
     plan = plan_sweep(store.spec())

@@ -15,8 +15,8 @@ from advdiff_sumo.core.errors import FileError, UnknownNameError
 
 if TYPE_CHECKING:
     from advdiff_sumo.training.checkpoint import Progress as State
-    from advdiff_sumo.training.loop import Job, Tell
     from advdiff_sumo.training.presets import StageName, TrainOptions
+    from advdiff_sumo.training.training_loop import Job, Tell
 
 
 def train(
@@ -69,7 +69,7 @@ def train(
     import torch  # late: --help needs no PyTorch
 
     from advdiff_sumo.models.bundle import load_bundle
-    from advdiff_sumo.training.evaluate import Judging
+    from advdiff_sumo.training.evaluation import Judging
     from advdiff_sumo.training.presets import STAGES
     from advdiff_sumo.training.setup import WEIGHTS, Plan, prepare
 
@@ -128,7 +128,7 @@ def claim(out: Path, resume: bool) -> None:
 def _train(job: Job, resume: bool, console: Console) -> bool:
     """Train and say how it ended; return whether it has."""
     from advdiff_sumo.training import history
-    from advdiff_sumo.training.loop import Trainer
+    from advdiff_sumo.training.training_loop import Trainer
 
     events = history.open_events(job.out / "events", 0)
     if events is None:

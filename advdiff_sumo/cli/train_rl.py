@@ -14,7 +14,7 @@ from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from advdiff_sumo.rl.options import AdversaryOptions, PpoOptions
+    from advdiff_sumo.rl.rl_options import AdversaryOptions, PpoOptions
     from advdiff_sumo.training.checkpoint import Progress as State
     from advdiff_sumo.training.history import Record
 
@@ -80,7 +80,7 @@ def train_rl(
 
 def _options(given: dict[str, Any], assignments: list[str]) -> tuple[AdversaryOptions, PpoOptions]:
     """Return the options of the environment, and of PPO, which ``--set`` names "ppo.…"."""
-    from advdiff_sumo.rl.options import PpoOptions, adversary_options
+    from advdiff_sumo.rl.rl_options import PpoOptions, adversary_options
 
     values = dict(given)
     for assignment in assignments:

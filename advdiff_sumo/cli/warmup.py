@@ -35,9 +35,9 @@ def warmup(
     Then: advdiff-sumo run --target lane_graph --background diffusion --reward q.safetensors
     """
     from advdiff_sumo.cli.run import progress_bar  # late: --help needs neither SUMO nor PyTorch
-    from advdiff_sumo.experiments.warmup import description, warm_up
+    from advdiff_sumo.experiments.warmup_run import description, warm_up
     from advdiff_sumo.models.reward_file import save_reward
-    from advdiff_sumo.sim.run import RunOptions
+    from advdiff_sumo.sim.run_episodes import RunOptions
 
     if out.suffix != ".safetensors":
         raise ConfigError(f"--out {out}: give a name that ends in .safetensors")

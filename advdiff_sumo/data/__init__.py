@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from advdiff_sumo.core.errors import LogError
-from advdiff_sumo.data.base import LogReader, LogScene
+from advdiff_sumo.data.log_reader import LogReader, LogScene
 from advdiff_sumo.data.nuscenes import NuScenesReader
-from advdiff_sumo.data.scenarionet import ScenarioNetReader
+from advdiff_sumo.data.scenarionet_log import ScenarioNetReader
 
 __all__ = ["LogReader", "LogScene", "NuScenesReader", "ScenarioNetReader", "open_log"]
 

@@ -18,7 +18,7 @@ from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.errors import LogError, UnknownNameError
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass, Tracks
-from advdiff_sumo.data.base import LogScene
+from advdiff_sumo.data.log_reader import LogScene
 from advdiff_sumo.data.motion import parked_agents, signed_speeds
 from advdiff_sumo.data.nuscenes_index import (
     KEYFRAME_S,

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import LogError, UnknownNameError
 from advdiff_sumo.core.scene import AgentClass, Tracks
-from advdiff_sumo.data.base import LogScene
+from advdiff_sumo.data.log_reader import LogScene
 
 _COLUMNS = (
     *("episode", "step", "time_s", "agent", "class", "length_m", "width_m"),

@@ -12,7 +12,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass
-from advdiff_sumo.data.files import DT_S, PAST, WindowFile
+from advdiff_sumo.data.window_files import DT_S, PAST, WindowFile
 
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 _MOVING_M = 1.0

@@ -10,7 +10,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.data.base import LogScene
+from advdiff_sumo.data.log_reader import LogScene
 
 MODEL_STEP_S = 0.5
 

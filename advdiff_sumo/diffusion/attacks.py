@@ -22,7 +22,7 @@ from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.geometry import into_frame
-from advdiff_sumo.models.options import MODEL_STEP_S
+from advdiff_sumo.models.model_options import MODEL_STEP_S
 
 SOFT_M = 1.0
 TOUCHES_M = -0.5

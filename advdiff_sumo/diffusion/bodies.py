@@ -62,7 +62,7 @@ def bodies_of(placed: Placed, compiled: bool | None = None) -> Bodies:
     here = placed.rows.device.type == "cpu" if compiled is None else compiled
     if not here:
         return TensorBodies(placed)
-    from advdiff_sumo.diffusion.compiled.bodies import CompiledBodies
+    from advdiff_sumo.diffusion.compiled.body_kernel import CompiledBodies
 
     return CompiledBodies(placed)
 

@@ -15,10 +15,10 @@ from advdiff_sumo.diffusion.tensor_decoder import TensorDecoder
 from advdiff_sumo.diffusion.trace import Trace
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Decoder, Rollout
-from advdiff_sumo.models.options import FUTURE_STEPS
+from advdiff_sumo.models.model_options import FUTURE_STEPS
 
 if TYPE_CHECKING:
-    from advdiff_sumo.diffusion.compiled.decoder import CompiledDecoder
+    from advdiff_sumo.diffusion.compiled.decoder_kernel import CompiledDecoder
 
 
 class FastDecoder:
@@ -71,6 +71,6 @@ class FastDecoder:
 
 def _compiled(decoder: Decoder) -> CompiledDecoder:
     """Return the compiled form; who never asks for it does not wait for the compiler's import."""
-    from advdiff_sumo.diffusion.compiled.decoder import CompiledDecoder
+    from advdiff_sumo.diffusion.compiled.decoder_kernel import CompiledDecoder
 
     return CompiledDecoder(decoder)

@@ -15,7 +15,7 @@ from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.denoiser import Denoiser
 
 if TYPE_CHECKING:
-    from advdiff_sumo.diffusion.compiled.denoiser import CompiledDenoiser
+    from advdiff_sumo.diffusion.compiled.denoiser_kernel import CompiledDenoiser
 
 
 class FastDenoiser:
@@ -38,6 +38,6 @@ class FastDenoiser:
 
 def _compiled(denoiser: Denoiser, steps: Iterable[int]) -> CompiledDenoiser:
     """Return the compiled form; who never asks for it does not wait for the compiler's import."""
-    from advdiff_sumo.diffusion.compiled.denoiser import CompiledDenoiser
+    from advdiff_sumo.diffusion.compiled.denoiser_kernel import CompiledDenoiser
 
     return CompiledDenoiser(denoiser, steps)

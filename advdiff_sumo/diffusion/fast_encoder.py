@@ -30,6 +30,6 @@ class FastEncoder:
             context: Context = self._net(batch)
             return context
         h, relative = self._net.alone(batch)
-        lower = torch.where(batch.present, 0.0, ABSENT).to(h.dtype)
-        mixed, _ = self._layers(self._net.interaction.prepare(relative), lower).forward(h)
+        attention_bias = torch.where(batch.present, 0.0, ABSENT).to(h.dtype)
+        mixed, _ = self._layers(self._net.interaction.prepare(relative), attention_bias).forward(h)
         return self._net.known(mixed * batch.present[..., None], relative, batch)

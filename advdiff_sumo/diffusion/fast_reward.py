@@ -126,9 +126,9 @@ class _Layers(Protocol):
 class TensorLayers:
     """Layers on tensors of any device; arguments are those of :class:`CompiledLayers`."""
 
-    def __init__(self, layers: Sequence[GraphLayer], edges: Sequence[Tensor], lower: Tensor) -> None:
+    def __init__(self, layers: Sequence[GraphLayer], edges: Sequence[Tensor], attention_bias: Tensor) -> None:
         self._layers, self._edges = layers, edges
-        self._lower = lower.repeat_interleave(lower.shape[1], dim=0)
+        self._attention_bias = attention_bias.repeat_interleave(attention_bias.shape[1], dim=0)
 
     def forward(self, h: Tensor) -> tuple[Tensor, list[Heard]]:
         """Return new embeddings (B, A, D) of *h*, and what :meth:`back` needs."""
@@ -138,7 +138,7 @@ class TensorLayers:
             receiver, sender = layer.ends(node)
             message = edges + receiver.reshape(scenes, agents, 1, -1)
             message += sender.reshape(scenes, 1, agents, -1)
-            node, heard = layer.forward(node, message.flatten(0, 1), self._lower)
+            node, heard = layer.forward(node, message.flatten(0, 1), self._attention_bias)
             kept.append(heard)
         return node.reshape(scenes, agents, -1), kept
 

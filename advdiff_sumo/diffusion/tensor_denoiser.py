@@ -26,7 +26,7 @@ from advdiff_sumo.diffusion.denoiser_weights import (
 from advdiff_sumo.diffusion.sampler import Noise
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.denoiser import STEP_WIDTH, AdaGN, Coupling, Denoiser, ResidualBlock, sinusoidal
-from advdiff_sumo.models.options import GROUPS
+from advdiff_sumo.models.model_options import GROUPS
 
 
 @dataclass(frozen=True)

@@ -15,16 +15,16 @@ from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.maps.shipped import find_net
-from advdiff_sumo.planners.base import Planner, SumoDriver
-from advdiff_sumo.planners.check import Part, Problem, carries_over, problems_of
+from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.planners.hard_scenes import hard_scenes
+from advdiff_sumo.planners.planner_check import Part, Problem, carries_over, problems_of
+from advdiff_sumo.planners.planner_protocol import Planner, SumoDriver
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.natural import NaturalTraffic
-from advdiff_sumo.sim.options import SceneOptions, SimOptions
-from advdiff_sumo.sim.run import RunOptions, target_of
+from advdiff_sumo.sim.run_episodes import RunOptions, target_of
 from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.traffic.sumo import SumoTraffic
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.traffic.natural import SumoTraffic
 
 DRIVES, DRIVES_AGAIN, IN_TIME = "drives", "drives it again", "in time"
 _KEPT = 4

@@ -21,11 +21,11 @@ from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.experiments.solution_check import Surroundings, drive, surroundings, usable
 from advdiff_sumo.experiments.solution_search import search
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.models.options import FUTURE_STEPS, HISTORY_STEPS, MODEL_STEP_S
+from advdiff_sumo.models.model_options import FUTURE_STEPS, HISTORY_STEPS, MODEL_STEP_S
 from advdiff_sumo.models.view import View, look
 from advdiff_sumo.report.states import EpisodeStates
-from advdiff_sumo.traffic.rivals.networks import prior_of
-from advdiff_sumo.traffic.rivals.options import RivalOptions
+from advdiff_sumo.traffic.baselines.baseline_networks import prior_of
+from advdiff_sumo.traffic.baselines.baseline_options import RivalOptions
 
 BEFORE_S, AFTER_S = 5.0, 1.0
 """The search begins so long before the collision, and ends so long after it."""

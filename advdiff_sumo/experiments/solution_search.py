@@ -10,14 +10,14 @@ from torch import Tensor
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.bicycle import controls, step
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.losses import discs, off_road
-from advdiff_sumo.models.options import MODEL_STEP_S, ModelOptions
+from advdiff_sumo.models.model_options import MODEL_STEP_S, ModelOptions
+from advdiff_sumo.models.tensor_bicycle import controls, step
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.rivals.closed_loop import halves
-from advdiff_sumo.traffic.rivals.networks import Prior
+from advdiff_sumo.traffic.baselines.baseline_networks import Prior
+from advdiff_sumo.traffic.baselines.closed_loop import halves
 
 _MARGIN_M = 0.3
 _RATE = 0.15

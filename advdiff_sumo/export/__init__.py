@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from advdiff_sumo.export.base import Exporter
-from advdiff_sumo.export.check import check_exporter
+from advdiff_sumo.export.export_check import check_exporter
+from advdiff_sumo.export.export_scene import ExportScene, ImportedScene
+from advdiff_sumo.export.exporter_protocol import Exporter
+from advdiff_sumo.export.exporter_registry import EXPORTERS, make_exporter
 from advdiff_sumo.export.importers import import_scene
-from advdiff_sumo.export.registry import EXPORTERS, make_exporter
-from advdiff_sumo.export.scene import ExportScene, ImportedScene
 
 __all__ = [
     "EXPORTERS",

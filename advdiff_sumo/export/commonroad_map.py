@@ -6,8 +6,8 @@ from collections import defaultdict
 from xml.etree import ElementTree as ET
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.export.export_scene import ExportScene, number
 from advdiff_sumo.export.lane_use import LaneKind, kind_of
-from advdiff_sumo.export.scene import ExportScene, number
 from advdiff_sumo.maps import Lane
 
 _TYPES = {

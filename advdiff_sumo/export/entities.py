@@ -9,7 +9,7 @@ from scenariogeneration import xosc
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass
-from advdiff_sumo.export.scene import ExportScene
+from advdiff_sumo.export.export_scene import ExportScene
 
 #: Usual share of the length between the axles; the box's centre is taken to be half-way.
 WHEELBASE_SHARE = 0.6

@@ -11,10 +11,10 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.export.lane_use import LaneKind, kind_of
 from advdiff_sumo.maps import Lane, Link, RoadMap
 from advdiff_sumo.maps.convert.arcline import drop_repeats
+from advdiff_sumo.maps.convert.lane_paths import Connection
+from advdiff_sumo.maps.convert.lane_segments import Piece
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, JunctionPlan, LanePlan, NetPlan
 from advdiff_sumo.maps.convert.opendrive import write_opendrive
-from advdiff_sumo.maps.convert.paths import Connection
-from advdiff_sumo.maps.convert.pieces import Piece
 from advdiff_sumo.maps.convert.source import LaneUse
 
 _USES = {LaneKind.CAR: LaneUse.CAR, LaneKind.BUS: LaneUse.BUS, LaneKind.BICYCLE: LaneUse.BICYCLE}

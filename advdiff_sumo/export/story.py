@@ -9,7 +9,7 @@ import numpy as np
 from scenariogeneration import xosc
 
 from advdiff_sumo.export.entities import Reference, entity_of, reference_of
-from advdiff_sumo.export.scene import ExportScene, plain_names, stretches, unwrapped
+from advdiff_sumo.export.export_scene import ExportScene, plain_names, stretches, unwrapped
 
 _MINOR = 2
 PLAIN_NAME = r"[A-Za-z_][A-Za-z0-9_.-]*"

@@ -19,10 +19,10 @@ from advdiff_sumo.maps.lanes import Edge, Junction, Lane, LanePose, Link
 from advdiff_sumo.maps.locate import LaneIndex, poses_of
 from advdiff_sumo.maps.matching import RouteMatcher
 from advdiff_sumo.maps.paths import LanePath, PathFinder
-from advdiff_sumo.maps.pieces import PieceTable, build_pieces
 from advdiff_sumo.maps.read_net import RawNet, base_name, read_raw_net
 from advdiff_sumo.maps.routing import EdgeGraph
 from advdiff_sumo.maps.sidecar import read_sidecar, sidecar_of
+from advdiff_sumo.maps.vector_map import PieceTable, build_pieces
 from advdiff_sumo.maps.vectors import PIECE_M, MapVectors, VectorIndex
 
 MAX_LANE_DISTANCE_M = 5.0

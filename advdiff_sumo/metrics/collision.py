@@ -13,8 +13,8 @@ from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.contact import SEPARATED_M, contact_of
+from advdiff_sumo.metrics.continuous_collision import TOUCH_M, Sweep, first_contact, may_touch
 from advdiff_sumo.metrics.kinematics import unbroken
-from advdiff_sumo.metrics.sweep import TOUCH_M, Sweep, first_contact, may_touch
 
 #: Steps looked at in one go: few pairs of agents come near each other in so short a time.
 _CHUNK = 20

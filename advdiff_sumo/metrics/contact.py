@@ -11,7 +11,7 @@ import shapely
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps, corners
-from advdiff_sumo.metrics.sweep import TOUCH_M, Sweep, first_contact
+from advdiff_sumo.metrics.continuous_collision import TOUCH_M, Sweep, first_contact
 
 #: Faster than this between two instants is a jump (an insertion, a teleport): nothing is swept over it.
 JUMP_MPS = 100.0

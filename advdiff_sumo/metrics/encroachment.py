@@ -15,9 +15,9 @@ from scipy.spatial import cKDTree
 from advdiff_sumo.core.arrays import BoolArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.metrics.continuous_collision import Sweep
 from advdiff_sumo.metrics.criticality import Extreme
 from advdiff_sumo.metrics.kinematics import unbroken
-from advdiff_sumo.metrics.sweep import Sweep
 
 #: Paths at a smaller angle do not cross: one vehicle follows or meets the other.
 CROSSING_RAD = np.deg2rad(30.0)

@@ -13,7 +13,7 @@ from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.record import Controller, EpisodeRecord
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.metrics.background import background_collisions
+from advdiff_sumo.metrics.background_metrics import background_collisions
 from advdiff_sumo.metrics.collision import collisions, find_touches
 from advdiff_sumo.metrics.offroad import BACKGROUND_EVERY_S, OFF_ROAD_SHARE, shares
 

@@ -9,7 +9,7 @@ import numpy as np
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.metrics.background import SumoComparison, background_collisions, compare_with_sumo
+from advdiff_sumo.metrics.background_metrics import SumoComparison, background_collisions, compare_with_sumo
 from advdiff_sumo.metrics.collision import Collision, collisions, find_touches, target_collision
 from advdiff_sumo.metrics.collision_type import CollisionType, collision_type
 from advdiff_sumo.metrics.comfort import Comfort, comfort

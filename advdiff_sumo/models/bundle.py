@@ -14,7 +14,7 @@ from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.models.codec import CodecName, LatentCodec, TrajectoryCodec, make_codec
 from advdiff_sumo.models.denoiser import Denoiser
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.reward import RewardModel
 from advdiff_sumo.models.stored import read_stored, write_stored
 from advdiff_sumo.models.traffic import TrafficModel

@@ -12,7 +12,7 @@ from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.geometry import into_frame, rotate, wrap_angle
-from advdiff_sumo.models.options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
+from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
 from advdiff_sumo.models.traffic import TrafficModel
 
 CodecName: TypeAlias = Literal["latent", "trajectory"]

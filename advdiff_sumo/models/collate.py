@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.scene import AgentClass, Tracks
-from advdiff_sumo.data.files import WindowFile
+from advdiff_sumo.data.window_files import WindowFile
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.options import FUTURE_STEPS, MODEL_STEP_S
+from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
 
 _SIGNALS = 3  # red, yellow, green
 

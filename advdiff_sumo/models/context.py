@@ -12,7 +12,13 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.geometry import into_frame, relative_features
 from advdiff_sumo.models.interaction import InteractionNet
-from advdiff_sumo.models.options import CLASSES, HISTORY_STEPS, PIECE_FEATURES, PIECE_POINTS, ModelOptions
+from advdiff_sumo.models.model_options import (
+    CLASSES,
+    HISTORY_STEPS,
+    PIECE_FEATURES,
+    PIECE_POINTS,
+    ModelOptions,
+)
 
 _STATE = 6
 _SCALE = (0.25, 0.1, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.bicycle import controls, step
 from advdiff_sumo.models.geometry import into_frame, relative_features
 from advdiff_sumo.models.interaction import InteractionNet
-from advdiff_sumo.models.options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
+from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
+from advdiff_sumo.models.tensor_bicycle import controls, step
 
 _MOTION = 6
 

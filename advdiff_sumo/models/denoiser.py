@@ -15,7 +15,7 @@ from torch.nn.functional import interpolate
 
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.interaction import InteractionNet
-from advdiff_sumo.models.options import GROUPS, ModelOptions
+from advdiff_sumo.models.model_options import GROUPS, ModelOptions
 
 STEP_WIDTH = 64
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.models.geometry import RELATIVE_FEATURES
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 
 ABSENT = -1e9
 """What stands for, or is added to, the scores of senders who are not there."""

@@ -10,7 +10,7 @@ from advdiff_sumo.models.context import gaussian_head
 from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.geometry import into_frame, relative_features
 from advdiff_sumo.models.interaction import InteractionNet
-from advdiff_sumo.models.options import FUTURE_STEPS, ModelOptions
+from advdiff_sumo.models.model_options import FUTURE_STEPS, ModelOptions
 
 _STATE = 6
 

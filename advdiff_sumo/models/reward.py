@@ -11,7 +11,7 @@ from torch.nn.functional import one_hot
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.geometry import relative_features
 from advdiff_sumo.models.interaction import InteractionNet
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 
 _LABELS = 3  # target, background vehicle, other
 

@@ -13,10 +13,10 @@ from torch import Tensor, nn
 
 from advdiff_sumo.models.advance import advance
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.bicycle import controls, step
 from advdiff_sumo.models.context import ContextEncoder
 from advdiff_sumo.models.decoder import Forced, Rollout
-from advdiff_sumo.models.options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
+from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
+from advdiff_sumo.models.tensor_bicycle import controls, step
 
 _MOTION = 2
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.models.bundle import FORMAT as BUNDLE_FORMAT
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.simnet import SimNet
 from advdiff_sumo.models.stored import read_stored, stored_format, write_stored
 

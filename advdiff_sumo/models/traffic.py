@@ -6,7 +6,7 @@ from torch import nn
 
 from advdiff_sumo.models.context import ContextEncoder
 from advdiff_sumo.models.decoder import Decoder
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.posterior import Posterior
 
 

@@ -16,9 +16,9 @@ from matplotlib.path import Path as Outline
 from matplotlib.patheffects import withStroke
 
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.report.chosen import ChosenEpisode
 from advdiff_sumo.report.layer import Streets, View
-from advdiff_sumo.report.picture import Box, Picture, Role, picture_of
+from advdiff_sumo.report.scene_picture import Box, Picture, Role, picture_of
+from advdiff_sumo.report.selection import ChosenEpisode
 
 COLOURS = {Role.TARGET: "#12824a", Role.ATTACKER: "#d95f02", Role.OTHER: "#8c9ba8"}
 GROUND, IMPACT = "#eef2ec", "#c4122f"

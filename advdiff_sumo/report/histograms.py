@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.report.samples import Samples
+from advdiff_sumo.report.sample_pictures import Samples
 
 WIDTH, HEIGHT = 340, 190
 _LEFT, _RIGHT, _TOP, _BOTTOM = 40, 10, 8, 22

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from advdiff_sumo.report.folder import Row
 from advdiff_sumo.report.labels import Labels
-from advdiff_sumo.report.rates import Rate
+from advdiff_sumo.report.rate_blocks import Rate
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.maps.shipped import SHIPPED_NETS, find_net
+from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, find_net
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.layer import MapLayer
 

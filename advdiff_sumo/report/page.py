@@ -13,11 +13,11 @@ from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.matrix import matrix_of
-from advdiff_sumo.report.naturals import Naturals
 from advdiff_sumo.report.nets import Nets, place_name
 from advdiff_sumo.report.overview import Overview, overview_of
-from advdiff_sumo.report.rates import headline
-from advdiff_sumo.report.samples import samples_by_background
+from advdiff_sumo.report.rate_blocks import headline
+from advdiff_sumo.report.reference_episodes import Naturals
+from advdiff_sumo.report.sample_pictures import samples_by_background
 from advdiff_sumo.report.sections import Section, Sections
 from advdiff_sumo.report.select import worst_first
 from advdiff_sumo.report.templates import templates

@@ -14,9 +14,9 @@ from advdiff_sumo.report.blocks import departed, episode_block
 from advdiff_sumo.report.charts import Chart, charts_of
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.labels import Labels
-from advdiff_sumo.report.naturals import Naturals
 from advdiff_sumo.report.nets import Nets
-from advdiff_sumo.report.picture import picture_of
+from advdiff_sumo.report.reference_episodes import Naturals
+from advdiff_sumo.report.scene_picture import picture_of
 from advdiff_sumo.report.select import attacker_of, pictured
 from advdiff_sumo.report.series import Series, series_of
 from advdiff_sumo.report.states import EpisodeStates

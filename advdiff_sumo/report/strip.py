@@ -17,7 +17,6 @@ from matplotlib.lines import Line2D
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.boxes import corners
-from advdiff_sumo.report.chosen import ChosenEpisode, poses_at
 from advdiff_sumo.report.drawing import (
     COLOURS,
     GROUND,
@@ -28,7 +27,8 @@ from advdiff_sumo.report.drawing import (
     save_figure,
 )
 from advdiff_sumo.report.layer import View
-from advdiff_sumo.report.picture import Role
+from advdiff_sumo.report.scene_picture import Role
+from advdiff_sumo.report.selection import ChosenEpisode, poses_at
 
 #: Length of a strip where no start is asked for, and spacing of its circles: the model's step.
 STRIP_S, CIRCLES_S = 6.0, 0.5

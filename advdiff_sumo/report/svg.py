@@ -9,7 +9,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.report.layer import View
-from advdiff_sumo.report.picture import Box, Picture
+from advdiff_sumo.report.scene_picture import Box, Picture
 
 _CM = 100.0
 

@@ -18,7 +18,6 @@ from PIL import Image
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.core.errors import FileError, MissingExtraError
-from advdiff_sumo.report.chosen import ChosenEpisode, poses_at
 from advdiff_sumo.report.drawing import (
     COLOURS,
     GROUND,
@@ -28,7 +27,8 @@ from advdiff_sumo.report.drawing import (
     frame_axes,
     unwritable,
 )
-from advdiff_sumo.report.picture import Role
+from advdiff_sumo.report.scene_picture import Role
+from advdiff_sumo.report.selection import ChosenEpisode, poses_at
 from advdiff_sumo.report.templates import words
 
 #: Pictures a second of film.

@@ -15,14 +15,14 @@ from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.record import EndReason
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.rl.options import adversary_options
-from advdiff_sumo.rl.reward import Half, mean_accel, reward_terms
+from advdiff_sumo.rl.adversary_reward import Half, mean_accel, reward_terms
+from advdiff_sumo.rl.rl_options import adversary_options
 from advdiff_sumo.rl.sources import Sources
-from advdiff_sumo.sim.loop import Loop
+from advdiff_sumo.sim.episode_loop import Loop
 from advdiff_sumo.traffic.rl.actor import ACTIONS
 from advdiff_sumo.traffic.rl.features import FEATURES, LIMIT
 from advdiff_sumo.traffic.rl.prior import Prior, load_prior
-from advdiff_sumo.traffic.rl.situation import Situation, joint_plan, situation
+from advdiff_sumo.traffic.rl.rl_situation import Situation, joint_plan, situation
 
 Observation = NDArray[np.float32]
 _OVER = (EndReason.HORIZON, EndReason.LOG_END)
@@ -82,7 +82,7 @@ class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     libsumo holds one simulation in a process: close an environment before another one of the same process is reset.
 
     Args:
-        options: fields of :class:`~advdiff_sumo.rl.options.AdversaryOptions`.
+        options: fields of :class:`~advdiff_sumo.rl.rl_options.AdversaryOptions`.
 
     Raises:
         InputError: an option, a net or a target cannot be used.

@@ -9,7 +9,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
-from advdiff_sumo.rl.options import PpoOptions
+from advdiff_sumo.rl.rl_options import PpoOptions
 from advdiff_sumo.traffic.rl.actor import ActorNet
 
 

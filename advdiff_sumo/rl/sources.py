@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from advdiff_sumo.core.seeds import SeedTree
-from advdiff_sumo.maps.shipped import find_net
-from advdiff_sumo.rl.options import AdversaryOptions
+from advdiff_sumo.maps.shipped_nets import find_net
+from advdiff_sumo.rl.rl_options import AdversaryOptions
 from advdiff_sumo.sim.episode import Episode
-from advdiff_sumo.sim.run import Run, RunOptions, check_together, target_of
+from advdiff_sumo.sim.run_episodes import Run, RunOptions, check_together, target_of
 from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.traffic.base import TrafficPolicy
+from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 from advdiff_sumo.traffic.rl.prior import load_prior
 
 

@@ -17,8 +17,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.rl import ENVIRONMENT
-from advdiff_sumo.rl.options import AdversaryOptions, PpoOptions
 from advdiff_sumo.rl.ppo import actor_net, new_ppo
+from advdiff_sumo.rl.rl_options import AdversaryOptions, PpoOptions
 from advdiff_sumo.rl.watch import Tell, Watch
 from advdiff_sumo.traffic.rl.actor import Actor, save_actor
 from advdiff_sumo.training import checkpoint, history

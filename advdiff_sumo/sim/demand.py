@@ -12,7 +12,7 @@ import numpy as np
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.options import SceneOptions
+from advdiff_sumo.sim.sim_options import SceneOptions
 
 _HEADWAY_S, _ACCEL_MPS2, _DECEL_MPS2, _SPEED_FACTOR, _MIN_GAP_M = (
     (0.9, 1.8),

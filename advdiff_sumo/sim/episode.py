@@ -14,13 +14,13 @@ from advdiff_sumo.core.errors import EpisodeFailure
 from advdiff_sumo.core.record import EndReason, EpisodeRecord, Failure
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.base import Target
-from advdiff_sumo.sim.loop import Loop
-from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.planners.planner_protocol import Target
+from advdiff_sumo.sim.episode_loop import Loop
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session
+from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.start import prepare
-from advdiff_sumo.traffic.base import TrafficPolicy
+from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 
 
 @dataclass(frozen=True)

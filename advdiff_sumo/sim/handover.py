@@ -11,8 +11,8 @@ from advdiff_sumo.core.bicycle import Limits, clip_controls, step
 from advdiff_sumo.core.frames import bumper_from_centre, local_from_world, unit, wrap_angle
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
-from advdiff_sumo.sim.background import Motion
-from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.sim.background_control import Motion
+from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.world import World
 
 _ALIGNED_RAD = 0.05  # SUMO turns a vehicle along its lane in the step after it takes over

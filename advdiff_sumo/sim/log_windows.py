@@ -13,16 +13,16 @@ from advdiff_sumo.core.errors import ConfigError, LogError, SceneError
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data import LogReader, LogScene, NuScenesReader, ScenarioNetReader
-from advdiff_sumo.data.arrays import WindowArrays, WindowFileBuilder, crop, crops, window_arrays
-from advdiff_sumo.data.files import DT_S, FUTURE, PAST, SUFFIX, WindowFile, write_windows
 from advdiff_sumo.data.pickles import load_plain
 from advdiff_sumo.data.runs import RunReader
-from advdiff_sumo.data.scenarionet import map_offset_m, read_record
+from advdiff_sumo.data.scenarionet_log import map_offset_m, read_record
 from advdiff_sumo.data.splits import in_split, prediction_windows
+from advdiff_sumo.data.window_arrays import WindowArrays, WindowFileBuilder, crop, crops, window_arrays
+from advdiff_sumo.data.window_files import DT_S, FUTURE, PAST, SUFFIX, WindowFile, write_windows
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.convert import convert_map, convert_source
 from advdiff_sumo.maps.convert.scenarionet_map import read_record_map
-from advdiff_sumo.maps.shipped import find_net
+from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.sim.logs import fits
 
 _SOURCE = "advdiff-sumo data build"

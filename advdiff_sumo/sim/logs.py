@@ -11,10 +11,10 @@ from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.seeds import SeedTree
-from advdiff_sumo.data.base import LogReader, LogScene
+from advdiff_sumo.data.log_reader import LogReader, LogScene
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.options import SceneOptions, SimOptions
 from advdiff_sumo.sim.seed_scene import PlacedTraffic, SeedScene
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 
 _ON_LANE_M, _ALONG_LANE_RAD = 1.5, 0.6
 _ALIGNED_RAD = 0.1

@@ -18,9 +18,9 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.demand import write_demand
 from advdiff_sumo.sim.demand_files import DemandFiles
-from advdiff_sumo.sim.options import SceneOptions, SimOptions
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session, SessionOptions
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.world import Frame, World, read, register, stack
 
 _NEIGHBOUR_RADIUS_M = 50.0

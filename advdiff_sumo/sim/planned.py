@@ -11,7 +11,7 @@ from advdiff_sumo.core.record import MadePlans
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.tracking import drive_controls
-from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.sim.sim_options import SimOptions
 
 #: Plans are kept so far ahead.
 AHEAD_S = 6.0

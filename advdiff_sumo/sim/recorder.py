@@ -11,8 +11,8 @@ from advdiff_sumo.core.arrays import IntArray
 from advdiff_sumo.core.plan import JointPlan, Plan
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, MadePlans, SumoCollision
 from advdiff_sumo.core.scene import Scene, Tracks
-from advdiff_sumo.sim.options import SimOptions
 from advdiff_sumo.sim.planned import made_plans
+from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.world import Frame, World, stack
 
 

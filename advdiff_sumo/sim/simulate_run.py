@@ -15,8 +15,8 @@ from advdiff_sumo.core.boxes import corners, overlap
 from advdiff_sumo.core.frames import unit, wrap_angle
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.core.seeds import SeedTree
-from advdiff_sumo.data.arrays import WindowArrays, crops, window_arrays
-from advdiff_sumo.data.files import DT_S, FUTURE, PAST
+from advdiff_sumo.data.window_arrays import WindowArrays, crops, window_arrays
+from advdiff_sumo.data.window_files import DT_S, FUTURE, PAST
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.session import Session, SessionOptions
 from advdiff_sumo.sim.simulate_demand import PARKED, write_mixed_demand

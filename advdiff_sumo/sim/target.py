@@ -15,12 +15,12 @@ from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.tracking import State, drive_plan
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.base import Planner
+from advdiff_sumo.planners.planner_protocol import Planner
 from advdiff_sumo.sim.actuate import Actuator
-from advdiff_sumo.sim.guard import check_plan
 from advdiff_sumo.sim.natural import remaining_route
-from advdiff_sumo.sim.options import SimOptions
 from advdiff_sumo.sim.perceive import visible_ids
+from advdiff_sumo.sim.plan_validation import check_plan
+from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.start import TARGET_TYPE
 from advdiff_sumo.sim.world import World
 

@@ -15,12 +15,12 @@ import pyarrow.parquet as pq
 
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.metrics.columns import Column
-from advdiff_sumo.sim.store import schema_of, table_of
-from advdiff_sumo.sweep.columns import FAILURE_COLUMNS, SWEEP_TABLES, job_row
-from advdiff_sumo.sweep.files import aside_of, checksum_of, settle, unwritable, write_whole
-from advdiff_sumo.sweep.parts import Part
-from advdiff_sumo.sweep.plan import Job, Plan
-from advdiff_sumo.sweep.store import Store
+from advdiff_sumo.sim.run_store import schema_of, table_of
+from advdiff_sumo.sweep.episode_result import Part
+from advdiff_sumo.sweep.job_plan import Job, Plan
+from advdiff_sumo.sweep.sweep_columns import FAILURE_COLUMNS, SWEEP_TABLES, job_row
+from advdiff_sumo.sweep.sweep_files import aside_of, checksum_of, settle, unwritable, write_whole
+from advdiff_sumo.sweep.sweep_store import Store
 
 _ROWS_TOGETHER = 100_000
 _SEAL = "tables.json"

@@ -14,17 +14,17 @@ from typing import Any, Protocol, Self
 
 from pebble import ProcessExpired, ProcessPool
 
-from advdiff_sumo.sweep.guarded import (
+from advdiff_sumo.sweep.tasks import Limits, Outcome, Task
+from advdiff_sumo.sweep.work import perform
+from advdiff_sumo.sweep.worker_sandbox import (
     RECYCLED,
-    guarded,
     how_it_ended,
     lost,
     prepare_worker,
+    run_sandboxed,
     tail_of,
     timed_out,
 )
-from advdiff_sumo.sweep.tasks import Limits, Outcome, Task
-from advdiff_sumo.sweep.work import perform
 
 _WORKER = "pebble_pool_worker"  # the name that pebble gives its processes
 _GRACE_S = 10.0  # a worker ends itself at its time limit; this much later it is ended from outside
@@ -113,10 +113,10 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         slot = next(k for k in range(self.slots) if k not in busy)
         timeout = self.limits.timeout_s + _GRACE_S
         try:
-            future = self._pool(slot).schedule(guarded, (task, self.limits), timeout=timeout)
+            future = self._pool(slot).schedule(run_sandboxed, (task, self.limits), timeout=timeout)
         except RuntimeError:  # the worker was killed while it was idle, and its pool gave up
             self._discard(slot)
-            future = self._pool(slot).schedule(guarded, (task, self.limits), timeout=timeout)
+            future = self._pool(slot).schedule(run_sandboxed, (task, self.limits), timeout=timeout)
         self._running[future] = slot, task
 
     def wait(self) -> Outcome:
@@ -167,5 +167,5 @@ def _context() -> BaseContext:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["advdiff_sumo.sweep.guarded"])
+    context.set_forkserver_preload(["advdiff_sumo.sweep.worker_sandbox"])
     return context

@@ -18,10 +18,10 @@ from types import TracebackType
 from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, MissingExtraError
-from advdiff_sumo.maps.shipped import shipped_networks
-from advdiff_sumo.sweep.files import write_whole
-from advdiff_sumo.sweep.guarded import bound_memory, guarded, lost
+from advdiff_sumo.maps.shipped_nets import shipped_networks
+from advdiff_sumo.sweep.sweep_files import write_whole
 from advdiff_sumo.sweep.tasks import Failed, Limits, Outcome, Task
+from advdiff_sumo.sweep.worker_sandbox import bound_memory, lost, run_sandboxed
 
 _ANSWER_S = 10.0
 
@@ -109,7 +109,7 @@ def on_worker(task: Task, limits: Limits, assets: Mapping[str, bytes]) -> Outcom
     if net in assets and not _holds(Path(net), assets[net]):
         here = str(_unpacked(Path(net), assets))
         task = replace(task, options=task.options.model_copy(update={"net": here}))
-    return guarded(task, replace(limits, recycle_share=math.inf))  # Ray replaces its workers itself
+    return run_sandboxed(task, replace(limits, recycle_share=math.inf))  # Ray replaces its workers itself
 
 
 def _must_answer(address: str | None) -> None:

@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, did_you_mean
 from advdiff_sumo.metrics.severity import is_failure
-from advdiff_sumo.sweep.figures import Rate
+from advdiff_sumo.sweep.summary_stats import Rate
 
 Row: TypeAlias = Mapping[str, Any]
 

@@ -10,13 +10,13 @@ from typing import Any
 from advdiff_sumo.core.errors import ConfigError, FileError, SceneError
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.sim.episode import Timing
-from advdiff_sumo.sim.run import Run
+from advdiff_sumo.sim.run_episodes import Run
 from advdiff_sumo.sim.scene_file import scene_from_bytes
 from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.sweep.content import file_digest, net_files
-from advdiff_sumo.sweep.parts import Part
-from advdiff_sumo.sweep.plan import Job, Plan, plan_sweep
-from advdiff_sumo.sweep.store import SETTINGS, Store
+from advdiff_sumo.sweep.episode_result import Part
+from advdiff_sumo.sweep.fingerprint import file_digest, net_files
+from advdiff_sumo.sweep.job_plan import Job, Plan, plan_sweep
+from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
 from advdiff_sumo.sweep.work import part_of, run_of
 
 _SHORTEST_KEY = 6

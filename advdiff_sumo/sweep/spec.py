@@ -11,9 +11,9 @@ from pydantic import Field, field_validator
 
 from advdiff_sumo.config import Options, read_toml
 from advdiff_sumo.core.errors import AdvdiffError, ConfigError
-from advdiff_sumo.maps.shipped import net_name
-from advdiff_sumo.sim.options import SceneOptions, SimOptions
-from advdiff_sumo.sim.run import RunOptions
+from advdiff_sumo.maps.shipped_nets import net_name
+from advdiff_sumo.sim.run_episodes import RunOptions
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 
 
 class Choice(Options):
@@ -85,7 +85,7 @@ class Grid(Options):
 class Case(Options):
     """One entry of the list: the options of ``advdiff-sumo run``; what it leaves out is the sweep's.
 
-    Attributes are those of :class:`~advdiff_sumo.sim.run.RunOptions`.
+    Attributes are those of :class:`~advdiff_sumo.sim.run_episodes.RunOptions`.
     """
 
     net: str = "downtown"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from advdiff_sumo.core.errors import ConfigError, MissingExtraError
-from advdiff_sumo.sweep.columns import SWEEP_TABLES
+from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES
 
 
 def query(folder: Path, sql: str) -> pa.Table:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from advdiff_sumo.sim.run import RunOptions
+from advdiff_sumo.sim.run_episodes import RunOptions
 
 
 @dataclass(frozen=True)

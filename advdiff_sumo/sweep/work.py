@@ -19,18 +19,18 @@ from advdiff_sumo.core.errors import AdvdiffError, NetError, SceneError
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.columns import Column
-from advdiff_sumo.metrics.rows import collision_rows, episode_row
-from advdiff_sumo.planners.base import Target
+from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
+from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.sim.episode import Timing
-from advdiff_sumo.sim.run import Run, RunOptions, policy_of, read_road, target_of
+from advdiff_sumo.sim.run_episodes import Run, RunOptions, policy_of, read_road, target_of
+from advdiff_sumo.sim.run_store import episode_tables, table_of
 from advdiff_sumo.sim.scene_file import scene_from_bytes, scene_to_bytes
 from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.sim.store import episode_tables, table_of
-from advdiff_sumo.sweep.content import file_digest, net_files
-from advdiff_sumo.sweep.parts import Part
+from advdiff_sumo.sweep.episode_result import Part
+from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.situation import SITUATION_COLUMNS, situation
 from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Outcome, SceneTask, Task
-from advdiff_sumo.traffic.base import TrafficPolicy
+from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 
 WORKER_COLUMNS: Mapping[str, Column] = {
     "worker": Column("int64", "", "process number of the worker", False),

@@ -10,7 +10,7 @@ from torch import Tensor
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.geometry import rotate
-from advdiff_sumo.models.options import MODEL_STEP_S
+from advdiff_sumo.models.model_options import MODEL_STEP_S
 
 Floats = NDArray[np.float64]
 _IS_LANE, _FOR_CARS = 2, 8

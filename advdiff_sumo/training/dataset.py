@@ -14,7 +14,7 @@ from torch import Tensor
 
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.seeds import SeedTree
-from advdiff_sumo.data.files import WindowFile, read_windows, window_paths
+from advdiff_sumo.data.window_files import WindowFile, read_windows, window_paths
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import Jitter, collate
 

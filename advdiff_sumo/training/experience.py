@@ -13,10 +13,10 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Forced, Rollout
-from advdiff_sumo.models.options import FUTURE_STEPS
+from advdiff_sumo.models.model_options import FUTURE_STEPS
+from advdiff_sumo.training.adversarial_reward import Payoff, payoffs
 from advdiff_sumo.training.dataset import join
-from advdiff_sumo.training.denoiser import diffused, schedule_of
-from advdiff_sumo.training.payoff import Payoff, payoffs
+from advdiff_sumo.training.denoiser_stage import diffused, schedule_of
 from advdiff_sumo.training.presets import RewardOptions
 
 

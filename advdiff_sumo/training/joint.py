@@ -17,7 +17,8 @@ from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.losses import off_road, pair_overlap
-from advdiff_sumo.training.denoiser import (
+from advdiff_sumo.training.cvae import TrafficStage, elbo, encode, kl_share, masked_mean
+from advdiff_sumo.training.denoiser_stage import (
     clean,
     diffused,
     judge,
@@ -28,7 +29,6 @@ from advdiff_sumo.training.denoiser import (
 )
 from advdiff_sumo.training.presets import CollisionOptions, ElboOptions
 from advdiff_sumo.training.stage import Moment, Tally
-from advdiff_sumo.training.traffic import TrafficStage, elbo, encode, kl_share, masked_mean
 
 
 class JointStage:

@@ -10,8 +10,8 @@ from pydantic import Field
 from advdiff_sumo.config import Options, set_dotted
 from advdiff_sumo.core.errors import UnknownNameError
 from advdiff_sumo.models.codec import CodecName
-from advdiff_sumo.models.options import ModelOptions
-from advdiff_sumo.training.rates import ScheduleName
+from advdiff_sumo.models.model_options import ModelOptions
+from advdiff_sumo.training.learning_rates import ScheduleName
 
 StageName = Literal["traffic", "denoiser", "joint", "reward", "simnet"]
 STAGES: tuple[StageName, ...] = ("traffic", "denoiser", "joint", "reward", "simnet")

@@ -10,7 +10,7 @@ from torch import Tensor
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.losses import edge_clearance
-from advdiff_sumo.models.options import MODEL_STEP_S
+from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.training.displacement import driving
 
 SPEED_BINS = np.arange(0.0, 40.5, 0.5)

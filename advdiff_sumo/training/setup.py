@@ -18,15 +18,15 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
 from advdiff_sumo.models.simnet_file import begin_simnet, save_simnet
 from advdiff_sumo.training.checkpoint import Progress
+from advdiff_sumo.training.cvae import TrafficStage
 from advdiff_sumo.training.dataset import WindowSet, batches, read_window_set, split
-from advdiff_sumo.training.denoiser import DenoiserStage, measure_scale
+from advdiff_sumo.training.denoiser_stage import DenoiserStage, measure_scale
 from advdiff_sumo.training.joint import JointStage
-from advdiff_sumo.training.loop import Job
 from advdiff_sumo.training.presets import STAGES, StageName, TrainOptions
-from advdiff_sumo.training.reward import RewardStage
-from advdiff_sumo.training.simnet import SimnetStage
+from advdiff_sumo.training.reward_stage import RewardStage
+from advdiff_sumo.training.simnet_stage import SimnetStage
 from advdiff_sumo.training.stage import BundleStage, Stage
-from advdiff_sumo.training.traffic import TrafficStage
+from advdiff_sumo.training.training_loop import Job
 
 WEIGHTS = "weights.safetensors"
 _NEEDS: Mapping[StageName, tuple[StageName, ...]] = {

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.data.arrays import WindowArrays, crop, crops, window_arrays
+from advdiff_sumo.data.window_arrays import WindowArrays, crop, crops, window_arrays
 from tests.data.windows_made import PARKED, small_file, straight_table, three_cars
 
 

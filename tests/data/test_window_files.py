@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from safetensors.numpy import load_file, save_file
 
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.data.files import (
+from advdiff_sumo.data.window_files import (
     TENSORS,
     WindowFile,
     read_header,
@@ -68,7 +68,7 @@ def test_other_safetensors_readers_read_it(tmp_path: Path) -> None:
 
 
 def test_reading_needs_no_sumo_and_no_geometry() -> None:
-    code = "import advdiff_sumo.data.files, advdiff_sumo.data.arrays, advdiff_sumo.data.stats, sys\n"
+    code = "import advdiff_sumo.data.window_files, advdiff_sumo.data.window_arrays, advdiff_sumo.data.stats, sys\n"
     code += "assert not {'sumolib', 'libsumo', 'traci', 'shapely', 'pyarrow', 'torch'} & set(sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 

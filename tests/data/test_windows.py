@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.data.base import LogScene
+from advdiff_sumo.data.log_reader import LogScene
 from advdiff_sumo.data.nuscenes import NuScenesReader
 from advdiff_sumo.data.windows import windows
 

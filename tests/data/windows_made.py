@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.data.arrays import WindowFileBuilder, crop, window_arrays
-from advdiff_sumo.data.files import WindowFile
-from advdiff_sumo.maps.pieces import PieceTable
+from advdiff_sumo.data.window_arrays import WindowFileBuilder, crop, window_arrays
+from advdiff_sumo.data.window_files import WindowFile
+from advdiff_sumo.maps.vector_map import PieceTable
 
 
 def straight_table() -> PieceTable:

@@ -9,15 +9,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.compiled.vehicle import DONE, cars_of, drive, drive_back, limits_of
+from advdiff_sumo.diffusion.compiled.vehicle_kernel import DONE, cars_of, drive, drive_back, limits_of
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_reward import FastReward, RewardWeights
-from advdiff_sumo.models import bicycle
+from advdiff_sumo.models import tensor_bicycle
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.options import MODEL_STEP_S
+from advdiff_sumo.models.model_options import MODEL_STEP_S
 from tests.diffusion.test_fast import SMALL, bundle, scene
 
 PARTS = ("xy", "yaw", "speed", "accel", "curvature")
@@ -106,9 +106,9 @@ def test_one_step_against_the_bicycle_on_tensors(speed: float) -> None:
         drive(cars[row], limits, raw[row], motion[row], done[row])
     leaves = [torch.tensor(x, requires_grad=True) for x in (pose[:, :2], pose[:, 2], pose[:, 3], raw)]
     xy, yaw, v, controls = leaves
-    accel, curvature = bicycle.controls(controls, v, torch.tensor(length), SMALL)
+    accel, curvature = tensor_bicycle.controls(controls, v, torch.tensor(length), SMALL)
     accel, curvature = accel * torch.tensor(moved), curvature * torch.tensor(moved)
-    to, turned, fast = bicycle.step(xy, yaw, v, accel, curvature, MODEL_STEP_S)
+    to, turned, fast = tensor_bicycle.step(xy, yaw, v, accel, curvature, MODEL_STEP_S)
     mine = (*motion.T, done[:, 4], done[:, 5])
     theirs = (to[:, 0], to[:, 1], turned, fast, accel, curvature)
     for a, b in zip(mine, theirs, strict=True):

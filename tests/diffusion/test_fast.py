@@ -12,7 +12,13 @@ from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
 from advdiff_sumo.diffusion.fast_encoder import FastEncoder
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, new_bundle
-from advdiff_sumo.models.options import EDGE_PIECES, LANE_PIECES, PIECE_FEATURES, PIECE_POINTS, ModelOptions
+from advdiff_sumo.models.model_options import (
+    EDGE_PIECES,
+    LANE_PIECES,
+    PIECE_FEATURES,
+    PIECE_POINTS,
+    ModelOptions,
+)
 
 PIECES = LANE_PIECES + EDGE_PIECES
 SMALL = ModelOptions(hidden=32, latent=8, edge=8, message=16, channels=(8, 16, 24), reward_hidden=16)

@@ -11,10 +11,10 @@ from advdiff_sumo.cli.main import app
 from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.errors import AdvdiffError
 from advdiff_sumo.export import EXPORTERS
-from advdiff_sumo.maps.shipped import find_net
-from advdiff_sumo.planners.registry import TARGETS
-from advdiff_sumo.sim.run import RunOptions
-from advdiff_sumo.traffic.registry import POLICIES
+from advdiff_sumo.maps.shipped_nets import find_net
+from advdiff_sumo.planners.planner_registry import TARGETS
+from advdiff_sumo.sim.run_episodes import RunOptions
+from advdiff_sumo.traffic.policy_registry import POLICIES
 from advdiff_sumo.training.presets import STAGES, preset
 from tests.docs.blocks import ROOT
 

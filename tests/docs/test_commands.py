@@ -21,9 +21,9 @@ import pytest
 
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.models.shipped import shipped_weights
+from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.sim.demand import write_demand
-from advdiff_sumo.sim.options import SceneOptions
+from advdiff_sumo.sim.sim_options import SceneOptions
 from tests.docs.blocks import ROOT, SHELL, Block, blocks, commands, inline_commands, pages, shell_blocks
 from tests.docs.known import leaf, options_of, problem
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from advdiff_sumo.experiments.bench.scene_list import make_list, write_scene_list
-from advdiff_sumo.sim.options import SceneOptions
+from advdiff_sumo.sim.sim_options import SceneOptions
 from tests.e2e.commands import Outcome, advdiff, begin
 
 STEADY = ("table.csv", "differences.csv", "table.json")

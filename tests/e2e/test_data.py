@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from advdiff_sumo.data.files import read_windows
+from advdiff_sumo.data.window_files import read_windows
 from tests.e2e.commands import advdiff, begin, everything
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from advdiff_sumo.sim.store import TABLES
+from advdiff_sumo.sim.run_store import TABLES
 from tests.e2e.commands import TINY, advdiff, begin, bytes_of
 from tests.e2e.conftest import PLANNERS
 

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from advdiff_sumo.sim.store import TABLES
+from advdiff_sumo.sim.run_store import TABLES
 from tests.e2e.commands import TINY, Outcome, advdiff, bytes_of
 
 ARROW = {"str": "string", "int64": "int64", "float64": "double", "bool": "bool"}

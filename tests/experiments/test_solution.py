@@ -13,7 +13,7 @@ from advdiff_sumo.experiments.solution import SolveOptions, first_contact, solve
 from advdiff_sumo.experiments.solution_check import drive, surroundings, usable
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.report.states import EpisodeStates
-from tests.traffic.diffusion.conftest import downtown, one_thread, weights
+from tests.traffic.small_networks import downtown, one_thread, weights
 
 __all__ = ["downtown", "one_thread", "weights"]
 

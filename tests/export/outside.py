@@ -20,7 +20,7 @@ from defusedxml import ElementTree
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.export import ExportScene
-from advdiff_sumo.export.check import HEADING_RAD, POSITION_M
+from advdiff_sumo.export.export_check import HEADING_RAD, POSITION_M
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMONROAD_READER = """

@@ -18,10 +18,10 @@ from advdiff_sumo.export import (
     import_scene,
     make_exporter,
 )
-from advdiff_sumo.export.check import compare
-from advdiff_sumo.export.csv_file import Csv
+from advdiff_sumo.export.csv_export import Csv
+from advdiff_sumo.export.export_check import compare
+from advdiff_sumo.export.export_scene import number, seconds, stretches
 from advdiff_sumo.export.net_opendrive import plan_of
-from advdiff_sumo.export.scene import number, seconds, stretches
 
 BUILT_IN = tuple(EXPORTERS.builtins)
 
@@ -111,7 +111,7 @@ def test_the_checker_finds_what_is_broken(broken: Csv, said: str, plain: ExportS
 
 def test_names_resolve_and_near_misses_are_told() -> None:
     assert type(make_exporter("OpenSCENARIO")).__name__ == "OpenScenario"
-    assert type(make_exporter("advdiff_sumo.export.csv_file:Csv")) is Csv
+    assert type(make_exporter("advdiff_sumo.export.csv_export:Csv")) is Csv
     with pytest.raises(UnknownNameError, match="did you mean 'commonroad'"):
         make_exporter("comonroad")
     with pytest.raises(ConfigError, match="is no exporter: it lacks write and read"):

@@ -13,7 +13,7 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.data import ScenarioNetReader
 from advdiff_sumo.data.pickles import load_plain
 from advdiff_sumo.export import EXPORTERS, ExportScene, import_scene, make_exporter
-from advdiff_sumo.export.check import HEADING_RAD, POSITION_M, compare
+from advdiff_sumo.export.export_check import HEADING_RAD, POSITION_M, compare
 from advdiff_sumo.export.lane_use import LaneKind, kind_of
 from advdiff_sumo.export.net_opendrive import plan_of
 from advdiff_sumo.maps import RoadMap

@@ -26,7 +26,7 @@ from advdiff_sumo.maps.convert.scenarionet_map import read_record_map
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.following import following
 from advdiff_sumo.sim.logs import LoggedTraffic
-from advdiff_sumo.sim.options import SceneOptions, SimOptions
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from tests.export.outside import CommonRoadReader, netconverted, played, quality, same_obstacles, states_of
 from tests.sim import nets
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.record import SumoCollision
-from advdiff_sumo.metrics.background import background_collisions, compare_with_sumo
+from advdiff_sumo.metrics.background_metrics import background_collisions, compare_with_sumo
 from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.contact import target_contact
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.metrics.contact import standing_overlaps, target_contact
-from advdiff_sumo.metrics.sweep import Sweep, first_contact
+from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact
 
 SIZE = np.array([[4.0, 2.0], [4.0, 2.0]])
 

@@ -12,10 +12,10 @@ import torch
 from torch import nn
 
 from advdiff_sumo.core.scene import AgentClass
-from advdiff_sumo.data.files import FUTURE, PAST, WindowFile
+from advdiff_sumo.data.window_files import FUTURE, PAST, WindowFile
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import collate
-from advdiff_sumo.models.options import EDGE_PIECES, LANE_PIECES, PIECE_POINTS, ModelOptions
+from advdiff_sumo.models.model_options import EDGE_PIECES, LANE_PIECES, PIECE_POINTS, ModelOptions
 
 WindowMaker = Callable[..., WindowFile]
 SIGNALS = 3

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from advdiff_sumo.data.files import WindowFile
+from advdiff_sumo.data.window_files import WindowFile
 from advdiff_sumo.models.advance import advance
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import collate

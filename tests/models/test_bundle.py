@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from advdiff_sumo.core.errors import InputError, WeightsError
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import FORMAT, Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 
 
 @pytest.fixture

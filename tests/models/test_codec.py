@@ -14,7 +14,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.codec import LatentCodec, TrajectoryCodec, make_codec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.geometry import wrap_angle
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.traffic import TrafficModel
 
 Driving = Callable[..., SceneBatch]

@@ -14,7 +14,7 @@ from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.denoiser import AdaGN, Denoiser, sinusoidal
 from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.geometry import RELATIVE_FEATURES
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 
 Stir = Callable[[nn.Module], nn.Module]
 SHAPES = ((1, 8), (3, 12))

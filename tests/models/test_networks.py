@@ -12,14 +12,14 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from advdiff_sumo.data.files import WindowFile
+from advdiff_sumo.data.window_files import WindowFile
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import collate
 from advdiff_sumo.models.context import past_features
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.denoiser import Denoiser
 from advdiff_sumo.models.geometry import into_frame, rotate, wrap_angle
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.reward import RewardModel
 from advdiff_sumo.models.traffic import TrafficModel
 

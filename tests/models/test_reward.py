@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.reward import RewardModel
 
 TARGET = torch.tensor([3, 1])

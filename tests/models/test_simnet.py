@@ -14,12 +14,12 @@ from torch import Tensor, nn
 from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.models.advance import advance
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.bicycle import step
 from advdiff_sumo.models.bundle import BundleOptions, new_bundle, save_bundle
 from advdiff_sumo.models.decoder import Forced
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.simnet import SimNet
 from advdiff_sumo.models.simnet_file import begin_simnet, load_simnet, new_simnet, save_simnet
+from advdiff_sumo.models.tensor_bicycle import step
 
 
 @pytest.fixture(scope="module")

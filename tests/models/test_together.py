@@ -10,12 +10,12 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.together import Together, held_decode, penalty, together
+from advdiff_sumo.diffusion.sample_refinement import Together, held_decode, penalty, together
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.traffic import TrafficModel
 
 NOTHING = cast("Context", None)

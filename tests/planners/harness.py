@@ -14,13 +14,13 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.fault import AtFault
 from advdiff_sumo.metrics.summary import summarise
-from advdiff_sumo.planners.registry import make_target
+from advdiff_sumo.planners.planner_registry import make_target
 from advdiff_sumo.sim.demand_files import DemandFiles
 from advdiff_sumo.sim.episode import Episode, Timing
 from advdiff_sumo.sim.natural import NaturalTraffic
-from advdiff_sumo.sim.options import SceneOptions, SimOptions
 from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.traffic.sumo import SumoTraffic
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.traffic.natural import SumoTraffic
 
 _STANDING_MPS = 0.3
 

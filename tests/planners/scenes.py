@@ -12,7 +12,7 @@ from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.core.tracking import drive_plan
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.base import Planner
+from advdiff_sumo.planners.planner_protocol import Planner
 
 CAR_M = (4.6, 1.8)
 STEP_S, DT_S, HISTORY = 0.1, 0.5, 5

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.check import carries_over
 from advdiff_sumo.planners.hard_scenes import hard_scenes
-from advdiff_sumo.planners.registry import make_target
+from advdiff_sumo.planners.planner_check import carries_over
+from advdiff_sumo.planners.planner_registry import make_target
 
 from .scenes import Car, make_scene
 

@@ -18,18 +18,18 @@ from advdiff_sumo.core.record import EndReason
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.models.options import ModelOptions
-from advdiff_sumo.models.shipped import shipped_weights
+from advdiff_sumo.models.model_options import ModelOptions
+from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.models.simnet_file import begin_simnet, save_simnet
-from advdiff_sumo.planners.base import Planner
-from advdiff_sumo.planners.check import check_planner
+from advdiff_sumo.planners.learned.candidate_score import Around, followers, risk
 from advdiff_sumo.planners.learned.candidates import BRAKE, RAW, candidates
-from advdiff_sumo.planners.learned.score import Around, followers, risk
-from advdiff_sumo.planners.registry import make_target
+from advdiff_sumo.planners.planner_check import check_planner
+from advdiff_sumo.planners.planner_protocol import Planner
+from advdiff_sumo.planners.planner_registry import make_target
 from advdiff_sumo.sim.episode import Episode
-from advdiff_sumo.sim.options import SimOptions
 from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.traffic.sumo import SumoTraffic
+from advdiff_sumo.sim.sim_options import SimOptions
+from advdiff_sumo.traffic.natural import SumoTraffic
 
 from .harness import outcome, scenes
 from .scenes import CAR_M, Car, make_scene, roll

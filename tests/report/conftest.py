@@ -13,7 +13,7 @@ import pytest
 import tomli_w
 
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
-from advdiff_sumo.sim.store import PLAN_COLUMNS
+from advdiff_sumo.sim.run_store import PLAN_COLUMNS
 
 Row = dict[str, Any]
 _ARROW = {"str": pa.string(), "int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_()}

@@ -11,7 +11,7 @@ from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.report import figure
 from advdiff_sumo.report.drawing import COLOURS, draw
 from advdiff_sumo.report.folder import FinishedRun
-from advdiff_sumo.report.picture import Role, picture_of
+from advdiff_sumo.report.scene_picture import Role, picture_of
 
 
 @pytest.mark.parametrize("ending", ["svg", "png"])

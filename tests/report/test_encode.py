@@ -23,9 +23,9 @@ from advdiff_sumo.report.encode import (
     wrapped_differences,
 )
 from advdiff_sumo.report.layer import MapLayer
-from advdiff_sumo.report.naturals import thinned
 from advdiff_sumo.report.nets import RoadMap
 from advdiff_sumo.report.plans import Planned, packed_plans
+from advdiff_sumo.report.reference_episodes import thinned
 from advdiff_sumo.report.series import series_of
 from advdiff_sumo.report.states import EpisodeStates
 

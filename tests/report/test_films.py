@@ -10,7 +10,7 @@ from PIL import Image
 
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.report import film_strip, video
-from advdiff_sumo.report.chosen import ChosenEpisode, poses_at
+from advdiff_sumo.report.selection import ChosenEpisode, poses_at
 from advdiff_sumo.report.strip import draw_strip
 
 

@@ -13,9 +13,9 @@ from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.matrix import matrix_of
-from advdiff_sumo.report.naturals import Naturals, thinned
 from advdiff_sumo.report.nets import place_name
-from advdiff_sumo.report.samples import Samples, samples_by_background, samples_of
+from advdiff_sumo.report.reference_episodes import Naturals, thinned
+from advdiff_sumo.report.sample_pictures import Samples, samples_by_background, samples_of
 from advdiff_sumo.sweep.spec import SweepSpec
 
 

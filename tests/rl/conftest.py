@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from tests.traffic.diffusion.conftest import one_thread, weights
+from tests.traffic.small_networks import one_thread, weights
 
 __all__ = ["one_thread", "weights"]
 pytest.importorskip("gymnasium", reason="needs the extra rl: pip install 'advdiff-sumo[rl]'")

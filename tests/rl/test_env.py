@@ -19,7 +19,7 @@ from advdiff_sumo.core.record import EndReason
 from advdiff_sumo.rl import ENVIRONMENT
 from advdiff_sumo.rl.env import AdversaryEnv
 from advdiff_sumo.traffic.rl.actor import save_actor
-from advdiff_sumo.traffic.rl.policy import AdvRl
+from advdiff_sumo.traffic.rl.adv_rl_policy import AdvRl
 from tests.traffic.rl.conftest import actor
 
 IDLE = np.zeros(2, dtype=np.float32)

@@ -13,16 +13,16 @@ from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.base import Target
-from advdiff_sumo.planners.registry import make_target
+from advdiff_sumo.planners.planner_protocol import Target
+from advdiff_sumo.planners.planner_registry import make_target
 from advdiff_sumo.sim.episode import Episode
-from advdiff_sumo.sim.loop import Loop
-from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.sim.episode_loop import Loop
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.session import Session
+from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.start import prepare
-from advdiff_sumo.traffic.base import TrafficPolicy
-from advdiff_sumo.traffic.registry import make_policy
+from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
+from advdiff_sumo.traffic.policy_registry import make_policy
 
 
 def episode(

@@ -16,8 +16,8 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.demand import write_demand
 from advdiff_sumo.sim.demand_files import read_demand
-from advdiff_sumo.sim.options import SceneOptions
 from advdiff_sumo.sim.session import Session, SessionOptions
+from advdiff_sumo.sim.sim_options import SceneOptions
 from tests.sim import nets
 
 SHIPPED = ("downtown", "downtown-left", "motorway")

@@ -16,10 +16,10 @@ from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.base import SumoDriver
+from advdiff_sumo.planners.planner_protocol import SumoDriver
 from advdiff_sumo.sim.natural import NaturalTraffic
-from advdiff_sumo.sim.options import SceneOptions, SimOptions
 from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from tests.sim.scenes import StraightOn, episode, running
 
 

@@ -14,9 +14,9 @@ from advdiff_sumo.core.frames import bumper_from_centre, wrap_angle
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
-from advdiff_sumo.sim.background import Motion
+from advdiff_sumo.sim.background_control import Motion
 from advdiff_sumo.sim.handover import Handover, gently, on_arc
-from advdiff_sumo.sim.options import SimOptions
+from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.world import World, read, register
 from tests.sim import nets
 from tests.sim.nets import BEND_CORNER_RAD, LENGTH_M, Stage, stage

@@ -12,7 +12,7 @@ import pytest
 from advdiff_sumo.core.errors import ConfigError, LogError, SceneError
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data import LogReader, LogScene, NuScenesReader, ScenarioNetReader
-from advdiff_sumo.data.files import read_windows
+from advdiff_sumo.data.window_files import read_windows
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.log_windows import BuildOptions, Built, Nets, build, log_windows
 

@@ -17,8 +17,8 @@ from advdiff_sumo.data import open_log
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.convert import convert_map
 from advdiff_sumo.sim.logs import LoggedTraffic
-from advdiff_sumo.sim.options import SceneOptions, SimOptions
 from advdiff_sumo.sim.seed_scene import PlacedTraffic, SeedScene
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from tests.sim.scenes import episode
 
 pytestmark = pytest.mark.data

@@ -12,8 +12,8 @@ from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.natural import NaturalTraffic, _turns_round
-from advdiff_sumo.sim.options import SceneOptions, SimOptions
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from tests.sim import nets
 
 OPTIONS = {"warmup_s": 15.0, "scenes_per_warmup": 2, "spacing_s": 5.0}

@@ -9,8 +9,8 @@ import pytest
 
 from advdiff_sumo.core.plan import Controls, JointPlan, Trajectory
 from advdiff_sumo.core.scene import Scene, Tracks
-from advdiff_sumo.sim.options import SimOptions
 from advdiff_sumo.sim.planned import AHEAD_S, made_plans, natural_course
+from advdiff_sumo.sim.sim_options import SimOptions
 
 
 def tracks(x0_m: list[float], speed_mps: list[float], steps: int, t0_s: float, dt_s: float) -> Tracks:

@@ -11,7 +11,7 @@ import pytest
 from advdiff_sumo.core.errors import FileError, NetError
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.core.seeds import SeedTree
-from advdiff_sumo.data.files import read_windows
+from advdiff_sumo.data.window_files import read_windows
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.simulate import ShardResult, SimulateOptions, plan, simulate
 from advdiff_sumo.sim.simulate_drivers import CAR_FOLLOWING, KINDS, driver_types

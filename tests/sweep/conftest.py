@@ -13,10 +13,10 @@ import sumolib
 
 from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.executors import SerialExecutor
-from advdiff_sumo.sweep.plan import Plan, plan_sweep
-from advdiff_sumo.sweep.run import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.job_plan import Plan, plan_sweep
 from advdiff_sumo.sweep.spec import SweepSpec
-from advdiff_sumo.sweep.store import Store
+from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
 
 SAME_BYTES = tuple(f"{name}.parquet" for name in ("episodes", "collisions", "states", "plans", "unattacked"))

@@ -10,10 +10,10 @@ import pytest
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.page import report_html
 from advdiff_sumo.sweep.executors import ProcessExecutor
-from advdiff_sumo.sweep.plan import Plan
+from advdiff_sumo.sweep.job_plan import Plan
 from advdiff_sumo.sweep.repeat import repeat, sweep_with
-from advdiff_sumo.sweep.run import Todo, open_store, run_sweep
-from advdiff_sumo.sweep.store import Store
+from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
 from tests.sweep.conftest import bytes_of, planned, serially
 

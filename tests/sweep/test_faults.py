@@ -16,9 +16,9 @@ import pytest
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.sweep.consolidate import read_rows, tables_of
 from advdiff_sumo.sweep.executors import ProcessExecutor
-from advdiff_sumo.sweep.plan import Plan
-from advdiff_sumo.sweep.run import Todo, open_store, run_sweep
-from advdiff_sumo.sweep.store import Store
+from advdiff_sumo.sweep.job_plan import Plan
+from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
 from tests.sweep.conftest import bytes_of, planned, serially
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from advdiff_sumo.sweep.store import Store
+from advdiff_sumo.sweep.sweep_store import Store
 from tests.e2e.commands import advdiff, begin
 from tests.sweep.conftest import bytes_of, planned, serially, values
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from advdiff_sumo.core.errors import ConfigError, InputError
-from advdiff_sumo.sweep.plan import plan_sweep
+from advdiff_sumo.sweep.job_plan import plan_sweep
 from advdiff_sumo.sweep.spec import SweepSpec
 from tests.sweep.conftest import values
 

@@ -11,12 +11,12 @@ from scipy.stats import binom
 
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.metrics.columns import EPISODE_COLUMNS
-from advdiff_sumo.sweep.columns import SWEEP_TABLES
 from advdiff_sumo.sweep.coverage import bands, coverage
-from advdiff_sumo.sweep.figures import FIGURE_NAMES, Figures, by_kind
 from advdiff_sumo.sweep.findings import findings
 from advdiff_sumo.sweep.junit import junit_xml
 from advdiff_sumo.sweep.paired import choose, compare
+from advdiff_sumo.sweep.summary_stats import FIGURE_NAMES, Figures, by_kind
+from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES
 
 
 def row(episode: int, **more: Any) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import torch
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, new_bundle
 from advdiff_sumo.models.collate import collate
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 from tests.training.straight_road import make_windows, write
 
 TINY = ModelOptions(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from advdiff_sumo.core.scene import AgentClass
-from advdiff_sumo.data.files import FUTURE, PAST, WindowFile, write_windows
+from advdiff_sumo.data.window_files import FUTURE, PAST, WindowFile, write_windows
 
 _STEPS = PAST + FUTURE
 _DT_S = 0.5

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from advdiff_sumo.core.errors import ConfigError, FileError
-from advdiff_sumo.data.files import write_windows
+from advdiff_sumo.data.window_files import write_windows
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.training.dataset import batches, nearest, read_window_set, split
 from tests.training.straight_road import make_windows, write

@@ -14,7 +14,7 @@ class Absent:
             raise ModuleNotFoundError(name)
 
 sys.meta_path.insert(0, Absent())
-import advdiff_sumo.training.setup, advdiff_sumo.training.evaluate, advdiff_sumo.training.warmup
+import advdiff_sumo.training.setup, advdiff_sumo.training.evaluation, advdiff_sumo.training.guide_adaptation
 print("imported")
 """
 

@@ -12,7 +12,8 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.gaussian import Gaussian
-from advdiff_sumo.training.denoiser import (
+from advdiff_sumo.training.cvae import TrafficStage, elbo, encode, kl_share, modelled
+from advdiff_sumo.training.denoiser_stage import (
     DenoiserStage,
     clean,
     measure_scale,
@@ -21,11 +22,10 @@ from advdiff_sumo.training.denoiser import (
     spread_steps,
 )
 from advdiff_sumo.training.displacement import displacement
-from advdiff_sumo.training.evaluate import logged
+from advdiff_sumo.training.evaluation import logged
 from advdiff_sumo.training.joint import JointStage, road_penalty, vehicle_penalty
 from advdiff_sumo.training.presets import CollisionOptions, ElboOptions
 from advdiff_sumo.training.stage import Moment, Stage, add, means
-from advdiff_sumo.training.traffic import TrafficStage, elbo, encode, kl_share, modelled
 
 
 def chance(seed: int = 0) -> torch.Generator:

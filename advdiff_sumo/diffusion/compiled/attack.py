@@ -20,8 +20,8 @@ from advdiff_sumo.diffusion.attacks import (
     tensor_attack,
 )
 from advdiff_sumo.diffusion.bodies import Placed
-from advdiff_sumo.diffusion.compiled.bodies import CompiledBodies
-from advdiff_sumo.diffusion.compiled.decoder import CompiledDecoder, RowsAgainst, rollout_of
+from advdiff_sumo.diffusion.compiled.body_kernel import CompiledBodies
+from advdiff_sumo.diffusion.compiled.decoder_kernel import CompiledDecoder, RowsAgainst, rollout_of
 from advdiff_sumo.diffusion.compiled.kernel import Array, array_of
 from advdiff_sumo.diffusion.guides import Objective
 from advdiff_sumo.models.decoder import Rollout

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from advdiff_sumo.core.arrays import IntArray
-from advdiff_sumo.diffusion.compiled.graph import listen_back
+from advdiff_sumo.diffusion.compiled.graph_kernel import listen_back
 from advdiff_sumo.diffusion.compiled.kernel import Array, clear, keep, kernel, place, product
 from advdiff_sumo.diffusion.compiled.records import (
     ActWeights,
@@ -16,7 +16,7 @@ from advdiff_sumo.diffusion.compiled.records import (
     heard_at,
     heard_in,
 )
-from advdiff_sumo.diffusion.compiled.vehicle import MOTION, drive_back, features_back
+from advdiff_sumo.diffusion.compiled.vehicle_kernel import MOTION, drive_back, features_back
 
 
 @kernel

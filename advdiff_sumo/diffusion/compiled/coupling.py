@@ -33,7 +33,7 @@ def couple(
     graph: GraphWeights,
     x: Array,
     begin: Array,
-    lower: Array,
+    attention_bias: Array,
     drawn: BoolArray,
     heard: Heard,
     h: Array,
@@ -45,7 +45,7 @@ def couple(
         graph: of the layers.
         x: (A, C L) noisy latents.
         begin: (A, M) what is known without them; overwritten.
-        lower: (A,) added to the scores of senders: very negative where nobody is drawn.
+        attention_bias: (A,) added to the scores of senders: very negative where nobody is drawn.
         drawn: (A,) whose latents mean something.
         heard: room of the layers, its messages what relative poses add to them; overwritten.
         h: (A, D) embeddings.
@@ -54,7 +54,7 @@ def couple(
     relu(begin)
     layers, agents, _, wide = heard.message.shape
     senders = np.empty((layers, agents, wide), x.dtype)
-    mixed = mix(graph, begin, np.arange(agents), lower, senders, False, heard)
+    mixed = mix(graph, begin, np.arange(agents), attention_bias, senders, False, heard)
     for a in range(agents):
         if not drawn[a]:
             mixed[a] = x.dtype.type(0.0)
@@ -111,7 +111,7 @@ class CoupledScenes(NamedTuple):
         known: step → (B, A, M) what is known without the noisy latents.
         edges: (B, L, A, A, M) what relative poses add to messages.
         drawn: (B, A) whose latents mean something.
-        lower: (B, A) added to the scores of senders: very negative where nobody is drawn.
+        attention_bias: (B, A) added to the scores of senders: very negative where nobody is drawn.
         h: (B, A, D) embeddings.
     """
 
@@ -120,7 +120,7 @@ class CoupledScenes(NamedTuple):
     known: dict[int, Array]
     edges: Array
     drawn: BoolArray
-    lower: Array
+    attention_bias: Array
     h: Array
 
     def states(self, x: Array, k: int) -> Array:
@@ -129,6 +129,6 @@ class CoupledScenes(NamedTuple):
         made = np.empty_like(self.h)
         for b, edges in enumerate(self.edges):
             begin, heard = self.known[k][b].copy(), room(self.graph, edges)
-            given = latents[b], begin, self.lower[b], self.drawn[b], heard, self.h[b]
+            given = latents[b], begin, self.attention_bias[b], self.drawn[b], heard, self.h[b]
             made[b] = couple(self.weights, self.graph, *given)
         return made

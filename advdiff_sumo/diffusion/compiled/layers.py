@@ -20,14 +20,14 @@ class CompiledLayers:
     Args:
         weights: of the layers.
         edges: for each layer (B, A, A, M) what relative poses add to messages.
-        lower: (B, A) added to the scores: very negative where nobody is.
+        attention_bias: (B, A) added to the scores: very negative where nobody is.
     """
 
-    def __init__(self, weights: GraphWeights, edges: Sequence[Tensor], lower: Tensor) -> None:
+    def __init__(self, weights: GraphWeights, edges: Sequence[Tensor], attention_bias: Tensor) -> None:
         self._weights = weights
         self._edges = array_of(torch.stack([edge.detach() for edge in edges], dim=1))  # (B, L, A, A, M)
-        self._lower = array_of(lower)
-        self._rows = np.arange(lower.shape[1])
+        self._attention_bias = array_of(attention_bias)
+        self._rows = np.arange(attention_bias.shape[1])
 
     def forward(self, h: Tensor) -> tuple[Tensor, list[Heard]]:
         """Return new embeddings (B, A, D) of *h*, and what :meth:`back` needs."""
@@ -36,7 +36,9 @@ class CompiledLayers:
         for b in range(len(node)):
             senders = np.empty((layers, agents, wide), node.dtype)
             heard = room(self._weights, self._edges[b])
-            made.append(mix(self._weights, node[b], self._rows, self._lower[b], senders, False, heard))
+            made.append(
+                mix(self._weights, node[b], self._rows, self._attention_bias[b], senders, False, heard)
+            )
             kept.append(heard)
         return torch.from_numpy(np.stack(made)), kept
 

@@ -103,17 +103,17 @@ class ActWeights(NamedTuple):
     limits: Array
 
 
-class SeeWeights(NamedTuple):
+class EdgeWeights(NamedTuple):
     """Weights of how relative poses are embedded.
 
     Attributes:
-        see, see_bias: relative poses (8) to the hidden part of their embedding.
+        edge_features, edge_bias: relative poses (8) to the hidden part of their embedding.
         look, look_bias: that to the embedding.
         edge: (L, E, M) embeddings to what they add to messages.
     """
 
-    see: Array
-    see_bias: Array
+    edge_features: Array
+    edge_bias: Array
     look: Array
     look_bias: Array
     edge: Array

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from advdiff_sumo.core.arrays import IntArray
-from advdiff_sumo.diffusion.compiled.graph import listen
+from advdiff_sumo.diffusion.compiled.graph_kernel import graph_attention
 from advdiff_sumo.diffusion.compiled.kernel import (
     Array,
     affine,
@@ -21,17 +21,17 @@ from advdiff_sumo.diffusion.compiled.kernel import (
     relu,
 )
 from advdiff_sumo.diffusion.compiled.records import (
+    EdgeWeights,
     GraphWeights,
     Heard,
     RollWeights,
-    SeeWeights,
     Tape,
     Trace,
     heard_at,
     heard_in,
 )
 from advdiff_sumo.diffusion.compiled.smooth import logistic, tangent
-from advdiff_sumo.diffusion.compiled.vehicle import MOTION, drive, features
+from advdiff_sumo.diffusion.compiled.vehicle_kernel import MOTION, drive, features
 
 _NEAR_PER_M = 0.1
 _SOFT_M2 = 1e-6
@@ -40,14 +40,14 @@ SEEN = 8
 
 
 @kernel
-def see(w: SeeWeights, motion: Array, rows: IntArray, message: Array) -> None:
+def edge_features(w: EdgeWeights, motion: Array, rows: IntArray, message: Array) -> None:
     """Set *message* (L, G, A, M) to what agents at *motion* (A, 4) look like to *rows* of them."""
     agents = len(motion)
     cos, sin = np.empty(agents, motion.dtype), np.empty(agents, motion.dtype)
     for a in range(agents):
         cos[a], sin[a] = math.cos(motion[a, 2]), math.sin(motion[a, 2])
     seen = np.empty((agents, SEEN), motion.dtype)
-    hidden = np.empty((agents, w.see.shape[1]), motion.dtype)
+    hidden = np.empty((agents, w.edge_features.shape[1]), motion.dtype)
     looks = np.empty((agents, w.look.shape[1]), motion.dtype)
     for g in range(len(rows)):
         me = rows[g]
@@ -59,7 +59,7 @@ def see(w: SeeWeights, motion: Array, rows: IntArray, message: Array) -> None:
             seen[a, 4], seen[a, 5] = ahead * motion[a, 3], across * motion[a, 3]
             seen[a, 6] = math.exp(-_NEAR_PER_M * math.sqrt(x * x + y * y + _SOFT_M2))
             seen[a, 7] = motion[me, 3]
-        affine(seen, w.see, w.see_bias, hidden)
+        affine(seen, w.edge_features, w.edge_bias, hidden)
         relu(hidden)
         affine(hidden, w.look, w.look_bias, looks)
         relu(looks)
@@ -84,7 +84,13 @@ def begin_node(weight: Array, cars: Array, motion: Array, held: Array, given: Ar
 
 @kernel
 def mix(
-    graph: GraphWeights, node: Array, rows: IntArray, lower: Array, senders: Array, alone: bool, heard: Heard
+    graph: GraphWeights,
+    node: Array,
+    rows: IntArray,
+    attention_bias: Array,
+    senders: Array,
+    alone: bool,
+    heard: Heard,
 ) -> Array:
     """Return the embeddings (G, D) after the interaction net; all but *alone* leave what they say in *senders*.
 
@@ -92,13 +98,16 @@ def mix(
         graph: weights.
         node: (G, D) embeddings before it.
         rows: (G,) which of the agents they are.
-        lower: (A,) added to the scores.
+        attention_bias: (A,) added to the scores.
         senders: (L, A, M) what everybody says.
         alone: whether that is read of all but *rows*.
         heard: of all layers, (L, …), to be written; its messages hold what relative poses add.
     """
     wide = senders.shape[2]
-    ends, said = np.empty((len(rows), 2 * wide), node.dtype), np.empty((len(lower), wide), node.dtype)
+    ends, said = (
+        np.empty((len(rows), 2 * wide), node.dtype),
+        np.empty((len(attention_bias), wide), node.dtype),
+    )
     for layer in range(len(graph.ends)):
         affine(node, graph.ends[layer], graph.ends_bias[layer], ends)
         place(senders[layer], 0, said, 0, wide)
@@ -107,12 +116,12 @@ def mix(
                 said[rows[g], m] = ends[g, wide + m]
         if not alone:
             place(said, 0, senders[layer], 0, wide)
-        node = listen(graph, layer, node, ends, said, lower, heard_in(heard, layer))
+        node = graph_attention(graph, layer, node, ends, said, attention_bias, heard_in(heard, layer))
     return node
 
 
 @kernel
-def remember(weight: Array, told: Array, done: Array, held: Array, gates: Array, memory: Array) -> None:
+def gru_step(weight: Array, told: Array, done: Array, held: Array, gates: Array, memory: Array) -> None:
     """Turn *memory* (G, D) into that after a step: a gated recurrent unit.
 
     Args:
@@ -141,13 +150,13 @@ def remember(weight: Array, told: Array, done: Array, held: Array, gates: Array,
 @kernel
 def roll(
     w: RollWeights,
-    eyes: SeeWeights,
+    edge_weights: EdgeWeights,
     graph: GraphWeights,
     z: Array,
     h: Array,
     cars: Array,
     rows: IntArray,
-    lower: Array,
+    attention_bias: Array,
     trace: Trace,
     alone: bool,
     tape: Tape,
@@ -157,13 +166,13 @@ def roll(
 
     Args:
         w: weights.
-        eyes: weights of relative poses.
+        edge_weights: weights of relative poses.
         graph: weights of the interaction layers.
         z: (G, Z).
         h: (G, D).
         cars: (G, 6).
         rows: (G,) which of the agents they are.
-        lower: (A,) added to the scores: very negative where nobody is.
+        attention_bias: (A,) added to the scores: very negative where nobody is.
         trace: read where *alone*, written otherwise; *rows* are then all of its agents.
         alone: whether the others are where the trace has them.
         tape: to be written.
@@ -190,8 +199,10 @@ def roll(
         place(memory, 0, tape.memory[slot], 0, width)
         affine(memory, w.held, w.held_bias, tape.held[slot])
         begin_node(w.motion, cars, motion, tape.held[slot], given, tape.node[slot])
-        see(eyes, trace.motion[k], rows, tape.message[slot])
-        mixed = mix(graph, tape.node[slot], rows, lower, trace.senders[k], alone, heard_at(tape, slot))
+        edge_features(edge_weights, trace.motion[k], rows, tape.message[slot])
+        mixed = mix(
+            graph, tape.node[slot], rows, attention_bias, trace.senders[k], alone, heard_at(tape, slot)
+        )
         affine(mixed, w.told, w.told_bias, told)
         place(told, 0, tape.hidden[slot], 0, width)
         relu(tape.hidden[slot])
@@ -202,4 +213,4 @@ def roll(
             made[k, g, 4], made[k, g, 5] = done[4], done[5]
             raw[g, 0], raw[g, 1] = done[4], done[5]
         place(motion, 0, made[k], 0, 4)
-        remember(w.done, told, raw, tape.held[slot], tape.gates[slot], memory)
+        gru_step(w.done, told, raw, tape.held[slot], tape.gates[slot], memory)

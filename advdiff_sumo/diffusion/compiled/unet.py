@@ -12,7 +12,7 @@ import numpy as np
 
 from advdiff_sumo.diffusion.compiled.kernel import Array, kernel, product, sums, total
 from advdiff_sumo.diffusion.compiled.smooth import logistic
-from advdiff_sumo.models.options import GROUPS
+from advdiff_sumo.models.model_options import GROUPS
 
 _EPS = 1e-5
 

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.diffusion.compiled.kernel import Array, array_of
-from advdiff_sumo.diffusion.compiled.records import GraphWeights, RollWeights, SeeWeights
-from advdiff_sumo.diffusion.compiled.vehicle import limits_of
+from advdiff_sumo.diffusion.compiled.records import EdgeWeights, GraphWeights, RollWeights
+from advdiff_sumo.diffusion.compiled.vehicle_kernel import limits_of
 from advdiff_sumo.diffusion.decoder_weights import edge_terms
 from advdiff_sumo.models.decoder import Decoder
 from advdiff_sumo.models.interaction import InteractionLayer
@@ -51,14 +51,14 @@ def roll_weights(decoder: Decoder) -> RollWeights:
     )
 
 
-def see_weights(decoder: Decoder) -> SeeWeights:
+def edge_weights_of(decoder: Decoder) -> EdgeWeights:
     """Return how *decoder* embeds relative poses."""
     terms = edge_terms(decoder)
-    see = torch.cat((terms.planes.flatten(0, 1), terms.near[None], terms.own[None]))  # (8, E)
+    edge_features = torch.cat((terms.planes.flatten(0, 1), terms.near[None], terms.own[None]))  # (8, E)
     edge = torch.stack([layer.edge.weight.t() for layer in decoder.interaction.in_order()])
     second = terms.second
-    return SeeWeights(
-        array_of(see),
+    return EdgeWeights(
+        array_of(edge_features),
         array_of(terms.bias),
         array_of(second.weight.t()),
         array_of(second.bias),

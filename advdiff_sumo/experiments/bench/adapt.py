@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from advdiff_sumo.experiments.bench.collect import in_processes
+from advdiff_sumo.experiments.bench.episode_results import in_processes
+from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import TUNING_SEED
-from advdiff_sumo.experiments.bench.telling import Teller
-from advdiff_sumo.maps.shipped import SHIPPED_NETS
+from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS
 from advdiff_sumo.models.reward_file import save_reward
-from advdiff_sumo.planners.registry import TARGETS
-from advdiff_sumo.sim.run import RunOptions
+from advdiff_sumo.planners.planner_registry import TARGETS
+from advdiff_sumo.sim.run_episodes import RunOptions
 
 Marks = tuple[int, ...]
 
@@ -49,7 +49,7 @@ class Adaptation:
         return not all(self.path(folder, mark).is_file() for mark in self.marks)
 
 
-def adapt(wanted: Sequence[Adaptation], folder: Path, workers: int, teller: Teller) -> None:
+def adapt(wanted: Sequence[Adaptation], folder: Path, workers: int, teller: ProgressReporter) -> None:
     """Make the warm-ups that *folder* lacks, on seed scenes that no table uses.
 
     Raises:
@@ -71,7 +71,7 @@ def surrogate_options(source: str) -> dict[str, Any]:
 
 
 def _warm_up(one: Adaptation, folder: Path) -> None:
-    from advdiff_sumo.experiments.warmup import description, warm_up  # late: the worker alone needs it
+    from advdiff_sumo.experiments.warmup_run import description, warm_up  # late: the worker alone needs it
 
     options = RunOptions(
         net=SHIPPED_NETS[one.seed % len(SHIPPED_NETS)],

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from importlib.metadata import version
 
-from advdiff_sumo.experiments.bench.collect import Gathered, failures_told, gather
-from advdiff_sumo.experiments.bench.contests import Contest, Contests, plan_contests, run_contests
-from advdiff_sumo.experiments.bench.paper import paper_table
-from advdiff_sumo.experiments.bench.request import Folder, Request, chosen
-from advdiff_sumo.experiments.bench.rows import (
+from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
+from advdiff_sumo.experiments.bench.bench_rows import (
     NATURAL,
     OURS,
     REGISTERED,
@@ -16,13 +13,16 @@ from advdiff_sumo.experiments.bench.rows import (
     made_target,
     policy_row,
 )
+from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
+from advdiff_sumo.experiments.bench.episode_results import Gathered, failures_told, gather
+from advdiff_sumo.experiments.bench.paper import paper_table
+from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
 from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
 from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of
-from advdiff_sumo.experiments.bench.telling import Teller
-from advdiff_sumo.planners.registry import TARGETS
+from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sweep.tasks import Limits
-from advdiff_sumo.traffic.registry import POLICIES
+from advdiff_sumo.traffic.policy_registry import POLICIES
 
 PLAN_NOTHING = ("sumo", "replay")
 ATTACKED = {"lane_graph": "lane_graph", "IDM": "IDM"}
@@ -48,23 +48,25 @@ NOTES = (
 )
 
 
-def plan_adversarial(folder: Folder, teller: Teller) -> Contests:
-    """Return the contests that the request asks for.
+def plan_adversarial(folder: Folder, teller: ProgressReporter) -> BenchCells:
+    """Return the cells that the request asks for.
 
     Raises:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     request = folder.request
     scenes, targets, names = asked_of(request, teller)
-    contests = [
-        Contest(name, target, policy_row(name).background, background_options=policy_row(name).options)
+    cells = [
+        BenchCell(name, target, policy_row(name).background, background_options=policy_row(name).options)
         for target in targets
         for name in names
     ]
-    return plan_contests(contests, scenes, request.horizon_s)
+    return plan_cells(cells, scenes, request.horizon_s)
 
 
-def asked_of(request: Request, teller: Teller) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
+def asked_of(
+    request: Request, teller: ProgressReporter
+) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
     """Return the seed scenes, targets and rows that the request asks for.
 
     Raises:
@@ -81,29 +83,29 @@ def asked_of(request: Request, teller: Teller) -> tuple[SceneList, tuple[str, ..
 
 
 def run_adversarial(
-    folder: Folder, contests: Contests, workers: int, limits: Limits, teller: Teller
+    folder: Folder, cells: BenchCells, workers: int, limits: Limits, teller: ProgressReporter
 ) -> Table:
     """Run what is missing and return the table.
 
     Raises:
         FileError: results cannot be stored.
     """
-    store = run_contests(contests, folder.sweep, workers, limits, teller)
-    found = gather(contests, store, folder.path / "traces", workers, teller)
-    return adversarial_table(found, contests.scenes, folder)
+    store = run_cells(cells, folder.sweep, workers, limits, teller)
+    found = gather(cells, store, folder.path / "traces", workers, teller)
+    return adversarial_table(found, cells.scenes, folder)
 
 
 def adversarial_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
     """Return the table of what was gathered."""
-    natural = {contest.target: seen for contest, seen in found.seen.items() if contest.row == NATURAL}
+    natural = {cell.target: seen for cell, seen in found.seen.items() if cell.row == NATURAL}
     rows = []
-    for contest, seen in found.seen.items():
-        policy = policy_row(contest.row)
+    for cell, seen in found.seen.items():
+        policy = policy_row(cell.row)
         samples = collision_samples(seen) | background_samples(
-            seen, natural.get(contest.target, ()), plans=contest.background not in PLAN_NOTHING
+            seen, natural.get(cell.target, ()), plans=cell.background not in PLAN_NOTHING
         )
-        ours = contest.row == OURS
-        rows.append(RowSamples(contest.row, contest.target, policy.title, samples, policy.reference, ours))
+        ours = cell.row == OURS
+        rows.append(RowSamples(cell.row, cell.target, policy.title, samples, policy.reference, ours))
     lines = lines_of(HEADS, rows, paper_table("adversarial").rows)
     heads = tuple(head for head in HEADS if any(head.key in line.cells for line in lines))
     title = (

@@ -13,14 +13,14 @@ from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
 from advdiff_sumo.experiments.bench.adversarial import notes_of
-from advdiff_sumo.experiments.bench.collect import Gathered, Seen, gather_rows
-from advdiff_sumo.experiments.bench.contests import Contest, Contests, plan_contests, run_contests
-from advdiff_sumo.experiments.bench.request import Folder, Request, chosen
+from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
+from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
+from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered, gather_rows
+from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
 from advdiff_sumo.experiments.bench.statistics import RESAMPLES, Difference, Estimate, Ratio, estimate
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
-from advdiff_sumo.experiments.bench.telling import Teller
-from advdiff_sumo.planners.registry import TARGETS, make_target
+from advdiff_sumo.planners.planner_registry import TARGETS, make_target
 from advdiff_sumo.sweep.tasks import Limits
 
 RUNGS = 3
@@ -63,8 +63,8 @@ def marks_of(steps: int) -> tuple[int, ...]:
     return tuple(sorted({max(1, round(steps * k / RUNGS)) for k in range(1, RUNGS + 1)}))
 
 
-def plan_fewshot(folder: Folder, workers: int, teller: Teller) -> Contests:
-    """Make the warm-ups and return the contests that the request asks for.
+def plan_fewshot(folder: Folder, workers: int, teller: ProgressReporter) -> BenchCells:
+    """Make the warm-ups and return the cells that the request asks for.
 
     Raises:
         InputError: a name is unknown, or the list of scenes cannot be used.
@@ -79,19 +79,19 @@ def plan_fewshot(folder: Folder, workers: int, teller: Teller) -> Contests:
         for seed in range(request.seeds)
     }
     adapt(list(wanted.values()), q, workers, teller)
-    contests = [_contest(guide, name, 0, 0) for guide in GUIDES for name in names]
-    contests += [
-        _contest(guide, name, seed, mark, one.path(q, mark))
+    cells = [_bench_cell(guide, name, 0, 0) for guide in GUIDES for name in names]
+    cells += [
+        _bench_cell(guide, name, seed, mark, one.path(q, mark))
         for (guide, name, seed), one in wanted.items()
         for mark in one.marks
     ]
-    return plan_contests(contests, scenes, request.horizon_s)
+    return plan_cells(cells, scenes, request.horizon_s)
 
 
-def _contest(guide: str, name: str, seed: int, mark: int, reward: Path | None = None) -> Contest:
+def _bench_cell(guide: str, name: str, seed: int, mark: int, reward: Path | None = None) -> BenchCell:
     options = {"guide": guide} | ({} if reward is None else {"reward": str(reward.resolve())})
     row, target = f"{guide}/{name}/{seed}/{mark}", _of(name)
-    return Contest(row, target.target, "diffusion", target.options, options, like=f"--guide {guide}")
+    return BenchCell(row, target.target, "diffusion", target.options, options, like=f"--guide {guide}")
 
 
 def asked_of(request: Request) -> tuple[SceneList, tuple[str, ...]]:
@@ -108,14 +108,16 @@ def asked_of(request: Request) -> tuple[SceneList, tuple[str, ...]]:
     return scenes, names
 
 
-def run_fewshot(folder: Folder, contests: Contests, workers: int, limits: Limits, teller: Teller) -> Table:
+def run_fewshot(
+    folder: Folder, cells: BenchCells, workers: int, limits: Limits, teller: ProgressReporter
+) -> Table:
     """Run what is missing and return the table.
 
     Raises:
         FileError: results cannot be stored.
     """
-    store = run_contests(contests, folder.sweep, workers, limits, teller)
-    return fewshot_table(gather_rows(contests, store), contests.scenes, folder)
+    store = run_cells(cells, folder.sweep, workers, limits, teller)
+    return fewshot_table(gather_rows(cells, store), cells.scenes, folder)
 
 
 def fewshot_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
@@ -123,7 +125,7 @@ def fewshot_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
     request = folder.request
     marks = (0, *marks_of(request.steps))
     heads = tuple(Head(f"steps_{mark}", f"{mark} steps", "%", 100.0, 1, "high") for mark in marks)
-    by_row = {contest.row: seen for contest, seen in found.seen.items()}
+    by_row = {cell.row: seen for cell, seen in found.seen.items()}
     names = tuple(dict.fromkeys(row.split("/")[1] for row in by_row))
 
     def ladder(guide: str, name: str) -> list[Pooled]:
@@ -202,7 +204,7 @@ class Pooled:
         return Pooled(tuple(self.scenes[k] for k in rows.tolist()), self.hits[:, rows], self.targets)
 
 
-def pooled(runs: Sequence[Sequence[Seen]]) -> Pooled:
+def pooled(runs: Sequence[Sequence[EpisodeResult]]) -> Pooled:
     """Return the collisions of *runs* on the scenes that all of them finished."""
     flags = [{one.scene: float(bool(one.row["target_collision"])) for one in run} for run in runs]
     scenes = tuple(scene for scene in flags[0] if all(scene in other for other in flags))

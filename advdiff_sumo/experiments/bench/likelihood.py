@@ -20,13 +20,13 @@ import torch
 
 from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.data.arrays import WindowFileBuilder, crop, window_arrays
-from advdiff_sumo.data.files import DT_S, PAST
+from advdiff_sumo.data.window_arrays import WindowFileBuilder, crop, window_arrays
+from advdiff_sumo.data.window_files import DT_S, PAST
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.collate import collate
-from advdiff_sumo.models.shipped import shipped_weights
+from advdiff_sumo.models.shipped_weights import shipped_weights
 
 SIGMA_M = 0.5
 _EVERY = 4

@@ -14,20 +14,20 @@ from torch import Tensor
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.together import Decode, held_decode, together
+from advdiff_sumo.diffusion.sample_refinement import Decode, held_decode, together
 from advdiff_sumo.metrics.pairwise import TTC_BINS_S, least_ttc, ttc_counts
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.options import MODEL_STEP_S
-from advdiff_sumo.models.shipped import shipped_weights
+from advdiff_sumo.models.model_options import MODEL_STEP_S
+from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.models.simnet_file import load_simnet
 from advdiff_sumo.training import realism
-from advdiff_sumo.training.denoiser import diffused
+from advdiff_sumo.training.denoiser_stage import diffused
 from advdiff_sumo.training.displacement import displacement, driving
-from advdiff_sumo.training.evaluate import logged
+from advdiff_sumo.training.evaluation import logged
 
 LATENT_STEPS, TRAJECTORY_STEPS = 5, 10
 """As many as in closed loop; with five, trajectories are rougher by half."""

@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as RichTable
 
-from advdiff_sumo.experiments.bench import shown
+from advdiff_sumo.experiments.bench import formatting
 from advdiff_sumo.experiments.bench.table import Cell, Head, Line, Table
 
 _WIDEST = 250
@@ -33,7 +33,7 @@ def rich_table(table: Table) -> RichTable:
         made.add_column("target")
     made.add_column("")
     for head in table.heads:
-        made.add_column(escape(shown.heading(head)), justify="right", no_wrap=True)
+        made.add_column(escape(formatting.heading(head)), justify="right", no_wrap=True)
     before = None
     for line in table.lines:
         if before is not None and line.group != before:
@@ -52,10 +52,14 @@ def gap_table(table: Table) -> RichTable:
     heads = {head.key: head for head in table.heads}
     for gap in table.gaps:
         head, found = heads[gap.column], gap.found
-        between = escape(shown.interval(found.low, found.high, head))
-        texts = (gap.group, shown.heading(head), gap.ours, gap.rival)
+        between = escape(formatting.interval(found.low, found.high, head))
+        texts = (gap.group, formatting.heading(head), gap.ours, gap.rival)
         made.add_row(
-            *map(escape, texts), shown.change(found, head), between, shown.p_value(found.p), str(found.scenes)
+            *map(escape, texts),
+            formatting.change(found, head),
+            between,
+            formatting.p_value(found.p),
+            str(found.scenes),
         )
     return made
 
@@ -67,15 +71,15 @@ def _title(line: Line) -> str:
 def _cell(cell: Cell | None, head: Head) -> str:
     """Return figure, interval with sample size, and the paper's figure, each on its line."""
     if cell is None:
-        return shown.NOTHING
-    value = shown.number(cell.found.value, head)
+        return formatting.NOTHING
+    value = formatting.number(cell.found.value, head)
     lines = [f"[bold]{value}[/bold]" if cell.best else value]
-    between = shown.interval(cell.found.low, cell.found.high, head)
+    between = formatting.interval(cell.found.low, cell.found.high, head)
     if between:
         lines.append(escape(between))
     if cell.found.n:
         lines.append(f"[dim]n {cell.found.n}[/dim]")
-    told = shown.paper_number(cell)
+    told = formatting.paper_number(cell)
     if told:
         lines.append(f"[bright_black]paper {told}[/bright_black]")
     return "\n".join(lines)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
-from advdiff_sumo.experiments.bench.collect import Seen
+from advdiff_sumo.experiments.bench.episode_results import EpisodeResult
 from advdiff_sumo.experiments.bench.statistics import Divergence, Ratio, Sample, aligned
 
 _HISTOGRAMS = ("speed", "accel", "ttc")
@@ -44,7 +44,7 @@ class Rates:
         return Rates(tuple(self.scenes[k] for k in rows.tolist()), self.plan_s[rows])
 
 
-def collision_samples(seen: Sequence[Seen]) -> dict[str, Sample]:
+def collision_samples(seen: Sequence[EpisodeResult]) -> dict[str, Sample]:
     """Return collision rate, speed at contact, comfort, and whose fault and how visible collisions were."""
     hits = [one for one in seen if one.row["target_collision"]]
     return {
@@ -62,7 +62,7 @@ def collision_samples(seen: Sequence[Seen]) -> dict[str, Sample]:
 
 
 def background_samples(
-    seen: Sequence[Seen], natural: Sequence[Seen], plans: bool = True
+    seen: Sequence[EpisodeResult], natural: Sequence[EpisodeResult], plans: bool = True
 ) -> dict[str, Sample]:
     """Return how plausible the background was, and how fast it planned.
 
@@ -89,21 +89,21 @@ def background_samples(
     return made
 
 
-def against(seen: Sequence[Seen], natural: Sequence[Seen]) -> Divergence:
+def against(seen: Sequence[EpisodeResult], natural: Sequence[EpisodeResult]) -> Divergence:
     """Return the divergence of speeds, accelerations and times to collision from those of *natural*."""
     own, reference = aligned(_histograms(seen), _histograms(natural))
     assert isinstance(own, Divergence) and isinstance(reference, Divergence)  # noqa: S101, PT018 - for mypy
     return Divergence(own.scenes, own.counts, reference.counts)
 
 
-def _histograms(seen: Sequence[Seen]) -> Divergence:
+def _histograms(seen: Sequence[EpisodeResult]) -> Divergence:
     counts = tuple(
         np.array([getattr(one.trace, name) for one in seen], dtype=np.float64) for name in _HISTOGRAMS
     )
     return Divergence(tuple(one.scene for one in seen), counts)
 
 
-def _rate(seen: Sequence[Seen], happened: Callable[[Any], bool]) -> Ratio:
+def _rate(seen: Sequence[EpisodeResult], happened: Callable[[Any], bool]) -> Ratio:
     flags = np.array([happened(one.row) for one in seen], dtype=np.float64)
     return Ratio(tuple(one.scene for one in seen), flags, np.ones(len(flags)), rate=True)
 
@@ -114,7 +114,7 @@ def _shares(found: Sequence[tuple[str, bool | None]]) -> Ratio:
     return Ratio(tuple(scene for scene, _ in known), flags, np.ones(len(flags)), rate=True)
 
 
-def _mean(seen: Sequence[Seen], column: str) -> Ratio:
+def _mean(seen: Sequence[EpisodeResult], column: str) -> Ratio:
     known = [one for one in seen if one.row[column] is not None]
     values = np.array([float(one.row[column]) for one in known])
     return Ratio(tuple(one.scene for one in known), values, np.ones(len(values)))

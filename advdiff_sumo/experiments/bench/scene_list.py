@@ -14,10 +14,10 @@ from pydantic import Field
 
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import ConfigError, FileError
-from advdiff_sumo.maps.shipped import SHIPPED_NETS, net_name
-from advdiff_sumo.sim.options import SceneOptions
-from advdiff_sumo.sweep.content import file_digest, net_files
-from advdiff_sumo.sweep.files import write_whole
+from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, net_name
+from advdiff_sumo.sim.sim_options import SceneOptions
+from advdiff_sumo.sweep.fingerprint import file_digest, net_files
+from advdiff_sumo.sweep.sweep_files import write_whole
 
 FORMAT: Literal["advdiff-scenes-1"] = "advdiff-scenes-1"
 TABLE_LIST, TUNING_LIST = "scenes-300", "scenes-tuning"

@@ -20,9 +20,9 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.kinematics import velocities
 from advdiff_sumo.metrics.pairwise import least_ttc, ttc_counts
 from advdiff_sumo.report.states import EpisodeStates, states_of
-from advdiff_sumo.sim.run import read_road
-from advdiff_sumo.sweep.parts import Part
-from advdiff_sumo.sweep.store import Store
+from advdiff_sumo.sim.run_episodes import read_road
+from advdiff_sumo.sweep.episode_result import Part
+from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.training.realism import ACCEL_BINS, SPEED_BINS
 
 MODEL_STEP_S = 0.5

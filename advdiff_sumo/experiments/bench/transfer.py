@@ -11,11 +11,8 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt, surrogate_options
 from advdiff_sumo.experiments.bench.adversarial import notes_of
-from advdiff_sumo.experiments.bench.collect import Gathered, Seen, gather
-from advdiff_sumo.experiments.bench.contests import Contest, Contests, plan_contests, run_contests
-from advdiff_sumo.experiments.bench.paper import paper_table
-from advdiff_sumo.experiments.bench.request import Folder, Request, chosen
-from advdiff_sumo.experiments.bench.rows import (
+from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
+from advdiff_sumo.experiments.bench.bench_rows import (
     OURS,
     POLICY_ROWS,
     TARGET_TITLES,
@@ -23,14 +20,17 @@ from advdiff_sumo.experiments.bench.rows import (
     made_target,
     policy_row,
 )
+from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
+from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered, gather
+from advdiff_sumo.experiments.bench.paper import paper_table
+from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
 from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
 from advdiff_sumo.experiments.bench.statistics import Estimate, Ratio, Sample, difference, draws
 from advdiff_sumo.experiments.bench.table import Gap, Head, RowSamples, Table, lines_of
-from advdiff_sumo.experiments.bench.telling import Teller
-from advdiff_sumo.planners.registry import TARGETS
+from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sweep.tasks import Limits
-from advdiff_sumo.traffic.registry import POLICIES
+from advdiff_sumo.traffic.policy_registry import POLICIES
 
 SOURCES = ("lane_graph", "simnet", "trafficsim")
 """What a policy is adapted to: the paper's three."""
@@ -48,8 +48,8 @@ NOTES = (
 )
 
 
-def plan_transfer(folder: Folder, workers: int, teller: Teller) -> Contests:
-    """Make the warm-ups and return the contests that the request asks for.
+def plan_transfer(folder: Folder, workers: int, teller: ProgressReporter) -> BenchCells:
+    """Make the warm-ups and return the cells that the request asks for.
 
     Raises:
         InputError: a name is unknown, or the list of scenes cannot be used.
@@ -60,17 +60,19 @@ def plan_transfer(folder: Folder, workers: int, teller: Teller) -> Contests:
     q = folder.path / "adapted"
     if OURS in names:
         adapt([_warm_up(source, folder) for source in sources], q, workers, teller)
-    contests = [
-        contest
+    cells = [
+        cell
         for name in names
         for source in sources
         if FIXED_SOURCE.get(name, source) == source
-        for contest in _against(name, source, targets, folder, q)
+        for cell in _against(name, source, targets, folder, q)
     ]
-    return plan_contests(contests, scenes, request.horizon_s)
+    return plan_cells(cells, scenes, request.horizon_s)
 
 
-def asked_of(request: Request, teller: Teller) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
+def asked_of(
+    request: Request, teller: ProgressReporter
+) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
     """Return the seed scenes, targets and policies that the request asks for.
 
     Raises:
@@ -87,24 +89,26 @@ def asked_of(request: Request, teller: Teller) -> tuple[SceneList, tuple[str, ..
     return scenes, targets, names
 
 
-def run_transfer(folder: Folder, contests: Contests, workers: int, limits: Limits, teller: Teller) -> Table:
+def run_transfer(
+    folder: Folder, cells: BenchCells, workers: int, limits: Limits, teller: ProgressReporter
+) -> Table:
     """Run what is missing and return the table.
 
     Raises:
         FileError: results cannot be stored.
     """
-    store = run_contests(contests, folder.sweep, workers, limits, teller)
-    found = gather(contests, store, folder.path / "traces", workers, teller, judged=False)
-    return transfer_table(found, contests.scenes, folder)
+    store = run_cells(cells, folder.sweep, workers, limits, teller)
+    found = gather(cells, store, folder.path / "traces", workers, teller, judged=False)
+    return transfer_table(found, cells.scenes, folder)
 
 
 def transfer_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
     """Return the table of what was gathered: a row for each policy and source, two columns for each target."""
-    targets = tuple(dict.fromkeys(contest.target for contest in found.seen))
+    targets = tuple(dict.fromkeys(cell.target for cell in found.seen))
     heads = tuple(head for target in targets for head in _heads(target))
     cells: dict[str, dict[str, Sample]] = {}
-    for contest, seen in found.seen.items():
-        cells.setdefault(contest.row, {}).update(_samples(contest.target, seen))
+    for cell, seen in found.seen.items():
+        cells.setdefault(cell.row, {}).update(_samples(cell.target, seen))
     rows = []
     for key, samples in cells.items():
         name, _, source = key.partition("/")
@@ -124,7 +128,7 @@ def _heads(target: str) -> tuple[Head, Head]:
     )
 
 
-def _samples(target: str, seen: Sequence[Seen]) -> dict[str, Sample]:
+def _samples(target: str, seen: Sequence[EpisodeResult]) -> dict[str, Sample]:
     background = background_samples(seen, ())
     made: dict[str, Sample] = {f"{target}:av_rate": collision_samples(seen)["collision_rate"]}
     env, veh = background.get("env_rate"), background.get("veh_rate")
@@ -140,8 +144,8 @@ def _warm_up(source: str, folder: Folder) -> Adaptation:
     return Adaptation(source, {}, 0, (request.steps,), request.horizon_s)
 
 
-def _against(name: str, source: str, targets: Sequence[str], folder: Folder, q: Path) -> list[Contest]:
-    """Return the contests of *name*, adapted to *source*, with each of *targets*."""
+def _against(name: str, source: str, targets: Sequence[str], folder: Folder, q: Path) -> list[BenchCell]:
+    """Return the cells of *name*, adapted to *source*, with each of *targets*."""
     options = dict(policy_row(name).options)
     if name in BY_SURROGATE:
         options |= surrogate_options(source)
@@ -149,7 +153,7 @@ def _against(name: str, source: str, targets: Sequence[str], folder: Folder, q: 
         adapted = _warm_up(source, folder)
         options["reward"] = str(adapted.path(q, folder.request.steps).resolve())
     background = policy_row(name).background
-    return [Contest(f"{name}/{source}", t, background, background_options=options) for t in targets]
+    return [BenchCell(f"{name}/{source}", t, background, background_options=options) for t in targets]
 
 
 def _kept(rows: Sequence[RowSamples]) -> tuple[Gap, ...]:

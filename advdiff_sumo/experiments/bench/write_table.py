@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from advdiff_sumo.experiments.bench import shown
+from advdiff_sumo.experiments.bench import formatting
 from advdiff_sumo.experiments.bench.table import Cell, Head, Table
-from advdiff_sumo.sweep.files import write_whole
+from advdiff_sumo.sweep.sweep_files import write_whole
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -95,7 +95,7 @@ def latex_text(table: Table) -> str:
     r"""Return a table for LaTeX; it needs the packages booktabs, xcolor and graphicx, the latter for ``\resizebox``."""
     groups = any(line.group for line in table.lines)
     columns = ("l" if groups else "") + "l" + "r" * len(table.heads)
-    titles = [*([""] if groups else []), "", *(escaped(shown.heading(head)) for head in table.heads)]
+    titles = [*([""] if groups else []), "", *(escaped(formatting.heading(head)) for head in table.heads)]
     body, before = [], None
     for line in table.lines:
         if before is not None and line.group != before:
@@ -118,7 +118,7 @@ def latex_text(table: Table) -> str:
 def markdown_text(table: Table) -> str:
     """Return the table, its differences and notes as Markdown."""
     groups = any(line.group for line in table.lines)
-    titles = [*(["target"] if groups else []), "", *(shown.heading(head) for head in table.heads)]
+    titles = [*(["target"] if groups else []), "", *(formatting.heading(head) for head in table.heads)]
     rows = [titles, ["---"] * len(titles)]
     for line in table.lines:
         cells = [_markdown_cell(line.cells.get(head.key), head) for head in table.heads]
@@ -140,18 +140,21 @@ def _markdown_gaps(table: Table) -> str:
     text = "| target | figure | best rival | ours less it | 95 % | McNemar | scenes |\n|---|---|---|---|---|---|---|\n"
     for gap in table.gaps:
         head, found = heads[gap.column], gap.found
-        between = shown.interval(found.low, found.high, head)
-        cells = (gap.group, shown.heading(head), gap.rival, shown.change(found, head), between)
-        text += f"| {' | '.join((*cells, shown.p_value(found.p), str(found.scenes)))} |\n"
+        between = formatting.interval(found.low, found.high, head)
+        cells = (gap.group, formatting.heading(head), gap.rival, formatting.change(found, head), between)
+        text += f"| {' | '.join((*cells, formatting.p_value(found.p), str(found.scenes)))} |\n"
     return text
 
 
 def _markdown_cell(cell: Cell | None, head: Head) -> str:
     if cell is None:
-        return shown.NOTHING
-    value = shown.number(cell.found.value, head)
-    parts = [f"**{value}**" if cell.best else value, shown.interval(cell.found.low, cell.found.high, head)]
-    told = shown.paper_number(cell)
+        return formatting.NOTHING
+    value = formatting.number(cell.found.value, head)
+    parts = [
+        f"**{value}**" if cell.best else value,
+        formatting.interval(cell.found.low, cell.found.high, head),
+    ]
+    told = formatting.paper_number(cell)
     parts += [f"n {cell.found.n}" if cell.found.n else "", f"*paper {told}*" if told else ""]
     return " ".join(part for part in parts if part)
 
@@ -159,12 +162,12 @@ def _markdown_cell(cell: Cell | None, head: Head) -> str:
 def _latex_cell(cell: Cell | None, head: Head) -> str:
     if cell is None:
         return "--"
-    value = escaped(shown.number(cell.found.value, head))
+    value = escaped(formatting.number(cell.found.value, head))
     parts = [f"\\textbf{{{value}}}" if cell.best else value]
-    between = shown.interval(cell.found.low, cell.found.high, head)
+    between = formatting.interval(cell.found.low, cell.found.high, head)
     if between:
         parts.append(f"{{\\scriptsize {between}}}")
-    told = shown.paper_number(cell)
+    told = formatting.paper_number(cell)
     if told:
         parts.append(f"\\textcolor{{gray}}{{{told}}}")
     return " ".join(parts)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.export.registry import make_exporter
-from advdiff_sumo.export.scene import ImportedScene
+from advdiff_sumo.export.export_scene import ImportedScene
+from advdiff_sumo.export.exporter_registry import make_exporter
 
 _ENDINGS = {
     ".xosc": "openscenario",

@@ -14,7 +14,7 @@ from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.motion import signed_speeds
-from advdiff_sumo.export.scene import ImportedScene
+from advdiff_sumo.export.export_scene import ImportedScene
 
 AGAIN = "export the episode again"
 _FAULTS = (KeyError, ValueError, TypeError, IndexError, AttributeError, OverflowError)

@@ -14,6 +14,7 @@ from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.control import with_control
 from advdiff_sumo.maps.convert.dividers import dashed_pairs
+from advdiff_sumo.maps.convert.lane_paths import Connection, find_connections
 from advdiff_sumo.maps.convert.layout import lay_out
 from advdiff_sumo.maps.convert.layout_state import Layout
 from advdiff_sumo.maps.convert.narrow import Ends, unseen_conflicts
@@ -22,14 +23,13 @@ from advdiff_sumo.maps.convert.netconvert import run_netconvert
 from advdiff_sumo.maps.convert.netplan import NetPlan, Track, plan_net
 from advdiff_sumo.maps.convert.nuscenes_json import read_nuscenes_map
 from advdiff_sumo.maps.convert.opendrive import write_opendrive
-from advdiff_sumo.maps.convert.paths import Connection, find_connections
 from advdiff_sumo.maps.convert.plain_xml import write_plain_xml
 from advdiff_sumo.maps.convert.projection import drives_left, projection_of
 from advdiff_sumo.maps.convert.repair import repair
 from advdiff_sumo.maps.convert.restore import restore_shapes
-from advdiff_sumo.maps.convert.sidecar import sidecar_path, write_sidecar
 from advdiff_sumo.maps.convert.source import SourceLane, SourceMap
 from advdiff_sumo.maps.convert.widths import width_between, width_profile
+from advdiff_sumo.maps.convert.write_sidecar import sidecar_path, write_sidecar
 
 SPEED_MPS = {True: 13.89, False: 11.18}  # by driving on the left: 50 km/h in Singapore, 25 mph in Boston
 

@@ -7,7 +7,7 @@ from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field
 
 from advdiff_sumo.maps.convert.joints import Joints
-from advdiff_sumo.maps.convert.pieces import Piece
+from advdiff_sumo.maps.convert.lane_segments import Piece
 
 
 @dataclass

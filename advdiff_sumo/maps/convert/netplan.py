@@ -17,9 +17,9 @@ from shapely.ops import substring
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.joints import Joints
+from advdiff_sumo.maps.convert.lane_paths import Connection
+from advdiff_sumo.maps.convert.lane_segments import Piece
 from advdiff_sumo.maps.convert.layout_state import Layout
-from advdiff_sumo.maps.convert.paths import Connection
-from advdiff_sumo.maps.convert.pieces import Piece
 from advdiff_sumo.maps.convert.source import LaneUse, SourceLane
 from advdiff_sumo.maps.convert.widths import width_between
 

@@ -10,8 +10,8 @@ import numpy as np
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import Link
 from advdiff_sumo.planners.lane_graph.conflicts import conflict_zone
+from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.memory import Memory
-from advdiff_sumo.planners.lane_graph.options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.others import Others, Way
 from advdiff_sumo.planners.lane_graph.path import Geometry, Zone
 from advdiff_sumo.planners.lane_graph.rules import Duty, Rule, may_go, rule_at

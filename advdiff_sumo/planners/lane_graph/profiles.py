@@ -9,7 +9,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.planners.lane_graph.duties import Duties
-from advdiff_sumo.planners.lane_graph.options import LaneGraphOptions
+from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.path import SPACING_M, LanePath
 from advdiff_sumo.planners.lane_graph.predict import STEP_S, Forecast
 from advdiff_sumo.planners.lane_graph.variants import State, Variant

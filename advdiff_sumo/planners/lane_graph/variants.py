@@ -18,8 +18,8 @@ from advdiff_sumo.planners.lane_graph.chains import (
     route_ahead,
     route_chain,
 )
+from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.memory import Memory
-from advdiff_sumo.planners.lane_graph.options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath
 
 _EDGES_AHEAD = 8

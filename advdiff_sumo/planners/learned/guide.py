@@ -10,8 +10,8 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.memory import Memory as LaneMemory
-from advdiff_sumo.planners.lane_graph.options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.rules import Duty, rule_at
 from advdiff_sumo.planners.lane_graph.variants import State, Variant, locate, variants
 

@@ -21,11 +21,11 @@ from advdiff_sumo.diffusion.schedule import Schedule
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.shipped import shipped_weights
+from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.models.simnet import SimNet
 from advdiff_sumo.models.simnet_file import load_simnet
 from advdiff_sumo.models.view import View
-from advdiff_sumo.planners.learned.options import DiffusionPlannerOptions
+from advdiff_sumo.planners.learned.learned_options import DiffusionPlannerOptions
 
 
 @dataclass(frozen=True)

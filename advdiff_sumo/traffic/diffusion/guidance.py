@@ -15,10 +15,10 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.diffusion.attackers import choose
-from advdiff_sumo.traffic.diffusion.futures import futures_of
-from advdiff_sumo.traffic.diffusion.networks import Networks
-from advdiff_sumo.traffic.diffusion.options import DiffusionOptions
+from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks
+from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions
+from advdiff_sumo.traffic.planning.attackers import choose
+from advdiff_sumo.traffic.planning.futures import futures_of
 
 ALPHA = 10.0
 """Shift of a step at strength 1, in units of √Σ."""

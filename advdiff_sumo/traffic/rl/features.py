@@ -11,9 +11,9 @@ from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.core.frames import local_from_world, unit, wrap_angle
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.models.options import MODEL_STEP_S
-from advdiff_sumo.traffic.diffusion.futures import Futures
-from advdiff_sumo.traffic.diffusion.lanes_ahead import LaneAhead
+from advdiff_sumo.models.model_options import MODEL_STEP_S
+from advdiff_sumo.traffic.planning.futures import Futures
+from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 
 OTHERS: Final = 3
 """Nearest road users besides the target that are observed."""

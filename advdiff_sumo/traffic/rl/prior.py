@@ -12,8 +12,8 @@ from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.options import ModelOptions
-from advdiff_sumo.models.shipped import shipped_weights
+from advdiff_sumo.models.model_options import ModelOptions
+from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.models.simnet_file import load_simnet
 
 PriorName: TypeAlias = Literal["simnet", "traffic"]

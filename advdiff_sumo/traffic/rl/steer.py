@@ -9,10 +9,10 @@ from torch import Tensor
 
 from advdiff_sumo.core.bicycle import WHEELBASE_PER_LENGTH
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.bicycle import step
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.geometry import wrap_angle
-from advdiff_sumo.models.options import MODEL_STEP_S, ModelOptions
+from advdiff_sumo.models.model_options import MODEL_STEP_S, ModelOptions
+from advdiff_sumo.models.tensor_bicycle import step
 
 ACCEL_SPAN_MPS2 = 4.0
 """Deviation of the acceleration that an action of 1 asks for."""

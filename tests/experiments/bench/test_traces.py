@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.scene import AgentClass, Tracks
-from advdiff_sumo.experiments.bench.collect import Seen, in_processes
+from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, in_processes
 from advdiff_sumo.experiments.bench.likelihood import natural_nats
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
 from advdiff_sumo.experiments.bench.statistics import estimate
 from advdiff_sumo.experiments.bench.traces import Trace, at_model_step, histograms, near_target
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.maps.shipped import find_net
+from advdiff_sumo.maps.shipped_nets import find_net
 
 STEPS = 41
 
@@ -67,7 +67,7 @@ def test_a_trace_survives_being_stored() -> None:
     assert Trace.from_bytes(trace.to_bytes()) == trace
 
 
-def seen(scene: str, hit: bool, trace: Trace, **row: object) -> Seen:
+def seen(scene: str, hit: bool, trace: Trace, **row: object) -> EpisodeResult:
     usual: dict[str, object] = {
         "target_collision": hit,
         "relative_speed_mps": 6.0 if hit else None,
@@ -77,7 +77,7 @@ def seen(scene: str, hit: bool, trace: Trace, **row: object) -> Seen:
         "collision_partner": "v1" if hit else None,
         "attacker_visible": None,
     }
-    return Seen(scene, {**usual, **row}, trace, 0.05)
+    return EpisodeResult(scene, {**usual, **row}, trace, 0.05)
 
 
 def test_columns_of_the_closed_loop() -> None:

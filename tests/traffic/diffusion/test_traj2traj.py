@@ -15,11 +15,11 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import BundleOptions, new_bundle, save_bundle
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import look
-from advdiff_sumo.traffic.check import check_policy
-from advdiff_sumo.traffic.diffusion.draw import without_jumps
-from advdiff_sumo.traffic.diffusion.policy import DiffusionTraffic, Traj2Traj
-from advdiff_sumo.traffic.registry import make_policy
-from tests.traffic.diffusion.conftest import MODEL
+from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic, Traj2Traj
+from advdiff_sumo.traffic.planning.draw import without_jumps
+from advdiff_sumo.traffic.policy_check import check_policy
+from advdiff_sumo.traffic.policy_registry import make_policy
+from tests.traffic.small_networks import MODEL
 
 Street = Callable[..., Scene]
 PLACES, SPEEDS = [(60.0, 0.0), (75.0, 0.0), (45.0, 0.0)], [8.0, 7.0, 9.0]

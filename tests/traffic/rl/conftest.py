@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from advdiff_sumo.traffic.rl.actor import Actor, ActorNet, save_actor
-from tests.traffic.diffusion.conftest import downtown, one_thread, street, weights
+from tests.traffic.small_networks import downtown, one_thread, street, weights
 
 __all__ = ["downtown", "one_thread", "street", "weights"]
 

@@ -12,11 +12,11 @@ import pytest
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.view import look
-from advdiff_sumo.traffic.diffusion.futures import coasting
-from advdiff_sumo.traffic.diffusion.lanes_ahead import lanes_ahead
+from advdiff_sumo.traffic.planning.futures import coasting
+from advdiff_sumo.traffic.planning.lanes_ahead import lanes_ahead
 from advdiff_sumo.traffic.rl.features import FEATURES, LIMIT, OTHERS, observe
 from advdiff_sumo.traffic.rl.prior import load_prior
-from advdiff_sumo.traffic.rl.situation import situation
+from advdiff_sumo.traffic.rl.rl_situation import situation
 
 Street = Callable[..., Scene]
 OWN, LANE, TARGET = slice(0, 7), slice(7, 14), slice(14, 36)

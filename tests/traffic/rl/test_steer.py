@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.bicycle import step
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.options import ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
+from advdiff_sumo.models.tensor_bicycle import step
 from advdiff_sumo.traffic.rl.steer import curvature_span, steered
 
 OPTIONS = ModelOptions()

@@ -1,0 +1,204 @@
+"""From tracks and a table of map pieces to the arrays of a window file; NumPy alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.data.window_files import CROP_M, FUTURE, MAX_AGENTS, PAST, WindowFile
+
+if TYPE_CHECKING:
+    from advdiff_sumo.maps.vector_map import PieceTable
+
+
+@dataclass(frozen=True)
+class WindowArrays:
+    """One window; A agents, the focal one first. Arrays as in :class:`WindowFile`, in the map's frame.
+
+    Attributes:
+        past: (A, H, 4) x, y, yaw, speed.
+        past_valid: (A, H).
+        future: (A, T, 4).
+        future_valid: (A, T).
+        size: (A, 2) length and width.
+        classes: (A,).
+        parked: (A,).
+        near: (A, K) map pieces, −1 padded.
+        signals: (G,) states now.
+        scene: name of the drive or run.
+    """
+
+    past: FloatArray
+    past_valid: BoolArray
+    future: FloatArray
+    future_valid: BoolArray
+    size: FloatArray
+    classes: IntArray
+    parked: BoolArray
+    near: NDArray[np.int32]
+    signals: NDArray[np.uint8]
+    scene: str
+
+
+def crop(
+    xy_m: FloatArray, focal: int, limit: int = MAX_AGENTS, radius_m: float = CROP_M
+) -> NDArray[np.int64]:
+    """Return the rows of the agents nearest to *focal*, itself first, ties in order of rows.
+
+    Args:
+        xy_m: (A, 2) present positions, NaN where absent.
+        focal: a row that is present.
+        limit: most rows.
+        radius_m: largest distance of the centres.
+    """
+    away = np.linalg.norm(xy_m - xy_m[focal], axis=-1)
+    away[focal] = -1.0
+    order = np.argsort(np.where(np.isnan(away), np.inf, away), kind="stable")[:limit]
+    return np.asarray(order[away[order] <= radius_m], dtype=np.int64)
+
+
+def crops(xy_m: FloatArray, order: IntArray, most: int, apart: int = 10) -> Iterator[NDArray[np.int64]]:
+    """Yield crops around several agents of one instant that overlap little.
+
+    Args:
+        xy_m: (A, 2) present positions, NaN where absent.
+        order: candidates for the focal agent, first come first served.
+        most: how many crops at most.
+        apart: the nearest agents of a crop, so many with the focal one, get no crop of their own.
+    """
+    taken: set[int] = set()
+    made = 0
+    for focal in order.tolist():
+        if made == most:
+            return
+        if focal not in taken:
+            rows = crop(xy_m, focal)
+            taken.update(rows[:apart].tolist())
+            made += 1
+            yield rows
+
+
+def window_arrays(
+    tracks: Tracks,
+    now: int,
+    rows: IntArray,
+    parked: BoolArray,
+    table: PieceTable,
+    signals: Mapping[str, str],
+    scene: str,
+) -> WindowArrays:
+    """Return the window of *rows* at instant *now* of *tracks*, which are spaced 0.5 s.
+
+    Instants before or beyond the tracks are not valid.
+
+    Args:
+        tracks: (A, L) states in the map's frame.
+        now: instant, with all of *rows* present.
+        rows: (A',) agents, the focal one first.
+        parked: (A,) which agents are parked.
+        table: of the map.
+        signals: states of the traffic lights now.
+        scene: name of the drive or run.
+
+    Raises:
+        ValueError: one of *rows* is not there now.
+    """
+    if not tracks.valid[rows, now].all():
+        raise ValueError(f"an agent of the window at instant {now} of {scene} is not there")
+    states = np.concatenate(
+        (tracks.xy_m[rows], tracks.yaw_rad[rows, :, None], tracks.speed_mps[rows, :, None]), axis=-1
+    )
+    valid = tracks.valid[rows]
+    past, past_valid = _cut(states, valid, now - PAST + 1, PAST)
+    future, future_valid = _cut(states, valid, now + 1, FUTURE)
+    here = past[:, -1]
+    return WindowArrays(
+        past=past,
+        past_valid=past_valid,
+        future=future,
+        future_valid=future_valid,
+        size=tracks.size_m[rows],
+        classes=tracks.classes[rows],
+        parked=parked[rows],
+        near=table.rows_near(here[:, :2], here[:, 2]),
+        signals=table.signal_states(signals),
+        scene=scene,
+    )
+
+
+def _cut(states: FloatArray, valid: BoolArray, start: int, length: int) -> tuple[FloatArray, BoolArray]:
+    """Return *length* instants from *start* on, those outside the tracks or not valid zeroed."""
+    at = start + np.arange(length)
+    inside = (at >= 0) & (at < valid.shape[1])
+    at = np.clip(at, 0, valid.shape[1] - 1)
+    kept = valid[:, at] & inside
+    return np.where(kept[..., None], states[:, at], 0.0), kept
+
+
+@dataclass
+class WindowFileBuilder:
+    """Collects windows of one map into a :class:`WindowFile`.
+
+    Attributes:
+        table: of the map.
+        map_name: name of the net.
+        source: where the windows come from.
+        extra: further text of the header.
+        windows: those collected.
+    """
+
+    table: PieceTable
+    map_name: str
+    source: str
+    extra: Mapping[str, str] = field(default_factory=dict)
+    windows: list[WindowArrays] = field(default_factory=list)
+
+    def build(self) -> WindowFile:
+        """Return all windows in the order in which they came; the origin is the middle of the map."""
+        table, made = self.table, self.windows
+        points = table.xy_m.reshape(-1, 2)
+        origin = np.round(0.5 * (points.min(axis=0) + points.max(axis=0))) if len(points) else np.zeros(2)
+        names = tuple(dict.fromkeys(window.scene for window in made))
+        number = {name: row for row, name in enumerate(names)}
+        return WindowFile(
+            map_origin=origin,
+            map_xy=(table.xy_m - origin).astype(np.float32),
+            map_features=table.features.astype(np.float32),
+            map_signal=table.signal.astype(np.int32),
+            offset=np.cumsum([0, *(len(window.size) for window in made)], dtype=np.int64),
+            past=_states([w.past for w in made], [w.past_valid for w in made], origin, PAST),
+            past_valid=_joined([w.past_valid for w in made], (0, PAST)).astype(np.bool_),
+            future=_states([w.future for w in made], [w.future_valid for w in made], origin, FUTURE),
+            future_valid=_joined([w.future_valid for w in made], (0, FUTURE)).astype(np.bool_),
+            size=_joined([w.size for w in made], (0, 2)).astype(np.float32),
+            classes=_joined([w.classes for w in made], (0,)).astype(np.uint8),
+            parked=_joined([w.parked for w in made], (0,)).astype(np.bool_),
+            near=_joined([w.near for w in made], (0, 0)).astype(np.int32),
+            signals=np.array([w.signals for w in made], dtype=np.uint8).reshape(
+                len(made), len(table.signal_links)
+            ),
+            scene=np.array([number[w.scene] for w in made], dtype=np.int32),
+            scene_names=names,
+            map_name=self.map_name,
+            source=self.source,
+            extra=self.extra,
+        )
+
+
+def _states(
+    parts: Sequence[FloatArray], masks: Sequence[BoolArray], origin: FloatArray, steps: int
+) -> NDArray[np.float32]:
+    states = _joined(parts, (0, steps, 4))
+    valid = _joined(masks, (0, steps)).astype(np.bool_)
+    shifted = states - np.concatenate((origin, np.zeros(2)))
+    return np.where(valid[..., None], shifted, 0.0).astype(np.float32)
+
+
+def _joined(parts: Sequence[NDArray[np.generic]], empty: tuple[int, ...]) -> FloatArray:
+    return np.concatenate(parts).astype(np.float64) if parts else np.zeros(empty)

@@ -1,0 +1,252 @@
+"""Window files: training windows of one map as safetensors, read with NumPy alone (docs/data.md)."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from advdiff_sumo.core.errors import FileError
+
+FORMAT = "advdiff-windows-1"
+SUFFIX = ".safetensors"
+DT_S = 0.5
+PAST, FUTURE = 5, 12
+"""H and T: instants of past (now is the last) and of future."""
+MAX_AGENTS, CROP_M = 24, 60.0
+"""Most agents of a window, and how far from the first one they may be."""
+_AGAIN = "build or copy it again"
+_OWN_KEYS = frozenset({"format", "source", "map", "dt_s", "scene_names"})
+
+
+@dataclass(frozen=True)
+class WindowFile:
+    """W windows of one map; S agent rows, H = 5 instants of past, T = 12 of future, M pieces, G signals.
+
+    Arrays have the file's types; entries whose mask is False are zero. Positions are metres relative to
+    ``map_origin``, yaw counter-clockwise from east, speed along the heading.
+
+    Attributes:
+        map_origin: (2,) float64, to be added to positions for the map's frame.
+        map_xy: (M, N, 2) float32 points of the map's pieces.
+        map_features: (M, F) float32, see :class:`advdiff_sumo.maps.vector_map.Feature`.
+        map_signal: (M,) int32 index into the signals, −1 for none.
+        offset: (W + 1,) int64; the agents of window w are rows offset[w] to offset[w + 1], the focal one first.
+        past: (S, H, 4) float32 x, y, yaw, speed at −2 … 0 s.
+        past_valid: (S, H) bool; the last instant is True.
+        future: (S, T, 4) float32 at 0.5 … 6 s.
+        future_valid: (S, T) bool.
+        size: (S, 2) float32 length and width.
+        classes: (S,) uint8 values of :class:`advdiff_sumo.core.scene.AgentClass`.
+        parked: (S,) bool.
+        near: (S, K) int32 pieces near the agent now, −1 padded; lanes, then road edges.
+        signals: (W, G) uint8: 0 unknown, 1 red, 2 yellow, 3 green, now.
+        scene: (W,) int32 index into ``scene_names``.
+        scene_names: the drives or simulation runs.
+        map_name: name of the net.
+        source: where the windows come from.
+        extra: further text of the header.
+    """
+
+    map_origin: NDArray[np.float64]
+    map_xy: NDArray[np.float32]
+    map_features: NDArray[np.float32]
+    map_signal: NDArray[np.int32]
+    offset: NDArray[np.int64]
+    past: NDArray[np.float32]
+    past_valid: NDArray[np.bool_]
+    future: NDArray[np.float32]
+    future_valid: NDArray[np.bool_]
+    size: NDArray[np.float32]
+    classes: NDArray[np.uint8]
+    parked: NDArray[np.bool_]
+    near: NDArray[np.int32]
+    signals: NDArray[np.uint8]
+    scene: NDArray[np.int32]
+    scene_names: tuple[str, ...] = ()
+    map_name: str = ""
+    source: str = ""
+    extra: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        problem = _problem(self)
+        if problem:
+            raise ValueError(f"WindowFile: {problem}")
+
+    @property
+    def windows(self) -> int:
+        """Number of windows W."""
+        return len(self.offset) - 1
+
+    @property
+    def agents(self) -> int:
+        """Number of agent rows S."""
+        return len(self.past)
+
+    def rows(self, window: int) -> slice:
+        """Return the agent rows of *window*, the focal agent first."""
+        return slice(int(self.offset[window]), int(self.offset[window + 1]))
+
+
+TENSORS: Mapping[str, tuple[str, tuple[str | int, ...]]] = {
+    "map_origin": ("float64", (2,)),
+    "map_xy": ("float32", ("M", "N", 2)),
+    "map_features": ("float32", ("M", "F")),
+    "map_signal": ("int32", ("M",)),
+    "offset": ("int64", ("W+1",)),
+    "past": ("float32", ("S", PAST, 4)),
+    "past_valid": ("bool", ("S", PAST)),
+    "future": ("float32", ("S", FUTURE, 4)),
+    "future_valid": ("bool", ("S", FUTURE)),
+    "size": ("float32", ("S", 2)),
+    "classes": ("uint8", ("S",)),
+    "parked": ("bool", ("S",)),
+    "near": ("int32", ("S", "K")),
+    "signals": ("uint8", ("W", "G")),
+    "scene": ("int32", ("W",)),
+}
+"""Type and shape of each tensor; a letter stands for one number throughout the file."""
+
+
+def write_windows(path: str | Path, windows: WindowFile) -> None:
+    """Write *windows* to *path*, aside first and then renamed; equal windows give equal bytes.
+
+    Raises:
+        FileError: the file cannot be written.
+    """
+    path = Path(path)
+    header = {
+        **windows.extra,
+        "format": FORMAT,
+        "source": windows.source,
+        "map": windows.map_name,
+        "dt_s": str(DT_S),
+        "scene_names": json.dumps(list(windows.scene_names)),
+    }
+    tensors = {name: np.ascontiguousarray(getattr(windows, name)) for name in TENSORS}
+    aside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        aside.write_bytes(_sorted_header(save(tensors, metadata=header)))
+        aside.replace(path)
+    except OSError as error:
+        aside.unlink(missing_ok=True)
+        raise FileError(path, f"cannot be written ({error.strerror})", "choose another --out") from None
+
+
+def read_windows(path: str | Path) -> WindowFile:
+    """Return the windows in the file at *path*.
+
+    Raises:
+        FileError: the file is missing, truncated, of another format, or its tensors do not fit each other.
+    """
+    path = Path(path)
+    header, tensors = _open(path, list(TENSORS))
+    extra = {key: value for key, value in header.items() if key not in _OWN_KEYS}
+    try:
+        names = tuple(str(name) for name in json.loads(header.get("scene_names", "[]")))
+        return WindowFile(
+            **tensors,
+            scene_names=names,
+            map_name=header.get("map", ""),
+            source=header.get("source", ""),
+            extra=extra,
+        )
+    except (ValueError, TypeError) as error:
+        raise FileError(path, f"holds damaged windows ({error})", _AGAIN) from None
+
+
+def read_header(path: str | Path) -> dict[str, str]:
+    """Return the header of the window file at *path* without its tensors.
+
+    Raises:
+        FileError: as :func:`read_windows`.
+    """
+    return _open(Path(path), [])[0]
+
+
+def window_paths(places: list[Path]) -> list[Path]:
+    """Return the window files among *places*: files as given, those of folders sorted by name.
+
+    Raises:
+        FileError: a place does not exist, or a folder holds none.
+    """
+    found: list[Path] = []
+    for place in places:
+        if place.is_dir():
+            inside = sorted(p for p in place.glob(f"*{SUFFIX}") if not p.name.startswith("."))
+            if not inside:
+                remedy = "make some with advdiff-sumo data simulate or data build"
+                raise FileError(place, f"holds no window file (*{SUFFIX})", remedy)
+            found += inside
+        elif place.is_file():
+            found.append(place)
+        else:
+            raise FileError(place, "no such file or folder", "give window files or a folder of them")
+    return found
+
+
+def _open(path: Path, names: list[str]) -> tuple[dict[str, str], dict[str, Any]]:
+    try:
+        with safe_open(path, framework="numpy") as file:
+            header = dict(file.metadata() or {})
+            if header.get("format") != FORMAT:
+                said = header.get("format", "none")
+                raise FileError(path, f"is no window file (format '{said}', not '{FORMAT}')", _AGAIN)
+            missing = sorted(set(TENSORS) - set(file.keys()))
+            if missing:
+                raise FileError(path, f"lacks the tensors {', '.join(missing)}", _AGAIN)
+            return header, {name: file.get_tensor(name) for name in names}
+    except FileNotFoundError:
+        raise FileError(path, "no such window file") from None
+    except SafetensorError as error:
+        raise FileError(path, f"is truncated or no safetensors file ({error})", _AGAIN) from None
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror or error})") from None
+
+
+def _sorted_header(raw: bytes) -> bytes:
+    """Return the file with its JSON header in order: safetensors writes the metadata in a random one."""
+    length = int.from_bytes(raw[:8], "little")
+    header = json.loads(raw[8 : 8 + length])
+    text = json.dumps(header, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text + raw[8 + length :]
+
+
+def _problem(windows: WindowFile) -> str:
+    """Return what is wrong with types, shapes, offsets or indices; "" when nothing is."""
+    sizes: dict[str, int] = {}
+    for name, (dtype, shape) in TENSORS.items():
+        value = getattr(windows, name)
+        if value.dtype != np.dtype(dtype) or value.ndim != len(shape):
+            return f"{name} is {value.dtype} {value.shape}, expected {dtype} {shape}"
+        for length, wanted in zip(value.shape, shape, strict=True):
+            if length != (wanted if isinstance(wanted, int) else sizes.setdefault(wanted, length)):
+                return f"{name} has shape {value.shape}, expected {shape} with {sizes}"
+    if sizes["W+1"] != sizes["W"] + 1:
+        return f"offset has {sizes['W+1']} entries for {sizes['W']} windows"
+    return _index_problem(windows, {f.name: getattr(windows, f.name) for f in fields(windows)})
+
+
+def _index_problem(windows: WindowFile, value: Mapping[str, Any]) -> str:
+    offset = windows.offset
+    if offset[0] != 0 or offset[-1] != windows.agents or (np.diff(offset) < 1).any():
+        return "offset does not divide the agents into windows"
+    limits = {"near": len(windows.map_xy), "map_signal": windows.signals.shape[1]}
+    for name, limit in limits.items():
+        if value[name].size and not (value[name].min() >= -1 and value[name].max() < limit):
+            return f"{name} points outside its table of {limit}"
+    scenes = windows.scene
+    if scenes.size and not (scenes.min() >= 0 and scenes.max() < len(windows.scene_names)):
+        return f"scene points outside the {len(windows.scene_names)} scene names"
+    if not windows.past_valid[:, -1].all():
+        return "an agent is not there now"
+    return ""

@@ -1,0 +1,155 @@
+"""Makes samples fit together: latents drawn vehicle by vehicle are moved until bodies are apart and on the road.
+
+The paper teaches this to the networks with P_coll (Sec. III-B, joint stage); here the same penalty is lowered by
+gradient descent on the finished samples, each held to what was drawn, until nothing is wrong with it. Vehicles that
+nothing is wrong with keep their latents to the bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import torch
+from torch import Tensor
+
+from advdiff_sumo.diffusion.adam import Adam
+from advdiff_sumo.diffusion.fast_decoder import FastDecoder
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.codec import LatentCodec
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.geometry import wrap_angle
+from advdiff_sumo.models.losses import between_two, disc_pairs, off_road
+from advdiff_sumo.models.model_options import FUTURE_STEPS
+
+_WIDER_M = (0.8, 0.3)
+_ROUND, _FIRST, _DISCS = 10, 2, 5
+
+Decode: TypeAlias = Callable[[Tensor, Context, SceneBatch], Rollout]
+"""Samples (B, A, C, L) with their scenes → futures, with gradients."""
+
+
+@dataclass(frozen=True)
+class Together:
+    """How samples are made to fit.
+
+    Attributes:
+        steps: of Adam, at most; a scene with which nothing is wrong any more takes no further ones.
+        rate: of Adam, in deviations of the latents.
+        vehicles: weight of the five-disc overlap between vehicles.
+        road: weight of the overlap with the road's edge.
+        keep: weight of the squared distance from what was drawn.
+    """
+
+    steps: int = 120
+    rate: float = 0.1
+    vehicles: float = 2.0
+    road: float = 4.0
+    keep: float = 0.1
+
+
+def held_decode(codec: LatentCodec, decoder: FastDecoder) -> Decode:
+    """Return a decoder of latents that is exact, and whose gradient lacks what a changed place changes in others.
+
+    That is a fraction of the work of the whole gradient.
+    """
+
+    def decode(x: Tensor, context: Context, batch: SceneBatch) -> Rollout:
+        z = codec.unscale(x)[:, :, 0]
+        _, trace = decoder.whole(z.detach(), context.h, batch)
+        everybody = torch.arange(batch.agents, device=z.device)
+        return decoder.some(z, context.h, batch, everybody, FUTURE_STEPS, trace)
+
+    return decode
+
+
+def penalty(x: Tensor, decode: Decode, context: Context, batch: SceneBatch, how: Together) -> Tensor:
+    """Return (B, A) what is wrong with the futures of samples *x*: overlap with others, and with the road's edge.
+
+    Bodies count as a little larger than they are: what is 0 here is apart and not just touching, and discs leave out
+    the corners. Others are met halfway between two instants, too, so that nobody drives through anybody unseen.
+    """
+    rollout = decode(x, context, batch)
+    wide = torch.where(batch.present[..., None], batch.size + batch.size.new_tensor(_WIDER_M), batch.size)
+    others = _until_contact(_overlap(_finer(rollout, batch), wide, batch.present)).sum((2, 3))
+    road = off_road(rollout, replace(batch, size=wide)).sum(-1)
+    return how.vehicles * others + how.road * road
+
+
+def _finer(rollout: Rollout, batch: SceneBatch) -> Rollout:
+    """Return *rollout* (B, A, T) with the places halfway before each instant, (B, A, 2 T)."""
+
+    def halved(value: Tensor, now: Tensor) -> Tensor:
+        before = torch.cat((now[:, :, None], value[:, :, :-1]), dim=2)
+        return torch.stack((0.5 * (before + value), value), dim=3).flatten(2, 3)
+
+    pose = batch.pose
+    turned = wrap_angle(rollout.yaw - pose[:, :, None, 2])
+    yaw = pose[:, :, None, 2] + halved(turned, torch.zeros_like(pose[..., 2]))
+    nothing = torch.zeros_like(yaw)
+    return Rollout(halved(rollout.xy, pose[..., :2]), yaw, nothing, nothing, nothing)
+
+
+def _overlap(rollout: Rollout, size: Tensor, present: Tensor) -> Tensor:
+    """Return (B, A, A, T) overlap of every two agents: 1 − d / (r_i + r_j), summed over all pairs of their discs.
+
+    The nearest pair alone would not say which way out is the shorter one once bodies are deep in each other.
+    """
+    squared, reach = disc_pairs(rollout, size)
+    overlap = (1.0 - torch.sqrt(squared + 1e-9) / reach[..., None]).clamp(min=0.0).sum(-1) / _DISCS
+    return between_two(overlap, present)
+
+
+def _until_contact(overlap: Tensor) -> Tensor:
+    """Return *overlap* (B, A, A, T) of the first instants at which two overlap.
+
+    What comes later would push a vehicle that drives through another one on, out at the far side.
+    """
+    begun = (overlap > 0.0).cumsum(-1)
+    return torch.where(begun <= _FIRST, overlap, 0.0)
+
+
+def together(
+    drawn: Tensor, decode: Decode, context: Context, batch: SceneBatch, how: Together | None = None
+) -> Tensor:
+    """Return samples (B, A, C, L) near *drawn* whose futures collide less.
+
+    Args:
+        drawn: samples, in the scaled numbers that are diffused.
+        decode: makes futures of them.
+        context: of the scenes.
+        batch: the scenes; parked vehicles and those that are not moved keep what was drawn.
+        how: weights and steps.
+    """
+    how = how or Together()
+    made, x, origin, adam = drawn.clone(), drawn, drawn, Adam(how.rate)
+    rows = torch.arange(batch.scenes, device=drawn.device)
+    for step in range(1, how.steps + 1):
+        wrong, gradient = _slope(x, origin, decode, context, batch, how)
+        x = torch.where(wrong[:, None, None, None], adam.step(x, gradient), x)
+        made[rows] = x
+        if step % _ROUND:
+            continue
+        left = torch.nonzero(wrong).ravel()
+        if not len(left):
+            break
+        if len(left) < len(rows):
+            rows, x, origin = rows[left], x[left], origin[left]
+            batch, context = batch.rows(left), context.rows(left)
+            adam.keep(left)
+    return made
+
+
+def _slope(
+    x: Tensor, drawn: Tensor, decode: Decode, context: Context, batch: SceneBatch, how: Together
+) -> tuple[Tensor, Tensor]:
+    """Return with which scenes (B,) something is wrong, and the gradient (B, A, C, L) of what shall become less."""
+    free = (batch.moved & ~batch.parked).to(x.dtype)
+    with torch.enable_grad():
+        at = x.detach().requires_grad_(True)
+        each = penalty(at, decode, context, batch, how) * free
+        gradient = torch.autograd.grad(each.sum(), at)[0].nan_to_num()
+    gradient = (gradient + 2.0 * how.keep * (x - drawn)) * free[..., None, None]
+    return each.detach().sum(1) > 0.0, gradient

@@ -1,0 +1,197 @@
+"""What a bench was asked for, as its folder remembers it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+from pydantic import Field
+
+from advdiff_sumo.config import Options
+from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, WeightsError
+from advdiff_sumo.models.shipped_weights import shipped_weights
+from advdiff_sumo.plugins import Registry, fold
+from advdiff_sumo.sim.run_episodes import versions
+from advdiff_sumo.sweep.fingerprint import digest, file_digest
+from advdiff_sumo.sweep.sweep_files import write_whole
+
+BenchName: TypeAlias = Literal["traffic", "adversarial", "transfer", "fewshot"]
+_FILE = "bench.json"
+
+
+class Request(Options):
+    """Options of a bench; an empty list of names means all that there are.
+
+    Attributes:
+        bench: its verb.
+        scenes: how many of the shipped list's first, or a list's file; windows of ``traffic``.
+        horizon_s: longest duration of an episode.
+        targets: what is attacked.
+        policies: rows.
+        seeds: random seeds: of samples (traffic) or warm-ups (transfer, fewshot).
+        steps: of a warm-up, the last of the ladder (transfer, fewshot).
+        data: window files of ``traffic``; empty: made for it.
+        samples: joint samples of a scene (traffic).
+    """
+
+    bench: BenchName
+    scenes: str = "60"
+    horizon_s: float = Field(10.0, gt=0.0, le=600.0)
+    targets: tuple[str, ...] = ()
+    policies: tuple[str, ...] = ()
+    seeds: int = Field(1, ge=1, le=100)
+    steps: int = Field(90, ge=1, le=10_000)
+    data: tuple[str, ...] = ()
+    samples: int = Field(10, ge=2, le=100)
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A bench's folder.
+
+    Attributes:
+        path: where it is.
+        request: what is asked for now.
+        revisions: of the package that worked in it.
+    """
+
+    path: Path
+    request: Request
+    revisions: tuple[str, ...] = ()
+
+    @property
+    def sweep(self) -> Path:
+        """Folder of its sweep."""
+        return self.path / "sweep"
+
+    @property
+    def asked(self) -> str:
+        """Digest of what is asked for."""
+        return digest(self.request.model_dump(mode="json"))
+
+
+def open_folder(path: Path, request: Request) -> Folder:
+    """Make the folder, or go on in it; what is asked may have changed, what weights it used may not.
+
+    Raises:
+        FileError: it holds something else, or cannot be written.
+        ConfigError: it belongs to another bench, or weights have changed since it was begun.
+    """
+    known = stored(path)
+    weights = weights_digests()
+    if known is not None:
+        if known["request"]["bench"] != request.bench:
+            raise ConfigError(f"{path}: belongs to bench {known['request']['bench']}; choose another --out")
+        changed = [name for name, old in known["weights"].items() if weights.get(name, "") != old]
+        if changed:
+            raise ConfigError(
+                f"{path}: {changed[0]} is not what it was when that bench was begun; choose a new --out"
+            )
+        weights |= known["weights"]
+    elif path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise FileError(path, "is there already and no folder of a bench", "choose a new --out")
+    made_by = versions()
+    before = tuple(known["revisions"]) if known is not None else ()
+    revisions = tuple(dict.fromkeys((*before, made_by["revision"])))
+    content = {
+        "request": request.model_dump(mode="json"),
+        "weights": weights,
+        "revisions": list(revisions),
+        "made_by": made_by,
+    }
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(path, f"cannot be made ({error.strerror})", "choose another --out") from None
+    write_whole(path / _FILE, (json.dumps(content, indent=1, sort_keys=True) + "\n").encode())
+    return Folder(path, request, revisions)
+
+
+def stored(path: Path) -> dict[str, Any] | None:
+    """Return what the folder remembers; None where there is no bench in it.
+
+    Raises:
+        FileError: its file is damaged.
+    """
+    file = path / _FILE
+    if not file.is_file():
+        return None
+    try:
+        content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        if not {"request", "weights", "revisions"} <= content.keys():
+            raise ValueError("keys are missing")
+    except (OSError, ValueError, AttributeError) as error:
+        raise FileError(file, f"is damaged ({error})", "choose a new --out") from None
+    return content
+
+
+def request_of(
+    bench: BenchName, path: Path, defaults: Mapping[str, Any], given: Mapping[str, Any]
+) -> Request:
+    """Return what is asked: what the folder remembers, else *defaults*; what is *given* wins over both.
+
+    Raises:
+        InputError: an option is impossible, or the folder belongs to another bench.
+    """
+    known = stored(path)
+    if known is not None and known["request"].get("bench") != bench:
+        raise ConfigError(f"{path}: belongs to bench {known['request'].get('bench')}; choose another --out")
+    base = defaults if known is None else known["request"]
+    values = {**base, **{key: value for key, value in given.items() if value is not None}, "bench": bench}
+    return Request.parse(values, f"bench {bench}")
+
+
+def weights_digests() -> dict[str, str]:
+    """Return the digests of the shipped weights by file name."""
+    return {path.name: file_digest(path) for path in sorted(shipped_weights().parent.glob("*.safetensors"))}
+
+
+def chosen(
+    asked: Sequence[str],
+    usual: Mapping[str, str],
+    registry: Registry,
+    option: str,
+    make: Callable[[str], object],
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return which rows or targets take part, and which of the usual ones this installation does not have.
+
+    Args:
+        asked: what the user named; empty: all of the usual ones that are there.
+        usual: name in the table → name in the registry.
+        registry: of targets or backgrounds.
+        option: for the message.
+        make: makes the target or policy of a name in the table; one whose weights are missing counts as not there,
+            unless the user named it.
+
+    Raises:
+        InputError: a name was asked for that is not registered or cannot be made.
+    """
+    registered = {fold(name) for name in registry.names()}
+    there = {name for name, behind in usual.items() if fold(behind) in registered}
+    if not asked:
+        there = {name for name in there if _has_weights(make, name)}
+        return tuple(n for n in usual if n in there), tuple(n for n in usual if n not in there)
+    by_fold = {fold(name): name for name in usual}
+    picked = []
+    for name in dict.fromkeys(asked):
+        known = by_fold.get(fold(name))
+        if known is None:
+            known = registry.canonical(name)  # says what is near
+        elif known not in there:
+            raise ConfigError(
+                f"{option} {name}: this installation has no {registry.kind} '{usual[known]}' yet; leave it out"
+            )
+        make(known)
+        picked.append(known)
+    return tuple(picked), ()
+
+
+def _has_weights(make: Callable[[str], object], name: str) -> bool:
+    try:
+        make(name)
+    except (WeightsError, MissingExtraError):
+        return False
+    return True

@@ -1,0 +1,147 @@
+"""Episodes of a bench's sweep with their traces, which workers compute once and the folder keeps."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells
+from advdiff_sumo.experiments.bench.progress import ProgressReporter
+from advdiff_sumo.experiments.bench.traces import UNTRACED, Trace, trace_of
+from advdiff_sumo.metrics.severity import is_failure
+from advdiff_sumo.sweep.job_plan import Job
+from advdiff_sumo.sweep.sweep_files import read_checked, write_checked
+from advdiff_sumo.sweep.sweep_store import Store
+from advdiff_sumo.sweep.work import one_thread
+
+_Key = TypeVar("_Key")
+
+
+@dataclass(frozen=True)
+class EpisodeResult:
+    """One finished episode.
+
+    Attributes:
+        scene: key of its seed scene; the same for all cells.
+        row: of ``episodes``.
+        trace: of its background; ``UNTRACED`` where nobody asks for it.
+        plan_s: median time of a plan of the background; None where it plans nothing.
+    """
+
+    scene: str
+    row: Mapping[str, Any]
+    trace: Trace
+    plan_s: float | None
+
+
+@dataclass
+class Gathered:
+    """What a sweep came to.
+
+    Attributes:
+        seen: finished episodes of each cell, in the order of the scenes.
+        failed: how many each cell lost, by what kind of failure.
+    """
+
+    seen: dict[BenchCell, list[EpisodeResult]] = field(default_factory=dict)
+    failed: dict[BenchCell, dict[str, int]] = field(default_factory=dict)
+
+
+def gather(
+    cells: BenchCells, store: Store, cache: Path, workers: int, teller: ProgressReporter, judged: bool = True
+) -> Gathered:
+    """Return all finished episodes of *cells*; their traces are made where *cache* lacks them.
+
+    Args:
+        cells: what was asked for.
+        store: of their sweep.
+        cache: folder of traces.
+        workers: processes.
+        teller: hears how far it is.
+        judged: traces are to have likelihoods and solutions, which is what takes long.
+    """
+    cache.mkdir(parents=True, exist_ok=True)
+    jobs = list(cells.jobs())
+    lacking = {
+        job.key: cells.plan.options(job).net for _, job in jobs if read_checked(cache / job.key) is None
+    }
+    teller.begin("what the background did", len(jobs), len(jobs) - len(lacking))
+    tasks = {key: (trace_of, store.path, key, net, judged) for key, net in lacking.items()}
+    for key, content in in_processes(tasks, workers):
+        write_checked(cache / key, content)
+        teller.step()
+    found = Gathered()
+    for cell, job in jobs:
+        content = read_checked(cache / job.key)
+        _take(found, cell, job, store, Trace.from_bytes(content) if content else None)
+    return found
+
+
+def gather_rows(cells: BenchCells, store: Store) -> Gathered:
+    """Return all finished episodes of *cells* without traces."""
+    found = Gathered()
+    for cell, job in cells.jobs():
+        _take(found, cell, job, store, UNTRACED)
+    return found
+
+
+def in_processes(
+    tasks: Mapping[_Key, tuple[Callable[..., Any], *tuple[Any, ...]]], workers: int
+) -> Iterator[tuple[_Key, Any]]:
+    """Yield the keys of *tasks* with what their functions return, as they finish; Ctrl-C ends the workers."""
+    if not tasks:
+        return
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(min(workers, len(tasks)), context, initializer=_quiet_worker)
+    try:
+        futures: dict[Future[Any], _Key] = {
+            pool.submit(task[0], *task[1:]): key for key, task in tasks.items()
+        }
+        for done in as_completed(futures):
+            yield futures[done], done.result()
+    except BaseException:
+        for process in list((pool._processes or {}).values()):
+            process.terminate()
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+def _quiet_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
+    os.environ["OMP_NUM_THREADS"] = "1"
+    import torch  # late: only here is it known that a worker is wanted
+
+    torch.set_num_threads(1)
+    one_thread()
+
+
+def _take(found: Gathered, cell: BenchCell, job: Job, store: Store, trace: Trace | None) -> None:
+    seen, failed = found.seen.setdefault(cell, []), found.failed.setdefault(cell, {})
+    part = store.read(job.key)
+    if part is None:
+        return
+    if part.failed is not None:
+        failed[part.failed.kind] = failed.get(part.failed.kind, 0) + 1
+    if trace is None or "episodes" not in part.tables:
+        return
+    (row,) = part.tables["episodes"].to_pylist()
+    (timing,) = part.tables["timing"].to_pylist()
+    if is_failure(row):
+        return
+    seen.append(EpisodeResult(job.scene_key, row, trace, timing["background_plan_p50_s"]))
+
+
+def failures_told(found: Gathered, names: Iterable[BenchCell]) -> str:
+    """Return a sentence on failed episodes; empty where there are none."""
+    parts = []
+    for cell in names:
+        for kind, count in sorted(found.failed.get(cell, {}).items()):
+            parts.append(f"{count} of {cell.background} against {cell.target} ({kind})")
+    return f"Episodes that failed and do not count: {'; '.join(parts)}." if parts else ""

@@ -1,0 +1,74 @@
+"""How long a bench will take: each background is tried for some seconds before the first episode counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells
+from advdiff_sumo.sweep.executors import ProcessExecutor
+from advdiff_sumo.sweep.fingerprint import file_digest, net_files
+from advdiff_sumo.sweep.job_plan import Job
+from advdiff_sumo.sweep.tasks import EpisodeTask, Limits, Outcome, SceneTask
+
+_TRIAL_S = 3.0
+_TRACE_S = 0.4
+FEW = 40
+"""So few episodes are not worth an estimate."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Expected time of what is left, on one worker.
+
+    Attributes:
+        scenes_s: for the seed scenes.
+        episodes_s: for the episodes, and what is computed from them.
+        by_background: seconds an episode, by ``Contest.like`` or row.
+    """
+
+    scenes_s: float
+    episodes_s: float
+    by_background: dict[str, float]
+
+    def total_s(self, workers: int) -> float:
+        """Return the wall-clock on so many workers with a core each."""
+        return (self.scenes_s + self.episodes_s) / workers
+
+
+def forecast(cells: BenchCells, todo: tuple[Job, ...], horizon_s: float, limits: Limits) -> Forecast | None:
+    """Try one short episode of each background, twice, as the first one loads its networks.
+
+    Returns:
+        None where there is too little left, or where no seed scene can be made.
+    """
+    left = {job.key for job in todo}
+    kinds: dict[str, list[tuple[BenchCell, Job]]] = {}
+    for cell, job in cells.jobs():
+        if job.key in left:
+            kinds.setdefault(cell.like or cell.row, []).append((cell, job))
+    if len(left) < FEW:
+        return None
+    with ProcessExecutor(1, limits) as executor:
+        batch = cells.plan.batches[todo[0].batch]
+        net = file_digest(*net_files(batch.options.net))
+        made = _do(executor, SceneTask(batch.key, batch.options, batch.number, batch.scenes, net))
+        if made.failed is not None:
+            return None
+        episode_s = {}
+        for name, jobs in kinds.items():
+            options = cells.plan.options(jobs[0][1]).model_copy(
+                update={"horizon_s": _TRIAL_S, "net": batch.options.net}
+            )
+            tries = [
+                _do(executor, EpisodeTask(f"{name}-{k}".replace("/", "_"), options, 0, made.product[0], net))
+                for k in (0, 1)
+            ]
+            episode_s[name] = tries[-1].wall_s * horizon_s / _TRIAL_S + _TRACE_S
+    batches = len({job.batch for job in todo})
+    total = sum(episode_s[name] * len(jobs) for name, jobs in kinds.items())
+    return Forecast(made.wall_s * batches, total, episode_s)
+
+
+def _do(executor: ProcessExecutor, task: SceneTask | EpisodeTask) -> Outcome:
+    executor.submit(task)
+    return executor.wait()

@@ -1,0 +1,87 @@
+"""A bench from its request to its table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from advdiff_sumo.experiments.bench import adversarial, fewshot, transfer
+from advdiff_sumo.experiments.bench.adversarial import plan_adversarial, run_adversarial
+from advdiff_sumo.experiments.bench.bench_config import BenchName, Folder, Request
+from advdiff_sumo.experiments.bench.cells import BenchCells
+from advdiff_sumo.experiments.bench.fewshot import plan_fewshot, run_fewshot
+from advdiff_sumo.experiments.bench.forecast import forecast
+from advdiff_sumo.experiments.bench.natural_traffic import check_traffic, run_traffic
+from advdiff_sumo.experiments.bench.progress import ProgressReporter, Silent
+from advdiff_sumo.experiments.bench.table import Table
+from advdiff_sumo.experiments.bench.table_cache import save
+from advdiff_sumo.experiments.bench.transfer import plan_transfer, run_transfer
+from advdiff_sumo.sweep.sweep_runner import Todo
+from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
+from advdiff_sumo.sweep.tasks import Limits
+
+#: What a bench asks for where the user does not say; together within three hours on two cores.
+DEFAULTS: Mapping[BenchName, Mapping[str, Any]] = {
+    "traffic": {"scenes": "300", "seeds": 1},
+    "adversarial": {"scenes": "60"},
+    "transfer": {"scenes": "8"},
+    "fewshot": {"scenes": "30", "seeds": 5},
+}
+_Plan = Callable[[Folder, int, ProgressReporter], BenchCells]
+_Run = Callable[[Folder, BenchCells, int, Limits, ProgressReporter], Table]
+_CLOSED_LOOP: Mapping[BenchName, tuple[_Plan, _Run]] = {
+    "adversarial": (lambda folder, _, teller: plan_adversarial(folder, teller), run_adversarial),
+    "transfer": (plan_transfer, run_transfer),
+    "fewshot": (plan_fewshot, run_fewshot),
+}
+
+
+def check_request(request: Request) -> None:
+    """Look at what is asked before anything is made.
+
+    Raises:
+        InputError: it cannot be met.
+    """
+    if request.bench == "traffic":
+        check_traffic(request, Silent())
+    elif request.bench == "adversarial":
+        adversarial.asked_of(request, Silent())
+    elif request.bench == "transfer":
+        transfer.asked_of(request, Silent())
+    else:
+        fewshot.asked_of(request)
+
+
+def run_bench(folder: Folder, workers: int, limits: Limits, teller: ProgressReporter) -> Table:
+    """Run what the folder lacks and write its table in every form.
+
+    Raises:
+        InputError: the request cannot be met.
+        FileError: results cannot be stored.
+    """
+    bench = folder.request.bench
+    if bench == "traffic":
+        table = run_traffic(folder, workers, teller)
+    else:
+        plan, run = _CLOSED_LOOP[bench]
+        cells = plan(folder, workers, teller)
+        _foretell(cells, folder, workers, limits, teller)
+        table = run(folder, cells, workers, limits, teller)
+    save(folder, table)
+    return table
+
+
+def _foretell(
+    cells: BenchCells, folder: Folder, workers: int, limits: Limits, teller: ProgressReporter
+) -> None:
+    """Say how many episodes there are, and how long those that are left will take."""
+    store = Store(folder.sweep) if (folder.sweep / SETTINGS).exists() else None
+    todo = Todo.of(cells.plan, store)
+    teller.say(f"{len(cells.plan.jobs)} episodes in {len(cells.cells)} cells; {len(todo.jobs)} to do")
+    found = forecast(cells, todo.jobs, folder.request.horizon_s, limits)
+    if found is not None:
+        each = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in found.by_background.items())
+        minutes = found.total_s(workers) / 60.0
+        teller.say(
+            f"about {minutes:.0f} min on {workers} workers with a core each; an episode of {each} (measured now)"
+        )

@@ -1,0 +1,83 @@
+"""A finished table in its folder: written, drawn, and read again without running anything."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.experiments.bench.bench_config import Folder
+from advdiff_sumo.experiments.bench.bench_figure import draw
+from advdiff_sumo.experiments.bench.table import Head, Line, Table
+from advdiff_sumo.experiments.bench.write_table import json_text, write_files
+from advdiff_sumo.sweep.sweep_files import write_whole
+
+_TABLE, _TIMED, _DONE = "table.json", "timing.json", "done.json"
+
+
+def save(folder: Folder, table: Table) -> None:
+    """Write *table* in every form, and that it answers what was asked.
+
+    Raises:
+        FileError: a file cannot be written.
+    """
+    write_files(folder.path, table)
+    timed = tuple(head for head in table.heads if head.measured)
+    write_whole(folder.path / _TIMED, json_text(replace(table, gaps=(), notes=()), timed).encode())
+    draw(folder.path / "table.png", table)
+    write_whole(folder.path / _DONE, json.dumps({"asked": folder.asked}).encode())
+
+
+def finished(folder: Folder) -> Table | None:
+    """Return the table of the folder; None unless it answers what is asked.
+
+    Raises:
+        FileError: it is damaged.
+    """
+    try:
+        asked = json.loads((folder.path / _DONE).read_text(encoding="utf-8"))["asked"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return read_table(folder.path) if asked == folder.asked else None
+
+
+def read_table(path: Path) -> Table:
+    """Return the table in *path*, a bench's folder.
+
+    Raises:
+        FileError: there is none, or it is damaged.
+    """
+    steady, timed = _read(path / _TABLE), _read(path / _TIMED)
+    more = {(line.group, line.key): line.cells for line in timed.lines}
+    lines = tuple(
+        Line(
+            line.key,
+            line.group,
+            line.title,
+            {**line.cells, **more.get((line.group, line.key), {})},
+            line.reference,
+        )
+        for line in steady.lines
+    )
+    return replace(steady, heads=_in_order(steady.heads, timed.heads), lines=lines)
+
+
+def _in_order(steady: tuple[Head, ...], timed: tuple[Head, ...]) -> tuple[Head, ...]:
+    """Put the measured columns behind the plausibility of the background, where the paper has them."""
+    at = next((k + 1 for k, head in enumerate(steady) if head.key == "veh_rate"), len(steady))
+    return (*steady[:at], *timed, *steady[at:])
+
+
+def _read(path: Path) -> Table:
+    adapter: TypeAdapter[Any] = TypeAdapter(Table)
+    try:
+        found: Table = adapter.validate_json(path.read_bytes())
+    except (OSError, ValidationError) as error:
+        raise FileError(
+            path, f"cannot be read ({str(error).splitlines()[0]})", "run the bench again"
+        ) from None
+    return found

@@ -1,0 +1,130 @@
+"""CommonRoad scenarios, format 2020a (Althoff, Koschi, Manzinger 2017, doi:10.1109/IVS.2017.7995802).
+
+Written against the schema of the format, https://commonroad.in.tum.de; commonroad-io pins an old protobuf and is
+only an outside reader in the tests.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from urllib.parse import quote
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.export.commonroad_map import add_map
+from advdiff_sumo.export.export_scene import ExportScene, ImportedScene, number, stretches, unwrapped
+from advdiff_sumo.export.importers import commonroad_import as importer
+
+#: No date of today: the same episode gives the same file.
+DATE = "1970-01-01"
+_UNKNOWN_PLACE = ("999", "999")  # what CommonRoad writes for it
+_GOAL_SLACK_M = 2.0
+
+
+class CommonRoad:
+    """One scenario with lanelets, everybody's trajectory, and the target's planning problem."""
+
+    def write(self, scene: ExportScene, folder: Path) -> tuple[Path, ...]:
+        """Write ``NAME.cr.xml``.
+
+        Each unbroken stretch of an agent is a dynamic obstacle; a comment in it holds the agent's name. The target
+        is one too, so that criticality can be measured; leave it out to test another planner on its problem.
+        """
+        path, tracks = folder / f"{scene.name}.cr.xml", scene.tracks
+        root = ET.Element("commonRoad", commonRoadVersion="2020a", benchmarkID=benchmark_id(scene.road.name))
+        root.set("date", DATE)
+        root.set("author", "advdiff-sumo")
+        root.set("affiliation", "")
+        root.set("source", f"advdiff-sumo, episode {scene.name}")
+        root.set("timeStepSize", f"{tracks.dt_s:.6f}".rstrip("0"))
+        _location(root, scene)
+        tags = ET.SubElement(root, "scenarioTags")
+        for tag in ("critical", "simulated"):
+            ET.SubElement(tags, tag)
+        free = add_map(root, scene)
+        for row in range(tracks.agents):
+            for start, stop in stretches(tracks.valid[row]):
+                _obstacle(root, scene, row, start, stop, free)
+                free += 1
+        _problem(root, scene, free)
+        ET.indent(root)
+        ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+        return (path,)
+
+    def read(self, path: Path) -> ImportedScene:
+        """Return the trajectories."""
+        return importer.read_commonroad(path)
+
+
+def benchmark_id(net: str) -> str:
+    """Return a benchmark id in the form of CommonRoad for a scenario on *net* (ZAM: an imaginary country)."""
+    words = re.findall(r"[A-Za-z0-9]+", net)
+    return f"ZAM_{''.join(word[:1].upper() + word[1:] for word in words) or 'Net'}-1_1_T-1"
+
+
+def _location(root: ET.Element, scene: ExportScene) -> None:
+    degrees = scene.road.lonlat(scene.tracks.xy_m[scene.target][scene.tracks.valid[scene.target]][0])
+    lon, lat = _UNKNOWN_PLACE if degrees is None else (number(degrees[0], 7), number(degrees[1], 7))
+    place = ET.SubElement(root, "location")
+    for name, value in (("geoNameId", "-999"), ("gpsLatitude", lat), ("gpsLongitude", lon)):
+        ET.SubElement(place, name).text = value
+
+
+def _obstacle(root: ET.Element, scene: ExportScene, row: int, start: int, stop: int, free: int) -> None:
+    tracks = scene.tracks
+    element = ET.SubElement(root, "dynamicObstacle", id=str(free))
+    role = "target" if row == scene.target else "agent"
+    element.append(ET.Comment(f" {role}: {quote(tracks.ids[row], safe='').replace('-', '%2D')} "))
+    ET.SubElement(element, "type").text = AgentClass(int(tracks.classes[row])).name.lower()
+    box = ET.SubElement(ET.SubElement(element, "shape"), "rectangle")
+    for name, size in zip(("length", "width"), tracks.size_m[row], strict=True):
+        ET.SubElement(box, name).text = number(size)
+    yaw = unwrapped(tracks.yaw_rad[row, start:stop])
+    trajectory = None
+    for step in range(start, stop):
+        if step == start:
+            state = ET.SubElement(element, "initialState")
+        else:
+            trajectory = ET.SubElement(element, "trajectory") if trajectory is None else trajectory
+            state = ET.SubElement(trajectory, "state")
+        _state(state, tracks.xy_m[row, step], yaw[step - start], tracks.speed_mps[row, step], step)
+
+
+def _state(state: ET.Element, xy_m: FloatArray, yaw_rad: float, speed_mps: float, step: int) -> None:
+    point = ET.SubElement(ET.SubElement(state, "position"), "point")
+    for name, value in zip(("x", "y"), xy_m, strict=True):
+        ET.SubElement(point, name).text = number(value)
+    _exact(state, "orientation", number(yaw_rad, 6))
+    _exact(state, "time", str(step))
+    _exact(state, "velocity", number(speed_mps))
+
+
+def _exact(parent: ET.Element, name: str, value: str) -> None:
+    ET.SubElement(ET.SubElement(parent, name), "exact").text = value
+
+
+def _problem(root: ET.Element, scene: ExportScene, free: int) -> None:
+    """Add the target's task: from where it was first to where it was last, in the time that it took."""
+    tracks, row = scene.tracks, scene.target
+    there = np.flatnonzero(tracks.valid[row])
+    first, last = int(there[0]), int(there[-1])
+    problem = ET.SubElement(root, "planningProblem", id=str(free))
+    state = ET.SubElement(problem, "initialState")
+    _state(state, tracks.xy_m[row, first], tracks.yaw_rad[row, first], tracks.speed_mps[row, first], first)
+    for name in ("yawRate", "slipAngle"):
+        _exact(state, name, "0.0")
+    goal = ET.SubElement(problem, "goalState")
+    time = ET.SubElement(goal, "time")
+    ET.SubElement(time, "intervalStart").text = "0"
+    ET.SubElement(time, "intervalEnd").text = str(max(last, 1))
+    area = ET.SubElement(ET.SubElement(goal, "position"), "rectangle")
+    for name, size in zip(("length", "width"), tracks.size_m[row] + _GOAL_SLACK_M, strict=True):
+        ET.SubElement(area, name).text = number(size)
+    ET.SubElement(area, "orientation").text = number(tracks.yaw_rad[row, last], 6)
+    centre = ET.SubElement(area, "center")
+    for name, value in zip(("x", "y"), tracks.xy_m[row, last], strict=True):
+        ET.SubElement(centre, name).text = number(value)

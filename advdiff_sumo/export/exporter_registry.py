@@ -1,0 +1,41 @@
+"""Every export format by name."""
+
+from __future__ import annotations
+
+from typing import cast
+
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.export.exporter_protocol import Exporter
+from advdiff_sumo.plugins import Registry
+
+EXPORTERS = Registry(
+    kind="format",
+    group="advdiff_sumo.exporters",
+    builtins={
+        "openscenario": "advdiff_sumo.export.openscenario_export:OpenScenario",
+        "commonroad": "advdiff_sumo.export.commonroad_export:CommonRoad",
+        "scenarionet": "advdiff_sumo.export.scenarionet_record:ScenarioNet",
+        "fcd": "advdiff_sumo.export.fcd_export:Fcd",
+        "csv": "advdiff_sumo.export.csv_export:Csv",
+    },
+)
+"""The built-in formats and plug-ins of the group ``advdiff_sumo.exporters``."""
+
+
+def make_exporter(name: str) -> Exporter:
+    """Return the exporter that *name* stands for.
+
+    Args:
+        name: a built-in or plug-in (case, hyphen and underscore do not matter), or ``package.module:Class``.
+
+    Raises:
+        UnknownNameError: no such format; with the nearest name.
+        ConfigError: the class cannot be imported or is no exporter.
+    """
+    canonical = EXPORTERS.canonical(name)
+    factory = EXPORTERS.load(canonical)
+    exporter = factory() if callable(factory) else factory
+    missing = [method for method in ("write", "read") if not callable(getattr(exporter, method, None))]
+    if missing:
+        raise ConfigError(f"format '{canonical}' is no exporter: it lacks {' and '.join(missing)}")
+    return cast("Exporter", exporter)

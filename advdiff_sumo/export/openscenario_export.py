@@ -1,0 +1,35 @@
+"""ASAM OpenSCENARIO XML 1.2 with the OpenDRIVE of the net, https://www.asam.net/standards/detail/openscenario-xml/."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from advdiff_sumo.core.errors import MissingExtraError
+from advdiff_sumo.export.export_scene import ExportScene, ImportedScene
+from advdiff_sumo.export.importers import openscenario_import as importer
+from advdiff_sumo.export.net_opendrive import write_net_opendrive
+
+
+class OpenScenario:
+    """A scenario in which everybody follows the recorded trajectory."""
+
+    def write(self, scene: ExportScene, folder: Path) -> tuple[Path, ...]:
+        """Write ``NAME.xosc`` and ``NAME.xodr``.
+
+        Trajectories are of the rear axle's centre, as the format has it (the box's centre for people on foot), with
+        times since the start. Who is not there all the time is added and deleted.
+        """
+        try:
+            from advdiff_sumo.export.story import scenario_of  # late: it needs an extra
+        except ModuleNotFoundError as error:
+            if error.name != "scenariogeneration":
+                raise
+            raise MissingExtraError("the format 'openscenario'", "openscenario") from None
+        path, roads = folder / f"{scene.name}.xosc", folder / f"{scene.name}.xodr"
+        write_net_opendrive(scene.road, roads)
+        scenario_of(scene, roads.name).write_xml(str(path))
+        return path, roads
+
+    def read(self, path: Path) -> ImportedScene:
+        """Return the trajectories."""
+        return importer.read_openscenario(path)

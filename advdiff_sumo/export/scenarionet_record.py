@@ -1,0 +1,144 @@
+"""ScenarioNet records (Li et al. 2023, arXiv:2306.12241): pickles of plain containers and NumPy arrays.
+
+Keys as MetaDrive's ``ScenarioDescription`` wants them. ``advdiff-sumo run --scenes`` reads the record as a driving
+log, and ``advdiff-sumo convert`` makes a net of its map.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.export.export_scene import MARGIN_M, ExportScene, ImportedScene
+from advdiff_sumo.export.importers import scenarionet_import as importer
+from advdiff_sumo.export.lane_use import LaneKind, kind_of
+from advdiff_sumo.maps import Lane
+
+DATASET, VERSION = "advdiff-sumo", "1"
+_PROTOCOL = 4  # read by every Python that ScenarioNet runs on
+#: MetaDrive's type, nuScenes' category (which keeps lorry and bus apart), and a usual height in m.
+TYPES = {
+    AgentClass.CAR: ("VEHICLE", "vehicle.car", 1.6),
+    AgentClass.TRUCK: ("VEHICLE", "vehicle.truck", 3.2),
+    AgentClass.BUS: ("VEHICLE", "vehicle.bus.rigid", 3.2),
+    AgentClass.MOTORCYCLE: ("CYCLIST", "vehicle.motorcycle", 1.5),
+    AgentClass.BICYCLE: ("CYCLIST", "vehicle.bicycle", 1.7),
+    AgentClass.PEDESTRIAN: ("PEDESTRIAN", "human.pedestrian.adult", 1.8),
+}
+LANES = {
+    LaneKind.CAR: "LANE_SURFACE_STREET",
+    LaneKind.BUS: "LANE_BUS_LANE",
+    LaneKind.BICYCLE: "LANE_BIKE_LANE",
+}
+CONNECTOR = "LANE_SURFACE_UNSTRUCTURE"
+
+
+class ScenarioNet:
+    """One record, in the net's frame, heights zero."""
+
+    def write(self, scene: ExportScene, folder: Path) -> tuple[Path, ...]:
+        """Write ``sd_advdiff-sumo_1_NAME.pkl``; what is absent at an instant is zero there, as ScenarioNet has it."""
+        path = folder / f"sd_{DATASET}_{VERSION}_{scene.name}.pkl"
+        path.write_bytes(pickle.dumps(_record(scene), protocol=_PROTOCOL))
+        return (path,)
+
+    def read(self, path: Path) -> ImportedScene:
+        """Return the trajectories."""
+        return importer.read_scenarionet(path)
+
+
+def _record(scene: ExportScene) -> dict[str, Any]:
+    tracks = scene.tracks
+    return {
+        "id": scene.name,
+        "version": f"{DATASET} {VERSION}",
+        "length": tracks.steps,
+        "metadata": {
+            "ts": np.round(tracks.times_s, 6),
+            "metadrive_processed": False,
+            "coordinate": "right-handed",
+            "sdc_id": tracks.ids[scene.target],
+            "dataset": DATASET,
+            "scenario_id": scene.name,
+            "id": scene.name,
+            "map": scene.road.name,
+            "sample_rate": tracks.dt_s,
+        },
+        "tracks": {name: _track(scene, row) for row, name in enumerate(tracks.ids)},
+        "dynamic_map_states": {},
+        "map_features": dict(_features(scene)),
+    }
+
+
+def _track(scene: ExportScene, row: int) -> dict[str, Any]:
+    tracks = scene.tracks
+    valid = tracks.valid[row]
+    kind, category, height = TYPES[AgentClass(int(tracks.classes[row]))]
+    yaw = np.where(valid, tracks.yaw_rad[row], 0.0)
+    speed = np.where(valid, tracks.speed_mps[row], 0.0)
+    length, width = (np.where(valid, size, 0.0) for size in tracks.size_m[row])
+    position = np.zeros((tracks.steps, 3))
+    position[valid, :2] = tracks.xy_m[row, valid]
+    state = {
+        "position": position,
+        "heading": yaw,
+        "velocity": np.where(valid[:, None], speed[:, None] * unit(yaw), 0.0),
+        "valid": valid.copy(),
+        "length": length,
+        "width": width,
+        "height": np.where(valid, height, 0.0),
+    }
+    about = {"track_length": tracks.steps, "type": category, "object_id": tracks.ids[row], "dataset": DATASET}
+    return {"type": kind, "state": state, "metadata": about}
+
+
+def _features(scene: ExportScene) -> Iterator[tuple[str, dict[str, Any]]]:
+    kept = {lane.id: lane for lane in scene.lanes if kind_of(lane) in LANES}
+    entries: dict[str, list[str]] = {name: [] for name in kept}
+    exits: dict[str, list[str]] = {name: [] for name in kept}
+    for before, after in scene.joints(kept):
+        exits[before].append(after)
+        entries[after].append(before)
+    for name, lane in kept.items():
+        yield name, _lane(lane, kept, entries[name], exits[name])
+    near = shapely.box(*_extent(kept)).buffer(MARGIN_M)
+    for number, ring in enumerate(scene.road.area.smooth_rings()):
+        for part, line in enumerate(_lines(shapely.LineString(ring).intersection(near))):
+            yield f"edge_{number}_{part}", {"type": "ROAD_EDGE_BOUNDARY", "polyline": line}
+
+
+def _lane(lane: Lane, kept: dict[str, Lane], entries: list[str], exits: list[str]) -> dict[str, Any]:
+    centre = lane.centre_xy_m
+    left, right = (lane.line.offset(d).xy_m for d in (0.5 * lane.width_m, -0.5 * lane.width_m))
+    neighbours = [[{"feature_id": name}] if name in kept else [] for name in (lane.left_id, lane.right_id)]
+    return {
+        "type": CONNECTOR if lane.is_internal else LANES[kind_of(lane)],
+        "polyline": np.column_stack((centre, np.zeros(len(centre)))),
+        "polygon": np.vstack((left, right[::-1])),
+        "width": np.full((len(centre), 2), 0.5 * lane.width_m),
+        "speed_limit_kmh": 3.6 * lane.speed_mps,
+        "entry_lanes": entries,
+        "exit_lanes": exits,
+        "left_neighbor": neighbours[0],
+        "right_neighbor": neighbours[1],
+    }
+
+
+def _extent(kept: dict[str, Lane]) -> tuple[float, float, float, float]:
+    points = np.vstack([lane.centre_xy_m for lane in kept.values()]) if kept else np.zeros((1, 2))
+    low, high = points.min(axis=0), points.max(axis=0)
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def _lines(geometry: BaseGeometry) -> list[FloatArray]:
+    parts = shapely.get_parts(geometry)
+    return [shapely.get_coordinates(p) for p in parts if p.geom_type == "LineString" and not p.is_empty]

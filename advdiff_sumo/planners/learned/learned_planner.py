@@ -1,0 +1,193 @@
+"""Targets that drive by a trained traffic model: ask it for joint futures, choose among what they offer, drive that.
+
+A traffic model knows no route and no rules. A planner that is built on one would draw several futures, and drive the
+one in which it stays on the road and on its way, and meets nobody in any of them. Where a sample leaves the route,
+its speed is driven along the route's lanes instead; where nothing else is left, the target brakes.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.bicycle import Limits
+from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.core.plan import Plan, Trajectory
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.tracking import track
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.model_options import MODEL_STEP_S
+from advdiff_sumo.models.shipped_weights import device_of
+from advdiff_sumo.models.view import View, look
+from advdiff_sumo.planners.lane_graph.memory import Memory as LaneMemory
+from advdiff_sumo.planners.lane_graph.path import Geometry
+from advdiff_sumo.planners.lane_graph.variants import Variant
+from advdiff_sumo.planners.learned.candidate_score import Around, cost, followers
+from advdiff_sumo.planners.learned.candidates import RAW, Candidates, candidates, driven_m
+from advdiff_sumo.planners.learned.guide import Guide, guide_of
+from advdiff_sumo.planners.learned.learned_options import (
+    DiffusionPlannerOptions,
+    LearnedOptions,
+    SimNetPlannerOptions,
+    TrafficSimPlannerOptions,
+)
+from advdiff_sumo.planners.learned.models import DiffusionModel, Model, SimNetModel, TrafficSimModel
+
+HORIZON_STEPS = 8
+"""Model steps that are looked ahead: 4 s."""
+_FINE_S, _FINE_STEPS = 0.1, 20
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What a learned target remembers from plan to plan.
+
+    Attributes:
+        lanes: where on the lane graph it is, see the lane-graph planner.
+        noise: id → what the chosen sample of the diffusion was started from.
+    """
+
+    lanes: LaneMemory
+    noise: Mapping[str, FloatArray] = field(default_factory=dict)
+
+
+class LearnedPlanner(ABC):
+    """What the three targets share.
+
+    Attributes:
+        options: checked.
+        model: the trained model.
+    """
+
+    Options: ClassVar[type[LearnedOptions]]
+    name: ClassVar[str]
+    options: LearnedOptions
+
+    def __init__(self, **options: Any) -> None:
+        """Check the options and read the networks.
+
+        Raises:
+            ConfigError: an option has no such name or value, or there is no such device.
+            WeightsError: the networks are missing or unusable.
+        """
+        whose = f"target '{self.name}'"
+        self.options = self.Options.parse(options, f"options of {whose}")
+        device = device_of(self.options.device, whose)
+        torch.set_num_threads(self.options.threads)
+        self.model = self._model(device)
+
+    @abstractmethod
+    def _model(self, device: torch.device) -> Model:
+        """Return the model that the options name."""
+
+    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> Memory:
+        """Return an empty memory, and let the map make its table of pieces."""
+        del scene, rng
+        _ = road.pieces
+        return Memory(LaneMemory(Geometry.of(road)))
+
+    def plan(
+        self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
+    ) -> tuple[Plan, Memory]:
+        """Return what is driven in the coming seconds, and the memory for the next plan."""
+        generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
+        # 1. what will happen, says the model
+        view = look(road, scene, np.ones(scene.history.agents, dtype=np.bool_), self.options.agents)
+        told = self.model.tell(view, memory.noise, generator, HORIZON_STEPS)
+        # 2. where does the route lead
+        guide, lanes = guide_of(road, scene, memory.lanes)
+        # 3. what may I do, and what is best
+        xy, yaw, speed = _world(view, told.rollout)
+        own = view.now.xy_m[0, -1], float(view.now.yaw_rad[0, -1]), max(float(view.now.speed_mps[0, -1]), 0.0)
+        made = candidates(
+            xy[:, 0],
+            yaw[:, 0],
+            speed[:, 0],
+            guide,
+            own,
+            MODEL_STEP_S,
+            self.options.route,
+            self.options.brakes,
+        )
+        around = _around(view, xy, yaw)
+        known = guide if self.options.route else None
+        best = int(np.argmin(cost(made, around, road, known, view.now.size_m[0], MODEL_STEP_S)))
+        # 4. drive it
+        noise = told.noise[int(made.sample[best])] if told.noise else {}
+        return _driven(made, best, guide, view), Memory(lanes, noise)
+
+
+class SimNetPlanner(LearnedPlanner):
+    """SimNet (Bergamini et al. 2021, doi:10.1109/ICRA48506.2021.9561666) as a planner; see ``models.simnet``."""
+
+    Options = SimNetPlannerOptions
+    name = "simnet"
+
+    def _model(self, device: torch.device) -> Model:
+        return SimNetModel(self.options.weights, device)
+
+
+class TrafficSimPlanner(LearnedPlanner):
+    """The joint latent-variable model as a planner: encoder, prior and decoder of a traffic bundle.
+
+    After TrafficSim (Suo et al. 2021, doi:10.1109/CVPR46437.2021.01026).
+    """
+
+    Options = TrafficSimPlannerOptions
+    options: TrafficSimPlannerOptions
+    name = "trafficsim"
+
+    def _model(self, device: torch.device) -> Model:
+        return TrafficSimModel(self.options.weights, device, self.options.draws)
+
+
+class DiffusionPlanner(LearnedPlanner):
+    """The latent diffusion without guide (AdvDiffuser, Sec. III-B) as a planner."""
+
+    Options = DiffusionPlannerOptions
+    options: DiffusionPlannerOptions
+    name = "diffusion"
+
+    def _model(self, device: torch.device) -> Model:
+        return DiffusionModel(self.options, device)
+
+
+def _world(view: View, rollout: Rollout) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return positions (S, A, T, 2), headings and speeds (S, A, T) in the world's frame."""
+    xy, yaw, speed = (
+        part.detach().cpu().numpy().astype(np.float64) for part in (rollout.xy, rollout.yaw, rollout.speed)
+    )
+    return xy + view.now.xy_m[0, -1], yaw, speed
+
+
+def _around(view: View, xy_m: FloatArray, yaw_rad: FloatArray) -> Around:
+    now = view.now
+    own = now.xy_m[0, -1], float(now.yaw_rad[0, -1]), float(now.size_m[0, 0])
+    behind = followers(now.xy_m[1:, -1], now.yaw_rad[1:, -1], own)
+    return Around(xy_m[:, 1:], yaw_rad[:, 1:], now.size_m[1:], behind)
+
+
+def _driven(made: Candidates, best: int, guide: Guide | None, view: View) -> Trajectory:
+    """Return the chosen candidate; one along a line as a bicycle follows it, a sample is a bicycle's already."""
+    if made.line[best] == RAW or guide is None:
+        return Trajectory(made.xy_m[best], wrap_angle(made.yaw_rad[best]), made.speed_mps[best], MODEL_STEP_S)
+    return _followed(guide.lines[max(int(made.line[best]), 0)], made.speed_mps[best], view)
+
+
+def _followed(line: Variant, speed_mps: FloatArray, view: View) -> Trajectory:
+    now = view.now
+    start = max(float(now.speed_mps[0, -1]), 0.0)
+    fine = _FINE_S * np.arange(1, _FINE_STEPS + 1)
+    coarse = MODEL_STEP_S * np.arange(len(speed_mps) + 1)
+    speed = np.interp(fine, coarse, np.append(start, speed_mps))
+    xy, yaw = line.poses(line.s_m + driven_m(speed, start, _FINE_S))
+    state = now.xy_m[0, -1], now.yaw_rad[0, -1], np.asarray(start)
+    driven = track(state, (xy, wrap_angle(yaw), speed), now.size_m[0, 0], _FINE_S, Limits())
+    return Trajectory(*driven, dt_s=_FINE_S)

@@ -1,0 +1,210 @@
+"""Contract checker of planners, for every built-in and for users' own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.bicycle import Limits
+from advdiff_sumo.core.plan import Controls, Plan, Trajectory
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.planners.planner_protocol import Planner
+
+_SEED = 20080915
+_SLACK_M, _SLACK_MPS = 0.1, 0.1
+_MAX_YAW_RATE_RADPS = 3.0
+_ARRAYS = ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
+
+
+class Part(StrEnum):
+    """Parts of the contract."""
+
+    METHODS = "methods"
+    RAISES = "raises nothing"
+    FORM = "form"
+    NUMBERS = "numbers"
+    MOTION = "motion"
+    REPEATS = "repeats itself"
+    SCENE = "scene left alone"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a planner does against a part of its contract, in one sentence."""
+
+    part: Part
+    text: str
+
+
+def check_planner(planner: Planner, road: RoadMap, scene: Scene) -> list[str]:
+    """Return what *planner* does against its contract, one sentence each; empty when it keeps it.
+
+    Plans twice from equal memories and random numbers, and once more from the memory that the first plan left.
+    How long plans take is no part of the contract; see :func:`planning_times_s`.
+
+    Args:
+        planner: the planner.
+        road: the map of the scene.
+        scene: the first instant of an episode.
+    """
+    return [problem.text for problem in problems_of(planner, road, scene)]
+
+
+def problems_of(planner: Planner, road: RoadMap, scene: Scene) -> list[Problem]:
+    """Return what :func:`check_planner` finds, each with the part of the contract that it belongs to."""
+    missing = [method for method in ("start", "plan") if not callable(getattr(planner, method, None))]
+    if missing:
+        return [Problem(Part.METHODS, f"it has no method {method}") for method in missing]
+    before = _prints(scene)
+    try:
+        first, memory = _begin(planner, road, scene)
+        again, _ = _begin(planner, road, scene)
+        later, _ = _unpacked(planner.plan(road, scene, memory, np.random.default_rng(_SEED)))
+    except _BrokenContractError as error:
+        return [Problem(Part.FORM, str(error))]
+    except Exception as error:  # noqa: BLE001 - a user's planner may raise anything; that is a finding
+        return [Problem(Part.RAISES, f"it raised {type(error).__name__}: {error}")]
+    problems = _of_plan(first, scene)
+    problems += [Problem(x.part, f"{x.text} (in its second plan)") for x in _of_plan(later, scene)]
+    if not same_plan(first, again):
+        text = (
+            "the same scene, memory and random numbers gave two different plans; "
+            "keep state in the memory and draw from the generator that is passed in"
+        )
+        problems.append(Problem(Part.REPEATS, text))
+    if _prints(scene) != before:
+        text = "it changed the scene that it was given; copy the arrays before writing to them"
+        problems.append(Problem(Part.SCENE, text))
+    return problems
+
+
+def carries_over(planner: Planner, road: RoadMap, scenes: Sequence[Scene]) -> bool:
+    """Return whether the first plan in the first scene changes once *planner* has planned in all of them.
+
+    A planner that raises is no matter of this check: False.
+    """
+    try:
+        before = _begin(planner, road, scenes[0])[0]
+        for scene in scenes:
+            _begin(planner, road, scene)
+        return not same_plan(before, _begin(planner, road, scenes[0])[0])
+    except Exception:  # noqa: BLE001 - found by problems_of already
+        return False
+
+
+def planning_times_s(planner: Planner, road: RoadMap, scene: Scene, plans: int = 20) -> FloatArray:
+    """Return the wall-clock seconds (plans,) of consecutive plans in *scene*; the first one may warm up caches."""
+    rng = np.random.default_rng(_SEED)
+    memory = planner.start(road, scene, rng)
+    taken = np.empty(plans)
+    for k in range(plans):
+        begun = time.perf_counter()
+        _, memory = planner.plan(road, scene, memory, rng)
+        taken[k] = time.perf_counter() - begun
+    return taken
+
+
+class _BrokenContractError(Exception):
+    """What the planner returned is of no form that anything else can be said about."""
+
+
+def _begin(planner: Planner, road: RoadMap, scene: Scene) -> tuple[Plan, Any]:
+    """Return the first plan of an episode and the memory after it; the memory before is left untouched."""
+    memory = planner.start(road, scene, np.random.default_rng(_SEED))
+    return _unpacked(planner.plan(road, scene, memory, np.random.default_rng(_SEED)))
+
+
+def _unpacked(made: object) -> tuple[Plan, Any]:
+    if not (isinstance(made, tuple) and len(made) == 2):
+        raise _BrokenContractError(f"plan() returned {type(made).__name__}, not (plan, memory)")
+    if not isinstance(made[0], Trajectory | Controls):
+        raise _BrokenContractError(
+            f"plan() returned a {type(made[0]).__name__}, not a Trajectory or Controls"
+        )
+    return made
+
+
+def plan_problems(plan: Plan, scene: Scene) -> list[str]:
+    """Return what is wrong with *plan* by itself: shapes, values, length, and whether a vehicle could drive it.
+
+    Args:
+        plan: for the target, from now on.
+        scene: now.
+    """
+    return [problem.text for problem in _of_plan(plan, scene)]
+
+
+def _of_plan(plan: Plan, scene: Scene) -> list[Problem]:
+    names = ("accel_mps2", "steer_rad") if isinstance(plan, Controls) else ("xy_m", "yaw_rad", "speed_mps")
+    arrays = [np.asarray(getattr(plan, name)) for name in names]
+    steps = len(arrays[-1]) if arrays[-1].ndim else 0
+    for name, array in zip(names, arrays, strict=True):
+        expected = (steps, 2) if name == "xy_m" else (steps,)
+        if array.shape != expected or array.dtype != np.float64:
+            text = f"{name} is {array.dtype} of shape {array.shape}, not float64 of shape {expected}"
+            return [Problem(Part.FORM, text)]
+        if not np.isfinite(array).all():
+            return [Problem(Part.NUMBERS, f"{name} holds values that are not finite")]
+    if not plan.dt_s > 0.0:
+        return [Problem(Part.FORM, f"dt_s = {plan.dt_s} is not positive")]
+    if steps * plan.dt_s < scene.history.dt_s - 1e-9:
+        least = f"less than one model step of {scene.history.dt_s:g} s"
+        return [Problem(Part.FORM, f"the plan lasts {steps * plan.dt_s:g} s, {least}")]
+    found = _control_problems(plan) if isinstance(plan, Controls) else _trajectory_problems(plan, scene)
+    return [Problem(Part.MOTION, text) for text in found]
+
+
+def _control_problems(plan: Controls) -> list[str]:
+    limits, problems = Limits(), []
+    if plan.accel_mps2.max() > limits.accel_mps2 + _SLACK_MPS:
+        problems.append(f"it accelerates by {plan.accel_mps2.max():.1f} m/s², over {limits.accel_mps2:g}")
+    if plan.accel_mps2.min() < -limits.brake_mps2 - _SLACK_MPS:
+        problems.append(f"it brakes by {-plan.accel_mps2.min():.1f} m/s², over {limits.brake_mps2:g}")
+    if np.abs(plan.steer_rad).max() > limits.steer_rad + 1e-6:
+        problems.append(f"it steers by {np.abs(plan.steer_rad).max():.2f} rad, over {limits.steer_rad:g}")
+    return problems
+
+
+def _trajectory_problems(plan: Trajectory, scene: Scene) -> list[str]:
+    """Check every step against what a vehicle can do in ``dt_s``, the one from the present state included."""
+    row, history, limits = scene.target, scene.history, Limits()
+    xy = np.concatenate((history.xy_m[row, -1:], plan.xy_m))
+    yaw = np.unwrap(np.append(history.yaw_rad[row, -1], plan.yaw_rad))
+    speed = np.append(history.speed_mps[row, -1], plan.speed_mps)
+    stride = np.hypot(*np.diff(xy, axis=0).T)
+    fastest = np.maximum(speed[1:], speed[:-1]) * plan.dt_s + _SLACK_M
+    gain = np.diff(speed) / plan.dt_s
+    slack = _SLACK_MPS / plan.dt_s
+    found = [
+        (stride > fastest, "moves farther than its speeds allow"),
+        (gain > limits.accel_mps2 + slack, f"accelerates by more than {limits.accel_mps2:g} m/s²"),
+        (gain < -limits.brake_mps2 - slack, f"brakes by more than {limits.brake_mps2:g} m/s²"),
+        (
+            np.abs(np.diff(yaw)) > _MAX_YAW_RATE_RADPS * plan.dt_s,
+            f"turns faster than {_MAX_YAW_RATE_RADPS:g} rad/s",
+        ),
+    ]
+    return [f"step {int(np.argmax(bad))} {words}" for bad, words in found if bad.any()]
+
+
+def same_plan(one: Plan, other: Plan) -> bool:
+    """Return whether two plans are equal to the bit."""
+    if type(one) is not type(other):
+        return False
+    names = ("accel_mps2", "steer_rad") if isinstance(one, Controls) else ("xy_m", "yaw_rad", "speed_mps")
+    same = all(np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True) for name in names)
+    return same and one.dt_s == other.dt_s
+
+
+def _prints(scene: Scene) -> tuple[object, ...]:
+    """Return everything in *scene* as values that can be compared."""
+    arrays = tuple(getattr(scene.history, name).tobytes() for name in _ARRAYS)
+    rest = (scene.history.ids, scene.target, scene.movable.tobytes(), scene.routes)
+    return (*arrays, *rest, tuple(sorted(scene.signals.items())))

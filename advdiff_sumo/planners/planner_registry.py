@@ -1,0 +1,75 @@
+"""Every target by name."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+from advdiff_sumo.core.errors import ConfigError, did_you_mean
+from advdiff_sumo.planners.planner_protocol import Planner, SumoDriver, Target
+from advdiff_sumo.planners.sumo_models import CAR_FOLLOWING, sumo_driver
+from advdiff_sumo.plugins import Registry
+
+TARGETS = Registry(
+    kind="target",
+    group="advdiff_sumo.planners",
+    builtins={
+        **dict.fromkeys(CAR_FOLLOWING, "advdiff_sumo.planners.sumo_models:sumo_driver"),
+        "lane_graph": "advdiff_sumo.planners.lane_graph:LaneGraphPlanner",
+        "simnet": "advdiff_sumo.planners.learned:SimNetPlanner",
+        "trafficsim": "advdiff_sumo.planners.learned:TrafficSimPlanner",
+        "diffusion": "advdiff_sumo.planners.learned:DiffusionPlanner",
+    },
+)
+"""SUMO's models, ``lane_graph``, the learned targets, and plug-ins of the group ``advdiff_sumo.planners``."""
+
+
+def make_target(name: str, options: Mapping[str, Any]) -> Target:
+    """Return the target that *name* stands for, set up with *options*.
+
+    Args:
+        name: a built-in or plug-in (case, hyphen and underscore do not matter), or ``package.module:Class``.
+        options: see ``docs/planners.md``; keyword arguments of the class for plug-ins.
+
+    Raises:
+        UnknownNameError: no such target; with the nearest name.
+        ConfigError: an option has no such name or value, or the class cannot be imported or is no planner.
+    """
+    canonical = TARGETS.canonical(name)
+    if canonical in CAR_FOLLOWING:
+        return sumo_driver(canonical, options)
+    made = _call(canonical, TARGETS.load(canonical), options)
+    if isinstance(made, SumoDriver | Planner):
+        return made
+    missing = [method for method in ("start", "plan") if not callable(getattr(made, method, None))]
+    raise ConfigError(
+        f"target '{canonical}' is no planner: {type(made).__name__} lacks {' and '.join(missing)}"
+    )
+
+
+def _call(name: str, factory: Any, options: Mapping[str, Any]) -> Any:
+    """Return ``factory(**options)``; a TypeError raised inside it stays one."""
+    if not callable(factory):
+        raise ConfigError(f"target '{name}' is a {type(factory).__name__}, not a class or function")
+    try:
+        signature = inspect.signature(factory)
+    except ValueError:  # some built-in classes have none
+        return factory(**options)
+    try:
+        signature.bind(**options)
+    except TypeError as error:
+        raise ConfigError(f"options of target '{name}': {_explain(signature, options, error)}") from None
+    return factory(**options)
+
+
+def _explain(signature: inspect.Signature, options: Mapping[str, Any], error: TypeError) -> str:
+    known = [p.name for p in signature.parameters.values() if p.kind is not p.VAR_POSITIONAL]
+    for key in options:
+        if key not in known:
+            return (
+                f"no option '{key}'; {did_you_mean(key, known)}"
+                if known
+                else f"no option '{key}'; it has none"
+            )
+    return str(error)

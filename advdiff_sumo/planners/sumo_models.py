@@ -1,0 +1,132 @@
+"""Targets that SUMO drives: its car-following models and what may be set on them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field, field_validator
+
+from advdiff_sumo.config import Options
+from advdiff_sumo.core.errors import did_you_mean
+from advdiff_sumo.planners.planner_protocol import SumoDriver
+
+CAR_FOLLOWING = (
+    "Krauss",
+    "KraussOrig1",
+    "KraussPS",
+    "KraussX",
+    "PWagner2009",
+    "BKerner",
+    "IDM",
+    "IDMM",
+    "EIDM",
+    "ACC",
+    "CACC",
+    "W99",
+    "Wiedemann",
+    "Daniel1",
+)
+"""SUMO's car-following models that drive on roads, as SUMO spells them.
+
+Left out: Rail (trains), CC (platoons, needs Plexe), SmartSK (stands still for ever in SUMO 1.28).
+"""
+
+_MODEL_PARAMS = """
+    actionStepLength adaptFactor adaptTime apparentDecel apProb applyDriverState ccoolness cc1 cc2 cc3 cc4 cc5
+    cc6 cc7 cc8 cc9 collisionAvoidanceGainGap collisionAvoidanceGainGapDot collisionAvoidanceGainSpace
+    collisionAvoidanceGainSpeed collisionAvoidanceOverride collisionMinGapFactor delta desAccelProfile
+    desiredMaxSpeed epsilonacc estimation gapClosingControlGainGap gapClosingControlGainGapDot
+    gapClosingControlGainSpace gapClosingControlGainSpeed gapControlGainGap gapControlGainGapDot
+    gapControlGainSpace gapControlGainSpeed hasDriverState impatience jerkmax k latAlignment maxAccelProfile
+    maxSpeedLat maxvehpreview Mbegin Mflatness minGapLat phi security sigmaerror sigmagap sigmaleader
+    sigmaStep speedControlGain speedControlGainCACC speedControlMinGap speedDev speedFactorPremature
+    startupDelay stepping taccmax tauCACCToACC tauLast tmp1 tmp2 tmp3 tmp4 tmp5 tPersDrive tPersEstimate
+    tpreview treaction vehdynamics
+"""
+_JUNCTION_PARAMS = """
+    jmAdvance jmAllwayStopWait jmCrossingGap jmDriveAfterRedTime jmDriveAfterYellowTime jmDriveRedSpeed
+    jmExtraGap jmIgnoreFoeProb jmIgnoreFoeSpeed jmIgnoreJunctionFoeProb jmIgnoreKeepClearTime jmSigmaMinor
+    jmStoplineGap jmStoplineGapMinor jmStopSignWait jmTimegapMinor
+"""
+_LANE_CHANGE_PARAMS = """
+    lcAccelLat lcAssertive lcContRight lcCooperative lcCooperativeHelpThreshold lcCooperativeHelpTime
+    lcCooperativeMinSpeed lcCooperativeRoundabout lcCooperativeSpeed lcImpatience lcKeepRight
+    lcKeepRightAcceptanceTime lcLaneDiscipline lcLookaheadLeft lcMaxDistLatStanding lcMaxSpeedLatFactor
+    lcMaxSpeedLatStanding lcOpposite lcOvertakeDeltaSpeedFactor lcOvertakeRight lcPushy lcPushyGap lcSigma
+    lcSpeedGain lcSpeedGainLookahead lcSpeedGainRemainTime lcSpeedGainRight lcSpeedGainUrgency lcStrategic
+    lcStrategicLookahead lcSublane lcTimeToImpatience lcTurnAlignmentDistance
+"""
+PARAMS = frozenset((_MODEL_PARAMS + _JUNCTION_PARAMS + _LANE_CHANGE_PARAMS).split())
+"""Further vType attributes of SUMO's schema that change how a vehicle drives, not what it is."""
+
+
+class SumoDriverOptions(Options):
+    """How a SUMO-driven target drives; what is None keeps SUMO's default for the vehicle's class.
+
+    Attributes:
+        lane_change: SUMO's lane-change model; SL2015 is the one made for sublanes.
+        tau: desired time headway (s).
+        accel: strongest acceleration (m/s²).
+        decel: comfortable deceleration (m/s²).
+        emergencyDecel: strongest deceleration (m/s²), at least ``decel``.
+        minGap: gap to the leader at standstill (m).
+        sigma: driver imperfection in [0, 1].
+        speedFactor: desired speed over the limit, a number or SUMO's text such as "normc(1,0.1,0.2,2)".
+        maxSpeed: top speed (m/s).
+        params: further vType attributes of :data:`PARAMS`.
+    """
+
+    lane_change: Literal["LC2013", "SL2015", "DK2008"] = "SL2015"
+    tau: float | None = Field(None, gt=0.0, le=10.0)
+    accel: float | None = Field(None, gt=0.0, le=20.0)
+    decel: float | None = Field(None, gt=0.0, le=20.0)
+    emergencyDecel: float | None = Field(None, gt=0.0, le=20.0)  # noqa: N815 - SUMO's spelling
+    minGap: float | None = Field(None, ge=0.0, le=50.0)  # noqa: N815 - SUMO's spelling
+    sigma: float | None = Field(None, ge=0.0, le=1.0)
+    speedFactor: float | str | None = None  # noqa: N815 - SUMO's spelling
+    maxSpeed: float | None = Field(None, gt=0.0, le=150.0)  # noqa: N815 - SUMO's spelling
+    params: Mapping[str, float | str] = Field(default_factory=dict)
+
+    @field_validator("lane_change", mode="before")
+    @classmethod
+    def _spell(cls, value: Any) -> Any:
+        return value.strip().upper() if isinstance(value, str) else value
+
+    @field_validator("params")
+    @classmethod
+    def _only_known(cls, params: Mapping[str, float | str]) -> Mapping[str, float | str]:
+        for key in params:
+            if key not in PARAMS:
+                raise ValueError(f"SUMO has no driving attribute '{key}'; {_suggest(key)}")
+        return params
+
+    @field_validator("emergencyDecel")
+    @classmethod
+    def _not_below_decel(cls, value: float | None, info: Any) -> float | None:
+        decel = info.data.get("decel")
+        if value is not None and decel is not None and value < decel:
+            raise ValueError(f"must be at least decel = {decel}")
+        return value
+
+
+def _suggest(key: str) -> str:
+    if key in SumoDriverOptions.model_fields:
+        return f"'{key}' is an option of its own, set it beside 'params'"
+    hint = did_you_mean(key, PARAMS)
+    return hint if hint.startswith("did") else "see docs/planners.md for the list"
+
+
+def sumo_driver(car_following: str, options: Mapping[str, Any]) -> SumoDriver:
+    """Return the target that SUMO's *car_following* model drives.
+
+    Args:
+        car_following: one of :data:`CAR_FOLLOWING`.
+        options: fields of :class:`SumoDriverOptions`.
+
+    Raises:
+        ConfigError: an option has no such name or value.
+    """
+    parsed = SumoDriverOptions.parse(options, f"options of target '{car_following}'")
+    values = parsed.model_dump(exclude={"lane_change", "params"}, exclude_none=True)
+    return SumoDriver(car_following, parsed.lane_change, {**values, **parsed.params})

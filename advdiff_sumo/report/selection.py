@@ -1,0 +1,127 @@
+"""One episode of a folder with all that is needed to draw it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.report.blocks import departed
+from advdiff_sumo.report.folder import FinishedRun, Row
+from advdiff_sumo.report.layer import MapLayer, View
+from advdiff_sumo.report.nets import Nets
+from advdiff_sumo.report.reference_episodes import Naturals
+from advdiff_sumo.report.select import attacker_of, worst_first
+from advdiff_sumo.report.states import EpisodeStates
+
+_ATTACKER_NEAR_M = 50.0
+
+
+@dataclass(frozen=True)
+class ChosenEpisode:
+    """An episode that was asked for.
+
+    Attributes:
+        row: its row of ``episodes.parquet``.
+        states: who was where.
+        collisions: its rows of ``collisions.parquet``.
+        layer: the net; None when it is not there.
+        natural: what happened in its seed scene without attack, where that is known and differs.
+    """
+
+    row: Row
+    states: EpisodeStates
+    collisions: tuple[Row, ...]
+    layer: MapLayer | None
+    natural: Tracks | None
+
+    @staticmethod
+    def read(folder: Path, episode: int | None) -> ChosenEpisode:
+        """Read *episode* of the run or sweep in *folder*; without a number its worst one.
+
+        Raises:
+            FileError: there is no such run, episode, or no states of it.
+        """
+        run = FinishedRun.read(folder)
+        if episode is None and not run.episodes:
+            raise FileError(folder, "has no episode", "give the folder of a finished run")
+        row = worst_first(run.episodes)[0] if episode is None else run.row(episode)
+        states = run.states(int(row["episode"]))
+        if states is None:
+            raise FileError(folder, f"holds no states of episode {row['episode']}", "choose another episode")
+        found = Naturals(run).of(row)
+        natural = None if found is None else departed(states, found)
+        layer = Nets(run).layer(str(row["net"]))
+        return ChosenEpisode(row, states, run.collisions_of(int(row["episode"])), layer, natural)
+
+    @property
+    def attacker(self) -> int | None:
+        """Row of who hit the target or came nearest to it, or None."""
+        name = attacker_of(self.row)
+        return None if name is None else self.states.tracks.index.get(name)
+
+    @property
+    def contact_s(self) -> float | None:
+        """When the target was hit or left the road, or None."""
+        return float(self.row["collision_time_s"]) if self.row["target_collision"] else None
+
+    @property
+    def impact_m(self) -> FloatArray | None:
+        """(2,) where, or None."""
+        if not self.row["target_collision"] or self.row["impact_x_m"] is None:
+            return None
+        return np.array([self.row["impact_x_m"], self.row["impact_y_m"]], dtype=np.float64)
+
+    def span_s(self, start_s: float | None, end_s: float | None, most_s: float) -> tuple[float, float]:
+        """Return the stretch to draw: as asked, else what led to the contact, or to the least distance.
+
+        Args:
+            start_s: as asked, or None.
+            end_s: as asked, or None.
+            most_s: length where no start was asked.
+
+        Raises:
+            ConfigError: what was asked is not in the episode.
+        """
+        last = float(self.states.tracks.times_s[-1])
+        nearest = self.row["min_clearance_time_s"]
+        critical = self.contact_s if self.contact_s is not None else nearest
+        end = end_s if end_s is not None else min(last, last if critical is None else float(critical) + 1.0)
+        start = start_s if start_s is not None else max(0.0, end - most_s)
+        if not 0.0 <= start < end <= last + 1e-6:
+            asked = f"{start:g} to {end:g} s"
+            raise ConfigError(f"{asked} is no stretch of the episode; it lasts from 0 to {last:g} s")
+        return start, end
+
+    def view(self, start_s: float, end_s: float, aspect: float) -> View:
+        """Return the view of the target's way from *start_s* to *end_s*, and of the attacker's near to it."""
+        tracks, steps = self.states.tracks, self.steps(start_s, end_s)
+        own = tracks.xy_m[self.states.target, steps]
+        parts = [own]
+        if self.attacker is not None:
+            other = tracks.xy_m[self.attacker, steps]
+            parts.append(other[np.linalg.norm(other - own, axis=-1) <= _ATTACKER_NEAR_M])
+        if self.impact_m is not None:
+            parts.append(self.impact_m[None])
+        return View.around(np.concatenate(parts), margin_m=10.0, least_width_m=45.0, aspect=aspect)
+
+    def steps(self, start_s: float, end_s: float) -> slice:
+        """Return the instants from *start_s* to *end_s*."""
+        dt = self.states.tracks.dt_s
+        return slice(round(start_s / dt), round(end_s / dt) + 1)
+
+
+def poses_at(tracks: Tracks, time_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return (A, 2) positions and (A,) headings at *time_s*, between instants in proportion; NaN when absent."""
+    place = (time_s - tracks.t0_s) / tracks.dt_s
+    k = int(np.clip(np.floor(place + 1e-6), 0, tracks.steps - 1))
+    after, share = min(k + 1, tracks.steps - 1), float(np.clip(place - k, 0.0, 1.0))
+    if share < 1e-6:
+        return tracks.xy_m[:, k], tracks.yaw_rad[:, k]
+    xy = (1.0 - share) * tracks.xy_m[:, k] + share * tracks.xy_m[:, after]
+    turn = np.angle(np.exp(1j * (tracks.yaw_rad[:, after] - tracks.yaw_rad[:, k])))
+    return xy, tracks.yaw_rad[:, k] + share * turn

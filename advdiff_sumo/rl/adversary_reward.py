@@ -1,0 +1,110 @@
+"""What an attacker is paid for half a second: R = R_adv − P_coll (the paper, Sec. III-C), comfort and alignment.
+
+R_adv pays for contact with the target and, so that there is something to follow before the first contact, for
+nearness (as AdvSim does, Wang et al. 2021, doi:10.1109/CVPR46437.2021.00978). P_coll asks for contact with others and
+for leaving the road. A Gaussian policy of fixed deviation σ that differs from the behaviour model's by δ in its mean is
+|δ|² / 2 σ² away in the sense of Kullback and Leibler; ``align`` asks for that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.boxes import axis_gaps, corners
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.rl.rl_options import RewardWeights
+from advdiff_sumo.sim.world import Frame
+
+TOUCH_M = 0.05
+"""Boxes nearer than this touch."""
+_JERK_MPS3, _MOST_JERK = 10.0, 4.0
+
+
+@dataclass(frozen=True)
+class Half:
+    """Half a second of an episode, as the attacker's reward needs it; n + 1 instants, N road users.
+
+    Attributes:
+        frames: the instants, the first is that of the decision.
+        size_m: (N, 2) length and width.
+        attacker: its row; None where nobody attacked.
+        target: row of the target.
+        collided: the target's collision ended the episode here.
+        accel_mps2: the attacker's acceleration in the half second before.
+        residual: (2,) its deviation from the behaviour model, in [−1, 1].
+        dt_s: spacing of the instants.
+    """
+
+    frames: Sequence[Frame]
+    size_m: FloatArray
+    attacker: int | None
+    target: int
+    collided: bool
+    accel_mps2: float
+    residual: FloatArray
+    dt_s: float
+
+
+def reward_terms(half: Half, weights: RewardWeights, road: RoadMap) -> dict[str, float]:
+    """Return the terms by name; their sum is the reward. Where nobody attacked, only a collision counts."""
+    attacker = half.attacker
+    if attacker is None or not _there(half, attacker):
+        return {"hit": weights.hit_by_other * half.collided}
+    gaps = _gaps(half, attacker)  # (n + 1, N)
+    room = max(float(np.nanmin(gaps[:, half.target])), 0.0)
+    by_it = half.collided and room < TOUCH_M
+    jerk = (mean_accel(half, attacker) - half.accel_mps2) / _span_s(half)
+    return {
+        "hit": weights.hit if by_it else weights.hit_by_other * half.collided,
+        "near": weights.near * float(np.exp(-room / weights.near_m)),
+        "touch": -weights.touch * float(_touches_another(gaps, half, attacker)),
+        "off_road": -weights.off_road * _off_road(half, attacker, road),
+        "jerk": -weights.jerk * min((jerk / _JERK_MPS3) ** 2, _MOST_JERK),
+        "align": -weights.align * float((half.residual**2).sum()),
+    }
+
+
+def mean_accel(half: Half, row: int) -> float:
+    """Return the mean acceleration of *row* in the half second."""
+    first, last = half.frames[0].speed_mps[row], half.frames[-1].speed_mps[row]
+    return float((last - first) / _span_s(half))
+
+
+def _span_s(half: Half) -> float:
+    return half.dt_s * max(len(half.frames) - 1, 1)
+
+
+def _there(half: Half, row: int) -> bool:
+    """Return whether *row* is there at every instant."""
+    return all(row < len(f.yaw_rad) and np.isfinite(f.yaw_rad[row]) for f in half.frames)
+
+
+def _gaps(half: Half, row: int) -> FloatArray:
+    """Return the room (n + 1, N) between the attacker's box and everybody's; NaN for absent ones and itself."""
+    out = np.full((len(half.frames), len(half.size_m)), np.nan)
+    box = 0.5 * half.size_m
+    for k, frame in enumerate(half.frames):
+        count = len(frame.yaw_rad)
+        own = np.full(count, frame.yaw_rad[row])
+        offset = frame.xy_m - frame.xy_m[row]
+        mine = np.broadcast_to(box[row], (count, 2))
+        out[k, :count] = axis_gaps(offset, own, mine, frame.yaw_rad, box[:count])[0].max(-1)
+    out[:, row] = np.nan
+    return out
+
+
+def _touches_another(gaps: FloatArray, half: Half, row: int) -> bool:
+    """Return whether the attacker comes to touch anybody but the target, whom it did not touch before."""
+    touching: BoolArray = gaps < TOUCH_M  # NaN compares as False
+    touching[:, [half.target, row]] = False
+    return bool((touching[1:].any(axis=0) & ~touching[0]).any())
+
+
+def _off_road(half: Half, row: int, road: RoadMap) -> float:
+    frame = half.frames[-1]
+    box = corners(frame.xy_m[row], frame.yaw_rad[row], half.size_m[row])
+    return float(road.off_road_share(box[None])[0])

@@ -1,0 +1,205 @@
+"""The background vehicles that are moved: plans in, states every 0.1 s out, hand-over at the control radius."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.bicycle import Limits
+from advdiff_sumo.core.errors import (
+    AdvdiffError,
+    EpisodeFailure,
+    OutOfMemoryFailure,
+    PlannerError,
+    PlanRefusedError,
+)
+from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.resample import resample
+from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
+from advdiff_sumo.core.tracking import State, densify, track
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.plan_validation import check_joint_plan
+from advdiff_sumo.sim.world import World
+from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the moved vehicles do until the next plan; M vehicles, n substeps.
+
+    Attributes:
+        rows: (M,) rows of the world.
+        xy_m, yaw_rad, speed_mps: (M, n, 2), (M, n), (M, n) states after each substep.
+        valid: (M, n) whether the vehicle is there.
+    """
+
+    rows: IntArray
+    xy_m: FloatArray
+    yaw_rad: FloatArray
+    speed_mps: FloatArray
+    valid: BoolArray
+
+    def keep(self, mask: BoolArray) -> Motion:
+        """Return the vehicles where *mask* (M,) is True."""
+        return Motion(
+            self.rows[mask], self.xy_m[mask], self.yaw_rad[mask], self.speed_mps[mask], self.valid[mask]
+        )
+
+    def span(self, start: int, stop: int) -> Motion:
+        """Return substeps *start* to *stop* (exclusive)."""
+        cut = slice(start, stop)
+        return Motion(
+            self.rows, self.xy_m[:, cut], self.yaw_rad[:, cut], self.speed_mps[:, cut], self.valid[:, cut]
+        )
+
+    @staticmethod
+    def join(first: Motion, second: Motion) -> Motion:
+        """Return both; a row of *second* that *first* has too is dropped."""
+        other = second.keep(~np.isin(second.rows, first.rows))
+        pairs = ((getattr(first, name), getattr(other, name)) for name in Motion.__dataclass_fields__)
+        return Motion(*(np.concatenate(pair) for pair in pairs))
+
+    @staticmethod
+    def none(steps: int) -> Motion:
+        """Return the motion of no vehicle."""
+        return Motion(
+            np.zeros(0, dtype=np.int64),
+            np.zeros((0, steps, 2)),
+            np.zeros((0, steps)),
+            np.zeros((0, steps)),
+            np.zeros((0, steps), dtype=np.bool_),
+        )
+
+
+@dataclass
+class Background:
+    """The policy of an episode and what it is doing.
+
+    Attributes:
+        policy: moves the vehicles.
+        road: the map.
+        world: rows and states.
+        log: of the seed scene.
+        rng: the policy's own random numbers.
+        limits: of vehicles that are driven through the bicycle model.
+        step_s: SUMO's step.
+        name: for messages.
+        planning_s: wall-clock seconds of each plan.
+        skipped: ids that a log would have moved but that SUMO has elsewhere by now.
+        planned: the last plan that was not refused.
+    """
+
+    policy: TrafficPolicy
+    road: RoadMap
+    world: World
+    log: Tracks
+    rng: np.random.Generator
+    step_s: float
+    name: str
+    limits: Limits = field(default_factory=Limits)
+    planning_s: list[float] = field(default_factory=list)
+    skipped: set[str] = field(default_factory=set)
+    planned: JointPlan | None = None
+    _memory: Any = None
+
+    def start(self, scene: Scene) -> None:
+        """Let the policy prepare for an episode that begins in *scene*."""
+        self._memory = self._ask(lambda: self.policy.start(self.road, scene, self.log, self.rng))
+
+    def replan(self, scene: Scene, steps: int) -> Motion:
+        """Return what the policy does in the coming *steps*.
+
+        Raises:
+            PlannerError: the policy raised.
+            PlanRefusedError: its plan holds NaN or a jump.
+        """
+        begun = time.perf_counter()
+        made = self._ask(lambda: self.policy.plan(self.road, scene, self._memory, self.rng))
+        self.planning_s.append(time.perf_counter() - begun)
+        if not (isinstance(made, tuple) and len(made) == 2 and isinstance(made[0], JointPlan)):
+            raise PlanRefusedError(
+                f"background '{self.name}' returned {type(made).__name__}, not (JointPlan, memory)"
+            )
+        plan, self._memory = made
+        motion = self.motion(plan, scene.target_id, steps)
+        self.planned = plan
+        return motion
+
+    def motion(self, plan: JointPlan, target_id: str, steps: int) -> Motion:
+        """Return *plan* as states after each of *steps* substeps, checked."""
+        tracks = plan.tracks
+        if tracks.agents == 0:
+            return Motion.none(steps)
+        if target_id in tracks.index:
+            raise PlanRefusedError(f"background '{self.name}' planned for the target '{target_id}'")
+        rows = np.array([self.row_for(tracks, k) for k in range(tracks.agents)])
+        far = check_joint_plan(plan, self.world.xy_m[rows], f"background '{self.name}'")
+        if far.any() and not plan.exact:
+            raise PlanRefusedError(
+                f"background '{self.name}' planned a jump for '{tracks.ids[int(far.argmax())]}'"
+            )
+        self.skipped.update(name for name, away in zip(tracks.ids, far, strict=True) if away)
+        dense = self._exact(tracks, steps) if plan.exact else self._driven(tracks, rows, steps)
+        return Motion(rows, *dense).keep(~far)
+
+    def _ask(self, call: Any) -> Any:
+        try:
+            return call()
+        except (EpisodeFailure, KeyboardInterrupt):
+            raise
+        except AdvdiffError:
+            raise
+        except MemoryError as error:
+            raise OutOfMemoryFailure(f"background '{self.name}' ran out of memory: {error}") from error
+        except Exception as error:
+            raise PlannerError(f"background '{self.name}' raised {type(error).__name__}: {error}") from error
+
+    def row_for(self, tracks: Tracks, k: int) -> int:
+        """Return the world's row of agent *k* of *tracks*, a new one if it was never there."""
+        known = self.world.row_of(tracks.ids[k])
+        if known is not None:
+            return known
+        length, width = tracks.size_m[k].tolist()
+        return self.world.add(tracks.ids[k], AgentClass(tracks.classes[k]), length, width)
+
+    def _exact(self, tracks: Tracks, steps: int) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        if abs(tracks.dt_s - self.step_s) > 1e-9:
+            tracks = resample(tracks, self.step_s, t0_s=tracks.t0_s - tracks.dt_s + self.step_s)
+        cut = tracks.window(0, min(steps, tracks.steps))
+        if cut.steps < steps:
+            raise PlanRefusedError(
+                f"background '{self.name}' planned {cut.steps} steps of {self.step_s:g} s, not {steps}"
+            )
+        return cut.xy_m, cut.yaw_rad, cut.speed_mps, cut.valid
+
+    def _driven(
+        self, tracks: Tracks, rows: IntArray, steps: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        if tracks.steps * tracks.dt_s < steps * self.step_s - 1e-9:
+            raise PlanRefusedError(
+                f"background '{self.name}' planned {tracks.steps} × {tracks.dt_s:g} s, too short"
+            )
+        world = self.world
+        state: State = world.xy_m[rows], world.yaw_rad[rows], world.speed_mps[rows]
+        dense: State = tracks.xy_m, tracks.yaw_rad, tracks.speed_mps
+        if abs(tracks.dt_s - self.step_s) > 1e-9:
+            dense = densify(state, dense, tracks.dt_s, self.step_s, steps)
+        reference: State = dense[0][:, :steps], dense[1][:, :steps], dense[2][:, :steps]
+        driven = track(state, reference, world.size_m[rows, 0], self.step_s, self.limits)
+        valid = np.repeat(np.isfinite(driven[1]).all(axis=1, keepdims=True), steps, axis=1)
+        return *driven, valid
+
+
+def planned_ends(motion: Motion) -> Mapping[int, tuple[FloatArray, float]]:
+    """Return row → last valid pose of *motion*."""
+    ends = {}
+    for k, row in enumerate(motion.rows.tolist()):
+        there = np.flatnonzero(motion.valid[k])
+        if len(there):
+            ends[row] = motion.xy_m[k, there[-1]], float(motion.yaw_rad[k, there[-1]])
+    return ends

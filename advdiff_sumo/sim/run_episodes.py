@@ -1,0 +1,272 @@
+"""A run: many episodes of one target, one background and one source of seed scenes, into one folder."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import version
+from itertools import islice
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import Field
+
+from advdiff_sumo import __version__
+from advdiff_sumo.config import Options
+from advdiff_sumo.core.errors import AdvdiffError, ConfigError, NetError, SceneError
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.data import open_log
+from advdiff_sumo.data.log_reader import LogReader
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.shipped_nets import find_net, net_name
+from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
+from advdiff_sumo.planners.planner_protocol import SumoDriver, Target
+from advdiff_sumo.planners.planner_registry import TARGETS, make_target
+from advdiff_sumo.sim.demand_files import DemandFiles, read_demand
+from advdiff_sumo.sim.episode import Episode
+from advdiff_sumo.sim.logs import LoggedTraffic
+from advdiff_sumo.sim.natural import NaturalTraffic
+from advdiff_sumo.sim.run_store import RunFolder
+from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.start import lane_change_model
+from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
+from advdiff_sumo.traffic.policy_registry import POLICIES, make_policy
+
+_Made = TypeVar("_Made")
+
+
+class RunOptions(Options):
+    """What ``advdiff-sumo run`` takes; the same names in a configuration file.
+
+    Attributes:
+        net: a SUMO net (``.net.xml``, ``.net.xml.gz``) or the name of a shipped one.
+        target: what drives the tested vehicle.
+        target_options: of that target.
+        background: what moves the others.
+        background_options: of that policy.
+        episodes: how many.
+        horizon_s: longest duration of an episode.
+        seed: root of all random numbers.
+        demand: route file or SUMO configuration; empty: traffic is generated.
+        scenes: root of a driving log; empty: scenes come out of SUMO traffic.
+        sim: steps and radii.
+        scene: how seed scenes are chosen.
+    """
+
+    net: str = "downtown"
+    target: str = "IDM"
+    target_options: dict[str, Any] = Field(default_factory=dict)
+    background: str = "sumo"
+    background_options: dict[str, Any] = Field(default_factory=dict)
+    episodes: int = Field(10, ge=1)
+    horizon_s: float = Field(20.0, gt=0.0, le=3600.0)
+    seed: int = Field(0, ge=0)
+    demand: str = ""
+    scenes: str = ""
+    sim: SimOptions = SimOptions()
+    scene: SceneOptions = SceneOptions()
+
+
+@dataclass(frozen=True)
+class Run:
+    """A checked run, ready to go; making it reads the net and the names, and starts nothing.
+
+    Attributes:
+        options: as given.
+        road: the net.
+        target: what drives the tested vehicle.
+        policy: what moves the others.
+        names: of target and background, as the registries spell them.
+        gui: open sumo-gui in place of libsumo; the same loop, though traci may differ in the last digits.
+    """
+
+    options: RunOptions
+    road: RoadMap
+    target: Target
+    policy: TrafficPolicy
+    names: tuple[str, str]
+    gui: bool = False
+
+    @staticmethod
+    def prepare(options: RunOptions, gui: bool = False) -> Run:
+        """Check *options* and read the net.
+
+        Raises:
+            InputError: one of its kinds; a sentence that names the culprit.
+        """
+        target, policy = target_of(options), policy_of(options)
+        check_together(options, target)
+        names = TARGETS.canonical(options.target), POLICIES.canonical(options.background)
+        road = read_road(options.net)
+        run = Run(options, road, target, policy, names, gui)
+        _ = run.demand, run.log
+        return run
+
+    @cached_property
+    def demand(self) -> DemandFiles | None:
+        """The user's demand, held against the net; None where traffic is generated."""
+        return read_demand(Path(self.options.demand), self.road) if self.options.demand else None
+
+    @cached_property
+    def log(self) -> LogReader | None:
+        """The driving log that scenes come from, if any."""
+        return open_log(Path(self.options.scenes)) if self.options.scenes else None
+
+    def seed_scenes(self) -> Iterator[SeedScene]:
+        """Yield seed scenes in their order; a log's end, SUMO traffic goes on for ever.
+
+        Raises:
+            InputError: the demand or the log does not fit the net, or has no usable scene.
+        """
+        options = self.options
+        if self.log is not None:
+            seed = SeedTree(options.seed).child("scenes")
+            yield from LoggedTraffic(self.road, self.log, options.scene, options.sim, seed).scenes()
+            return
+        number = 0
+        while True:
+            yield from self.scene_batch(number)
+            number += 1
+
+    def scene_batch(self, number: int) -> list[SeedScene]:
+        """Return the scenes of stretch *number* of SUMO traffic, ``scene.scenes_per_warmup`` of them.
+
+        Raises:
+            SceneError: the traffic never has a usable target.
+        """
+        options = self.options
+        seed = SeedTree(options.seed).child("scenes")
+        source = NaturalTraffic(self.road, self.demand, options.scene, options.sim, options.horizon_s, seed)
+        return source.batch(number)
+
+    def into(self, folder: RunFolder, tell: Callable[[Mapping[str, Any]], None]) -> int:
+        """Run the episodes that *folder* lacks and put its tables together, also after an interrupt.
+
+        Args:
+            folder: where the results go.
+            tell: called with each finished episode's row.
+
+        Returns:
+            Number of episodes in the folder.
+        """
+        done = set(folder.done())
+        finished = False
+        try:
+            for number, scene in enumerate(islice(self.seed_scenes(), self.options.episodes)):
+                if number not in done:
+                    tell(self._one(number, scene, folder))
+            finished = True
+        finally:
+            numbers = folder.done()
+            if numbers:
+                folder.consolidate(finished)
+            else:
+                folder.discard()
+        if not numbers:
+            raise SceneError(f"{self.road.path}: no seed scene was found")
+        return len(numbers)
+
+    def episode(self, number: int, scene: SeedScene) -> Episode:
+        """Return episode *number* of this run, which starts in *scene*."""
+        return Episode(
+            number=number,
+            scene=scene,
+            road=self.road,
+            target=self.target,
+            policy=self.policy,
+            names=self.names,
+            sim=self.options.sim,
+            horizon_s=self.options.horizon_s,
+            seed=SeedTree(self.options.seed).child("episode", number),
+            gui=self.gui,
+        )
+
+    def _one(self, number: int, scene: SeedScene, folder: RunFolder) -> Mapping[str, Any]:
+        record, timing = self.episode(number, scene).run()
+        row = episode_row(record, self.road)
+        folder.add(record, row, collision_rows(record, self.road), timing)
+        return {**row, "wall_s": timing.wall_s}
+
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """What ``run.toml`` holds: all that is needed to repeat the run."""
+        dumped = self.options.model_dump(mode="json")
+        dumped |= {"net": net_name(self.options.net), "target": self.names[0], "background": self.names[1]}
+        for key in ("demand", "scenes"):
+            if dumped[key]:
+                dumped[key] = str(Path(dumped[key]).resolve())
+        return {"run": versions(), "options": dumped}
+
+
+def target_of(options: RunOptions) -> Target:
+    """Return the target that *options* name.
+
+    Raises:
+        InputError: there is none of that name, its options do not fit, or it cannot be made.
+    """
+    name = TARGETS.canonical(options.target)
+    return _made(f"target '{name}'", make_target, name, options.target_options)
+
+
+def policy_of(options: RunOptions) -> TrafficPolicy:
+    """Return the background policy that *options* name; errors as in :func:`target_of`."""
+    name = POLICIES.canonical(options.background)
+    return _made(f"background '{name}'", make_policy, name, options.background_options)
+
+
+def check_together(options: RunOptions, target: Target) -> None:
+    """Check what each option alone does not show.
+
+    Raises:
+        ConfigError: two options contradict each other.
+    """
+    if isinstance(target, SumoDriver):
+        lane_change_model(target, options.sim)
+    if options.demand and options.scenes:
+        raise ConfigError("demand and scenes cannot go together: a log brings its own traffic")
+
+
+def read_road(net: str) -> RoadMap:
+    """Read a net, by path or shipped name, on which a run is possible.
+
+    Raises:
+        NetError: it is missing or damaged, or no car could drive anywhere in it.
+    """
+    road = RoadMap.read(find_net(net))
+    if not any(road.edge_graph().successors.values()):
+        raise NetError(road.path, "has no route that a car could drive", "give a net with connected edges")
+    return road
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that results depend on."""
+    names = ("libsumo", "numpy", "shapely", "torch", "pyarrow")
+    known = {name: version(name) for name in names}
+    return {"advdiff_sumo": __version__, "revision": git_revision(), **known}
+
+
+def _made(what: str, make: Callable[..., _Made], name: str, options: Mapping[str, Any]) -> _Made:
+    try:
+        return make(name, options)
+    except AdvdiffError:
+        raise
+    except Exception as error:  # a user's own class may raise anything, also while it is imported
+        raise ConfigError(f"{what} cannot be made: {type(error).__name__}: {error}; correct it") from error
+
+
+def git_revision() -> str:
+    """Return the revision of the checkout that the package runs from; "" for an installed one."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=10,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""

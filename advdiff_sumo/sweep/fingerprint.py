@@ -1,0 +1,102 @@
+"""Keys out of content: the same net, scene, target, background, options and seed give the same key anywhere."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from advdiff_sumo.maps.shipped_nets import find_net
+from advdiff_sumo.maps.sidecar import sidecar_of
+from advdiff_sumo.sim.run_episodes import RunOptions
+
+#: Digits of a key; 96 bits, so that a billion episodes do not meet by chance.
+KEY_DIGITS = 24
+_SCENE_SIM = ("step_s", "model_step_s", "history_s", "lateral_resolution_m", "record_radius_m")
+_LOG_SUFFIXES = (".json", ".pkl")
+_SENSORS = {"samples", "sweeps"}
+
+
+def canonical(value: Any) -> str:
+    """Return a plain value as JSON in its one form: keys sorted, no blanks."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=str)
+
+
+def digest(value: Any) -> str:
+    """Return the digest of a plain value; the order of keys does not matter."""
+    return hashlib.sha256(canonical(value).encode()).hexdigest()[:KEY_DIGITS]
+
+
+def file_digest(*paths: Path) -> str:
+    """Return the digest of the contents of *paths*."""
+    total = hashlib.sha256()
+    for path in paths:
+        with path.open("rb") as file:
+            total.update(hashlib.file_digest(file, "sha256").digest())
+    return total.hexdigest()[:KEY_DIGITS]
+
+
+def net_files(net: str) -> tuple[Path, ...]:
+    """Return the net's file and, where there is one, that of its drivable area.
+
+    Raises:
+        NetError: there is no such net.
+    """
+    path = find_net(net)
+    sidecar = sidecar_of(path)
+    return (path,) if sidecar is None else (path, sidecar)
+
+
+def source_digest(options: RunOptions, demand: tuple[Path, ...]) -> str:
+    """Return the digest of all that seed scenes are made of, their number apart.
+
+    Args:
+        options: of the run.
+        demand: files behind ``options.demand``.
+    """
+    files = net_files(options.net)
+    dumped = options.model_dump(mode="json")
+    return digest(
+        {
+            "net": [files[0].name, _kept(files)],
+            "demand": [_kept((path,)) for path in demand],
+            "log": _log_digest(options.scenes) if options.scenes else "",
+            "scene": dumped["scene"],
+            "sim": {name: dumped["sim"][name] for name in _SCENE_SIM},
+            "horizon_s": options.horizon_s,
+            "seed": options.seed,
+        }
+    )
+
+
+def cell_digest(options: RunOptions, source: str) -> str:
+    """Return the digest of a run's options, its number of episodes apart; *source* is that of its scenes."""
+    dumped = options.model_dump(mode="json")
+    names = ("target", "target_options", "background", "background_options", "sim", "horizon_s", "seed")
+    return digest({"source": source, **{name: dumped[name] for name in names}})
+
+
+@lru_cache(maxsize=256)
+def _kept(files: tuple[Path, ...]) -> str:
+    return file_digest(*files)
+
+
+@lru_cache(maxsize=16)
+def _log_digest(root: str) -> str:
+    """Return the digest of a driving log: names and sizes of its tables or records, which are large."""
+    return digest([[name, size] for name, size in sorted(_log_files(Path(root)))])
+
+
+def _log_files(root: Path) -> Iterator[tuple[str, int]]:
+    if root.is_file():
+        yield root.name, root.stat().st_size
+    for folder, inner, names in os.walk(root):
+        inner[:] = [name for name in inner if name not in _SENSORS]
+        for name in names:
+            if name.endswith(_LOG_SUFFIXES):
+                path = Path(folder, name)
+                yield path.relative_to(root).as_posix(), path.stat().st_size

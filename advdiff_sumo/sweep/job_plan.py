@@ -1,0 +1,201 @@
+"""What a sweep will do: every check is made and every key known before any worker starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.data import open_log
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.shipped_nets import net_name
+from advdiff_sumo.planners.planner_protocol import Target
+from advdiff_sumo.planners.planner_registry import TARGETS
+from advdiff_sumo.sim.demand_files import read_demand
+from advdiff_sumo.sim.run_episodes import RunOptions, check_together, policy_of, read_road, target_of
+from advdiff_sumo.sweep.fingerprint import cell_digest, digest, net_files, source_digest
+from advdiff_sumo.sweep.spec import SweepSpec
+from advdiff_sumo.traffic.policy_registry import POLICIES
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Seed scenes that are made together: those of one warm-up, or those of a driving log.
+
+    Attributes:
+        key: of their content.
+        options: of a run that they belong to.
+        number: of the stretch of traffic; 0 for a log.
+        scenes: how many there are, or are wanted from a log.
+    """
+
+    key: str
+    options: RunOptions
+    number: int
+    scenes: int
+
+
+@dataclass(frozen=True)
+class Job:
+    """One episode.
+
+    Attributes:
+        key: of its content.
+        index: place in the sweep.
+        cell: the run that it belongs to.
+        number: of the episode in that run.
+        batch: key of the batch that its seed scene is in.
+        place: of the scene in that batch.
+        scene_key: of the seed scene; the same for all targets and backgrounds.
+    """
+
+    key: str
+    index: int
+    cell: int
+    number: int
+    batch: str
+    place: int
+    scene_key: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A checked sweep.
+
+    Attributes:
+        spec: as its file says.
+        cells: the runs that it is made of.
+        jobs: all episodes in the sweep's order.
+        batches: the seed scenes that they need, by key.
+        junction_types: kinds of junction that a car can meet on the nets.
+    """
+
+    spec: SweepSpec
+    cells: tuple[RunOptions, ...]
+    jobs: tuple[Job, ...]
+    batches: Mapping[str, Batch]
+    junction_types: tuple[str, ...]
+
+    @cached_property
+    def by_key(self) -> Mapping[str, Job]:
+        """The episodes by key."""
+        return {job.key: job for job in self.jobs}
+
+    @cached_property
+    def keys(self) -> str:
+        """Digest of the keys of all episodes."""
+        return digest([job.key for job in self.jobs])
+
+    def options(self, job: Job) -> RunOptions:
+        """Return the options of the run that *job* belongs to."""
+        return self.cells[job.cell]
+
+    def find(self, key: str) -> Job:
+        """Return the episode whose key begins with *key*.
+
+        Raises:
+            ConfigError: there is none, or more than one.
+        """
+        found = [job for job in self.jobs if job.key.startswith(key)]
+        if len(found) != 1:
+            problem = "belongs to no episode" if not found else f"is the beginning of {len(found)} keys"
+            raise ConfigError(f"'{key}' {problem} of this sweep; take a key from its episodes.parquet")
+        return found[0]
+
+
+def plan_sweep(spec: SweepSpec) -> Plan:
+    """Check *spec* and lay out its episodes; reads nets, demand and logs and makes each target once.
+
+    Raises:
+        InputError: one of its kinds; a sentence that names the culprit.
+    """
+    check = _Check()
+    cells = tuple(check.cell(options) for options in spec.cells())
+    jobs: list[Job] = []
+    batches: dict[str, Batch] = {}
+    seen: dict[str, int] = {}
+    for cell, options in enumerate(cells):
+        source = source_digest(options, check.demand(options))
+        own = cell_digest(options, source)
+        if own in seen:
+            raise ConfigError(
+                f"two entries of the sweep are the same: {options.target} with {options.background} on "
+                f"{options.net}, seed {options.seed}; leave one out"
+            )
+        seen[own] = cell
+        for number in range(options.episodes):
+            batch, place = _batch(options, source, number, batches)
+            scene_key = digest([source, "scene", number])
+            key = digest([own, "episode", number])
+            jobs.append(Job(key, len(jobs), cell, number, batch, place, scene_key))
+    return Plan(spec, cells, tuple(jobs), batches, check.junction_types())
+
+
+def _batch(options: RunOptions, source: str, number: int, batches: dict[str, Batch]) -> tuple[str, int]:
+    size = options.episodes if options.scenes else options.scene.scenes_per_warmup
+    stretch, place = (0, number) if options.scenes else divmod(number, size)
+    key = digest([source, "batch", stretch])
+    if key not in batches or batches[key].scenes < size:
+        batches[key] = Batch(key, options, stretch, size)
+    return key, place
+
+
+class _Check:
+    """Checks each net, target and background once, however many runs share it."""
+
+    def __init__(self) -> None:
+        self._roads: dict[str, RoadMap] = {}
+        self._known: dict[str, Any] = {}
+        self._demands: dict[tuple[str, str], tuple[Path, ...]] = {}
+
+    def cell(self, options: RunOptions) -> RunOptions:
+        """Return *options* as they are written down: names as registered, files by full path."""
+        target: Target = self._once(["target", options.target, options.target_options], target_of, options)
+        self._once(["background", options.background, options.background_options], policy_of, options)
+        check_together(options, target)
+        if options.net not in self._roads:
+            self._roads[options.net] = read_road(options.net)
+        if options.scenes:
+            self._once(["log", options.scenes], lambda o: open_log(Path(o.scenes)), options)
+        fixed: dict[str, Any] = {
+            "net": net_name(options.net),
+            "target": TARGETS.canonical(options.target),
+            "background": POLICIES.canonical(options.background),
+            **{
+                k: str(Path(getattr(options, k)).resolve())
+                for k in ("demand", "scenes")
+                if getattr(options, k)
+            },
+        }
+        written = options.model_copy(update=fixed)
+        self._roads[written.net] = self._roads[options.net]
+        return written
+
+    def demand(self, options: RunOptions) -> tuple[Path, ...]:
+        """Return the files behind the demand of *options*, held against the net once."""
+        key = (options.net, options.demand)
+        if options.demand and key not in self._demands:
+            files = read_demand(Path(options.demand), self._roads[options.net])
+            self._demands[key] = (*files.routes, *files.additional)
+        return self._demands.get(key, ())
+
+    def junction_types(self) -> tuple[str, ...]:
+        """Return the kinds of junction on all nets."""
+        found = (j.type for road in self._roads.values() for j in road.junctions.values())
+        return tuple(sorted(set(found) - {"dead_end", "internal"}))
+
+    def _once(self, what: list[Any], make: Callable[[RunOptions], Any], options: RunOptions) -> Any:
+        key = digest(what)
+        if key not in self._known:
+            made = make(options)
+            self._known[key] = made if what[0] == "target" else None
+        return self._known[key]
+
+
+def needed_nets(plan: Plan) -> tuple[Path, ...]:
+    """Return the nets of a sweep and their drivable areas, for workers on other machines."""
+    names = dict.fromkeys(options.net for options in plan.cells)
+    return tuple(path for name in names for path in net_files(name))

@@ -1,0 +1,76 @@
+"""The tables of a sweep: those of a run, with what tells its episodes apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from advdiff_sumo.metrics.columns import EPISODE_COLUMNS, Column
+from advdiff_sumo.sim.run_episodes import RunOptions
+from advdiff_sumo.sim.run_store import TABLES
+from advdiff_sumo.sweep.fingerprint import canonical
+from advdiff_sumo.sweep.job_plan import Job
+from advdiff_sumo.sweep.situation import SITUATION_COLUMNS
+from advdiff_sumo.sweep.work import WORKER_COLUMNS
+
+
+def _text(description: str, *, nullable: bool = False) -> Column:
+    return Column("str", "", description, nullable)
+
+
+JOB_COLUMNS: Mapping[str, Column] = {
+    "episode": Column("int64", "", "number of the episode in its sweep", False),
+    "key": _text("of its content; advdiff-sumo replay takes it"),
+    "scene_key": _text("of its seed scene; the same for all targets and backgrounds"),
+    "net": _text("where: shipped nets by name, others by their path"),
+    "target": _text("what drove the tested vehicle"),
+    "target_options": _text("its options as JSON"),
+    "background": _text("what moved the others"),
+    "background_options": _text("its options as JSON"),
+    "attack": _text("the background's option attack, or attacks, or else its name"),
+    "root_seed": Column("int64", "", "root of the random numbers", False),
+    "number": Column("int64", "", "number of the seed scene on that net with that seed", False),
+}
+FAILURE_COLUMNS: Mapping[str, Column] = {
+    **{name: JOB_COLUMNS[name] for name in JOB_COLUMNS},
+    "kind": _text("why, as a word; see sweeps.md"),
+    "message": _text("the same as a sentence"),
+    "log_tail": _text("what the worker said last, or where the planner raised"),
+    "attempts": Column("int64", "", "how often it was tried", False),
+    "command": _text("repeats just this episode"),
+}
+SWEEP_TABLES: Mapping[str, Mapping[str, Column]] = {
+    "episodes": {
+        **JOB_COLUMNS,
+        **{name: column for name, column in EPISODE_COLUMNS.items() if name != "episode"},
+        **SITUATION_COLUMNS,
+    },
+    "collisions": TABLES["collisions"],
+    "states": TABLES["states"],
+    "plans": TABLES["plans"],
+    "unattacked": TABLES["unattacked"],
+    "timing": {**TABLES["timing"], **WORKER_COLUMNS},
+    "failures": FAILURE_COLUMNS,
+}
+
+
+def job_row(job: Job, options: RunOptions) -> dict[str, Any]:
+    """Return the values of ``JOB_COLUMNS``."""
+    own = options.background_options
+    return {
+        "episode": job.index,
+        "key": job.key,
+        "scene_key": job.scene_key,
+        "net": options.net,
+        "target": options.target,
+        "target_options": canonical(options.target_options),
+        "background": options.background,
+        "background_options": canonical(own),
+        "attack": _word(own.get("attack", own.get("attacks", options.background))),
+        "root_seed": options.seed,
+        "number": job.number,
+    }
+
+
+def _word(value: Any) -> str:
+    return "+".join(map(str, value)) if isinstance(value, list | tuple) else str(value)

@@ -1,0 +1,206 @@
+"""A sweep's folder: what was asked, the seed scenes while they are needed, and one file an episode."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from advdiff_sumo.config import read_toml
+from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.sweep.episode_result import Part, pack, unpack
+from advdiff_sumo.sweep.spec import SweepSpec
+from advdiff_sumo.sweep.sweep_files import ASIDE, read_checked, unwritable, write_checked, write_whole
+
+SETTINGS = "sweep.toml"
+_EPISODES, _SCENES, _BALLAST = "episodes", "scenes", "ballast"
+_KEPT_BATCHES = 4
+
+
+@dataclass(frozen=True)
+class Store:
+    """The folder of a sweep; only the process that leads the sweep writes to it.
+
+    Attributes:
+        path: the folder.
+    """
+
+    path: Path
+    _recent: OrderedDict[str, tuple[bytes, ...]] = field(default_factory=OrderedDict)
+
+    # --- the folder --------------------------------------------------------------------------------------
+
+    @staticmethod
+    def create(path: Path, settings: Mapping[str, Any], ballast_bytes: int) -> Store:
+        """Make a new folder for a sweep.
+
+        Args:
+            path: new or empty.
+            settings: what ``sweep.toml`` holds.
+            ballast_bytes: room kept back, so that what is being computed can be stored when the disk is full.
+
+        Raises:
+            FileError: it holds something, or cannot be written.
+        """
+        if (path / SETTINGS).exists():
+            raise FileError(path, "already holds a sweep", "go on with --resume, or choose a new --out")
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise FileError(path, "is there already and no empty folder", "choose a new --out")
+        return Store(path)._begin(settings, ballast_bytes)
+
+    @staticmethod
+    def resume(path: Path, spec: SweepSpec | None, settings: Mapping[str, Any], ballast_bytes: int) -> Store:
+        """Go on in the folder of a sweep; *settings* are written when the old ones are damaged.
+
+        Raises:
+            FileError: it holds no sweep, or cannot be written.
+            ConfigError: it belongs to another sweep than *spec*.
+        """
+        begun = Store.open(path)
+        if spec is not None:
+            must_equal(path, begun.spec(), spec)
+        begun.must_match(str(settings.get("keys", "")))
+        return Store(path)._begin(settings, ballast_bytes)
+
+    @staticmethod
+    def open(path: Path) -> Store:
+        """Open the folder of a sweep to read.
+
+        Raises:
+            FileError: it holds no sweep.
+        """
+        if not (path / SETTINGS).is_file():
+            raise FileError(path, "holds no sweep", "give the folder that advdiff-sumo sweep wrote")
+        return Store(path)
+
+    def spec(self) -> SweepSpec:
+        """Return what was asked.
+
+        Raises:
+            InputError: ``sweep.toml`` is damaged.
+        """
+        content = read_toml(self.path / SETTINGS)
+        asked = content.get("sweep")
+        if not isinstance(asked, dict):
+            raise FileError(
+                self.path / SETTINGS, "has no [sweep]", "it is damaged; begin again with a new --out"
+            )
+        return SweepSpec.of(asked, str(self.path / SETTINGS))
+
+    def must_match(self, keys: str) -> None:
+        """Refuse the folder when what the keys of its episodes are made of has changed since.
+
+        Args:
+            keys: digest of all keys of the plan made now.
+
+        Raises:
+            ConfigError: a net, demand or log is not what it was.
+        """
+        begun = read_toml(self.path / SETTINGS).get("keys", keys)
+        if begun != keys:
+            raise ConfigError(
+                f"{self.path}: a net, demand or log is not what it was when that sweep was begun; "
+                "put the old one back, or begin a new sweep"
+            )
+
+    def _begin(self, settings: Mapping[str, Any], ballast_bytes: int) -> Store:
+        try:
+            for name in (_EPISODES, _SCENES):
+                (self.path / name).mkdir(parents=True, exist_ok=True)
+            for rest in self.path.rglob(f"*{ASIDE}"):
+                rest.unlink()  # of a process that was killed
+            self._load_ballast(ballast_bytes)
+        except OSError as error:
+            self.drop_ballast()
+            raise unwritable(self.path, error) from None
+        write_whole(self.path / SETTINGS, tomli_w.dumps(settings).encode())
+        return self
+
+    def _load_ballast(self, size: int) -> None:
+        with (self.path / _BALLAST).open("wb") as file:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            else:
+                file.write(bytes(size))
+
+    def drop_ballast(self) -> None:
+        """Give the room back that was kept for a full disk."""
+        with contextlib.suppress(OSError):
+            (self.path / _BALLAST).unlink()
+
+    def end(self) -> None:
+        """Take away what only a running sweep needs."""
+        self.drop_ballast()
+        shutil.rmtree(self.path / _SCENES, ignore_errors=True)
+
+    # --- episodes ----------------------------------------------------------------------------------------
+
+    def write(self, key: str, part: bytes) -> None:
+        """Store a finished episode.
+
+        Raises:
+            DiskFullError: there is no room.
+            FileError: it cannot be written for another reason.
+        """
+        path = self._episode(key)
+        try:
+            path.parent.mkdir(exist_ok=True)
+        except OSError as error:
+            raise unwritable(path, error) from None
+        write_checked(path, part)
+
+    def read(self, key: str) -> Part | None:
+        """Return a finished episode; None when there is none, or its file is damaged."""
+        content = read_checked(self._episode(key))
+        return None if content is None else Part.from_bytes(content)
+
+    def has(self, key: str) -> bool:
+        """Return whether a finished episode is there and whole."""
+        return read_checked(self._episode(key)) is not None
+
+    def _episode(self, key: str) -> Path:
+        return self.path / _EPISODES / key[:2] / key
+
+    # --- seed scenes -------------------------------------------------------------------------------------
+
+    def write_scenes(self, batch: str, scenes: tuple[bytes, ...]) -> None:
+        """Store the seed scenes of a batch; errors as in :meth:`write`."""
+        self._recent[batch] = scenes
+        while len(self._recent) > _KEPT_BATCHES:
+            self._recent.popitem(last=False)
+        content = pack({f"{k}": scene for k, scene in enumerate(scenes)})
+        write_checked(self.path / _SCENES / batch, content)
+
+    def read_scenes(self, batch: str) -> tuple[bytes, ...] | None:
+        """Return the seed scenes of a batch; None when they are missing or damaged."""
+        if batch not in self._recent:
+            content = read_checked(self.path / _SCENES / batch)
+            if content is None:
+                return None
+            self._recent[batch] = tuple(unpack(content).values())
+            while len(self._recent) > _KEPT_BATCHES:
+                self._recent.popitem(last=False)
+        self._recent.move_to_end(batch)
+        return self._recent[batch]
+
+
+def must_equal(path: Path, begun: SweepSpec, asked: SweepSpec) -> None:
+    """Refuse to go on in *path* with another sweep than it was begun with.
+
+    Raises:
+        ConfigError: the two differ.
+    """
+    old, new = begun.model_dump(mode="json"), asked.model_dump(mode="json")
+    for key in old:
+        if old[key] != new[key]:
+            raise ConfigError(
+                f"{path}: belongs to another sweep: its {key} differ from those of the file; "
+                "give the file that it was begun with, or choose a new --out"
+            )

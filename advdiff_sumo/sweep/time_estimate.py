@@ -1,0 +1,92 @@
+"""How long a sweep will take, measured on some of its own episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.sweep.executors import Executor
+from advdiff_sumo.sweep.fingerprint import canonical, file_digest, net_files
+from advdiff_sumo.sweep.job_plan import Batch, Job, Plan
+from advdiff_sumo.sweep.tasks import EpisodeTask, Outcome, SceneTask
+
+_PROBES = 6
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Time on one worker.
+
+    Attributes:
+        scene_s: for the seed scenes of one batch.
+        episode_s: for one episode, the mean over the probes.
+        batches: how many batches are needed.
+        episodes: how many episodes.
+    """
+
+    scene_s: float
+    episode_s: float
+    batches: int
+    episodes: int
+
+    def total_s(self, workers: int) -> float:
+        """Return the wall-clock with so many workers that have a core each."""
+        return (self.scene_s * self.batches + self.episode_s * self.episodes) / workers
+
+
+def estimate(plan: Plan, jobs: Sequence[Job], executor: Executor) -> Estimate | None:
+    """Run one batch of seed scenes and an episode of up to six kinds; None when there is nothing to do.
+
+    Args:
+        plan: the sweep.
+        jobs: what is to be done.
+        executor: of one worker; already started.
+
+    Raises:
+        ConfigError: a seed scene cannot be made.
+    """
+    if not jobs:
+        return None
+    probes = _spread(list({_kind(plan, job): job for job in reversed(jobs)}.values()))
+    scene_s: list[float] = []
+    episode_s: list[float] = []
+    made: dict[str, tuple[bytes, ...]] = {}
+    for job in probes:
+        options = plan.options(job)
+        net = file_digest(*net_files(options.net))
+        if job.batch not in made:
+            batch: Batch = plan.batches[job.batch]
+            outcome = _do(executor, SceneTask(batch.key, batch.options, batch.number, batch.scenes, net))
+            if outcome.failed is not None:
+                raise ConfigError(f"{options.net}: {outcome.failed.message}")
+            made[job.batch] = outcome.product
+            scene_s.append(outcome.wall_s)
+        if job.place < len(made[job.batch]):
+            task = EpisodeTask(job.key, options, job.number, made[job.batch][job.place], net)
+            outcome = _do(executor, task)
+            episode_s.append(outcome.wall_s)
+    batches = len({job.batch for job in jobs})
+    return Estimate(_mean(scene_s), _mean(episode_s), batches, len(jobs))
+
+
+def _kind(plan: Plan, job: Job) -> str:
+    options = plan.options(job)
+    names = (options.net, options.target, options.background)
+    return canonical([*names, options.target_options, options.background_options])
+
+
+def _spread(jobs: list[Job]) -> list[Job]:
+    """Return up to six of *jobs*, evenly over all."""
+    jobs.sort(key=lambda job: job.index)
+    step = max(1.0, len(jobs) / _PROBES)
+    return [jobs[int(k * step)] for k in range(min(_PROBES, len(jobs)))]
+
+
+def _do(executor: Executor, task: SceneTask | EpisodeTask) -> Outcome:
+    executor.submit(task)
+    return executor.wait()
+
+
+def _mean(values: list[float]) -> float:
+    return sum(values) / len(values) if values else 0.0

@@ -1,0 +1,140 @@
+"""A task in a process that may die: with a time limit, a memory limit, and a log that outlives the process."""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import count
+from multiprocessing import parent_process
+from pathlib import Path
+
+from advdiff_sumo.sweep.tasks import Failed, Limits, Outcome, Task
+from advdiff_sumo.sweep.work import data_bytes, perform, rss_mb
+
+#: Exit code of a worker that makes room for a fresh one.
+RECYCLED = 75
+_TIMED_OUT, _CRASHED, _MODULES = (
+    "Timeout (",
+    "Fatal Python error",
+    "Extension modules:",
+)  # faulthandler's words
+_READ_BYTES, _TAIL, _BEFORE = 1 << 16, 4000, 1000
+_MB = 1 << 20
+_TASKS = count()  # of this process
+
+
+def prepare_worker(limits: Limits) -> None:
+    """Set a new worker up: Ctrl-C is the parent's business, memory is bounded, no parent means no worker."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    bound_memory(limits.memory_mb)
+    threading.Thread(target=_follow_parent, daemon=True).start()
+
+
+def bound_memory(memory_mb: int) -> None:
+    """Let this process have no more than *memory_mb* of private memory in addition; 0 leaves it alone.
+
+    The bound is on what can be written to: address space that libraries merely reserve does not count. A bound
+    that is there already stays.
+    """
+    if memory_mb and sys.platform != "win32":
+        import resource
+
+        if resource.getrlimit(resource.RLIMIT_DATA)[0] == resource.RLIM_INFINITY:
+            most = memory_mb * _MB + data_bytes()
+            resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+
+
+def run_sandboxed(task: Task, limits: Limits) -> Outcome:
+    """Do *task* within *limits*; the process ends itself when the time is over."""
+    used = next(_TASKS) > 0
+    if used and limits.memory_mb and rss_mb() > limits.recycle_share * limits.memory_mb:
+        os._exit(RECYCLED)
+    with _watched(limits.log_of(task.key), limits.timeout_s) as tail:
+        outcome = perform(task)
+        if outcome.failed is not None and not outcome.failed.log_tail:
+            outcome = replace(outcome, failed=replace(outcome.failed, log_tail=tail()))
+    return outcome
+
+
+def lost(key: str, limits: Limits, how: str) -> Outcome:
+    """Return the outcome of a task whose worker died; *how* says of what."""
+    log = limits.log_of(key)
+    tail = tail_of(log)
+    with contextlib.suppress(OSError):
+        log.unlink()
+    if _TIMED_OUT in tail:
+        return Outcome(key, (), timed_out(limits, tail))
+    return Outcome(key, (), Failed("worker_died", f"the worker {how}", tail))
+
+
+def timed_out(limits: Limits, tail: str = "") -> Failed:
+    """Return the failure of a task that took too long."""
+    return Failed("timeout", f"not finished after {limits.timeout_s:g} s", tail)
+
+
+def tail_of(log: Path) -> str:
+    """Return the end of *log*; "" where there is none, as for a worker on another machine.
+
+    Where Python told of its stack, that is what is kept, with the lines before it: the innermost call comes first.
+    """
+    try:
+        text = log.read_bytes()[-_READ_BYTES:].decode(errors="replace")
+    except OSError:
+        return ""
+    text = "\n".join(line for line in text.splitlines() if not line.startswith(_MODULES))
+    stack = max(text.rfind(mark) for mark in (_TIMED_OUT, _CRASHED))
+    if stack >= 0:
+        return text[max(0, stack - _BEFORE) : stack + _TAIL].strip()
+    return text[-_TAIL:].strip()
+
+
+def how_it_ended(exit_code: int) -> str:
+    """Return what an exit code says, as the end of a sentence."""
+    if exit_code >= 0:
+        return f"ended with exit code {exit_code}"
+    try:
+        return f"was ended by {signal.Signals(-exit_code).name}"
+    except ValueError:
+        return f"was ended by signal {-exit_code}"
+
+
+def _follow_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextlib.contextmanager
+def _watched(log: Path, timeout_s: float) -> Iterator[Callable[[], str]]:
+    """Send what this process says into *log*; when the time is over say where it is stuck, and end it."""
+    with log.open("wb") as file:
+        saved = os.dup(1), os.dup(2)
+        _flushed()
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+        faulthandler.enable(file=file)
+        faulthandler.dump_traceback_later(timeout_s, exit=True, file=file)
+        try:
+            yield lambda: _flushed() or tail_of(log)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+            faulthandler.disable()
+            _flushed()
+            for number, kept in zip((1, 2), saved, strict=True):
+                os.dup2(kept, number)
+                os.close(kept)
+    with contextlib.suppress(OSError):
+        log.unlink()
+
+
+def _flushed() -> str:
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    return ""

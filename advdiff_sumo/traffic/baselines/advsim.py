@@ -1,0 +1,258 @@
+"""The background policy ``advsim``: a black-box search over the attackers' action sequences.
+
+After Wang, Pun, Tu, Manivasagam, Sadat, Casas, Ren and Urtasun (2021), "AdvSim: Generating Safety-Critical
+Scenarios for Self-Driving Vehicles", doi:10.1109/CVPR46437.2021.00978. ``docs/policies.md`` says where ours
+differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, ClassVar, TypeAlias
+
+import cmaes
+import numpy as np
+import torch
+from torch import Tensor
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.model_options import ModelOptions
+from advdiff_sumo.models.simnet_file import load_simnet
+from advdiff_sumo.traffic.baselines.advsim_actions import Initial, driven, initial_of
+from advdiff_sumo.traffic.baselines.advsim_cost import (
+    Ground,
+    attack_cost,
+    discomfort,
+    ground_of,
+    keeps,
+    search_cost,
+    violation,
+)
+from advdiff_sumo.traffic.baselines.baseline_networks import prior_of
+from advdiff_sumo.traffic.baselines.baseline_options import AdvSimOptions
+from advdiff_sumo.traffic.baselines.closed_loop import (
+    Found,
+    Rival,
+    Task,
+    cut,
+    parts,
+    with_target,
+)
+from advdiff_sumo.traffic.baselines.surrogate import Answer
+from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
+from advdiff_sumo.traffic.planning.attackers import choose
+from advdiff_sumo.traffic.planning.draw import Drawn
+from advdiff_sumo.traffic.planning.futures import futures_of
+
+Driver: TypeAlias = Callable[[SceneBatch], Rollout]
+"""What drives everybody before the search."""
+
+
+@dataclass(frozen=True)
+class _Case:
+    """One search.
+
+    Attributes:
+        task: what was asked.
+        batch: the scene.
+        rollout: everybody's initial future, (1, A, T).
+        rows: (R,) attackers.
+        initial: their initial actions.
+        answer: what the surrogate does now.
+    """
+
+    task: Task
+    batch: SceneBatch
+    rollout: Rollout
+    rows: Tensor
+    initial: Initial
+    answer: Answer | None
+
+
+@dataclass(frozen=True)
+class _Best:
+    """The best changes so far, with the target's reaction to them.
+
+    Attributes:
+        changes: (R, H, 2).
+        cost: distance to the reacting target and its discomfort; less is better.
+        ground: what was met.
+        keeps: whether they keep the constraints.
+    """
+
+    changes: Tensor
+    cost: float
+    ground: Ground
+    keeps: bool
+
+
+class AdvSim(Rival):
+    """Moves the background by SimNet and attackers by searched actions; options are :class:`AdvSimOptions`.
+
+    Attributes:
+        options: checked.
+        driver: what drives everybody before the search.
+    """
+
+    Options: ClassVar[type[AdvSimOptions]] = AdvSimOptions
+    options: AdvSimOptions
+
+    def __init__(self, **options: Any) -> None:
+        """Check the options and read the networks.
+
+        Raises:
+            ConfigError: an option has no such name or value.
+            WeightsError: the networks are missing or unusable.
+        """
+        super().__init__(AdvSimOptions.parse(options, "options of background 'advsim'"))
+        self.prior = prior_of(self.options, "background 'advsim'")
+        self.model: ModelOptions = self.prior.traffic.options
+        self.driver: Driver = self._simnet() if self.options.initial == "simnet" else self._decoder
+
+    def search(self, task: Task) -> Found:
+        """Return SimNet's future with the attackers' actions replaced by those that were found."""
+        batch = task.view.batch.to(self.prior.device)
+        with torch.no_grad():
+            rollout = self.driver(batch)
+            case = self._case(task, batch, rollout) if self.options.rounds else None
+            if case is None:
+                return self._natural(task, batch, rollout)
+            best, losses = self._rounds(case)
+            made = self._with(case, best.changes)
+        return self._found(case, made, best, losses)
+
+    def _case(self, task: Task, batch: SceneBatch, rollout: Rollout) -> _Case | None:
+        """Return who shall attack and how they would drive; None where nobody can."""
+        futures = futures_of(task.view.now, rollout)
+        rows = choose(futures, task.view.moved, "any", self.options.attackers, task.before())
+        if not len(rows):
+            return None
+        chosen = torch.from_numpy(rows).to(self.prior.device)
+        return _Case(task, batch, rollout, chosen, initial_of(rollout, batch, chosen), self.ask(task))
+
+    def _rounds(self, case: _Case) -> tuple[_Best, tuple[float, ...]]:
+        """Search in blocks of rounds; after each the surrogate reacts, and the better of both is kept."""
+        zero = torch.zeros(len(case.rows), HORIZON_STEPS, 2, device=case.rows.device)
+        best = self._judged(case, zero)
+        mean = self._warm(case)
+        if mean.any():
+            best = self._better(best, self._judged(case, mean, best.ground.allowed))
+        optimiser = self._optimiser(case, mean)
+        ground, losses, done = best.ground, list[float](), 0
+        while done < self.options.rounds:
+            block = min(self.options.refresh, self.options.rounds - done)
+            found, costs = self._block(case, optimiser, ground, block)
+            losses += costs
+            done += block
+            judged = self._judged(case, found, best.ground.allowed)
+            ground = judged.ground
+            best = self._better(best, judged)
+        return best, tuple(losses)
+
+    def _block(self, case: _Case, optimiser: Any, ground: Ground, rounds: int) -> tuple[Tensor, list[float]]:
+        """Return the best changes of some rounds against *ground*, and the least cost after each round."""
+        shape = (len(case.rows), HORIZON_STEPS, 2)
+        least, kept, costs = np.inf, torch.zeros(shape), list[float]()
+        for _ in range(rounds):
+            asked = np.stack([optimiser.ask() for _ in range(optimiser.population_size)])
+            changes = torch.from_numpy(asked.reshape(-1, *shape)).to(case.rollout.xy)
+            cost = search_cost(self._cut(case, changes), ground, changes, self.options.effort)
+            values = cost.cpu().numpy().astype(np.float64)
+            optimiser.tell(list(zip(asked, values.tolist(), strict=True)))
+            first = int(values.argmin())
+            if values[first] < least:
+                least, kept = float(values[first]), changes[first]
+            costs.append(least)
+        return kept.to(case.rollout.xy), costs
+
+    def _judged(self, case: _Case, changes: Tensor, allowed: float | None = None) -> _Best:
+        """Return *changes* (R, H, 2) with their cost while the surrogate reacts to them.
+
+        Args:
+            case: the search.
+            changes: to be judged.
+            allowed: violation of the constraints that the first sequence has; None: this is the first one.
+        """
+        made = self._with(case, changes)
+        forced = self.react(case.task, case.answer, made)
+        seen = with_target(made, forced)
+        ground = ground_of(seen, case.batch, case.rows, HORIZON_STEPS)
+        own = cut(Rollout(*(part[:, case.rows] for part in parts(made))), HORIZON_STEPS)
+        over = float(violation(own, ground))
+        ground = replace(ground, allowed=over if allowed is None else allowed)
+        states = torch.cat((case.batch.pose[0, :1], seen.states()[0, 0, :HORIZON_STEPS]))
+        cost = float(attack_cost(own, ground)) - self.options.comfort * discomfort(states)
+        return _Best(changes, cost, ground, keeps(over, ground))
+
+    def _better(self, best: _Best, other: _Best) -> _Best:
+        return other if other.keeps and other.cost < best.cost else best
+
+    def _optimiser(self, case: _Case, mean: Tensor) -> Any:
+        size = mean.numel()
+        return cmaes.CMA(
+            mean=mean.cpu().numpy().astype(np.float64).ravel(),
+            sigma=self.options.spread,
+            bounds=np.tile([-1.0, 1.0], (size, 1)),
+            seed=case.task.seed % 2**32,
+            population_size=self.options.candidates,
+        )
+
+    def _warm(self, case: _Case) -> Tensor:
+        """Return what the last plan had found, one step on, (R, H, 2)."""
+        out = np.zeros((len(case.rows), HORIZON_STEPS, 2))
+        for number, row in enumerate(case.rows.tolist()):
+            old = case.task.memory.found.get(case.task.view.ids[row])
+            if old is not None:
+                out[number, :-1] = old.reshape(HORIZON_STEPS, 2)[1:]
+        return torch.from_numpy(out).to(case.rollout.xy)
+
+    def _with(self, case: _Case, changes: Tensor) -> Rollout:
+        """Return everybody's future (1, A, T) with the attackers' *changes* (R, H, 2)."""
+        own = driven(changes[None], case.initial, self.options, self.model)
+        pairs = zip(parts(case.rollout), parts(own), strict=True)
+        return Rollout(*(whole.index_copy(1, case.rows, part) for whole, part in pairs))
+
+    def _cut(self, case: _Case, changes: Tensor) -> Rollout:
+        """Return the attackers' futures (P, R, H) of *changes* (P, R, H, 2)."""
+        return driven(changes, case.initial, self.options, self.model, HORIZON_STEPS)
+
+    def _natural(self, task: Task, batch: SceneBatch, rollout: Rollout) -> Found:
+        memory = replace(task.memory, found={}, attackers=())
+        return Found(Drawn(rollout, {}, (), self._latents(batch)), memory, ())
+
+    def _found(self, case: _Case, made: Rollout, best: _Best, losses: tuple[float, ...]) -> Found:
+        names = tuple(case.task.view.ids[row] for row in case.rows.tolist())
+        kept: list[FloatArray] = [x.cpu().numpy().astype(np.float64).ravel() for x in best.changes]
+        memory = replace(
+            case.task.memory,
+            found=dict(zip(names, kept, strict=True)),
+            attackers=names,
+            surrogate=case.task.memory.surrogate if case.answer is None else case.answer.memory,
+        )
+        return Found(Drawn(made, {}, names, self._latents(case.batch)), memory, losses)
+
+    def _latents(self, batch: SceneBatch) -> Tensor:
+        """Return (A, Z) the prior's mean, scaled: actions have no latents, and listeners want some."""
+        with torch.no_grad():
+            context: Context = self.prior.traffic.encoder(batch)
+        return self.prior.codec.scale(context.prior.mean[0][:, None])[:, 0]
+
+    def _simnet(self) -> Driver:
+        path = Path(self.options.simnet) if self.options.simnet else shipped_simnet()
+        return load_simnet(path).eval().requires_grad_(False).to(self.prior.device)
+
+    def _decoder(self, batch: SceneBatch) -> Rollout:
+        context: Context = self.prior.traffic.encoder(batch)
+        rollout: Rollout = self.prior.traffic.decoder(context.prior.mean, context.h, batch)
+        return rollout
+
+
+def shipped_simnet() -> Path:
+    """Return the path of the shipped SimNet."""
+    return Path(str(files("advdiff_sumo"))) / "weights" / "simnet.safetensors"

@@ -1,0 +1,53 @@
+"""The traffic model that rivals search in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import torch
+
+from advdiff_sumo.core.errors import WeightsError
+from advdiff_sumo.models.bundle import load_bundle
+from advdiff_sumo.models.codec import LatentCodec
+from advdiff_sumo.models.shipped_weights import device_of, shipped_weights
+from advdiff_sumo.models.traffic import TrafficModel
+from advdiff_sumo.traffic.baselines.baseline_options import RivalOptions
+
+
+@dataclass(frozen=True)
+class Prior:
+    """The TrafficSim part of a bundle, frozen: encoder with its prior, and decoder.
+
+    Attributes:
+        traffic: the networks.
+        codec: between their latents and scaled ones.
+        device: where they are.
+    """
+
+    traffic: TrafficModel
+    codec: LatentCodec
+    device: torch.device
+
+
+def prior_of(options: RivalOptions, whose: str) -> Prior:
+    """Return the networks that *options* name, and give PyTorch its threads; read once a process.
+
+    Raises:
+        WeightsError: the file is missing, damaged, or holds no latent model.
+        ConfigError: no such device.
+    """
+    device = device_of(options.device, whose)
+    torch.set_num_threads(options.threads)
+    return _prior(options.weights or str(shipped_weights()), device)
+
+
+@lru_cache(maxsize=2)
+def _prior(path: str, device: torch.device) -> Prior:
+    bundle = load_bundle(Path(path))
+    if not isinstance(bundle.codec, LatentCodec):
+        raise WeightsError(Path(path), "diffuses trajectories, not latents", "give weights of codec latent")
+    bundle = bundle.frozen().to(device)
+    assert isinstance(bundle.codec, LatentCodec)  # noqa: S101 - checked above, told to the type checker
+    return Prior(bundle.traffic, bundle.codec, device)

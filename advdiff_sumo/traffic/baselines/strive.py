@@ -1,0 +1,190 @@
+"""The background policy ``strive``: a search over the latents of a traffic prior.
+
+After Rempe, Philion, Guibas, Fidler and Litany (2022), "Generating Useful Accident-Prone Driving Scenarios via a
+Learned Traffic Prior", doi:10.1109/CVPR52688.2022.01679. ``docs/policies.md`` says where ours differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.diffusion.adam import Adam
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.decoder import Forced, Rollout
+from advdiff_sumo.models.model_options import FUTURE_STEPS
+from advdiff_sumo.traffic.baselines.baseline_networks import Prior, prior_of
+from advdiff_sumo.traffic.baselines.baseline_options import StriveOptions
+from advdiff_sumo.traffic.baselines.closed_loop import Found, Memory, Rival, Task, with_target
+from advdiff_sumo.traffic.baselines.joint.joint_decoder import JointDecoder
+from advdiff_sumo.traffic.baselines.strive_loss import Terms, strive_loss
+from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
+from advdiff_sumo.traffic.planning.attackers import FARTHEST_M, closest_m
+from advdiff_sumo.traffic.planning.draw import Drawn
+from advdiff_sumo.traffic.planning.futures import futures_of
+
+
+@dataclass(frozen=True)
+class _Start:
+    """Where a search begins.
+
+    Attributes:
+        batch: the scene.
+        context: its embeddings and prior.
+        moved: (A,) whose latents are searched.
+        natural: (A, Z) standardised latents without an attack.
+        warm: (A, Z) the same with what the last plan had found.
+    """
+
+    batch: SceneBatch
+    context: Context
+    moved: Tensor
+    natural: Tensor
+    warm: Tensor
+
+
+@dataclass(frozen=True)
+class _Result:
+    """What the rounds came to.
+
+    Attributes:
+        epsilon: (A, Z) standardised latents.
+        forced: the surrogate's last answer.
+        surrogate: its memory.
+        losses: of every round, before its step.
+        share: (A,) who attacks.
+    """
+
+    epsilon: Tensor
+    forced: Forced | None
+    surrogate: Any
+    losses: tuple[float, ...]
+    share: FloatArray
+
+
+class Strive(Rival):
+    """Moves the background by optimised latents; options are those of :class:`StriveOptions`.
+
+    Attributes:
+        options: checked.
+        prior: the traffic model.
+        decoder: its roll-out, equal up to rounding on every device.
+    """
+
+    Options: ClassVar[type[StriveOptions]] = StriveOptions
+    options: StriveOptions
+
+    def __init__(self, **options: Any) -> None:
+        """Check the options and read the networks.
+
+        Raises:
+            ConfigError: an option has no such name or value.
+            WeightsError: the networks are missing or unusable.
+        """
+        super().__init__(StriveOptions.parse(options, "options of background 'strive'"))
+        self.prior: Prior = prior_of(self.options, "background 'strive'")
+        decoder = self.prior.traffic.decoder
+        self.decoder = JointDecoder(decoder) if self.prior.device.type == "cpu" else decoder
+
+    def search(self, task: Task) -> Found:
+        """Return the futures of the latents that lower the loss most within the rounds."""
+        start = self._start(task)
+        made = self._rounds(task, start) if self.options.rounds else _nothing(start, task.memory)
+        with torch.no_grad():
+            rollout = self._decode(start, made.epsilon, made.forced)
+        attackers = self._attackers(task, rollout, made.share)
+        latents = self._latents(start, made.epsilon)
+        scaled = self.prior.codec.scale(latents[:, None])[:, 0]
+        drawn = Drawn(rollout, _by_name(task, start.natural), attackers, scaled)
+        memory = replace(
+            task.memory,
+            found=_by_name(task, made.epsilon),
+            natural=_by_name(task, start.natural),
+            attackers=attackers,
+            surrogate=made.surrogate,
+        )
+        return Found(drawn, memory, made.losses)
+
+    def loss(self, start: _Start, epsilon: Tensor, forced: Forced | None) -> Terms:
+        """Return the loss of standardised latents (A, Z) while the target drives *forced*."""
+        rollout = self._decode(start, epsilon, forced, HORIZON_STEPS)
+        return strive_loss(rollout, start.batch, start.moved, (epsilon, start.natural), self.options)
+
+    def _start(self, task: Task) -> _Start:
+        batch = task.view.batch.to(self.prior.device)
+        with torch.no_grad():
+            context: Context = self.prior.traffic.encoder(batch)
+        share, generator = self.options.persistence, torch.Generator().manual_seed(task.seed)
+        fresh = torch.randn(context.prior.mean.shape[1:], generator=generator)
+        noise = self.options.temperature * fresh
+        old, known = _stacked(task, task.memory.natural, noise)
+        mixed = share * old + (1.0 - share**2) ** 0.5 * noise
+        natural = torch.where(known[:, None], mixed, noise).to(self.prior.device)
+        found, known = _stacked(task, task.memory.found, noise)
+        gained = torch.where(known[:, None], share * (found - old), 0.0).to(self.prior.device)
+        moved = torch.from_numpy(task.view.moved).to(self.prior.device)
+        return _Start(batch, context, moved, natural, natural + gained)
+
+    def _rounds(self, task: Task, start: _Start) -> _Result:
+        options = self.options
+        epsilon, adam, forced = start.warm, Adam(options.rate), None
+        answer = self.ask(task)
+        losses, share = [], np.zeros(len(start.moved))
+        for number in range(options.rounds):
+            if number % options.refresh == 0:
+                with torch.no_grad():
+                    seen = self._decode(start, epsilon, forced, HORIZON_STEPS)
+                forced = self.react(task, answer, seen)
+            epsilon = epsilon.detach().requires_grad_(True)
+            terms = self.loss(start, epsilon, forced)
+            (gradient,) = torch.autograd.grad(terms.total, epsilon)
+            finite = torch.isfinite(gradient) & start.moved[:, None]
+            epsilon = adam.step(epsilon.detach(), torch.where(finite, gradient, 0.0))
+            losses.append(float(terms.total.detach()))
+            share = terms.share.cpu().numpy().astype(np.float64)
+        surrogate = task.memory.surrogate if answer is None else answer.memory
+        return _Result(epsilon.detach(), forced, surrogate, tuple(losses), share)
+
+    def _latents(self, start: _Start, epsilon: Tensor) -> Tensor:
+        prior = start.context.prior
+        return prior.mean[0] + torch.exp(0.5 * prior.logvar[0]) * epsilon
+
+    def _decode(
+        self, start: _Start, epsilon: Tensor, forced: Forced | None, steps: int = FUTURE_STEPS
+    ) -> Rollout:
+        z = self._latents(start, epsilon)[None]
+        rollout: Rollout = self.decoder(z, start.context.h, start.batch, steps, forced)
+        return with_target(rollout, forced)
+
+    def _attackers(self, task: Task, rollout: Rollout, share: FloatArray) -> tuple[str, ...]:
+        """Return who is most of the attacker, among those who come near the target at all."""
+        near = closest_m(futures_of(task.view.now, rollout)) < FARTHEST_M
+        score = np.where(task.view.moved & near, share, 0.0)
+        order = np.argsort(-score, kind="stable")[: self.options.attackers]
+        return tuple(task.view.ids[row] for row in order.tolist() if score[row] > 0.0)
+
+
+def _nothing(start: _Start, memory: Memory) -> _Result:
+    """Return natural traffic, for no rounds at all."""
+    return _Result(start.natural, None, memory.surrogate, (), np.zeros(len(start.moved)))
+
+
+def _stacked(task: Task, by_name: Mapping[str, FloatArray], like: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the rows (A, Z) that *by_name* has for the view, 0 elsewhere, and which it has."""
+    rows, known = torch.zeros_like(like), torch.zeros(len(like), dtype=torch.bool)
+    for row, name in enumerate(task.view.ids):
+        if name in by_name:
+            rows[row], known[row] = torch.from_numpy(by_name[name]).to(like.dtype), True
+    return rows, known
+
+
+def _by_name(task: Task, values: Tensor) -> dict[str, FloatArray]:
+    rows = values.detach().cpu().numpy().astype(np.float64)
+    return {name: rows[row] for row, name in enumerate(task.view.ids)}

@@ -1,0 +1,98 @@
+"""The trained networks, ready to plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import torch
+
+from advdiff_sumo.core.errors import ConfigError, WeightsError
+from advdiff_sumo.diffusion.fast_decoder import FastDecoder
+from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
+from advdiff_sumo.diffusion.fast_encoder import FastEncoder
+from advdiff_sumo.diffusion.fast_reward import RewardWeights
+from advdiff_sumo.diffusion.sampler import Sampling
+from advdiff_sumo.diffusion.schedule import Schedule
+from advdiff_sumo.models.bundle import Bundle, load_bundle
+from advdiff_sumo.models.codec import LatentCodec, TrajectoryCodec
+from advdiff_sumo.models.reward import RewardModel
+from advdiff_sumo.models.reward_file import load_reward
+from advdiff_sumo.models.shipped_weights import device_of
+from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions
+
+
+@dataclass(frozen=True)
+class Networks:
+    """Networks of one bundle on one device.
+
+    Attributes:
+        bundle: all of them, frozen.
+        codec: between latents and what is diffused.
+        denoiser: for the steps of one ladder.
+        decoder: of whole scenes and of some of their rows.
+        encoder: of scenes.
+        reward: weights of Q as guidance reads them.
+        schedule: what the denoiser was trained with.
+        sampling: how plans are drawn.
+        device: where they are.
+    """
+
+    bundle: Bundle
+    codec: LatentCodec | TrajectoryCodec
+    denoiser: FastDenoiser
+    decoder: FastDecoder
+    encoder: FastEncoder
+    reward: RewardWeights
+    schedule: Schedule
+    sampling: Sampling
+    device: torch.device
+
+    def guided_by(self, reward: RewardModel) -> Networks:
+        """Return the same networks with *reward* as it is now; what is trained further has to be given again."""
+        return replace(self, bundle=replace(self.bundle, reward=reward), reward=RewardWeights(reward))
+
+
+def networks_of(options: DiffusionOptions) -> Networks:
+    """Return the networks that *options* name, and give PyTorch its threads; read once a process.
+
+    Raises:
+        WeightsError: a file is missing, damaged, or holds networks that this policy cannot use.
+        ConfigError: no such device, or more steps than the networks were trained with.
+    """
+    device = device_of(options.device, "background 'diffusion'")
+    torch.set_num_threads(options.threads)
+    made = _networks(str(options.path), options.reward, device, options.steps, options.family, options.eta)
+    if options.guided and not isinstance(made.codec, LatentCodec):
+        raise WeightsError(
+            options.path,
+            "diffuses trajectories, which nothing guides",
+            "give weights of codec latent, or --guide none",
+        )
+    return made
+
+
+@lru_cache(maxsize=2)
+def _networks(path: str, reward: str, device: torch.device, steps: int, family: str, eta: float) -> Networks:
+    bundle = load_bundle(Path(path))
+    if reward:
+        bundle = replace(bundle, reward=load_reward(Path(reward), bundle))
+    schedule = Schedule(bundle.options.diffusion_steps, bundle.options.schedule)
+    if steps > schedule.steps:
+        raise ConfigError(
+            f"options of background 'diffusion': steps = {steps}: "
+            f"the networks were trained with {schedule.steps}; ask for at most so many"
+        )
+    bundle = bundle.frozen().to(device)
+    return Networks(
+        bundle=bundle,
+        codec=bundle.codec,
+        denoiser=FastDenoiser(bundle.denoiser, schedule.ladder(steps)[:-1]),
+        decoder=FastDecoder(bundle.traffic.decoder),
+        encoder=FastEncoder(bundle.traffic.encoder),
+        reward=RewardWeights(bundle.reward),
+        schedule=schedule,
+        sampling=Sampling(steps=steps, family="printed" if family == "printed" else "consistent", eta=eta),
+        device=device,
+    )

@@ -1,0 +1,235 @@
+"""The background policy ``diffusion``: encode, sample with guidance, decode, keep it plausible (Alg. 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.models.model_options import MODEL_STEP_S
+from advdiff_sumo.models.view import View, look
+from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks, networks_of
+from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions, Traj2TrajOptions
+from advdiff_sumo.traffic.planning.draw import Drawn, draw_plan
+from advdiff_sumo.traffic.planning.futures import Futures, coasting, futures_of, join
+from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
+from advdiff_sumo.traffic.planning.safeguard import Guarded, Plan, Watched, safeguard
+
+if TYPE_CHECKING:
+    from advdiff_sumo.maps import RoadMap
+
+_LEAVES_M, _LEAVES_S = 12.0, 2.0
+_STANDS_MPS, _SLIPPED_M = 0.2, 0.3
+
+Listener: TypeAlias = Callable[[View, Drawn], None]
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What a policy remembers from plan to plan.
+
+    Attributes:
+        noise: id → starting noise of the vehicle, (Z,).
+        shifts: id of who was guided last → what its latent was shifted by, (Z,).
+        plan: the last plan, at its own clock.
+        driven: model steps of it that have been driven when the next plan is asked for.
+    """
+
+    noise: Mapping[str, FloatArray] = field(default_factory=dict)
+    shifts: Mapping[str, FloatArray] = field(default_factory=dict)
+    plan: Tracks | None = None
+    driven: int = 0
+
+
+class DiffusionTraffic:
+    """Moves the background by guided latent diffusion; options are those of :class:`DiffusionOptions`.
+
+    Vehicles that come to where the road ends are left to SUMO, which takes them off the net.
+
+    Attributes:
+        options: checked.
+        networks: the trained networks.
+        listener: told of every plan that is drawn; for warm-up and for measurements.
+    """
+
+    Options: ClassVar[type[DiffusionOptions]] = DiffusionOptions
+    name: ClassVar[str] = "diffusion"
+
+    def __init__(self, **options: Any) -> None:
+        """Check the options and read the networks.
+
+        Raises:
+            ConfigError: an option has no such name or value.
+            WeightsError: the networks are missing or unusable.
+        """
+        self.options = self.Options.parse(options, f"options of background '{self.name}'")
+        self.networks: Networks = networks_of(self.options)
+        self.listener: Listener | None = None
+
+    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Memory:  # noqa: ARG002 - the contract
+        """Return an empty memory, and let the map make its table of pieces."""
+        _ = road.pieces
+        return Memory()
+
+    def plan(
+        self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
+    ) -> tuple[JointPlan, Memory]:
+        """Return the futures of all movable vehicles, 6 s at 2 Hz, and the memory for the next plan."""
+        kept = rest_of(memory.plan, memory.driven, scene, self.options.replan)
+        if kept is not None:
+            return JointPlan(kept), replace(memory, driven=memory.driven + 1)
+        return self._afresh(road, scene, memory, rng)
+
+    def _afresh(
+        self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
+    ) -> tuple[JointPlan, Memory]:
+        lanes = self._lanes(road, scene)
+        view = look(road, scene, leaving(scene, lanes))
+        seed = int(rng.integers(2**62))
+        if not view.moved.any():
+            empty = Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=scene.time_s + MODEL_STEP_S)
+            return JointPlan(empty), replace(memory, plan=None)
+        drawn = draw_plan(self.networks, self.options, view, memory.noise, memory.shifts, seed)
+        if self.listener is not None:
+            self.listener(view, drawn)
+        guarded = apply_safeguard(road, view, drawn, lanes, (memory.plan, memory.driven))
+        tracks = tracks_of(view, guarded.futures)
+        return JointPlan(tracks), Memory(drawn.noise, drawn.shifts, tracks, 1)
+
+    def _lanes(self, road: RoadMap, scene: Scene) -> dict[int, LaneAhead | None]:
+        return lanes_of(road, scene)
+
+
+class Traj2Traj(DiffusionTraffic):
+    """The paper's ablation in closed loop: trajectories are diffused, without decoder, bicycle model or guide."""
+
+    Options: ClassVar[type[DiffusionOptions]] = Traj2TrajOptions
+    name: ClassVar[str] = "traj2traj"
+
+
+def lanes_of(road: RoadMap, scene: Scene) -> dict[int, LaneAhead | None]:
+    """Return the lanes that each movable vehicle, by its row, would follow."""
+    rows = np.flatnonzero(scene.movable & scene.history.valid[:, -1])
+    now = scene.history
+    found = lanes_ahead(
+        road, now.xy_m[rows, -1], now.yaw_rad[rows, -1], [scene.routes[row] for row in rows.tolist()]
+    )
+    return dict(zip(rows.tolist(), found, strict=True))
+
+
+def apply_safeguard(
+    road: RoadMap,
+    view: View,
+    drawn: Drawn,
+    lanes: Mapping[int, LaneAhead | None],
+    before: tuple[Tracks | None, int] = (None, 0),
+) -> Guarded:
+    """Return the plans *drawn* for *view* made plausible, among everybody else's predictions.
+
+    Args:
+        road: the map.
+        view: the scene.
+        drawn: the plans.
+        lanes: what each movable vehicle, by its row in the scene, would follow.
+        before: the last plan and how many model steps of it have been driven.
+    """
+    seen = futures_of(view.now, drawn.rollout)
+    scene = view.scene
+    rest = np.setdiff1d(np.flatnonzero(scene.history.valid[:, -1]), view.rows)
+    now = scene.history
+    others = coasting(
+        now.xy_m[rest, -1],
+        now.yaw_rad[rest, -1],
+        now.speed_mps[rest, -1],
+        now.size_m[rest],
+        seen.steps,
+        seen.dt_s,
+    )
+    more = np.zeros(len(rest), dtype=np.bool_)
+    watched = Watched(
+        planned=np.concatenate((view.moved, more)),
+        attacker=np.concatenate((np.isin(view.ids, drawn.attackers), more)),
+        target=0,
+        stood=np.concatenate((_stood(view.now), more)),
+        lanes=[lanes.get(row) for row in (*view.rows.tolist(), *rest.tolist())],
+        signals=scene.signals,
+        before=rests(*before, view, seen.steps),
+    )
+    return safeguard(road, join(seen, others), watched)
+
+
+def rests(plan: Tracks | None, driven: int, view: View, steps: int) -> dict[int, Plan]:
+    """Return by row of *view* what is left of the last plan, gone on with at its last speed, for *steps* instants.
+
+    Who is not where its plan had it by now is left out.
+    """
+    if plan is None or not 0 < driven < plan.steps:
+        return {}
+    rest = {name: row for row, name in enumerate(plan.ids)}
+    ahead = np.arange(driven, driven + steps)
+    index, beyond = np.minimum(ahead, plan.steps - 1), plan.dt_s * np.maximum(ahead - plan.steps + 1, 0)
+    out: dict[int, Plan] = {}
+    for row in np.flatnonzero(view.moved).tolist():
+        mine = rest.get(view.ids[row])
+        if mine is None:
+            continue
+        if np.linalg.norm(plan.xy_m[mine, driven - 1] - view.now.xy_m[row, -1]) < _SLIPPED_M:
+            yaw, speed = plan.yaw_rad[mine, index], plan.speed_mps[mine, index]
+            out[row] = plan.xy_m[mine, index] + (speed * beyond)[:, None] * unit(yaw), yaw, speed
+    return out
+
+
+def _stood(now: Tracks) -> BoolArray:
+    """Return (A,) who has been there, standing, for the whole history."""
+    return np.asarray((now.valid & (np.abs(now.speed_mps) < _STANDS_MPS)).all(axis=1))
+
+
+def leaving(scene: Scene, lanes: Mapping[int, LaneAhead | None]) -> BoolArray:
+    """Return (agents,) which vehicles are about to drive off the net's end."""
+    out = np.zeros(scene.history.agents, dtype=np.bool_)
+    for row, lane in lanes.items():
+        if lane is not None:
+            speed = max(float(scene.history.speed_mps[row, -1]), 0.0)
+            out[row] = lane.end_m < _LEAVES_M + _LEAVES_S * speed
+    return out
+
+
+def tracks_of(view: View, futures: Futures) -> Tracks:
+    """Return the plans of the moved vehicles."""
+    rows = np.flatnonzero(view.moved)
+    now = view.now.rows(rows)
+    return Tracks(
+        ids=now.ids,
+        classes=now.classes,
+        size_m=now.size_m,
+        xy_m=futures.xy_m[rows, 1:],
+        yaw_rad=futures.yaw_rad[rows, 1:],
+        speed_mps=futures.speed_mps[rows, 1:],
+        valid=np.ones((len(rows), futures.steps), dtype=np.bool_),
+        t0_s=view.scene.time_s + futures.dt_s,
+        dt_s=futures.dt_s,
+    )
+
+
+def rest_of(plan: Tracks | None, driven: int, scene: Scene, replan: int) -> Tracks | None:
+    """Return what is left of the last plan, where it shall be driven on and names everybody that may be moved.
+
+    Args:
+        plan: the last one.
+        driven: model steps of it that have been driven.
+        scene: now.
+        replan: model steps of a plan to drive.
+    """
+    if plan is None or driven >= replan or plan.steps <= driven:
+        return None
+    late = abs(plan.t0_s + (driven - 1) * plan.dt_s - scene.time_s) > 1e-6
+    movable = {name for name, free in zip(scene.history.ids, scene.movable, strict=True) if free}
+    if late or movable != set(plan.ids):
+        return None
+    return plan.window(driven, plan.steps)

@@ -1,0 +1,1 @@
+"""What all backgrounds that plan share: futures, lanes ahead, who may attack, and the safeguard over every plan."""

@@ -1,0 +1,240 @@
+"""Brakes planned vehicles along their own paths where plans would run through each other or a stop line.
+
+Who brakes: of two whose boxes would meet, the one that has the other before its front; both where neither or both
+have. For one whose speed is not ours to change everybody brakes that has it before its front, even if it ought to
+brake itself. Nobody brakes for a vehicle that comes from behind, and attackers never brake for the target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.boxes import axis_gaps
+from advdiff_sumo.core.frames import unit, wrap_angle
+from advdiff_sumo.traffic.planning.futures import Futures
+
+LADDER_MPS2 = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 8.5)
+"""Decelerations that are tried, the mildest that helps is taken; before them the plan itself."""
+GAP_M = 1.0
+"""Room that is kept before and behind a vehicle, where there is any."""
+SIDE_M = 0.15
+"""Room that is kept on each side."""
+_SHARES = (1.0, 0.5, 0.25, 0.1)
+"""Shares of that room that are tried where two are nearer than it now."""
+_SAME_BEARING, _BEFORE_FRONT = 0.15, 0.3
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Braked:
+    """What became of the plans.
+
+    Attributes:
+        futures: with new speeds where somebody had to brake.
+        rows: (N,) who had to.
+        unsolved: (N,) whose box still meets another one's, however hard it brakes.
+    """
+
+    futures: Futures
+    rows: BoolArray
+    unsolved: BoolArray
+
+
+def brake_ahead(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray, steps: int) -> Braked:
+    """Return :func:`brake` of the first *steps* instants; who braked goes on from there at the speed it has then.
+
+    What is to happen later is drawn anew before it happens: two vehicles that would meet in five seconds are no
+    reason to brake today, and braking for all of them makes traffic stand still.
+    """
+    if steps >= futures.steps:
+        return brake(futures, may, minds, stop_m)
+    near = brake(futures.first(steps), may, minds, stop_m)
+    made, path, dt = futures.copy(), _Paths(futures), futures.dt_s
+    driven = near.futures.travelled_m()
+    for row in np.flatnonzero(near.rows).tolist():
+        speed = near.futures.speed_mps[row, -1]
+        further = driven[row, -1] + speed * dt * np.arange(1, futures.steps - steps + 1)
+        xy, yaw = path.at(row, further)
+        stride = np.diff(np.minimum(further, path.s_m[row, -1]), prepend=driven[row, -1])
+        tail = xy, yaw, np.maximum(stride, 0.0) / dt
+        head = near.futures.xy_m[row, 1:], near.futures.yaw_rad[row, 1:], near.futures.speed_mps[row, 1:]
+        made.put(row, *(np.concatenate(pair) for pair in zip(head, tail, strict=True)))
+    return Braked(made, near.rows, near.unsolved)
+
+
+def brake(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray) -> Braked:
+    """Return *futures* in which no two boxes meet, as far as braking can do it.
+
+    Args:
+        futures: plans and predictions of N road users.
+        may: (N,) whose speeds may be changed.
+        minds: (N, N) whether the first gives way to the second at all.
+        stop_m: (N,) distance along the own path that must not be passed; inf for none.
+    """
+    made = futures.copy()
+    path = _Paths(futures)
+    braked, unsolved = np.zeros(len(may), dtype=np.bool_), np.zeros(len(may), dtype=np.bool_)
+    for _ in range(_ROUNDS):
+        pairs = _conflicts(made, minds & may[:, None], may)
+        late = may & (path.length_m(made) > stop_m) & ~unsolved
+        rows = np.flatnonzero(pairs.any(axis=1) | late)
+        if not len(rows):
+            break
+        changed, before = False, made.copy()
+        for row in rows.tolist():
+            others = np.flatnonzero(pairs[row])
+            ok, moved = _ease(made, before, path, row, others, float(stop_m[row]))
+            unsolved[row] = not ok
+            braked[row] |= moved
+            changed |= moved
+        if not changed:
+            break
+    return Braked(made, braked, unsolved & braked)
+
+
+class _Paths:
+    """The planned paths of N road users, kept while their speeds change."""
+
+    def __init__(self, futures: Futures) -> None:
+        self.xy_m, self.yaw_rad = futures.xy_m, futures.yaw_rad
+        self.s_m = futures.travelled_m()
+
+    def length_m(self, futures: Futures) -> FloatArray:
+        """Return (N,) how far *futures* get."""
+        return np.asarray(futures.travelled_m()[:, -1])
+
+    def at(self, row: int, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return points (…, 2) and headings (…,) of the path of *row* at *s_m* (…,), clamped to it."""
+        s = self.s_m[row]
+        piece = np.clip(np.searchsorted(s, s_m, side="right") - 1, 0, len(s) - 2)
+        share = np.clip((s_m - s[piece]) / np.maximum(s[piece + 1] - s[piece], 1e-9), 0.0, 1.0)
+        xy, yaw = self.xy_m[row], self.yaw_rad[row]
+        turned = yaw[piece] + share * wrap_angle(yaw[piece + 1] - yaw[piece])
+        return xy[piece] + share[..., None] * (xy[piece + 1] - xy[piece]), turned
+
+
+@dataclass(frozen=True)
+class _Boxes:
+    """Boxes of N road users: centres (N, …, 2), headings (N, …), half length and width (N, 2)."""
+
+    xy_m: FloatArray
+    yaw_rad: FloatArray
+    half_m: FloatArray
+
+    @staticmethod
+    def now(futures: Futures) -> _Boxes:
+        return _Boxes(futures.xy_m[:, 0], futures.yaw_rad[:, 0], 0.5 * futures.size_m)
+
+    @staticmethod
+    def later(futures: Futures) -> _Boxes:
+        return _Boxes(*futures.halves(), 0.5 * futures.size_m)
+
+    def rows(self, rows: IntArray) -> _Boxes:
+        return _Boxes(self.xy_m[rows], self.yaw_rad[rows], self.half_m[rows])
+
+    def gaps(self, other: _Boxes, room_m: FloatArray) -> FloatArray:
+        """Return the separation (N, …) of each box, grown by *room_m* (N, 2) along and across, from the other's."""
+        extra = (1,) * (self.yaw_rad.ndim - 1)
+        grown = (self.half_m + room_m).reshape(len(self.half_m), *extra, 2)
+        half = other.half_m.reshape(len(other.half_m), *extra, 2)
+        gaps = axis_gaps(other.xy_m - self.xy_m, self.yaw_rad, grown, other.yaw_rad, half)[0]
+        return np.asarray(gaps.max(-1))
+
+
+def _conflicts(futures: Futures, minds: BoolArray, may: BoolArray) -> BoolArray:
+    """Return (N, N) whether the first has to brake for the second, of whom *may* (N,) can be asked to."""
+    boxes = _Boxes.later(futures)
+    reach = 0.5 * np.hypot(*futures.size_m.T) + 0.5 * GAP_M
+    out = np.zeros_like(minds)
+    either = np.triu(minds | minds.T, k=1)
+    apart = np.linalg.norm(boxes.xy_m[:, None] - boxes.xy_m[None], axis=-1).min(axis=-1)
+    first, second = np.nonzero(either & (apart < reach[:, None] + reach))
+    if not len(first):
+        return out
+    room, inside = _room(futures, first, second)
+    meets = boxes.rows(first).gaps(boxes.rows(second), room) < 0.0
+    hit = meets.any(axis=1) & ~inside
+    first, second, when = first[hit], second[hit], meets[hit].argmax(axis=1)
+    when = np.maximum(when - 1, 0)  # just before, when it still shows who is where
+    offset = boxes.xy_m[second, when] - boxes.xy_m[first, when]
+    offset /= np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
+    mine = (offset * unit(boxes.yaw_rad[first, when])).sum(-1)
+    yours = -(offset * unit(boxes.yaw_rad[second, when])).sum(-1)
+    out[first, second] = (mine >= yours - _SAME_BEARING) | (~may[second] & (mine > _BEFORE_FRONT))
+    out[second, first] = (yours >= mine - _SAME_BEARING) | (~may[first] & (yours > _BEFORE_FRONT))
+    return out & minds
+
+
+def _room(futures: Futures, first: IntArray, second: IntArray) -> tuple[FloatArray, BoolArray]:
+    """Return (P, 2) the room to keep in each pair, as much of it as there is now, and (P,) who overlaps now."""
+    now = _Boxes.now(futures)
+    mine, yours = now.rows(first), now.rows(second)
+    full = np.tile((GAP_M, SIDE_M), (len(first), 1))
+    room = np.zeros_like(full)
+    for share in reversed(_SHARES):
+        there = mine.gaps(yours, share * full) >= 0.0
+        room[there] = share * full[there]
+    return room, mine.gaps(yours, np.zeros_like(full)) < 0.0
+
+
+def _ease(
+    futures: Futures, before: Futures, path: _Paths, row: int, others: IntArray, stop_m: float
+) -> tuple[bool, bool]:
+    """Let *row* brake as mildly as keeps it clear of *others* as they were *before*, in place.
+
+    Returns whether it is clear, and whether it changed.
+    """
+    driven = _ladder(before, row)  # (C, T)
+    clear = driven[:, -1] <= stop_m
+    free = np.full(len(driven), np.inf)
+    if len(others):
+        free = _clear_steps(before, path, row, others, driven)
+        clear &= np.isinf(free)
+    best = int(clear.argmax()) if clear.any() else int(np.argmax(free + 1e-3 * np.arange(len(free))))
+    if not clear.any() and not len(others):
+        best = len(driven) - 1
+    if best == 0:
+        return bool(clear[0]), False
+    xy, yaw = path.at(row, driven[best])
+    futures.put(row, xy, yaw, _speeds(np.diff(driven[best], prepend=0.0), futures.dt_s))
+    return bool(clear[best]), True
+
+
+def _ladder(futures: Futures, row: int) -> FloatArray:
+    """Return distances driven (C, T): by the plan as it is, then by the plan or a deceleration, what is less."""
+    planned = futures.travelled_m()[row, 1:]
+    speed = futures.speed_mps[row, 0]
+    time = futures.dt_s * np.arange(1, futures.steps + 1)
+    rate = np.array(LADDER_MPS2)[:, None]
+    moving = np.minimum(time, speed / np.maximum(rate, 1e-9))
+    braked = speed * moving - 0.5 * rate * moving**2
+    return np.vstack((planned, np.minimum(planned, braked)))
+
+
+def _clear_steps(
+    futures: Futures, path: _Paths, row: int, others: IntArray, driven: FloatArray
+) -> FloatArray:
+    """Return (C,) the half step at which a ladder's rung first meets one of *others*; inf where it never does."""
+    begin = np.hstack((np.zeros((len(driven), 1)), driven[:, :-1]))
+    halves = np.empty((len(driven), 2 * futures.steps))
+    halves[:, ::2], halves[:, 1::2] = 0.5 * (begin + driven), driven
+    xy, yaw = path.at(row, halves)
+    all_xy, all_yaw = futures.halves()
+    room, _ = _room(futures, np.full(len(others), row), others)
+    half = 0.5 * futures.size_m
+    meets = np.zeros(halves.shape, dtype=np.bool_)
+    for other, wide in zip(others.tolist(), room, strict=True):
+        turned = np.broadcast_to(all_yaw[other], yaw.shape)
+        meets |= axis_gaps(all_xy[other] - xy, yaw, half[row] + wide, turned, half[other])[0].max(-1) < 0.0
+    return np.where(meets.any(axis=1), meets.argmax(axis=1), np.inf)
+
+
+def _speeds(stride_m: FloatArray, dt_s: float) -> FloatArray:
+    """Return speeds (T,) at the instants of a plan that drives *stride_m* (T,) up to each of them."""
+    mean = stride_m / dt_s
+    last = max(0.0, 1.5 * mean[-1] - 0.5 * mean[-2]) if len(mean) > 1 else mean[-1]
+    speed = np.append(0.5 * (mean[:-1] + mean[1:]), last)
+    return np.where(stride_m > 1e-6, speed, 0.0)

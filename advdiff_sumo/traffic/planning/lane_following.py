@@ -1,0 +1,69 @@
+"""What vehicles would drive that simply follow their lanes, many of them at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.bicycle import Limits, wheelbase_m
+from advdiff_sumo.core.polylines import kept_points
+from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
+from advdiff_sumo.traffic.planning.pursuit import Lines, pursue
+
+_SUBSTEPS = 2
+
+
+def follow(
+    lanes: Sequence[LaneAhead],
+    xy_m: FloatArray,
+    yaw_rad: FloatArray,
+    speed_mps: FloatArray,
+    length_m: FloatArray,
+    steps: int,
+    dt_s: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return states (V, T, 2), (V, T), (V, T) of V vehicles that follow their lanes at the limit, slower in bends.
+
+    Pure pursuit through the bicycle model; other vehicles and signals are the business of ``braking``.
+
+    Args:
+        lanes: of each vehicle.
+        xy_m: (V, 2) centres.
+        yaw_rad: (V,) headings.
+        speed_mps: (V,) speeds.
+        length_m: (V,) lengths.
+        steps: T.
+        dt_s: spacing.
+    """
+    limits = Limits()
+    states = np.column_stack((xy_m, yaw_rad, np.maximum(speed_mps, 0.0)))
+    made = np.empty((len(lanes), steps, _SUBSTEPS, 4))
+    bends = np.tan(limits.steer_rad) / wheelbase_m(length_m)
+    pursue(lines_of(lanes), states, bends, limits.lateral_mps2, dt_s / _SUBSTEPS, made)
+    last = made[:, :, -1]
+    return last[..., :2], last[..., 2], last[..., 3]
+
+
+def lines_of(lanes: Sequence[LaneAhead]) -> Lines:
+    """Return the lines of vehicles on *lanes*."""
+    parts = [x.centre_xy_m for lane in lanes for x in lane.lanes]
+    points = np.concatenate(parts)
+    pieces = np.array([len(lane.lanes) for lane in lanes])
+    counts = np.array([len(part) for part in parts])
+    line = np.repeat(np.repeat(np.arange(len(lanes)), pieces), counts)
+    keep = kept_points(points) | (np.diff(line, prepend=-1) > 0)  # a line keeps its first point
+    points, line = points[keep], line[keep]
+    within = line[1:] == line[:-1]
+    delta = (points[1:] - points[:-1])[within]
+    length = np.hypot(delta[:, 0], delta[:, 1])
+    owner = line[:-1][within]
+    first = np.searchsorted(owner, np.arange(len(lanes)))
+    last = np.searchsorted(owner, np.arange(len(lanes)), side="right") - 1
+    # line by line: the same vehicle among others gets the same numbers
+    s = np.concatenate([np.cumsum(part) - part for part in np.split(length, first[1:])])
+    tangent = delta / length[:, None]
+    yaw = np.arctan2(tangent[:, 1], tangent[:, 0])
+    begin, limit = np.array([(lane.s_m, lane.speed_mps) for lane in lanes], dtype=np.float64).T.copy()
+    return Lines(points[:-1][within], tangent, yaw, s, first, last, begin, limit)

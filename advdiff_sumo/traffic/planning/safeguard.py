@@ -1,0 +1,216 @@
+"""Keeps sampled plans plausible by construction; applied to every plan, guided or not.
+
+In this order: a vehicle far from the target, one whose plan leaves the road (it stops where it has no lane), and one
+that is no attacker and plans to drive on the wrong side, follows its lane instead; one that stands and has nowhere
+to go stands exactly still, and one that has stood for its whole history and means to leave within its plan leaves
+now; plans are braked (``braking``) where boxes would meet or a red light would be passed. Who could not avoid
+another box by braking drives on as the plan before said, which was free, or along its lane, where that helps.
+Attackers are left alone towards the target, and signals do not bind them; everybody else behaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.boxes import corners
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.planning.braking import Braked, brake, brake_ahead
+from advdiff_sumo.traffic.planning.futures import Futures, standing
+from advdiff_sumo.traffic.planning.lane_following import follow
+from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
+from advdiff_sumo.traffic.planning.oncoming import drives_against
+
+OFF_SHARE = 0.25
+"""Share of the box off the road, within the next seconds, that sends a vehicle back to its lane …"""
+_MORE = 0.02
+"""… if it is more by this than it is now: who is parked on the kerb may stay there."""
+FAR_M = 55.0
+"""Vehicles farther from the target follow their lanes, so that SUMO gets them back aligned."""
+_OFF_STEPS = (1, 2, 3, 4, 6)
+_STANDS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 0.3, 3
+_LEAVES_M, _BUDGES_M = 1.5, 0.1
+_STOP_BRAKE_MPS2, _YELLOW_BRAKE_MPS2, _LOST_BRAKE_MPS2 = 6.0, 3.0, 4.0
+_BEFORE_LINE_M = 1.0
+_LOOK_STEPS = 6
+"""Instants of a plan that have to be clear: 3 s, from 14 m/s a stop at less than 5 m/s²."""
+
+Plan: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+"""Positions (T, 2), headings (T,) and speeds (T,) of one vehicle."""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What the safeguard knows of N road users.
+
+    Attributes:
+        planned: (N,) whose futures are plans; the others' are predictions and stay.
+        attacker: (N,) who is guided against the target.
+        target: row of the target.
+        stood: (N,) who has not moved for as long as its history goes back.
+        lanes: what each would follow, where asked for.
+        signals: states of the traffic lights.
+        before: row → what is left of the plan before, as long as the new one.
+    """
+
+    planned: BoolArray
+    attacker: BoolArray
+    target: int
+    stood: BoolArray
+    lanes: Sequence[LaneAhead | None]
+    signals: Mapping[str, str]
+    before: Mapping[int, Plan] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """Plans after the safeguard and what it did, each (N,).
+
+    Attributes:
+        futures: the plans.
+        lane: follows its lane, as its plan would have left the road or its side of it.
+        held: stands still.
+        braked: was slowed down.
+        unsolved: its box meets another one however hard it brakes.
+    """
+
+    futures: Futures
+    lane: BoolArray
+    held: BoolArray
+    braked: BoolArray
+    unsolved: BoolArray
+
+
+def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
+    """Return plausible plans near *futures*."""
+    made = futures.copy()
+    nowhere = np.array([lane is None for lane in watched.lanes], dtype=np.bool_)
+    off = leaves_road(road, made, watched.planned)
+    lost = off & nowhere
+    off |= drives_against(road, made, watched.planned & ~watched.attacker & ~nowhere)
+    far = np.linalg.norm(made.xy_m[:, 0] - made.xy_m[watched.target, 0], axis=-1) > FAR_M
+    followed = (off | (far & watched.planned & ~watched.attacker)) & ~nowhere
+    _back_to_lane(made, np.flatnonzero(followed), watched)
+    moved = made.travelled_m()
+    held = watched.planned & (made.speed_mps[:, 0] < _STANDS_MPS)
+    held &= moved[:, min(_NOWHERE_STEPS, made.steps)] < _NOWHERE_M
+    starts = held & watched.stood & (moved[:, -1] > _LEAVES_M)
+    for row in np.flatnonzero(starts).tolist():
+        _start_now(made, row)
+    held &= ~starts
+    standing(made, held)
+    may = watched.planned & ~held
+    stop = stop_distances(made, watched, may)
+    stop[lost] = np.minimum(stop[lost], 0.5 * made.speed_mps[lost, 0] ** 2 / _LOST_BRAKE_MPS2)
+    clear = _settled(made, watched, may, stop)
+    return Guarded(clear.futures, off & ~lost, held, clear.rows, clear.unsolved)
+
+
+def _settled(futures: Futures, watched: Watched, may: BoolArray, stop_m: FloatArray) -> Braked:
+    """Return *futures* braked; who is not clear then tries the plan before, then its lane."""
+    minds = _minds(watched)
+    best = _braked(futures, may, minds, stop_m)
+    for way in (_as_before, _back_to_lane):
+        rows = np.flatnonzero(best.unsolved)
+        if not len(rows):
+            break
+        other = futures.copy()
+        way(other, rows, watched)
+        tried = _braked(other, may, minds, stop_m)
+        if tried.unsolved.sum() < best.unsolved.sum():
+            futures, best = other, tried
+    return best
+
+
+def _braked(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray) -> Braked:
+    stopped = brake(futures, may, np.zeros_like(minds), stop_m)  # a stop line stays where it is, however far
+    clear = brake_ahead(stopped.futures, may, minds, stop_m, _LOOK_STEPS)
+    return Braked(clear.futures, stopped.rows | clear.rows, stopped.unsolved | clear.unsolved)
+
+
+def _minds(watched: Watched) -> BoolArray:
+    """Return (N, N) whether the first gives way to the second: everybody to all, but attackers to the target."""
+    count = len(watched.planned)
+    minds = ~np.eye(count, dtype=np.bool_)
+    minds[watched.attacker, watched.target] = False
+    return minds
+
+
+def leaves_road(road: RoadMap, futures: Futures, rows: BoolArray) -> BoolArray:
+    """Return (N,) which of *rows* (N,) plan to leave the drivable area, or to go on leaving it."""
+    out = np.zeros(futures.agents, dtype=np.bool_)
+    picked = np.flatnonzero(rows)
+    if not len(picked):
+        return out
+    steps = np.array([0, *(k for k in _OFF_STEPS if k <= futures.steps)])
+    size = np.repeat(futures.size_m[picked, None], len(steps), axis=1)
+    boxes = corners(futures.xy_m[picked][:, steps], futures.yaw_rad[picked][:, steps], size)
+    inside = road.covers(boxes).all(axis=(1, 2))
+    rest = ~inside
+    if rest.any():
+        share = road.off_road_share(boxes[rest].reshape(-1, 4, 2)).reshape(-1, len(steps))
+        out[picked[rest]] = share[:, 1:].max(axis=1) > np.maximum(OFF_SHARE, share[:, 0] + _MORE)
+    return out
+
+
+def _as_before(futures: Futures, rows: IntArray, watched: Watched) -> None:
+    """Let those of *rows* (V,) that have one go on with the plan before, in place."""
+    for row in rows.tolist():
+        if row in watched.before:
+            futures.put(row, *watched.before[row])
+
+
+def _back_to_lane(futures: Futures, rows: IntArray, watched: Watched) -> None:
+    """Let those of *rows* (V,) that have one follow their lanes, in place."""
+    own = {row: lane for row in rows.tolist() if (lane := watched.lanes[row]) is not None}
+    if own:
+        who = np.array(list(own))
+        now = futures.xy_m[who, 0], futures.yaw_rad[who, 0], futures.speed_mps[who, 0]
+        plan = follow(list(own.values()), *now, futures.size_m[who, 0], futures.steps, futures.dt_s)
+        futures.xy_m[who, 1:], futures.yaw_rad[who, 1:], futures.speed_mps[who, 1:] = plan
+
+
+def _start_now(futures: Futures, row: int) -> None:
+    """Leave the wait at the beginning of a plan out, in place.
+
+    A plan that starts in a second is never driven where each next one starts in a second again.
+    """
+    wait = int((futures.travelled_m()[row] > _BUDGES_M).argmax()) - 1
+    steps = np.minimum(np.arange(1, futures.steps + 1) + max(wait, 0), futures.steps)
+    futures.put(row, futures.xy_m[row, steps], futures.yaw_rad[row, steps], futures.speed_mps[row, steps])
+
+
+def stop_distances(futures: Futures, watched: Watched, rows: BoolArray) -> FloatArray:
+    """Return (N,) how far each of *rows* may go before a red light; inf for none, and for attackers.
+
+    A yellow light counts where it asks for no more than comfortable braking, and a red one where the vehicle can
+    stop at all: who is over the line, or too near to stop, goes on, as in real traffic.
+    """
+    stop = np.full(futures.agents, np.inf)
+    for row in np.flatnonzero(rows & ~watched.attacker).tolist():
+        lane = watched.lanes[row]
+        for distance, link in lane.stops[:1] if lane is not None else ():
+            room = distance - 0.5 * futures.size_m[row, 0] - _BEFORE_LINE_M
+            need = 0.5 * futures.speed_mps[row, 0] ** 2 / max(room, 0.1)
+            if (
+                need <= _limit(_state(watched.signals, link.tls_id, link.tls_index))
+                and room > -_BEFORE_LINE_M
+            ):
+                stop[row] = max(room, 0.0)
+    return stop
+
+
+def _limit(state: str) -> float:
+    """Return the deceleration up to which a driver stops at a light of that state."""
+    if state in ("r", "u"):
+        return _STOP_BRAKE_MPS2
+    return _YELLOW_BRAKE_MPS2 if state in ("y", "Y") else -1.0
+
+
+def _state(signals: Mapping[str, str], light: str | None, index: int | None) -> str:
+    text = signals.get(light or "", "")
+    return text[index] if index is not None and index < len(text) else ""

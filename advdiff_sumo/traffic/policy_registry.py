@@ -1,0 +1,77 @@
+"""Every background policy by name."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, cast
+
+from advdiff_sumo.config import Options
+from advdiff_sumo.core.errors import ConfigError, did_you_mean
+from advdiff_sumo.plugins import Registry
+
+if TYPE_CHECKING:
+    from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
+
+POLICIES = Registry(
+    kind="background",
+    group="advdiff_sumo.policies",
+    builtins={
+        "sumo": "advdiff_sumo.traffic.natural:SumoTraffic",
+        "replay": "advdiff_sumo.traffic.replay:Replay",
+        "diffusion": "advdiff_sumo.traffic.diffusion.diffusion_policy:DiffusionTraffic",
+        "traj2traj": "advdiff_sumo.traffic.diffusion.diffusion_policy:Traj2Traj",
+        "advsim": "advdiff_sumo.traffic.baselines.advsim:AdvSim",
+        "strive": "advdiff_sumo.traffic.baselines.strive:Strive",
+        "adv-rl": "advdiff_sumo.traffic.rl.adv_rl_policy:AdvRl",
+    },
+)
+"""``sumo``, ``replay``, ``diffusion``, the rivals, and plug-ins of the group ``advdiff_sumo.policies``."""
+
+
+def make_policy(name: str, options: Mapping[str, Any]) -> TrafficPolicy:
+    """Return the policy that *name* stands for, set up with *options*.
+
+    A class may carry its options as a pydantic model, ``Options`` (a subclass of
+    :class:`advdiff_sumo.config.Options`); they are checked against it, and the class is called with the keys
+    that were given. Otherwise the signature of the class decides.
+
+    Args:
+        name: a built-in or plug-in (case, hyphen and underscore do not matter), or ``package.module:Class``.
+        options: keyword arguments of the class; see ``docs/policies.md``.
+
+    Raises:
+        UnknownNameError: no such policy; with the nearest name.
+        ConfigError: an option has no such name or value, or the class cannot be imported or is no policy.
+    """
+    canonical = POLICIES.canonical(name)
+    factory = POLICIES.load(canonical)
+    where = f"options of background '{canonical}'"
+    if not callable(factory):
+        raise ConfigError(f"background '{canonical}' is a {type(factory).__name__}, not a class or function")
+    model = getattr(factory, "Options", None)
+    if isinstance(model, type) and issubclass(model, Options):
+        model.parse(options, where)
+    else:
+        _refuse_unknown(factory, options, where)
+    policy = factory(**options)
+    missing = [method for method in ("start", "plan") if not callable(getattr(policy, method, None))]
+    if missing:
+        lacks = " and ".join(missing)
+        raise ConfigError(f"background '{canonical}' is no policy: {type(policy).__name__} lacks {lacks}")
+    return cast("TrafficPolicy", policy)
+
+
+def _refuse_unknown(factory: Any, options: Mapping[str, Any], where: str) -> None:
+    try:
+        signature = inspect.signature(factory)
+    except ValueError:  # some classes written in C have none
+        return
+    try:
+        signature.bind(**options)
+    except TypeError as error:
+        known = [p.name for p in signature.parameters.values() if p.kind is not p.VAR_POSITIONAL]
+        unknown = [key for key in options if key not in known]
+        hint = did_you_mean(unknown[0], known) if unknown and known else "it has none"
+        problem = f"no option '{unknown[0]}'; {hint}" if unknown else str(error)
+        raise ConfigError(f"{where}: {problem}") from None

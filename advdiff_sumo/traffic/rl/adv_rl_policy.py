@@ -1,0 +1,82 @@
+"""The background policy ``adv-rl``: everybody drives by the behaviour model, an attacker deviates as PPO taught it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import torch
+
+from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.models.shipped_weights import shipped_weights
+from advdiff_sumo.traffic.rl.actor import Actor, load_actor
+from advdiff_sumo.traffic.rl.adv_rl_options import AdvRlOptions
+from advdiff_sumo.traffic.rl.prior import Prior, load_prior
+from advdiff_sumo.traffic.rl.rl_situation import joint_plan, situation
+
+if TYPE_CHECKING:
+    from advdiff_sumo.maps import RoadMap
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What the policy remembers.
+
+    Attributes:
+        attackers: names of those who attacked last.
+        plan: the last plan.
+    """
+
+    attackers: tuple[str, ...] = ()
+    plan: Tracks | None = None
+
+
+class AdvRl:
+    """Adversarial reinforcement learning (the paper's baseline Adv-RL, Sec. IV); options are :class:`AdvRlOptions`.
+
+    Attributes:
+        options: checked.
+        actor: trained by ``advdiff-sumo train-rl``.
+        prior: the behaviour model that it deviates from.
+    """
+
+    Options: ClassVar[type[AdvRlOptions]] = AdvRlOptions
+
+    def __init__(self, **options: Any) -> None:
+        """Check the options and read the networks.
+
+        Raises:
+            ConfigError: an option has no such name or value.
+            WeightsError: the actor or the behaviour model is missing or unusable.
+        """
+        self.options = AdvRlOptions.parse(options, "options of background 'adv-rl'")
+        torch.set_num_threads(self.options.threads)
+        path = Path(self.options.weights) if self.options.weights else shipped_actor()
+        self.actor: Actor = load_actor(path)
+        self.prior: Prior = load_prior(self.actor.prior, self.options.prior_weights)
+
+    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Memory:  # noqa: ARG002 - the contract
+        """Return an empty memory, and let the map make its table of pieces."""
+        _ = road.pieces
+        return Memory()
+
+    def plan(
+        self,
+        road: RoadMap,
+        scene: Scene,
+        memory: Memory,
+        rng: np.random.Generator,  # noqa: ARG002 - the contract
+    ) -> tuple[JointPlan, Memory]:
+        """Return the futures of all movable vehicles, 4 s at 2 Hz; nothing is drawn."""
+        now = situation(road, scene, self.prior, self.options.attackers, memory.attackers)
+        residuals = self.options.strength * self.actor.residuals(now.observations)
+        plan = joint_plan(road, now, self.prior, residuals, memory.plan)
+        return plan, Memory(now.attackers, plan.tracks)
+
+
+def shipped_actor() -> Path:
+    """Return the path of the shipped actor."""
+    return shipped_weights("traffic").with_name("adv_rl.safetensors")

@@ -1,0 +1,153 @@
+"""Stage "denoiser": noise prediction on latents of the frozen traffic model (Sec. III-B, L_noise)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import torch
+from torch import Tensor, nn
+
+from advdiff_sumo.diffusion.sampler import Noise, Sampling, sample
+from advdiff_sumo.diffusion.schedule import Schedule
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.denoiser import Denoiser
+from advdiff_sumo.training.cvae import masked_mean, modelled
+from advdiff_sumo.training.displacement import displacement
+from advdiff_sumo.training.stage import Moment, Tally
+
+_JUDGED_STEPS = 10
+
+
+class DenoiserStage:
+    """Trains the denoiser alone.
+
+    Args:
+        bundle: its denoiser is trained in place, the rest is frozen.
+    """
+
+    name = "denoiser"
+    monitor = "noise"
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._bundle = bundle
+        self.schedule = schedule_of(bundle)
+        bundle.traffic.eval().requires_grad_(False)
+        # the codec's scale is no parameter, but later stages and a resumed run need it
+        self.module: nn.Module = nn.ModuleDict({"denoiser": bundle.denoiser, "codec": bundle.codec})
+        self.beside: nn.Module = nn.Module()
+
+    def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
+        """Return the noise loss of the windows at one random diffusion step each."""
+        with torch.no_grad():
+            context = self._bundle.traffic.encoder(batch)
+            x0 = clean(self._bundle, batch, context, moment.generator)
+        k = random_steps(batch, self.schedule, moment.generator)
+        loss = noise_loss(self._bundle.denoiser, x0, context, batch, self.schedule, k, moment.generator)
+        return {"loss": loss, "noise": loss}
+
+    def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
+        """Return the noise loss at steps spread over the schedule, and the displacement of one sample."""
+        return judge(self._bundle, batch, generator)
+
+    def after_step(self) -> None:
+        """Do nothing."""
+
+    def bundle(self) -> Bundle:
+        """Return the bundle with the trained denoiser."""
+        return self._bundle
+
+
+def judge(bundle: Bundle, batch: SceneBatch, generator: torch.Generator) -> Tally:
+    """Return the noise loss at steps spread over the schedule, and the displacement of one sample."""
+    context = bundle.traffic.encoder(batch)
+    x0 = clean(bundle, batch, context, generator)
+    schedule = schedule_of(bundle)
+    k = spread_steps(batch, schedule)
+    loss = noise_loss(bundle.denoiser, x0, context, batch, schedule, k, generator)
+    drawn = diffused(bundle, context, min(_JUDGED_STEPS, schedule.steps), generator)
+    found = displacement(bundle.codec.decode(drawn, context, batch), batch)
+    weight = float(batch.scenes)
+    return {
+        "noise": (float(loss) * weight, weight),
+        "sample_ade_m": found.ade_sum(),
+        "sample_fde_m": found.fde_sum(),
+    }
+
+
+def schedule_of(bundle: Bundle) -> Schedule:
+    """Return the noise schedule that the bundle's denoiser belongs to."""
+    return Schedule(bundle.options.diffusion_steps, bundle.options.schedule)
+
+
+def clean(bundle: Bundle, batch: SceneBatch, context: Context, generator: torch.Generator) -> Tensor:
+    """Return scaled x⁰ (B, A, C, L) of the known futures: z̃⁰ from the posterior, or the trajectories."""
+    return bundle.codec.scale(bundle.codec.raw(batch, context, generator))
+
+
+def random_steps(batch: SceneBatch, schedule: Schedule, generator: torch.Generator) -> Tensor:
+    """Return a diffusion step (B,) for each scene, 1 … K alike."""
+    drawn = torch.randint(1, schedule.steps + 1, (batch.scenes,), generator=generator)
+    return drawn.to(batch.past.device)
+
+
+def spread_steps(batch: SceneBatch, schedule: Schedule) -> Tensor:
+    """Return diffusion steps (B,) evenly spread over 1 … K."""
+    middle = (torch.arange(batch.scenes) + 0.5) / batch.scenes
+    return (1 + (middle * schedule.steps).long()).clamp(max=schedule.steps).to(batch.past.device)
+
+
+def noise_loss(
+    denoiser: Denoiser,
+    x0: Tensor,
+    context: Context,
+    batch: SceneBatch,
+    schedule: Schedule,
+    k: Tensor,
+    generator: torch.Generator,
+) -> Tensor:
+    """Return the mean of ‖ε(x̃ᵏ, k, z, h) − ε‖² over the modelled vehicles and the numbers of x̃ (L_noise).
+
+    Args:
+        denoiser: ε.
+        x0: (B, A, C, L) scaled data.
+        context: h and prior; its mean is the condition z.
+        batch: the windows.
+        schedule: of the noise.
+        k: (B,) diffusion steps.
+        generator: of the noise.
+    """
+    noise = torch.randn(x0.shape, generator=generator).to(x0)
+    predicted = denoiser(schedule.noisy(x0, k, noise), k, context)
+    return masked_mean((predicted - noise).square().flatten(2).mean(-1), modelled(batch))
+
+
+def diffused(bundle: Bundle, context: Context, steps: int, generator: torch.Generator) -> Tensor:
+    """Return samples x̃⁰ (B, A, C, L) of the denoiser, without a guide."""
+    shape = (*context.h.shape[:2], *bundle.codec.shape)
+    start = torch.randn(shape, generator=generator).to(context.h)
+    return sample(
+        noise_at(bundle.denoiser, context), start, schedule_of(bundle), Sampling(steps=steps), generator
+    )
+
+
+def noise_at(denoiser: Denoiser, context: Context) -> Noise:
+    """Return *denoiser* as ε(x, k) for the scenes of *context*."""
+
+    def noise_of(x: Tensor, k: int) -> Tensor:
+        at = torch.full((x.shape[0],), k, device=x.device)
+        out: Tensor = denoiser(x, at, context)
+        return out
+
+    return noise_of
+
+
+@torch.no_grad()
+def measure_scale(bundle: Bundle, batches: Iterable[SceneBatch], generator: torch.Generator) -> None:
+    """Give the codec mean and deviation of what it makes of the modelled vehicles of *batches*."""
+    raw = []
+    for batch in batches:
+        context = bundle.traffic.encoder(batch)
+        raw.append(bundle.codec.raw(batch, context, generator)[modelled(batch)])
+    bundle.codec.measure(torch.cat(raw))

@@ -1,0 +1,213 @@
+"""Judges weights on windows: errors, diversity and realism, beside baselines and the log itself."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.training import realism
+from advdiff_sumo.training.baselines import constant_velocity, lane_following
+from advdiff_sumo.training.dataset import WindowSet, batches
+from advdiff_sumo.training.denoiser_stage import diffused
+from advdiff_sumo.training.displacement import displacement, driving
+from advdiff_sumo.training.stage import Tally, add, means
+
+Figures = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Judging:
+    """How weights are judged.
+
+    Attributes:
+        samples: joint samples of each scene.
+        steps: DDIM steps.
+        windows: most windows looked at, evenly taken; None: all.
+        batch_size: scenes at once.
+        seed: of the samples.
+    """
+
+    samples: int = 10
+    steps: int = 10
+    windows: int | None = 512
+    batch_size: int = 8
+    seed: int = 0
+
+
+@dataclass
+class _Sums:
+    """What has been added up of one way to predict."""
+
+    tally: Tally = field(default_factory=dict)
+    speed: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(realism.SPEED_BINS) - 1))
+    accel: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(realism.ACCEL_BINS) - 1))
+
+    def count(self, rollout: Rollout, batch: SceneBatch, known: Tensor) -> None:
+        """Add histograms, collisions and departures from the road."""
+        speed, accel = realism.histograms(rollout, batch)
+        self.speed += speed
+        self.accel += accel
+        total = float(driving(batch).sum())
+        add(self.tally, {"collision_rate": (float(realism.colliding(rollout, batch, known).sum()), total)})
+        add(self.tally, {"off_road_rate": (float(realism.leaving_road(rollout, batch, known).sum()), total)})
+
+
+Predict = Callable[[SceneBatch, Context, torch.Generator], tuple[Rollout, int]]
+"""Scenes, their contexts → joint futures of each scene repeated that many times in a row."""
+
+
+def methods(bundle: Bundle, judging: Judging) -> dict[str, Predict]:
+    """Return the ways to predict that the bundle's stages allow, with the baselines."""
+    found: dict[str, Predict] = {
+        "constant velocity": lambda batch, *_: (constant_velocity(batch), 1),
+        "lane following": lambda batch, *_: (lane_following(batch), 1),
+    }
+    if "traffic" in bundle.stages:
+        found["posterior"] = lambda batch, context, _: (
+            bundle.traffic.decoder(bundle.traffic.posterior(batch, context.h).mean, context.h, batch),
+            1,
+        )
+        found["prior"] = lambda batch, context, g: (
+            _from_prior(bundle, batch, context, judging, g),
+            judging.samples,
+        )
+    if "denoiser" in bundle.stages:
+        name = "latent diffusion" if bundle.options.codec == "latent" else "trajectory diffusion"
+        found[name] = lambda batch, context, g: (
+            _diffused(bundle, batch, context, judging, g),
+            judging.samples,
+        )
+    return found
+
+
+@torch.no_grad()
+def evaluate_bundle(
+    bundle: Bundle,
+    windows: WindowSet,
+    judging: Judging,
+    device: torch.device,
+    tell: Callable[[int, int], None] | None = None,
+) -> dict[str, Figures]:
+    """Return the figures of each way to predict, and of the log.
+
+    Errors are of driving vehicles: not parked, with a known future. With several samples, ``min_ade_m`` and
+    ``min_fde_m`` take the best one of each vehicle, ``min_sfde_m`` the best one of each scene as a whole. JSD is
+    against the log's histogram, base 2.
+
+    Args:
+        bundle: networks; untrained parts are not judged.
+        windows: what happened.
+        judging: how many samples, of how many windows.
+        device: where it is computed.
+        tell: told how many windows are done, and how many there are.
+    """
+    bundle.to(device).frozen()
+    ways = methods(bundle, judging)
+    sums = {name: _Sums() for name in (*ways, "log")}
+    count = len(windows) if judging.windows is None else min(len(windows), judging.windows)
+    chosen = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
+    few, done = windows.subset(chosen), 0
+    for number, rows in enumerate(batches(few, judging.batch_size)):
+        batch = few.batch(rows).to(device)
+        context = bundle.traffic.encoder(batch)
+        sums["log"].count(logged(batch), batch, batch.future_valid)
+        for name, predict in ways.items():
+            node = SeedTree(judging.seed, ("evaluation", name, str(number)))
+            rollout, times = predict(batch, context, torch.Generator().manual_seed(node.integer(62)))
+            _judge(sums[name], rollout, batch, times)
+        done += len(rows)
+        if tell is not None:
+            tell(done, count)
+    return {name: _figures(one, sums["log"]) for name, one in sums.items()}
+
+
+def logged(batch: SceneBatch) -> Rollout:
+    """Return what happened as a rollout; unknown instants are 0."""
+    future, nothing = batch.future, torch.zeros_like(batch.future[..., 0])
+    return Rollout(future[..., :2], future[..., 2], future[..., 3], nothing, nothing)
+
+
+def write_figures(path: Path, figures: dict[str, Figures], judging: Judging, windows: WindowSet) -> None:
+    """Write the figures as JSON, with what they were made of."""
+    text = {"judging": vars(judging), "windows": len(windows), "data": windows.digest, "figures": figures}
+    path.write_text(json.dumps(text, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def _from_prior(
+    bundle: Bundle, batch: SceneBatch, context: Context, judging: Judging, generator: torch.Generator
+) -> Rollout:
+    several = context.repeat(judging.samples)
+    z = several.prior.sample(generator)
+    made: Rollout = bundle.traffic.decoder(z, several.h, batch.repeat(judging.samples))
+    return made
+
+
+def _diffused(
+    bundle: Bundle, batch: SceneBatch, context: Context, judging: Judging, generator: torch.Generator
+) -> Rollout:
+    several = context.repeat(judging.samples)
+    drawn = diffused(bundle, several, judging.steps, generator)
+    return bundle.codec.decode(drawn, several, batch.repeat(judging.samples))
+
+
+def _judge(sums: _Sums, rollout: Rollout, batch: SceneBatch, times: int) -> None:
+    several = batch.repeat(times)
+    found = displacement(rollout, several)
+    shape = (batch.scenes, times, batch.agents)
+    ade, fde, who = found.ade_m.reshape(shape), found.fde_m.reshape(shape), driving(batch)
+    number = who.sum(1)
+    scene = torch.where(who[:, None], fde, 0.0).sum(2).amin(1) / number.clamp(min=1)
+    last = _last(rollout.xy, several).reshape(*shape, 2)
+    parts: dict[str, tuple[float, float]] = {
+        "ade_m": _sum(ade.mean(1), who),
+        "fde_m": _sum(fde.mean(1), who),
+        "min_ade_m": _sum(ade.amin(1), who),
+        "min_fde_m": _sum(fde.amin(1), who),
+        "min_sfde_m": _sum(scene, number > 0),
+        "fdd_m": realism.final_diversity(last, who),
+    }
+    add(sums.tally, parts)
+    known = several.present[..., None].expand(rollout.yaw.shape)
+    sums.count(rollout, several, known)
+
+
+def _last(xy: Tensor, batch: SceneBatch) -> Tensor:
+    """Return positions (B, A, 2) at the last known instant."""
+    steps = torch.arange(xy.shape[2], device=xy.device)
+    last = torch.where(batch.future_valid, steps, 0).amax(-1)
+    return xy.gather(2, last[..., None, None].expand(*last.shape, 1, 2)).squeeze(2)
+
+
+def _figures(one: _Sums, log: _Sums) -> Figures:
+    figures = means(one.tally)
+    if one is not log:
+        figures["jsd_speed"] = realism.jensen_shannon(one.speed, log.speed)
+        figures["jsd_accel"] = realism.jensen_shannon(one.accel, log.accel)
+    return figures
+
+
+def _sum(value: Tensor, mask: Tensor) -> tuple[float, float]:
+    return float(torch.where(mask, value, 0.0).sum()), float(mask.sum())
+
+
+def columns(figures: dict[str, Figures]) -> list[str]:
+    """Return the names of all figures, in the order of the table."""
+    return [name for name in _ORDER if any(name in row for row in figures.values())]
+
+
+_ORDER = (
+    *("ade_m", "fde_m", "min_ade_m", "min_fde_m", "min_sfde_m", "fdd_m"),
+    *("jsd_speed", "jsd_accel", "collision_rate", "off_road_rate"),
+)

@@ -1,0 +1,121 @@
+"""Where Q points: its gradient, which is what guides, is taught the way that leads attackers to the target.
+
+One number an experience tells little about which of several hundred latents matter. So the direction of ∂Q/∂aᵢ of
+each vehicle near the target is held against that of −∂cᵢ/∂aᵢ through the decoder, while the target drives as it
+then did; c is the objective of ``diffusion.attacks`` of kind "any": the least gap in the next seconds, overlap
+with others, what is over the road's edge, and how unlikely the prior finds the latent. Only the direction counts
+(gradients as labels: Sobolev training, Czarnecki et al. 2017, arXiv:1706.04859), as guidance takes no more of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from advdiff_sumo.diffusion.attacks import OTHERS_WEIGHT, PRIOR_WEIGHT, ROAD_WEIGHT, nearest, surprise
+from advdiff_sumo.diffusion.guides import direction
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.training.adversarial_reward import among_background, background, over_edge, target_gap
+from advdiff_sumo.training.experience import Experience, decoded
+from advdiff_sumo.training.presets import RewardOptions
+
+_FAR_M = 20.0
+_FLAT = 1e-3
+_PUSHED, _TURNS, _MOST_PUSHED = 0.8, 3, 3
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far Q points where it should.
+
+    Attributes:
+        cosine: (B, A) between ∂Q/∂aᵢ and the way that leads to contact; 0 where it does not count.
+        counts: (B, A) vehicles that come near the target, whose drive is known, and for whom there is such a way.
+    """
+
+    cosine: Tensor
+    counts: Tensor
+
+
+def direction_loss(
+    bundle: Bundle, made: Experience, options: RewardOptions, generator: torch.Generator
+) -> Tensor:
+    """Return 1 − cos averaged over the vehicles that count; 1 where there is none."""
+    agreement = agreement_of(bundle, made, options, generator)
+    return 1.0 - agreement.cosine.sum() / agreement.counts.sum().clamp(min=1)
+
+
+def agreement_of(
+    bundle: Bundle, made: Experience, options: RewardOptions, generator: torch.Generator
+) -> Agreement:
+    """Return where Q points at the actions of *made*, some of them shifted up Q as guidance shifts them.
+
+    Args:
+        bundle: the networks; gradients go to the reward model alone.
+        made: experiences; the target's drive is the future in their states.
+        options: how far ahead, how long the shifts.
+        generator: of the shifts.
+    """
+    with torch.no_grad():
+        context = bundle.traffic.encoder(made.state)
+    made = replace(made, action=_pushed(bundle, made, context, options.push, generator))
+    with torch.enable_grad():
+        action = made.action.detach().requires_grad_(True)
+        cost, near = _cost(bundle, replace(made, action=action), context, options.look)
+        wanted = -torch.autograd.grad(cost.sum(), action)[0].nan_to_num()
+        q = bundle.reward(context.h, context.prior.mean, action, made.state, made.target)
+        slope = torch.autograd.grad(q.sum(), action, create_graph=True)[0]
+    size = wanted.norm(dim=-1)
+    row = torch.arange(len(made.target), device=size.device)
+    known = made.state.future_valid[row, made.target, : options.look].all(-1) & (made.weight > 0.0)
+    counts = near & (size > _FLAT) & known[:, None]
+    cosine = (slope * wanted).sum(-1) / (slope.norm(dim=-1) * size).clamp(min=1e-12)
+    return Agreement(torch.where(counts, cosine, 0.0), counts)
+
+
+def approach(path: Rollout, batch: SceneBatch, target: Tensor) -> tuple[Tensor, Tensor]:
+    """Return what attackers want small but for the prior (B,), and who comes near enough to count (B, A)."""
+    gap = target_gap(path, batch, target)
+    least = nearest(gap)
+    near = background(batch, target) & (least.detach() < _FAR_M)
+    cost = torch.where(near, least, 0.0).sum(1)
+    cost = cost + OTHERS_WEIGHT * among_background(path, batch, target).sum(-1)
+    return cost + ROAD_WEIGHT * over_edge(path, batch, target).sum(-1), near
+
+
+def _cost(bundle: Bundle, made: Experience, context: Context, steps: int) -> tuple[Tensor, Tensor]:
+    path = decoded(bundle, made.action, context, made.state, made.target, steps)
+    cost, near = approach(path, made.state, made.target)
+    unlikely = surprise(context.prior, bundle.codec.unscale(made.action[:, :, None])[:, :, 0])
+    return cost + PRIOR_WEIGHT * torch.where(near, unlikely, 0.0).sum(1), near
+
+
+def _pushed(
+    bundle: Bundle, made: Experience, context: Context, most: float, generator: torch.Generator
+) -> Tensor:
+    """Return the actions (B, A, Z) with up to three vehicles near the target shifted up Q, in four of five scenes."""
+    mask = _chosen(made.state, made.target, generator).to(made.action.dtype)
+    here = made.action.device
+    share = torch.rand((len(mask), 1, 1), generator=generator)
+    some = torch.rand((len(mask), 1, 1), generator=generator) < _PUSHED
+    length = (most / _TURNS * share * some).to(here)
+    state = bundle.reward.prepare(context.h, context.prior.mean, made.state, made.target)
+    out = made.action
+    for _ in range(_TURNS):
+        out = out + length * direction(lambda a: bundle.reward.value_of(state, a), out, mask)
+    return out.detach()
+
+
+def _chosen(batch: SceneBatch, target: Tensor, generator: torch.Generator) -> Tensor:
+    """Return (B, A) one to three of those who can attack, the nearer the likelier."""
+    row = torch.arange(batch.scenes, device=target.device)
+    away = (batch.pose[..., :2] - batch.pose[row, target][:, None, :2]).norm(dim=-1)
+    away = away * (1.0 + 0.5 * torch.rand(away.shape, generator=generator).to(away))
+    away = torch.where(background(batch, target), away, torch.inf)
+    count = torch.randint(1, _MOST_PUSHED + 1, (batch.scenes, 1), generator=generator).to(target.device)
+    return (away.argsort(dim=1).argsort(dim=1) < count) & torch.isfinite(away)

@@ -1,0 +1,161 @@
+"""Stage "reward": Q by DQN targets, from logs with random targets and random latents (Sec. III-C, L_Q)."""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+from torch import Tensor, nn
+
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.reward import RewardModel
+from advdiff_sumo.training.adversarial_reward import payoffs
+from advdiff_sumo.training.experience import (
+    Experience,
+    decoded,
+    from_logs,
+    pick_target,
+    prior_action,
+    random_action,
+    value_of,
+)
+from advdiff_sumo.training.gradient_alignment import agreement_of, direction_loss
+from advdiff_sumo.training.presets import RewardOptions
+from advdiff_sumo.training.stage import Moment, Tally
+
+_CHOICES = 6
+
+
+class RewardStage:
+    """Trains Q alone.
+
+    Args:
+        bundle: its reward model is trained in place, the rest is frozen.
+        options: discount, weights, sources.
+    """
+
+    name = "reward"
+    monitor = "regret"
+
+    def __init__(self, bundle: Bundle, options: RewardOptions) -> None:
+        self._bundle, self.options = bundle, options
+        for frozen in (bundle.traffic, bundle.denoiser):
+            frozen.eval().requires_grad_(False)
+        self._target = copy.deepcopy(bundle.reward).requires_grad_(False)
+        self.module: nn.Module = bundle.reward
+        self.beside: nn.Module = self._target
+
+    def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
+        """Return L_Q over the experiences that the windows give, with the mean value and rate of contact."""
+        made = list(from_logs(self._bundle, batch, self.options, moment.generator))
+        terms = [q_loss(self._bundle, self._target, one, self.options, moment.generator) for one in made]
+        weight = sum(float(one.weight.sum()) for one in made)
+        loss = torch.stack([term for term, _ in terms]).sum() / max(weight, 1.0)
+        value = torch.stack([q for _, q in terms]).sum() / max(weight, 1.0)
+        direction = loss.new_zeros(())
+        if made and self.options.direction > 0.0:
+            direction = direction_loss(self._bundle, made[0], self.options, moment.generator)
+        contact = sum(float((one.weight * (one.remains == 0.0)).sum()) for one in made) / max(weight, 1.0)
+        return {
+            "loss": loss + self.options.direction * direction,
+            "td": loss,
+            "direction": direction,
+            "value": value,
+            "contact": torch.tensor(contact),
+        }
+
+    def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
+        """Judge Q as a chooser among random actions by what each is worth when its plan is executed to its end.
+
+        "regret" is how much the best action is worth more than the one that Q likes most, "chance" the same for
+        an action drawn at random, "td" the error of its values, "direction" 1 − cos of its gradient (1: it knows
+        nothing).
+        """
+        worth, liked, usable = self._choices(batch, generator)
+        best = worth.amax(1)
+        chosen = worth.gather(1, liked.argmax(1, keepdim=True)).squeeze(1)
+        tally = {
+            "regret": _sum(best - chosen, usable),
+            "chance": _sum(best - worth.mean(1), usable),
+        }
+        made = list(from_logs(self._bundle, batch, self.options, generator))
+        losses = [q_loss(self._bundle, self._target, one, self.options, generator)[0] for one in made]
+        weight = sum(float(one.weight.sum()) for one in made)
+        tally |= {"td": (float(torch.stack(losses).sum()), weight)}
+        if made:
+            agreement = agreement_of(self._bundle, made[0], self.options, generator)
+            tally["direction"] = (
+                float((1.0 - agreement.cosine)[agreement.counts].sum()),
+                float(agreement.counts.sum()),
+            )
+        return tally
+
+    def after_step(self) -> None:
+        """Let the target network follow."""
+        follow(self._target, self._bundle.reward, self.options.target_decay)
+
+    def bundle(self) -> Bundle:
+        """Return the bundle with the trained reward model."""
+        return self._bundle
+
+    def _choices(self, batch: SceneBatch, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+        """Return worth and Q (B, 6) of random actions, and where (B,) the target's log is long enough."""
+        bundle, options = self._bundle, self.options
+        stretches = batch.future.shape[2] // options.execute
+        target, usable = pick_target(batch, stretches * options.execute, generator)
+        context = bundle.traffic.encoder(batch)
+        state = bundle.reward.prepare(context.h, context.prior.mean, batch, target)
+        worth, liked = [], []
+        for _ in range(_CHOICES):
+            action = random_action(bundle, context, options, generator)
+            path = decoded(bundle, action, context, batch, target)
+            worth.append(value_of(payoffs(path, batch, target, options, stretches), options.discount)[0])
+            liked.append(bundle.reward.value_of(state, action))
+        return torch.stack(worth, dim=1), torch.stack(liked, dim=1), usable
+
+
+def q_loss(
+    bundle: Bundle,
+    target_network: RewardModel,
+    made: Experience,
+    options: RewardOptions,
+    generator: torch.Generator,
+) -> tuple[Tensor, Tensor]:
+    """Return the summed squared errors of Q against its DQN targets, and the summed Q.
+
+    The target is (1 − γ) Σ γⁱ rᵢ + γⁿ max Q(s', a) with the maximum over candidates a drawn from the prior.
+    """
+    with torch.no_grad():
+        context = bundle.traffic.encoder(made.state)
+        after = bundle.traffic.encoder(made.after)
+        future = best_value(bundle, target_network, made, after, options.candidates, generator)
+        wanted = made.gain + made.remains * future
+    q = bundle.reward(context.h, context.prior.mean, made.action, made.state, made.target)
+    return (made.weight * (q - wanted).square()).sum(), (made.weight * q.detach()).sum()
+
+
+def best_value(
+    bundle: Bundle,
+    network: RewardModel,
+    made: Experience,
+    after: Context,
+    candidates: int,
+    generator: torch.Generator,
+) -> Tensor:
+    """Return max over *candidates* latents of the prior of Q(s', ·), (B,)."""
+    state = network.prepare(after.h, after.prior.mean, made.after, made.target)
+    values = [network.value_of(state, prior_action(bundle, after, generator)) for _ in range(candidates)]
+    return torch.stack(values).amax(0)
+
+
+@torch.no_grad()
+def follow(target: nn.Module, source: nn.Module, decay: float) -> None:
+    """Move the weights of *target* towards those of *source*, keeping the share *decay*."""
+    for mine, theirs in zip(target.parameters(), source.parameters(), strict=True):
+        mine.lerp_(theirs, 1.0 - decay)
+
+
+def _sum(value: Tensor, mask: Tensor) -> tuple[float, float]:
+    return float(torch.where(mask, value, 0.0).sum()), float(mask.sum())

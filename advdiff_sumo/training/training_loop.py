@@ -1,0 +1,278 @@
+"""The training loop: the same for every stage, resumable to the byte, with nothing random of its own.
+
+Order, noise and jitter of a step follow from the seed and the number of the step alone, so a resumed training
+needs no state of a random generator.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from advdiff_sumo.core.errors import ConfigError, TrainingError
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.collate import Jitter
+from advdiff_sumo.training import checkpoint, history
+from advdiff_sumo.training.checkpoint import Progress
+from advdiff_sumo.training.dataset import IntArray, WindowSet, batches, nearest
+from advdiff_sumo.training.ema import Ema
+from advdiff_sumo.training.interrupt import Wish, graceful
+from advdiff_sumo.training.learning_rates import rate_factor
+from advdiff_sumo.training.presets import TrainOptions
+from advdiff_sumo.training.stage import Moment, Stage, Tally, add, means
+
+_REDRAW_S = 30.0
+
+Tell = Callable[[Progress, int, dict[str, float]], None]
+"""Told after each step: where the training stands, batches in the epoch, means of the loss terms so far."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is trained on what.
+
+    Attributes:
+        stage: the stage.
+        options: its hyper-parameters.
+        train: windows to learn from.
+        held_out: windows to judge on.
+        out: folder of everything that is written.
+        seed: of order, noise and jitter.
+        device: where the tensors live.
+        source: hash of the data and of the weights begun with, kept in the checkpoint.
+        keep: writes the stage's weights, called when they are the best so far.
+        max_minutes: stop after that time, to be resumed; infinite: never.
+    """
+
+    stage: Stage
+    options: TrainOptions
+    train: WindowSet
+    held_out: WindowSet
+    out: Path
+    seed: int
+    device: torch.device
+    source: str
+    keep: Callable[[Progress], None]
+    max_minutes: float = math.inf
+
+
+class Trainer:
+    """A training that can be left and taken up again.
+
+    Args:
+        job: what is trained on what.
+        events: TensorBoard writer.
+        tell: told after each step.
+    """
+
+    def __init__(self, job: Job, events: history.Events, tell: Tell) -> None:
+        self.job, self.events, self.tell = job, events, tell
+        self.tree = SeedTree(job.seed, ("training", job.stage.name))
+        options = job.options
+        parameters = [p for p in job.stage.module.parameters() if p.requires_grad]
+        self.parameters = parameters
+        self.optimiser = torch.optim.Adam(parameters, lr=options.learning_rate)
+        self.ema = Ema(job.stage.module, options.ema_decay)
+        self.progress = Progress(job.stage.name, options.model_dump(mode="json"), job.source)
+        self._drawn = time.monotonic()
+        self.per_epoch = math.ceil(len(job.train) / options.batch_size)
+        self.total = self.per_epoch * options.epochs
+
+    def resume(self) -> None:
+        """Take up the training in the job's folder.
+
+        Raises:
+            FileError: there is no checkpoint, or it is damaged.
+            ConfigError: it is of another stage, other options or other data.
+        """
+        progress, groups = checkpoint.load(self.job.out)
+        _same(self.job.out, progress, self.progress)
+        self.job.stage.module.load_state_dict(groups.get("model", {}))
+        self.job.stage.beside.load_state_dict(groups.get("beside", {}))
+        self.ema.load(groups["ema"])
+        checkpoint.restore_optimiser(self.optimiser, groups.get("optimiser", {}))
+        self.progress = progress
+
+    def run(self) -> Progress:
+        """Train to the end, or until there is no more progress, time or wish to go on.
+
+        Returns:
+            Where the training stands; ``done`` tells whether it has ended.
+
+        Raises:
+            TrainingError: a loss or gradient is not a number.
+            KeyboardInterrupt: the user wants to stop; all is saved.
+        """
+        begun = time.monotonic()
+        try:
+            with graceful() as wish:
+                self._epochs(begun, wish)
+        finally:
+            self._draw(0.0)
+            self.events.close()
+        if wish:
+            raise KeyboardInterrupt
+        return self.progress
+
+    def _epochs(self, begun: float, wish: Wish) -> None:
+        progress = self.progress
+        while not progress.done:
+            if not self._epoch(begun, wish):
+                self.save()
+                return
+            self._judge()
+            progress.done = progress.epoch >= self.job.options.epochs or self._stuck()
+            self.save()
+
+    def _epoch(self, begun: float, wish: Wish) -> bool:
+        """Go on with the epoch; False: left before its end."""
+        progress, saved = self.progress, time.monotonic()
+        limit_s, between_s = 60.0 * self.job.max_minutes, 60.0 * self.job.options.checkpoint_minutes
+        order = self._order()
+        for numbers in order[progress.batch :]:
+            if wish or time.monotonic() - begun > limit_s:
+                return False
+            self._step(numbers)
+            if time.monotonic() - saved > between_s:
+                self.save()
+                saved = time.monotonic()
+            self.tell(progress, len(order), means(progress.sums))
+        return True
+
+    def _order(self) -> list[IntArray]:
+        rng = self.tree.child("order", self.progress.epoch).generator()
+        return batches(self.job.train, self.job.options.batch_size, rng)
+
+    def _step(self, numbers: IntArray) -> None:
+        progress, options, stage = self.progress, self.job.options, self.job.stage
+        moment = self._moment(progress.step)
+        batch = self._batch(numbers, progress.step)
+        for group in self.optimiser.param_groups:
+            group["lr"] = options.learning_rate * rate_factor(options.schedule, progress.step, self.total)
+        stage.module.train()
+        terms = stage.loss(batch, moment)
+        self.optimiser.zero_grad(set_to_none=True)
+        _finite(terms, progress)
+        torch.autograd.backward(terms["loss"])
+        norm = torch.nn.utils.clip_grad_norm_(self.parameters, options.gradient_clip)
+        _finite({"gradient": norm}, progress)
+        self.optimiser.step()
+        self.ema.update(progress.step)
+        stage.after_step()
+        self._note(terms, len(numbers))
+
+    def _note(self, terms: dict[str, Tensor], windows: int) -> None:
+        progress = self.progress
+        values = {name: float(value.detach()) for name, value in terms.items()}
+        add(progress.sums, {name: (value * windows, windows) for name, value in values.items()})
+        progress.step += 1
+        progress.batch += 1
+        if progress.step % 20 == 0:
+            for name, value in values.items():
+                self.events.add_scalar(f"step/{name}", value, progress.step)
+
+    def _moment(self, step: int) -> Moment:
+        generator = torch.Generator().manual_seed(self.tree.child("noise", step).integer(62))
+        return Moment(step, self.total, generator)
+
+    def _batch(self, numbers: IntArray, step: int) -> SceneBatch:
+        rng = self.tree.child("jitter", step).generator()
+        batch = self.job.train.batch(numbers, rng, _jitter(self.job.options))
+        return nearest(batch, self.job.options.max_agents).to(self.job.device)
+
+    def _judge(self) -> None:
+        """Evaluate the averaged weights, write what can be looked at, keep the weights if they are the best."""
+        progress, stage = self.progress, self.job.stage
+        with self.ema.applied():
+            held_out = means(evaluate(stage, self.job.held_out, self.job.options, self.job.device))
+            progress.epoch, progress.batch = progress.epoch + 1, 0
+            record = {"epoch": progress.epoch, "step": progress.step, "held_out": held_out}
+            progress.history.append({**record, "train": means(progress.sums)})
+            progress.sums = {}
+            figure = held_out[stage.monitor]
+            if progress.best is None or figure < progress.best:
+                progress.best, progress.best_epoch = figure, progress.epoch
+                self.job.keep(progress)
+        history.write_lines(self.job.out / "metrics.jsonl", progress.history)
+        self._draw(_REDRAW_S)
+        history.write_events(self.events, progress.history[-1])
+
+    def _draw(self, age_s: float) -> None:
+        """Draw the curves, unless that was done less than *age_s* ago: it takes longer than some epochs."""
+        if self.progress.history and time.monotonic() - self._drawn > age_s:
+            history.draw_curves(self.job.out / "curves.png", self.job.stage.name, self.progress.history)
+            self._drawn = time.monotonic()
+
+    def _stuck(self) -> bool:
+        patience = self.job.options.patience_epochs
+        return patience > 0 and self.progress.epoch - self.progress.best_epoch >= patience
+
+    def save(self) -> None:
+        """Write the checkpoint.
+
+        Raises:
+            FileError: it cannot be written.
+        """
+        groups = {
+            "model": self.job.stage.module.state_dict(),
+            "ema": self.ema.shadow,
+            "optimiser": checkpoint.optimiser_tensors(self.optimiser),
+            "beside": self.job.stage.beside.state_dict(),
+        }
+        checkpoint.save(self.job.out, self.progress, groups)
+
+
+@torch.no_grad()
+def evaluate(stage: Stage, windows: WindowSet, options: TrainOptions, device: torch.device) -> Tally:
+    """Judge *stage* on held-out windows, always on the same ones with the same noise."""
+    stage.module.eval()
+    total: Tally = {}
+    for number, numbers in enumerate(held_out_batches(windows, options)):
+        generator = torch.Generator().manual_seed(
+            SeedTree(options.split_seed, ("judge", str(number))).integer(62)
+        )
+        add(total, stage.evaluate(windows.batch(numbers).to(device), generator))
+    return total
+
+
+def held_out_batches(windows: WindowSet, options: TrainOptions) -> Iterator[IntArray]:
+    """Yield the held-out windows that an evaluation looks at: evenly taken, at most as many as asked for."""
+    count = min(len(windows), options.held_out_windows)
+    chosen = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
+    for numbers in batches(windows.subset(chosen), max(options.batch_size, 16)):
+        yield chosen[numbers]
+
+
+def _jitter(options: TrainOptions) -> Jitter | None:
+    return Jitter(**options.jitter.model_dump()) if options.jitter.share > 0.0 else None
+
+
+def _finite(terms: dict[str, Tensor], progress: Progress) -> None:
+    for name, value in terms.items():
+        if not math.isfinite(float(value.detach())):
+            raise TrainingError(
+                f"step {progress.step} of epoch {progress.epoch + 1}: '{name}' is {float(value.detach())}; the last "
+                "checkpoint is kept: resume with a lower --set learning_rate in a new --out, or look at the data"
+            )
+
+
+def _same(folder: Path, old: Progress, new: Progress) -> None:
+    """Refuse to go on with another stage, other options or other data."""
+    if old.stage != new.stage:
+        raise ConfigError(f"{folder} holds a training of the stage '{old.stage}', not of '{new.stage}'")
+    for name, value in new.options.items():
+        if old.options.get(name) != value:
+            raise ConfigError(
+                f"{folder} was begun with {name} = {old.options.get(name)}, not {value}; leave it out, or choose "
+                "another --out"
+            )
+    if old.data != new.data:
+        raise ConfigError(f"{folder} was begun with other data or other --init weights; choose another --out")

@@ -1,0 +1,120 @@
+"""The contract checker finds what it is for, and the built-in planner passes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.plan import Controls, Trajectory
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.planners.planner_check import check_planner, planning_times_s
+from advdiff_sumo.planners.planner_registry import make_target
+
+from .scenes import Car, make_scene
+
+ROUTE = ("west_in", "east_out")
+
+
+class Broken:
+    """Returns what it is told to; keeps straight on otherwise."""
+
+    def __init__(self, make: Callable[[Scene, int, np.random.Generator], Any]) -> None:
+        self.make, self.calls = make, 0
+
+    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> None:
+        """Remember nothing."""
+
+    def plan(
+        self,
+        road: RoadMap,
+        scene: Scene,
+        memory: Any,
+        rng: np.random.Generator,
+    ) -> Any:
+        self.calls += 1
+        return self.make(scene, self.calls, rng)
+
+
+def straight(scene: Scene, steps: int = 5, dt_s: float = 0.1) -> Trajectory:
+    state = scene.history
+    speed = float(state.speed_mps[0, -1])
+    along = speed * dt_s * np.arange(1, steps + 1)
+    xy = state.xy_m[0, -1] + np.stack((along, np.zeros(steps)), -1)
+    return Trajectory(xy, np.full(steps, state.yaw_rad[0, -1]), np.full(steps, speed), dt_s)
+
+
+def spoil(scene: Scene) -> Trajectory:
+    scene.history.speed_mps[0, 0] += 1.0
+    return straight(scene)
+
+
+def with_values(plan: Trajectory, **values: Any) -> Trajectory:
+    parts: dict[str, Any] = {
+        "xy_m": plan.xy_m,
+        "yaw_rad": plan.yaw_rad,
+        "speed_mps": plan.speed_mps,
+        "dt_s": plan.dt_s,
+    }
+    return Trajectory(**(parts | values))
+
+
+@pytest.fixture
+def scene(crossing: Callable[..., RoadMap]) -> Scene:
+    return make_scene(crossing(), [Car("west_in_0", 50.0, 10.0), Car("west_in_1", 60.0, 8.0)], ROUTE)
+
+
+def test_a_planner_that_keeps_the_contract(crossing: Callable[..., RoadMap], scene: Scene) -> None:
+    assert check_planner(Broken(lambda s, _n, _r: (straight(s), None)), crossing(), scene) == []
+
+
+CASES: list[tuple[Callable[[Scene, int, np.random.Generator], Any], str]] = [
+    (lambda s, _n, _r: straight(s), "not (plan, memory)"),
+    (lambda _s, _n, _r: ("left", None), "returned a str"),
+    (lambda s, _n, _r: (straight(s, steps=4), None), "lasts 0.4 s"),
+    (lambda s, _n, _r: (with_values(straight(s), yaw_rad=np.full(5, np.nan)), None), "not finite"),
+    (lambda s, _n, _r: (with_values(straight(s), speed_mps=np.zeros(4)), None), "shape"),
+    (lambda s, _n, _r: (with_values(straight(s), xy_m=straight(s).xy_m + 5.0), None), "step 0 moves farther"),
+    (lambda s, _n, _r: (with_values(straight(s), speed_mps=np.zeros(5)), None), "brakes by more"),
+    (lambda s, _n, _r: (with_values(straight(s), yaw_rad=np.full(5, 2.0)), None), "turns faster"),
+    (
+        lambda s, n, _r: (with_values(straight(s), speed_mps=np.full(5, 10.0 + 0.01 * n)), None),
+        "two different plans",
+    ),
+    (lambda s, _n, _r: (spoil(s), None), "changed the scene"),
+    (lambda _s, _n, _r: (Controls(np.full(5, 9.0), np.zeros(5), 0.1), None), "accelerates by 9.0"),
+    (lambda _s, _n, _r: (Controls(np.zeros(5), np.full(5, 1.0), 0.1), None), "steers by 1.00 rad"),
+    (lambda _s, _n, _r: 1 // 0, "raised ZeroDivisionError"),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), CASES, ids=[words for _, words in CASES])
+def test_a_broken_contract_is_named(
+    crossing: Callable[..., RoadMap],
+    scene: Scene,
+    make: Callable[[Scene, int, np.random.Generator], Any],
+    words: str,
+) -> None:
+    assert words in "; ".join(check_planner(Broken(make), crossing(), scene))
+
+
+def test_missing_methods(crossing: Callable[..., RoadMap], scene: Scene) -> None:
+    assert check_planner(object(), crossing(), scene) == [  # type: ignore[arg-type] # on purpose
+        "it has no method start",
+        "it has no method plan",
+    ]
+
+
+@pytest.mark.parametrize("kind", ["priority", "allway_stop", "right_before_left", "traffic_light"])
+@pytest.mark.parametrize("lefthand", [False, True])
+def test_lane_graph_keeps_the_contract(crossing: Callable[..., RoadMap], kind: str, lefthand: bool) -> None:
+    road = crossing(kind, lefthand)
+    cars = [Car("south_in_0", 150.0, 8.0), Car("west_in_0", 150.0, 12.0), Car("east_in_1", 120.0, 12.0)]
+    signals = {"c": "G" * 40} if kind == "traffic_light" else {}
+    scene = make_scene(road, cars, ("south_in", "north_out"), signals)
+    planner = make_target("lane_graph", {})
+    assert check_planner(planner, road, scene) == []  # type: ignore[arg-type] # a Planner
+    assert planning_times_s(planner, road, scene, 3).shape == (3,)  # type: ignore[arg-type] # a Planner

@@ -1,0 +1,103 @@
+"""The reward of half a second, worked out by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.rl.adversary_reward import Half, mean_accel, reward_terms
+from advdiff_sumo.rl.rl_options import RewardWeights
+from advdiff_sumo.sim.world import Frame
+
+WEIGHTS = RewardWeights()
+
+
+@pytest.fixture(scope="module")
+def road(networks: Path) -> RoadMap:
+    return RoadMap.read(networks / "downtown.net.xml")
+
+
+@pytest.fixture(scope="module")
+def place(road: RoadMap) -> tuple[np.ndarray, float]:
+    """Return a point and heading in the middle of the longest lane."""
+    lane = max((x for x in road.lanes.values() if not x.is_internal), key=lambda x: (x.length_m, x.id))
+    xy, yaw = lane.line.at(0.5 * lane.length_m)
+    return xy, float(yaw)
+
+
+def half(place: tuple[np.ndarray, float], ahead: list[list[float]], **more: Any) -> Half:
+    """Return vehicles of 4 × 2 m on one line; *ahead* has their places at each instant, the target first."""
+    xy, yaw = place
+    way = np.array((np.cos(yaw), np.sin(yaw)))
+    speeds = more.pop("speeds", np.zeros((len(ahead), len(ahead[0]))))
+    frames = [
+        Frame(
+            xy + np.array(row)[:, None] * way,
+            np.where(np.isnan(row), np.nan, yaw),
+            np.asarray(speed, dtype=np.float64),
+            np.zeros(len(row), dtype=np.int64),
+        )
+        for row, speed in zip(ahead, speeds, strict=True)
+    ]
+    given: dict[str, Any] = {
+        "attacker": 1,
+        "target": 0,
+        "collided": False,
+        "accel_mps2": 0.0,
+        "residual": np.zeros(2),
+        "dt_s": 0.1,
+    }
+    return Half(frames, np.tile([4.0, 2.0], (len(ahead[0]), 1)), **{**given, **more})
+
+
+def test_nearness_is_of_the_nearest_instant(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
+    """Centres 12, 9 and 10 m apart: boxes 5 m at the nearest, 1/e of the weight."""
+    terms = reward_terms(half(place, [[12.0, 0.0], [9.0, 0.0], [10.0, 0.0]]), WEIGHTS, road)
+    assert terms == pytest.approx(
+        {"hit": 0.0, "near": 0.2 / np.e, "touch": 0.0, "off_road": 0.0, "jerk": 0.0, "align": 0.0}
+    )
+
+
+def test_a_hit_counts_most_for_who_hit(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
+    struck = reward_terms(half(place, [[6.0, 0.0], [4.0, 0.0]], collided=True), WEIGHTS, road)
+    assert struck["hit"] == 10.0
+    assert struck["near"] == pytest.approx(0.2)
+    another = reward_terms(half(place, [[6.0, 0.0], [5.0, 0.0]], collided=True), WEIGHTS, road)
+    assert another["hit"] == 3.0
+    nobody = half(place, [[6.0, 0.0], [5.0, 0.0]], collided=True, attacker=None)
+    assert reward_terms(nobody, WEIGHTS, road) == {"hit": 3.0}
+    gone = half(place, [[6.0, 0.0], [5.0, np.nan]], collided=False)
+    assert reward_terms(gone, WEIGHTS, road) == {"hit": 0.0}
+
+
+def test_touching_another_costs_once_and_only_when_it_begins(
+    road: RoadMap, place: tuple[np.ndarray, float]
+) -> None:
+    begins = half(place, [[40.0, 0.0, 5.0], [40.0, 1.0, 5.0], [40.0, 1.5, 5.0]])
+    assert reward_terms(begins, WEIGHTS, road)["touch"] == -4.0
+    lasts = half(place, [[40.0, 1.0, 5.0], [40.0, 1.0, 5.0]])
+    assert reward_terms(lasts, WEIGHTS, road)["touch"] == 0.0
+
+
+def test_the_road_comfort_and_alignment_cost(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
+    """From 10 to 11 m/s in 0.2 s is 5 m/s², after 1 m/s² a jerk of 20 m/s³: four units, the most there is."""
+    made = half(
+        place,
+        [[40.0, 0.0], [40.0, 1.0], [40.0, 2.0]],
+        speeds=[[0.0, 10.0], [0.0, 10.5], [0.0, 11.0]],
+        accel_mps2=1.0,
+        residual=np.array([0.6, -0.8]),
+    )
+    terms = reward_terms(made, WEIGHTS, road)
+    assert mean_accel(made, 1) == pytest.approx(5.0)
+    assert terms["jerk"] == pytest.approx(-0.05 * 4.0)
+    assert terms["align"] == pytest.approx(-0.05)
+    assert terms["off_road"] == 0.0
+    far = (place[0] + 1e4, place[1])
+    assert reward_terms(half(far, [[40.0, 0.0], [40.0, 0.0]]), WEIGHTS, road)["off_road"] == pytest.approx(
+        -2.0
+    )

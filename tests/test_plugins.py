@@ -1,0 +1,62 @@
+"""Names resolve whatever their case; unknown ones get a suggestion."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+
+from advdiff_sumo.core.errors import ConfigError, UnknownNameError
+from advdiff_sumo.plugins import Registry, fold
+
+SHAPES = Registry("shape", "advdiff_sumo.tests_none", {"lane_graph": "fractions:Fraction", "IDM": "math:tau"})
+
+
+@pytest.mark.parametrize("name", ["lane_graph", "Lane-Graph", "LANE_GRAPH", "  lane-graph "])
+def test_case_hyphen_and_space_do_not_matter(name: str) -> None:
+    assert fold(name) == "lane_graph"
+    assert SHAPES.canonical(name) == "lane_graph"
+    assert SHAPES.load(name) is Fraction
+
+
+def test_the_spelling_of_the_registry_is_kept() -> None:
+    assert SHAPES.canonical("idm") == "IDM"
+    assert SHAPES.load("idm") == math.tau
+    assert SHAPES.names() == ["lane_graph", "IDM"]
+
+
+def test_a_users_own_class() -> None:
+    assert SHAPES.load("fractions:Fraction") is Fraction
+    assert SHAPES.load("pathlib:Path.cwd")() == Path.cwd()
+    assert SHAPES.canonical("Some.Module:Class") == "Some.Module:Class", "Python's names keep their case"
+
+
+def test_an_unknown_name_gets_a_suggestion() -> None:
+    with pytest.raises(UnknownNameError) as caught:
+        SHAPES.load("lane_grap")
+    assert str(caught.value) == "unknown shape 'lane_grap'; did you mean 'lane_graph'?"
+    assert (caught.value.kind, caught.value.name) == ("shape", "lane_grap")
+    with pytest.raises(UnknownNameError, match="unknown shape 'zebra'; known are: IDM, lane_graph"):
+        SHAPES.canonical("zebra")
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["no_such_module_here:X", "fractions:NoSuchClass", "fractions:", ":Fraction", "fractions:Fraction.no"],
+)
+def test_what_cannot_be_imported_is_said_in_one_sentence(name: str) -> None:
+    with pytest.raises(ConfigError, match=f"shape '{name}' cannot be imported: ") as caught:
+        SHAPES.load(name)
+    assert "\n" not in str(caught.value)
+
+
+def test_plugins_come_from_entry_points(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    info = tmp_path / "their_plugin-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-plugin\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[advdiff_sumo.tests_none]\nTheir_Planner = fractions:Fraction\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert SHAPES.names() == ["lane_graph", "IDM", "Their_Planner"]
+    assert SHAPES.load("their-planner") is Fraction

@@ -1,0 +1,142 @@
+"""Strive's loss by hand, and its search on a street."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.view import look
+from advdiff_sumo.traffic.baselines.baseline_options import StriveOptions
+from advdiff_sumo.traffic.baselines.closed_loop import Task, halves
+from advdiff_sumo.traffic.baselines.strive import Strive
+from advdiff_sumo.traffic.baselines.strive_loss import attack, strive_loss
+
+Street = Callable[..., Scene]
+PLACES = [(60.0, 0.0), (78.0, 0.0), (42.0, 0.0), (95.0, 0.0)]
+SPEEDS = [8.0, 7.0, 9.0, 6.0]
+
+
+def standing(*x: float) -> Rollout:
+    """Return two instants of vehicles that stand at these places on a line."""
+    xy = torch.tensor([[place, 0.0] for place in x])[None, :, None].repeat(1, 1, 2, 1)
+    zero = torch.zeros(xy.shape[:3])
+    return Rollout(xy, zero, zero, zero, zero)
+
+
+def test_the_soft_choice_by_hand() -> None:
+    """Distances 3 and 5 at both instants: δ is a softmin over all four."""
+    loss, share = attack(standing(0.0, 3.0, -5.0), torch.tensor([False, True, True]))
+    near = np.exp(-3.0) / (2.0 * (np.exp(-3.0) + np.exp(-5.0)))
+    assert share.tolist() == pytest.approx([0.0, 2.0 * near, 1.0 - 2.0 * near], abs=1e-5)
+    assert float(loss) == pytest.approx(2.0 * near * 9.0 + (1.0 - 2.0 * near) * 25.0, rel=1e-5)
+
+
+def test_who_is_not_moved_is_not_chosen() -> None:
+    loss, share = attack(standing(0.0, 3.0, -5.0), torch.tensor([False, False, True]))
+    assert share.tolist() == [0.0, 0.0, 1.0]
+    assert float(loss) == pytest.approx(25.0)
+
+
+def test_middles_are_put_in() -> None:
+    rollout = standing(4.0)
+    pose = torch.tensor([[[0.0, 0.0, 0.0, 0.0]]])
+    assert halves(rollout, pose).xy[0, 0, :, 0].tolist() == [2.0, 4.0, 4.0, 4.0]
+
+
+def test_likelihood_counts_less_for_who_attacks(downtown: RoadMap, street: Street) -> None:
+    """The nearest is all of the attacker: its latent is nearly free, the other's is not."""
+    scene = street([(60.0, 0.0), (70.0, 0.0), (110.0, 0.0)], [0.0, 0.0, 0.0])
+    batch = look(downtown, scene).batch
+    states = batch.pose[:, :, None].repeat(1, 1, 2, 1)
+    zero = torch.zeros(states.shape[:3])
+    rollout = Rollout(states[..., :2], states[..., 2], states[..., 3], zero, zero)
+    moved, options = torch.tensor([False, True, True]), StriveOptions()
+
+    def at(row: int) -> tuple[float, float]:
+        epsilon = torch.zeros(3, 4)
+        epsilon[row, 0] = 2.0
+        terms = strive_loss(rollout, batch, moved, (epsilon, torch.zeros(3, 4)), options)
+        return float(terms.prior), float(terms.start)
+
+    assert at(1) == pytest.approx((0.5 * 4.0 * 0.005 / 2.0, 4.0 * 0.05), rel=1e-3)
+    assert at(2) == pytest.approx((0.5 * 4.0 * 1.0 / 2.0, 4.0 * 0.5), rel=1e-3)
+
+
+def test_touching_by_hand(downtown: RoadMap, street: Street) -> None:
+    """Two that overlap fully count 1 for each other; the attacker's own contact with the target counts nothing."""
+    scene = street([(60.0, 0.0), (61.0, 0.0), (90.0, 0.0), (90.0, 0.0)], [0.0] * 4)
+    batch = look(downtown, scene).batch
+    states = batch.pose[:, :, None].repeat(1, 1, 2, 1)
+    zero = torch.zeros(states.shape[:3])
+    rollout = Rollout(states[..., :2], states[..., 2], states[..., 3], zero, zero)
+    none = torch.zeros(4, 4)
+    terms = strive_loss(
+        rollout, batch, torch.tensor([False, True, True, True]), (none, none), StriveOptions()
+    )
+    assert float(terms.vehicles) == pytest.approx(1.0, abs=1e-3)
+    assert float(terms.target) == pytest.approx(0.0, abs=1e-6)
+    assert float(terms.total) == pytest.approx(
+        2.0 * float(terms.adversarial) + 20.0 * float(terms.vehicles + terms.road), rel=1e-5
+    )
+
+
+@pytest.mark.parametrize("surrogate", ["model", "lane_graph"])
+def test_the_loss_goes_down_and_the_start_is_beaten(
+    surrogate: str, weights: str, downtown: RoadMap, street: Street
+) -> None:
+    """Against one and the same answer of the surrogate the attack's own term is lower than where it began."""
+    scene = street(PLACES, SPEEDS)
+    policy = Strive(weights=weights, rounds=12, refresh=12, surrogate=surrogate)
+    memory = policy.start(downtown, scene, None, np.random.default_rng(0))
+    task = Task(downtown, look(downtown, scene), memory, 1)
+    found = policy.search(task)
+    assert found.losses[-1] < found.losses[0]
+    start = policy._start(task)
+    with torch.no_grad():
+        forced = policy.react(task, policy.ask(task), policy._decode(start, start.warm, None))
+        moved = found.memory.found
+        epsilon = torch.from_numpy(np.stack([moved[name] for name in task.view.ids])).float()
+        before, after = (policy.loss(start, e, forced) for e in (start.natural, epsilon))
+    assert float(after.total) < float(before.total)
+    assert float(after.adversarial) < float(before.adversarial)
+
+
+def test_latents_of_who_may_not_be_moved_stay(weights: str, downtown: RoadMap, street: Street) -> None:
+    scene = street(PLACES, SPEEDS)
+    scene = Scene(scene.history, 0, np.array([False, True, False, True]), scene.routes, scene.signals)
+    policy = Strive(weights=weights, rounds=3)
+    memory = policy.start(downtown, scene, None, np.random.default_rng(0))
+    found = policy.search(Task(downtown, look(downtown, scene), memory, 1)).memory.found
+    assert {name for name, value in found.items() if value.any()} == {"v1", "v3"}
+
+
+def test_the_next_search_starts_where_the_last_one_ended(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
+    scene = street(PLACES, SPEEDS)
+    policy = Strive(weights=weights, rounds=3, persistence=0.5)
+    memory = policy.start(downtown, scene, None, np.random.default_rng(0))
+    view = look(downtown, scene)
+    first = policy.search(Task(downtown, view, memory, 1)).memory
+    begun = policy._start(Task(downtown, view, first, 2))
+    wanted = np.stack([0.5 * first.found[name] for name in view.ids])
+    np.testing.assert_allclose(begun.warm.numpy(), wanted, atol=1e-6)
+    assert not begun.natural.any()
+
+
+def test_a_temperature_draws_traffic(weights: str, downtown: RoadMap, street: Street) -> None:
+    """No rounds at temperature 1 is the traffic model itself; persistence keeps what was drawn."""
+    scene = street(PLACES, SPEEDS)
+    policy = Strive(weights=weights, rounds=0, temperature=1.0, persistence=1.0)
+    memory = policy.start(downtown, scene, None, np.random.default_rng(0))
+    view = look(downtown, scene)
+    one, other = (policy.search(Task(downtown, view, memory, seed)) for seed in (1, 2))
+    assert not torch.equal(one.drawn.rollout.xy, other.drawn.rollout.xy)
+    kept = policy.search(Task(downtown, view, one.memory, 3))
+    assert torch.equal(kept.drawn.rollout.xy, one.drawn.rollout.xy)

@@ -1,0 +1,336 @@
+"""The policy with small untrained networks on a shipped net: what holds whatever the weights are."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from advdiff_sumo.core.errors import ConfigError, SceneError, WeightsError
+from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.models.bundle import load_bundle
+from advdiff_sumo.models.reward_file import load_reward, save_reward
+from advdiff_sumo.models.view import MOST_AGENTS, look
+from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic, Memory
+from advdiff_sumo.traffic.diffusion.guidance import ALPHA
+from advdiff_sumo.traffic.planning.draw import draw_plan
+from advdiff_sumo.traffic.policy_check import check_policy
+from advdiff_sumo.traffic.policy_registry import make_policy
+
+Street = Callable[..., Scene]
+PLACES = [(60.0, 0.0), (75.0, 0.0), (45.0, 0.0), (90.0, 0.0), (30.0, 0.0)]
+SPEEDS = [8.0, 7.0, 9.0, 6.0, 8.0]
+
+
+def planned(policy: DiffusionTraffic, road: RoadMap, scene: Scene, seed: int = 3) -> tuple[Tracks, Memory]:
+    memory = policy.start(road, scene, None, np.random.default_rng(0))
+    plan, memory = policy.plan(road, scene, memory, np.random.default_rng(seed))
+    return plan.tracks, memory
+
+
+def latents(policy: DiffusionTraffic, road: RoadMap, scene: Scene) -> np.ndarray:
+    view = look(road, scene)
+    drawn = draw_plan(policy.networks, policy.options, view, {}, {}, 5)
+    return drawn.latents.numpy()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"guide": "none"},
+        {"guide": "reward-only"},
+        {"attack": "rear-end", "attackers": 3, "strength": 1.0},
+        {"samples": 3, "eta": 1.0, "family": "printed", "steps": 3},
+    ],
+)
+def test_it_keeps_the_contract(
+    options: dict[str, Any], weights: str, downtown: RoadMap, street: Street
+) -> None:
+    policy = make_policy("diffusion", {"weights": weights, **options})
+    assert check_policy(policy, downtown, street(PLACES, SPEEDS), None) == []
+
+
+def test_a_plan_is_six_seconds_of_every_movable_vehicle(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
+    scene = street(PLACES, SPEEDS)
+    tracks, memory = planned(DiffusionTraffic(weights=weights), downtown, scene)
+    assert set(tracks.ids) == {"v1", "v2", "v3", "v4"}
+    assert (tracks.steps, tracks.dt_s, tracks.t0_s) == (12, 0.5, 0.5)
+    assert set(memory.noise) == set(scene.history.ids)
+
+
+def test_same_memory_and_random_numbers_same_bytes(weights: str, downtown: RoadMap, street: Street) -> None:
+    scene = street(PLACES, SPEEDS)
+    first, _ = planned(DiffusionTraffic(weights=weights, strength=1.0), downtown, scene)
+    again, _ = planned(DiffusionTraffic(weights=weights, strength=1.0), downtown, scene)
+    other, _ = planned(DiffusionTraffic(weights=weights, strength=1.0), downtown, scene, seed=4)
+    assert first.xy_m.tobytes() == again.xy_m.tobytes()
+    assert first.xy_m.tobytes() != other.xy_m.tobytes()
+
+
+def test_strength_0_is_no_guide_exactly(weights: str, downtown: RoadMap, street: Street) -> None:
+    scene = street(PLACES, SPEEDS)
+    natural, _ = planned(DiffusionTraffic(weights=weights, guide="none", strength=1.0), downtown, scene)
+    zero, _ = planned(DiffusionTraffic(weights=weights, strength=0.0), downtown, scene)
+    full, _ = planned(DiffusionTraffic(weights=weights, strength=1.0), downtown, scene)
+    assert natural.xy_m.tobytes() == zero.xy_m.tobytes()
+    assert natural.xy_m.tobytes() != full.xy_m.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("guide", "attack"), [("reward", "any"), ("reward", "brake"), ("reward-only", "any")]
+)
+def test_attackers_alone_are_shifted(
+    guide: str, attack: str, uncoupled: str, downtown: RoadMap, street: Street
+) -> None:
+    """One attacker: nobody else's latent changes by a bit."""
+    scene = street(PLACES, SPEEDS)
+    view = look(downtown, scene)
+    options = {"weights": uncoupled, "attack": attack, "attackers": 1, "strength": 1.0}
+    policy = DiffusionTraffic(**options, guide=guide)
+    drawn = draw_plan(policy.networks, policy.options, view, {}, {}, 5)
+    natural = latents(DiffusionTraffic(**options, guide="none"), downtown, scene)
+    changed = (drawn.latents.numpy() != natural).any(axis=1)
+    assert [name for name, yes in zip(view.ids, changed, strict=True) if yes] == list(drawn.attackers)
+    assert len(drawn.attackers) == 1
+
+
+def test_q_alone_knows_no_kinds_of_attack(weights: str, downtown: RoadMap, street: Street) -> None:
+    """Both kinds choose the same one of two who follow the target; with the attack's terms they part."""
+    scene = street(PLACES[:3], SPEEDS[:3])
+
+    def of(guide: str, attack: str) -> bytes:
+        policy = DiffusionTraffic(weights=weights, guide=guide, attack=attack, attackers=1)
+        tracks, memory = planned(policy, downtown, scene)
+        assert tuple(memory.shifts) == ("v1",)
+        return tracks.xy_m.tobytes()
+
+    assert of("reward-only", "any") == of("reward-only", "brake")
+    assert of("reward", "any") != of("reward", "brake")
+
+
+def test_attackers_stay_attackers(weights: str, downtown: RoadMap, street: Street) -> None:
+    scene = street(PLACES, SPEEDS)
+    policy = DiffusionTraffic(weights=weights, attackers=1)
+    _, memory = planned(policy, downtown, scene)
+    (chosen,) = memory.shifts
+    other = next(name for name in ("v1", "v2") if name != chosen)
+    kept = replace(memory, shifts={other: np.zeros(8)}, plan=None)
+    _, after = policy.plan(downtown, scene, kept, np.random.default_rng(3))
+    assert tuple(after.shifts) == (other,)
+
+
+def test_an_attack_goes_on_from_the_shift_of_the_plan_before(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
+    """The same scene planned again and again: shifts grow up to twice what one plan makes, and no further."""
+    scene = street(PLACES, SPEEDS)
+    policy = DiffusionTraffic(weights=weights, strength=0.5, attackers=1)
+    memory, lengths = policy.start(downtown, scene, None, np.random.default_rng(3)), []
+    for _ in range(8):
+        _, memory = policy.plan(downtown, scene, replace(memory, plan=None), np.random.default_rng(3))
+        (shift,) = memory.shifts.values()
+        lengths.append(float(np.linalg.norm(shift)))
+    most = 2.0 * 0.5 * ALPHA * 0.3
+    assert lengths[0] <= 0.5 * most + 1e-5
+    assert lengths[-1] > 1.2 * lengths[0]
+    assert max(lengths) <= most + 1e-5
+
+
+def test_the_plan_does_not_depend_on_where_the_world_begins(
+    weights: str, networks: Path, downtown: RoadMap, street: Street, tmp_path: Path
+) -> None:
+    """The same net shifted by hundreds of metres: the plan is the same, shifted."""
+    shift = np.array([250.0, -125.0])
+    scene = street(PLACES, SPEEDS)
+    there = replace(scene, history=replace(scene.history, xy_m=scene.history.xy_m + shift))
+    moved = RoadMap.read(_shifted(networks / "downtown.net.xml", tmp_path, shift))
+    policy = DiffusionTraffic(weights=weights, guide="none")
+    one, two = planned(policy, downtown, scene)[0], planned(policy, moved, there)[0]
+    np.testing.assert_allclose(two.xy_m - shift, one.xy_m, atol=0.06)
+    np.testing.assert_allclose(two.speed_mps, one.speed_mps, atol=0.02)
+
+
+def _shifted(net: Path, folder: Path, shift: np.ndarray) -> Path:
+    """Write *net* with every coordinate moved."""
+
+    def move(found: re.Match[str]) -> str:
+        points = [np.array([float(x) for x in p.split(",")]) for p in found[2].split()]
+        return (
+            f'{found[1]}="' + " ".join(f"{p[0] + shift[0]:.4f},{p[1] + shift[1]:.4f}" for p in points) + '"'
+        )
+
+    text = re.sub(r'(\bshape)="([^"]+)"', move, net.read_text())
+    for axis, name in enumerate("xy"):
+        text = re.sub(
+            rf'(<junction [^>]*?\b{name})="([^"]+)"',
+            lambda m, axis=axis: f'{m[1]}="{float(m[2]) + shift[axis]:.4f}"',
+            text,
+        )
+    path = folder / "moved.net.xml"
+    path.write_text(text)
+    return path
+
+
+def test_short_histories_and_vehicles_that_just_came(weights: str, downtown: RoadMap, street: Street) -> None:
+    scene = street(PLACES, SPEEDS)
+    history = scene.history.window(3, 5)
+    valid = history.valid.copy()
+    valid[2, 0] = False
+    history = replace(
+        history,
+        valid=valid,
+        xy_m=np.where(valid[..., None], history.xy_m, np.nan),
+        yaw_rad=np.where(valid, history.yaw_rad, np.nan),
+        speed_mps=np.where(valid, history.speed_mps, np.nan),
+    )
+    short = replace(scene, history=history)
+    view = look(downtown, short)
+    assert view.batch.past_valid[0].sum(1).tolist() == [2 - (name == "v2") for name in view.ids]
+    tracks, _ = planned(DiffusionTraffic(weights=weights), downtown, short)
+    assert np.isfinite(tracks.xy_m).all()
+
+
+def test_who_is_seen(downtown: RoadMap, street: Street) -> None:
+    """Every movable vehicle however far, and of the others the nearest; the target first."""
+    places = [(100.0, 0.0), *((100.0 + 2.0 * k, 0.0) for k in range(1, 41))]
+    scene = street(places, [0.0] * 41)
+    movable = np.zeros(41, dtype=np.bool_)
+    movable[[5, 40]] = True
+    view = look(downtown, replace(scene, movable=movable))
+    assert len(view.rows) == MOST_AGENTS
+    assert view.rows[0] == 0
+    assert set(view.rows.tolist()) == {*range(MOST_AGENTS - 1), 40}
+    assert [view.ids[k] for k in np.flatnonzero(view.moved)] == ["v5", "v40"]
+
+
+def test_pedestrians_and_who_may_not_be_moved_get_no_plan(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
+    scene = street(PLACES, SPEEDS)
+    classes = scene.history.classes.copy()
+    classes[1] = AgentClass.PEDESTRIAN
+    movable = scene.movable.copy()
+    movable[2] = False
+    changed = replace(scene, history=replace(scene.history, classes=classes), movable=movable)
+    tracks, _ = planned(DiffusionTraffic(weights=weights), downtown, changed)
+    assert set(tracks.ids) == {"v3", "v4"}
+
+
+def test_nobody_to_move(weights: str, downtown: RoadMap, street: Street) -> None:
+    scene = street(PLACES, SPEEDS)
+    tracks, _ = planned(
+        DiffusionTraffic(weights=weights), downtown, replace(scene, movable=np.zeros(5, dtype=np.bool_))
+    )
+    assert tracks.agents == 0
+
+
+def test_who_stands_stays_exactly_where_it_is(weights: str, downtown: RoadMap, street: Street) -> None:
+    """A queue behind the target: nobody may creep, whatever the networks say."""
+    scene = street([(60.0, 0.0), (53.0, 0.0), (46.0, 0.0)], [0.0, 0.0, 0.0])
+    policy = DiffusionTraffic(weights=weights, guide="none")
+    memory = policy.start(downtown, scene, None, np.random.default_rng(0))
+    tracks = policy.plan(downtown, scene, memory, np.random.default_rng(1))[0].tracks
+    for row, name in enumerate(tracks.ids):
+        now = scene.history.xy_m[scene.history.index[name], -1]
+        gone = np.linalg.norm(tracks.xy_m[row] - now, axis=-1)
+        assert gone[2] == 0.0 or gone[2] > 0.3  # still, or on its way
+
+
+def test_a_plan_is_driven_for_as_long_as_asked(weights: str, downtown: RoadMap, street: Street) -> None:
+    scene = street(PLACES, SPEEDS)
+    policy = DiffusionTraffic(weights=weights, replan=2)
+    first, memory = planned(policy, downtown, scene)
+    later = replace(scene, history=scene.history.shifted(0.5))
+    second, memory = policy.plan(downtown, later, memory, np.random.default_rng(9))
+    np.testing.assert_array_equal(second.tracks.xy_m, first.xy_m[:, 1:])
+    assert second.tracks.t0_s == 1.0
+    third, _ = policy.plan(
+        downtown, replace(scene, history=scene.history.shifted(1.0)), memory, np.random.default_rng(9)
+    )
+    assert third.tracks.steps == 12
+    # a vehicle that has come into reach gets a plan at once
+    _, memory = planned(policy, downtown, replace(scene, movable=np.array([False, True, True, True, False])))
+    fresh, _ = policy.plan(downtown, later, memory, np.random.default_rng(9))
+    assert "v4" in fresh.tracks.ids
+
+
+def test_where_the_road_ends_sumo_takes_over(weights: str, downtown: RoadMap) -> None:
+    dead = next(
+        x
+        for x in sorted(downtown.lanes.values(), key=lambda x: x.id)
+        if not x.is_internal and not x.successors and x.permits("passenger") and x.length_m > 60.0
+    )
+    s = np.array([dead.length_m - 40.0, dead.length_m - 10.0])
+    xy, yaw = dead.line.at(s[:, None] + np.zeros(5))
+    history = Tracks(
+        ids=("target", "leaves"),
+        classes=np.zeros(2, dtype=np.int64),
+        size_m=np.tile([4.6, 1.9], (2, 1)),
+        xy_m=xy,
+        yaw_rad=yaw,
+        speed_mps=np.full((2, 5), 8.0),
+        valid=np.ones((2, 5), dtype=np.bool_),
+        t0_s=-2.0,
+        dt_s=0.5,
+    )
+    scene = Scene(history, 0, np.array([False, True]), ((), ()), {})
+    assert planned(DiffusionTraffic(weights=weights), downtown, scene)[0].agents == 0
+
+
+# --- files and options -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"strength": 1.5}, "strength = 1.5"),
+        ({"attack": "ram"}, "attack = 'ram'"),
+        ({"steps": 500}, "the networks were trained with 100"),
+        ({"device": "abacus"}, "device = 'abacus' cannot be used"),
+        ({"strenght": 1.0}, "strength"),
+    ],
+)
+def test_wrong_options(options: dict[str, Any], said: str, weights: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        make_policy("diffusion", {"weights": weights, **options})
+
+
+def test_weights_that_are_not_there(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match="no such file"):
+        DiffusionTraffic(weights=str(tmp_path / "none.safetensors"))
+
+
+def test_a_reward_model_of_its_own(weights: str, downtown: RoadMap, street: Street, tmp_path: Path) -> None:
+    bundle = load_bundle(Path(weights))
+    for weight in bundle.reward.parameters():
+        weight.data *= -2.0
+    path = tmp_path / "q.safetensors"
+    save_reward(bundle.reward, path)
+    again = load_reward(path, bundle)
+    for mine, theirs in zip(again.parameters(), bundle.reward.parameters(), strict=True):
+        assert torch.equal(mine, theirs)
+    scene = street(PLACES, SPEEDS)
+    one = latents(DiffusionTraffic(weights=weights, strength=1.0), downtown, scene)
+    two = latents(DiffusionTraffic(weights=weights, strength=1.0, reward=str(path)), downtown, scene)
+    assert (one != two).any()
+    with pytest.raises(WeightsError, match="not of the format"):
+        DiffusionTraffic(weights=weights, reward=weights)
+    with pytest.raises(WeightsError, match="warmup"):
+        DiffusionTraffic(weights=weights, reward=str(tmp_path / "none"))
+
+
+def test_another_spacing_of_histories(weights: str, downtown: RoadMap, street: Street) -> None:
+    scene = street(PLACES, SPEEDS)
+    coarse = replace(scene, history=replace(scene.history, dt_s=1.0))
+    with pytest.raises(SceneError, match=r"sim\.model_step_s"):
+        planned(DiffusionTraffic(weights=weights), downtown, coarse)

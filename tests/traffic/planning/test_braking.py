@@ -1,0 +1,162 @@
+"""Braking along own paths, by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.boxes import corners, overlap
+from advdiff_sumo.traffic.planning.braking import GAP_M, Braked, brake, brake_ahead
+from advdiff_sumo.traffic.planning.futures import Futures, coasting
+
+T, DT = 12, 0.5
+FREE = np.inf
+
+
+def cars(*states: tuple[float, float, float, float]) -> Futures:
+    """Return cars (x, y, yaw, speed) of 4 by 2 m that go straight on for 6 s."""
+    x = np.array(states, dtype=np.float64)
+    return coasting(x[:, :2], x[:, 2], x[:, 3], np.tile([4.0, 2.0], (len(x), 1)), T, DT)
+
+
+def braked(futures: Futures, stop: float = FREE, blind: tuple[int, int] | None = None) -> Braked:
+    count = futures.agents
+    minds = ~np.eye(count, dtype=np.bool_)
+    if blind is not None:
+        minds[blind] = False
+    return brake(futures, np.ones(count, dtype=np.bool_), minds, np.full(count, stop))
+
+
+def touching(futures: Futures) -> bool:
+    for k in range(T + 1):
+        boxes = corners(futures.xy_m[:, k], futures.yaw_rad[:, k], futures.size_m)
+        if any(overlap(boxes[i], boxes[j]) for i in range(len(boxes)) for j in range(i)):
+            return True
+    return False
+
+
+def test_free_plans_stay_as_they_are() -> None:
+    plans = cars((0, 0, 0, 10), (0, 4, 0, 10), (30, 0, 0, 10))
+    made = braked(plans)
+    assert not made.rows.any()
+    np.testing.assert_array_equal(made.futures.xy_m, plans.xy_m)
+
+
+def test_the_one_behind_brakes_for_a_standing_car_and_keeps_its_gap() -> None:
+    """From 10 m/s with 40 − 4 − 1 = 35 m to go: 1.5 m/s² stops after 33.3 m, 1 m/s² does not within 6 s."""
+    made = braked(cars((0, 0, 0, 10), (40, 0, 0, 0)))
+    assert made.rows.tolist() == [True, False]
+    assert not made.unsolved.any()
+    x = made.futures.xy_m[0, :, 0]
+    assert x[-1] == pytest.approx(10.0 * 6.0 - 0.5 * 1.5 * 36.0)  # 33 m after 6 s
+    assert x[-1] <= 40.0 - 4.0 - GAP_M
+    assert x[1] == pytest.approx(10.0 * 0.5 - 0.5 * 1.5 * 0.25)
+    assert made.futures.speed_mps[0, 1] == pytest.approx(10.0 - 1.5 * 0.5, abs=0.01)
+    assert made.futures.speed_mps[0, -1] == pytest.approx(1.0, abs=0.1)
+    np.testing.assert_array_equal(made.futures.xy_m[:, :, 1], 0.0)
+
+
+def test_nobody_brakes_for_who_comes_from_behind() -> None:
+    made = braked(cars((0, 0, 0, 10), (-25, 0, 0, 20)))
+    assert made.rows.tolist() == [False, True]
+    assert not touching(made.futures)
+
+
+def test_the_one_whose_front_would_hit_a_side_brakes() -> None:
+    """One drives east through (30, 0) after 3 s, one drives north to there after 3.2 s: its front hits a side."""
+    plans = cars((0, 0, 0, 10), (30, -32, np.pi / 2, 10))
+    assert touching(plans)
+    made = braked(plans)
+    assert made.rows.tolist() == [False, True]
+    assert not touching(made.futures)
+
+
+def test_for_one_that_is_not_ours_everybody_brakes_that_has_it_ahead() -> None:
+    """As above, but the one from the south is SUMO's and will not brake; who has such a one behind still does not."""
+    plans = cars((0, 0, 0, 10), (30, -32, np.pi / 2, 10))
+    minds, ours = ~np.eye(2, dtype=np.bool_), np.array([True, False])
+    made = brake(plans, ours, minds, np.full(2, FREE))
+    assert made.rows.tolist() == [True, False]
+    assert not touching(made.futures)
+    behind = brake(cars((0, 0, 0, 10), (-25, 0, 0, 20)), ours, minds, np.full(2, FREE))
+    assert not behind.rows.any()
+
+
+def test_who_is_near_already_comes_no_nearer_than_a_share_of_the_room() -> None:
+    """Side by side with 0.1 m between them, less than the usual room; one closes in on the other."""
+    plans = cars((0, 0, 0, 2.0), (0, 2.1, 0, 2.0))
+    plans.xy_m[1, :, 1] -= np.minimum(
+        0.02 * np.arange(T + 1), 0.2
+    )  # 2 cm in half a second, touching in the end
+    assert touching(plans)
+    made = braked(plans)
+    assert made.rows.any()
+    assert not touching(made.futures)
+    apart = np.abs(made.futures.xy_m[0, :, 1] - made.futures.xy_m[1, :, 1]) - 2.0
+    beside = np.abs(made.futures.xy_m[0, :, 0] - made.futures.xy_m[1, :, 0]) < 4.0
+    assert apart[beside].min() >= 0.0
+
+
+def test_both_brake_head_on() -> None:
+    made = braked(cars((0, 0, 0, 8), (60, 0, np.pi, 8)))
+    assert made.rows.tolist() == [True, True]
+    assert not touching(made.futures)
+
+
+def test_an_attacker_does_not_brake_for_its_target() -> None:
+    plans = cars((40, 0, 0, 0), (0, 0, 0, 10))
+    assert braked(plans).rows.tolist() == [False, True]
+    made = braked(plans, blind=(1, 0))
+    assert not made.rows.any()
+
+
+def test_a_chain_brakes_one_after_the_other() -> None:
+    made = braked(cars((0, 0, 0, 10), (-10, 0, 0, 10), (-20, 0, 0, 10), (30, 0, 0, 0)))
+    assert made.rows[:3].all()
+    assert not touching(made.futures)
+
+
+def test_boxes_that_overlap_already_are_left_to_part() -> None:
+    plans = cars((0, 0, 0, 5), (3, 0, 0, 8))
+    assert not braked(plans).rows.any()
+
+
+def test_a_gap_that_is_small_already_is_no_reason_to_brake() -> None:
+    """Half a metre between standing boxes that start at the same pace."""
+    assert not braked(cars((0, 0, 0, 5), (4.5, 0, 0, 5))).rows.any()
+
+
+def test_a_stop_line() -> None:
+    """From 10 m/s with 25 m to go: 2 m/s² needs exactly 25 m."""
+    made = braked(cars((0, 0, 0, 10)), stop=25.0)
+    x = made.futures.xy_m[0, :, 0]
+    assert x[-1] == pytest.approx(25.0)
+    assert made.futures.speed_mps[0, -1] == 0.0
+    assert x[2] == pytest.approx(10.0 - 0.5 * 2.0)
+
+
+def test_what_braking_cannot_solve_is_told() -> None:
+    made = braked(cars((0, 0, 0, 20), (10, 0, 0, 0)))
+    assert made.unsolved.tolist() == [True, False]
+    assert made.futures.speed_mps[0, -1] < 0.5  # as hard as there is
+    assert made.futures.xy_m[0, -1, 0] == pytest.approx(20.0**2 / 17.0, abs=0.1)
+
+
+def test_only_what_is_near_in_time_is_braked_for() -> None:
+    """A car at 10 m/s and one that stands 45 m ahead: they meet after 4 s, unless only the next 3 s count."""
+    time = 0.5 * np.arange(13)
+    xy = np.zeros((2, 13, 2))
+    xy[0, :, 0], xy[1, :, 0] = 10.0 * time, 45.0
+    speed = np.array([[10.0] * 13, [0.0] * 13])
+    plans = Futures(xy, np.zeros((2, 13)), speed, np.array([[4.0, 2.0]] * 2), 0.5)
+    minds = ~np.eye(2, dtype=np.bool_)
+    free = np.full(2, np.inf)
+    may = np.array([True, False])
+    assert brake_ahead(plans, may, minds, free, 12).rows.tolist() == [True, False]
+    assert brake_ahead(plans, may, minds, free, 6).rows.tolist() == [False, False]
+    near = brake_ahead(plans, may, minds, free, 9)
+    assert near.rows.tolist() == [True, False]
+    gone = near.futures.travelled_m()[0]
+    assert near.futures.steps == 12
+    assert gone[9] <= 45.0 - 4.0
+    np.testing.assert_allclose(np.diff(gone)[9:], 0.5 * near.futures.speed_mps[0, 10:], atol=1e-9)

@@ -1,0 +1,201 @@
+"""The safeguard on the shipped downtown: off the road, standing, red lights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.lanes import Lane
+from advdiff_sumo.traffic.planning.futures import Futures, coasting
+from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
+from advdiff_sumo.traffic.planning.safeguard import Guarded, Watched, leaves_road, safeguard, stop_distances
+
+T, DT = 12, 0.5
+SIZE = (4.6, 1.9)
+
+
+@pytest.fixture(scope="module")
+def lane(downtown: RoadMap) -> Lane:
+    """Return a long straight lane that ends at a traffic light."""
+    lanes = [
+        x
+        for x in downtown.lanes.values()
+        if not x.is_internal and x.permits("passenger") and any(y.tls_id for y in x.successors)
+    ]
+    return max(lanes, key=lambda x: (x.length_m, x.id))
+
+
+def on(lane: Lane, s: float, speed: float, left: float = 0.0, turn: float = 0.0) -> Futures:
+    """Return a parked car 40 m aside as the target, and one on *lane* that goes straight on."""
+    xy, yaw = lane.line.at(np.array([s]), left)
+    aside = np.array((-np.sin(yaw[0]), np.cos(yaw[0])))
+    xy = np.vstack((xy[0] + (40.0 - left) * aside, xy))
+    return coasting(xy, np.array([0.0, yaw[0] + turn]), np.array([0.0, speed]), np.tile(SIZE, (2, 1)), T, DT)
+
+
+def ahead(road: RoadMap, futures: Futures) -> list[LaneAhead | None]:
+    return [
+        None,
+        *lanes_ahead(road, futures.xy_m[1:, 0], futures.yaw_rad[1:, 0], [()] * (futures.agents - 1)),
+    ]
+
+
+def watched(road: RoadMap, futures: Futures, attacks: bool = False, light: str = "G") -> Watched:
+    planned = np.arange(futures.agents) > 0
+    lights = {x.tls_id: 60 * light for y in road.lanes.values() for x in y.successors if x.tls_id}
+    stood = planned & (futures.speed_mps[:, 0] == 0.0)
+    return Watched(planned, planned & attacks, 0, stood, ahead(road, futures), lights)
+
+
+def guarded(road: RoadMap, futures: Futures, **how: object) -> Guarded:
+    return safeguard(road, futures, watched(road, futures, **how))  # type: ignore[arg-type] # see above
+
+
+def test_a_plan_along_the_lane_stays_as_it_is(downtown: RoadMap, lane: Lane) -> None:
+    plans = on(lane, 10.0, 6.0)
+    made = guarded(downtown, plans)
+    assert not np.any((made.lane, made.held, made.braked, made.unsolved))
+    np.testing.assert_array_equal(made.futures.xy_m, plans.xy_m)
+
+
+def test_a_plan_off_the_road_becomes_one_along_the_lane(downtown: RoadMap, lane: Lane) -> None:
+    plans = on(lane, 10.0, 8.0, turn=0.5)
+    assert leaves_road(downtown, plans, np.array([False, True])).tolist() == [False, True]
+    made = guarded(downtown, plans)
+    assert made.lane.tolist() == [False, True]
+    assert not leaves_road(downtown, made.futures, np.array([True, True]))[1]
+    s, d = lane.line.project(made.futures.xy_m[1])
+    assert abs(d[-1]) < 0.3 or s[-1] >= lane.length_m - 5.0
+    assert (np.diff(s) > -0.01).all()
+
+
+def test_far_from_the_target_cars_follow_their_lanes(downtown: RoadMap, lane: Lane) -> None:
+    """Half a metre beside its lane and 60 m from the target, it is on its way back to the middle."""
+    plans = on(lane, 10.0, 4.0, left=0.5)
+    assert abs(lane.line.project(guarded(downtown, plans).futures.xy_m[1, -1])[1]) > 0.4
+    plans.xy_m[0] += plans.xy_m[0] - plans.xy_m[1, :1]  # twice as far
+    made = guarded(downtown, plans)
+    assert not made.lane.any()  # which counts plans that would have left the road
+    assert abs(lane.line.project(made.futures.xy_m[1, 6])[1]) < 0.3
+
+
+def test_a_car_that_has_left_the_road_is_no_worse_for_staying(downtown: RoadMap, lane: Lane) -> None:
+    """What is off the road now does not count, as with cars parked on the kerb."""
+    plans = on(lane, 10.0, 0.0, left=-60.0)
+    assert not leaves_road(downtown, plans, np.array([False, True])).any()
+
+
+@pytest.mark.parametrize(("speed", "held"), [(0.0, True), (0.15, True), (0.3, False)])
+def test_who_stands_and_goes_nowhere_stands_exactly(
+    downtown: RoadMap, lane: Lane, speed: float, held: bool
+) -> None:
+    """0.15 m/s comes to 0.225 m in 1.5 s."""
+    plans = on(lane, 10.0, speed)
+    made = guarded(downtown, plans)
+    assert made.held.tolist() == [False, held]
+    if held:
+        np.testing.assert_array_equal(made.futures.xy_m[1], np.tile(plans.xy_m[1, 0], (T + 1, 1)))
+        assert (made.futures.speed_mps[1, 1:] == 0.0).all()
+
+
+def test_who_starts_is_not_held(downtown: RoadMap, lane: Lane) -> None:
+    """0.5 m/s² from standing comes to 0.56 m in 1.5 s."""
+    plans = on(lane, 10.0, 0.0)
+    time = DT * np.arange(T + 1)
+    heading = np.array((np.cos(plans.yaw_rad[1, 0]), np.sin(plans.yaw_rad[1, 0])))
+    plans.xy_m[1] += (0.25 * time**2)[:, None] * heading
+    plans.speed_mps[1] = 0.5 * time
+    assert not guarded(downtown, plans).held.any()
+
+
+def test_who_has_stood_and_means_to_start_later_starts_now(downtown: RoadMap, lane: Lane) -> None:
+    """2 s of waiting, then 1 m/s²: 0.125 m after 2.5 s is what the first half second becomes."""
+    plans = on(lane, 10.0, 0.0)
+    time = np.maximum(DT * np.arange(T + 1) - 2.0, 0.0)
+    heading = np.array((np.cos(plans.yaw_rad[1, 0]), np.sin(plans.yaw_rad[1, 0])))
+    plans.xy_m[1] += (0.5 * time**2)[:, None] * heading
+    plans.speed_mps[1] = time
+    plans.speed_mps[1, 0] = 0.0
+    who = watched(downtown, plans)
+    made = safeguard(downtown, plans, who)
+    assert not made.held.any()
+    assert made.futures.travelled_m()[1, :4].tolist() == pytest.approx([0.0, 0.125, 0.5, 1.125])
+    still = safeguard(downtown, plans, replace(who, stood=np.zeros(2, dtype=np.bool_)))
+    assert still.held[1]
+
+
+@pytest.mark.parametrize(
+    ("light", "speed", "attacks", "stops"),
+    [
+        ("r", 8.0, False, True),  # needs 8² / (2 · 22) = 1.5 m/s²
+        ("y", 8.0, False, True),
+        ("G", 8.0, False, False),
+        ("g", 8.0, False, False),
+        ("r", 8.0, True, False),  # attackers are not bound
+        ("y", 14.0, False, False),  # 14² / 44 = 4.5 m/s²: too hard for yellow …
+        ("r", 14.0, False, True),  # … but not for red
+        ("r", 18.0, False, False),  # 7.4 m/s²: too late
+    ],
+)
+def test_red_lights(
+    downtown: RoadMap, lane: Lane, light: str, speed: float, attacks: bool, stops: bool
+) -> None:
+    """25.3 m before the stop line: less half a length of 2.3 m and a metre to spare, 22 m to go."""
+    plans = on(lane, lane.length_m - 25.3, speed)
+    who = watched(downtown, plans, attacks, light)
+    room = stop_distances(plans, who, who.planned)[1]
+    assert (room == pytest.approx(22.0, abs=0.05)) if stops else np.isinf(room)
+    made = safeguard(downtown, plans, who)
+    if stops:
+        gone = made.futures.travelled_m()[1, -1]
+        assert gone <= 22.05
+        assert made.futures.speed_mps[1, -1] < 2.0
+
+
+def test_who_is_over_the_line_goes_on(downtown: RoadMap, lane: Lane) -> None:
+    plans = on(lane, lane.length_m - 1.0, 3.0)
+    who = watched(downtown, plans, light="r")
+    assert np.isinf(stop_distances(plans, who, who.planned)).all()
+
+
+def test_the_order_of_vehicles_does_not_matter(downtown: RoadMap, lane: Lane) -> None:
+    s, speed = np.array([20.0, 32.0, 44.0, 60.0]), np.array([12.0, 9.0, 6.0, 0.0])
+    xy, yaw = lane.line.at(s)
+    plans = coasting(xy, yaw, speed, np.tile(SIZE, (4, 1)), T, DT)
+    far = on(lane, 0.0, 0.0)
+
+    def run(order: list[int]) -> np.ndarray:
+        rows = np.array(order)
+        joined = replace(
+            plans,
+            xy_m=np.vstack((far.xy_m[:1], plans.xy_m[rows])),
+            yaw_rad=np.vstack((far.yaw_rad[:1], plans.yaw_rad[rows])),
+            speed_mps=np.vstack((far.speed_mps[:1], plans.speed_mps[rows])),
+            size_m=np.tile(SIZE, (5, 1)),
+        )
+        return guarded(downtown, joined).futures.xy_m[1:]
+
+    np.testing.assert_array_equal(run([0, 1, 2, 3]), run([3, 1, 0, 2])[[2, 1, 3, 0]])
+
+
+def test_who_cannot_brake_in_time_goes_on_as_before(downtown: RoadMap, lane: Lane) -> None:
+    """A new plan at 10 m/s goes 0.6 m to the left into a car that stands 6 m ahead; the one before went past it."""
+    moving, parked = on(lane, 10.0, 10.0), on(lane, 16.0, 0.0, left=2.2)
+    plans = replace(
+        moving,
+        xy_m=np.concatenate((moving.xy_m, parked.xy_m[1:])),
+        yaw_rad=np.concatenate((moving.yaw_rad, parked.yaw_rad[1:])),
+        speed_mps=np.concatenate((moving.speed_mps, parked.speed_mps[1:])),
+        size_m=np.tile(SIZE, (3, 1)),
+    )
+    s = 10.0 + 5.0 * np.arange(1, T + 1)
+    before = *lane.line.at(s), np.full(T, 10.0)
+    plans.xy_m[1, 1:], plans.yaw_rad[1, 1:] = lane.line.at(s, 0.6)
+    who = replace(watched(downtown, plans), planned=np.array([False, True, False]), lanes=[None, None, None])
+    assert safeguard(downtown, plans, who).unsolved.tolist() == [False, True, False]
+    made = safeguard(downtown, plans, replace(who, before={1: before}))
+    assert not made.unsolved.any()
+    np.testing.assert_allclose(made.futures.xy_m[1, 1:7], before[0][:6], atol=1e-9)

@@ -1,0 +1,181 @@
+"""The loop: resumed to the byte, stopped in time, and never on with numbers that are none."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from advdiff_sumo.core.errors import ConfigError, TrainingError, WeightsError
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.training import checkpoint
+from advdiff_sumo.training.ema import Ema
+from advdiff_sumo.training.history import NoEvents
+from advdiff_sumo.training.learning_rates import rate_factor
+from advdiff_sumo.training.presets import STAGES, StageName, TrainOptions, preset
+from advdiff_sumo.training.setup import WEIGHTS, Plan, prepare
+from advdiff_sumo.training.stage import Moment
+from advdiff_sumo.training.training_loop import Job, Trainer
+from tests.training.straight_road import write
+
+SMALL_NETWORKS = [
+    "model={hidden=16, latent=8, edge=8, heads=2, interaction_layers=1, channels=[8, 8, 8], reward_hidden=16}",
+    "diffusion_steps=20",
+]
+
+
+def options(stage: StageName = "traffic", *more: str) -> TrainOptions:
+    return preset("small", stage, [*SMALL_NETWORKS, "batch_size=3", "epochs=2", "held_out=0.3", *more])
+
+
+def job(folder: Path, out: Path, stage: StageName = "traffic", init: Path | None = None, *more: str) -> Job:
+    out.mkdir(exist_ok=True)
+    return prepare(Plan(stage, (folder,), out, options(stage, *more), init, seed=4, device="cpu"))
+
+
+def run(made: Job, resume: bool = False, stop_after: int | None = None) -> None:
+    """Train; with *stop_after*, Ctrl-C comes in that step."""
+
+    def tell(progress: checkpoint.Progress, *_: object) -> None:
+        if progress.step == stop_after:
+            signal.raise_signal(signal.SIGINT)
+
+    trainer = Trainer(made, NoEvents(), tell)
+    if resume:
+        trainer.resume()
+    if stop_after is None:
+        trainer.run()
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            trainer.run()
+
+
+def files(out: Path) -> dict[str, bytes]:
+    return {name: (out / name).read_bytes() for name in (checkpoint.NAME, WEIGHTS, "metrics.jsonl")}
+
+
+def test_an_interrupted_training_ends_with_the_bytes_of_an_undisturbed_one(
+    window_folder: Path, tmp_path: Path
+) -> None:
+    run(job(window_folder, tmp_path / "whole"))
+    run(job(window_folder, tmp_path / "parts"), stop_after=2)
+    assert not (tmp_path / "parts" / WEIGHTS).exists()
+    run(job(window_folder, tmp_path / "parts"), resume=True, stop_after=4)
+    run(job(window_folder, tmp_path / "parts"), resume=True)
+    assert files(tmp_path / "parts") == files(tmp_path / "whole")
+    assert (tmp_path / "parts" / "curves.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_later_stages_resume_to_the_same_bytes_too(window_folder: Path, tmp_path: Path) -> None:
+    init = tmp_path / "traffic"
+    run(job(window_folder, init, "traffic", None, "epochs=1"))
+    for stage in STAGES[1:]:
+        whole, parts = tmp_path / stage, tmp_path / f"{stage}-parts"
+        run(job(window_folder, whole, stage, init, "reward.transitions=1"))
+        run(job(window_folder, parts, stage, init, "reward.transitions=1"), stop_after=1)
+        run(job(window_folder, parts, stage, init, "reward.transitions=1"), resume=True)
+        assert files(parts) == files(whole), stage
+        init = whole
+
+
+def test_time_over_is_no_end(window_folder: Path, tmp_path: Path) -> None:
+    made = replace(job(window_folder, tmp_path / "out"), max_minutes=0.0)
+    progress = Trainer(made, NoEvents(), lambda *_: None).run()
+    assert (progress.done, progress.step) == (False, 0)
+    assert checkpoint.load(tmp_path / "out")[0] == progress
+
+
+def test_it_stops_when_held_out_drives_show_no_progress(window_folder: Path, tmp_path: Path) -> None:
+    made = job(window_folder, tmp_path / "out", "traffic", None, "patience_epochs=2", "epochs=50")
+    made.stage.evaluate = lambda *_: {"loss": (1.0, 1.0)}  # type: ignore[method-assign]  # a plateau
+    progress = Trainer(made, NoEvents(), lambda *_: None).run()
+    assert (progress.done, progress.epoch, progress.best_epoch) == (True, 3, 1)
+
+
+def test_a_loss_that_is_no_number_names_the_step(window_folder: Path, tmp_path: Path) -> None:
+    made = job(window_folder, tmp_path / "out")
+    honest = made.stage.loss
+
+    def broken(batch: SceneBatch, moment: Moment) -> dict[str, torch.Tensor]:
+        terms = honest(batch, moment)
+        return terms | {"kl": terms["kl"] * math.nan} if moment.step == 1 else terms
+
+    made.stage.loss = broken  # type: ignore[method-assign]  # the fault that is to be found
+    with pytest.raises(TrainingError, match=r"step 1 of epoch 1: 'kl' is nan"):
+        Trainer(made, NoEvents(), lambda *_: None).run()
+
+
+def test_a_gradient_that_is_no_number_is_found(window_folder: Path, tmp_path: Path) -> None:
+    made = job(window_folder, tmp_path / "out")
+    weight = next(iter(made.stage.module.parameters()))
+    weight.register_hook(lambda gradient: gradient * math.inf)
+    with pytest.raises(TrainingError, match="'gradient' is"):
+        Trainer(made, NoEvents(), lambda *_: None).run()
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [("batch_size=4", "batch_size = 3, not 4"), ("learning_rate=0.1", "learning_rate")],
+)
+def test_other_options_do_not_go_on(window_folder: Path, tmp_path: Path, change: str, match: str) -> None:
+    run(job(window_folder, tmp_path / "out"), stop_after=1)
+    made = job(window_folder, tmp_path / "out", "traffic", None, change)
+    with pytest.raises(ConfigError, match=match):
+        Trainer(made, NoEvents(), lambda *_: None).resume()
+
+
+def test_other_data_do_not_go_on(window_folder: Path, tmp_path: Path) -> None:
+    run(job(window_folder, tmp_path / "out"), stop_after=1)
+    other = write(tmp_path / "other", count=12, seed=8).parent
+    with pytest.raises(ConfigError, match="other data"):
+        Trainer(job(other, tmp_path / "out"), NoEvents(), lambda *_: None).resume()
+
+
+def test_there_is_nothing_to_resume(window_folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match="no such checkpoint"):
+        Trainer(job(window_folder, tmp_path / "out"), NoEvents(), lambda *_: None).resume()
+
+
+def test_a_truncated_checkpoint_is_refused(window_folder: Path, tmp_path: Path) -> None:
+    run(job(window_folder, tmp_path / "out"), stop_after=1)
+    path = tmp_path / "out" / checkpoint.NAME
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(WeightsError, match="cannot be read"):
+        checkpoint.load(tmp_path / "out")
+
+
+def test_each_epoch_is_one_line(window_folder: Path, tmp_path: Path) -> None:
+    run(job(window_folder, tmp_path / "out"))
+    lines = [json.loads(line) for line in (tmp_path / "out" / "metrics.jsonl").read_text().splitlines()]
+    assert [line["epoch"] for line in lines] == [1, 2]
+    assert {"loss", "reconstruction", "kl"} <= set(lines[0]["train"]) & set(lines[0]["held_out"])
+
+
+def test_the_average_follows_and_is_taken_back() -> None:
+    module = torch.nn.Linear(1, 1, bias=False)
+    torch.nn.init.constant_(module.weight, 0.0)
+    ema = Ema(module, decay=0.5)
+    torch.nn.init.constant_(module.weight, 1.0)
+    ema.update(step=0)  # young: keeps (1 + 0) / (10 + 0) of the old
+    assert ema.shadow["weight"].item() == pytest.approx(0.9)
+    torch.nn.init.constant_(module.weight, 2.0)
+    ema.update(step=1000)
+    assert ema.shadow["weight"].item() == pytest.approx(0.5 * 0.9 + 0.5 * 2.0)
+    with ema.applied():
+        assert module.weight.item() == pytest.approx(1.45)
+    assert module.weight.item() == 2.0
+
+
+def test_learning_rates() -> None:
+    assert rate_factor("constant", 7, 10) == 1.0
+    assert rate_factor("cosine", 0, 10) == 1.0
+    assert rate_factor("cosine", 5, 10) == pytest.approx(0.5 * (1.0 + 0.002))
+    assert rate_factor("cosine", 10, 10) == pytest.approx(0.002)
+    assert rate_factor("one-cycle", 0, 10, 0.2) == pytest.approx(0.04)
+    assert rate_factor("one-cycle", 2, 10, 0.2) == pytest.approx(1.0)
+    assert rate_factor("one-cycle", 10, 10, 0.2) == pytest.approx(0.002)

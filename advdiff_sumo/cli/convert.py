@@ -104,7 +104,7 @@ def _convert(
 ) -> ConversionResult:
     from advdiff_sumo.data.pickles import load_plain  # late, as above
     from advdiff_sumo.maps.convert import convert_map, convert_source
-    from advdiff_sumo.maps.convert.scenarionet_map import read_record_map
+    from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
 
     if source.suffix == ".pkl":
         record = read_record_map(load_plain(source), source)

@@ -10,12 +10,12 @@ from shapely.geometry import Polygon
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.export.lane_use import LaneKind, kind_of
 from advdiff_sumo.maps import Lane, Link, RoadMap
-from advdiff_sumo.maps.convert.arcline import drop_repeats
-from advdiff_sumo.maps.convert.lane_paths import Connection
-from advdiff_sumo.maps.convert.lane_segments import Piece
+from advdiff_sumo.maps.convert.layout.lane_paths import Connection
+from advdiff_sumo.maps.convert.layout.lane_segments import Piece
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, JunctionPlan, LanePlan, NetPlan
 from advdiff_sumo.maps.convert.opendrive import write_opendrive
-from advdiff_sumo.maps.convert.source import LaneUse
+from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
+from advdiff_sumo.maps.convert.sources.source_map import LaneUse
 
 _USES = {LaneKind.CAR: LaneUse.CAR, LaneKind.BUS: LaneUse.BUS, LaneKind.BICYCLE: LaneUse.BICYCLE}
 _SHORTEST_M = 0.01

@@ -21,7 +21,7 @@ from advdiff_sumo.data.window_arrays import WindowArrays, WindowFileBuilder, cro
 from advdiff_sumo.data.window_files import DT_S, FUTURE, PAST, SUFFIX, WindowFile, write_windows
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.convert import convert_map, convert_source
-from advdiff_sumo.maps.convert.scenarionet_map import read_record_map
+from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.sim.logs import fits
 

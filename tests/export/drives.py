@@ -13,7 +13,7 @@ from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.export import ExportScene
 from advdiff_sumo.export.net_opendrive import SAME_M
 from advdiff_sumo.maps import Lane, Link, RoadMap
-from advdiff_sumo.maps.convert.arcline import drop_repeats
+from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
 
 STEPS, DT_S = 21, 0.1
 

@@ -18,7 +18,7 @@ from advdiff_sumo.export.lane_use import LaneKind, kind_of
 from advdiff_sumo.export.net_opendrive import plan_of
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.convert import convert_map
-from advdiff_sumo.maps.convert.scenarionet_map import read_record_map
+from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.following import following
 from tests.export.drives import STEPS, junction_traffic

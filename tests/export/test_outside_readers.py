@@ -22,7 +22,7 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data import ScenarioNetReader
 from advdiff_sumo.data.pickles import load_plain
 from advdiff_sumo.export import ExportScene, make_exporter
-from advdiff_sumo.maps.convert.scenarionet_map import read_record_map
+from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.following import following
 from advdiff_sumo.sim.logs import LoggedTraffic

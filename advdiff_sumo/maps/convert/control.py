@@ -11,7 +11,7 @@ from shapely.geometry import Point, Polygon
 from advdiff_sumo.maps.convert.narrow import long_conflicts
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.roundabouts import find_rings
-from advdiff_sumo.maps.convert.source import SourceMap
+from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 
 NEAR_M = 6.0  # a stop line or light within this of the end of a lane is that lane's
 GUESS_APPROACHES, GUESS_LANES = 3, 4  # junctions at least so large get guessed signals

@@ -14,20 +14,20 @@ from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.control import with_control
 from advdiff_sumo.maps.convert.dividers import dashed_pairs
-from advdiff_sumo.maps.convert.lane_paths import Connection, find_connections
-from advdiff_sumo.maps.convert.layout import lay_out
-from advdiff_sumo.maps.convert.layout_state import Layout
+from advdiff_sumo.maps.convert.layout.lane_paths import Connection, find_connections
+from advdiff_sumo.maps.convert.layout.lay_out import lay_out
+from advdiff_sumo.maps.convert.layout.layout_state import Layout
+from advdiff_sumo.maps.convert.layout.neighbours import SideBySide, find_side_by_side
 from advdiff_sumo.maps.convert.narrow import Ends, unseen_conflicts
-from advdiff_sumo.maps.convert.neighbours import SideBySide, find_side_by_side
 from advdiff_sumo.maps.convert.netconvert import run_netconvert
 from advdiff_sumo.maps.convert.netplan import NetPlan, Track, plan_net
-from advdiff_sumo.maps.convert.nuscenes_json import read_nuscenes_map
 from advdiff_sumo.maps.convert.opendrive import write_opendrive
 from advdiff_sumo.maps.convert.plain_xml import write_plain_xml
 from advdiff_sumo.maps.convert.projection import drives_left, projection_of
 from advdiff_sumo.maps.convert.repair import repair
 from advdiff_sumo.maps.convert.restore import restore_shapes
-from advdiff_sumo.maps.convert.source import SourceLane, SourceMap
+from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
+from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 from advdiff_sumo.maps.convert.widths import width_between, width_profile
 from advdiff_sumo.maps.convert.write_sidecar import sidecar_path, write_sidecar
 

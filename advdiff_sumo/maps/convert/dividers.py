@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
-from advdiff_sumo.maps.convert.source import SourceMap
+from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 
 STEP_M = 0.5
 REACH_M = 4.0  # the centre line of a lane lies at most this far from its divider

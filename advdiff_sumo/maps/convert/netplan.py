@@ -16,11 +16,11 @@ from shapely.ops import substring
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
-from advdiff_sumo.maps.convert.joints import Joints
-from advdiff_sumo.maps.convert.lane_paths import Connection
-from advdiff_sumo.maps.convert.lane_segments import Piece
-from advdiff_sumo.maps.convert.layout_state import Layout
-from advdiff_sumo.maps.convert.source import LaneUse, SourceLane
+from advdiff_sumo.maps.convert.layout.joints import Joints
+from advdiff_sumo.maps.convert.layout.lane_paths import Connection
+from advdiff_sumo.maps.convert.layout.lane_segments import Piece
+from advdiff_sumo.maps.convert.layout.layout_state import Layout
+from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceLane
 from advdiff_sumo.maps.convert.widths import width_between
 
 LATERAL_MPS2 = 2.5  # comfortable sideways acceleration, which limits the speed in a turn

@@ -10,7 +10,7 @@ import numpy as np
 import sumolib
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.maps.convert.arcline import drop_repeats
+from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
 
 ConnectionKey = tuple[str, int, str, int]  # edge and lane that it leaves, edge and lane that it enters
 

@@ -19,7 +19,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, LanePlan, NetPlan
 from advdiff_sumo.maps.convert.reference_line import Stretch, end_yaw, smooth, start_yaw
-from advdiff_sumo.maps.convert.source import LaneUse
+from advdiff_sumo.maps.convert.sources.source_map import LaneUse
 
 LANE_TYPE = {LaneUse.CAR: "driving", LaneUse.BUS: "bus", LaneUse.BICYCLE: "biking"}
 FIRST_ROAD, FIRST_WAY = 10_000, 500_000  # ids; a city has some thousand lanes

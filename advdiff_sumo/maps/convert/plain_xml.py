@@ -11,7 +11,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, JunctionPlan, NetPlan, Ring
-from advdiff_sumo.maps.convert.source import LaneUse
+from advdiff_sumo.maps.convert.sources.source_map import LaneUse
 
 NOBODY = "custom2"  # a vehicle class that nothing uses
 CHANGE_M = 5.0  # on an edge shorter than a car, who merges behind it cannot foresee a lane change

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
-from advdiff_sumo.maps.convert.source import SourceLane, SourceMap
+from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 
 GAP_M = 0.5  # a lane that begins this near to the end of another one, in its direction, follows it
 SAME_WAY_RAD = 0.35

@@ -12,7 +12,7 @@ from shapely.coords import CoordinateSequence
 from shapely.geometry import Polygon
 
 from advdiff_sumo.maps.convert.plain_xml import shape_text
-from advdiff_sumo.maps.convert.source import SourceMap
+from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 
 HOLE = "drivable_area_hole"
 GRID_M = 0.001  # coordinates lie on this grid, so that no polygon crosses itself once its numbers are rounded

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from small_maps import step
 
 from advdiff_sumo.maps.convert import polyline
-from advdiff_sumo.maps.convert.arcline import drop_repeats, sample_path
+from advdiff_sumo.maps.convert.sources.arcline import drop_repeats, sample_path
 
 
 def piece(start: list[float], shape: str, lengths: list[float], radius: float) -> dict[str, object]:

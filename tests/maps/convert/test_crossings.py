@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from advdiff_sumo.maps.convert.crossings import _divide, join_crossing_ways
-from advdiff_sumo.maps.convert.lane_segments import CUT_M, Piece
-from advdiff_sumo.maps.convert.layout_state import Layout, joints_of
+from advdiff_sumo.maps.convert.layout.crossings import _divide, join_crossing_ways
+from advdiff_sumo.maps.convert.layout.lane_segments import CUT_M, Piece
+from advdiff_sumo.maps.convert.layout.layout_state import Layout, joints_of
 
 RIGHT, LEFT = Piece(0, 10.0, 90.0), Piece(1, 12.0, 96.0)
 OTHER = Piece(2, 0.0, 30.0)

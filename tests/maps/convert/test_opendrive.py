@@ -16,8 +16,8 @@ from small_maps import MapBuilder, crossroads, two_lane_road
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import ConversionResult, convert_map, polyline
-from advdiff_sumo.maps.convert.arcline import drop_repeats
 from advdiff_sumo.maps.convert.reference_line import end_yaw, smooth, start_yaw
+from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
 
 TOLERANCE_M = 0.1
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from advdiff_sumo.maps.convert.absorb import absorb
-from advdiff_sumo.maps.convert.lane_segments import CUT_M, UNEVEN_M, Piece
-from advdiff_sumo.maps.convert.layout_state import Layout
-from advdiff_sumo.maps.convert.neighbours import SideBySide
+from advdiff_sumo.maps.convert.layout.absorb import absorb
+from advdiff_sumo.maps.convert.layout.lane_segments import CUT_M, UNEVEN_M, Piece
+from advdiff_sumo.maps.convert.layout.layout_state import Layout
+from advdiff_sumo.maps.convert.layout.neighbours import SideBySide
 
 KEEP_SHARE = 0.2  # pieces of an edge run abreast over at least this share of the longer one
 ABSORB_M = 25.0  # a piece of at most this length may go inside a junction for the sake of lane changes

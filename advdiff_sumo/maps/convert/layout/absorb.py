@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from advdiff_sumo.maps.convert.lane_paths import find_connections
-from advdiff_sumo.maps.convert.lane_segments import Piece
-from advdiff_sumo.maps.convert.layout_state import Layout
+from advdiff_sumo.maps.convert.layout.lane_paths import find_connections
+from advdiff_sumo.maps.convert.layout.lane_segments import Piece
+from advdiff_sumo.maps.convert.layout.layout_state import Layout
 
 
 def absorb(layout: Layout, pieces: Sequence[Piece], longest_m: float, grouped: frozenset[Piece]) -> bool:

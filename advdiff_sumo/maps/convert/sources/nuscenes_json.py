@@ -14,8 +14,8 @@ import shapely
 from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 
 from advdiff_sumo.core.errors import MapError
-from advdiff_sumo.maps.convert.arcline import drop_repeats, sample_path
-from advdiff_sumo.maps.convert.source import LaneUse, Signal, SourceLane, SourceMap, StopLine
+from advdiff_sumo.maps.convert.sources.arcline import drop_repeats, sample_path
+from advdiff_sumo.maps.convert.sources.source_map import LaneUse, Signal, SourceLane, SourceMap, StopLine
 
 MAX_FILE_BYTES = 600_000_000  # the largest genuine file has about a tenth of that
 NEEDED = ("polygon", "node", "lane", "lane_connector", "arcline_path_3", "connectivity")

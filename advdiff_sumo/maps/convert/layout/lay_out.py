@@ -8,11 +8,11 @@ from dataclasses import replace
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
-from advdiff_sumo.maps.convert.crossings import join_crossing_ways
-from advdiff_sumo.maps.convert.grouping import KEEP_SHARE, group_pieces
-from advdiff_sumo.maps.convert.lane_segments import CUT_M, Piece, cut_lanes
-from advdiff_sumo.maps.convert.layout_state import Layout, bonds_of, joints_of
-from advdiff_sumo.maps.convert.neighbours import SideBySide
+from advdiff_sumo.maps.convert.layout.crossings import join_crossing_ways
+from advdiff_sumo.maps.convert.layout.grouping import KEEP_SHARE, group_pieces
+from advdiff_sumo.maps.convert.layout.lane_segments import CUT_M, Piece, cut_lanes
+from advdiff_sumo.maps.convert.layout.layout_state import Layout, bonds_of, joints_of
+from advdiff_sumo.maps.convert.layout.neighbours import SideBySide
 
 SHORTEST_EDGE_M = 1.0  # netconvert moves the ends of shorter edges
 STUB_M = 2.5  # length of the edge at the open end of a connector

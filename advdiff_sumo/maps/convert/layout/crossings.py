@@ -9,9 +9,9 @@ import shapely
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
-from advdiff_sumo.maps.convert.absorb import absorb
-from advdiff_sumo.maps.convert.lane_segments import CUT_M, Piece
-from advdiff_sumo.maps.convert.layout_state import Layout
+from advdiff_sumo.maps.convert.layout.absorb import absorb
+from advdiff_sumo.maps.convert.layout.lane_segments import CUT_M, Piece
+from advdiff_sumo.maps.convert.layout.layout_state import Layout
 
 CLEARANCE_M = 1.6  # centre lines nearer than this are in each other's way
 ABSORB_M = 20.0  # a lane of at most this length between two crossings may become part of one junction

@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field
 
-from advdiff_sumo.maps.convert.joints import Joints
-from advdiff_sumo.maps.convert.lane_segments import Piece
+from advdiff_sumo.maps.convert.layout.joints import Joints
+from advdiff_sumo.maps.convert.layout.lane_segments import Piece
 
 
 @dataclass

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from advdiff_sumo.maps.convert.neighbours import SideBySide
+from advdiff_sumo.maps.convert.layout.neighbours import SideBySide
 
 UNEVEN_M = (
     10.0  # neighbours whose ends differ by less are evened out at the junction, beyond it the longer is cut

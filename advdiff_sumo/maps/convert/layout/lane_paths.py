@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 
-from advdiff_sumo.maps.convert.lane_segments import Piece
-from advdiff_sumo.maps.convert.layout_state import Layout
+from advdiff_sumo.maps.convert.layout.lane_segments import Piece
+from advdiff_sumo.maps.convert.layout.layout_state import Layout
 
 
 @dataclass(frozen=True)

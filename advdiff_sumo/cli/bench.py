@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
+from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -176,7 +177,7 @@ def _bench(
     from advdiff_sumo.experiments.bench.table_cache import finished
 
     signal.signal(signal.SIGTERM, _as_ctrl_c)
-    console = Console()
+    console = terminal()
     path = (out or _FOLDER / f"bench-{name}").resolve()
     request = request_of(name, path, DEFAULTS[name], given)
     table = finished(Folder(path, request))

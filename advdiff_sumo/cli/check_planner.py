@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.config import set_dotted
 
 FAILS = 1
@@ -49,7 +49,7 @@ def check_planner(
     for x in verdicts:
         state = Text("ok", style="green") if x.ok else Text("fails", style="red")
         table.add_row(state, x.name, Text(x.found))
-    console = Console(highlight=False, soft_wrap=True)
+    console = terminal(highlight=False, soft_wrap=True)
     console.print(table)
     failed = sum(not x.ok for x in verdicts)
     if failed:

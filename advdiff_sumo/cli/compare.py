@@ -9,6 +9,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from advdiff_sumo.cli.terminal import terminal
+
 if TYPE_CHECKING:
     from advdiff_sumo.sweep.paired import Comparison
 
@@ -37,7 +39,7 @@ def compare(
         store, plan = must_be_sweep(folder)
         tables_of(store, plan)
         sides.append(choose(read_rows(store.path, "episodes"), conditions or [], what))
-    _print(Console(), paired(sides[0], sides[1]))
+    _print(terminal(), paired(sides[0], sides[1]))
 
 
 def _print(console: Console, found: Comparison) -> None:

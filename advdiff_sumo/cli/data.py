@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ data = typer.Typer(
     help="Make training windows (2 s of past, 6 s of future, 2 Hz) and see what is in them.",
     no_args_is_help=True,
 )
-_say = Console(highlight=False, soft_wrap=True)
+_say = terminal(highlight=False, soft_wrap=True)
 
 
 @data.command()
@@ -163,7 +163,7 @@ def stats(
         parts = value if isinstance(value, dict) else {"": value}
         text = "  ".join(f"{key} {part:g}".strip() for key, part in parts.items())
         table.add_row(name.replace("_", " "), text)
-    Console().print(table)
+    terminal().print(table)
 
 
 def _progress(transient: bool = False) -> Progress:
@@ -172,6 +172,6 @@ def _progress(transient: bool = False) -> Progress:
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=terminal(stderr=True),
         transient=transient,
     )

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+
+from advdiff_sumo.cli.terminal import terminal
 
 _STYLES = {"ok": "green", "note": "yellow", "problem": "red"}
 UNUSABLE = 1
@@ -22,7 +23,7 @@ def doctor(
     """
     from advdiff_sumo.cli.checks import CHECKS, Finding, State, self_test  # late: --help needs none of it
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = terminal(highlight=False, soft_wrap=True)
     findings: list[Finding] = []
     for check in CHECKS:
         if not (quick and check is self_test):

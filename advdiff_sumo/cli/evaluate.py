@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.box import SIMPLE
-from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
+
+from advdiff_sumo.cli.terminal import terminal
 
 _HEADS = {
     "ade_m": "ADE",
@@ -80,7 +81,7 @@ def judge_and_show(
     """Judge *bundle* on *windows*, print the table, and write *out*."""
     from advdiff_sumo.training.evaluation import evaluate_bundle, write_figures
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with Progress(console=terminal(stderr=True), transient=True) as bar:
         task = bar.add_task("windows judged")
         figures = evaluate_bundle(
             bundle,
@@ -91,7 +92,7 @@ def judge_and_show(
         )
     if out is not None:
         write_figures(out, figures, judging, windows)
-    Console(width=max(Console().width, _WIDTH)).print(table(figures))
+    terminal(width=max(terminal().width, _WIDTH)).print(table(figures))
 
 
 def table(figures: dict[str, Figures]) -> Table:

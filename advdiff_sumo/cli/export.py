@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
+from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError, FileError, NetError
 
 if TYPE_CHECKING:
     from advdiff_sumo.export import ExportScene
 
-_console = Console(highlight=False, soft_wrap=True)
+_console = terminal(highlight=False, soft_wrap=True)
 
 
 def export(

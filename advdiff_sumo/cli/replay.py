@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
+from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError
 
 _RUNS = Path("runs")
@@ -54,7 +54,7 @@ def replay(
     folder.add(done.record, row, collision_rows(done.record, done.run.road), done.timing)
     folder.consolidate(finished=True)
     write_report(folder.path)
-    console = Console()
+    console = terminal()
     what = row["collision_type"] if row["target_collision"] else row["end"]
     console.print(f"{job.key}: {what}  ·  look at {folder.path / 'report.html'}", soft_wrap=True)
     if done.same is None:

@@ -11,6 +11,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from advdiff_sumo.cli.terminal import terminal
+
 
 class Form(StrEnum):
     """How the answer to a query is written."""
@@ -47,7 +49,7 @@ def results(
     condition = condition_of(fail_if)
     store, plan = must_be_sweep(folder)
     missing = tables_of(store, plan)
-    console = Console()
+    console = terminal()
     if sql is None:
         conclude(console, store, plan, missing, condition, junit)
         return

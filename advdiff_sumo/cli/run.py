@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from advdiff_sumo.cli import run_flags as flags
+from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.config import read_toml, set_dotted
 from advdiff_sumo.core.errors import ConfigError
 
@@ -85,7 +86,7 @@ def run(
         raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
     prepared = Run.prepare(_options(config, given, policy, assign or []), gui)
     folder = RunFolder.create(out or _free_folder(prepared), prepared.settings, resume)
-    console = Console()
+    console = terminal()
     count = _episodes(prepared, folder, console)
     print_summary(console, folder.path, prepared.options.episodes - count)
     if check:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError, FileError
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def sweep(
 
     signal.signal(signal.SIGTERM, _as_ctrl_c)
     condition = condition_of(fail_if)
-    console = Console()
+    console = terminal()
     store = _begun(resume)
     spec = _spec(file, store)
     plan = plan_sweep(spec)

@@ -25,6 +25,8 @@ from advdiff_sumo.sweep.sweep_store import Store
 
 CONDITION_MET = 1
 _WORST, _FINDINGS = 20, 12
+#: Columns whose entries are copied, and so never broken.
+_WHOLE = ("key", "the worst of them")
 
 Row = Mapping[str, Any]
 
@@ -181,7 +183,8 @@ def _print_coverage(console: Console, plan: Plan, episodes: Sequence[Row]) -> No
 def _table(title: str, *columns: str) -> Table:
     table = Table(title=title, title_justify="left")
     for column in columns:
-        table.add_column(column, overflow="fold")
+        whole = column in _WHOLE
+        table.add_column(column, overflow="fold", no_wrap=whole)
     return table
 
 

@@ -7,9 +7,9 @@ from statistics import fmean
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from advdiff_sumo.cli import run_flags as flags
+from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError, FileError
 
 
@@ -55,7 +55,7 @@ def warmup(
     values["background"] = "diffusion"
     values["background_options"] = {key: value for key, value in policy.items() if value is not None}
     options = RunOptions.parse(values)
-    console = Console()
+    console = terminal()
     with progress_bar(console) as progress:
         task = progress.add_task("warm-up", total=steps)
         done = warm_up(options, steps, lambda count: progress.update(task, completed=count))

@@ -19,7 +19,8 @@ def is_failure(row: Row) -> bool:
 def worst_first(rows: Iterable[Row]) -> list[Row]:
     """Return the episodes by severity.
 
-    Collisions (those the target caused first, then by relative speed), failures, then the others from the
+    Collisions (those the target caused first, then by the speed at
+    which the boxes closed), failures, then the others from the
     least time to collision to the largest, then by clearance.
 
     Args:
@@ -32,7 +33,7 @@ def severity(row: Row) -> tuple[float, ...]:
     """Return what :func:`worst_first` sorts by."""
     number = float(row["episode"])
     if row["target_collision"]:
-        return 0.0, _FAULT_ORDER.get(row["at_fault"], 3), -_known(row["relative_speed_mps"], 0.0), number
+        return 0.0, _FAULT_ORDER.get(row["at_fault"], 3), -_known(row["closing_speed_mps"], 0.0), number
     if is_failure(row):
         return 1.0, number
     return 2.0, _known(row["min_ttc_s"]), _known(row["min_clearance_m"]), number

@@ -23,6 +23,8 @@ SHOWN_S = 60.0
 BOX_SPACING_S = 1.0
 _LABEL_SPACING_M = 9.0
 _ATTACKER_NEAR_M = 50.0
+#: Target and attacker nearer than this, and so far beside each other, have their labels on the far sides.
+_RIVAL_NEAR_M, _BESIDE_M = 12.0, 0.5
 _CLOSE_UP_S = 3.0
 
 
@@ -190,7 +192,7 @@ def _boxes(tracks: Tracks, target: int, other: int | None, view: View) -> tuple[
                 text = _label(tracks, row, k, labelled) if role is not Role.OTHER else ""
                 age = (last - k) / max(last, 1)
                 outline = corners(tracks.xy_m[row, k], tracks.yaw_rad[row, k], tracks.size_m[row])
-                side = _label_side(tracks, row, k, target)
+                side = _label_side(tracks, row, k, target, other)
                 boxes.append(Box(role, outline, age, text, tracks.xy_m[row, k], side))
     return tuple(boxes)
 
@@ -204,11 +206,20 @@ def _label(tracks: Tracks, row: int, k: int, labelled: dict[int, FloatArray]) ->
     return f"{tracks.times_s[k]:.1f}".removesuffix(".0")
 
 
-def _label_side(tracks: Tracks, row: int, k: int, target: int) -> FloatArray:
-    """Return the side on which a label stands: the right, but the left of those who drive as the target does."""
+def _label_side(tracks: Tracks, row: int, k: int, target: int, other: int | None) -> FloatArray:
+    """Return the side (2,) on which a label stands.
+
+    Target and attacker that are near have theirs on the sides away from each other; else it is the right, and
+    the left of those who drive as the target does.
+    """
     yaw = tracks.yaw_rad[row, k]
+    right = np.array([np.sin(yaw), -np.cos(yaw)])
+    rival = other if row == target else target
+    between = np.full(2, np.nan) if rival is None else tracks.xy_m[rival, k] - tracks.xy_m[row, k]
+    if abs(between @ right) > _BESIDE_M and np.hypot(*between) < _RIVAL_NEAR_M:
+        return right if between @ right < 0.0 else -right
     alike = row != target and np.cos(yaw - tracks.yaw_rad[target, k]) > 0.0
-    return np.array([np.sin(yaw), -np.cos(yaw)]) * (-1.0 if alike else 1.0)
+    return right * (-1.0 if alike else 1.0)
 
 
 def _inside(xy_m: FloatArray, view: View) -> bool:

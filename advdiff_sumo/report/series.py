@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.boxes import corners, distance
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.metrics.comfort import WINDOW
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.report.states import EpisodeStates
-
-_LEAST_WINDOW = 5
 
 
 @dataclass(frozen=True)
@@ -25,9 +21,9 @@ class Series:
         times_s: since the episode's start.
         speed_mps: of the target.
         attacker_mps: speed of the attacker; NaN without one.
-        accel_mps2: longitudinal acceleration of the target, smoothed as for the comfort figures.
-        jerk_mps3: its derivative, smoothed likewise.
-        attacker_accel_mps2: acceleration of the attacker; NaN without one.
+        accel_mps2: longitudinal acceleration of the target over the step before, as recorded.
+        jerk_mps3: change of ``accel_mps2`` from the step before.
+        attacker_accel_mps2: acceleration of the attacker, likewise; NaN without one.
         gap_m: distance between the target's box and the nearest other one.
         ttc_s: least time to collision of boxes at constant velocity, up to 10 s.
     """
@@ -47,38 +43,25 @@ def series_of(states: EpisodeStates, attacker: str | None) -> Series:
     tracks, target = states.tracks, states.target
     row = None if attacker is None else tracks.index.get(attacker)
     attacker_mps = np.full(tracks.steps, np.nan) if row is None else tracks.speed_mps[row]
+    accel = difference_quotient(tracks.speed_mps[target], tracks.dt_s)
     return Series(
         times_s=tracks.times_s,
         speed_mps=tracks.speed_mps[target],
         attacker_mps=attacker_mps,
-        accel_mps2=acceleration(tracks.speed_mps[target], tracks.dt_s),
-        jerk_mps3=derivative(tracks.speed_mps[target], tracks.dt_s, 2),
-        attacker_accel_mps2=acceleration(attacker_mps, tracks.dt_s),
+        accel_mps2=accel,
+        jerk_mps3=difference_quotient(accel, tracks.dt_s),
+        attacker_accel_mps2=difference_quotient(attacker_mps, tracks.dt_s),
         gap_m=nearest_gap(tracks, target),
         ttc_s=_least(time_to_collision(tracks, target)),
     )
 
 
-def acceleration(speed_mps: FloatArray, dt_s: float) -> FloatArray:
-    """Return (T,) accelerations, as :func:`derivative`."""
-    return derivative(speed_mps, dt_s, 1)
+def difference_quotient(values: FloatArray, dt_s: float) -> FloatArray:
+    """Return (T,) changes of *values* (T,) per second over the step that ends at each instant.
 
-
-def derivative(speed_mps: FloatArray, dt_s: float, order: int) -> FloatArray:
-    """Return (T,) derivatives of *speed_mps*, 1 acceleration, 2 jerk, by local polynomials as the comfort figures.
-
-    NaN in stretches of fewer than five values.
+    NaN at the first instant, and where the instant or the one before it has no value.
     """
-    result = np.full(len(speed_mps), np.nan)
-    there = np.concatenate(([False], np.isfinite(speed_mps), [False]))
-    edges = np.flatnonzero(np.diff(there.astype(np.int64))).reshape(-1, 2)
-    for start, stop in edges:
-        count = int(stop - start)
-        if count >= _LEAST_WINDOW:
-            window = min(WINDOW, count - 1 + count % 2)
-            part = speed_mps[start:stop]
-            result[start:stop] = savgol_filter(part, window, order + 1, deriv=order, delta=dt_s)
-    return result
+    return np.diff(values, prepend=np.nan) / dt_s
 
 
 def nearest_gap(tracks: Tracks, target: int) -> FloatArray:

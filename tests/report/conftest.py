@@ -52,7 +52,13 @@ def struck(number: int, partner: str = "bv", **values: Any) -> Row:
         "at_fault": "target",
         "fault_reason": "It drove into the rear.",
     }
-    hit |= {"impact_x_m": 115.0, "impact_y_m": 101.0, "relative_speed_mps": 5.0, "min_clearance_m": 0.0}
+    hit |= {
+        "impact_x_m": 115.0,
+        "impact_y_m": 101.0,
+        "relative_speed_mps": 15.8,
+        "closing_speed_mps": 5.0,
+        "min_clearance_m": 0.0,
+    }
     return episode(number, **hit | values)
 
 

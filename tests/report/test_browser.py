@@ -234,7 +234,40 @@ def test_sorts(look: Callable[..., Any], report: Path, size: tuple[int, int]) ->
 
 
 def test_link_to_an_episode_opens_it(look: Callable[..., Any], report: Path) -> None:
-    assert _shown(look(report, anchor="#play-3")) == 3
+    page = look(report, anchor="#play-3")
+    assert _shown(page) == 3
+    top = "document.getElementById('player').getBoundingClientRect().top"
+    _until(page, f"Math.abs({top}) < 20")
+    page.evaluate("scrollTo(0, 0)")
+    page.evaluate("location.hash = '#play-1'")
+    page.wait_for_selector("#player[data-episode='1']")
+    _until(page, f"Math.abs({top}) < 20")
+
+
+def test_page_without_an_episode_in_its_address_opens_at_its_head(
+    look: Callable[..., Any], report: Path
+) -> None:
+    page = look(report)
+    assert page.evaluate("[scrollY, location.hash]") == [0, ""]
+
+
+def test_names_of_target_and_attacker_stand_off_both_boxes_at_the_contact(
+    look: Callable[..., Any], report: Path
+) -> None:
+    page = look(report)
+    page.focus("#player")
+    page.keyboard.press("c")
+    # both head east and are 5 m long, the attacker is ahead: its name is before its front, the target's behind its rear
+    target, attacker, rear, front, y = page.evaluate(
+        "() => { const { scene } = document.getElementById('player').player, { episode, view, labels } = scene;"
+        " const part = (row) => episode.agents[row].parts[0], { target, attacker, origin } = episode;"
+        " const px = (east) => scene.width / 2 + (origin[0] + east - view.x) * view.scale;"
+        " return [labels[target], labels[attacker], px(part(target).x[30] - 2.5), px(part(attacker).x[30] + 2.5),"
+        " scene.height / 2 - (origin[1] + part(target).y[30] - view.y) * view.scale]; }"
+    )
+    assert target[0] < rear - 10
+    assert attacker[0] > front + 10
+    assert [target[1], attacker[1]] == pytest.approx([y, y], abs=2.0)
 
 
 def test_dark_colours_are_taken_along(look: Callable[..., Any], report: Path) -> None:

@@ -194,7 +194,7 @@ def test_collisions_of_others_are_listed(make_folder: Callable[..., Path], rows:
 
 
 def test_target_that_leaves_the_road(make_folder: Callable[..., Path], rows: Any) -> None:
-    left = rows.struck(0, None, collision_type="off_road", relative_speed_mps=None)
+    left = rows.struck(0, None, collision_type="off_road", closing_speed_mps=None)
     text = _read(make_folder([left], rows.drive(0, "ego", 85.0, 101.0, 10.0, target=True))).text
     assert "Episode 0: off road at 3.0 s" in text
 
@@ -202,7 +202,7 @@ def test_target_that_leaves_the_road(make_folder: Callable[..., Path], rows: Any
 def test_size_is_bounded(
     make_folder: Callable[..., Path], rows: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    episodes = [rows.struck(k, relative_speed_mps=float(k)) for k in range(4)]
+    episodes = [rows.struck(k, closing_speed_mps=float(k)) for k in range(4)]
     states = [row for k in range(4) for row in rows.drive(k, "ego", 85.0, 101.0, 10.0, target=True)]
     folder = make_folder(episodes, states)
     whole = _read(folder)

@@ -17,10 +17,10 @@ def test_worst_first(rows: Any) -> None:
         rows.episode(1, min_ttc_s=2.0),
         rows.episode(2, min_ttc_s=1.0),
         rows.episode(3, end="failed"),
-        rows.struck(4, at_fault="other", relative_speed_mps=20.0),
-        rows.struck(5, relative_speed_mps=3.0),
-        rows.struck(6, relative_speed_mps=9.0),
-        rows.struck(7, relative_speed_mps=None, collision_partner=None),
+        rows.struck(4, at_fault="other", closing_speed_mps=20.0),
+        rows.struck(5, closing_speed_mps=3.0),
+        rows.struck(6, closing_speed_mps=9.0),
+        rows.struck(7, closing_speed_mps=None, collision_partner=None),
         rows.episode(8, min_clearance_m=0.4),
     ]
     assert _numbers(worst_first(episodes)) == [6, 5, 7, 4, 3, 2, 1, 8, 0]

@@ -7,7 +7,7 @@ import pytest
 
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.report.charts import charts_of
-from advdiff_sumo.report.series import acceleration, nearest_gap, series_of
+from advdiff_sumo.report.series import difference_quotient, nearest_gap, series_of
 from advdiff_sumo.report.states import EpisodeStates
 
 
@@ -41,14 +41,21 @@ def test_nearest_centre_need_not_be_the_nearest_box() -> None:
     assert nearest_gap(tracks, 0) == pytest.approx([4.0])  # b: 9 − 5, although c's centre is nearer (gap 6)
 
 
-def test_acceleration_of_even_braking() -> None:
-    speed = 10.0 - 3.0 * 0.1 * np.arange(30)
-    assert acceleration(speed, 0.1) == pytest.approx(np.full(30, -3.0))
+def test_acceleration_is_that_of_the_recorded_steps() -> None:
+    # even braking at 3 m/s² shows from the second instant on; where somebody is absent nothing is made up
+    assert difference_quotient(10.0 - 0.3 * np.arange(4), 0.1) == pytest.approx(
+        [np.nan, -3, -3, -3], nan_ok=True
+    )
+    speed = np.array([1.0, 2.0, np.nan, 1.0, 1.0])
+    assert difference_quotient(speed, 0.1) == pytest.approx([np.nan, 10, np.nan, np.nan, 0], nan_ok=True)
 
 
-def test_acceleration_needs_five_instants() -> None:
-    speed = np.array([1.0, 2, 3, 4, np.nan, 1, 1, 1, 1, 1])
-    assert acceleration(speed, 0.1) == pytest.approx([np.nan] * 5 + [0.0] * 5, nan_ok=True)
+def test_a_car_that_stands_shows_no_motion_before_it_starts() -> None:
+    tracks = _tracks([[0.0] * 9], [0.0], [0.0])
+    tracks.speed_mps[0, 8] = 0.2  # it starts with the last step
+    series = series_of(EpisodeStates(tracks, 0), None)
+    assert series.accel_mps2[1:] == pytest.approx([0.0] * 7 + [2.0])
+    assert series.jerk_mps3[2:] == pytest.approx([0.0] * 6 + [20.0])
 
 
 def test_time_to_collision_falls_with_time() -> None:
@@ -60,13 +67,13 @@ def test_time_to_collision_falls_with_time() -> None:
 
 
 def test_charts_say_what_they_show() -> None:
-    tracks = _tracks([[0.0, 1.0, 2.0]], [0.0], [10.0])
-    charts = charts_of(series_of(EpisodeStates(tracks, 0), None), contact_s=0.2)
+    tracks = _tracks([[0.0, 1.0]], [0.0], [10.0])
+    charts = charts_of(series_of(EpisodeStates(tracks, 0), None), contact_s=0.1)
     speed, accel, jerk, gap, ttc = charts
     assert jerk.summary == "Jerk: nothing to show"
     assert speed.summary.startswith("Speed of the target: least 10.0 m/s at 0.0 s")
-    assert [len(chart.curves) for chart in charts] == [1, 0, 0, 0, 0]
-    assert accel.summary == "Acceleration: nothing to show"
+    assert [len(chart.curves) for chart in charts] == [1, 1, 0, 0, 0]
+    assert accel.summary.startswith("Acceleration of the target: least 0.0 m/s² at 0.1 s")
     assert gap.title == "Gap to the nearest (m)"
     assert ttc.contact_x == "328.0"  # the right end of the plot: 340 − 12
 

@@ -15,13 +15,17 @@ function begin() {
     root.scrollIntoView({ block: "nearest" });
     root.focus({ preventScroll: true });
   });
+  const open = async (number) => {
+    await player.load(number);
+    root.scrollIntoView({ block: "start" });
+  };
   const wanted = () => Number(/^#play-(\d+)$/.exec(location.hash)?.[1] ?? NaN);
-  addEventListener("hashchange", () => { if (wanted() !== player.number) player.load(wanted()); });
-  const first = Number.isNaN(wanted()) ? facts[0]?.number : wanted();
+  addEventListener("hashchange", () => { if (player.index.has(wanted())) open(wanted()); });
   if (typeof DecompressionStream === "undefined") {
     root.querySelector("[data-part=title]").textContent = "This browser is too old for the player; the pictures below need none.";
   } else if (facts.length) {
-    player.load(player.index.has(first) ? first : facts[0].number);
+    if (player.index.has(wanted())) open(wanted());
+    else player.load(facts[0].number, false);
   }
 }
 begin();

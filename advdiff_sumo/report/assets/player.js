@@ -98,7 +98,8 @@ class Player {
     this.draw();
   }
 
-  async load(number) {
+  // Opens an episode; `named` puts it into the address.
+  async load(number, named = true) {
     const facts = this.index.get(number);
     if (!facts) return;
     this.pause();
@@ -116,7 +117,7 @@ class Player {
     this.seek(facts.moment);
     this.root.removeAttribute("aria-busy");
     this.root.dataset.episode = number;
-    history.replaceState(null, "", `#play-${number}`);
+    if (named) history.replaceState(null, "", `#play-${number}`);
     for (const row of document.querySelectorAll("#episodes tr[aria-current]")) row.removeAttribute("aria-current");
     document.getElementById(`row-${number}`)?.setAttribute("aria-current", "true");
   }

@@ -9,6 +9,7 @@ class Scene {
     this.ground = document.createElement("canvas");
     this.shown = { natural: true, plans: true, names: false };
     this.view = { x: 0, y: 0, scale: 4 };
+    this.labels = {}; // of target and attacker, by row, in pixels: where their names stand
     this.colours();
   }
 
@@ -259,7 +260,7 @@ class Scene {
     pen.stroke();
   }
 
-  // Names stand in pixels, so that they do not turn with the world.
+  // Names stand in pixels, so that they do not turn with the world; those of target and attacker on the sides away from each other.
   drawLabels(instant) {
     const { pen, episode, view, ratio, colour } = this, [ox, oy] = episode.origin;
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -271,16 +272,33 @@ class Scene {
       if (!this.special.has(row) && !this.shown.names) return;
       const pose = poseAt(agent.parts, instant);
       if (!pose) return;
-      const x = this.width / 2 + (ox + pose.x - view.x) * view.scale;
-      const y = this.height / 2 - (oy + pose.y - view.y) * view.scale;
       const known = row === episode.target ? "target" : this.facts.hit ? "attacker" : "nearest";
-      const text = this.shown.names ? agent.id : known, rise = 0.5 * agent.s[0] * view.scale + 10;
+      const text = this.shown.names ? agent.id : known, [east, north] = this.labelSide(row, pose, instant);
+      const apart = this.reach(pose, agent.s, east, north) * view.scale + 4
+        + 0.5 * Math.abs(east) * pen.measureText(text).width + 7 * Math.abs(north);
+      const x = this.width / 2 + (ox + pose.x - view.x) * view.scale + apart * east;
+      const y = this.height / 2 - (oy + pose.y - view.y) * view.scale - apart * north;
       pen.strokeStyle = colour.ground;
       pen.fillStyle = this.role(row);
-      const above = row === episode.target ? y + rise : y - rise;
-      pen.strokeText(text, x, above);
-      pen.fillText(text, x, above);
+      pen.strokeText(text, x, y);
+      pen.fillText(text, x, y);
+      if (this.special.has(row)) this.labels[row] = [x, y];
     });
+  }
+
+  // Returns the unit vector (east, north) from a box to its name: target and attacker away from each other, others up.
+  labelSide(row, pose, instant) {
+    const { target, attacker, agents } = this.episode;
+    const rival = row === target ? attacker : row === attacker ? target : -1, other = rival >= 0 && poseAt(agents[rival].parts, instant);
+    if (!other) return [0, row === target ? -1 : 1];
+    const dx = pose.x - other.x, dy = pose.y - other.y, apart = Math.hypot(dx, dy);
+    return apart < 1e-6 ? [0, row === target ? -1 : 1] : [dx / apart, dy / apart];
+  }
+
+  // Returns how far in metres a box extends from its centre along a unit vector.
+  reach({ yaw }, [length, width], east, north) {
+    const c = Math.cos(yaw), s = Math.sin(yaw);
+    return 0.5 * (length * Math.abs(c * east + s * north) + width * Math.abs(c * north - s * east));
   }
 
   drawScale() {

@@ -1,0 +1,23 @@
+"""Where the verbs print: a terminal, or a pipe or file, whose lines are as long as what stands in them."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from rich.console import Console
+
+#: Width in characters of what is not a terminal; wider than any of our tables, which take no more than they need.
+PIPED_WIDTH = 1000
+
+
+def terminal(**options: Any) -> Console:
+    """Return a console; *options* are those of :class:`rich.console.Console`.
+
+    Rich takes a pipe for 80 columns and breaks tables in it, within words, too. Here they are broken only where
+    a person looks at them, or where the variable ``COLUMNS`` says how wide the output is to be.
+    """
+    console = Console(**options)
+    if not console.is_terminal and "COLUMNS" not in os.environ and "width" not in options:
+        console.width = PIPED_WIDTH
+    return console

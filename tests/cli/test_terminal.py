@@ -1,0 +1,34 @@
+"""Tables in a pipe: no narrower than what stands in them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+_PROGRAM = """
+from rich.table import Table
+from advdiff_sumo.cli.terminal import terminal
+table = Table("key", "what")
+table.add_row("k" * 60, "w" * 60)
+terminal().print(table)
+"""
+
+
+def _piped(columns: str | None) -> list[str]:
+    environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
+    environment |= {} if columns is None else {"COLUMNS": columns}
+    done = subprocess.run(
+        [sys.executable, "-c", _PROGRAM], env=environment, capture_output=True, text=True, check=True
+    )
+    return done.stdout.splitlines()
+
+
+def test_a_pipe_has_whole_words() -> None:
+    assert any("k" * 60 in line and "w" * 60 in line for line in _piped(None))
+
+
+def test_asked_for_width_is_kept() -> None:
+    lines = _piped("80")
+    assert max(map(len, lines)) == 80
+    assert not any("k" * 60 in line for line in lines)

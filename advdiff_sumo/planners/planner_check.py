@@ -13,6 +13,8 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
+from advdiff_sumo.core.plan_form import form_problem, plan_arrays
+from advdiff_sumo.core.plug_in_source import described, raised_at
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_protocol import Planner
@@ -69,10 +71,12 @@ def problems_of(planner: Planner, road: RoadMap, scene: Scene) -> list[Problem]:
         later, _ = _unpacked(planner.plan(road, scene, memory, np.random.default_rng(_SEED)))
     except _BrokenContractError as error:
         return [Problem(Part.FORM, str(error))]
-    except Exception as error:  # noqa: BLE001 - a user's planner may raise anything; that is a finding
-        return [Problem(Part.RAISES, f"it raised {type(error).__name__}: {error}")]
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's planner may raise anything; that is a finding
+        return [Problem(Part.RAISES, f"it raised {described(error)}{raised_at(error, planner)}")]
     problems = _of_plan(first, scene)
     problems += [Problem(x.part, f"{x.text} (in its second plan)") for x in _of_plan(later, scene)]
+    if any(x.part is Part.FORM for x in problems):
+        return problems
     if not same_plan(first, again):
         text = (
             "the same scene, memory and random numbers gave two different plans; "
@@ -95,7 +99,7 @@ def carries_over(planner: Planner, road: RoadMap, scenes: Sequence[Scene]) -> bo
         for scene in scenes:
             _begin(planner, road, scene)
         return not same_plan(before, _begin(planner, road, scenes[0])[0])
-    except Exception:  # noqa: BLE001 - found by problems_of already
+    except (Exception, SystemExit):  # noqa: BLE001 - found by problems_of already
         return False
 
 
@@ -142,21 +146,15 @@ def plan_problems(plan: Plan, scene: Scene) -> list[str]:
 
 
 def _of_plan(plan: Plan, scene: Scene) -> list[Problem]:
-    names = ("accel_mps2", "steer_rad") if isinstance(plan, Controls) else ("xy_m", "yaw_rad", "speed_mps")
-    arrays = [np.asarray(getattr(plan, name)) for name in names]
-    steps = len(arrays[-1]) if arrays[-1].ndim else 0
-    for name, array in zip(names, arrays, strict=True):
-        expected = (steps, 2) if name == "xy_m" else (steps,)
-        if array.shape != expected or array.dtype != np.float64:
-            text = f"{name} is {array.dtype} of shape {array.shape}, not float64 of shape {expected}"
-            return [Problem(Part.FORM, text)]
+    problem = form_problem(plan, scene.history.dt_s)
+    if problem:
+        return [Problem(Part.FORM, problem)]
+    for name in plan_arrays(plan):
+        array = getattr(plan, name)
+        if array.dtype != np.float64:
+            return [Problem(Part.FORM, f"{name} is {array.dtype}, not float64")]
         if not np.isfinite(array).all():
             return [Problem(Part.NUMBERS, f"{name} holds values that are not finite")]
-    if not plan.dt_s > 0.0:
-        return [Problem(Part.FORM, f"dt_s = {plan.dt_s} is not positive")]
-    if steps * plan.dt_s < scene.history.dt_s - 1e-9:
-        least = f"less than one model step of {scene.history.dt_s:g} s"
-        return [Problem(Part.FORM, f"the plan lasts {steps * plan.dt_s:g} s, {least}")]
     found = _control_problems(plan) if isinstance(plan, Controls) else _trajectory_problems(plan, scene)
     return [Problem(Part.MOTION, text) for text in found]
 
@@ -198,8 +196,8 @@ def same_plan(one: Plan, other: Plan) -> bool:
     """Return whether two plans are equal to the bit."""
     if type(one) is not type(other):
         return False
-    names = ("accel_mps2", "steer_rad") if isinstance(one, Controls) else ("xy_m", "yaw_rad", "speed_mps")
-    same = all(np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True) for name in names)
+    pairs = ((getattr(one, name), getattr(other, name)) for name in plan_arrays(one))
+    same = all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
     return same and one.dt_s == other.dt_s
 
 

@@ -11,19 +11,15 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.bicycle import Limits
-from advdiff_sumo.core.errors import (
-    AdvdiffError,
-    EpisodeFailure,
-    OutOfMemoryFailure,
-    PlannerError,
-    PlanRefusedError,
-)
+from advdiff_sumo.core.errors import PlanRefusedError
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.core.tracking import State, densify, track
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.plan_validation import check_joint_plan
+from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
+from advdiff_sumo.sim.plan_validation import check_joint_form, check_joint_plan
+from advdiff_sumo.sim.plug_in_guard import PlugInGuard
 from advdiff_sumo.sim.world import World
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 
@@ -89,6 +85,7 @@ class Background:
         limits: of vehicles that are driven through the bicycle model.
         step_s: SUMO's step.
         name: for messages.
+        heartbeat: of the episode.
         planning_s: wall-clock seconds of each plan.
         skipped: ids that a log would have moved but that SUMO has elsewhere by now.
         planned: the last plan that was not refused.
@@ -101,6 +98,7 @@ class Background:
     rng: np.random.Generator
     step_s: float
     name: str
+    heartbeat: Heartbeat = field(default_factory=Heartbeat)
     limits: Limits = field(default_factory=Limits)
     planning_s: list[float] = field(default_factory=list)
     skipped: set[str] = field(default_factory=set)
@@ -109,7 +107,7 @@ class Background:
 
     def start(self, scene: Scene) -> None:
         """Let the policy prepare for an episode that begins in *scene*."""
-        self._memory = self._ask(lambda: self.policy.start(self.road, scene, self.log, self.rng))
+        self._memory = self._guard.call(lambda: self.policy.start(self.road, scene, self.log, self.rng))
 
     def replan(self, scene: Scene, steps: int) -> Motion:
         """Return what the policy does in the coming *steps*.
@@ -118,8 +116,15 @@ class Background:
             PlannerError: the policy raised.
             PlanRefusedError: its plan holds NaN or a jump.
         """
+        return self._guard.call(lambda: self._plan(scene, steps))
+
+    @property
+    def _guard(self) -> PlugInGuard:
+        return PlugInGuard(self.policy, f"background '{self.name}'", Phase.BACKGROUND, self.heartbeat)
+
+    def _plan(self, scene: Scene, steps: int) -> Motion:
         begun = time.perf_counter()
-        made = self._ask(lambda: self.policy.plan(self.road, scene, self._memory, self.rng))
+        made: Any = self.policy.plan(self.road, scene, self._memory, self.rng)
         self.planning_s.append(time.perf_counter() - begun)
         if not (isinstance(made, tuple) and len(made) == 2 and isinstance(made[0], JointPlan)):
             raise PlanRefusedError(
@@ -133,6 +138,7 @@ class Background:
     def motion(self, plan: JointPlan, target_id: str, steps: int) -> Motion:
         """Return *plan* as states after each of *steps* substeps, checked."""
         tracks = plan.tracks
+        check_joint_form(plan, f"background '{self.name}'")
         if tracks.agents == 0:
             return Motion.none(steps)
         if target_id in tracks.index:
@@ -146,18 +152,6 @@ class Background:
         self.skipped.update(name for name, away in zip(tracks.ids, far, strict=True) if away)
         dense = self._exact(tracks, steps) if plan.exact else self._driven(tracks, rows, steps)
         return Motion(rows, *dense).keep(~far)
-
-    def _ask(self, call: Any) -> Any:
-        try:
-            return call()
-        except (EpisodeFailure, KeyboardInterrupt):
-            raise
-        except AdvdiffError:
-            raise
-        except MemoryError as error:
-            raise OutOfMemoryFailure(f"background '{self.name}' ran out of memory: {error}") from error
-        except Exception as error:
-            raise PlannerError(f"background '{self.name}' raised {type(error).__name__}: {error}") from error
 
     def row_for(self, tracks: Tracks, k: int) -> int:
         """Return the world's row of agent *k* of *tracks*, a new one if it was never there."""

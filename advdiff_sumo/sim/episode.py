@@ -7,15 +7,18 @@ import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from advdiff_sumo.core.errors import EpisodeFailure
-from advdiff_sumo.core.record import EndReason, EpisodeRecord, Failure
+from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, Failure
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.sim.episode_loop import Loop
+from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session
 from advdiff_sumo.sim.sim_options import SimOptions
@@ -39,6 +42,27 @@ class Timing:
 
 
 @dataclass(frozen=True)
+class Ended:
+    """How an episode ended the process that it ran in.
+
+    Attributes:
+        steps: SUMO steps that were recorded then; negative before the first.
+        kind: as in :class:`~advdiff_sumo.core.record.Failure`.
+        message: one sentence.
+        trace: where each thread was, as far as it is known.
+    """
+
+    steps: int
+    kind: str
+    message: str
+    trace: str = ""
+
+    def failure(self, time_s: float) -> Failure:
+        """Return it as the failure of a record that ends at *time_s*."""
+        return Failure(self.kind, self.message, time_s, self.trace)
+
+
+@dataclass(frozen=True)
 class Episode:
     """Everything that one episode is made of.
 
@@ -53,6 +77,7 @@ class Episode:
         horizon_s: longest duration.
         seed: the episode's node of the seed tree.
         gui: open sumo-gui.
+        heartbeat: told of each phase and step.
     """
 
     number: int
@@ -65,27 +90,54 @@ class Episode:
     horizon_s: float
     seed: SeedTree
     gui: bool = field(default=False)
+    heartbeat: Heartbeat = field(default_factory=Heartbeat)
 
-    def run(self) -> tuple[EpisodeRecord, Timing]:
+    def run(self, ended: Ended | None = None) -> tuple[EpisodeRecord, Timing]:
         """Run it; a failure of SUMO, planner or policy is part of the record, not an exception.
+
+        Args:
+            ended: how it ended before, in a process that died of it: it runs no further than it came then.
 
         Raises:
             InputError: an option cannot be used with this scene.
         """
         begun = time.perf_counter()
+        if ended is not None and ended.steps < 0:
+            return self._unstarted(ended), Timing(time.perf_counter() - begun)
+        self.heartbeat.note(Phase.SIMULATOR)
         failure: Failure | None = None
         with self.opened() as loop:
             try:
                 loop.start()
-                end = loop.run(self.steps)
+                end = loop.run(self.steps if ended is None else min(ended.steps, self.steps))
+                if ended is not None:
+                    end, failure = EndReason.FAILED, ended.failure(loop.time_s)
             except EpisodeFailure as error:
                 end, failure = (
                     EndReason.FAILED,
                     Failure(error.kind, str(error), loop.time_s, _trace(error)),
                 )
             record = loop.record(end, failure)
+        self.heartbeat.note(Phase.OTHER)
         timing = Timing(time.perf_counter() - begun, *loop.planning_s())
         return record, timing
+
+    def _unstarted(self, ended: Ended) -> EpisodeRecord:
+        """Return the record of an episode that died before its first step: its seed scene."""
+        history = self.scene.history
+        tracks = replace(history.window(history.steps - 1, history.steps), t0_s=0.0, dt_s=self.sim.step_s)
+        return EpisodeRecord(
+            episode=self.number,
+            seed=self.scene.seed,
+            scene=self.scene.name,
+            tracks=tracks,
+            target=tracks.index[self.scene.target],
+            controller=np.where(tracks.valid, Controller.SUMO, Controller.ABSENT),
+            route=self.scene.routes.get(self.scene.target, ()),
+            end=EndReason.FAILED,
+            signals=({},),
+            failure=ended.failure(0.0),
+        )
 
     @contextmanager
     def opened(self) -> Iterator[Loop]:

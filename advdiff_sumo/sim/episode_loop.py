@@ -18,6 +18,7 @@ from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background_control import Background, Motion, planned_ends
 from advdiff_sumo.sim.episode_context import Context
 from advdiff_sumo.sim.handover import Handover
+from advdiff_sumo.sim.heartbeat import Phase
 from advdiff_sumo.sim.natural import remaining_route
 from advdiff_sumo.sim.perceive import read_signals, watch_signals
 from advdiff_sumo.sim.planned import natural_course
@@ -49,6 +50,7 @@ class Loop:
             rng=episode.seed.child("background").generator(),
             step_s=self.sim.step_s,
             name=episode.names[1],
+            heartbeat=episode.heartbeat,
         )
         self.context = Context(self.background, episode.scene)
         self.handover = Handover(self.world, self.actuator, self.road, self.sim)
@@ -66,6 +68,8 @@ class Loop:
 
     def start(self) -> None:
         """Bring SUMO to instant 0 and let target and policy prepare."""
+        heartbeat = self.episode.heartbeat
+        heartbeat.note(Phase.SIMULATOR)
         watch_signals(self.api)
         scene = self.episode.scene
         if isinstance(scene.start, PlacedTraffic):
@@ -87,6 +91,7 @@ class Loop:
         now = self.scene_now()
         self.drive.start(now)
         self.background.start(now)
+        heartbeat.note(Phase.SIMULATOR, 0)
 
     def _make_drive(self) -> None:
         episode = self.episode
@@ -107,6 +112,7 @@ class Loop:
                 episode.seed.child("target").generator(),
                 episode.names[0],
                 self.sim,
+                episode.heartbeat,
             )
 
     def _roll_in(self) -> None:
@@ -159,6 +165,7 @@ class Loop:
         frame = self.world.frame()
         hit = self._touches(self.recorder.frames[-1], frame)
         self.recorder.add(frame, self.signals, self.drive.visible())
+        self.episode.heartbeat.note(Phase.SIMULATOR, self.steps)
         if hit and self.sim.stop_at_collision:
             return EndReason.COLLISION
         return EndReason.ARRIVED if self.drive.arrived() else None

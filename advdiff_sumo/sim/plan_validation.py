@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.errors import PlanRefusedError
 from advdiff_sumo.core.plan import Controls, JointPlan, Plan, Trajectory
+from advdiff_sumo.core.plan_form import form_problem, interval_problem
+from advdiff_sumo.core.scene import AgentClass, Tracks
 
 MAX_SPEED_MPS = 90.0
 MAX_YAW_RATE_RADPS = 12.0  # a car that spins; logs of pedestrians turn on the spot
@@ -24,7 +28,7 @@ def check_plan(plan: Plan, xy_m: FloatArray, model_step_s: float, who: str) -> N
         who: name for the message.
 
     Raises:
-        PlanRefusedError: NaN, a jump, or too short.
+        PlanRefusedError: of another type or shape, NaN, a jump, or too short.
     """
     if isinstance(plan, Controls):
         _check_controls(plan, model_step_s, who)
@@ -32,6 +36,30 @@ def check_plan(plan: Plan, xy_m: FloatArray, model_step_s: float, who: str) -> N
         _check_trajectory(plan, xy_m, model_step_s, who)
     else:
         raise PlanRefusedError(f"{who} returned a {type(plan).__name__}, not a Trajectory or Controls")
+
+
+def check_joint_form(plan: JointPlan, who: str) -> None:
+    """Refuse a policy's plan whose vehicles have no name, class or size, or whose interval is no time.
+
+    Args:
+        plan: from the policy.
+        who: name for the message.
+
+    Raises:
+        PlanRefusedError: so.
+    """
+    tracks = plan.tracks
+    if not isinstance(tracks, Tracks):
+        raise PlanRefusedError(f"{who} planned tracks of type {type(tracks).__name__}, not Tracks")
+    problem = interval_problem(tracks.dt_s)
+    if problem:
+        raise PlanRefusedError(f"{who} planned tracks whose dt_s {problem}")
+    ids: tuple[Any, ...] = tracks.ids
+    if not all(isinstance(name, str) and name for name in ids):
+        raise PlanRefusedError(f"{who} planned for a vehicle whose name is no text: {tracks.ids!r}")
+    wrong = ~np.isin(tracks.classes, [int(agent_class) for agent_class in AgentClass])
+    wrong |= ~(np.isfinite(tracks.size_m) & (tracks.size_m > 0.0)).all(axis=1)
+    _refuse(wrong[:, None], tracks.ids, who, "a class that is none, or a size that is not positive,")
 
 
 def check_joint_plan(plan: JointPlan, xy_m: FloatArray, who: str) -> BoolArray:
@@ -67,30 +95,24 @@ def _refuse(wrong: BoolArray, ids: tuple[str, ...], who: str, what: str) -> None
         raise PlanRefusedError(f"{who} planned {what} for vehicle '{ids[row]}' at step {step}")
 
 
+def _check_form(plan: Plan, model_step_s: float, who: str) -> None:
+    problem = form_problem(plan, model_step_s)
+    if problem:
+        raise PlanRefusedError(f"{who} planned {type(plan).__name__} that cannot be driven: {problem}")
+
+
 def _check_controls(plan: Controls, model_step_s: float, who: str) -> None:
-    values = np.stack((plan.accel_mps2, plan.steer_rad))
-    if values.ndim != 2 or values.shape[1] * plan.dt_s < model_step_s - 1e-9:
-        raise PlanRefusedError(
-            f"{who} planned controls of shape {values.shape}, shorter than {model_step_s:g} s"
-        )
-    if not np.isfinite(values).all():
+    _check_form(plan, model_step_s, who)
+    if not (np.isfinite(plan.accel_mps2).all() and np.isfinite(plan.steer_rad).all()):
         raise PlanRefusedError(f"{who} planned controls that are not numbers")
-    if np.abs(values[0]).max() > _MAX_CONTROL or np.abs(values[1]).max() >= 0.5 * np.pi:
+    if np.abs(plan.accel_mps2).max() > _MAX_CONTROL or np.abs(plan.steer_rad).max() >= 0.5 * np.pi:
         raise PlanRefusedError(
             f"{who} planned an acceleration beyond {_MAX_CONTROL:g} m/s² or a steering beyond 90°"
         )
 
 
 def _check_trajectory(plan: Trajectory, xy_m: FloatArray, model_step_s: float, who: str) -> None:
-    steps = len(plan.yaw_rad)
-    if (
-        plan.xy_m.shape != (steps, 2)
-        or plan.speed_mps.shape != (steps,)
-        or steps * plan.dt_s < model_step_s - 1e-9
-    ):
-        raise PlanRefusedError(
-            f"{who} planned a trajectory of shape {plan.xy_m.shape}, shorter than {model_step_s:g} s"
-        )
+    _check_form(plan, model_step_s, who)
     if not all(np.isfinite(part).all() for part in (plan.xy_m, plan.yaw_rad, plan.speed_mps)):
         raise PlanRefusedError(f"{who} planned a trajectory that holds values that are not numbers")
     path = np.concatenate((xy_m[None], plan.xy_m))

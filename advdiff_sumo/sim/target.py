@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from advdiff_sumo.core.bicycle import Limits
-from advdiff_sumo.core.errors import AdvdiffError, OutOfMemoryFailure, PlannerError, PlanRefusedError
+from advdiff_sumo.core.errors import PlanRefusedError
 from advdiff_sumo.core.plan import Plan
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import Scene
@@ -17,9 +17,11 @@ from advdiff_sumo.core.tracking import State, drive_plan
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_protocol import Planner
 from advdiff_sumo.sim.actuate import Actuator
+from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
 from advdiff_sumo.sim.natural import remaining_route
 from advdiff_sumo.sim.perceive import visible_ids
 from advdiff_sumo.sim.plan_validation import check_plan
+from advdiff_sumo.sim.plug_in_guard import PlugInGuard
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.start import TARGET_TYPE
 from advdiff_sumo.sim.world import World
@@ -73,9 +75,11 @@ class PlannerDrive:
         rng: np.random.Generator,
         name: str,
         sim: SimOptions,
+        heartbeat: Heartbeat,
     ) -> None:
         self.planner, self.road, self.actuator, self.world = planner, road, actuator, actuator.world
         self.row, self.route, self.rng, self.name, self.sim = row, route, rng, name, sim
+        self._guard = PlugInGuard(planner, f"target '{name}'", Phase.TARGET, heartbeat)
         self.planning_s: list[float] = []
         self.planned: Plan | None = None
         self._memory: Any = None
@@ -84,7 +88,7 @@ class PlannerDrive:
 
     def start(self, scene: Scene) -> None:
         """Let the planner prepare."""
-        self._memory = self._ask(lambda: self.planner.start(self.road, self._view(scene), self.rng))
+        self._memory = self._guard.call(lambda: self.planner.start(self.road, self._view(scene), self.rng))
 
     def replan(self, scene: Scene, steps: int) -> None:
         """Ask for a plan and drive it for *steps* substeps.
@@ -96,19 +100,24 @@ class PlannerDrive:
         self._find_place()
         self._come_back()
         view = self._view(scene)
-        begun = time.perf_counter()
-        made = self._ask(lambda: self.planner.plan(self.road, view, self._memory, self.rng))
-        self.planning_s.append(time.perf_counter() - begun)
-        if not (isinstance(made, tuple) and len(made) == 2):
-            raise PlanRefusedError(f"target '{self.name}' returned {type(made).__name__}, not (plan, memory)")
-        plan, self._memory = made
+        plan = self._guard.call(lambda: self._plan(view))
         world, row = self.world, self.row
-        check_plan(plan, world.xy_m[row], self.sim.model_step_s, f"target '{self.name}'")
         self.planned = plan
         state: State = world.xy_m[row].copy(), world.yaw_rad[row].copy(), world.speed_mps[row].copy()
         length = world.size_m[row, 0]
         self._states = drive_plan(state, plan, length, self.sim.step_s, steps, Limits())
         self.actuator.predict_route(row, self.route_ahead())
+
+    def _plan(self, view: Scene) -> Plan:
+        begun = time.perf_counter()
+        made: Any = self.planner.plan(self.road, view, self._memory, self.rng)
+        self.planning_s.append(time.perf_counter() - begun)
+        if not (isinstance(made, tuple) and len(made) == 2):
+            raise PlanRefusedError(f"target '{self.name}' returned {type(made).__name__}, not (plan, memory)")
+        plan: Plan = made[0]
+        self._memory = made[1]
+        check_plan(plan, self.world.xy_m[self.row], self.sim.model_step_s, f"target '{self.name}'")
+        return plan
 
     def move(self, k: int) -> None:
         """Put the target where its plan has it after substep *k*."""
@@ -157,13 +166,3 @@ class PlannerDrive:
         """Return *scene* without what a driver cannot know: the others' routes, and who is being moved."""
         routes = tuple(self.route if k == scene.target else () for k in range(scene.history.agents))
         return replace(scene, routes=routes, movable=np.zeros_like(scene.movable))
-
-    def _ask(self, call: Any) -> Any:
-        try:
-            return call()
-        except (AdvdiffError, KeyboardInterrupt):
-            raise
-        except MemoryError as error:
-            raise OutOfMemoryFailure(f"target '{self.name}' ran out of memory: {error}") from error
-        except Exception as error:
-            raise PlannerError(f"target '{self.name}' raised {type(error).__name__}: {error}") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,13 @@ from hypothesis import strategies as st
 from advdiff_sumo.core.errors import EpisodeFailure, PlanRefusedError
 from advdiff_sumo.core.plan import Controls, JointPlan, Trajectory
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.sim.plan_validation import MAX_SPEED_MPS, SLACK_M, check_joint_plan, check_plan
+from advdiff_sumo.sim.plan_validation import (
+    MAX_SPEED_MPS,
+    SLACK_M,
+    check_joint_form,
+    check_joint_plan,
+    check_plan,
+)
 
 HERE = np.array((3.0, 4.0))
 
@@ -89,18 +96,58 @@ def test_a_jump_within_the_plan_and_a_speed_beyond_all_cars_are_refused() -> Non
         check_plan(replace(plan, speed_mps=np.full(5, 91.0)), HERE, 0.5, "it")
 
 
+ONES, LISTED = np.ones(5), [0.0] * 5
+
+
 @pytest.mark.parametrize(
-    "plan",
+    ("plan", "words"),
     [
-        straight(steps=4),
-        Controls(np.zeros(4), np.zeros(4), 0.1),
-        Trajectory(np.zeros((5, 3)), np.zeros(5), np.zeros(5), 0.1),
-        Trajectory(np.zeros((5, 2)), np.zeros(5), np.zeros(4), 0.1),
+        (
+            straight(steps=4),
+            r"Trajectory that cannot be driven: it lasts 0\.4 s, less than one model step of 0\.5 s",
+        ),
+        (Controls(np.zeros(4), np.zeros(4), 0.1), "Controls that cannot be driven: it lasts 0.4 s"),
+        (Controls(np.zeros(0), np.zeros(0), 0.1), "it lasts 0 s, less than one model step"),
+        (Trajectory(np.zeros((5, 3)), ONES, ONES, 0.1), r"xy_m has shape \(5, 3\), not \(T, 2\)"),
+        (
+            Trajectory(np.zeros((5, 2)), ONES, np.zeros(4), 0.1),
+            r"do not fit each other in shape: .* speed_mps \(4,\)",
+        ),
+        (Controls(np.zeros(10), np.zeros(7), 0.1), r"in shape: accel_mps2 \(10,\), steer_rad \(7,\)"),
+        (Controls(LISTED, ONES, 0.1), "accel_mps2 is of type list, not a NumPy array"),  # type: ignore[arg-type] # wrong on purpose
+        (Controls(ONES, np.ma.masked_array(ONES), 0.1), "steer_rad is of type MaskedArray"),
+        (Controls(ONES, np.array(["left"] * 5), 0.1), "steer_rad holds <U4, not numbers"),
+        (Controls(ONES, ONES.astype(np.complex128), 0.1), "steer_rad holds complex128, not numbers"),
+        (Controls(np.float64(1.0), ONES, 0.1), "accel_mps2 is of type float64, not a NumPy array"),  # type: ignore[arg-type] # as above
+        (Controls(np.array(1.0), ONES, 0.1), r"accel_mps2 has shape \(\), not \(T,\)"),
+        (Controls(ONES, ONES, 0.0), "dt_s is 0.0, not a positive number of seconds"),
+        (Controls(ONES, ONES, -0.1), "dt_s is -0.1, not a positive"),
+        (Controls(ONES, ONES, np.nan), "dt_s is nan, not a positive"),
+        (Controls(ONES, ONES, "0.1"), "dt_s is of type str, not a number of seconds"),  # type: ignore[arg-type] # as above
+        (Trajectory(None, None, None, 0.1), "xy_m is of type NoneType, not a NumPy array"),  # type: ignore[arg-type] # as above
     ],
 )
-def test_too_short_or_misshapen_plans_are_refused(plan: Trajectory | Controls) -> None:
-    with pytest.raises(PlanRefusedError, match=r"shape .* shorter than 0\.5 s"):
+def test_misshapen_plans_are_refused(plan: Trajectory | Controls, words: str) -> None:
+    with pytest.raises(PlanRefusedError, match="it planned .*" + words):
         check_plan(plan, HERE, 0.5, "it")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"dt_s": 0.0}, "dt_s is 0.0, not a positive"),
+        ({"ids": ("u", 7)}, "a vehicle whose name is no text"),
+        ({"classes": np.array((0, 17))}, "a class that is none, .* for vehicle 'v'"),
+        ({"size_m": np.array(((np.nan, 2.0), (4.0, 2.0)))}, "a size that is not positive, for vehicle 'u'"),
+        ({"size_m": np.array(((4.0, 2.0), (4.0, -2.0)))}, "a size that is not positive, for vehicle 'v'"),
+    ],
+)
+def test_misshapen_joint_plans_are_refused(change: dict[str, Any], words: str) -> None:
+    check_joint_form(joint(), "it")
+    with pytest.raises(PlanRefusedError, match="it planned .*" + words):
+        check_joint_form(JointPlan(replace(joint().tracks, **change)), "it")
+    with pytest.raises(PlanRefusedError, match="it planned tracks of type str, not Tracks"):
+        check_joint_form(JointPlan("tracks"), "it")  # type: ignore[arg-type] # that is the test
 
 
 def test_something_else_than_a_plan_is_refused() -> None:

@@ -1,0 +1,60 @@
+"""Whether what a planner returned has the form of a plan: types, shapes, lengths, interval."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.plan import Controls, Plan
+
+_DIMENSIONS = {"accel_mps2": 1, "steer_rad": 1, "xy_m": 2, "yaw_rad": 1, "speed_mps": 1}
+
+
+def plan_arrays(plan: Plan) -> tuple[str, ...]:
+    """Return the names of the arrays that *plan* consists of."""
+    return ("accel_mps2", "steer_rad") if isinstance(plan, Controls) else ("xy_m", "yaw_rad", "speed_mps")
+
+
+def form_problem(plan: Plan, model_step_s: float) -> str:
+    """Return what is wrong with the form of *plan*, as a sentence; "" where nothing is.
+
+    Args:
+        plan: from a planner; its fields may be anything.
+        model_step_s: the plan must be at least so long.
+    """
+    arrays: dict[str, Any] = {name: getattr(plan, name) for name in plan_arrays(plan)}
+    for name, array in arrays.items():
+        problem = _array_problem(array, _DIMENSIONS[name])
+        if problem:
+            return f"{name} {problem}"
+    if len({len(array) for array in arrays.values()}) > 1:
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
+        return f"its arrays do not fit each other in shape: {shapes}"
+    problem = interval_problem(plan.dt_s)
+    if problem:
+        return f"dt_s {problem}"
+    steps = min(len(array) for array in arrays.values())
+    if steps * plan.dt_s < model_step_s - 1e-9:
+        return f"it lasts {steps * plan.dt_s:g} s, less than one model step of {model_step_s:g} s"
+    return ""
+
+
+def interval_problem(dt_s: Any) -> str:
+    """Return what is wrong with an interval between instants, as in :func:`form_problem`."""
+    if isinstance(dt_s, bool) or not isinstance(dt_s, int | float | np.integer | np.floating):
+        return f"is of type {type(dt_s).__name__}, not a number of seconds"
+    if not (math.isfinite(dt_s) and dt_s > 0.0):
+        return f"is {dt_s}, not a positive number of seconds"
+    return ""
+
+
+def _array_problem(array: Any, dimensions: int) -> str:
+    if type(array) is not np.ndarray:  # a subclass may mask or change what is looked at
+        return f"is of type {type(array).__name__}, not a NumPy array"
+    if not (np.issubdtype(array.dtype, np.floating) or np.issubdtype(array.dtype, np.integer)):
+        return f"holds {array.dtype}, not numbers"
+    if array.ndim != dimensions or (dimensions == 2 and array.shape[1] != 2):
+        return f"has shape {array.shape}, not {'(T, 2)' if dimensions == 2 else '(T,)'}"
+    return ""

@@ -1,0 +1,49 @@
+"""File and line of a planner's or policy's own code, for messages about what it did wrong."""
+
+from __future__ import annotations
+
+import inspect
+import sysconfig
+import traceback
+from pathlib import Path
+
+_OURS = str(Path(__file__).parents[1])
+_STDLIB, _INSTALLED = sysconfig.get_path("stdlib"), {"site-packages", "dist-packages"}
+
+
+def described(error: BaseException) -> str:
+    """Return the type of *error* and what it says, in one line."""
+    try:
+        words = " ".join(str(error).split())
+    except Exception:  # noqa: BLE001 - an exception of a plug-in's own may be broken, too
+        words = ""
+    return f"{type(error).__name__}: {words}" if words else type(error).__name__
+
+
+def raised_at(error: BaseException, plug_in: object) -> str:
+    """Return " (FILE, line N, FUNCTION)" of the innermost call in the plug-in's own code; "" where there is none."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if not _is_library(frame.filename)]
+    if not own:  # installed beside other libraries, or one of ours
+        source = _source_of(type(plug_in))
+        own = [frame for frame in frames if frame.filename == source]
+    return f" ({Path(own[-1].filename).name}, line {own[-1].lineno}, {own[-1].name})" if own else ""
+
+
+def planned_at(plug_in: object) -> str:
+    """Return " (FILE, line N, plan)" of the method that plans; "" for one of ours."""
+    code = getattr(getattr(type(plug_in), "plan", None), "__code__", None)
+    if code is None or code.co_filename.startswith(_OURS):
+        return ""
+    return f" ({Path(code.co_filename).name}, line {code.co_firstlineno}, plan)"
+
+
+def _is_library(filename: str) -> bool:
+    return filename.startswith((_OURS, _STDLIB, "<")) or not _INSTALLED.isdisjoint(Path(filename).parts)
+
+
+def _source_of(kind: type) -> str:
+    try:
+        return inspect.getsourcefile(kind) or ""
+    except (TypeError, OSError):
+        return ""

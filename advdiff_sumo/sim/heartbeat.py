@@ -1,0 +1,91 @@
+"""Where an episode stands, in memory that outlives the process in which it runs."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+_LAYOUT = struct.Struct("<qqqd")
+NOT_STARTED = -1
+"""Steps of an episode whose start is not over."""
+
+
+class Phase(IntEnum):
+    """What the process is doing."""
+
+    OTHER = 0
+    SIMULATOR = 1
+    TARGET = 2
+    BACKGROUND = 3
+
+
+@dataclass(frozen=True)
+class Beat:
+    """What was written last.
+
+    Attributes:
+        pid: process number of the worker.
+        phase: what it is doing.
+        steps: SUMO steps that are recorded; ``NOT_STARTED`` before the first.
+        since_s: when the phase began, on the monotonic clock of the machine.
+    """
+
+    pid: int
+    phase: Phase
+    steps: int
+    since_s: float
+
+
+class Heartbeat:
+    """Notes each phase and step of an episode; a microsecond a note.
+
+    Attributes:
+        phase: the present one.
+        steps: as in :class:`Beat`.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        """Write to *path*, which another process may read at any time; None: for this process alone."""
+        self.phase, self.steps = Phase.OTHER, NOT_STARTED
+        self._pid = os.getpid()
+        self._memory: mmap.mmap | bytearray = bytearray(_LAYOUT.size)
+        if path is not None:
+            with path.open("w+b") as file:
+                file.truncate(_LAYOUT.size)
+                self._memory = mmap.mmap(file.fileno(), _LAYOUT.size)
+        self.note(Phase.OTHER)
+
+    def note(self, phase: Phase, steps: int | None = None) -> None:
+        """Write down that *phase* begins now, after *steps* steps where they have changed."""
+        self.phase = phase
+        self.steps = self.steps if steps is None else steps
+        _LAYOUT.pack_into(self._memory, 0, self._pid, phase, self.steps, time.monotonic())
+
+    @contextmanager
+    def during(self, phase: Phase) -> Iterator[None]:
+        """Be in *phase* for a block."""
+        before = self.phase
+        self.note(phase)
+        try:
+            yield
+        finally:
+            self.note(before)
+
+    @staticmethod
+    def read(path: Path) -> Beat | None:
+        """Return what the process that writes to *path* noted last; None where it has written nothing."""
+        try:
+            content = path.read_bytes()
+        except OSError:
+            return None
+        if len(content) != _LAYOUT.size:
+            return None
+        pid, phase, steps, since_s = _LAYOUT.unpack(content)
+        return Beat(pid, Phase(phase), steps, since_s) if pid else None

@@ -1,0 +1,65 @@
+"""Calls of planners and policies: whatever goes wrong in them becomes a failure of the episode, with file and line."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from advdiff_sumo.core.errors import AdvdiffError, OutOfMemoryFailure, PlannerError, PlanRefusedError
+from advdiff_sumo.core.plug_in_source import described, planned_at, raised_at
+from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
+
+_Result = TypeVar("_Result")
+
+
+@dataclass(frozen=True)
+class PlugInGuard:
+    """Calls one planner or policy.
+
+    Attributes:
+        plug_in: the object.
+        who: for messages, such as "target 'mine:Planner'".
+        phase: which the heartbeat is in during a call.
+        heartbeat: of the episode.
+    """
+
+    plug_in: object
+    who: str
+    phase: Phase
+    heartbeat: Heartbeat = field(default_factory=Heartbeat)
+
+    def call(self, function: Callable[[], _Result]) -> _Result:
+        """Return what *function*, which calls the plug-in, returns.
+
+        Raises:
+            EpisodeFailure: one of its kinds; whatever the plug-in raised, its attempts to end the process included.
+            InputError: the plug-in cannot be used with the scene or its options.
+        """
+        with self.heartbeat.during(self.phase):
+            try:
+                return function()
+            except PlanRefusedError as error:
+                raise PlanRefusedError(f"{error}{planned_at(self.plug_in)}") from error.__cause__
+            except AdvdiffError:
+                raise
+            except MemoryError as error:
+                problem = f"{self.who} ran out of memory{raised_at(error, self.plug_in)}: {error}"
+                raise OutOfMemoryFailure(problem) from error
+            except KeyboardInterrupt as error:
+                if _hears_ctrl_c():
+                    raise
+                raise self._raised(error) from error
+            except (
+                BaseException
+            ) as error:  # SystemExit, GeneratorExit and exceptions of the plug-in's own included
+                raise self._raised(error) from error
+
+    def _raised(self, error: BaseException) -> PlannerError:
+        return PlannerError(f"{self.who} raised {described(error)}{raised_at(error, self.plug_in)}")
+
+
+def _hears_ctrl_c() -> bool:
+    """Return whether Ctrl-C can reach this process; a worker is deaf to it."""
+    return signal.getsignal(signal.SIGINT) is not signal.SIG_IGN

@@ -12,21 +12,21 @@ from rich.table import Table
 
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.metrics.plausibility import Breach, breaches
+from advdiff_sumo.metrics.plausibility import Implausibility, implausibilities
 from advdiff_sumo.report.states import states_of
 
 
 def print_check(console: Console, folder: Path, road: RoadMap) -> None:
     """Print what background vehicles that the policy moved did in the run in *folder*."""
     states = pq.read_table(folder / "states.parquet")
-    found: list[tuple[int, Breach]] = []
+    found: list[tuple[int, Implausibility]] = []
     driven = 0
     episodes = np.asarray(states["episode"].to_numpy(), dtype=np.int64)
     for number in np.unique(episodes).tolist():
         record = _record(states.filter(pa.array(episodes == number)), number)
         if record is not None:
             driven += int((record.controller == Controller.POLICY).any(axis=1).sum())
-            found += [(number, x) for x in breaches(record, road)]
+            found += [(number, x) for x in implausibilities(record, road)]
     if found:
         console.print(_table(found))
     vehicles = len({(number, x.vehicle) for number, x in found})
@@ -54,7 +54,7 @@ def _record(part: pa.Table, number: int) -> EpisodeRecord | None:
     )
 
 
-def _table(found: list[tuple[int, Breach]]) -> Table:
+def _table(found: list[tuple[int, Implausibility]]) -> Table:
     table = Table(title="what background vehicles did that no vehicle should do", title_justify="left")
     for name in ("episode", "vehicle", "at", "what"):
         table.add_column(name, justify="right" if name in ("episode", "at") else "left")

@@ -95,10 +95,17 @@ def collisions(record: EpisodeRecord, touches: Touches | None = None) -> list[Co
     A lasting contact counts once until the boxes are ``SEPARATED_M`` apart. Steps that an agent jumps over
     or is absent from are not swept; the next step starts anew. *touches* saves the search where it was made.
     """
-    steady = unbroken(record.tracks)
-    touches = touches if touches is not None else find_touches(record.tracks)
-    found = [_collision(record, steady, touches, at) for at in _first_touches(record.tracks, steady, touches)]
-    return sorted(found, key=lambda c: (c.time_s, c.rows))
+    return tracks_collisions(record.tracks, record.target, touches)
+
+
+def tracks_collisions(tracks: Tracks, target: int, touches: Touches | None = None) -> list[Collision]:
+    """Return every collision of *tracks*, recorded or planned, as :func:`collisions` does; *target* is a row."""
+    steady = unbroken(tracks)
+    touches = touches if touches is not None else find_touches(tracks)
+    contacts = [
+        _collision(tracks, target, steady, touches, at) for at in _first_touches(tracks, steady, touches)
+    ]
+    return sorted(contacts, key=lambda c: (c.time_s, c.rows))
 
 
 def target_collision(record: EpisodeRecord, found: list[Collision]) -> Collision | None:
@@ -206,10 +213,9 @@ def _stayed(tracks: Tracks, steady: BoolArray, i: int, j: int, since: int, until
     return bool((_gaps(tracks, *pair, instants) <= SEPARATED_M).all())
 
 
-def _collision(record: EpisodeRecord, steady: BoolArray, touches: Touches, at: int) -> Collision:
-    tracks = record.tracks
+def _collision(tracks: Tracks, target: int, steady: BoolArray, touches: Touches, at: int) -> Collision:
     i, j, step = int(touches.first[at]), int(touches.second[at]), int(touches.step[at])
-    rows = (j, i) if j == record.target else (i, j)
+    rows = (j, i) if j == target else (i, j)
     fraction = float(touches.fraction[at])
     both = _sweep(tracks, np.array(rows), np.array([step, step]))
     a, b = both.rows(np.array([0])), both.rows(np.array([1]))

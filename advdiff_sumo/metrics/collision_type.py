@@ -9,12 +9,9 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from advdiff_sumo.metrics.breaches.lane_rules import SAME_WAY_RAD
 from advdiff_sumo.metrics.encounter import Encounter
-
-#: Headings that differ by less than this go the same way (45°).
-SAME_WAY_RAD = 0.7853981633974483
-#: Headings that differ by more than this oppose each other (135°).
-OPPOSITE_RAD = 2.356194490192345
+from advdiff_sumo.metrics.lane_entry import OPPOSITE_RAD
 
 
 class CollisionType(StrEnum):
@@ -32,23 +29,15 @@ class CollisionType(StrEnum):
 def collision_type(met: Encounter) -> CollisionType:
     """Return the kind of collision with another agent; leaving the road is found by ``offroad``."""
     angle = met.collision.heading_difference_rad
-    if met.junction is not None and _from_different_approaches(met):
+    if met.junction is not None and met.crossing:
         return CollisionType.JUNCTION
     if angle > OPPOSITE_RAD:
         return CollisionType.HEAD_ON
+    if _cuts_in(met):
+        return CollisionType.CUT_IN
     if angle > SAME_WAY_RAD:
         return CollisionType.SIDE
-    return _same_way(met)
-
-
-def _same_way(met: Encounter) -> CollisionType:
-    faces = met.target.face, met.other.face
-    lengthwise = {"front", "rear"}.issuperset(faces)
-    if met.entry is not None:
-        follower = met.other.face if met.entry.by_target else met.target.face
-        leader = met.target.face if met.entry.by_target else met.other.face
-        if follower == "front" and (lengthwise or leader != "front"):
-            return CollisionType.CUT_IN
+    faces = (met.target.face, met.other.face)
     if faces == ("front", "rear"):
         return CollisionType.REAR_END_STRIKING
     if faces == ("rear", "front"):
@@ -56,9 +45,11 @@ def _same_way(met: Encounter) -> CollisionType:
     return CollisionType.SIDE
 
 
-def _from_different_approaches(met: Encounter) -> bool:
-    """Return whether the vehicles come by links from different edges; by their headings where unknown."""
-    a, b = met.target.link, met.other.link
-    if a is None or b is None:
-        return met.collision.heading_difference_rad > SAME_WAY_RAD
-    return a.from_lane.rsplit("_", 1)[0] != b.from_lane.rsplit("_", 1)[0]
+def _cuts_in(met: Encounter) -> bool:
+    """Return whether one entered the lane of the other from ahead, the same way, by leaving its own."""
+    entry = met.cut_in
+    if entry is None or entry.oncoming or not entry.ahead or not entry.leaves_lane:
+        return False
+    follower, leader = met.parties if entry.row == met.other.row else met.parties[::-1]
+    along = entry.leader_mps > 0.0 and leader.lanes.lane[0] is not None and not leader.is_pedestrian
+    return along and follower.face != "rear"

@@ -1,4 +1,4 @@
-"""What led to a collision: the lanes, links and manoeuvres of both vehicles in the seconds before it."""
+"""What led to a contact: the lanes, links and manoeuvres of both road users in the seconds before it."""
 
 from __future__ import annotations
 
@@ -7,142 +7,213 @@ from itertools import pairwise
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
-from advdiff_sumo.core.boxes import corners
-from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.metrics.collision import Collision
-from advdiff_sumo.metrics.placement import Placement, place
+from advdiff_sumo.metrics.lane_entry import (
+    CUT_IN_WINDOW_S,
+    INTRUSION_M,
+    LaneEntry,
+    lane_changes,
+    lane_entry,
+    reaches_into,
+)
+from advdiff_sumo.metrics.placement import Placement
+from advdiff_sumo.metrics.traffic_view import TrafficView
 
 #: How far back lanes are looked at; long enough to find the approach to a junction.
 HISTORY_S = 10.0
-#: A lane entered longer ago than this is the vehicle's own.
-CUT_IN_WINDOW_S = 3.0
-#: Reaching over the lane's edge by more than this is leaving the lane (as UN Regulation 157, 5.2.5.2).
-INTRUSION_M = 0.3
+#: What happened longer ago than this did not lead to the contact.
+BREACH_WINDOW_S = 5.0
 #: A heading farther than this from that of the lane is the wrong way.
 WRONG_WAY_RAD = 2.0
-#: How far from a centre line a vehicle may be to be on a lane at all.
+#: A vehicle that has stood this long in the way could be seen.
+STOOD_S = 1.0
+#: Standing: slower than this (the limit of nuPlan's metric), or nearer than ``_LEAST_MOVE_M`` to where it was.
 _LEAST_SPEED_MPS = 0.05
+_LEAST_MOVE_M = 0.1
+_LEAST_MOVE_S = 0.5
 
 
 @dataclass(frozen=True)
 class Party:
-    """One of the two vehicles.
+    """One of the two road users.
 
     Attributes:
         row: its row.
         name: its id.
+        agent_class: what it is.
         speed_mps: signed speed at the instant before the contact.
         face: what was hit: "front", "rear", "left", "right".
         lanes: its lanes from the start of the history to the instant before the contact.
         wrong_way: whether it drives against its lane's direction.
         overhang_m: how far it reaches out of its lane; inf off any lane.
         changed_lane: whether it changed to another lane of its edge within ``CUT_IN_WINDOW_S``.
-        link: how it crosses the junction of the collision; None when it is not crossing.
+        intrudes: whether it reaches into the lane of the other.
+        stands: whether it stands still.
+        stood: whether it has stood for ``STOOD_S``, so that the other could react.
+        link: how it crosses the junction on which the two meet; None when it does not.
         entered_step: instant at which it entered that junction; None when not seen.
     """
 
     row: int
     name: str
+    agent_class: AgentClass
     speed_mps: float
     face: str
     lanes: Placement
     wrong_way: bool
     overhang_m: float
     changed_lane: bool
+    intrudes: bool
+    stands: bool
+    stood: bool
     link: Link | None
     entered_step: int | None
-
-    @property
-    def stands(self) -> bool:
-        """Whether it stands still (below 0.05 m/s, the limit of nuPlan's metric)."""
-        return abs(self.speed_mps) <= _LEAST_SPEED_MPS
 
     @property
     def leaves_lane(self) -> bool:
         """Whether it reaches out of its lane by more than ``INTRUSION_M``."""
         return self.overhang_m > INTRUSION_M
 
-
-@dataclass(frozen=True)
-class LaneEntry:
-    """One vehicle entering the lane of another that keeps its own.
-
-    Attributes:
-        by_target: whether the target is the one who enters.
-        gap_m: bumper to bumper along the lane at that instant; negative when side by side.
-        follower_mps: speed of the vehicle behind.
-        leader_mps: speed of the vehicle that entered.
-        time_s: when, since the episode's start.
-    """
-
-    by_target: bool
-    gap_m: float
-    follower_mps: float
-    leader_mps: float
-    time_s: float
+    @property
+    def is_pedestrian(self) -> bool:
+        """Whether it walks; rules about lanes do not bind it."""
+        return self.agent_class == AgentClass.PEDESTRIAN
 
 
 @dataclass(frozen=True)
 class Encounter:
-    """A collision of the target with its circumstances.
+    """A contact of two road users with its circumstances.
 
     Attributes:
-        collision: the collision.
-        target: the tested vehicle.
+        collision: the contact.
+        target: the first of the two: the tested vehicle, where it takes part.
         other: its partner.
         junction: id of the junction on which it happened, or None.
-        entry: who entered whose lane shortly before, or None.
+        merged: id of the junction, left before, on which their ways joined within ``BREACH_WINDOW_S``, or None.
+        entry: who entered whose lane within ``BREACH_WINDOW_S``, or None.
+        start: first instant looked at.
     """
 
     collision: Collision
     target: Party
     other: Party
     junction: str | None
+    merged: str | None
     entry: LaneEntry | None
+    start: int
+
+    @property
+    def parties(self) -> tuple[Party, Party]:
+        """Both, in the order of the collision's rows."""
+        return self.target, self.other
+
+    @property
+    def cut_in(self) -> LaneEntry | None:
+        """The entry, if it was within ``CUT_IN_WINDOW_S`` of the contact."""
+        recent = self.entry is not None and self.collision.time_s - self.entry.time_s <= CUT_IN_WINDOW_S + 0.1
+        return self.entry if recent else None
+
+    @property
+    def crossing(self) -> bool:
+        """Whether the two came to a common junction from different approaches; by headings where not known.
+
+        Who walks comes by no approach.
+        """
+        if self.merged is not None:
+            return True
+        if self.junction is None or any(x.is_pedestrian for x in self.parties):
+            return False
+        a, b = self.target.link, self.other.link
+        if a is None or b is None:
+            return self.collision.heading_difference_rad > 0.25 * np.pi
+        return a.from_lane.rsplit("_", 1)[0] != b.from_lane.rsplit("_", 1)[0]
 
 
-def encounter(record: EpisodeRecord, road: RoadMap, collision: Collision) -> Encounter:
-    """Return the circumstances of *collision*, in which the target must take part."""
-    start = max(0, collision.step - round(HISTORY_S / record.tracks.dt_s))
-    placed = [place(road, record.tracks, row, start, collision.step + 1) for row in collision.rows]
-    junction = next((j for j in (_junction(road, p.lane[-1]) for p in placed) if j is not None), None)
-    target, other = (
-        _party(record, road, collision, which, placed[which], junction, start) for which in (0, 1)
+def encounter(view: TrafficView, collision: Collision) -> Encounter:
+    """Return the circumstances of *collision*, of any two agents of *view*."""
+    step = collision.step
+    start = max(0, step - view.steps(HISTORY_S))
+    placed = [view.place(row, start, step + 1) for row in collision.rows]
+    junction = next((j for j in (_junction(view.road, p.lane[-1]) for p in placed) if j is not None), None)
+    merged = None if junction is not None else _merging(view, collision, placed)
+    target, other = (_party(view, collision, which, placed, junction or merged, start) for which in (0, 1))
+    return Encounter(
+        collision, target, other, junction, merged, _entry_of(view, target, other, start, step), start
     )
-    entry = None
-    for entering, keeping in ((other, target), (target, other)):
-        if entry is None and not keeping.changed_lane and not keeping.leaves_lane:
-            entry = _lane_entry(record, road, entering, keeping, start)
-    return Encounter(collision, target, other, junction, entry)
+
+
+def _entry_of(view: TrafficView, target: Party, other: Party, start: int, step: int) -> LaneEntry | None:
+    """Return the first entry of one into the lane of the other."""
+    entries = [
+        lane_entry(view, entering.row, keeping.row, start, step, BREACH_WINDOW_S)
+        for entering, keeping in ((other, target), (target, other))
+        if not keeping.is_pedestrian
+    ]
+    return min((x for x in entries if x is not None), key=lambda x: x.step, default=None)
+
+
+def _merging(view: TrafficView, collision: Collision, placed: list[Placement]) -> str | None:
+    """Return the junction by which both came lately, from different edges onto the same one."""
+    recent = view.steps(BREACH_WINDOW_S)
+    inside = [_junction(view.road, x) for x in placed[0].lane[-recent - 1 :]]
+    for junction in dict.fromkeys(x for x in reversed(inside) if x is not None):
+        routes = [view.routes.get(row, ()) for row in collision.rows]
+        links = [_crossing(view.road, p, junction, r, recent)[0] for p, r in zip(placed, routes, strict=True)]
+        if links[0] is None or links[1] is None:
+            continue
+        (a, to_a), (b, to_b) = (
+            (view.road.lanes[x.from_lane].edge_id, view.road.lanes[x.to_lane].edge_id) for x in links if x
+        )
+        if a != b and to_a == to_b:
+            return junction
+    return None
 
 
 def _party(
-    record: EpisodeRecord,
-    road: RoadMap,
+    view: TrafficView,
     collision: Collision,
     which: int,
-    lanes: Placement,
+    placed: list[Placement],
     junction: str | None,
     start: int,
 ) -> Party:
-    row = collision.rows[which]
-    route = record.route if row == record.target else ()
-    link, entered = _crossing(road, lanes, junction, route)
-    recent = round(CUT_IN_WINDOW_S / record.tracks.dt_s)
+    row, lanes, step = collision.rows[which], placed[which], collision.step
+    walks = view.tracks.classes[row] == AgentClass.PEDESTRIAN
+    recent, route = view.steps(BREACH_WINDOW_S), view.routes.get(row, ())
+    link, entered = (None, None) if walks else _crossing(view.road, lanes, junction, route, recent)
+    speed = float(view.tracks.speed_mps[row, step])
     return Party(
         row=row,
-        name=record.tracks.ids[row],
-        speed_mps=float(record.tracks.speed_mps[row, collision.step]),
+        name=view.tracks.ids[row],
+        agent_class=AgentClass(int(view.tracks.classes[row])),
+        speed_mps=speed,
         face=collision.faces[which],
         lanes=lanes,
         wrong_way=bool(abs(lanes.yaw_error_rad[-1]) > WRONG_WAY_RAD),
         overhang_m=lanes.overhang_m(-1),
-        changed_lane=_changes_lane(road, lanes.lane[-recent - 1 :]),
+        changed_lane=bool(lane_changes(view.road, lanes.lane[-view.steps(CUT_IN_WINDOW_S) - 1 :])),
+        intrudes=reaches_into(view, row, collision.rows[1 - which], start, step),
+        stands=abs(speed) <= _LEAST_SPEED_MPS or _rests(view, row, step, _LEAST_MOVE_S),
+        stood=_stood(view, row, step),
         link=link,
         entered_step=None if entered is None else start + entered,
     )
+
+
+def _stood(view: TrafficView, row: int, step: int) -> bool:
+    speed = view.tracks.speed_mps[row, max(0, step - view.steps(STOOD_S)) : step + 1]
+    return bool((np.abs(speed) <= _LEAST_SPEED_MPS).all()) or _rests(view, row, step, STOOD_S)
+
+
+def _rests(view: TrafficView, row: int, step: int, seconds: float) -> bool:
+    """Return whether agent *row* was seen *seconds* ago and has since stayed within ``_LEAST_MOVE_M``."""
+    since = step - view.steps(seconds)
+    if since < 0:
+        return False
+    xy = view.tracks.xy_m[row, since : step + 1]
+    return bool((np.hypot(*(xy - xy[-1]).T) <= _LEAST_MOVE_M).all())
 
 
 def _junction(road: RoadMap, lane_id: str | None) -> str | None:
@@ -151,21 +222,20 @@ def _junction(road: RoadMap, lane_id: str | None) -> str | None:
     return road.edges[road.lanes[lane_id].edge_id].from_junction
 
 
-def _changes_lane(road: RoadMap, lanes: tuple[str | None, ...]) -> bool:
-    known = [x for x in lanes if x is not None]
-    return any(a != b and road.lanes[a].edge_id == road.lanes[b].edge_id for a, b in pairwise(known))
-
-
 def _crossing(
-    road: RoadMap, lanes: Placement, junction: str | None, route: tuple[str, ...]
+    road: RoadMap, lanes: Placement, junction: str | None, route: tuple[str, ...], recent: int
 ) -> tuple[Link | None, int | None]:
-    """Return the link by which a vehicle crosses *junction* and the instant (in *lanes*) of its entry."""
+    """Return the link by which a vehicle crosses *junction* and the instant (in *lanes*) of its entry.
+
+    It is on it, left it within the last *recent* instants, or is about to reach it.
+    """
     if junction is None:
         return None, None
     inside = [_junction(road, x) == junction for x in lanes.lane]
-    if not inside[-1]:
+    if True not in inside[-recent - 1 :]:
         return _link_ahead(road, lanes.lane[-1], junction, route), None
-    entry = len(inside) - inside[::-1].index(False) if False in inside else None
+    upto = len(inside) - inside[::-1].index(True)
+    entry = upto - inside[:upto][::-1].index(False) if False in inside[:upto] else None
     approach = lanes.lane[entry - 1] if entry is not None else None
     driven = [x for x in lanes.lane[entry or 0 :] if x is not None]
     options = [x for x in road.links.values() if x.junction_id == junction]
@@ -183,46 +253,4 @@ def _link_ahead(road: RoadMap, lane_id: str | None, junction: str, route: tuple[
 
 def _fit(road: RoadMap, link: Link, driven: list[str], route: tuple[str, ...]) -> tuple[int, bool]:
     on_route = (road.lanes[link.from_lane].edge_id, road.lanes[link.to_lane].edge_id) in set(pairwise(route))
-    return sum(x in link.via for x in driven), on_route
-
-
-def _lane_entry(
-    record: EpisodeRecord, road: RoadMap, entering: Party, keeping: Party, start: int
-) -> LaneEntry | None:
-    """Return the moment since which *entering* has been in the lane of *keeping*; None if it always was or is not."""
-    inside = _in_lane_of(record, road, entering.row, keeping.lanes, start)
-    recent = round(CUT_IN_WINDOW_S / record.tracks.dt_s)
-    if not inside[-1] or inside[-recent - 1 :].all():
-        return None
-    at = start + len(inside) - int(np.argmin(inside[::-1]))
-    tracks = record.tracks
-    offset = tracks.xy_m[entering.row, at] - tracks.xy_m[keeping.row, at]
-    yaw = tracks.yaw_rad[keeping.row, at]
-    lengths = tracks.size_m[entering.row, 0] + tracks.size_m[keeping.row, 0]
-    return LaneEntry(
-        by_target=entering.row == record.target,
-        gap_m=float(offset @ (np.cos(yaw), np.sin(yaw)) - 0.5 * lengths),
-        follower_mps=float(tracks.speed_mps[keeping.row, at]),
-        leader_mps=float(tracks.speed_mps[entering.row, at]),
-        time_s=tracks.t0_s + at * tracks.dt_s,
-    )
-
-
-def _in_lane_of(record: EpisodeRecord, road: RoadMap, row: int, kept: Placement, start: int) -> BoolArray:
-    """Return (N,) whether agent *row* reaches more than ``INTRUSION_M`` into the other's lane at each instant."""
-    stop = start + len(kept.lane)
-    tracks = record.tracks
-    size = np.broadcast_to(tracks.size_m[row], (stop - start, 2))
-    boxes = corners(tracks.xy_m[row, start:stop], tracks.yaw_rad[row, start:stop], size)
-    inside = np.zeros(stop - start, dtype=np.bool_)
-    for lane_id in sorted({x for x in kept.lane if x is not None}):
-        steps = np.array([x == lane_id for x in kept.lane])
-        inside[steps] = _reaches_into(road, lane_id, boxes[steps])
-    return inside
-
-
-def _reaches_into(road: RoadMap, lane_id: str, boxes_m: FloatArray) -> BoolArray:
-    lane = road.lanes[lane_id]
-    _, d = lane.line.project(boxes_m, extrapolate=True)  # (N, 4)
-    edge = 0.5 * lane.width_m - INTRUSION_M
-    return np.asarray((d.min(-1) < edge) & (d.max(-1) > -edge))
+    return sum(x in link.via or x == link.to_lane for x in driven), on_route

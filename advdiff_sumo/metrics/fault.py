@@ -14,21 +14,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from advdiff_sumo.core.record import EpisodeRecord
-from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.metrics.collision_type import OPPOSITE_RAD, CollisionType
-from advdiff_sumo.metrics.encounter import Encounter, LaneEntry, Party
-
-#: Time a driver needs before braking (s).
-RESPONSE_S = 0.75
-#: Braking that both sides may be expected to reach (m/s²).
-BRAKE_MPS2 = 6.0
-#: A vehicle that has stood this long in the way could be seen.
-STOOD_S = 1.0
-#: At a junction without rule, whoever came this much later gives way.
-ARRIVAL_MARGIN_S = 1.0
-#: Driving backwards faster than this is reversing.
-REVERSING_MPS = 0.1
+from advdiff_sumo.metrics.breaches.conduct_rules import reversing
+from advdiff_sumo.metrics.breaches.junction_rules import ARRIVAL_MARGIN_S, later_by_s, must_yield, ran_red
+from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
+from advdiff_sumo.metrics.collision_type import CollisionType
+from advdiff_sumo.metrics.encounter import Encounter
+from advdiff_sumo.metrics.lane_entry import OPPOSITE_RAD, LaneEntry
+from advdiff_sumo.metrics.traffic_view import TrafficView
 
 
 class AtFault(StrEnum):
@@ -40,7 +32,7 @@ class AtFault(StrEnum):
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Fault:
     """Who caused a collision and why.
 
     Attributes:
@@ -52,164 +44,148 @@ class Verdict:
     reason: str
 
 
-OFF_ROAD = Verdict(AtFault.TARGET, "The target left the road.")
+OFF_ROAD = Fault(AtFault.TARGET, "The target left the road.")
 
-_Rule = Callable[[EpisodeRecord, RoadMap, Encounter, CollisionType], Verdict | None]
+_Rule = Callable[[TrafficView, Encounter, CollisionType], Fault | None]
 
 
-def judge(record: EpisodeRecord, road: RoadMap, met: Encounter, kind: CollisionType) -> Verdict:
-    """Return the verdict of the first rule that applies to a collision with another agent."""
-    rules: tuple[_Rule, ...] = (_standing, _wrong_way, _reversing, _RULES[kind])
+def fault_of(view: TrafficView, met: Encounter, kind: CollisionType) -> Fault:
+    """Return what the first rule that applies says of a collision with another agent."""
+    rules: tuple[_Rule, ...] = (_pushed, _standing, _wrong_way, _reversing, _RULES[kind])
     for rule in rules:
-        verdict = rule(record, road, met, kind)
-        if verdict is not None:
-            return verdict
-    return Verdict(AtFault.UNCLEAR, "No rule says which of the two caused it.")
+        fault = rule(view, met, kind)
+        if fault is not None:
+            return fault
+    return Fault(AtFault.UNCLEAR, "No rule says which of the two caused it.")
 
 
-def safe_gap_m(follower_mps: float, leader_mps: float) -> float:
-    """Return the gap that lets the follower stop behind a braking leader (RSS, Definition 1).
-
-    v_f ρ + v_f² / 2b − v_l² / 2b, at least 0, with ρ = ``RESPONSE_S`` and b = ``BRAKE_MPS2`` for both and no
-    acceleration during the response.
-    """
-    braking = (follower_mps**2 - leader_mps**2) / (2.0 * BRAKE_MPS2)
-    return max(0.0, follower_mps * RESPONSE_S + braking)
-
-
-def _standing(record: EpisodeRecord, _road: RoadMap, met: Encounter, _kind: CollisionType) -> Verdict | None:
-    if met.target.stands and not met.other.stands:
-        return Verdict(AtFault.OTHER, f"The target stood still when '{met.other.name}' ran into it.")
-    if met.other.stands and not met.target.stands and _stood(record, met):
-        return Verdict(AtFault.TARGET, f"The target ran into '{met.other.name}', which was standing.")
-    return None
-
-
-def _stood(record: EpisodeRecord, met: Encounter) -> bool:
-    """Return whether the partner has stood for ``STOOD_S``, so that the target could react."""
-    tracks, step = record.tracks, met.collision.step
-    since = max(0, step - round(STOOD_S / tracks.dt_s))
-    speed = tracks.speed_mps[met.other.row, since : step + 1]
-    return bool((abs(speed) <= 0.05).all())
-
-
-def _wrong_way(
-    _record: EpisodeRecord, _road: RoadMap, met: Encounter, _kind: CollisionType
-) -> Verdict | None:
-    if met.other.wrong_way and not met.target.wrong_way:
-        return Verdict(AtFault.OTHER, f"'{met.other.name}' drove against the direction of its lane.")
-    if met.target.wrong_way and not met.other.wrong_way:
-        return Verdict(AtFault.TARGET, "The target drove against the direction of its lane.")
-    return None
-
-
-def _reversing(
-    _record: EpisodeRecord, _road: RoadMap, met: Encounter, _kind: CollisionType
-) -> Verdict | None:
-    other_back, target_back = (p.speed_mps < -REVERSING_MPS for p in (met.other, met.target))
-    if other_back and not target_back:
-        return Verdict(AtFault.OTHER, f"'{met.other.name}' was reversing.")
-    if target_back and not other_back:
-        return Verdict(AtFault.TARGET, "The target was reversing.")
-    return None
-
-
-def _striking(_record: EpisodeRecord, _road: RoadMap, met: Encounter, _kind: CollisionType) -> Verdict:
-    return Verdict(AtFault.TARGET, f"The target ran into the rear of '{met.other.name}'.")
-
-
-def _struck(_record: EpisodeRecord, _road: RoadMap, met: Encounter, _kind: CollisionType) -> Verdict:
-    return Verdict(AtFault.OTHER, f"'{met.other.name}' ran into the rear of the target.")
-
-
-def _cut_in(_record: EpisodeRecord, _road: RoadMap, met: Encounter, _kind: CollisionType) -> Verdict | None:
-    entry = met.entry
-    if entry is None:
+def _pushed(view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault | None:
+    third = pushed_by(view, met, 0)
+    if third is None or met.target.face != "front":
         return None
-    need = safe_gap_m(entry.follower_mps, entry.leader_mps)
-    enough = entry.gap_m >= need
-    numbers = f"{entry.gap_m:.1f} m ahead at {entry.time_s:.1f} s, where {need:.1f} m are needed"
-    if entry.by_target:
-        blame = AtFault.OTHER if enough else AtFault.TARGET
-        return Verdict(blame, f"The target entered the lane of '{met.other.name}' {numbers}.")
-    blame = AtFault.TARGET if enough else AtFault.OTHER
-    return Verdict(blame, f"'{met.other.name}' entered the target's lane {numbers}.")
+    return Fault(AtFault.OTHER, f"'{view.tracks.ids[third]}' had run into the target before.")
 
 
-def _lane_keeping(
-    _record: EpisodeRecord, _road: RoadMap, met: Encounter, kind: CollisionType
-) -> Verdict | None:
+def _standing(_view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault | None:
+    if met.target.stands and not met.other.stands:
+        return Fault(AtFault.OTHER, f"The target stood still when '{met.other.name}' ran into it.")
+    if met.other.stood and not met.target.stands:
+        return Fault(AtFault.TARGET, f"The target ran into '{met.other.name}', which was standing.")
+    return None
+
+
+def _wrong_way(_view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault | None:
+    if met.other.wrong_way and not met.target.wrong_way:
+        return Fault(AtFault.OTHER, f"'{met.other.name}' drove against the direction of its lane.")
+    if met.target.wrong_way and not met.other.wrong_way:
+        return Fault(AtFault.TARGET, "The target drove against the direction of its lane.")
+    return None
+
+
+def _reversing(view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault | None:
+    target_back, other_back = (reversing(view, met, which) is not None for which in (0, 1))
+    if other_back and not target_back:
+        return Fault(AtFault.OTHER, f"'{met.other.name}' was reversing.")
+    if target_back and not other_back:
+        return Fault(AtFault.TARGET, "The target was reversing.")
+    return None
+
+
+def _striking(_view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault:
+    return Fault(AtFault.TARGET, f"The target ran into the rear of '{met.other.name}'.")
+
+
+def _struck(_view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault:
+    return Fault(AtFault.OTHER, f"'{met.other.name}' ran into the rear of the target.")
+
+
+def _cut_in(_view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault | None:
+    return None if met.cut_in is None else _by_gap(met, met.cut_in)
+
+
+def _by_gap(met: Encounter, entry: LaneEntry) -> Fault:
+    numbers = f"{entry.gap_m:.1f} m ahead at {entry.time_s:.1f} s, where {entry.needed_m:.1f} m are needed"
+    if entry.row == met.target.row:
+        blame = AtFault.OTHER if entry.safe else AtFault.TARGET
+        return Fault(blame, f"The target entered the lane of '{met.other.name}' {numbers}.")
+    blame = AtFault.TARGET if entry.safe else AtFault.OTHER
+    return Fault(blame, f"'{met.other.name}' entered the target's lane {numbers}.")
+
+
+def _lane_keeping(_view: TrafficView, met: Encounter, kind: CollisionType) -> Fault | None:
     """Judge side and head-on collisions: whoever left its lane, or entered the other's, is at fault."""
-    if met.entry is not None and kind is CollisionType.SIDE:
-        return _entered(met, met.entry)
+    if met.cut_in is not None and not met.crossing:
+        return _entered(met, met.cut_in, kind)
     target, other = met.target.leaves_lane, met.other.leaves_lane
     if other and not target:
-        return Verdict(AtFault.OTHER, f"'{met.other.name}' was out of its lane, the target was not.")
+        return Fault(AtFault.OTHER, f"'{met.other.name}' was out of its lane, the target was not.")
     if target and not other:
-        return Verdict(AtFault.TARGET, f"The target was out of its lane, '{met.other.name}' was not.")
+        return Fault(AtFault.TARGET, f"The target was out of its lane, '{met.other.name}' was not.")
     if not target and met.collision.heading_difference_rad < OPPOSITE_RAD:
         return _fronts(met)
-    return Verdict(AtFault.UNCLEAR, "Both or neither of the two were out of their lanes.")
+    return Fault(AtFault.UNCLEAR, "Both or neither of the two were out of their lanes.")
 
 
-def _entered(met: Encounter, entry: LaneEntry) -> Verdict:
-    if entry.by_target:
-        return Verdict(AtFault.TARGET, f"The target moved into the lane of '{met.other.name}' beside it.")
-    return Verdict(AtFault.OTHER, f"'{met.other.name}' moved into the target's lane beside it.")
+def _entered(met: Encounter, entry: LaneEntry, kind: CollisionType) -> Fault | None:
+    if entry.gap_m >= 0.0 and not entry.oncoming and kind is not CollisionType.HEAD_ON:
+        return _by_gap(met, entry)
+    where = "of oncoming traffic" if entry.oncoming else "beside it"
+    if entry.row == met.target.row:
+        return Fault(AtFault.TARGET, f"The target moved into the lane of '{met.other.name}' {where}.")
+    return Fault(AtFault.OTHER, f"'{met.other.name}' moved into the target's lane {where}.")
 
 
-def _fronts(met: Encounter) -> Verdict | None:
+def _fronts(met: Encounter) -> Fault | None:
     """Judge by the fronts when both were in their lanes: who hit with the front could have braked."""
     target, other = met.target.face == "front", met.other.face == "front"
     if target and not other:
-        return Verdict(AtFault.TARGET, f"The target ran into the side of '{met.other.name}' with its front.")
+        return Fault(AtFault.TARGET, f"The target ran into the side of '{met.other.name}' with its front.")
     if other and not target:
-        return Verdict(AtFault.OTHER, f"'{met.other.name}' ran into the side of the target with its front.")
+        return Fault(AtFault.OTHER, f"'{met.other.name}' ran into the side of the target with its front.")
     return None
 
 
-def _junction(record: EpisodeRecord, road: RoadMap, met: Encounter, _kind: CollisionType) -> Verdict | None:
-    red = _ran_red(record, met.target), _ran_red(record, met.other)
+def _junction(view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault | None:
+    red = ran_red(view, met.target), ran_red(view, met.other)
     if red == (True, False):
-        return Verdict(AtFault.TARGET, "The target entered the junction on red.")
+        return Fault(AtFault.TARGET, "The target entered the junction on red.")
     if red == (False, True):
-        return Verdict(AtFault.OTHER, f"'{met.other.name}' entered the junction on red.")
-    yields = _must_yield(road, met.target, met.other), _must_yield(road, met.other, met.target)
+        return Fault(AtFault.OTHER, f"'{met.other.name}' entered the junction on red.")
+    rear_end = _joined(met)
+    if rear_end is not None:
+        return rear_end
+    yields = must_yield(view, met.target, met.other), must_yield(view, met.other, met.target)
     if yields == (True, False):
-        return Verdict(AtFault.TARGET, f"The target had to give way to '{met.other.name}' at the junction.")
+        return Fault(AtFault.TARGET, f"The target had to give way to '{met.other.name}' at the junction.")
     if yields == (False, True):
-        return Verdict(AtFault.OTHER, f"'{met.other.name}' had to give way to the target at the junction.")
-    return _first_come(record, met)
+        return Fault(AtFault.OTHER, f"'{met.other.name}' had to give way to the target at the junction.")
+    return _first_come(view, met)
 
 
-def _ran_red(record: EpisodeRecord, party: Party) -> bool:
-    """Return whether the party entered the junction while its signal had been red for two instants."""
-    link, step = party.link, party.entered_step
-    if link is None or link.tls_id is None or link.tls_index is None or step is None:
-        return False
-    states = [s.get(link.tls_id, "") for s in record.signals[max(0, step - 1) : step + 1]]
-    return bool(states) and all(len(s) > link.tls_index and s[link.tls_index] in "ru" for s in states)
-
-
-def _must_yield(road: RoadMap, party: Party, to: Party) -> bool:
-    if party.link is None or to.link is None or party.link.junction_id != to.link.junction_id:
-        return False
-    response = road.junctions[party.link.junction_id].response
-    return to.link.request_index in response.get(party.link.request_index, frozenset())
-
-
-def _first_come(record: EpisodeRecord, met: Encounter) -> Verdict | None:
-    """Judge where the net gives neither or both the way, such as all-way stops: the first to come goes."""
-    target, other = met.target.entered_step, met.other.entered_step
-    if target is None or other is None:
+def _joined(met: Encounter) -> Fault | None:
+    """Judge front against rear where two ways join: who joined with a safe gap is a leader like any other."""
+    entry = met.entry
+    if entry is None or not entry.ahead or not (entry.safe or entry.recovered):
         return None
-    later_s = (target - other) * record.tracks.dt_s
+    faces = met.target.face, met.other.face
+    if faces == ("front", "rear") and entry.row == met.other.row:
+        return Fault(AtFault.TARGET, f"The target ran into the rear of '{met.other.name}'.")
+    if faces == ("rear", "front") and entry.row == met.target.row:
+        return Fault(AtFault.OTHER, f"'{met.other.name}' ran into the rear of the target.")
+    return None
+
+
+def _first_come(view: TrafficView, met: Encounter) -> Fault | None:
+    """Judge where the net gives neither or both the way, such as all-way stops: the first to come goes."""
+    later_s = later_by_s(view, met)
+    if later_s is None:
+        return None
     if later_s > ARRIVAL_MARGIN_S:
-        return Verdict(
+        return Fault(
             AtFault.TARGET, f"'{met.other.name}' was on the junction {later_s:.1f} s before the target."
         )
     if later_s < -ARRIVAL_MARGIN_S:
-        return Verdict(
+        return Fault(
             AtFault.OTHER, f"The target was on the junction {-later_s:.1f} s before '{met.other.name}'."
         )
     return None

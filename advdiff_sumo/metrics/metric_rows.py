@@ -104,8 +104,8 @@ def _pair_row(record: EpisodeRecord, road: RoadMap, m: EpisodeMetrics, c: Collis
 def _struck_values(record: EpisodeRecord, struck: Judged) -> dict[str, Value]:
     return _plain_values(record, struck.collision) | {
         "type": str(struck.kind),
-        "at_fault": str(struck.verdict.at_fault),
-        "fault_reason": struck.verdict.reason,
+        "at_fault": str(struck.fault.at_fault),
+        "fault_reason": struck.fault.reason,
         "attacker_visible": struck.visible,
     }
 

@@ -28,7 +28,7 @@ _LEAST = 5
 
 
 @dataclass(frozen=True)
-class Breach:
+class Implausibility:
     """One thing that one background vehicle did.
 
     Attributes:
@@ -48,7 +48,7 @@ class Breach:
     other: str = ""
 
 
-def breaches(record: EpisodeRecord, road: RoadMap) -> list[Breach]:
+def implausibilities(record: EpisodeRecord, road: RoadMap) -> list[Implausibility]:
     """Return what vehicles did while the policy moved them, the worst of each kind and vehicle, by time.
 
     Contacts with the target do not count: they may be what a run is for.
@@ -60,7 +60,7 @@ def breaches(record: EpisodeRecord, road: RoadMap) -> list[Breach]:
     return sorted(found, key=lambda x: (x.time_s, x.vehicle, x.what))
 
 
-def _contacts(record: EpisodeRecord, moved: BoolArray) -> Iterator[Breach]:
+def _contacts(record: EpisodeRecord, moved: BoolArray) -> Iterator[Implausibility]:
     tracks, touches = record.tracks, find_touches(record.tracks)
     for hit in background_collisions(record, collisions(record, touches)):
         own, other = hit.rows if moved[hit.rows[0], hit.step + 1] else hit.rows[::-1]
@@ -69,10 +69,10 @@ def _contacts(record: EpisodeRecord, moved: BoolArray) -> Iterator[Breach]:
         both = (touches.first == min(hit.rows)) & (touches.second == max(hit.rows))
         depth = float(max(0.0, -touches.end_gap_m[both & (touches.step >= hit.step)].min()))
         what = "drove through" if depth > THROUGH_M else "contact"
-        yield Breach(tracks.ids[own], hit.time_s, what, depth, "m", tracks.ids[other])
+        yield Implausibility(tracks.ids[own], hit.time_s, what, depth, "m", tracks.ids[other])
 
 
-def _off_road(tracks: Tracks, moved: BoolArray, road: RoadMap) -> Iterator[Breach]:
+def _off_road(tracks: Tracks, moved: BoolArray, road: RoadMap) -> Iterator[Implausibility]:
     every = max(1, round(BACKGROUND_EVERY_S / tracks.dt_s))
     driven = np.isin(
         tracks.classes, (AgentClass.CAR, AgentClass.TRUCK, AgentClass.BUS, AgentClass.MOTORCYCLE)
@@ -84,20 +84,22 @@ def _off_road(tracks: Tracks, moved: BoolArray, road: RoadMap) -> Iterator[Breac
         worst = int(share.argmax())
         if share[worst] - share[0] > OFF_ROAD_SHARE:
             time = tracks.t0_s + tracks.dt_s * float(steps[worst])
-            yield Breach(tracks.ids[row], time, "off the road", 100.0 * float(share[worst]), "% of its box")
+            yield Implausibility(
+                tracks.ids[row], time, "off the road", 100.0 * float(share[worst]), "% of its box"
+            )
 
 
-def _driving(tracks: Tracks, moved: BoolArray) -> Iterator[Breach]:
+def _driving(tracks: Tracks, moved: BoolArray) -> Iterator[Implausibility]:
     for row in np.flatnonzero(moved.any(axis=1)).tolist():
-        worst: dict[str, Breach] = {}
+        worst: dict[str, Implausibility] = {}
         for start, stop in _spans(moved[row]):
-            for breach in _too_hard(tracks, row, start, stop):
-                if breach.what not in worst or breach.value > worst[breach.what].value:
-                    worst[breach.what] = breach
+            for one in _too_hard(tracks, row, start, stop):
+                if one.what not in worst or one.value > worst[one.what].value:
+                    worst[one.what] = one
         yield from worst.values()
 
 
-def _too_hard(tracks: Tracks, row: int, start: int, stop: int) -> Iterator[Breach]:
+def _too_hard(tracks: Tracks, row: int, start: int, stop: int) -> Iterator[Implausibility]:
     limits = Limits()
     accel, lateral, jerk = _derivatives(tracks, row, slice(start, stop))
     for what, unit, limit, value in (
@@ -109,7 +111,7 @@ def _too_hard(tracks: Tracks, row: int, start: int, stop: int) -> Iterator[Breac
         worst = int(value.argmax())
         if value[worst] > SLACK * limit:
             time = tracks.t0_s + tracks.dt_s * (start + worst)
-            yield Breach(tracks.ids[row], time, what, float(value[worst]), unit)
+            yield Implausibility(tracks.ids[row], time, what, float(value[worst]), unit)
 
 
 def _derivatives(tracks: Tracks, row: int, part: slice) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -16,7 +16,7 @@ from advdiff_sumo.metrics.comfort import Comfort, comfort
 from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, Extreme, clearances, least, time_to_collision
 from advdiff_sumo.metrics.encounter import encounter
 from advdiff_sumo.metrics.encroachment import post_encroachment
-from advdiff_sumo.metrics.fault import Verdict, judge
+from advdiff_sumo.metrics.fault import Fault, fault_of
 from advdiff_sumo.metrics.following import following
 from advdiff_sumo.metrics.offroad import (
     BackgroundOffRoad,
@@ -25,6 +25,7 @@ from advdiff_sumo.metrics.offroad import (
     target_leaves_road,
 )
 from advdiff_sumo.metrics.progress import Progress, progress
+from advdiff_sumo.metrics.traffic_view import TrafficView
 from advdiff_sumo.metrics.visibility import attacker_visible
 
 
@@ -35,13 +36,13 @@ class Judged:
     Attributes:
         collision: the collision.
         kind: what kind.
-        verdict: who caused it.
+        fault: who caused it.
         visible: whether a SUMO-driven target perceived the partner; None for Python planners.
     """
 
     collision: Collision
     kind: CollisionType
-    verdict: Verdict
+    fault: Fault
     visible: bool | None
 
 
@@ -129,9 +130,10 @@ def _before(record: EpisodeRecord, struck: Collision | None, left_road: OffRoad 
 
 def judged(record: EpisodeRecord, road: RoadMap, collision: Collision) -> Judged:
     """Return a collision of the target with its kind, its cause and whether the target saw it come."""
-    met = encounter(record, road, collision)
+    view = TrafficView.of_record(record, road)
+    met = encounter(view, collision)
     kind = collision_type(met)
-    return Judged(collision, kind, judge(record, road, met, kind), attacker_visible(record, collision))
+    return Judged(collision, kind, fault_of(view, met, kind), attacker_visible(record, collision))
 
 
 def _criticality(

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.metrics.collision import collisions, target_collision
-from advdiff_sumo.metrics.fault import safe_gap_m
 from advdiff_sumo.metrics.offroad import background_off_road, target_leaves_road
+from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.metrics.summary import judged, summarise
 from advdiff_sumo.metrics.visibility import attacker_visible
 
@@ -26,7 +26,7 @@ def outcome(record, road) -> tuple[str, str, str]:
     hit = target_collision(record, collisions(record))
     assert hit is not None, "the record was meant to hold a collision"
     result = judged(record, road, hit)
-    return str(result.kind), str(result.verdict.at_fault), result.verdict.reason
+    return str(result.kind), str(result.fault.at_fault), result.fault.reason
 
 
 def test_rear_end_striking_and_struck(straight, record_of, road) -> None:

@@ -10,7 +10,7 @@ import pytest
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.metrics.plausibility import Breach, breaches
+from advdiff_sumo.metrics.plausibility import Implausibility, implausibilities
 
 STEPS, DT = 51, 0.1
 TIME = DT * np.arange(STEPS)
@@ -27,7 +27,7 @@ def found(
     left: list[np.ndarray | float],
     begin: list[float],
     policy: bool = True,
-) -> list[Breach]:
+) -> list[Implausibility]:
     """Return the breaches of cars that drive along the longest lane, the first being the target."""
     lane = max(
         (x for x in road.lanes.values() if not x.is_internal and x.permits("passenger")),
@@ -51,7 +51,7 @@ def found(
     )
     who = np.full((count, STEPS), Controller.POLICY if policy else Controller.SUMO, dtype=np.int64)
     who[0] = Controller.PLANNER
-    return breaches(EpisodeRecord(0, 0, "", tracks, 0, who, (), EndReason.HORIZON), road)
+    return implausibilities(EpisodeRecord(0, 0, "", tracks, 0, who, (), EndReason.HORIZON), road)
 
 
 def test_ordinary_driving(road: RoadMap) -> None:

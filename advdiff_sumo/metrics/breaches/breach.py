@@ -1,0 +1,37 @@
+"""What a breach is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class BreachKind(StrEnum):
+    """Traffic rules that a road user can break; the words of tables."""
+
+    RED_LIGHT = "red_light"
+    WRONG_SIDE = "wrong_side"
+    UNSAFE_LANE_ENTRY = "unsafe_lane_entry"
+    SIDEWAYS = "sideways"
+    RAN_INTO = "ran_into"
+    RIGHT_OF_WAY = "right_of_way"
+    SPEEDING = "speeding"
+    REVERSING = "reversing"
+    OFF_ROAD = "off_road"
+
+
+@dataclass(frozen=True)
+class Breach:
+    """A traffic rule that a road user broke.
+
+    Attributes:
+        kind: which rule.
+        row: who.
+        time_s: when, since the episode's start.
+        text: what it did, to follow its name: "entered the junction on red".
+    """
+
+    kind: BreachKind
+    row: int
+    time_s: float
+    text: str

@@ -1,0 +1,122 @@
+"""Rules that need no partner: speed limits, reversing, staying on the road; and what makes them concern a contact."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
+from advdiff_sumo.metrics.encounter import BREACH_WINDOW_S, Encounter
+from advdiff_sumo.metrics.offroad import OFF_ROAD_SHARE, shares
+from advdiff_sumo.metrics.traffic_view import TrafficView
+
+#: Faster than this share of the limit is a breach.
+SPEEDING_SHARE = 1.2
+#: For at least so long; a moment's overshoot is none.
+_SPEEDING_S = 0.5
+#: Driving backwards faster than this, for at least so far within a second, is reversing; jitter of a log is not.
+REVERSING_MPS = 0.1
+_REVERSED_M = 0.2
+#: Slower than this, a vehicle off the road is a parked one.
+_OFF_ROAD_MPS = 0.5
+#: Approaching the other slower than this did not lead to the contact.
+_CLOSING_MPS = 1.0
+_OFF_ROAD_EVERY_S = 0.5
+_WINDOWLESS = (AgentClass.PEDESTRIAN, AgentClass.BICYCLE)
+
+
+def speeding(view: TrafficView, met: Encounter, which: int) -> Breach | None:
+    """Return the breach of having driven at over 1.2 × the limit and closed in on the other by that."""
+    party = met.parties[which]
+    start = max(0, met.collision.step - view.steps(BREACH_WINDOW_S))
+    if party.is_pedestrian or closing_mps(met, which) < _CLOSING_MPS:
+        return None
+    if party.face == "rear" and met.parties[1 - which].face == "front":
+        return None
+    return drove_too_fast(view, party.row, start, met.collision.step + 1)
+
+
+def drove_too_fast(view: TrafficView, row: int, start: int, stop: int) -> Breach | None:
+    """Return the breach of driving at over 1.2 × the limit at instants *start* to *stop* (exclusive)."""
+    speed = view.tracks.speed_mps[row, start:stop]
+    limit = _limits_mps(view, row, start, stop)
+    over = speed > SPEEDING_SHARE * limit + 1e-6
+    if not _lasts(over, max(1, view.steps(_SPEEDING_S))):
+        return None
+    worst = int(np.argmax(np.where(over, speed / limit, 0.0)))
+    text = f"drove at {3.6 * speed[worst]:.0f} km/h where {3.6 * limit[worst]:.0f} km/h are allowed"
+    return Breach(BreachKind.SPEEDING, row, view.time_s(start + worst), text)
+
+
+def _limits_mps(view: TrafficView, row: int, start: int, stop: int) -> FloatArray:
+    """Return (N,) speed limits; on a junction those of the lanes before and behind, inf off any lane.
+
+    A net's internal lanes have the speed at which a bend can be driven, which is no limit of the law.
+    """
+    limits = [_limit(view.road, x) for x in view.place(row, start, stop).lane]
+    return np.array(limits, dtype=np.float64)
+
+
+def _limit(road: RoadMap, lane_id: str | None) -> float:
+    if lane_id is None:
+        return float("inf")
+    lane = road.lanes[lane_id]
+    if not lane.is_internal:
+        return lane.speed_mps
+    links = (x for x in road.links.values() if lane_id in x.via)
+    ends = [road.lanes[y].speed_mps for x in links for y in (x.from_lane, x.to_lane)]
+    return max([lane.speed_mps, *ends])
+
+
+def reversing(view: TrafficView, met: Encounter, which: int) -> Breach | None:
+    """Return the breach of reversing into the contact, or into the way of the other."""
+    party, step = met.parties[which], met.collision.step
+    if party.is_pedestrian or party.speed_mps >= -REVERSING_MPS:
+        return None
+    return drove_backwards(view, party.row, max(0, step - view.steps(1.0)), step + 1)
+
+
+def drove_backwards(view: TrafficView, row: int, start: int, stop: int) -> Breach | None:
+    """Return the breach of reversing at instants *start* to *stop* (exclusive)."""
+    speed = view.tracks.speed_mps[row, start:stop]
+    back = -float(np.minimum(speed[speed < -REVERSING_MPS], 0.0).sum()) * view.tracks.dt_s
+    if back < _REVERSED_M:
+        return None
+    return Breach(BreachKind.REVERSING, row, view.time_s(stop - 1), "was reversing")
+
+
+def off_road(view: TrafficView, met: Encounter, which: int) -> Breach | None:
+    """Return the breach of having left the road, unless the other ran into its rear."""
+    party, other = met.parties[which], met.parties[1 - which]
+    if party.face == "rear" and other.face == "front":
+        return None
+    start = max(0, met.collision.step - view.steps(BREACH_WINDOW_S))
+    return drove_off_road(view, party.row, start, met.collision.step + 1)
+
+
+def drove_off_road(view: TrafficView, row: int, start: int, stop: int) -> Breach | None:
+    """Return the breach of moving with over half the box off the road at instants *start* to *stop* (exclusive)."""
+    if view.tracks.classes[row] in _WINDOWLESS:
+        return None
+    steps = np.arange(stop - 1, start - 1, -max(1, view.steps(_OFF_ROAD_EVERY_S)))[::-1]
+    steps = steps[view.tracks.valid[row, steps] & (view.tracks.speed_mps[row, steps] > _OFF_ROAD_MPS)]
+    if not steps.size:
+        return None
+    share = shares(view.road, view.tracks, np.full(len(steps), row), steps)
+    off = np.flatnonzero(share > OFF_ROAD_SHARE)
+    if not off.size:
+        return None
+    return Breach(BreachKind.OFF_ROAD, row, view.time_s(int(steps[off[0]])), "left the road")
+
+
+def closing_mps(met: Encounter, which: int) -> float:
+    """Return how fast the party itself approaches the other along the contact normal."""
+    normal = met.collision.normal if which == 0 else -met.collision.normal
+    return float(met.collision.velocity_mps[which] @ normal)
+
+
+def _lasts(mask: BoolArray, count: int) -> bool:
+    runs = np.convolve(mask.astype(np.int64), np.ones(count, dtype=np.int64), mode="valid")
+    return bool(len(mask) >= count and (runs == count).any())

@@ -1,0 +1,123 @@
+"""Rules where ways cross or join: red lights, and giving way."""
+
+from __future__ import annotations
+
+import shapely
+
+from advdiff_sumo.core.boxes import corners
+from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
+from advdiff_sumo.metrics.encounter import BREACH_WINDOW_S, Encounter, Party
+from advdiff_sumo.metrics.traffic_view import TrafficView
+
+#: At a junction without rule, whoever came this much later gives way.
+ARRIVAL_MARGIN_S = 1.0
+#: A crossing is a line in the net; whoever walks within this distance of it is on it.
+_CROSSING_HALF_WIDTH_M = 2.5
+
+
+def red_light(view: TrafficView, met: Encounter, which: int) -> Breach | None:
+    """Return the breach of entering the junction of *met* on red, unless the other came by the same approach."""
+    party = met.parties[which]
+    walker = met.parties[1 - which].is_pedestrian
+    if not (met.crossing or walker) or not ran_red(view, party) or not _lately(view, met, party):
+        return None
+    return _breach(view, BreachKind.RED_LIGHT, party, "entered the junction on red")
+
+
+def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None:
+    """Return the breach of not giving way to the other at the junction, or at the crossing, of *met*.
+
+    Whoever has stood there for a second could be seen and is no longer the cause, and neither is one that joined
+    the other's lane with a safe gap.
+    """
+    party, other = met.parties[which], met.parties[1 - which]
+    if party.stood or (other.stood and not other.is_pedestrian):
+        return None
+    if other.is_pedestrian:
+        return _crossing_breach(view, met, party, other)
+    if not met.crossing or party.is_pedestrian or not _lately(view, met, party):
+        return None
+    if (
+        ran_red(view, party)
+        or ran_red(view, other)
+        or _joined_safely(met, party)
+        or not owes_way(view, met, which)
+    ):
+        return None
+    return _breach(
+        view, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{other.name}' at the junction"
+    )
+
+
+def ran_red(view: TrafficView, party: Party) -> bool:
+    """Return whether *party* entered the junction while its signal had been red for two instants."""
+    states = signals_at_entry(view, party)
+    return bool(states) and all(state in "ru" for state in states)
+
+
+def signals_at_entry(view: TrafficView, party: Party) -> list[str]:
+    """Return the letters of the signal of *party* at the instant before and that of its entry; [] if unknown."""
+    link, step = party.link, party.entered_step
+    if link is None or link.tls_id is None or link.tls_index is None or link.tls_index < 0 or step is None:
+        return []
+    states = [s.get(link.tls_id, "") for s in view.signals[max(0, step - 1) : step + 1]]
+    return [s[link.tls_index] for s in states] if all(len(s) > link.tls_index for s in states) else []
+
+
+def owes_way(view: TrafficView, met: Encounter, which: int) -> bool:
+    """Return whether the party must give way: by the net, or, where neither or both must, as the later to come."""
+    yields = must_yield(view, *met.parties), must_yield(view, *met.parties[::-1])
+    if yields[0] != yields[1]:
+        return yields[which]
+    later_s = later_by_s(view, met)
+    if later_s is None:
+        return False
+    return (later_s if which == 0 else -later_s) > ARRIVAL_MARGIN_S
+
+
+def later_by_s(view: TrafficView, met: Encounter) -> float | None:
+    """Return by how much the target came to the junction later than the other; None where it was not seen."""
+    target, other = met.target.entered_step, met.other.entered_step
+    return None if target is None or other is None else (target - other) * view.tracks.dt_s
+
+
+def must_yield(view: TrafficView, party: Party, to: Party) -> bool:
+    """Return whether the net has *party* give way to *to*; who enters on a protected green never does."""
+    if party.link is None or to.link is None or party.link.junction_id != to.link.junction_id:
+        return False
+    if signals_at_entry(view, party)[-1:] == ["G"]:
+        return False
+    response = view.road.junctions[party.link.junction_id].response
+    return to.link.request_index in response.get(party.link.request_index, frozenset())
+
+
+def _lately(view: TrafficView, met: Encounter, party: Party) -> bool:
+    entered = party.entered_step
+    return entered is None or met.collision.step - entered <= view.steps(BREACH_WINDOW_S)
+
+
+def _joined_safely(met: Encounter, party: Party) -> bool:
+    entry = met.entry
+    return entry is not None and entry.row == party.row and entry.ahead and (entry.safe or entry.recovered)
+
+
+def _crossing_breach(view: TrafficView, met: Encounter, party: Party, walker: Party) -> Breach | None:
+    """Return the breach of running into somebody on a crossing, unless the driver had a protected green."""
+    if signals_at_entry(view, party)[-1:] == ["G"] or not on_crossing(view, walker, met.collision.step):
+        return None
+    return _breach(
+        view, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{walker.name}' on the crossing"
+    )
+
+
+def on_crossing(view: TrafficView, walker: Party, step: int) -> bool:
+    """Return whether *walker* is on a pedestrian crossing at instant *step*."""
+    tracks, row = view.tracks, walker.row
+    box = shapely.Polygon(corners(tracks.xy_m[row, step], tracks.yaw_rad[row, step], tracks.size_m[row]))
+    lines = (xy for name, xy in view.road.pedestrian_shapes.items() if "_c" in name and len(xy) > 1)
+    return any(shapely.LineString(xy).distance(box) <= _CROSSING_HALF_WIDTH_M for xy in lines)
+
+
+def _breach(view: TrafficView, kind: BreachKind, party: Party, text: str) -> Breach:
+    step = party.entered_step if party.entered_step is not None else len(view.tracks.times_s) - 1
+    return Breach(kind, party.row, view.time_s(step), text)

@@ -1,0 +1,53 @@
+"""The movements of all road users on a map, recorded or planned: what rules of the road are checked on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.placement import Placement, place
+
+
+@dataclass(frozen=True, eq=False)
+class TrafficView:
+    """Who is where and when; A agents, T instants.
+
+    A recorded episode is one source (:meth:`of_record`); a plan is another: any tracks of candidate futures, with
+    the histories of the last seconds before them, do as well.
+
+    Attributes:
+        tracks: (A, T) states, in the frame of the map.
+        road: the map.
+        signals: T mappings, traffic light → SUMO's state string; () where they are not known.
+        routes: row → edges of that agent's route, where known.
+    """
+
+    tracks: Tracks
+    road: RoadMap
+    signals: tuple[Mapping[str, str], ...] = ()
+    routes: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+    _placed: dict[tuple[int, int, int], Placement] = field(default_factory=dict, init=False, repr=False)
+
+    @staticmethod
+    def of_record(record: EpisodeRecord, road: RoadMap) -> TrafficView:
+        """Return the view of a recorded episode: of routes, it knows the target's."""
+        routes = {record.target: record.route} if record.route else {}
+        return TrafficView(record.tracks, road, record.signals, routes)
+
+    def place(self, row: int, start: int, stop: int) -> Placement:
+        """Return the lanes of agent *row* at instants *start* to *stop* (exclusive); kept once computed."""
+        key = (row, start, stop)
+        if key not in self._placed:
+            self._placed[key] = place(self.road, self.tracks, row, start, stop)
+        return self._placed[key]
+
+    def steps(self, seconds: float) -> int:
+        """Return how many steps *seconds* are."""
+        return round(seconds / self.tracks.dt_s)
+
+    def time_s(self, step: int) -> float:
+        """Return the time of instant *step* since the episode's start."""
+        return self.tracks.t0_s + step * self.tracks.dt_s

@@ -1,0 +1,262 @@
+"""Each breach on an encounter worked by hand, with the contact that it led to and one that it did not.
+
+The crossing and its lanes are those of ``encounters.crossing``; cars are 4 x 2 m.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.breaches import breaches_of, conduct_breaches
+from advdiff_sumo.metrics.collision import collisions, target_collision
+from advdiff_sumo.metrics.encounter import encounter
+from advdiff_sumo.metrics.summary import judged
+from advdiff_sumo.metrics.traffic_view import TrafficView
+from tests.metrics.encounters import braking, driven, record_of, signals_of, straight
+
+NORTH = math.pi / 2
+
+
+def broken(record, road: RoadMap) -> tuple[list[str], list[str]]:
+    """Return the breaches of the target and of its partner that led to the target's first collision."""
+    hit = target_collision(record, collisions(record))
+    assert hit is not None, "the record was meant to hold a collision"
+    view = TrafficView.of_record(record, road)
+    met = encounter(view, hit)
+    own, other = ([str(x.kind) for x in breaches_of(view, met, which)] for which in (0, 1))
+    return own, other
+
+
+def blame(record, road: RoadMap) -> tuple[str, str]:
+    """Return kind and fault of the target's first collision."""
+    hit = target_collision(record, collisions(record))
+    assert hit is not None, "the record was meant to hold a collision"
+    result = judged(record, road, hit)
+    return str(result.kind), str(result.fault.at_fault)
+
+
+# --- red lights and giving way ---------------------------------------------------------------------------
+
+
+def lights(road: RoadMap, east: str, north: str):
+    return signals_of(road, {("WC_1", "CE_1"): east, ("SC_0", "CN_0"): north}, 41)
+
+
+@pytest.mark.parametrize(
+    ("east", "north", "expected"),
+    [
+        ("G", "r", ([], ["red_light"])),
+        ("r", "G", (["red_light"], [])),
+        ("r", "r", (["red_light"], ["red_light"])),
+        ("G", "u", ([], ["red_light"])),
+    ],
+)
+def test_red_light(light_road, east, north, expected) -> None:
+    # both 10 m/s; the eastward car is on the northward one's lane at about 3 s
+    cars = straight("east", (-30, -1.6), 0, 10), straight("north", (1.6, -31), NORTH, 10)
+    assert broken(record_of(*cars, signals=lights(light_road, east, north)), light_road) == expected
+    mirrored = record_of(*cars[::-1], route=("SC", "CN"), signals=lights(light_road, east, north))
+    assert broken(mirrored, light_road) == expected[::-1]
+
+
+def test_a_red_light_does_not_matter_to_who_follows(light_road) -> None:
+    # both run the red light eastward; the faster one behind hits the rear of the one ahead on the junction
+    ego, lead = straight("ego", (-32, -1.6), 0, 14), straight("lead", (-14, -1.6), 0, 7)
+    record = record_of(ego, lead, signals=lights(light_road, "r", "G"))
+    assert broken(record, light_road) == (["ran_into"], [])
+
+
+def test_without_signals_no_red_light_is_seen(light_road) -> None:
+    cars = straight("east", (-30, -1.6), 0, 10), straight("north", (1.6, -31), NORTH, 10)
+    own, other = broken(record_of(*cars), light_road)
+    assert "red_light" not in (*own, *other)
+
+
+def test_right_of_way_by_the_rows_of_the_net(road) -> None:
+    east, north = straight("east", (-30, -1.6), 0, 10), straight("north", (1.6, -31), NORTH, 10)
+    assert broken(record_of(east, north), road) == ([], ["right_of_way"])
+    assert broken(record_of(north, east, route=("SC", "CN")), road) == (["right_of_way"], [])
+
+
+def test_who_has_stood_on_the_junction_for_a_second_is_run_into(road) -> None:
+    # the bus enters at 10 m/s and stands across the street from about 2.5 s on; the target comes at 6.6 s
+    bus = driven("bus", (1.6, -20), NORTH, braking(10, 0.6, 5.5, 81), size=(10.0, 2.5))
+    assert abs(bus.xy_m[-1, 1] + 1.6) < 6.0, "the bus blocks the lane"
+    ego = straight("ego", (-80, -1.6), 0, 11, steps=81)
+    assert broken(record_of(ego, bus), road) == (["ran_into"], [])
+    assert blame(record_of(ego, bus), road) == ("junction", "target")
+
+
+def test_all_way_stop_the_later_one_gives_way(stop_road) -> None:
+    slow = straight("slow", (-20, -1.6), 0, 4, steps=81)
+    late = straight("late", (1.6, -60), NORTH, 10, steps=81)
+    assert broken(record_of(slow, late), stop_road) == ([], ["right_of_way"])
+
+
+# --- the wrong side --------------------------------------------------------------------------------------
+
+
+def test_oncoming_vehicle_on_the_targets_side(road) -> None:
+    ego = straight("ego", (-150, -1.6), 0, 12)
+    coming = straight("coming", (-80, 1.6), math.pi, 12, drift=1.0)  # 2.2 m over at 2.7 s
+    assert broken(record_of(ego, coming), road) == ([], ["wrong_side"])
+    assert broken(record_of(coming, ego), road) == (["wrong_side"], [])
+    both = record_of(straight("ego", (-150, -0.4), 0, 12), straight("coming", (-80, 0.4), math.pi, 12))
+    assert broken(both, road) == (["wrong_side"], ["wrong_side"])
+
+
+def test_who_swerves_away_from_an_oncoming_vehicle_has_kept_its_side(road) -> None:
+    """Called at fault before: the target left its lane, to the right, only to get out of the way."""
+    coming = driven("coming", (-80, 1.6), math.pi, np.full(41, 12.0), left=np.linspace(0, 6.4, 41))
+    dodge = np.clip((0.1 * np.arange(41) - 1.8) * -2.0, -2.4, 0.0)
+    ego = driven("ego", (-150, -1.6), 0, np.full(41, 12.0), left=dodge)
+    assert broken(record_of(ego, coming), road) == ([], ["wrong_side"])
+    assert blame(record_of(ego, coming), road)[1] == "other"
+    assert blame(record_of(coming, ego), road)[1] == "target"
+
+
+def test_overtaking_on_the_wrong_side_and_hit_from_behind_there(road) -> None:
+    wrong = straight("wrong", (-100, 1.6), 0, 8)
+    fast = straight("fast", (-120, 1.6), 0, 14)
+    assert broken(record_of(wrong, fast), road)[0] == []
+
+
+# --- entering lanes --------------------------------------------------------------------------------------
+
+
+def test_unsafe_and_safe_lane_entries(road) -> None:
+    ego = straight("ego", (-150, -4.8), 0, 15)
+    cutter = straight("cutter", (-138, -1.6), 0, 10, drift=-2.0)  # 5.5 m ahead, 21.7 m needed
+    assert broken(record_of(ego, cutter), road) == ([], ["unsafe_lane_entry"])
+    slow_ego = straight("ego", (-150, -4.8), 0, 10)
+    roomy = straight("roomy", (-122, -1.6), 0, 2, drift=-2.0)  # 20 m ahead, 15.5 m needed
+    roomy.xy_m[16:, 1] = -4.8
+    assert broken(record_of(slow_ego, roomy), road) == (["ran_into"], [])
+    assert broken(record_of(roomy, slow_ego), road) == ([], ["ran_into"])
+
+
+def test_an_entry_that_the_gap_recovered_from_did_not_lead_to_it(road) -> None:
+    # 6 m ahead at 12 m/s each (9 m needed) it enters, draws away, and brakes gently 2 s later
+    steps = 81
+    t = 0.1 * np.arange(steps)
+    speed = np.where(t < 1.5, 12.0 + 4.0 * t, np.maximum(0.0, 18.0 - 3.9 * (t - 1.5)))
+    cutter = driven("cutter", (-135, -1.6), 0, speed, left=np.maximum(-3.2, -3.2 * t))
+    ego = straight("ego", (-150, -4.8), 0, 12, steps=steps)
+    assert broken(record_of(ego, cutter), road) == (["ran_into"], [])
+
+
+def test_a_cut_in_that_ends_in_the_side_is_a_cut_in(road) -> None:
+    """Called `side` and `unclear` before: the target dodges, and is hit by the flank of the one that cut in."""
+    steps = 41
+    t = 0.1 * np.arange(steps)
+    cutter = driven(
+        "cutter", (-144.5, -1.6), 0, np.full(steps, 12.0) - 1.0 * t, left=np.maximum(-3.2, -2.5 * t)
+    )
+    ego = driven("ego", (-150, -4.8), 0, np.full(steps, 13.0), left=np.clip((t - 0.4) * -1.0, -0.8, 0.0))
+    assert blame(record_of(ego, cutter), road) == ("cut_in", "other")
+    assert broken(record_of(ego, cutter), road) == ([], ["unsafe_lane_entry"])
+    assert blame(record_of(cutter, ego), road) == ("cut_in", "target")
+
+
+def test_sideways(road) -> None:
+    steady, drifting = (
+        straight("steady", (-150, -1.6), 0, 12),
+        straight("drifting", (-150, -4.8), 0, 12, drift=1),
+    )
+    assert broken(record_of(steady, drifting), road) == ([], ["sideways"])
+    assert broken(record_of(drifting, steady), road) == (["sideways"], [])
+
+
+def test_both_drift_into_each_other(road) -> None:
+    # they touch at 0.75 s, on the line between their lanes
+    left, right = (
+        straight("left", (-150, -1.6), 0, 12, drift=-0.8),
+        straight("right", (-150, -4.8), 0, 12, drift=0.8),
+    )
+    assert broken(record_of(left, right), road) == (["sideways"], ["sideways"])
+
+
+def test_who_follows_over_a_junction_is_not_cut_into(road) -> None:
+    """Called at fault before: the leader passes on to the next lane first, and was taken to enter it."""
+    lead = straight("lead", (-16, -1.6), 0, 9, steps=61)
+    chaser = straight("chaser", (-45, -1.6), 0, 15, steps=61)
+    assert broken(record_of(lead, chaser), road) == ([], ["ran_into"])
+    assert blame(record_of(lead, chaser), road) == ("rear_end_struck", "other")
+
+
+def test_a_slow_pedestrian_far_ahead_and_one_that_runs_out(road) -> None:
+    walker = {"size": (0.6, 0.6), "agent_class": AgentClass.PEDESTRIAN}
+    ego = straight("ego", (-150, -4.8), 0, 12, steps=51)
+    # in the lane (y > -6.7 + 0.3 at its edge) at 0.5 s, 36 m ahead: 9 + 12 = 21 m are needed
+    slow = driven("slow", (-106, -7.2), NORTH, np.full(51, 1.0), **walker)
+    assert broken(record_of(ego, slow), road) == (["ran_into"], [])
+    sudden = driven("sudden", (-106, -9.2), NORTH, np.full(51, 1.0), **walker)  # 2 s later: 12 m ahead
+    assert broken(record_of(ego, sudden), road) == ([], ["unsafe_lane_entry"])
+
+
+# --- running into somebody -------------------------------------------------------------------------------
+
+
+def test_running_into_who_stands_or_brakes_as_expected(road) -> None:
+    ego, still = straight("ego", (-100, -1.6), 0, 15), straight("still", (-80, -1.6), 0, 0)
+    assert broken(record_of(ego, still), road) == (["ran_into"], [])
+    assert broken(record_of(still, ego), road) == ([], ["ran_into"])
+    for brake, expected in ((4.0, ["ran_into"]), (6.0, [])):
+        lead = driven("lead", (-85, -1.6), 0, braking(12, 0.3, brake, 41))
+        assert broken(record_of(straight("ego", (-95, -1.6), 0, 12), lead), road) == (expected, [])
+
+
+def test_pushed_by_a_third_into_the_one_ahead(road) -> None:
+    ahead = straight("ahead", (-80, -1.6), 0, 0)
+    ego = driven("ego", (-87, -1.6), 0, np.where(np.arange(41) < 15, 0.0, 5.0))  # pushed on from 1.5 s
+    third = driven("third", (-105.4, -1.6), 0, np.where(np.arange(41) < 16, 10.0, 5.0))
+    record = record_of(ego, ahead, third)
+    hits = [c for c in collisions(record) if 0 in c.rows and 1 in c.rows]
+    assert len(hits) == 1
+    view = TrafficView.of_record(record, road)
+    assert breaches_of(view, encounter(view, hits[0]), 0) == ()
+    assert str(judged(record, road, hits[0]).fault.at_fault) == "other"
+
+
+def test_a_target_that_stands_is_not_at_fault(road) -> None:
+    """Called at fault before: it crept at under 0.1 m within half a second as it was hit."""
+    ego = driven("ego", (-80, -4.8), 0, np.full(41, 0.08))
+    cutter = straight("cutter", (-100, -1.6), 0, 10, drift=-1.5)
+    assert blame(record_of(ego, cutter), road)[1] == "other"
+
+
+# --- conduct ---------------------------------------------------------------------------------------------
+
+
+def test_speeding_counts_for_who_closes_in(road) -> None:
+    # the limit is 13.89 m/s, 1.2 times that 16.67 m/s
+    lead = straight("lead", (-120, -1.6), 0, 8)
+    for speed, expected in ((16.5, ["ran_into"]), (17.0, ["speeding", "ran_into"])):
+        assert broken(record_of(straight("ego", (-150, -1.6), 0, speed), lead), road)[0] == expected
+    fast, faster = straight("fast", (-150, -1.6), 0, 17), straight("faster", (-165, -1.6), 0, 24)
+    assert broken(record_of(fast, faster), road) == ([], ["speeding", "ran_into"])
+
+
+def test_reversing(road) -> None:
+    ego, back = straight("ego", (-150, -1.6), 0, 2), straight("back", (-130, -1.6), 0, -6)
+    assert broken(record_of(ego, back), road) == ([], ["reversing"])
+    jitter = driven("jitter", (-130, -1.6), 0, np.where(np.arange(61) % 2, -0.15, 0.15))
+    assert broken(record_of(straight("ego", (-150, -1.6), 0, 4, steps=61), jitter), road)[1] == []
+
+
+def test_leaving_the_road(road) -> None:
+    ego = straight("ego", (-150, -4.8), 0, 12)
+    out = straight("out", (-120, -30), NORTH, 12)  # over open ground
+    assert "off_road" in broken(record_of(ego, out), road)[1]
+
+
+def test_rules_of_conduct_hold_for_plans(road) -> None:
+    plan = record_of(straight("calm", (-150, -1.6), 0, 12), straight("fast", (-150, -4.8), 0, 20)).tracks
+    view = TrafficView(plan, road)
+    assert conduct_breaches(view, 0, 0, plan.steps) == ()
+    assert [str(x.kind) for x in conduct_breaches(view, 1, 0, plan.steps)] == ["speeding"]

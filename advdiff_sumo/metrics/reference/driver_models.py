@@ -1,0 +1,193 @@
+"""The four performance models of UN Regulation No. 157 as functions of a one-dimensional encounter.
+
+``CC_human_driver`` is the careful and competent human driver (UN R157, Annex 4, Appendix 3), ``Reg157`` the
+requirement on the system (paragraph 5.2.5.2), ``RSS`` responsibility-sensitive safety (Shalev-Shwartz, Shammah and
+Shashua 2017, arXiv:1708.06374, Definitions 1, 6 and 9), ``FSM`` the fuzzy safety model (Mattas et al. 2020,
+doi:10.1016/j.aap.2020.105743; in the regulation since its 01 series of amendments). The four are compared in
+Mattas et al. 2022, doi:10.1016/j.aap.2022.106743.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+
+GRAVITY_MPS2 = 9.81
+#: Deceleration of a driver who brakes as hard as the regulation expects: 0.774 g.
+FULL_BRAKE_MPS2 = 0.774 * GRAVITY_MPS2
+#: Full braking is reached in 0.6 s: 0.774 g / 0.6 s.
+BRAKE_JERK_MPS3 = 12.65
+#: The human driver reacts to a cut-in that leaves less time to collision than this.
+CRITICAL_TTC_S = 2.0
+#: Rounding of positions, for comparisons at exact ties.
+TIE_M = 1e-9
+
+_REG_LATERAL_M, _REG_BRAKE_MPS2, _REG_DELAY_S, _REG_BUFFER_S = 0.5, 6.0, 0.35, 0.1
+_RSS_ACCEL_MPS2, _RSS_BRAKE_MPS2, _RSS_RESPONSE_S = 3.0, 6.0, 0.75
+_RSS_MARGIN_M, _RSS_LATERAL_MPS2 = 0.3, 1.0
+_FSM_RESPONSE_S, _FSM_COMFORT_MPS2, _FSM_BRAKE_MPS2, _FSM_OTHER_MPS2 = 0.75, 4.0, 6.0, 7.0
+_FSM_MARGIN_M, _FSM_LATERAL_S = 2.0, 0.1
+
+
+@dataclass(frozen=True)
+class Situation:
+    """The ego and one other road user along and across the ego's way; all arrays of one shape (…).
+
+    Attributes:
+        ego_mps: ego speed v.
+        ego_accel_mps2: ego acceleration over the last step.
+        other_mps: speed u of the other along the way.
+        gap_m: bumper gap d along the way; negative when the boxes are beside each other.
+        lateral_gap_m: gap y between the boxes across the way; negative when they overlap.
+        lateral_mps: speed w at which the other comes nearer from the side; 0 or less when it does not.
+        lengths_m: both lengths together.
+    """
+
+    ego_mps: FloatArray
+    ego_accel_mps2: FloatArray
+    other_mps: FloatArray
+    gap_m: FloatArray
+    lateral_gap_m: FloatArray
+    lateral_mps: FloatArray
+    lengths_m: FloatArray
+
+    @property
+    def closing_mps(self) -> FloatArray:
+        """Speed (…,) at which the ego closes in, v − u."""
+        return np.asarray(self.ego_mps - self.other_mps)
+
+    @property
+    def ttc_s(self) -> FloatArray:
+        """Time to collision (…,), d / (v − u); inf where the ego does not close in."""
+        closing = self.closing_mps
+        return np.asarray(np.where(closing > 0.0, self.gap_m / np.where(closing > 0.0, closing, 1.0), np.inf))
+
+    @property
+    def passed(self) -> BoolArray:
+        """Whether the ego's centre is beyond the other's (…,): nothing can be done about it any more."""
+        return np.asarray(self.gap_m + 0.5 * self.lengths_m < 0.0)
+
+
+@dataclass(frozen=True)
+class DriverModel:
+    """One reference driver.
+
+    Attributes:
+        name: as in the regulation's tool.
+        demand: the braking (…,) in m/s² that the model asks for; 0 where it calls the situation safe.
+        delay_s: from the first unsafe instant until it brakes.
+        coast_mps2: deceleration meanwhile.
+        jerk_mps3: how fast the deceleration grows; inf for at once.
+    """
+
+    name: str
+    demand: Callable[[Situation], FloatArray]
+    delay_s: float
+    coast_mps2: float
+    jerk_mps3: float
+
+
+def human_demand(situation: Situation) -> FloatArray:
+    """Return full braking (…,) where the boxes overlap sideways and the ego is not past the other.
+
+    Whether a cut-in is critical (time to collision of at most ``CRITICAL_TTC_S`` at the instant of entering) is
+    decided once, by whoever knows that instant.
+    """
+    unsafe = (situation.lateral_gap_m <= TIE_M) & ~situation.passed
+    return np.where(unsafe, FULL_BRAKE_MPS2, 0.0)
+
+
+def regulation_demand(situation: Situation) -> FloatArray:
+    """Return 6 m/s² (…,) within 0.5 m sideways and |TTC| ≤ (v − u) / (2 · 6) + 0.35 s + 0.1 s (par. 5.2.5.2)."""
+    allowed = situation.closing_mps / (2.0 * _REG_BRAKE_MPS2) + _REG_DELAY_S + _REG_BUFFER_S
+    near = situation.lateral_gap_m <= _REG_LATERAL_M + TIE_M
+    unsafe = near & (np.abs(situation.ttc_s) <= allowed) & ~situation.passed
+    return np.where(unsafe, _REG_BRAKE_MPS2, 0.0)
+
+
+def rss_distance_m(ego_mps: FloatArray, other_mps: FloatArray) -> FloatArray:
+    """Return the safe longitudinal distance (…,) of RSS, Definition 1, not clipped at 0."""
+    rho, accel, brake = _RSS_RESPONSE_S, _RSS_ACCEL_MPS2, _RSS_BRAKE_MPS2
+    after = ego_mps + rho * accel
+    return ego_mps * rho + 0.5 * accel * rho**2 + after**2 / (2.0 * brake) - other_mps**2 / (2.0 * brake)
+
+
+def rss_lateral_m(lateral_mps: FloatArray) -> FloatArray:
+    """Return the safe lateral distance (…,) of RSS, Definition 6, from an ego that keeps to its way."""
+    rho, accel = _RSS_RESPONSE_S, _RSS_LATERAL_MPS2
+    after = lateral_mps + rho * accel
+    return _RSS_MARGIN_M + 0.5 * (lateral_mps + after) * rho + after**2 / (2.0 * accel)
+
+
+def rss_demand(situation: Situation) -> FloatArray:
+    """Return full braking (…,) where both distances of RSS are too short (Definition 9, the proper response)."""
+    along = situation.gap_m < rss_distance_m(situation.ego_mps, np.maximum(situation.other_mps, 0.0))
+    across = situation.lateral_gap_m < rss_lateral_m(np.maximum(situation.lateral_mps, 0.0))
+    return np.where(along & across & ~situation.passed, FULL_BRAKE_MPS2, 0.0)
+
+
+def proactive_metric(situation: Situation) -> FloatArray:
+    """Return PFS (…,) in [0, 1]: how far the ego is from being able to stop comfortably behind a full braking."""
+    v, u = situation.ego_mps, np.maximum(situation.other_mps, 0.0)
+    base = v * _FSM_RESPONSE_S - u**2 / (2.0 * _FSM_OTHER_MPS2)
+    unsafe = base + v**2 / (2.0 * _FSM_BRAKE_MPS2)
+    safe = base + v**2 / (2.0 * _FSM_COMFORT_MPS2) + _FSM_MARGIN_M
+    return _falling(situation.gap_m - _FSM_MARGIN_M, unsafe, safe)
+
+
+def critical_metric(situation: Situation) -> FloatArray:
+    """Return CFS (…,) in [0, 1]: the same for an other that keeps its speed, after a response.
+
+    The ego keeps its present acceleration (not below comfortable braking) through the response. Where it would
+    no longer be the faster one, the distance that it closes in until then is both bounds.
+    """
+    v, u = situation.ego_mps, situation.other_mps
+    accel = np.maximum(situation.ego_accel_mps2, -_FSM_COMFORT_MPS2)
+    after = v + accel * _FSM_RESPONSE_S
+    matched = after <= u
+    closing, left = v - u, np.maximum(after - u, 0.0)
+    response = (0.5 * (v + after) - u) * _FSM_RESPONSE_S
+    until_equal = closing**2 / (2.0 * np.maximum(np.abs(accel), 1e-9))
+    unsafe = np.where(matched, until_equal, response + left**2 / (2.0 * _FSM_BRAKE_MPS2))
+    safe = np.where(matched, until_equal, response + left**2 / (2.0 * _FSM_COMFORT_MPS2))
+    return np.where(closing > 0.0, _falling(situation.gap_m, unsafe, safe), 0.0)
+
+
+def fuzzy_demand(situation: Situation) -> FloatArray:
+    """Return the braking (…,) of the FSM: PFS · 4 m/s², or 4 + CFS · 2 m/s² where CFS > 0."""
+    critical = critical_metric(situation)
+    proactive = proactive_metric(situation)
+    comfort, spread = _FSM_COMFORT_MPS2, _FSM_BRAKE_MPS2 - _FSM_COMFORT_MPS2
+    braking = np.where(critical > 0.0, comfort + spread * critical, comfort * proactive)
+    braking = np.minimum(braking, FULL_BRAKE_MPS2)
+    return np.where(_laterally_unsafe(situation), braking, 0.0)
+
+
+def _laterally_unsafe(situation: Situation) -> BoolArray:
+    """Return whether the other is in the ego's way, or would be before the ego is past it (FSM's lateral check)."""
+    closing, w = situation.closing_mps, situation.lateral_mps
+    inside = situation.lateral_gap_m <= TIE_M
+    headway = (situation.gap_m + situation.lengths_m) / np.where(closing > 0.0, closing, 1.0)
+    sideways = situation.lateral_gap_m / np.where(w > 0.0, w, 1.0)
+    approaching = (w > 0.0) & (closing > 0.0) & (sideways <= headway + _FSM_LATERAL_S)
+    return np.asarray((situation.gap_m > 0.0) & (inside | approaching))
+
+
+def _falling(value: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return 1 (…,) up to *low*, 0 from *high* on, and a line between."""
+    width = high - low
+    line = (high - value) / np.where(width > 0.0, width, 1.0)
+    return np.asarray(np.where(width > 0.0, np.clip(line, 0.0, 1.0), value < high))
+
+
+HUMAN = DriverModel("CC_human_driver", human_demand, 0.75, 0.4, BRAKE_JERK_MPS3)
+REGULATION = DriverModel("Reg157", regulation_demand, _REG_DELAY_S, 0.0, np.inf)
+RSS = DriverModel("RSS", rss_demand, _RSS_RESPONSE_S, 0.0, BRAKE_JERK_MPS3)
+FSM = DriverModel("FSM", fuzzy_demand, _FSM_RESPONSE_S, 0.0, BRAKE_JERK_MPS3)
+
+MODELS: Mapping[str, DriverModel] = {model.name: model for model in (HUMAN, REGULATION, RSS, FSM)}
+"""The reference drivers by name; the first is the legal yardstick."""

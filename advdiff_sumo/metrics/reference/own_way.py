@@ -1,0 +1,151 @@
+"""The way that a reference driver follows from an instant on: out of the target's pose onto its route's lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.polylines import Polyline, without_repeats
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.paths import LanePath, PathLink
+
+#: The way goes on straight behind and beyond what is known.
+BEHIND_M = 20.0
+_BEYOND_M = 60.0
+_BLEND_S, _LEAST_BLEND_M, _BLEND_POINTS = 2.5, 10.0, 8
+_FLAT_M = 0.02
+_LATERAL_MPS2, _COMFORT_MPS2 = 3.0, 2.5
+_PACE_SPACING_M = 2.0
+_HEADING_REACH_M = 1.3
+
+
+@dataclass(frozen=True, eq=False)
+class OwnWay:
+    """The centre line of a corridor.
+
+    Attributes:
+        line: the line; its first ``BEHIND_M`` lie behind the start.
+        links: connections over junctions ahead, with the places of their stop lines along the line.
+        pace_mps: (P,) greatest speed every ``_PACE_SPACING_M`` from the line's start on, slow enough for its
+            bends.
+    """
+
+    line: Polyline
+    links: tuple[PathLink, ...]
+    pace_mps: FloatArray
+
+    def poses(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return centres (…, 2) and headings (…,) of a box at *s_m*, its axles on the line."""
+        xy, _ = self.line.at(s_m, extrapolate=True)
+        ahead, _ = self.line.at(s_m + _HEADING_REACH_M, extrapolate=True)
+        behind, _ = self.line.at(s_m - _HEADING_REACH_M, extrapolate=True)
+        delta = ahead - behind
+        return xy, np.arctan2(delta[..., 1], delta[..., 0])
+
+    def limit_mps(self, s_m: float) -> float:
+        """Return the greatest speed at *s_m* from which every bend ahead can be driven."""
+        cell = min(max(int(s_m / _PACE_SPACING_M), 0), len(self.pace_mps) - 1)
+        return float(self.pace_mps[cell])
+
+
+def way_from(record: EpisodeRecord, road: RoadMap, step: int, reach_m: float) -> OwnWay:
+    """Return the way from the target's pose at *step*: back into its lane, and along its route.
+
+    Without a lane of the route there, the way is the driven path.
+
+    Args:
+        record: the episode.
+        road: its map.
+        step: instant of the record at which the target is there.
+        reach_m: how far the way is to be known.
+    """
+    path = _lane_path(record, road, step, reach_m)
+    if path is None:
+        return driven_way(record, step, record.tracks.steps - 1)
+    row, tracks = record.target, record.tracks
+    xy, yaw = tracks.xy_m[row, step], float(tracks.yaw_rad[row, step])
+    blend = max(_LEAST_BLEND_M, _BLEND_S * abs(float(tracks.speed_mps[row, step])))
+    ahead = _blended(path.line, xy, blend)
+    line = _with_ends(np.vstack((xy, ahead)), yaw)
+    shift = float(line.project(xy)[0])
+    links = tuple(PathLink(x.s_m + shift, x.end_s_m + shift, x.link) for x in path.links)
+    return OwnWay(line, links, _pace(line))
+
+
+def driven_way(record: EpisodeRecord, start: int, stop: int) -> OwnWay:
+    """Return the target's own path from instant *start* to *stop*, straight on beyond both."""
+    tracks, row = record.tracks, record.target
+    there = start + np.flatnonzero(tracks.valid[row, start : stop + 1])
+    points = tracks.xy_m[row, there]
+    spread = [points[0]]
+    for point in points[1:]:
+        if np.hypot(*(point - spread[-1])) > 0.5:
+            spread.append(point)
+    line = _with_ends(np.array(spread), float(tracks.yaw_rad[row, there[0]]))
+    return OwnWay(line, (), _pace(line))
+
+
+def joined_way(record: EpisodeRecord, road: RoadMap, start: int, stop: int, reach_m: float) -> OwnWay:
+    """Return the target's driven path from instant *start* to *stop* and :func:`way_from` beyond it."""
+    driven, onward = driven_way(record, start, stop), way_from(record, road, stop, reach_m)
+    begin = float(onward.line.project(record.tracks.xy_m[record.target, stop])[0])
+    end = float(driven.line.project(record.tracks.xy_m[record.target, stop])[0])
+    first = driven.line.xy_m[driven.line.s_m < end - 0.1]
+    last = onward.line.xy_m[onward.line.s_m > begin + 0.1]
+    line = Polyline.of(np.vstack((first, record.tracks.xy_m[record.target, stop], last)))
+    shift = end - begin
+    links = tuple(PathLink(x.s_m + shift, x.end_s_m + shift, x.link) for x in onward.links)
+    return OwnWay(line, links, _pace(line))
+
+
+def _lane_path(record: EpisodeRecord, road: RoadMap, step: int, reach_m: float) -> LanePath | None:
+    route: Sequence[str] = record.route if all(edge in road.edges for edge in record.route) else ()
+    row, tracks = record.target, record.tracks
+    xy, yaw = tracks.xy_m[row, step], float(tracks.yaw_rad[row, step])
+    pose = road.locate(xy, yaw, route=route or None)
+    if pose is None or abs(pose.yaw_error_rad) > 1.0:
+        return None
+    if not route:
+        route = (road.lanes[pose.lane_id].edge_id,)
+    paths = road.lane_path(route, pose.lane_id, reach_m, start_s_m=pose.s_m, vclass=None)
+    return paths[0] if paths else None
+
+
+def _blended(line: Polyline, xy_m: FloatArray, blend_m: float) -> FloatArray:
+    """Return points of *line*, shifted at first so that they begin beside *xy_m* (2,) and end on it."""
+    along, offset = (float(x) for x in line.project(xy_m, extrapolate=True))
+    near = np.linspace(0.0, min(blend_m, line.length_m), _BLEND_POINTS)[1:]
+    if abs(offset) > _FLAT_M:
+        share = near / blend_m
+        lateral = offset * (1.0 - share**3 * (10.0 - 15.0 * share + 6.0 * share**2))
+        shifted, _ = line.at(near, lateral)
+    else:
+        shifted = np.empty((0, 2))
+        near = np.array([max(along, 0.0)])
+    beyond = line.xy_m[line.s_m > near[-1] + 0.05]
+    return np.vstack((shifted, beyond)) if len(beyond) or len(shifted) else line.xy_m[-1:]
+
+
+def _with_ends(xy_m: FloatArray, yaw_rad: float) -> Polyline:
+    """Return the line through *xy_m* (N, 2) that goes on straight behind and beyond it."""
+    points = without_repeats(xy_m)
+    back = points[0] - BEHIND_M * unit(np.asarray(yaw_rad))
+    last = points[-1] - points[-2] if len(points) > 1 else unit(np.asarray(yaw_rad))
+    onward = points[-1] + _BEYOND_M * last / max(float(np.hypot(*last)), 1e-9)
+    return Polyline.of(np.vstack((back, points, onward)))
+
+
+def _pace(line: Polyline) -> FloatArray:
+    """Return (P,) speeds that keep the lateral acceleration down, reached with comfortable braking."""
+    s = np.arange(0.0, line.length_m + _PACE_SPACING_M, _PACE_SPACING_M)
+    yaw = np.unwrap(np.arctan2(*np.diff(line.at(np.append(s - 2.0, s[-1] + 2.0))[0], axis=0).T[::-1]))
+    bend = np.abs(np.gradient(yaw, _PACE_SPACING_M))
+    top = np.sqrt(_LATERAL_MPS2 / np.maximum(bend, 1e-4))
+    lift = 2.0 * _COMFORT_MPS2 * s
+    reached = np.minimum.accumulate((top**2 + lift)[::-1])[::-1] - lift
+    return np.asarray(np.sqrt(np.maximum(reached, 1.0)))

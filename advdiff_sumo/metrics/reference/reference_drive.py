@@ -1,0 +1,431 @@
+"""What a reference driver would have done in the target's place, in a recorded encounter on any road.
+
+UN Regulation No. 157 defines its models for a cut-in, a cut-out and a braking leader on a straight lane. Here the
+same models (:mod:`.driver_models`) drive along the target's own way and look at everybody who is, or is about to be,
+in its corridor. What that adds to the regulation stands in ``docs/reference-drivers.md``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.boxes import axis_gaps, corners, distance
+from advdiff_sumo.core.errors import UnknownNameError
+from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.plan import Trajectory
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.collision import Collision
+from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact
+from advdiff_sumo.metrics.encounter import Encounter
+from advdiff_sumo.metrics.reference.corridor import Corridor, Meeting, corridor_of, meeting
+from advdiff_sumo.metrics.reference.driver_models import CRITICAL_TTC_S, HUMAN, MODELS, DriverModel
+from advdiff_sumo.metrics.reference.others_paths import PERCEPTION_S, Expected, expected
+from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
+from advdiff_sumo.metrics.reference.reaction import Reaction, react
+from advdiff_sumo.metrics.reference.stop_duty import stop_demand
+
+#: A reference driver takes over at most this long before the contact.
+LOOKBACK_S = 5.0
+#: The drive goes on for so long after the record's end, or until it stands: the others keep their motion.
+AFTER_S = 3.0
+_SAFE_SPELL_S = 0.3
+_ACCEL_OVER_S = 0.2
+_SAME_WAY_M = 0.4
+_MARGIN_M = 30.0
+
+
+@dataclass(frozen=True)
+class ReferenceDrive:
+    """One reference driver's drive from the takeover on; T instants at the record's step.
+
+    Attributes:
+        model: name of the model.
+        takeover_step: instant of the record at which it takes over: the first of the T.
+        states: (T,) its states, the first of which is the target's at the takeover. They reach beyond the record's
+            end until it stands, at most ``AFTER_S``; the others go on as they last did.
+        accel_mps2: (T,) acceleration from each instant on.
+        contact_step: instant (of the record's count) before its first contact with anybody; None without one.
+        contact_with: id of who it touches.
+        impact_mps: closing speed at that contact; 0 without one.
+        spare_m: least gap to the other party of the collision; 0 on contact.
+        spare_s: least time in which it would have met anybody had all gone on as they did, at most
+            ``PERCEPTION_S``; 0 on contact.
+    """
+
+    model: str
+    takeover_step: int
+    states: Trajectory
+    accel_mps2: FloatArray
+    contact_step: int | None
+    contact_with: str | None
+    impact_mps: float
+    spare_m: float
+    spare_s: float
+
+
+def drive_reference(
+    record: EpisodeRecord,
+    road: RoadMap,
+    collision: Collision | Encounter,
+    model: str = HUMAN.name,
+    lookback_s: float = LOOKBACK_S,
+) -> ReferenceDrive:
+    """Return the drive of the reference driver *model* in the target's place.
+
+    It takes over at the last instant at which its own model calls the situation safe, at most *lookback_s* before
+    the contact; where the target drove past a stop line that binds, before that. A pure function.
+
+    Args:
+        record: the episode.
+        road: its map.
+        collision: the target's collision, or the encounter it belongs to.
+        model: a name of :data:`.driver_models.MODELS`.
+        lookback_s: as above.
+
+    Raises:
+        UnknownNameError: no such model.
+    """
+    return ReferenceDrivers(record, road, collision, lookback_s).drive(model)
+
+
+class ReferenceDrivers:
+    """All reference drivers in one encounter; what they perceive is worked out once.
+
+    Args:
+        record: the episode.
+        road: its map.
+        collision: the target's collision, or the encounter it belongs to.
+        lookback_s: how long before the contact a driver takes over at the earliest.
+    """
+
+    def __init__(
+        self,
+        record: EpisodeRecord,
+        road: RoadMap,
+        collision: Collision | Encounter,
+        lookback_s: float = LOOKBACK_S,
+    ) -> None:
+        self._record, self._road = record, road
+        met = collision.collision if isinstance(collision, Encounter) else collision
+        self._partner = met.rows[1]
+        dt = record.tracks.dt_s
+        there = record.tracks.valid[record.target, : met.step + 1]
+        absent = np.flatnonzero(~there)
+        earliest = int(absent[-1]) + 1 if absent.size else 0
+        self._begin = max(met.step - round(lookback_s / dt), min(earliest, met.step))
+        self._contact = met.step
+        self._tracks = _extended(record.tracks, self._begin, round(AFTER_S / dt))
+
+    def drive(self, model: str = HUMAN.name) -> ReferenceDrive:
+        """Return the drive of *model*; see :func:`drive_reference`.
+
+        Raises:
+            UnknownNameError: no such model.
+        """
+        if model not in MODELS:
+            raise UnknownNameError("reference driver", model, sorted(MODELS))
+        driver = MODELS[model]
+        start = self._takeover(driver)
+        way = self._way_at(start)
+        corridor = self._corridor if way is self._way else self._corridor_on(way)
+        s, speed, accel, least_s = self._follow(driver, way, corridor, start)
+        return self._result(driver, start, way, s, speed, accel, least_s)
+
+    # --- what all drivers share -------------------------------------------------------------------------
+
+    @cached_property
+    def _length_m(self) -> float:
+        return float(self._tracks.size_m[self._record.target, 0])
+
+    @cached_property
+    def _rows(self) -> IntArray:
+        """Whoever may come near the target: the others that are within reach of it at some instant."""
+        tracks, target = self._tracks, self._record.target
+        span = self._contact - self._begin + 1
+        top = float(np.nanmax(np.abs(tracks.speed_mps[target, :span])))
+        reach = _MARGIN_M + PERCEPTION_S * (top + np.abs(tracks.speed_mps[:, :span]))
+        offset = tracks.xy_m[:, :span] - tracks.xy_m[target, :span]
+        with np.errstate(invalid="ignore"):
+            near = np.asarray((np.hypot(offset[..., 0], offset[..., 1]) < reach).any(-1))
+        near[target] = False
+        return np.flatnonzero(near)
+
+    @cached_property
+    def _future(self) -> Expected:
+        back = max(1, round(_ACCEL_OVER_S / self._tracks.dt_s))
+        speed = self._tracks.speed_mps[self._rows]
+        first = np.repeat(speed[:, :1], back, axis=1)
+        accel = (speed - np.concatenate((first, speed[:, :-back]), axis=1)) / (back * self._tracks.dt_s)
+        return expected(self._road, self._tracks, self._rows, np.nan_to_num(accel))
+
+    @cached_property
+    def _route_way(self) -> OwnWay:
+        return way_from(self._record, self._road, self._begin, self._reach_m)
+
+    @cached_property
+    def _reach_m(self) -> float:
+        speed = self._tracks.speed_mps[self._record.target, : self._contact - self._begin + 1]
+        return float(np.nanmax(np.abs(speed))) * (PERCEPTION_S + 5.0) + 60.0
+
+    @cached_property
+    def _way(self) -> OwnWay:
+        """The way of the recorded drive: its route's lanes from the earliest takeover on, if it kept to them."""
+        span = self._contact - self._begin + 1
+        _, d = self._route_way.line.project(self._tracks.xy_m[self._record.target, :span])
+        if float(np.abs(d).max()) < _SAME_WAY_M:
+            return self._route_way
+        return joined_way(self._record, self._road, self._begin, self._contact, self._reach_m)
+
+    @cached_property
+    def _corridor(self) -> Corridor:
+        return self._corridor_on(self._way)
+
+    def _corridor_on(self, way: OwnWay) -> Corridor:
+        width = float(self._tracks.size_m[self._record.target, 1])
+        return corridor_of(way, self._tracks, self._rows, self._future, width)
+
+    def _way_at(self, start: int) -> OwnWay:
+        if self._way is self._route_way or start == self._begin:
+            return self._route_way
+        return way_from(self._record, self._road, self._begin + start, self._reach_m)
+
+    # --- takeover ---------------------------------------------------------------------------------------
+
+    def _takeover(self, driver: DriverModel) -> int:
+        """Return the instant after the earliest one at which *driver* takes over."""
+        span = self._contact - self._begin + 1
+        row, tracks = self._record.target, self._tracks
+        s, _ = self._way.line.project(tracks.xy_m[row, :span])
+        line_s, _ = self._route_way.line.project(tracks.xy_m[row, :span])
+        speed = tracks.speed_mps[row, :span]
+        accel = np.diff(speed, prepend=speed[:1]) / tracks.dt_s
+        safe = np.ones(span, dtype=np.bool_)
+        stop = np.zeros(span, dtype=np.bool_)
+        for k in range(span):
+            met = meeting(self._corridor, k, (float(s[k]), float(speed[k]), float(accel[k])), self._length_m)
+            stop[k] = self._stop_demand(self._route_way, float(line_s[k]), float(speed[k]), k, met, False) > 0
+            safe[k] = not (stop[k] or self._beside(met) or bool((_demands(driver, met) > 0.0).any()))
+        latest = self._passed_line(line_s, stop)
+        return _last_safe(safe[: latest + 1], round(_SAFE_SPELL_S / tracks.dt_s))
+
+    def _beside(self, met: Meeting) -> bool:
+        """Return whether the ego is beside the other party, where models call it safe as braking is of no use."""
+        gap = met.situation.gap_m[self._rows == self._partner]
+        lengths = met.situation.lengths_m[self._rows == self._partner]
+        return bool(((gap <= 0.0) & (gap > -lengths)).any())
+
+    def _passed_line(self, front_s: FloatArray, stop: BoolArray) -> int:
+        """Return the last instant before the target passed a stop line that bound it; the last of all without."""
+        for place in self._route_way.links:
+            over = np.flatnonzero(front_s + 0.5 * self._length_m > place.s_m)
+            if over.size and over[0] > 0 and stop[: over[0]][-round(1.0 / self._tracks.dt_s) :].any():
+                return int(over[0]) - 1
+        return len(stop) - 1
+
+    # --- the drive --------------------------------------------------------------------------------------
+
+    def _follow(
+        self, driver: DriverModel, way: OwnWay, corridor: Corridor, start: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+        """Return (T,) places along the way, speeds and accelerations, and the least time to a meeting."""
+        tracks, dt = self._tracks, self._tracks.dt_s
+        steps = tracks.steps - start
+        s, speed, accel = np.zeros(steps), np.zeros(steps), np.zeros(steps)
+        s[0] = float(way.line.project(tracks.xy_m[self._record.target, start])[0])
+        speed[0] = max(float(tracks.speed_mps[self._record.target, start]), 0.0)
+        reaction, least, before = Reaction.fresh(driver), PERCEPTION_S, 0.0
+        for k in range(steps - 1):
+            met = meeting(corridor, start + k, (s[k], speed[k], before), self._length_m)
+            braking = bool(reaction.delay_left_s < driver.delay_s)
+            demand = float(_demands(driver, met, braking).max(initial=0.0))
+            demand = max(demand, self._stop_demand(way, s[k], speed[k], start + k, met, braking))
+            reaction, push = react(reaction, driver, np.asarray(demand), dt)
+            after = min(max(speed[k] + float(push) * dt, 0.0), max(way.limit_mps(s[k]), speed[k] - 3.0 * dt))
+            least = min(least, float(met.meet_s[met.inside | met.crossing].min(initial=PERCEPTION_S)))
+            accel[k] = before = (after - speed[k]) / dt
+            speed[k + 1], s[k + 1] = after, s[k] + after * dt
+        return s, speed, accel, least
+
+    def _stop_demand(
+        self, way: OwnWay, s_m: float, speed_mps: float, instant: int, met: Meeting, braking: bool
+    ) -> float:
+        if not way.links:
+            return 0.0
+        signals = self._record.signals
+        step = min(self._begin + instant, len(signals) - 1)
+        return stop_demand(
+            self._road,
+            way.links,
+            s_m + 0.5 * self._length_m,
+            speed_mps,
+            signals[step] if signals else {},
+            self._future.links,
+            met.conflict,
+            braking,
+        )
+
+    def _result(
+        self,
+        driver: DriverModel,
+        start: int,
+        way: OwnWay,
+        s: FloatArray,
+        speed: FloatArray,
+        accel: FloatArray,
+        least_s: float,
+    ) -> ReferenceDrive:
+        tracks, row = self._tracks, self._record.target
+        xy, yaw = way.poses(s)
+        yaw[0] = tracks.yaw_rad[row, start]
+        drive = Trajectory(xy, yaw, speed, tracks.dt_s)
+        others = tracks.window(start, tracks.steps)
+        contact = _contact(drive, others, row)
+        length = self._kept(speed, start, contact)
+        cut = slice(0, length)
+        partner = _least_gap_m(drive, others, row, self._partner, length)
+        return ReferenceDrive(
+            model=driver.name,
+            takeover_step=self._begin + start,
+            states=Trajectory(xy[cut], yaw[cut], speed[cut], tracks.dt_s),
+            accel_mps2=accel[cut],
+            contact_step=None if contact is None else self._begin + start + contact[0],
+            contact_with=None if contact is None else tracks.ids[contact[1]],
+            impact_mps=0.0 if contact is None else contact[2],
+            spare_m=0.0 if contact is not None else partner,
+            spare_s=0.0 if contact is not None else least_s,
+        )
+
+    def _kept(self, speed: FloatArray, start: int, contact: tuple[int, int, float] | None) -> int:
+        """Return how many instants of the drive to keep: those of the record, and on until it stands."""
+        recorded = self._record.tracks.steps - self._begin - start
+        standing = np.flatnonzero(speed[recorded - 1 :] <= 0.0)
+        end = recorded + int(standing[0]) if standing.size else len(speed)
+        return end if contact is None else max(recorded, min(contact[0] + 2, len(speed)))
+
+
+def _demands(driver: DriverModel, met: Meeting, reacting: bool = False) -> FloatArray:
+    """Return (N,) the braking that *driver* wants for each other; 0 where it calls the situation safe.
+
+    The human driver's criteria are those of the regulation: somebody who is about to cross or enter is critical
+    from ``CRITICAL_TTC_S`` on; somebody in its lane ahead is a risk once perceived, and until no longer closed in on.
+    """
+    demand = driver.demand(met.situation)
+    if driver is HUMAN:
+        leading = np.isfinite(met.meet_s) | (reacting & (met.situation.closing_mps > 0.0) & met.inside)
+        noticed = np.where(met.crossing, met.meet_s <= CRITICAL_TTC_S, leading)
+        return np.where(noticed, demand, 0.0)
+    return demand
+
+
+def _last_safe(safe: BoolArray, spell: int) -> int:
+    """Return the last safe instant, of a stretch of at least *spell* ones unless it begins at the first; else 0."""
+    at = len(safe) - 1
+    while at >= 0:
+        if safe[at] and (at < spell or safe[at - spell + 1 : at + 1].all()):
+            return at
+        at -= 1
+    return 0
+
+
+def _extended(tracks: Tracks, begin: int, after: int) -> Tracks:
+    """Return instants from *begin* on, and *after* more in which everybody keeps heading and braking, or speed."""
+    cut = tracks.window(begin, tracks.steps)
+    time = tracks.dt_s * np.arange(1, after + 1)
+    speed, before = cut.speed_mps[:, -1], cut.speed_mps[:, -2] if cut.steps > 1 else cut.speed_mps[:, -1]
+    braking = np.clip((np.abs(before) - np.abs(speed)) / tracks.dt_s, 0.0, 8.0)
+    braking = np.where(np.isfinite(braking), braking, 0.0)[:, None]
+    stop = np.where(braking > 0.0, np.abs(speed)[:, None] / np.where(braking > 0.0, braking, 1.0), np.inf)
+    moving = np.minimum(time, stop)
+    sign = np.sign(speed)[:, None]
+    driven = speed[:, None] * moving - 0.5 * sign * braking * moving**2
+    heading = np.repeat(cut.yaw_rad[:, -1:], after, axis=1)
+    xy = cut.xy_m[:, -1:] + driven[..., None] * unit(heading)
+    pace = speed[:, None] - sign * braking * moving
+    there = np.repeat(cut.valid[:, -1:], after, axis=1)
+    return Tracks(
+        ids=cut.ids,
+        classes=cut.classes,
+        size_m=cut.size_m,
+        xy_m=np.concatenate((cut.xy_m, xy), axis=1),
+        yaw_rad=np.concatenate((cut.yaw_rad, heading), axis=1),
+        speed_mps=np.concatenate((cut.speed_mps, pace), axis=1),
+        valid=np.concatenate((cut.valid, there), axis=1),
+        t0_s=cut.t0_s,
+        dt_s=cut.dt_s,
+    )
+
+
+def _contact(drive: Trajectory, others: Tracks, target: int) -> tuple[int, int, float] | None:
+    """Return instant, row and closing speed of the drive's first contact; None without one."""
+    size = others.size_m
+    offset = others.xy_m[:, :-1] - drive.xy_m[:-1]
+    moves = np.hypot(*np.moveaxis(np.diff(others.xy_m, axis=1), -1, 0))
+    own = np.hypot(*np.diff(drive.xy_m, axis=0).T)
+    reach = 0.5 * (np.hypot(*size.T) + np.hypot(*size[target]))[:, None] + moves + own
+    with np.errstate(invalid="ignore"):
+        near = np.hypot(offset[..., 0], offset[..., 1]) <= reach
+    near[target] = False
+    row, step = np.nonzero(near)
+    if not row.size:
+        return None
+    a = Sweep.between(
+        drive.xy_m[step],
+        drive.yaw_rad[step],
+        drive.xy_m[step + 1],
+        drive.yaw_rad[step + 1],
+        np.broadcast_to(size[target], (len(row), 2)),
+    )
+    b = Sweep.between(
+        others.xy_m[row, step],
+        others.yaw_rad[row, step],
+        others.xy_m[row, step + 1],
+        others.yaw_rad[row, step + 1],
+        size[row],
+    )
+    fraction = first_contact(a, b)
+    if np.isnan(fraction).all():
+        return None
+    first = int(np.nanargmin(step + fraction))
+    return int(step[first]), int(row[first]), _closing_mps(a, b, first, float(fraction[first]), others.dt_s)
+
+
+def _closing_mps(a: Sweep, b: Sweep, pair: int, fraction: float, dt_s: float) -> float:
+    """Return the speed at which the boxes of *pair* approach along their contact normal."""
+    picked = np.array([pair])
+    a, b = a.rows(picked), b.rows(picked)
+    (xy_a, yaw_a), (xy_b, yaw_b) = a.pose(fraction), b.pose(fraction)
+    gaps, along, axes = axis_gaps(xy_b - xy_a, yaw_a, a.half_m, yaw_b, b.half_m)
+    best = int(np.argmax(gaps[0]))
+    normal = np.copysign(1.0, along[0, best]) * axes[0, best]
+    return max(0.0, float((a.move_m[0] - b.move_m[0]) @ normal) / dt_s)
+
+
+def _least_gap_m(drive: Trajectory, others: Tracks, target: int, partner: int, length: int) -> float:
+    """Return the least distance between the drive's box and that of *partner* over the first *length* instants."""
+    steps = np.arange(length)
+    own = corners(
+        drive.xy_m[steps], drive.yaw_rad[steps], np.broadcast_to(others.size_m[target], (length, 2))
+    )
+    size = np.broadcast_to(others.size_m[partner], (length, 2))
+    theirs = corners(others.xy_m[partner, steps], others.yaw_rad[partner, steps], size)
+    gap = distance(own, theirs)
+    return float(np.nanmin(gap)) if np.isfinite(gap).any() else float("inf")
+
+
+def drive_all(
+    record: EpisodeRecord,
+    road: RoadMap,
+    collision: Collision | Encounter,
+    models: Sequence[str] = tuple(MODELS),
+    lookback_s: float = LOOKBACK_S,
+) -> dict[str, ReferenceDrive]:
+    """Return :func:`drive_reference` for each of *models*, what they perceive worked out once."""
+    drivers = ReferenceDrivers(record, road, collision, lookback_s)
+    return {model: drivers.drive(model) for model in models}

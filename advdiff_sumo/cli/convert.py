@@ -114,12 +114,12 @@ def _convert(
 
 def _say(result: ConversionResult, figures: dict[str, Any]) -> None:
     error = figures["centre_line_error_m"]["source_to_net"]
-    links = figures["connections"]
+    lanes, links = figures["lanes"], figures["connections"]
     _console.print(
-        f"{result.net}: {figures['lanes']['edge_lanes']} lanes in {figures['lanes']['edges']} edges, "
-        f"centre lines off by {error['median']} m (median), {error['max']} m (largest), "
-        f"{links['kept'] + links['repaired']} of {links['links']} links, "
-        f"{len(figures['netconvert_warnings'])} kinds of netconvert warnings"
+        f"{result.net}: {lanes['edge_lanes']} lanes in {lanes['edges']} edges hold {lanes['held']} of "
+        f"{lanes['given']} lanes and connectors of the file and {links['kept']} of its {links['given']} links "
+        f"({links['repaired']} repaired), centre lines of these off by {error['median']} m (median), "
+        f"{error['max']} m (largest), {len(figures['netconvert_warnings'])} kinds of netconvert warnings"
     )
     for sentence in result.source.warnings:
         _console.print(f"note: {sentence}", markup=False)

@@ -6,25 +6,25 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import shapely
-from shapely.geometry import Point, Polygon
 
+from advdiff_sumo.maps.convert.approaches import Approaches
 from advdiff_sumo.maps.convert.narrow import long_conflicts
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.roundabouts import find_rings
 from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 
-NEAR_M = 6.0  # a stop line or light within this of the end of a lane is that lane's
 GUESS_APPROACHES, GUESS_LANES = 3, 4  # junctions at least so large get guessed signals
 MAJOR, MINOR = 10, 1  # edge priorities: without and with a stop or yield sign
 
 
 @dataclass(frozen=True)
 class Control:
-    """Approaches of each kind, by edge."""
+    """Approaches of each kind, by edge; *idle* are the lights that stop nobody."""
 
     lights: frozenset[str]
     stops: frozenset[str]
     yields: frozenset[str]
+    idle: tuple[str, ...]
 
 
 def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPlan:
@@ -35,7 +35,7 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
     three approaches with four lanes, whose ways cross, are signalled too, but for those of roundabouts. Signals serve
     opposite approaches together unless ways of theirs run along each other.
     """
-    control = _read(plan.edges, source)
+    control = _read(plan, source)
     approaches: dict[str, list[EdgePlan]] = defaultdict(list)
     for edge in plan.edges:
         approaches[edge.target].append(edge)
@@ -57,21 +57,28 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
             for j in plan.junctions
         ),
         rings=rings,
+        idle_signals=control.idle,
     )
 
 
-def _read(edges: tuple[EdgePlan, ...], source: SourceMap) -> Control:
-    """Return which edges end at a light, a stop sign or a yield sign."""
-    found: dict[str, set[str]] = {"light": set(), "stop": set(), "yield": set()}
-    ends = [shapely.Point(lane.shape_m[-1]) for edge in edges for lane in edge.lanes]
-    owner = [edge.id for edge in edges for _ in edge.lanes]
-    places: list[tuple[str, Point | Polygon]] = [("light", signal.at) for signal in source.signals]
-    places += [(kind, line.area) for line in source.stop_lines if (kind := _sign(line.kind))]
-    tree = shapely.STRtree(ends)
-    for kind, place in places:
-        for number in tree.query(place, predicate="dwithin", distance=NEAR_M) if ends else ():
-            found[kind].add(owner[int(number)])
-    return Control(frozenset(found["light"]), frozenset(found["stop"]), frozenset(found["yield"]))
+def _read(plan: NetPlan, source: SourceMap) -> Control:
+    """Return which edges end at a light, a stop sign or a yield sign, and the lights that stop nobody."""
+    approaches = Approaches(plan)
+    number = {lane.token: index for index, lane in enumerate(source.lanes)}
+    edges: dict[str, set[str]] = {"light": set(), "stop": set(), "yield": set()}
+    idle = []
+    for signal in source.signals:
+        lanes = [number[token] for token in signal.lanes if token in number]
+        stopped = approaches.stopped_by(signal.at, signal.block, lanes)
+        edges["light"] |= stopped
+        idle += [] if stopped else [signal.token]
+    for line in source.stop_lines:
+        kind = _sign(line.kind)
+        if kind is not None:
+            edges[kind] |= approaches.stopped_by(line.area, line.block)
+    return Control(
+        frozenset(edges["light"]), frozenset(edges["stop"]), frozenset(edges["yield"]), tuple(idle)
+    )
 
 
 def _sign(kind: str) -> str | None:

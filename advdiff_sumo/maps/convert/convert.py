@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +12,18 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.annotate import annotate_net
 from advdiff_sumo.maps.convert.control import with_control
 from advdiff_sumo.maps.convert.dividers import dashed_pairs
+from advdiff_sumo.maps.convert.geometry_checks import check_geometry
+from advdiff_sumo.maps.convert.lane_routes import plan_drivable
 from advdiff_sumo.maps.convert.layout.lane_paths import Connection, find_connections
 from advdiff_sumo.maps.convert.layout.lay_out import lay_out
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide, find_side_by_side
 from advdiff_sumo.maps.convert.narrow import Ends, unseen_conflicts
 from advdiff_sumo.maps.convert.netconvert import run_netconvert
-from advdiff_sumo.maps.convert.netplan import NetPlan, Track, plan_net
+from advdiff_sumo.maps.convert.netplan import NetPlan, Track
 from advdiff_sumo.maps.convert.opendrive import write_opendrive
 from advdiff_sumo.maps.convert.plain_xml import write_plain_xml
 from advdiff_sumo.maps.convert.projection import drives_left, projection_of
@@ -100,7 +103,7 @@ def convert_source(
 ) -> ConversionResult:
     """Convert a map already read; see :func:`convert_map`."""
     left = drives_left(source.location) if lefthand is None else lefthand
-    given, source = source, repair(source)
+    given, source = source, repair(check_geometry(source))
     tracks = measure_tracks(source, SPEED_MPS[left])
     layout = lay_out(
         [track.centre_m for track in tracks],
@@ -109,18 +112,31 @@ def convert_source(
         neighbours_of(tracks, dashed_pairs(source)),
     )
     ways, doubles = find_connections(layout)
-    plan = with_control(plan_net(tracks, layout, ways, left), source, guess_signals)
+    plan = with_control(plan_drivable(tracks, layout, ways, left), source, guess_signals)
+    source = _with_idle_signals(source, plan)
     _make_folder(out_net)
     warnings = _build(plan, source.location, out_net, left, layout.counts)
     if opendrive:
         xodr = out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr")
         write_opendrive(plan, xodr, source.location, projection_of(source.location))
     layout.counts["lane shapes put back after netconvert"] = restore_shapes(out_net, plan)
+    annotate_net(out_net, plan)
     write_sidecar(source, sidecar_path(out_net))
     counts = source.notes + layout.counts
     return ConversionResult(
         out_net, sidecar_path(out_net), given, source, tracks, layout, plan, doubles, counts, warnings
     )
+
+
+def _with_idle_signals(source: SourceMap, plan: NetPlan) -> SourceMap:
+    """Name the lights that stop nobody."""
+    if not plan.idle_signals:
+        return source
+    names = ", ".join(repr(token) for token in plan.idle_signals)
+    sentence = (
+        f"{source.path.name}: {len(plan.idle_signals)} of {len(source.signals)} traffic lights stop no lane: "
+    )
+    return replace(source, warnings=(*source.warnings, sentence + names))
 
 
 def _build(

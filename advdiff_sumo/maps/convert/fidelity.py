@@ -16,6 +16,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.convert import ConversionResult
 from advdiff_sumo.maps.convert.dividers import dashed_pairs
+from advdiff_sumo.maps.convert.lane_routes import graph_of_net, undrivable_routes
 from advdiff_sumo.maps.convert.netconvert import EXPLAINED
 from advdiff_sumo.maps.convert.netread import WrittenNet, read_net
 from advdiff_sumo.maps.convert.routability import routability
@@ -53,11 +54,18 @@ def measure(result: ConversionResult) -> Fidelity:
             "centre_line_error_m": _centre_line_errors(result, net, lines),
             "width_error_m": _width_errors(result, net),
             "connections": _connection_counts(result, net),
+            "signals": {
+                "given": len(result.source.signals),
+                "that_stop_nobody": list(result.plan.idle_signals),
+            },
             "lane_changes": lane_change_share(result),
             "drivable_area": _overlap(result, net),
             "mended_and_cut": dict(sorted(result.counts.items())),
             "netconvert_warnings": warning_summary(result.netconvert_warnings),
             "warnings": list(result.source.warnings),
+            "routes_no_lane_follows": [
+                " → ".join(route) for route in undrivable_routes(graph_of_net(result.net))
+            ],
             "routability": routability(net.next_edges, {e.id: e.length_m for e in result.plan.edges}),
         },
     )
@@ -81,7 +89,11 @@ def _lane_counts(
 ) -> dict[str, Any]:
     lanes = result.source.lanes
     lost = [lane.token for number, lane in enumerate(lanes) if number not in lines]
+    given = result.given.stated.lanes if result.given.stated else len(result.given.lanes)
     return {
+        "given": given,
+        "held": len(lanes) - len(lost) + result.source.notes["duplicate lanes merged"],
+        "left_out": list(result.source.left_out),
         "source_lanes": sum(not lane.is_connector for lane in lanes),
         "source_connectors": sum(lane.is_connector for lane in lanes),
         "edges": len(result.plan.edges),
@@ -153,14 +165,25 @@ def _connection_counts(result: ConversionResult, net: WrittenNet) -> dict[str, A
     stated = {(number[a], number[b]) for a, b in result.given.links if a in number and b in number}
     planned = {(*c.origin, *c.target) for c in result.plan.connections}
     tokens = [lane.token for lane in result.source.lanes]
+    given = result.given.stated.links if result.given.stated else len(result.given.links)
     return {
+        "given": given,
         "links": len(links),
         "kept": sum(link in held for link in links if link in stated),
         "repaired": sum(link in held for link in links if link not in stated),
         "lost": [[tokens[a], tokens[b]] for a, b in links if (a, b) not in held],
         "invented": sorted(map(list, set(net.ways) - planned), key=str),
         "second_ways_left_out": [[tokens[n] for n in way.lanes] for way in result.doubles],
+        "parts_drawn_by_several_ways": _drawn_again(result),
     }
+
+
+def _drawn_again(result: ConversionResult) -> dict[str, Any]:
+    """Return how many lanes have parts that several ways run on (before they fork, after they merge), and metres."""
+    times = Counter(part for connection in result.plan.connections for part in connection.way.parts)
+    again = {part: count - 1 for part, count in times.items() if count > 1}
+    metres = sum(part.length_m * count for part, count in again.items())
+    return {"lanes": len({part.lane for part in again}), "metres": round(metres, 1)}
 
 
 def lane_change_share(result: ConversionResult) -> dict[str, Any]:

@@ -155,9 +155,12 @@ def _faults(figures: Mapping[str, Any]) -> list[tuple[str, int]]:
     """Return what should not occur at all, and how often it does."""
     unexplained = sum(row["meaning"] == "not explained" for row in figures["netconvert_warnings"])
     return [
+        ("Lanes and connectors of the file left out", len(figures["lanes"]["left_out"])),
+        ("Traffic lights that stop nobody", len(figures["signals"]["that_stop_nobody"])),
         ("Lanes and connectors lost", len(figures["lanes"]["lost"])),
         ("Links lost", len(figures["connections"]["lost"])),
         ("Links invented", len(figures["connections"]["invented"])),
+        ("Routes over edges that no lane follows", len(figures["routes_no_lane_follows"])),
         ("Kinds of netconvert warnings not explained", unexplained),
     ]
 

@@ -131,7 +131,7 @@ class Ring:
 
 @dataclass(frozen=True, eq=False)
 class NetPlan:
-    """All parts of a net, ready to be written as plain XML."""
+    """All parts of a net, ready to be written as plain XML; *idle_signals* are lights that stop nobody."""
 
     edges: tuple[EdgePlan, ...]
     junctions: tuple[JunctionPlan, ...]
@@ -139,6 +139,7 @@ class NetPlan:
     lefthand: bool
     lane_of: dict[Piece, tuple[str, int]] = field(default_factory=dict)
     rings: tuple[Ring, ...] = ()
+    idle_signals: tuple[str, ...] = ()
 
     @cached_property
     def way_of(self) -> dict[tuple[str, int, str, int], ConnectionPlan]:

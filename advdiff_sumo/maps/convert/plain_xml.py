@@ -9,12 +9,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert.lane_routes import CHANGE_M
 from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, JunctionPlan, NetPlan, Ring
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse
 
 NOBODY = "custom2"  # a vehicle class that nothing uses
-CHANGE_M = 5.0  # on an edge shorter than a car, who merges behind it cannot foresee a lane change
 ALLOWED = {
     LaneUse.CAR: "",
     LaneUse.BUS: "bus coach taxi emergency",
@@ -137,8 +137,6 @@ def _connection(connection: ConnectionPlan) -> ET.Element:
         element.set(side, NOBODY)
     if np.isfinite(connection.speed_mps):
         element.set("speed", f"{connection.speed_mps:.2f}")
-    if connection.source:
-        _param(element, "source", connection.source)
     return element
 
 

@@ -11,6 +11,7 @@ import sumolib
 from small_maps import MapBuilder, crossroads, two_lane_road
 
 from advdiff_sumo.maps.convert import convert_map
+from advdiff_sumo.maps.convert.fidelity import measure
 
 AT_WEST = [
     (88.0, 98.0),
@@ -100,13 +101,53 @@ def test_light_by_its_stop_line(tmp_path: Path) -> None:
         assert not {phase.state[links["west"]], phase.state[links["south"]]} <= {"G"}
 
 
-@pytest.mark.parametrize(("x", "kind"), [(90.0, "traffic_light"), (80.0, "priority")])
-def test_light_by_its_own_line_counts_within_six_metres(tmp_path: Path, x: float, kind: str) -> None:
+@pytest.mark.parametrize(
+    ("x", "kind"), [(90.0, "traffic_light"), (66.0, "traffic_light"), (50.0, "priority")]
+)
+def test_light_by_its_own_line_counts_within_thirty_metres(tmp_path: Path, x: float, kind: str) -> None:
     road = crossroads()
     nodes = [road.node(x, 98.0), road.node(x, 102.0)]
     road.data["line"].append({"token": "line", "node_tokens": nodes})
     road.data["traffic_light"].append({"token": "light", "line_token": "line"})
     assert crossing(net_of(road, tmp_path)).getType() == kind
+
+
+def light(road: MapBuilder, ends: list[tuple[float, float]], **fields: Any) -> None:
+    """Add a traffic light with a line of its own between two points."""
+    number = len(road.data["traffic_light"])
+    nodes = [road.node(x, y) for x, y in ends]
+    road.data["line"].append({"token": f"line{number}", "node_tokens": nodes})
+    row = {"token": f"light{number}", "line_token": f"line{number}", **fields}
+    road.data["traffic_light"].append(row)
+
+
+def road_block(road: MapBuilder, token: str, points: list[tuple[float, float]]) -> None:
+    road.data.setdefault("road_block", []).append({"token": token, "polygon_token": road.polygon(points)})
+
+
+@pytest.mark.parametrize("by_stop_line", [True, False])
+def test_light_by_its_road_block_wherever_it_stands(tmp_path: Path, by_stop_line: bool) -> None:
+    road = crossroads()
+    road_block(road, "block", [(38.0, 98.0), (90.5, 98.0), (90.5, 102.0), (38.0, 102.0)])
+    if by_stop_line:  # 45 m before the end of the lane
+        stop_line(road, "TRAFFIC_LIGHT", [(44.0, 98.0), (45.0, 98.0), (45.0, 102.0), (44.0, 102.0)], "light0")
+        road.data["stop_line"][0]["road_block_token"] = "block"  # noqa: S105 - the name of a road block
+        road.data["traffic_light"].append({"token": "light0", "line_token": ""})
+    else:  # a light on the far side of the crossing
+        light(road, [(130.0, 98.0), (130.0, 102.0)], from_road_block_token="block")  # noqa: S106 - as above
+    result = convert_map(road.write(tmp_path / "m.json"), tmp_path / "m.net.xml")
+    assert result.plan.idle_signals == ()
+    assert crossing(sumolib.net.readNet(str(result.net))).getType() == "traffic_light"
+
+
+def test_light_along_a_lane_is_not_that_lanes(tmp_path: Path) -> None:
+    road = crossroads()
+    light(road, [(85.0, 101.0), (90.0, 101.0)])  # ends beside the end of "west", in its direction
+    result = convert_map(road.write(tmp_path / "m.json"), tmp_path / "m.net.xml")
+    assert result.plan.idle_signals == ("light0",)
+    assert result.source.warnings[-1] == "m.json: 1 of 1 traffic lights stop no lane: 'light0'"
+    assert measure(result).figures["signals"] == {"given": 1, "that_stop_nobody": ["light0"]}
+    assert crossing(sumolib.net.readNet(str(result.net))).getType() == "priority"
 
 
 @pytest.mark.parametrize(("wide", "kind"), [(True, "traffic_light"), (False, "priority")])

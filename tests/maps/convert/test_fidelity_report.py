@@ -32,7 +32,9 @@ def test_each_bar_can_be_missed(tmp_path: Path) -> None:
     bad = copy.deepcopy(good)
     bad["centre_line_error_m"]["source_to_net"]["max"] = 0.21
     bad["centre_line_error_m"]["net_to_source"]["median"] = 0.03
-    bad["lanes"]["lost"] = ["a"]
+    bad["lanes"].update(lost=["a"], left_out=["z"])
+    bad["signals"]["that_stop_nobody"] = ["light"]
+    bad["routes_no_lane_follows"] = ["e0 → e1 → e2"]
     bad["connections"].update(lost=[["a", "b"]], invented=[["c", "d"]])
     bad["lane_changes"]["share"] = 0.9
     bad["netconvert_warnings"] = [{"meaning": "not explained"}]

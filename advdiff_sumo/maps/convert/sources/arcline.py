@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,54 +15,109 @@ from advdiff_sumo.core.arrays import FloatArray
 TURN = {"L": 1.0, "S": 0.0, "R": -1.0}
 SAGITTA_M = 0.002  # how far a chord may lie off its arc
 POINT_GAP_M = 0.001  # nearer points are one
+CHAIN_GAP_M = 1.0  # pieces of one path farther apart do not belong together
+END_GAP_M = 0.5  # integration that ends farther from the stated end pose contradicts it
+MOST_TURNS = 50  # a path that turns round more often is no lane, and takes long to sample
 
 
-def sample_path(pieces: Sequence[Mapping[str, Any]], sagitta_m: float = SAGITTA_M) -> FloatArray:
+def sample_path(
+    pieces: Sequence[Mapping[str, Any]],
+    sagitta_m: float = SAGITTA_M,
+    longest_m: float = math.inf,
+    notes: Counter[str] | None = None,
+) -> FloatArray:
     """Return the polyline (N, 2) of a chain of Dubins pieces; every point lies exactly on the path.
 
     Args:
         pieces: records with ``start_pose`` [x, y, yaw], ``shape`` (three of L, S, R), ``radius`` in m and
-            ``segment_length`` (three arc lengths in m).
+            ``segment_length`` (three arc lengths in m); an ``end_pose``, where there is one, is checked.
         sagitta_m: largest distance between a chord and its arc.
+        longest_m: a longer path is refused before it is sampled.
+        notes: counts start headings that were turned by half a turn and put right by the end pose.
 
     Raises:
-        ValueError: no pieces, a field missing or malformed, or a number that is not finite.
+        ValueError: no pieces, a field missing or malformed, a number that is not finite, a path that is too long
+            or turns round many times, or pieces that do not follow one another.
     """
     if not pieces:
         raise ValueError("the path has no pieces")
+    parsed = [_parse(piece) for piece in pieces]
+    total = sum(sum(piece.lengths_m) for piece in parsed)
+    if total > longest_m:
+        raise ValueError(f"the path is {total:.0f} m long, more than the map's extent of {longest_m:.0f} m")
     points: list[tuple[float, float]] = []
-    for piece in pieces:
-        points += _piece(piece, sagitta_m)
-    last = pieces[-1].get("end_pose")
-    if last is not None:
-        try:
-            points.append((float(last[0]), float(last[1])))
-        except (TypeError, LookupError, ValueError):
-            raise ValueError("malformed end_pose of an arc-line piece") from None
-    line = np.array(points, dtype=np.float64)
-    if not np.isfinite(line).all():
-        raise ValueError("a coordinate is not finite")
+    for piece in parsed:
+        part = _checked(piece, sagitta_m, notes)
+        if points and math.dist(points[-1], part[0]) > CHAIN_GAP_M:
+            raise ValueError(f"a piece begins {math.dist(points[-1], part[0]):.1f} m from the one before")
+        points += part
+    end = parsed[-1].end
+    line = np.array(points if end is None else [*points, end[:2]], dtype=np.float64)
     return drop_repeats(line)
 
 
-def _piece(piece: Mapping[str, Any], sagitta_m: float) -> list[tuple[float, float]]:
+@dataclass(frozen=True)
+class _DubinsPiece:
+    start: tuple[float, float, float]
+    end: tuple[float, float, float] | None
+    radius_m: float
+    lengths_m: tuple[float, ...]
+    turns: tuple[float, ...]
+
+
+def _parse(piece: Mapping[str, Any]) -> _DubinsPiece:
     try:
         x, y, yaw = (float(v) for v in piece["start_pose"])
         radius = float(piece["radius"])
-        lengths = [float(v) for v in piece["segment_length"]]
-        turns = [TURN[letter] for letter in piece["shape"]]
+        lengths = tuple(float(v) for v in piece["segment_length"])
+        turns = tuple(TURN[letter] for letter in piece["shape"])
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"malformed arc-line piece ({error})") from None
     if not all(map(math.isfinite, (x, y, yaw, *lengths))):
         raise ValueError("a number of an arc-line piece is not finite")
     if len(turns) != 3 or len(lengths) != 3 or min(lengths) < 0 or (any(turns) and not radius > 0):
         raise ValueError("malformed arc-line piece (three segments and a positive radius are needed)")
-    points = [(x, y)]
-    for turn, length in zip(turns, lengths, strict=True):
+    if any(turns) and not math.isfinite(radius):
+        raise ValueError("the radius of an arc-line piece is not finite")
+    arcs = sum(length for turn, length in zip(turns, lengths, strict=True) if turn)
+    if arcs > 2.0 * math.pi * radius * MOST_TURNS:
+        raise ValueError(f"an arc-line piece turns round many times ({arcs:.0f} m of arcs of {radius:g} m)")
+    return _DubinsPiece((x, y, yaw), _end_pose(piece.get("end_pose")), radius, lengths, turns)
+
+
+def _end_pose(value: Any) -> tuple[float, float, float] | None:
+    if value is None:
+        return None
+    try:
+        x, y, yaw = (float(v) for v in value)
+    except (TypeError, ValueError):
+        raise ValueError("malformed end_pose of an arc-line piece") from None
+    if not all(map(math.isfinite, (x, y, yaw))):
+        raise ValueError("a coordinate is not finite")
+    return x, y, yaw
+
+
+def _checked(piece: _DubinsPiece, sagitta_m: float, notes: Counter[str] | None) -> list[tuple[float, float]]:
+    """Return the points of *piece*, which must end at its stated end pose; a heading turned by π is put right."""
+    yaw = piece.start[2]
+    points = _integrate(piece, yaw, sagitta_m)
+    if piece.end is None or math.dist(points[-1], piece.end[:2]) <= END_GAP_M:
+        return points
+    turned = _integrate(piece, yaw + math.pi, sagitta_m)
+    if math.dist(turned[-1], piece.end[:2]) <= END_GAP_M:
+        if notes is not None:
+            notes["start headings turned by half a turn, put right"] += 1
+        return turned
+    raise ValueError(f"its arcs end {math.dist(points[-1], piece.end[:2]):.1f} m from the stated end_pose")
+
+
+def _integrate(piece: _DubinsPiece, yaw: float, sagitta_m: float) -> list[tuple[float, float]]:
+    points = [piece.start[:2]]
+    for turn, length in zip(piece.turns, piece.lengths_m, strict=True):
         if length > 0:
-            arc = _segment(points[-1], yaw, turn / radius if turn else 0.0, length, sagitta_m)
+            arc = _segment(points[-1], yaw, turn / piece.radius_m if turn else 0.0, length, sagitta_m)
             points += arc
-            yaw += turn * length / radius
+            yaw += turn * length / piece.radius_m if turn else 0.0
     return points
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
-from shapely.geometry import LineString, MultiPolygon, Point, Polygon
+from shapely.geometry import LineString, MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.arrays import FloatArray
 
@@ -51,19 +52,44 @@ class SourceLane:
 
 @dataclass(frozen=True, eq=False)
 class StopLine:
-    """Where vehicles stop; *kind* as in the source (STOP_SIGN, TRAFFIC_LIGHT, YIELD, …)."""
+    """Where vehicles stop.
+
+    Attributes:
+        token: its name in the source.
+        area: the painted line.
+        kind: as in the source (STOP_SIGN, TRAFFIC_LIGHT, TURN_STOP, PED_CROSSING, YIELD, …).
+        block: the carriageway that it ends, where the source names one.
+    """
 
     token: str
     area: Polygon
     kind: str
+    block: Polygon | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """A traffic light, placed at the line or stop line that it belongs to."""
+    """A traffic light.
+
+    Attributes:
+        token: its name in the source.
+        at: the stop line that lists it, else its own line or place; None where neither is known.
+        block: the carriageway that it stops, where the source names one.
+        lanes: tokens of the lanes that it stops, where the source names them.
+    """
 
     token: str
-    at: Point
+    at: BaseGeometry | None
+    block: Polygon | None = None
+    lanes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class StatedSizes:
+    """How much the file states, whether usable or not: *lanes* counts lanes and connectors, *links* their links."""
+
+    lanes: int
+    links: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +103,8 @@ class SourceMap:
         links: ordered pairs (from token, to token) of the source's connectivity.
         intersections: areas that the source calls intersections.
         dashed_dividers: lines that may be crossed to change lane.
+        stated: how much the file states; None: as much as is here.
+        left_out: tokens of lanes that the file states and that are not here.
         notes: counts of what was mended or left out while reading.
         warnings: one sentence for each thing a user should know.
     """
@@ -93,5 +121,7 @@ class SourceMap:
     stop_lines: tuple[StopLine, ...] = ()
     signals: tuple[Signal, ...] = ()
     dashed_dividers: tuple[LineString, ...] = ()
+    stated: StatedSizes | None = None
+    left_out: tuple[str, ...] = ()
     notes: Counter[str] = field(default_factory=Counter)
     warnings: tuple[str, ...] = ()

@@ -1,0 +1,143 @@
+"""Is each path where its polygon and its neighbours say? What contradicts them is left out, with a sentence each."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import shapely
+from shapely.geometry import LineString
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
+
+OUTSIDE_M = 1.0  # a centre line farther outside its polygon is not in it
+OUTSIDE_SHARE = 0.3  # so much of a centre line outside its polygon contradicts it
+MEETS_M = 1.0  # two lanes whose ends lie nearer meet
+FAR_LINK_M = 10.0  # a link over a larger gap joins lanes that are not neighbours
+BACKWARDS_RAD = 2.4  # a link that turns on the spot by more leads backwards
+FULL_TURN_RAD = 1.9 * math.pi
+MOST_SENTENCES = 20
+
+
+def check_geometry(source: SourceMap) -> SourceMap:
+    """Return *source* without paths and links that contradict the rest of it.
+
+    Left out are paths that turn full circle or close on themselves, paths outside their polygon that no neighbour
+    confirms (a polygon is left out instead where a neighbour does), links of a lane to itself, over more than
+    10 m, or backwards. Each gets a sentence in ``warnings`` (20 of a kind at most) and is counted in ``notes``.
+    """
+    faults = _Faults(source)
+    lanes = [lane for lane in source.lanes if not _is_loop(lane, faults)]
+    links = _sound_links({lane.token: lane for lane in lanes}, source.links, faults)
+    lanes = _in_their_polygons(lanes, links, faults)
+    known = {lane.token for lane in lanes}
+    gone = tuple(lane.token for lane in source.lanes if lane.token not in known)
+    return replace(
+        source,
+        lanes=tuple(lanes),
+        links=tuple(link for link in links if set(link) <= known),
+        left_out=source.left_out + gone,
+        notes=source.notes + faults.notes,
+        warnings=source.warnings + faults.sentences(),
+    )
+
+
+class _Faults:
+    """What was found, by kind; *notes* counts it."""
+
+    def __init__(self, source: SourceMap) -> None:
+        self.file = source.path.name
+        self.notes: Counter[str] = Counter()
+        self._sentences: dict[str, list[str]] = {}
+
+    def add(self, kind: str, sentence: str) -> None:
+        self.notes[kind] += 1
+        self._sentences.setdefault(kind, []).append(f"{self.file}: {sentence}")
+
+    def sentences(self) -> tuple[str, ...]:
+        """Return the sentences of each kind, the first ones and how many more there are."""
+        told: list[str] = []
+        for kind, own in self._sentences.items():
+            told += own[:MOST_SENTENCES]
+            if len(own) > MOST_SENTENCES:
+                told.append(f"{self.file}: {kind}: {len(own) - MOST_SENTENCES} more")
+        return tuple(told)
+
+
+def _is_loop(lane: SourceLane, faults: _Faults) -> bool:
+    """Return whether a path turns full circle or ends where it begins."""
+    line = lane.centre_m
+    yaw = np.unwrap(np.arctan2(*np.diff(line, axis=0).T[::-1]))
+    closed = math.dist(line[0], line[-1]) < MEETS_M and polyline.length(line) > 5.0 * MEETS_M
+    if not closed and abs(float(yaw[-1] - yaw[0])) < FULL_TURN_RAD:
+        return False
+    faults.add("paths that run in a circle", f"lane {lane.token!r} runs in a circle and is left out")
+    return True
+
+
+def _sound_links(
+    lanes: dict[str, SourceLane], links: tuple[tuple[str, str], ...], faults: _Faults
+) -> list[tuple[str, str]]:
+    return [link for link in links if set(link) <= lanes.keys() and _is_sound(lanes, link, faults)]
+
+
+def _is_sound(lanes: dict[str, SourceLane], link: tuple[str, str], faults: _Faults) -> bool:
+    before, after = lanes[link[0]].centre_m, lanes[link[1]].centre_m
+    gap = math.dist(before[-1], after[0])
+    if link[0] == link[1]:
+        faults.add("links of a lane to itself", f"lane {link[0]!r} is linked to itself; the link is left out")
+    elif gap > FAR_LINK_M:
+        faults.add(
+            "links to far lanes",
+            f"lane {link[0]!r} ends {gap:.0f} m from the beginning of {link[1]!r}; the link is left out",
+        )
+    elif _turn(before, after) > BACKWARDS_RAD:
+        faults.add(
+            "links backwards",
+            f"lane {link[1]!r} begins against the direction of {link[0]!r}; the link is left out",
+        )
+    else:
+        return True
+    return False
+
+
+def _turn(before: FloatArray, after: FloatArray) -> float:
+    """Return the angle in rad between the end of one line and the beginning of another."""
+    last, first = before[-1] - before[-2], after[1] - after[0]
+    return abs(math.atan2(last[0] * first[1] - last[1] * first[0], float(last @ first)))
+
+
+def _in_their_polygons(
+    lanes: list[SourceLane], links: list[tuple[str, str]], faults: _Faults
+) -> list[SourceLane]:
+    line = {lane.token: lane.centre_m for lane in lanes}
+    meeting = {token for a, b in links if math.dist(line[a][-1], line[b][0]) < MEETS_M for token in (a, b)}
+    kept = []
+    for lane in lanes:
+        if not _is_outside(lane):
+            kept.append(lane)
+        elif lane.token in meeting:
+            faults.add(
+                "polygons away from their lane",
+                f"the polygon of lane {lane.token!r} lies elsewhere than its path, which meets its neighbours; "
+                "the polygon is left out",
+            )
+            kept.append(replace(lane, polygon=None))
+        else:
+            faults.add(
+                "paths away from their polygon",
+                f"the path of lane {lane.token!r} lies outside its polygon and meets no neighbour; it is left out",
+            )
+    return kept
+
+
+def _is_outside(lane: SourceLane) -> bool:
+    if lane.polygon is None:
+        return False
+    line = LineString(lane.centre_m)
+    inside = shapely.intersection(line, lane.polygon.buffer(OUTSIDE_M)).length
+    return bool(1.0 - inside / line.length > OUTSIDE_SHARE)

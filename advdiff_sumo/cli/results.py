@@ -33,7 +33,7 @@ def results(
     form: Annotated[Form, typer.Option("--format", help="Of the answer to --sql.")] = Form.table,
     junit: Annotated[Path | None, typer.Option(help="Write JUnit XML here, for CI.")] = None,
     fail_if: Annotated[
-        str | None, typer.Option(help='Exit with code 1 if so, for example "collision_rate > 0.05".')
+        str | None, typer.Option(help='Exit with code 1 if so, for example "valid_failure_rate > 0".')
     ] = None,
 ) -> None:
     """Put a sweep's episodes together and say what they came to.

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from advdiff_sumo.metrics.intervals import wilson
+from advdiff_sumo.metrics.severity import is_valid_failure
 
 
 def print_summary(console: Console, folder: Path, missing: int) -> None:
@@ -36,6 +37,8 @@ def _lines(
 ) -> list[tuple[str, str]]:
     hits = [row for row in finished if row["target_collision"]]
     lines = [
+        ("valid failures", _valid(finished)),
+        ("critical near misses", _rate(sum(bool(row["critical"]) for row in finished), len(finished))),
         ("target collides", _rate(len(hits), len(finished))),
         ("… target at fault", _rate(sum(row["at_fault"] == "target" for row in hits), len(finished))),
         ("route completed", _rate(sum(bool(row["route_completed"]) for row in finished), len(finished))),
@@ -49,6 +52,10 @@ def _lines(
             p50, p99 = (_median(timing, f"{who}_plan_p{share}_s", "s", "{:.4f}") for share in (50, 99))
             lines.append((f"{who}'s plan, median and 99 %", f"{p50}, {p99}"))
     return lines
+
+
+def _valid(finished: list[dict[str, Any]]) -> str:
+    return _rate(sum(is_valid_failure(row) for row in finished), len(finished))
 
 
 def _rate(count: int, total: int) -> str:

@@ -76,7 +76,7 @@ def sweep(
     report: Annotated[bool, typer.Option("--report/--no-report", help="Draw report.html at the end.")] = True,
     junit: Annotated[Path | None, typer.Option(help="Write JUnit XML here, for CI.")] = None,
     fail_if: Annotated[
-        str | None, typer.Option(help='Exit with code 1 if so, for example "collision_rate > 0.05".')
+        str | None, typer.Option(help='Exit with code 1 if so, for example "valid_failure_rate > 0".')
     ] = None,
 ) -> None:
     """Run many episodes in parallel: nets × seed scenes × targets × backgrounds × seeds.

@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from advdiff_sumo.metrics.severity import worst_first
+from advdiff_sumo.metrics.severity import is_valid_failure, worst_first
 from advdiff_sumo.sweep.condition import Condition, Undefined
 from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.coverage import bands, coverage
@@ -98,7 +98,18 @@ def _print_rates(
 ) -> None:
     table = _table(
         f"{overall.episodes} episodes; rates in % with 95 % Wilson intervals",
-        *("target", "background", "net", "n", "collides", "at fault", "arrives", "failed"),
+        *(
+            "target",
+            "background",
+            "net",
+            "n",
+            "valid failures",
+            "critical",
+            "collides",
+            "at fault",
+            "arrives",
+            "failed",
+        ),
     )
     columns = ("target", "target_options", "background", "background_options", "net")
     for key, figures in by_kind(episodes, failures, columns).items():
@@ -115,7 +126,14 @@ def _print_rates(
 
 
 def _cells(figures: Figures) -> list[str]:
-    names = ("collision_rate", "fault_rate", "completion_rate", "failure_rate")
+    names = (
+        "valid_failure_rate",
+        "critical_rate",
+        "collision_rate",
+        "fault_rate",
+        "completion_rate",
+        "failure_rate",
+    )
     return [str(figures.episodes), *(rate_text(figures.rates[name]) for name in names)]
 
 
@@ -136,10 +154,12 @@ def _print_failures(console: Console, failures: Sequence[Row]) -> None:
 
 def _print_findings(console: Console, found: Sequence[Finding]) -> None:
     total = sum(len(finding.episodes) for finding in found)
-    title = f"{total} collisions are {len(found)} findings"
-    table = _table(title, "collisions", "type", "where", "at fault", "targets", "the worst of them")
+    valid = sum(finding.valid for finding in found)
+    title = f"{total} collisions, {valid} of them valid failures, are {len(found)} findings"
+    table = _table(title, "valid", "collisions", "type", "where", "at fault", "targets", "the worst of them")
     for finding in found[:_FINDINGS]:
         table.add_row(
+            str(finding.valid),
             str(len(finding.episodes)),
             finding.type,
             finding.junction_type,
@@ -160,6 +180,9 @@ def _print_worst(console: Console, rows: Sequence[Row]) -> None:
         what = row["end"]
         if row["target_collision"]:
             what = f"{row['collision_type']}, at fault: {row['at_fault']}"
+            what = f"valid failure: {what}" if is_valid_failure(row) else what
+        elif row.get("critical"):
+            what = f"critical near miss, resolved by: {row['resolved_by']}"
         values = (_value(row["min_ttc_s"], "s"), _value(row["min_clearance_m"], "m"))
         table.add_row(row["key"], row["target"], row["background"], what, *values)
     console.print(table)

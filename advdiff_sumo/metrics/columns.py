@@ -39,12 +39,44 @@ def _flag(description: str, *, nullable: bool = False) -> Column:
     return Column("bool", "", description, nullable)
 
 
+VERDICT_COLUMNS: Mapping[str, Column] = {
+    "valid_failure": _flag(
+        "the collision counts: the other broke no rule and it was preventable, or the target is at fault; "
+        "false without a collision, empty where there is no verdict yet",
+        nullable=True,
+    ),
+    "preventable": _flag(
+        "the careful and competent driver (CC_human_driver) would not have collided", nullable=True
+    ),
+    "preventable_by": _text("reference drivers that would not have: CC_human_driver, Reg157, RSS, FSM"),
+    "lawful": _flag("the other broke no rule that led to it", nullable=True),
+    "target_breaches": _text("rules that the target broke and that led to it, as words; see verdict.md"),
+    "other_breaches": _text("the same of the other"),
+    "spare_m": _real("m", "by how much the careful driver clears the other; empty where it does not"),
+    "spare_s": _real("s", "the least time in which it would have met anybody, at most 5 s"),
+    "impact_left_mps": _real("m/s", "closing speed at which the careful driver still collides"),
+    "unavoidable": _flag("no reference driver avoids it", nullable=True),
+    "verdict": _text("all of it as a sentence"),
+}
+"""What verdict.md says of a collision of the target, or of the episode by its first."""
+
+CRITICAL_COLUMNS: Mapping[str, Column] = {
+    "critical": _flag(
+        "a near miss for which a reference driver would have had to brake at more than 4 m/s²; "
+        "empty where there is no verdict yet",
+        nullable=True,
+    ),
+    "critical_brake_mps2": _real("m/s²", "how hard it would have had to brake, at most 9"),
+    "resolved_by": _text("who kept the near miss from becoming a collision: target, other or both"),
+}
+
 EPISODE_COLUMNS: Mapping[str, Column] = {
     "episode": _count("number of the episode in its run"),
     "scene": _text("name of the seed scene", nullable=False),
     "seed": _count("the episode's seed"),
     "end": _text("why it ended: horizon, collision, arrived, log_end, failed", nullable=False),
     "duration_s": _real("s", "simulated time", nullable=False),
+    "route": _text("edges of the target's route from its start on, apart by blanks; empty where it had none"),
     "agents": _count("agents that were ever there, the target included"),
     "target_collision": _flag(
         "the target hit something, or left the road; overlaps from the start do not count"
@@ -56,6 +88,8 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     ),
     "at_fault": _text("who caused it: target, other or unclear"),
     "fault_reason": _text("the rule that says so, as a sentence"),
+    **VERDICT_COLUMNS,
+    **CRITICAL_COLUMNS,
     "attacker_visible": _flag(
         "a SUMO-driven target perceived the partner in the second before; empty for Python planners",
         nullable=True,
@@ -123,6 +157,7 @@ COLLISION_COLUMNS: Mapping[str, Column] = {
     "type": _text("as collision_type in the episodes; empty without the target or when initial"),
     "at_fault": _text("who caused it: target, other or unclear; empty as type"),
     "fault_reason": _text("the rule that says so, as a sentence"),
+    **VERDICT_COLUMNS,
     "attacker_visible": _flag("as in the episodes", nullable=True),
     "relative_speed_mps": _real("m/s", "length of the difference of the velocities"),
     "closing_speed_mps": _real("m/s", "relative speed along the contact normal"),
@@ -136,3 +171,6 @@ COLLISION_COLUMNS: Mapping[str, Column] = {
     "second_face": _text("what of the second box was hit"),
     "penetration_m": _real("m", "deepest overlap within the step of the contact"),
 }
+
+LATER_COLUMNS = frozenset(("route", *VERDICT_COLUMNS, *CRITICAL_COLUMNS))
+"""Columns that folders of earlier versions lack; ``advdiff-sumo verdict`` adds those of the verdict."""

@@ -11,10 +11,11 @@ from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.collision_type import CollisionType
-from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
+from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, VERDICT_COLUMNS
 from advdiff_sumo.metrics.fault import OFF_ROAD
 from advdiff_sumo.metrics.offroad import OffRoad
 from advdiff_sumo.metrics.summary import Criticality, EpisodeMetrics, Judged, judged, summarise
+from advdiff_sumo.metrics.verdict import Verdict, judge
 
 Value: TypeAlias = str | int | float | bool | None
 
@@ -37,8 +38,10 @@ def episode_row(
         "seed": record.seed,
         "end": str(record.end),
         "duration_s": max(0, tracks.steps - 1) * tracks.dt_s,
+        "route": " ".join(record.route) or None,
         "agents": int(tracks.valid.any(axis=1).sum()),
-        **_collision_values(record, m),
+        **_collision_values(record, road, m),
+        **critical_values(m),
         "initial_overlaps": sum(c.initial for c in m.found),
         "sumo_collisions": m.sumo.listed,
         "sumo_only": m.sumo.sumo_only,
@@ -75,22 +78,57 @@ def collision_rows(
     m = metrics if metrics is not None else summarise(record, road)
     rows = [_pair_row(record, road, m, c) for c in m.found]
     if m.left_road is not None:
-        rows.append(_off_road_row(record, m.left_road))
+        rows.append(_off_road_row(record, road, m.left_road))
     rows.sort(key=lambda row: float(row["time_s"] or 0.0))
     return [{name: row[name] for name in COLLISION_COLUMNS} for row in rows]
 
 
-def _collision_values(record: EpisodeRecord, m: EpisodeMetrics) -> dict[str, Value]:
+def _collision_values(record: EpisodeRecord, road: RoadMap, m: EpisodeMetrics) -> dict[str, Value]:
     row: dict[str, Value] = {}
     if m.struck is not None:
         row = _struck_values(record, m.struck)
     elif m.left_road is not None:
-        row = _off_road_row(record, m.left_road)
+        row = _off_road_row(record, road, m.left_road)
+    no_verdict = {**dict.fromkeys(VERDICT_COLUMNS), "valid_failure": False}
     names = {"time_s": "collision_time_s", "second": "collision_partner", "type": "collision_type"}
     names |= {"first_speed_mps": "target_speed_mps", "second_speed_mps": "partner_speed_mps"}
     same = ("at_fault", "fault_reason", "attacker_visible", "relative_speed_mps", "closing_speed_mps")
     names |= {name: name for name in (*same, "impact_x_m", "impact_y_m", "impact_ahead_m", "impact_left_m")}
-    return {"target_collision": m.target_collision, **{names[k]: row.get(k) for k in names}}
+    told = {name: row.get(name, no_verdict[name]) for name in VERDICT_COLUMNS}
+    return {"target_collision": m.target_collision, **{names[k]: row.get(k) for k in names}, **told}
+
+
+def critical_values(m: EpisodeMetrics) -> dict[str, Value]:
+    """Return the values of ``CRITICAL_COLUMNS``."""
+    missed = m.near_miss
+    if missed is None or not missed.critical:
+        return {"critical": False, "critical_brake_mps2": None, "resolved_by": None}
+    return {
+        "critical": True,
+        "critical_brake_mps2": missed.brake_mps2,
+        "resolved_by": str(missed.resolved_by),
+    }
+
+
+def verdict_values(verdict: Verdict) -> dict[str, Value]:
+    """Return the values of ``VERDICT_COLUMNS``."""
+    return {
+        "valid_failure": verdict.valid_failure,
+        "preventable": verdict.preventable,
+        "preventable_by": ", ".join(verdict.preventable_by),
+        "lawful": verdict.lawful,
+        "target_breaches": ", ".join(x.kind for x in verdict.target_breaches),
+        "other_breaches": ", ".join(x.kind for x in verdict.other_breaches),
+        "spare_m": _finite(verdict.spare_m),
+        "spare_s": _finite(verdict.spare_s),
+        "impact_left_mps": verdict.impact_left_mps,
+        "unavoidable": verdict.unavoidable,
+        "verdict": verdict.sentence,
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and np.isfinite(value) else None
 
 
 def _pair_row(record: EpisodeRecord, road: RoadMap, m: EpisodeMetrics, c: Collision) -> dict[str, Value]:
@@ -107,6 +145,7 @@ def _struck_values(record: EpisodeRecord, struck: Judged) -> dict[str, Value]:
         "at_fault": str(struck.fault.at_fault),
         "fault_reason": struck.fault.reason,
         "attacker_visible": struck.visible,
+        **verdict_values(struck.verdict),
     }
 
 
@@ -124,6 +163,7 @@ def _plain_values(record: EpisodeRecord, c: Collision) -> dict[str, Value]:
         "at_fault": None,
         "fault_reason": None,
         "attacker_visible": None,
+        **dict.fromkeys(VERDICT_COLUMNS),
         "relative_speed_mps": c.relative_speed_mps,
         "closing_speed_mps": c.closing_speed_mps,
         "first_speed_mps": float(speeds[0]),
@@ -138,7 +178,7 @@ def _plain_values(record: EpisodeRecord, c: Collision) -> dict[str, Value]:
     }
 
 
-def _off_road_row(record: EpisodeRecord, left: OffRoad) -> dict[str, Value]:
+def _off_road_row(record: EpisodeRecord, road: RoadMap, left: OffRoad) -> dict[str, Value]:
     undefined = ("second", "attacker_visible", "relative_speed_mps", "closing_speed_mps", "second_speed_mps")
     nowhere = ("impact_ahead_m", "impact_left_m", "first_face", "second_face", "penetration_m")
     return dict.fromkeys((*undefined, *nowhere)) | {
@@ -150,6 +190,7 @@ def _off_road_row(record: EpisodeRecord, left: OffRoad) -> dict[str, Value]:
         "type": str(CollisionType.OFF_ROAD),
         "at_fault": str(OFF_ROAD.at_fault),
         "fault_reason": OFF_ROAD.reason,
+        **verdict_values(judge(record, road, left)),
         "first_speed_mps": left.speed_mps,
         "impact_x_m": float(left.xy_m[0]),
         "impact_y_m": float(left.xy_m[1]),

@@ -16,12 +16,17 @@ def is_failure(row: Row) -> bool:
     return bool(row["end"] == "failed")
 
 
+def is_valid_failure(row: Row) -> bool:
+    """Return whether the episode ended in a collision that counts; False where it has no verdict yet."""
+    return bool(row["target_collision"]) and bool(row.get("valid_failure"))
+
+
 def worst_first(rows: Iterable[Row]) -> list[Row]:
     """Return the episodes by severity.
 
-    Collisions (those the target caused first, then by the speed at
-    which the boxes closed), failures, then the others from the
-    least time to collision to the largest, then by clearance.
+    Collisions (valid failures first, then those the target caused, then by the speed at which the boxes closed),
+    failures, then critical near misses by the braking they would have taken, then the others from the least time to
+    collision to the largest, then by clearance.
 
     Args:
         rows: of ``episodes.parquet``.
@@ -33,10 +38,19 @@ def severity(row: Row) -> tuple[float, ...]:
     """Return what :func:`worst_first` sorts by."""
     number = float(row["episode"])
     if row["target_collision"]:
-        return 0.0, _FAULT_ORDER.get(row["at_fault"], 3), -_known(row["closing_speed_mps"], 0.0), number
+        counts = 0.0 if is_valid_failure(row) else 1.0
+        return (
+            0.0,
+            counts,
+            _FAULT_ORDER.get(row["at_fault"], 3),
+            -_known(row["closing_speed_mps"], 0.0),
+            number,
+        )
     if is_failure(row):
         return 1.0, number
-    return 2.0, _known(row["min_ttc_s"]), _known(row["min_clearance_m"]), number
+    if row.get("critical"):
+        return 2.0, -_known(row["critical_brake_mps2"], 0.0), number
+    return 3.0, _known(row["min_ttc_s"]), _known(row["min_clearance_m"]), number
 
 
 def _known(value: float | None, otherwise: float = math.inf) -> float:

@@ -11,13 +11,13 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.background_metrics import SumoComparison, background_collisions, compare_with_sumo
 from advdiff_sumo.metrics.collision import Collision, collisions, find_touches, target_collision
-from advdiff_sumo.metrics.collision_type import CollisionType, collision_type
+from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.comfort import Comfort, comfort
 from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, Extreme, clearances, least, time_to_collision
-from advdiff_sumo.metrics.encounter import encounter
 from advdiff_sumo.metrics.encroachment import post_encroachment
-from advdiff_sumo.metrics.fault import Fault, fault_of
+from advdiff_sumo.metrics.fault import Fault
 from advdiff_sumo.metrics.following import following
+from advdiff_sumo.metrics.near_miss import NearMiss, near_miss
 from advdiff_sumo.metrics.offroad import (
     BackgroundOffRoad,
     OffRoad,
@@ -25,7 +25,7 @@ from advdiff_sumo.metrics.offroad import (
     target_leaves_road,
 )
 from advdiff_sumo.metrics.progress import Progress, progress
-from advdiff_sumo.metrics.traffic_view import TrafficView
+from advdiff_sumo.metrics.verdict import Verdict, judge
 from advdiff_sumo.metrics.visibility import attacker_visible
 
 
@@ -35,15 +35,23 @@ class Judged:
 
     Attributes:
         collision: the collision.
-        kind: what kind.
-        fault: who caused it.
+        verdict: what kind, who caused it, who broke which rule, and whether it counts.
         visible: whether a SUMO-driven target perceived the partner; None for Python planners.
     """
 
     collision: Collision
-    kind: CollisionType
-    fault: Fault
+    verdict: Verdict
     visible: bool | None
+
+    @property
+    def kind(self) -> CollisionType:
+        """What kind of collision it was."""
+        return self.verdict.kind
+
+    @property
+    def fault(self) -> Fault:
+        """Who caused it."""
+        return self.verdict.fault
 
 
 @dataclass(frozen=True)
@@ -73,6 +81,7 @@ class EpisodeMetrics:
         found: every collision of two agents, initial overlaps included.
         struck: the target's first collision with another agent, unless it left the road before.
         left_road: when the target left the road, unless it was hit before.
+        near_miss: how near it came in an episode without a collision of the target; None where it did not.
         sumo: SUMO's list against ours.
         criticality: how near it came.
         comfort: how the ride felt.
@@ -84,6 +93,7 @@ class EpisodeMetrics:
     found: tuple[Collision, ...]
     struck: Judged | None
     left_road: OffRoad | None
+    near_miss: NearMiss | None
     sumo: SumoComparison
     criticality: Criticality
     comfort: Comfort
@@ -108,12 +118,15 @@ def summarise(record: EpisodeRecord, road: RoadMap) -> EpisodeMetrics:
         else:
             struck = None
     before = _before(record, struck, left_road)
+    criticality = _criticality(record, road, before, struck)
+    collided = struck is not None or left_road is not None or record.failure is not None
     return EpisodeMetrics(
         found=tuple(found),
         struck=None if struck is None else judged(record, road, struck),
         left_road=left_road,
+        near_miss=None if collided else near_miss(record, road, criticality.ttc),
         sumo=compare_with_sumo(record, touches),
-        criticality=_criticality(record, road, before, struck),
+        criticality=criticality,
         comfort=comfort(before, record.target),
         progress=progress(record, road),
         background=tuple(background_collisions(record, found)),
@@ -129,11 +142,8 @@ def _before(record: EpisodeRecord, struck: Collision | None, left_road: OffRoad 
 
 
 def judged(record: EpisodeRecord, road: RoadMap, collision: Collision) -> Judged:
-    """Return a collision of the target with its kind, its cause and whether the target saw it come."""
-    view = TrafficView.of_record(record, road)
-    met = encounter(view, collision)
-    kind = collision_type(met)
-    return Judged(collision, kind, fault_of(view, met, kind), attacker_visible(record, collision))
+    """Return a collision of the target with its verdict and whether the target saw it come."""
+    return Judged(collision, judge(record, road, collision), attacker_visible(record, collision))
 
 
 def _criticality(

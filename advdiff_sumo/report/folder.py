@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
+from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, LATER_COLUMNS
 from advdiff_sumo.report.plans import PLAN_COLUMNS, Planned, plans_of
 from advdiff_sumo.report.states import EpisodeStates, states_of
 
@@ -171,12 +171,21 @@ def _settings(path: Path) -> Mapping[str, Any]:
 
 
 def _table(path: Path, columns: Iterable[str], welcome: Iterable[str] = ()) -> pa.Table:
-    """Return *columns* of a table, and those of *welcome* that it has."""
-    present = _require(path, columns)
+    """Return *columns* of a table, and those of *welcome* that it has.
+
+    What older versions did not write yet is empty.
+    """
+    wanted = list(columns)
+    present = _require(path, [name for name in wanted if name not in LATER_COLUMNS])
+    there = [name for name in wanted if name in present]
     try:
-        return pq.read_table(path, columns=[*columns, *(name for name in welcome if name in present)])
+        table = pq.read_table(path, columns=[*there, *(name for name in welcome if name in present)])
     except (OSError, pa.ArrowException) as error:
         raise FileError(path, f"is damaged ({_first_line(error)})", _REMEDY) from None
+    for name in wanted:
+        if name not in present:
+            table = table.append_column(name, pa.nulls(table.num_rows))
+    return table
 
 
 def _require(path: Path, columns: Iterable[str]) -> set[str]:

@@ -1,4 +1,4 @@
-"""``--fail-if "collision_rate > 0.05"``: comparisons of figures, and nothing else."""
+"""``--fail-if "valid_failure_rate > 0"``: comparisons of figures, and nothing else."""
 
 from __future__ import annotations
 
@@ -116,5 +116,5 @@ def _value(node: Any, figures: Mapping[str, float | None]) -> Any:
 
 def _refused(text: str, problem: str) -> ConfigError:
     return ConfigError(
-        f"--fail-if {text}: {problem}; write it like collision_rate > 0.05 and episodes >= 100"
+        f"--fail-if {text}: {problem}; write it like valid_failure_rate > 0 and episodes >= 100"
     )

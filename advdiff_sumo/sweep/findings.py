@@ -1,4 +1,4 @@
-"""Near-duplicates among collisions: a thousand hits become a dozen findings."""
+"""Near-duplicates among collisions: a thousand hits become a dozen findings, those that count first."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
-from advdiff_sumo.metrics.severity import worst_first
+from advdiff_sumo.metrics.severity import is_valid_failure, worst_first
 
 Row: TypeAlias = Mapping[str, Any]
 
@@ -33,6 +33,7 @@ class Finding:
         junction_type: where: SUMO's type of junction, or road.
         episodes: numbers of the episodes, worst first.
         worst: row of the worst of them, which stands for all.
+        valid: how many of them are valid failures.
         at_fault: how many by who caused it.
         targets: how many by target.
     """
@@ -41,12 +42,13 @@ class Finding:
     junction_type: str
     episodes: tuple[int, ...]
     worst: Row
+    valid: int
     at_fault: Mapping[str, int]
     targets: Mapping[str, int]
 
 
 def findings(episodes: Sequence[Row]) -> list[Finding]:
-    """Cluster the target's collisions by type, kind of junction and geometry; the largest finding first.
+    """Cluster the target's collisions by type, kind of junction and geometry; that of the most valid failures first.
 
     Complete linkage under the Chebyshev distance of impact point, approach and speeds, each over its tolerance:
     within a finding no two collisions differ by more than the tolerances.
@@ -58,7 +60,7 @@ def findings(episodes: Sequence[Row]) -> list[Finding]:
     for row in worst_first(row for row in episodes if row["target_collision"]):
         groups.setdefault((str(row["collision_type"]), str(row["junction_type"])), []).append(row)
     found = [_finding(kind, members) for kind in sorted(groups) for members in _clusters(groups[kind])]
-    return sorted(found, key=lambda f: (-len(f.episodes), f.type, f.junction_type, f.episodes[0]))
+    return sorted(found, key=lambda f: (-f.valid, -len(f.episodes), f.type, f.junction_type, f.episodes[0]))
 
 
 def _finding(kind: tuple[str, str], members: list[Row]) -> Finding:
@@ -66,6 +68,7 @@ def _finding(kind: tuple[str, str], members: list[Row]) -> Finding:
         *kind,
         episodes=tuple(int(row["episode"]) for row in members),
         worst=members[0],
+        valid=sum(map(is_valid_failure, members)),
         at_fault=dict(sorted(Counter(str(row["at_fault"]) for row in members).items())),
         targets=dict(sorted(Counter(str(row["target"]) for row in members).items())),
     )

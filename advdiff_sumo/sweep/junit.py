@@ -18,7 +18,9 @@ def junit_xml(
     timing: Mapping[int, float],
     condition: tuple[str, str | None] | None,
 ) -> bytes:
-    """Return one test case an episode: a collision is a failure, an episode that could not be finished an error.
+    """Return one test case an episode: a valid failure is one, an episode that could not be finished an error.
+
+    A collision that is not a valid failure passes, and is told in the case's output.
 
     Args:
         episodes: rows of ``episodes``.
@@ -63,7 +65,17 @@ def _case(suite: Element, row: Row, broken: Row | None, timing: Mapping[int, flo
         error.text = _clean(f"{broken['log_tail']}\n{broken['command']}")
     elif row["target_collision"]:
         said = f"{row['collision_type']} after {row['collision_time_s']:.1f} s, at fault: {row['at_fault']}"
-        SubElement(case, "failure", type=str(row["collision_type"]), message=_clean(said))
+        said = f"{said}. {row.get('verdict') or row['fault_reason'] or ''}".strip()
+        if fails(row):
+            SubElement(case, "failure", type=str(row["collision_type"]), message=_clean(said))
+        else:
+            SubElement(case, "system-out").text = _clean(said)
+
+
+def fails(row: Row) -> bool:
+    """Return whether a test fails by this episode: by the verdict, or by fault where it has none yet."""
+    valid = row.get("valid_failure")
+    return bool(valid) if valid is not None else row["at_fault"] == "target"
 
 
 def _count(suite: Element) -> None:

@@ -12,7 +12,7 @@ from scipy.stats import binomtest
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, did_you_mean
-from advdiff_sumo.metrics.severity import is_failure
+from advdiff_sumo.metrics.severity import is_failure, is_valid_failure
 from advdiff_sumo.sweep.summary_stats import Rate
 
 Row: TypeAlias = Mapping[str, Any]
@@ -21,6 +21,16 @@ _KIND = ("target", "target_options", "background", "background_options")
 _VALUES = ("min_ttc_s", "min_pet_s", "min_clearance_m", "max_drac_mps2", "brake_max_mps2", "route_progress_m")
 _RESAMPLES, _AT_ONCE = 10_000, 250
 _CONFIDENCE = 0.95
+
+
+#: What is compared, and the column without which it cannot be: folders of earlier versions have no verdicts.
+_HAPPENED: Mapping[str, tuple[Callable[[Row], bool], str]] = {
+    "valid failures": (is_valid_failure, "valid_failure"),
+    "critical near misses": (lambda row: bool(row.get("critical")), "critical"),
+    "collisions": (lambda row: bool(row["target_collision"]), "target_collision"),
+    "… target at fault": (lambda row: row["at_fault"] == "target", "target_collision"),
+    "route completed": (lambda row: bool(row["route_completed"]), "route_completed"),
+}
 
 
 @dataclass(frozen=True)
@@ -127,9 +137,9 @@ def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Compa
         scenes=draw.scenes,
         unpaired=len(first) + len(second) - 2 * len(pairs),
         rates={
-            "collisions": _rate(pairs, draw, lambda row: bool(row["target_collision"])),
-            "… target at fault": _rate(pairs, draw, lambda row: row["at_fault"] == "target"),
-            "route completed": _rate(pairs, draw, lambda row: bool(row["route_completed"])),
+            name: _rate(pairs, draw, happened)
+            for name, (happened, needed) in _HAPPENED.items()
+            if all(row.get(needed, "") is not None for pair in pairs for row in pair)
         },
         values=_values(pairs, draw),
     )

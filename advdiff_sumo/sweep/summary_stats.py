@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Any, TypeAlias
 
 from advdiff_sumo.metrics.intervals import wilson
-from advdiff_sumo.metrics.severity import is_failure
+from advdiff_sumo.metrics.severity import is_failure, is_valid_failure
 
 Row: TypeAlias = Mapping[str, Any]
 
-_RATES = {
+_RATES: Mapping[str, Callable[[Row], bool]] = {
+    "valid_failure_rate": is_valid_failure,
+    "critical_rate": lambda row: bool(row.get("critical")),
     "collision_rate": lambda row: bool(row["target_collision"]),
     "fault_rate": lambda row: row["at_fault"] == "target",
     "completion_rate": lambda row: bool(row["route_completed"]),
 }
 _MEDIANS = ("min_ttc_s", "min_pet_s", "min_clearance_m", "max_drac_mps2", "brake_max_mps2", "jerk_max_mps3")
+#: Rates over the episodes in which a column is known: folders of earlier versions have no verdicts.
+_NEEDS = {"valid_failure_rate": "valid_failure", "critical_rate": "critical"}
 #: Every name that a condition may use.
 FIGURE_NAMES = frozenset(
-    {"episodes", "finished", "collisions", "failures", "missing"}
+    {"episodes", "finished", "valid_failures", "collisions", "failures", "missing"}
     | {f"{rate}{end}" for rate in (*_RATES, "failure_rate") for end in ("", "_low", "_high")}
     | {f"median_{column}" for column in _MEDIANS}
 )
@@ -60,7 +64,7 @@ class Figures:
 
     Attributes:
         episodes: with a row, finished or not, and those that failed without one.
-        rates: by name; those of failures out of all episodes, the others out of the finished ones.
+        rates: by name; those of failures out of all episodes, the others out of the finished ones (with a verdict).
         medians: over the finished episodes in which the value is defined.
         missing: episodes that have not been run.
     """
@@ -75,7 +79,7 @@ class Figures:
         """Return the figures of rows of ``episodes`` and ``failures``."""
         finished = [row for row in episodes if not is_failure(row)]
         total = len(finished) + len(failures)
-        rates = {name: Rate.of(sum(map(test, finished)), len(finished)) for name, test in _RATES.items()}
+        rates = {name: _rate(finished, test, _NEEDS.get(name)) for name, test in _RATES.items()}
         rates["failure_rate"] = Rate.of(len(failures), total)
         values = {c: [row[c] for row in finished if row[c] is not None] for c in _MEDIANS}
         medians = {name: float(median(found)) if found else None for name, found in values.items()}
@@ -87,6 +91,7 @@ class Figures:
         named: dict[str, float | None] = {
             "episodes": self.episodes,
             "finished": collisions.total,
+            "valid_failures": self.rates["valid_failure_rate"].count,
             "collisions": collisions.count,
             "failures": failures.count,
             "missing": self.missing,
@@ -94,6 +99,11 @@ class Figures:
         for name, rate in self.rates.items():
             named |= {name: rate.share, f"{name}_low": rate.low, f"{name}_high": rate.high}
         return named | {f"median_{name}": value for name, value in self.medians.items()}
+
+
+def _rate(finished: Sequence[Row], test: Callable[[Row], bool], needed: str | None) -> Rate:
+    known = [row for row in finished if needed is None or row.get(needed) is not None]
+    return Rate.of(sum(map(test, known)), len(known))
 
 
 def by_kind(

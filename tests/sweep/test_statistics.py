@@ -30,6 +30,10 @@ def row(episode: int, **more: Any) -> dict[str, Any]:
         "number": episode,
         "end": "horizon",
         "target_collision": False,
+        "valid_failure": False,
+        "critical": False,
+        "fault_reason": None,
+        "verdict": None,
     }
     empty |= {"route_completed": False, "critical_speed_mps": 7.0, "junction_type": "road"}
     assert set(more) <= set(empty)
@@ -44,6 +48,7 @@ def hit(episode: int, ahead: float = 2.4, **more: Any) -> dict[str, Any]:
         "collision_type": "junction",
         "collision_time_s": 2.0,
         "at_fault": "other",
+        "fault_reason": "It ran a red light.",
         "impact_ahead_m": ahead,
         "impact_left_m": -0.5,
         "approach_ahead_m": 6.0,
@@ -213,21 +218,54 @@ def test_junit_tells_collisions_from_failures() -> None:
         "command": "c",
     }
     lost = {**failed, "episode": 3, "number": 3, "target": "ACC"}
-    rows = [hit(0), row(1), row(2, end="failed")]
+    rows = [hit(0, valid_failure=True, verdict="It could have stopped."), row(1), row(2, end="failed")]
+    rows += [hit(4), hit(5, valid_failure=None), hit(6, valid_failure=None, at_fault="target")]
     root = fromstring(
         junit_xml(rows, [failed, lost], {0: 1.5}, ("collision_rate > 0", "collision_rate = 0.5"))
     )
     assert {name: root.get(name) for name in ("tests", "failures", "errors")} == {
-        "tests": "5",
-        "failures": "2",
+        "tests": "8",
+        "failures": "3",  # a valid failure, one at fault without a verdict, and the condition
         "errors": "2",
     }
-    cases = root.findall(".//testcase")
-    assert [len(case) for case in cases] == [1, 0, 1, 1, 1]
+    cases = {str(case.get("name")): case for case in root.findall(".//testcase")}
+    kinds = {name.split(" (")[0]: [part.tag for part in case] for name, case in cases.items()}
+    assert kinds == {
+        "scene 0": ["failure"],
+        "scene 1": [],
+        "scene 2": ["error"],
+        "scene 3": ["error"],
+        "scene 4": ["system-out"],
+        "scene 5": ["system-out"],
+        "scene 6": ["failure"],
+        "collision_rate > 0": ["failure"],
+    }
+    cases = list(cases.values())
+    assert cases[0][0].get("message") == "junction after 2.0 s, at fault: other. It could have stopped."
     assert cases[0].get("time") == "1.500"
     error = cases[2].find("error")
     assert error is not None
     assert (error.get("message"), error.get("type"), error.text) == ("not?finished", "timeout", "<x>\nc")
+
+
+def test_valid_failures_are_undefined_without_verdicts() -> None:
+    judged = Figures.of([hit(0, valid_failure=True), hit(1), row(2), row(3, critical=True)], []).named()
+    assert (judged["valid_failures"], judged["valid_failure_rate"], judged["critical_rate"]) == (
+        1,
+        0.25,
+        0.25,
+    )
+    older = Figures.of([hit(0, valid_failure=None, critical=None)], []).named()
+    assert (older["valid_failure_rate"], older["collision_rate"]) == (None, 1.0)
+    found = compare([hit(0, valid_failure=True)], [hit(0, target="ACC")])
+    assert found.rates["valid failures"].only_a == 1
+    assert "valid failures" not in compare([hit(0, valid_failure=None)], [hit(0, target="ACC")]).rates
+
+
+def test_findings_with_valid_failures_come_first() -> None:
+    many = [hit(k, ahead=0.0) for k in range(3)]
+    found = findings([*many, hit(9, ahead=30.0, valid_failure=True)])
+    assert [(f.valid, len(f.episodes)) for f in found] == [(1, 1), (0, 3)]
 
 
 def test_every_column_of_an_episode_is_in_the_sweeps_table() -> None:

@@ -1,0 +1,192 @@
+"""Whether a collision of the target is a failure that counts.
+
+A collision that no driver could have avoided, or that another broke the rules to cause, says nothing about the
+tested planner. :func:`judge` says of a collision which rules either side broke, whether a careful and competent
+driver in the target's place would have avoided it, and what follows. The terms stand in ``docs/verdict.md``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from advdiff_sumo.core.boxes import corners, separation
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.breaches import Breach, breaches_of
+from advdiff_sumo.metrics.collision import Collision
+from advdiff_sumo.metrics.collision_type import CollisionType, collision_type
+from advdiff_sumo.metrics.encounter import Encounter, encounter
+from advdiff_sumo.metrics.fault import OFF_ROAD, AtFault, Fault, fault_of
+from advdiff_sumo.metrics.offroad import OffRoad
+from advdiff_sumo.metrics.reference import MODELS, ReferenceDrive, drive_all
+from advdiff_sumo.metrics.traffic_view import TrafficView
+from advdiff_sumo.metrics.verdict_sentence import off_road_sentence, sentence_of
+
+#: The legal yardstick among the reference drivers: "preventable" alone means by this one.
+YARDSTICK = "CC_human_driver"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a collision of the target comes to.
+
+    Attributes:
+        kind: kind of collision.
+        fault: who caused it, by rule.
+        target_breaches: rules that the target broke and that led to it.
+        other_breaches: the same of the other party.
+        lawful: the other broke none; None where the target left the road.
+        preventable: a careful and competent driver (``YARDSTICK``) would not have collided; None where no reference
+            driver could be put in the target's place.
+        preventable_by: the reference drivers that would not have.
+        spare_m: by how much that driver clears the other party; None where it does not.
+        spare_s: the least time in which it would have met anybody had all gone on as they did; None as before.
+        impact_left_mps: closing speed at which that driver still collides; None where it does not.
+        valid_failure: the other is lawful and it was preventable, or the target is at fault by rule.
+        unavoidable: no reference driver avoids it, nor a drive of the clairvoyant search where that was made; None
+            where neither could be asked.
+        not_judged: what could not be judged, and why.
+        sentence: all of it, for people.
+        drives: the drive of each reference driver, by model.
+    """
+
+    kind: CollisionType
+    fault: Fault
+    target_breaches: tuple[Breach, ...]
+    other_breaches: tuple[Breach, ...]
+    lawful: bool | None
+    preventable: bool | None
+    preventable_by: tuple[str, ...]
+    spare_m: float | None
+    spare_s: float | None
+    impact_left_mps: float | None
+    valid_failure: bool
+    unavoidable: bool | None
+    not_judged: tuple[str, ...]
+    sentence: str
+    drives: Mapping[str, ReferenceDrive] = field(default_factory=dict)
+
+
+def judge(
+    record: EpisodeRecord, road: RoadMap, collision: Collision | OffRoad, solvable: bool | None = None
+) -> Verdict:
+    """Return the verdict of a collision of the target. A pure function of its arguments.
+
+    The others are taken to move as recorded, whatever the reference driver does. Whoever the driver leaves behind
+    runs into its rear at times for that reason; such a contact is not held against it.
+
+    >>> hit = target_collision(record, collisions(record))
+    >>> verdict = judge(record, road, hit)
+    >>> verdict.valid_failure, verdict.preventable_by, verdict.sentence
+
+    Args:
+        record: the episode. What it does not hold cannot be judged: without ``signals`` no red light, without
+            ``route`` the way of the reference driver is guessed from the lanes.
+        road: its map.
+        collision: the target's collision with another (of :func:`~advdiff_sumo.metrics.collision.collisions`, the
+            target being the first of its rows), or its leaving the road.
+        solvable: whether the clairvoyant search (``experiments.solution.solve``) found a drive that avoids it;
+            None where it was not asked.
+    """
+    if isinstance(collision, OffRoad):
+        return _off_road()
+    view = TrafficView.of_record(record, road)
+    met = encounter(view, collision)
+    kind = collision_type(met)
+    fault = fault_of(view, met, kind)
+    target, other = (breaches_of(view, met, which) for which in (0, 1))
+    drives = drive_all(record, road, collision) if collision.step > 0 else {}
+    preventable_by = tuple(
+        name for name in MODELS if name in drives and avoids(record, collision, drives[name])
+    )
+    preventable = None if not drives else YARDSTICK in preventable_by
+    valid = fault.at_fault is AtFault.TARGET or (not other and bool(preventable))
+    not_judged = _not_judged(view, met, bool(drives))
+    clear = drives[YARDSTICK] if preventable else None
+    return Verdict(
+        kind=kind,
+        fault=fault,
+        target_breaches=target,
+        other_breaches=other,
+        lawful=not other,
+        preventable=preventable,
+        preventable_by=preventable_by,
+        spare_m=None if clear is None else clear.spare_m,
+        spare_s=None if clear is None else clear.spare_s,
+        impact_left_mps=drives[YARDSTICK].impact_mps if preventable is False else None,
+        valid_failure=valid,
+        unavoidable=_unavoidable(bool(drives), preventable_by, solvable),
+        not_judged=not_judged,
+        sentence=sentence_of(met, (target, other), fault, drives.get(YARDSTICK), preventable_by, not_judged),
+        drives=drives,
+    )
+
+
+def avoids(record: EpisodeRecord, collision: Collision, drive: ReferenceDrive) -> bool:
+    """Return whether *drive* does not collide; being run into from behind by a third does not count."""
+    if drive.contact_step is None:
+        return True
+    partner = collision.rows[1]
+    if drive.contact_with == record.tracks.ids[partner] or not _struck_from_behind(record, drive):
+        return False
+    tracks, states = record.tracks, drive.states
+    span = slice(drive.takeover_step, min(drive.takeover_step + len(states.speed_mps), tracks.steps))
+    length = span.stop - span.start
+    own_size = np.broadcast_to(tracks.size_m[record.target], (length, 2))
+    size = np.broadcast_to(tracks.size_m[partner], (length, 2))
+    own = corners(states.xy_m[:length], states.yaw_rad[:length], own_size)
+    gap = separation(own, corners(tracks.xy_m[partner, span], tracks.yaw_rad[partner, span], size))
+    return not bool((gap < 0.0).any())  # NaN, where the other is gone, compares as False
+
+
+def _struck_from_behind(record: EpisodeRecord, drive: ReferenceDrive) -> bool:
+    """Return whether the other of the drive's first contact is behind its rear then, in the record."""
+    step, tracks = drive.contact_step, record.tracks
+    if step is None or step >= tracks.steps:
+        return False
+    at, row = step - drive.takeover_step, tracks.index[drive.contact_with or ""]
+    yaw = float(drive.states.yaw_rad[at])
+    ahead = (tracks.xy_m[row, step] - drive.states.xy_m[at]) @ np.array((np.cos(yaw), np.sin(yaw)))
+    return bool(ahead < -0.5 * tracks.size_m[record.target, 0])
+
+
+def _unavoidable(driven: bool, preventable_by: tuple[str, ...], solvable: bool | None) -> bool | None:
+    if preventable_by or solvable:
+        return False
+    return True if driven else (None if solvable is None else not solvable)
+
+
+def _not_judged(view: TrafficView, met: Encounter, driven: bool) -> tuple[str, ...]:
+    links = [party.link for party in met.parties]
+    missing = []
+    if not view.signals and any(link is not None and link.tls_id is not None for link in links):
+        missing.append("red lights (no signals recorded)")
+    if met.crossing and None in links:
+        missing.append("right of way (no connection over the junction fits)")
+    if met.collision.rows[0] not in view.routes:
+        missing.append("the target's way beyond the contact (no route recorded)")
+    if not driven:
+        missing.append("whether it was preventable (contact at the first instant)")
+    return tuple(missing)
+
+
+def _off_road() -> Verdict:
+    return Verdict(
+        kind=CollisionType.OFF_ROAD,
+        fault=OFF_ROAD,
+        target_breaches=(),
+        other_breaches=(),
+        lawful=None,
+        preventable=None,
+        preventable_by=(),
+        spare_m=None,
+        spare_s=None,
+        impact_left_mps=None,
+        valid_failure=True,
+        unavoidable=None,
+        not_judged=(),
+        sentence=off_road_sentence(),
+    )

@@ -1,0 +1,104 @@
+"""Verdicts of encounters worked by hand on the crossing of ``encounters.crossing``; cars are 4 x 2 m."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.collision import collisions, target_collision
+from advdiff_sumo.metrics.offroad import target_leaves_road
+from advdiff_sumo.metrics.verdict import Verdict, judge
+from tests.metrics.encounters import braking, driven, record_of, signals_of, straight
+
+NORTH = math.pi / 2
+
+
+def verdict(record, road: RoadMap, solvable: bool | None = None) -> Verdict:
+    """Return the verdict of the target's first collision."""
+    hit = target_collision(record, collisions(record))
+    assert hit is not None, "the record was meant to hold a collision"
+    return judge(record, road, hit, solvable)
+
+
+def test_running_into_a_stopping_leader_is_a_valid_failure(road) -> None:
+    # 30 m behind at 12 m/s a leader brakes with 3 m/s²: it needs 24 m, the careful driver 9 + 9.5 m
+    ego = straight("ego", (-150, -1.6), 0, 12, steps=81)
+    lead = driven("lead", (-116, -1.6), 0, braking(12, 0.5, 3.0, 81))
+    result = verdict(record_of(ego, lead), road)
+    assert result.valid_failure
+    assert result.lawful
+    assert result.preventable
+    assert set(result.preventable_by) >= {"CC_human_driver", "RSS", "FSM"}
+    assert not result.unavoidable
+    assert result.spare_m is not None
+    assert result.spare_m > 1.0
+    assert result.impact_left_mps is None
+    assert "'lead' broke no rule" in result.sentence
+    assert "the target ran into the rear of 'lead'" in result.sentence
+
+
+def test_a_cut_in_at_a_third_of_a_second_is_unavoidable(road) -> None:
+    # a car 1 m ahead at 3 m/s, 0.6 m over the line at once and wholly inside within a second
+    ego = straight("ego", (-150, -4.8), 0, 13, steps=41)
+    cutter = driven("cutter", (-142, -1.6), 0, np.full(41, 3.0), left=np.maximum(-3.2, -0.8 * np.arange(41)))
+    result = verdict(record_of(ego, cutter), road)
+    assert not result.valid_failure
+    assert not result.lawful
+    assert result.preventable is False
+    assert result.preventable_by == ()
+    assert result.unavoidable
+    assert result.impact_left_mps is not None
+    assert result.impact_left_mps > 1.0
+    assert result.spare_m is None
+    assert result.sentence.startswith("Even a careful and competent driver")
+    # a search that found a drive has the last word
+    assert verdict(record_of(ego, cutter), road, solvable=True).unavoidable is False
+
+
+def test_rear_ended_while_standing(road) -> None:
+    still, fast = straight("still", (-80, -1.6), 0, 0), straight("fast", (-110, -1.6), 0, 12)
+    result = verdict(record_of(still, fast), road)
+    assert not result.valid_failure
+    assert [str(x.kind) for x in result.other_breaches] == ["ran_into"]
+    assert result.target_breaches == ()
+    assert "'fast' ran into 'still', which stood" in result.sentence
+
+
+def test_red_light_runner_seen_from_both_sides(light_road) -> None:
+    east, north = straight("east", (-30, -1.6), 0, 10), straight("north", (1.6, -31), NORTH, 10)
+    lights = signals_of(light_road, {("WC_1", "CE_1"): "G", ("SC_0", "CN_0"): "r"}, 41)
+    result = verdict(record_of(east, north, signals=lights), light_road)
+    assert not result.valid_failure
+    assert "'north' entered the junction on red" in result.sentence
+    mirrored = verdict(record_of(north, east, route=("SC", "CN"), signals=lights), light_road)
+    assert mirrored.valid_failure
+    assert mirrored.lawful
+    assert [str(x.kind) for x in mirrored.target_breaches] == ["red_light"]
+
+
+def test_what_the_record_lacks_is_named(light_road) -> None:
+    east, north = straight("east", (-30, -1.6), 0, 10), straight("north", (1.6, -31), NORTH, 10)
+    result = verdict(record_of(east, north, route=()), light_road)
+    assert result.not_judged[0] == "red lights (no signals recorded)"
+    assert any("no route recorded" in x for x in result.not_judged)
+    assert "Not judged: red lights" in result.sentence
+
+
+def test_leaving_the_road_is_a_valid_failure(road) -> None:
+    record = record_of(straight("ego", (-150, -4.8), 0, 10, drift=-1.0))
+    left = target_leaves_road(record, road)
+    assert left is not None
+    result = judge(record, road, left)
+    assert result.valid_failure
+    assert result.lawful is None
+    assert result.preventable is None
+
+
+@pytest.mark.parametrize("solvable", [None, False, True])
+def test_preventable_is_never_unavoidable(road, solvable) -> None:
+    ego = straight("ego", (-150, -1.6), 0, 12, steps=81)
+    lead = driven("lead", (-116, -1.6), 0, braking(12, 0.5, 3.0, 81))
+    assert verdict(record_of(ego, lead), road, solvable).unavoidable is False

@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test readers check docs bench clean
+.PHONY: setup demo test readers check docs proto bench clean
 
 setup: .venv/.ready
 
@@ -37,6 +37,10 @@ check: setup
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo build/site/index.html
+
+# the compiled description of the planners' protocol; a test holds it to planner.proto
+proto: setup
+	cd advdiff_sumo/planner_kit && ../../$(BIN)/python -m grpc_tools.protoc -I . --descriptor_set_out=planner.binpb planner.proto
 
 bench: setup
 	$(BIN)/python tools/bench.py

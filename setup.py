@@ -6,7 +6,13 @@ setup(
     packages=[*find_packages(include=["advdiff_sumo", "advdiff_sumo.*"]), "advdiff_sumo.networks"],
     package_dir={"advdiff_sumo.networks": "networks"},
     package_data={
-        "advdiff_sumo": ["py.typed", "report/assets/*", "weights/*", "experiments/bench/*.json"],
+        "advdiff_sumo": [
+            "py.typed",
+            "report/assets/*",
+            "weights/*",
+            "experiments/bench/*.json",
+            "planner_kit/planner.*",
+        ],
         "advdiff_sumo.networks": ["*.net.xml", "*.poly.xml"],
     },
 )

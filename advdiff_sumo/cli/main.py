@@ -19,6 +19,7 @@ from advdiff_sumo.cli.doctor import doctor
 from advdiff_sumo.cli.evaluate import evaluate
 from advdiff_sumo.cli.export import export
 from advdiff_sumo.cli.figure import figure
+from advdiff_sumo.cli.planner_kit import planner_kit
 from advdiff_sumo.cli.replay import replay
 from advdiff_sumo.cli.report import report
 from advdiff_sumo.cli.results import results
@@ -56,6 +57,7 @@ app.command("evaluate")(evaluate)
 app.command("warmup")(warmup)
 app.command("export")(export)
 app.command("check-planner")(check_planner)
+app.command("planner-kit")(planner_kit)
 app.command("doctor")(doctor)
 
 

@@ -16,6 +16,8 @@ AdvdiffError
 └── EpisodeFailure        one episode could not be finished; the run goes on
     ├── PlanRefusedError  a plan holds NaN, a jump or another physical impossibility
     ├── PlannerError      the planner or policy raised
+    ├── PlannerTimeoutError  a planner in a process of its own did not answer in time
+    ├── PlannerCrashedError  a planner's own process ended, or cannot be reached
     ├── OutOfMemoryFailure  the planner or policy asked for more memory than a worker may have
     └── SimulationError   SUMO refused or stopped
 """
@@ -110,6 +112,18 @@ class PlannerError(EpisodeFailure):
     """The planner or policy raised an exception."""
 
     kind = "planner_error"
+
+
+class PlannerTimeoutError(EpisodeFailure):
+    """A planner in a process of its own did not answer within its deadline."""
+
+    kind = "planner_timeout"
+
+
+class PlannerCrashedError(EpisodeFailure):
+    """A planner's own process ended, could not be started, or cannot be reached."""
+
+    kind = "planner_crashed"
 
 
 class OutOfMemoryFailure(EpisodeFailure):

@@ -30,6 +30,23 @@ class Planner(Protocol):
         ...
 
 
+@runtime_checkable
+class Served(Protocol):
+    """What a planner may have beside the two methods where something outside this process stands behind it."""
+
+    def check(self) -> None:
+        """Look whether it can be used, before anything is run; raises InputError where not."""
+        ...
+
+    def end(self, memory: Any, end: str, time_s: float, failure: str) -> None:
+        """Take note that an episode is over: how it ended, when, and why where it failed."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what it holds; a later ``start`` gets it anew."""
+        ...
+
+
 @dataclass(frozen=True)
 class SumoDriver:
     """A target that SUMO's own models drive; our code only looks.

@@ -8,6 +8,7 @@ from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, did_you_mean
 from advdiff_sumo.planners.planner_protocol import Planner, SumoDriver, Target
+from advdiff_sumo.planners.remote.remote_name import is_remote
 from advdiff_sumo.planners.sumo_models import CAR_FOLLOWING, sumo_driver
 from advdiff_sumo.plugins import Registry
 
@@ -29,13 +30,18 @@ def make_target(name: str, options: Mapping[str, Any]) -> Target:
     """Return the target that *name* stands for, set up with *options*.
 
     Args:
-        name: a built-in or plug-in (case, hyphen and underscore do not matter), or ``package.module:Class``.
+        name: a built-in or plug-in (case, hyphen and underscore do not matter), ``package.module:Class``,
+            ``grpc://HOST:PORT`` or ``exec:COMMAND``.
         options: see ``docs/planners.md``; keyword arguments of the class for plug-ins.
 
     Raises:
         UnknownNameError: no such target; with the nearest name.
         ConfigError: an option has no such name or value, or the class cannot be imported or is no planner.
     """
+    if is_remote(name):
+        from advdiff_sumo.planners.remote.remote_planner import remote_planner  # late: gRPC takes a while
+
+        return remote_planner(name, options)
     canonical = TARGETS.canonical(name)
     if canonical in CAR_FOLLOWING:
         return sumo_driver(canonical, options)

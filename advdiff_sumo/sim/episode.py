@@ -118,6 +118,7 @@ class Episode:
                     Failure(error.kind, str(error), loop.time_s, _trace(error)),
                 )
             record = loop.record(end, failure)
+            loop.leave(record)
         self.heartbeat.note(Phase.OTHER)
         timing = Timing(time.perf_counter() - begun, *loop.planning_s())
         return record, timing

@@ -308,6 +308,12 @@ class Loop:
             else None,
         )
 
+    def leave(self, record: EpisodeRecord) -> None:
+        """Let the target's planner know that the episode is over."""
+        drive, failure = getattr(self, "drive", None), record.failure
+        if drive is not None:
+            drive.end(str(record.end), self.time_s, failure.message if failure is not None else "")
+
     def planning_s(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return the wall-clock of every plan of target and policy."""
         drive = getattr(self, "drive", None)

@@ -22,7 +22,7 @@ from advdiff_sumo.data.log_reader import LogReader
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net, net_name
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
-from advdiff_sumo.planners.planner_protocol import SumoDriver, Target
+from advdiff_sumo.planners.planner_protocol import Served, SumoDriver, Target
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
 from advdiff_sumo.sim.demand_files import DemandFiles, read_demand
 from advdiff_sumo.sim.episode import Episode
@@ -160,6 +160,8 @@ class Run:
                     tell(self._one(number, scene, folder))
             finished = True
         finally:
+            if isinstance(self.target, Served):
+                self.target.close()
             numbers = folder.done()
             if numbers:
                 folder.consolidate(finished)
@@ -221,10 +223,12 @@ def check_together(options: RunOptions, target: Target) -> None:
     """Check what each option alone does not show.
 
     Raises:
-        ConfigError: two options contradict each other.
+        ConfigError: two options contradict each other, or a remote target does not answer.
     """
     if isinstance(target, SumoDriver):
         lane_change_model(target, options.sim)
+    if isinstance(target, Served):
+        target.check()
     if options.demand and options.scenes:
         raise ConfigError("demand and scenes cannot go together: a log brings its own traffic")
 

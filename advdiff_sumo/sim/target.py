@@ -15,7 +15,7 @@ from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.tracking import State, drive_plan
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.planner_protocol import Planner
+from advdiff_sumo.planners.planner_protocol import Planner, Served
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
 from advdiff_sumo.sim.natural import remaining_route
@@ -42,6 +42,9 @@ class SumoDrive:
 
     def replan(self, scene: Scene, steps: int) -> None:
         """SUMO plans by itself."""
+
+    def end(self, end: str, time_s: float, failure: str) -> None:
+        """SUMO forgets by itself."""
 
     def move(self, k: int) -> None:
         """SUMO moves it."""
@@ -118,6 +121,11 @@ class PlannerDrive:
         self._memory = made[1]
         check_plan(plan, self.world.xy_m[self.row], self.sim.model_step_s, f"target '{self.name}'")
         return plan
+
+    def end(self, end: str, time_s: float, failure: str) -> None:
+        """Tell a planner outside this process that the episode is over."""
+        if isinstance(self.planner, Served) and self._memory is not None:
+            self.planner.end(self._memory, end, time_s, failure)
 
     def move(self, k: int) -> None:
         """Put the target where its plan has it after substep *k*."""

@@ -14,11 +14,11 @@ from typing import Any, Protocol, Self
 
 from pebble import ProcessExpired, ProcessPool
 
+from advdiff_sumo.core.process_end import how_it_ended
 from advdiff_sumo.sweep.tasks import Limits, Outcome, Task
 from advdiff_sumo.sweep.work import perform
 from advdiff_sumo.sweep.worker_sandbox import (
     RECYCLED,
-    how_it_ended,
     lost,
     prepare_worker,
     run_sandboxed,

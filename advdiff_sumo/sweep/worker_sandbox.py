@@ -94,16 +94,6 @@ def tail_of(log: Path) -> str:
     return text[-_TAIL:].strip()
 
 
-def how_it_ended(exit_code: int) -> str:
-    """Return what an exit code says, as the end of a sentence."""
-    if exit_code >= 0:
-        return f"ended with exit code {exit_code}"
-    try:
-        return f"was ended by {signal.Signals(-exit_code).name}"
-    except ValueError:
-        return f"was ended by signal {-exit_code}"
-
-
 def _follow_parent() -> None:
     parent = parent_process()
     if parent is not None:

@@ -1,0 +1,27 @@
+"""``advdiff-sumo planner-kit``: what a planner in an environment of its own needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+
+def planner_kit(
+    folder: Annotated[Path, typer.Argument(help="New folder, which pip install takes.")],
+) -> None:
+    """Write the Python kit that serves a planner, and the protocol for other languages, into a folder.
+
+    advdiff-sumo planner-kit kit, then in the planner's environment: pip install ./kit
+    """
+    from advdiff_sumo.planners.remote.write_kit import write_kit  # late: --help needs none of it
+
+    written = write_kit(folder)
+    proto = next(path for path in written if path.suffix == ".proto")
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(
+        f"{folder}: {len(written)} files; in the planner's environment: pip install {folder}", markup=False
+    )
+    console.print(f"other languages: {proto}", markup=False)

@@ -1,0 +1,15 @@
+"""What the exit code of a process says."""
+
+from __future__ import annotations
+
+import signal
+
+
+def how_it_ended(exit_code: int) -> str:
+    """Return what an exit code says, as the end of a sentence."""
+    if exit_code >= 0:
+        return f"ended with exit code {exit_code}"
+    try:
+        return f"was ended by {signal.Signals(-exit_code).name}"
+    except ValueError:
+        return f"was ended by signal {-exit_code}"

@@ -1,0 +1,16 @@
+"""Serves a Python planner to advdiff-sumo from an environment that has only grpcio, protobuf and NumPy.
+
+::
+
+    from advdiff_sumo.planner_kit import serve
+    serve(MyPlanner)
+
+Nothing here imports more of the package than ``core.arrays``, ``core.plan`` and ``core.scene``.
+"""
+
+from advdiff_sumo.core.plan import Controls, Trajectory
+from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.planner_kit.kit_road import KitRoad
+from advdiff_sumo.planner_kit.planner_server import serve
+
+__all__ = ["Controls", "KitRoad", "Scene", "Tracks", "Trajectory", "serve"]

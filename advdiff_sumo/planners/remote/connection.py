@@ -1,0 +1,89 @@
+"""Calls of a planner's server; each has a deadline, and whatever goes wrong is a typed failure."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # its core writes to standard error; read when it is imported
+
+import grpc
+
+from advdiff_sumo.core.errors import (
+    EpisodeFailure,
+    OutOfMemoryFailure,
+    PlannerCrashedError,
+    PlannerError,
+    PlannerTimeoutError,
+    PlanRefusedError,
+)
+from advdiff_sumo.planner_kit import messages
+from advdiff_sumo.planner_kit.planner_server import TRACE_KEY
+
+_RECONNECT = (
+    ("grpc.initial_reconnect_backoff_ms", 50),
+    ("grpc.min_reconnect_backoff_ms", 50),
+    ("grpc.max_reconnect_backoff_ms", 500),
+)
+
+
+class PlannerSideError(Exception):
+    """Where the planner raised, as its own Python tells it."""
+
+
+class Connection:
+    """One channel to one server.
+
+    Attributes:
+        who: name for messages.
+    """
+
+    def __init__(self, address: str, who: str) -> None:
+        """Nothing is sent before the first call."""
+        self.who = who
+        self._channel = grpc.insecure_channel(address, options=(*messages.CHANNEL_OPTIONS, *_RECONNECT))
+        self._calls = {
+            name: self._channel.unary_unary(
+                f"/{messages.SERVICE}/{name}",
+                request_serializer=asked.SerializeToString,
+                response_deserializer=answer.FromString,
+            )
+            for name, (asked, answer) in messages.CALLS.items()
+        }
+
+    def call(self, name: str, request: Any, timeout_s: float, wait: bool = False) -> Any:
+        """Return the server's answer.
+
+        Args:
+            name: of the call.
+            request: its message.
+            timeout_s: deadline.
+            wait: try until then to reach a server that is not there yet.
+
+        Raises:
+            EpisodeFailure: one of its kinds.
+        """
+        try:
+            return self._calls[name](request, timeout=timeout_s, wait_for_ready=wait)
+        except grpc.RpcError as error:
+            failure = self._failure(name, error, timeout_s)
+            trace = dict(error.trailing_metadata() or ()).get(TRACE_KEY, b"")
+            raise failure from (PlannerSideError(trace.decode(errors="replace")) if trace else None)
+
+    def _failure(self, name: str, error: Any, timeout_s: float) -> EpisodeFailure:
+        code, said = error.code(), " ".join((error.details() or "").split())
+        if code is grpc.StatusCode.DEADLINE_EXCEEDED:
+            return PlannerTimeoutError(f"{self.who} did not answer {name} within {timeout_s:g} s")
+        if code is grpc.StatusCode.RESOURCE_EXHAUSTED:
+            return OutOfMemoryFailure(f"{self.who} ran out of memory: {said}")
+        if code is grpc.StatusCode.INVALID_ARGUMENT:
+            return PlanRefusedError(f"{self.who}: {said}")
+        if code in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.CANCELLED):
+            return PlannerCrashedError(f"{self.who}: no server answered {name}")
+        if code is grpc.StatusCode.INTERNAL:
+            return PlannerError(f"{self.who} raised {said}")
+        return PlannerError(f"{self.who} refused {name}: {code.name} {said}")
+
+    def close(self) -> None:
+        """Close the channel."""
+        self._channel.close()

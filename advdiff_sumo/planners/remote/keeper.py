@@ -1,0 +1,88 @@
+"""Runs a command for as long as its own standard input is open, then ends it and every process that it started.
+
+Started as a script, in an interpreter without any package: the process that holds the other end of the pipe may die in
+any way, and nothing of the command stays behind. The last line on standard output is the command's exit code, negative
+for a signal.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+_PR_SET_CHILD_SUBREAPER = 36
+_GRACE_S, _POLL_S = 0.5, 0.01
+
+
+def main() -> None:
+    """Run ``sys.argv[1:]``."""
+    adopt_orphans()
+    try:
+        with subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL, stdout=sys.stderr) as command:
+            _wait(command)
+            end_descendants()
+            code = command.wait()
+    except OSError as error:
+        sys.stderr.write(f"{sys.argv[1]}: {error.strerror}\n")
+        code = 127
+    sys.stdout.write(f"{code}\n")
+
+
+def _wait(command: subprocess.Popen[bytes]) -> None:
+    """Return when *command* ends, or when nobody holds the other end of standard input any more."""
+    ended = os.pidfd_open(command.pid)
+    poll = select.poll()
+    poll.register(ended, select.POLLIN)
+    poll.register(0, select.POLLIN | select.POLLHUP)
+    poll.poll()
+    os.close(ended)
+
+
+def adopt_orphans() -> None:
+    """Become the parent of every descendant whose own parent ends; Linux alone can do that."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def end_descendants() -> None:
+    """Ask all processes below this one to end, and kill what is still there half a second later."""
+    asked_at = time.monotonic()
+    word = signal.SIGTERM
+    asked: set[int] = set()
+    while children := _children():
+        if word is signal.SIGTERM and time.monotonic() - asked_at > _GRACE_S:
+            word, asked = signal.SIGKILL, set()
+        for pid in children:
+            if pid not in asked:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, word)
+                asked.add(pid)
+        time.sleep(_POLL_S)
+
+
+def _children() -> list[int]:
+    """Return the children that have not ended; what a child leaves behind becomes one itself."""
+    own = str(os.getpid())
+    found = (_state_and_parent(folder) for folder in Path("/proc").glob("[0-9]*"))
+    return [pid for pid, state, parent in found if parent == own and state != "Z"]
+
+
+def _state_and_parent(folder: Path) -> tuple[int, str, str]:
+    """Return a process's number, state and parent; an ended one has state Z."""
+    try:
+        stat = (folder / "stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return int(folder.name), "Z", ""
+    state, parent = stat.rpartition(")")[2].split()[:2]
+    return int(folder.name), state, parent
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+"""A planner's server that we start ourselves, and that never outlives us."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import weakref
+from pathlib import Path
+
+from advdiff_sumo.core.errors import ConfigError, PlannerCrashedError, PlannerTimeoutError
+from advdiff_sumo.core.process_end import how_it_ended
+from advdiff_sumo.planner_kit.planner_server import ADDRESS_VARIABLE
+from advdiff_sumo.planners.remote import keeper
+
+_POLL_S, _END_S = 0.01, 5.0
+_TAIL_BYTES, _LOG_BYTES = 4000, 1 << 20
+#: What a command may hold in place of the environment variable.
+ADDRESS_FIELD = "{address}"
+
+
+class PlannerProcess:
+    """One running server; :meth:`end` it, or let it go: its keeper ends it when this process ends in any way.
+
+    Attributes:
+        address: where it is to answer.
+    """
+
+    def __init__(self, command: str, who: str) -> None:
+        """Start *command*.
+
+        Raises:
+            ConfigError: it cannot be split into words.
+        """
+        self.who = who
+        self._folder = Path(tempfile.mkdtemp(prefix="advdiff-planner-"))
+        self._socket, self._log = self._folder / "socket", self._folder / "log"
+        self.address = f"unix:{self._socket}"
+        words = [word.replace(ADDRESS_FIELD, self.address) for word in split_command(command)]
+        with self._log.open("ab") as log:
+            self._keeper = subprocess.Popen(
+                [sys.executable, "-I", "-S", keeper.__file__, *words],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                env={**os.environ, ADDRESS_VARIABLE: self.address},
+                start_new_session=True,  # Ctrl-C is for us alone
+            )
+        self._finish = weakref.finalize(self, _end, self._keeper, self._folder)
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait until something listens at the address.
+
+        Raises:
+            PlannerCrashedError: the command ended before.
+            PlannerTimeoutError: it took too long.
+        """
+        until = time.monotonic() + timeout_s
+        while not self._socket.exists():
+            if self._keeper.poll() is not None:
+                raise PlannerCrashedError(f"{self.who}: its command {self.ended()}{self._last_line()}")
+            if time.monotonic() > until:
+                raise PlannerTimeoutError(f"{self.who}: its command opened no server within {timeout_s:g} s")
+            time.sleep(_POLL_S)
+
+    def ended(self) -> str:
+        """Return how the command ended, as the end of a sentence; "" where it has not within a second."""
+        try:
+            said, _ = self._keeper.communicate(timeout=1.0)
+        except (subprocess.TimeoutExpired, ValueError):
+            return ""
+        lines = said.decode().split()
+        return how_it_ended(int(lines[-1])) if lines else "was lost"
+
+    def said(self) -> str:
+        """Return the end of what it wrote to its standard output and error."""
+        with contextlib.suppress(OSError):
+            return self._log.read_bytes()[-_TAIL_BYTES:].decode(errors="replace").strip()
+        return ""
+
+    def trim_log(self) -> None:
+        """Start its log anew once it is long."""
+        with contextlib.suppress(OSError):
+            if self._log.stat().st_size > _LOG_BYTES:
+                os.truncate(self._log, 0)
+
+    def end(self) -> None:
+        """End it and all that it started."""
+        self._finish()
+
+    def _last_line(self) -> str:
+        lines = self.said().splitlines()
+        return f", saying: {lines[-1].strip()[:300]}" if lines else ""
+
+
+def split_command(command: str) -> list[str]:
+    """Return the words of *command*, as a shell would split them.
+
+    Raises:
+        ConfigError: a quotation mark is open, or there is no word.
+    """
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise ConfigError(f"target 'exec:{command}': {error}; close the quotation marks") from None
+    if not words:
+        raise ConfigError("target 'exec:' names no command; write it like \"exec:python my_server.py\"")
+    return words
+
+
+def _end(process: subprocess.Popen[bytes], folder: Path) -> None:
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            stream.close()
+    try:
+        process.wait(_END_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,195 @@
+"""A planner's server in a process of its own: what it plans, and what becomes of each fault."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.errors import (
+    ConfigError,
+    EpisodeFailure,
+    OutOfMemoryFailure,
+    PlannerCrashedError,
+    PlannerError,
+    PlannerTimeoutError,
+    PlanRefusedError,
+)
+from advdiff_sumo.core.plan import Controls
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
+from advdiff_sumo.planners.planner_check import same_plan
+from advdiff_sumo.planners.planner_registry import make_target
+from advdiff_sumo.planners.remote.remote_planner import RemotePlanner
+from advdiff_sumo.planners.remote.write_kit import write_kit
+
+Made = Callable[..., RemotePlanner]
+#: Lets a server import what the kit may need, and nothing else.
+ONLY_THE_KIT = """
+import sys
+
+ALLOWED = {"advdiff_sumo", "faulty_server", "google", "grpc", "numpy", "typing_extensions"} | sys.stdlib_module_names
+
+
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] not in ALLOWED:
+            raise ModuleNotFoundError(f"{name} is not part of the kit's environment")
+
+
+sys.meta_path.insert(0, Refuse())
+from advdiff_sumo import planner_kit
+from faulty_server import Faulty
+
+assert planner_kit.__file__.startswith(sys.argv[1]), planner_kit.__file__
+planner_kit.serve(Faulty)
+"""
+
+
+def plans(planner: RemotePlanner, road: RoadMap, scene: Scene, count: int = 2) -> list[float]:
+    """Return the first acceleration of *count* plans of one episode."""
+    rng = np.random.default_rng(5)
+    memory = planner.start(road, scene, rng)
+    found = []
+    for _ in range(count):
+        plan, memory = planner.plan(road, scene, memory, rng)
+        assert isinstance(plan, Controls)
+        found.append(float(plan.accel_mps2[0]))
+    return found
+
+
+def test_the_same_seed_gives_the_same_plans(served: Made, road: RoadMap, scene: Scene) -> None:
+    planner = served()
+    drawn = np.random.default_rng(int(np.random.default_rng(5).integers(2**63)))
+    known = 0.001 * len(road.lanes)
+    assert plans(planner, road, scene) == [drawn.normal() + known + 0.1, drawn.normal() + known + 0.2]
+    assert plans(planner, road, scene) == plans(served(), road, scene)
+
+
+def test_our_own_planner_plans_the_same_in_a_process_of_its_own(road: RoadMap, scene: Scene) -> None:
+    words = "advdiff_sumo.planners.lane_graph:LaneGraphPlanner --read-road advdiff_sumo.maps:RoadMap.read"
+    remote = make_target(f"exec:{sys.executable} -m advdiff_sumo.planner_kit {words}", {})
+    assert isinstance(remote, RemotePlanner)
+    made = []
+    for planner in (LaneGraphPlanner(), remote):
+        rng = np.random.default_rng(1)
+        made.append(planner.plan(road, scene, planner.start(road, scene, rng), rng)[0])
+    remote.close()
+    assert same_plan(*made)
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "words", "trace"),
+    [
+        ("raises", PlannerError, "raised RuntimeError: out of ideas", "in raises"),
+        ("returns", PlanRefusedError, "plan\\(\\) returned dict", ""),
+        ("eats", OutOfMemoryFailure, "ran out of memory: out of memory too much", "in eats"),
+        ("segfaults", PlannerCrashedError, "its server was ended by SIGSEGV", ""),
+        ("exits", PlannerCrashedError, "its server ended with exit code 3", ""),
+        ("hangs", PlannerTimeoutError, "did not answer MakePlan within 1.5 s", "thinking"),
+    ],
+)
+def test_each_fault_is_a_typed_failure_and_the_next_episode_begins(
+    served: Made, road: RoadMap, scene: Scene, fault: str, kind: type[EpisodeFailure], words: str, trace: str
+) -> None:
+    planner = served(fault, **({"plan_timeout_s": 1.5} if fault == "hangs" else {}))
+    for _ in range(2):
+        with pytest.raises(kind, match=words) as caught:
+            plans(planner, road, scene)
+        assert trace in str(caught.value.__cause__)
+    if fault != "returns":
+        assert np.isfinite(plans(planner, road, scene, count=1)).all()
+
+
+def test_a_plan_that_is_not_a_number_is_left_to_the_simulation(
+    served: Made, road: RoadMap, scene: Scene
+) -> None:
+    planner = served("nan")
+    rng = np.random.default_rng(0)
+    memory = planner.start(road, scene, rng)
+    planner.plan(road, scene, memory, rng)
+    plan, _ = planner.plan(road, scene, memory, rng)
+    assert isinstance(plan, Controls)
+    assert np.isnan(plan.accel_mps2[3])
+
+
+def test_no_process_stays_behind(served: Made, road: RoadMap, scene: Scene) -> None:
+    planner = served("child")
+    planner.start(road, scene, np.random.default_rng(0))
+    while not running("left-behind"):  # between fork and exec it has its parent's name
+        time.sleep(0.01)
+    planner.close()
+    assert not running("left-behind", "faulty_server")
+
+
+def running(*words: str) -> list[str]:
+    """Return the command lines of this machine's processes that hold one of *words*."""
+    lines = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            lines.append(path.read_bytes().replace(b"\0", b" ").decode(errors="replace"))
+    return [line for line in lines if any(word in line for word in words)]
+
+
+def test_the_kit_needs_grpcio_protobuf_and_numpy_alone(
+    faulty: Path, road: RoadMap, scene: Scene, tmp_path: Path
+) -> None:
+    kit = tmp_path / "kit"
+    write_kit(kit)
+    shutil.copy(faulty, kit)
+    (kit / "main.py").write_text(ONLY_THE_KIT)
+    planner = make_target(f"exec:env PYTHONPATH={kit} {sys.executable} {kit}/main.py {kit}", {})
+    assert isinstance(planner, RemotePlanner)
+    assert len(plans(planner, road, scene)) == 2
+    planner.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("grpc://here", {}, "write it like grpc://localhost:50051"),
+        ("exec:", {}, "names no command"),
+        ("exec:python 'x", {}, "close the quotation marks"),
+        ("grpc://localhost:1", {"plan_timeout": 1.0}, "did you mean 'plan_timeout_s'"),
+    ],
+)
+def test_a_name_that_cannot_be_meant(name: str, options: dict[str, float], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        make_target(name, options)
+
+
+def test_where_nobody_answers_is_said_before_anything_is_run() -> None:
+    planner = make_target("grpc://localhost:1", {})
+    assert isinstance(planner, RemotePlanner)
+    with pytest.raises(ConfigError, match=r"no server answered Describe; start it first"):
+        planner.check()
+    planner = make_target("exec:false", {})
+    assert isinstance(planner, RemotePlanner)
+    with pytest.raises(ConfigError, match="its command ended with exit code 1; correct the command"):
+        planner.check()
+
+
+def test_a_server_that_somebody_else_starts(
+    faulty: Path, road: RoadMap, scene: Scene, tmp_path: Path
+) -> None:
+    address = f"unix:{tmp_path}/socket"
+    command = [sys.executable, "-m", "advdiff_sumo.planner_kit", "faulty_server:Faulty", "--address", address]
+    planner = make_target(f"grpc://{address}", {})
+    assert isinstance(planner, RemotePlanner)
+    with subprocess.Popen(command, cwd=faulty.parent) as server:
+        assert len(plans(planner, road, scene)) == 2  # waits until it is there
+        planner.check()
+        assert server.poll() is None
+        memory = planner.start(road, scene, np.random.default_rng(0))
+        server.kill()
+    with pytest.raises(PlannerCrashedError, match="no server answered MakePlan"):
+        planner.plan(road, scene, memory, np.random.default_rng(0))
+    planner.close()

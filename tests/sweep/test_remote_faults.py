@@ -1,0 +1,74 @@
+"""A sweep whose target, in processes of its own, crashes, hangs, exits and plans NaN now and then."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+
+from advdiff_sumo.sweep.consolidate import read_rows
+from advdiff_sumo.sweep.executors import ProcessExecutor
+from advdiff_sumo.sweep.job_plan import plan_sweep
+from advdiff_sumo.sweep.spec import SweepSpec
+from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.tasks import Limits
+from tests.planners.remote.test_remote_planner import running
+from tests.sweep.conftest import values
+
+SERVER = '''
+"""Coasts; in every plan it draws whether it crashes, hangs, exits, or plans NaN."""
+import ctypes
+import sys
+import time
+
+import numpy as np
+
+from advdiff_sumo.planner_kit import Controls, serve
+
+CRASHES, HANGS, NANS, EXITS = map(float, sys.argv[1:5])
+
+
+class Draws:
+    def start(self, road, scene, rng):
+        return None
+
+    def plan(self, road, scene, memory, rng):
+        draw, accel = rng.random(), np.zeros(10)
+        if draw < CRASHES:
+            ctypes.string_at(0)
+        elif draw < CRASHES + HANGS:
+            time.sleep(600)
+        elif draw < CRASHES + HANGS + EXITS:
+            sys.exit(4)
+        elif draw < CRASHES + HANGS + EXITS + NANS:
+            accel[2] = np.nan
+        return Controls(accel, np.zeros(10), 0.1), memory
+
+
+serve(Draws)
+'''
+KINDS = {"planner_crashed", "planner_timeout", "plan_refused"}
+
+
+def test_every_episode_has_its_row_and_no_process_stays(place: Path, tmp_path: Path, limits: Limits) -> None:
+    server = tmp_path / "draws_server.py"
+    server.write_text(SERVER)
+    target = {
+        "name": f"exec:{sys.executable} {server} 0.08 0.08 0.08 0.08",
+        "options": {"plan_timeout_s": 4.0},
+    }
+    grid = {"nets": [str(place / "small.net.xml")], "targets": [target], "backgrounds": ["sumo"]}
+    plan = plan_sweep(SweepSpec.of(values(place, grid=grid, episodes=12), "test"))
+    store = open_store(tmp_path / "s", plan, 1, resume=False)
+    assert run_sweep(plan, store, Todo.of(plan, store), ProcessExecutor(1, limits), 0, lambda *_: None) == 0
+    rows = pq.read_table(store.path / "episodes.parquet").to_pylist()
+    assert len(rows) == 12
+    kinds = [row["failure_kind"] for row in rows if row["end"] == "failed"]
+    assert set(kinds) == KINDS
+    assert any(row["end"] != "failed" for row in rows)
+    messages = {row["message"] for row in read_rows(store.path, "failures")}
+    for words in ("was ended by SIGSEGV", "ended with exit code 4", "did not answer MakePlan within 4 s"):
+        assert any(words in message for message in messages), words
+    while running("draws_server.py"):  # a worker's keeper ends it when the worker has gone
+        pass

@@ -39,7 +39,7 @@ class NoPlanner:
 def here(monkeypatch: pytest.MonkeyPatch) -> str:
     """Return this module under a name that can be imported."""
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
-    return "test_registry"
+    return "test_planner_registry"
 
 
 @pytest.mark.parametrize("name", CAR_FOLLOWING)

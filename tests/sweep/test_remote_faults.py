@@ -55,8 +55,8 @@ def test_every_episode_has_its_row_and_no_process_stays(place: Path, tmp_path: P
     server = tmp_path / "draws_server.py"
     server.write_text(SERVER)
     target = {
-        "name": f"exec:{sys.executable} {server} 0.08 0.08 0.08 0.08",
-        "options": {"plan_timeout_s": 4.0},
+        "name": f"exec:{sys.executable} {server} 0.05 0.05 0.04 0.04",
+        "options": {"plan_timeout_s": 3.0},
     }
     grid = {"nets": [str(place / "small.net.xml")], "targets": [target], "backgrounds": ["sumo"]}
     plan = plan_sweep(SweepSpec.of(values(place, grid=grid, episodes=12), "test"))
@@ -68,7 +68,7 @@ def test_every_episode_has_its_row_and_no_process_stays(place: Path, tmp_path: P
     assert set(kinds) == KINDS
     assert any(row["end"] != "failed" for row in rows)
     messages = {row["message"] for row in read_rows(store.path, "failures")}
-    for words in ("was ended by SIGSEGV", "ended with exit code 4", "did not answer MakePlan within 4 s"):
+    for words in ("was ended by SIGSEGV", "ended with exit code 4", "did not answer MakePlan within 3 s"):
         assert any(words in message for message in messages), words
     while running("draws_server.py"):  # a worker's keeper ends it when the worker has gone
         pass

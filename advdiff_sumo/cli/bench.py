@@ -16,6 +16,7 @@ from rich.progress import Progress, TaskID
 
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
     from advdiff_sumo.experiments.bench.bench_config import BenchName
@@ -26,7 +27,6 @@ bench = typer.Typer(
     help="The paper's tables out of our own runs: paired by seed scene, with intervals, beside the paper's figures.",
     no_args_is_help=True,
 )
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _FOLDER = Path("runs")
 
 Out = Annotated[
@@ -169,8 +169,7 @@ def _bench(
     name: BenchName, out: Path | None, workers: int | None, timeout_s: float, given: dict[str, Any]
 ) -> None:
     """Run a bench, or print it where it is finished."""
-    for variable in _ONE_THREAD:  # before numpy comes; sums of several threads differ in their last digits
-        os.environ[variable] = "1"
+    one_thread_for_good()
     from advdiff_sumo.experiments.bench.bench_config import Folder, open_folder, request_of
     from advdiff_sumo.experiments.bench.print_table import print_table  # late: --help needs no simulator
     from advdiff_sumo.experiments.bench.runner import DEFAULTS, check_request, run_bench

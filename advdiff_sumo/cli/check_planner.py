@@ -10,6 +10,7 @@ from rich.text import Text
 
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.config import set_dotted
+from advdiff_sumo.core.threads import one_thread_for_good
 
 FAILS = 1
 
@@ -35,6 +36,7 @@ def check_planner(
 
     Exit code 0: it may be tested; 1: a check fails; 2: there is no such planner, or it cannot be made.
     """
+    one_thread_for_good()
     from advdiff_sumo.experiments.planner_check import Extent, check_target  # late: --help needs none of it
 
     options: dict[str, Any] = {}

@@ -11,6 +11,7 @@ import typer
 
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.threads import one_thread_for_good
 
 _RUNS = Path("runs")
 _DIFFERS = 1
@@ -35,17 +36,14 @@ def replay(
     Says whether the result is that of the sweep; exit code 1 where it is not. A planner that hangs or crashes does
     so here, too, in this process, where a debugger reaches it.
     """
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # as in a sweep
-        os.environ[name] = "1"
+    one_thread_for_good()
     from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row  # late: --help is quick
     from advdiff_sumo.report import write_report
     from advdiff_sumo.sim.run_store import RunFolder
     from advdiff_sumo.sweep.repeat import repeat, settings_for, sweep_with
-    from advdiff_sumo.sweep.work import one_thread
 
     if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
-    one_thread()
     store, plan, job = sweep_with(key, sweep, _RUNS)
     path = out or _free(job.key)
     done = repeat(store, plan, job, gui)

@@ -16,6 +16,7 @@ from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.config import read_toml, set_dotted
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
     from advdiff_sumo.sim.run_episodes import Run, RunOptions
@@ -56,6 +57,7 @@ def run(
     The folder of results holds run.toml (repeats the run: advdiff-sumo run --config run.toml),
     episodes.parquet, collisions.parquet, states.parquet, timing.parquet and report.html.
     """
+    one_thread_for_good()
     from advdiff_sumo.cli.check_exports import print_check  # late: --help needs neither SUMO nor plots
     from advdiff_sumo.cli.summary import print_summary
     from advdiff_sumo.sim.run_episodes import Run

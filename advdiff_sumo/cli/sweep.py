@@ -17,6 +17,7 @@ from rich.console import Console
 
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
     from advdiff_sumo.sweep.executors import Executor
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from advdiff_sumo.sweep.tasks import Failed, Limits
 
 _RUNS = Path("runs")
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class ExecutorName(StrEnum):
@@ -86,8 +86,7 @@ def sweep(
     A worker that crashes, hangs or eats memory loses one episode, which is recorded as failed. Ctrl-C, a kill or
     a power cut lose the episodes in flight: advdiff-sumo sweep --resume DIR runs what is missing.
     """
-    for name in _ONE_THREAD:  # before numpy comes; sums of several threads differ in their last digits
-        os.environ[name] = "1"
+    one_thread_for_good()
     from advdiff_sumo.cli.sweep_results import conclude, condition_of  # late: --help needs no simulator
     from advdiff_sumo.sweep.job_plan import plan_sweep
     from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep

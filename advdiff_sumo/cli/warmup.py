@@ -11,6 +11,7 @@ import typer
 from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.threads import one_thread_for_good
 
 
 def warmup(
@@ -34,6 +35,7 @@ def warmup(
 
     Then: advdiff-sumo run --target lane_graph --background diffusion --reward q.safetensors
     """
+    one_thread_for_good()
     from advdiff_sumo.cli.run import progress_bar  # late: --help needs neither SUMO nor PyTorch
     from advdiff_sumo.experiments.warmup_run import description, warm_up
     from advdiff_sumo.models.reward_file import save_reward

@@ -18,6 +18,7 @@ from advdiff_sumo.config import Options
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.boxes import corners, separation
 from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.experiments.solution_check import Surroundings, drive, surroundings, usable
 from advdiff_sumo.experiments.solution_search import search
 from advdiff_sumo.maps import RoadMap
@@ -40,7 +41,6 @@ class SolveOptions(Options):
         seed: of the draws.
         weights: a bundle of networks; empty: the shipped one.
         device: as of the background policies.
-        threads: of PyTorch on the CPU, for the whole process.
     """
 
     draws: int = Field(6, ge=1, le=256)
@@ -48,7 +48,6 @@ class SolveOptions(Options):
     seed: int = Field(0, ge=0)
     weights: str = ""
     device: str = "auto"
-    threads: int = Field(1, ge=1, le=64)
 
 
 @dataclass(frozen=True)
@@ -75,6 +74,7 @@ class Solution:
     free: int
 
 
+@one_thread()
 def solve(episode: EpisodeStates, road: RoadMap, options: SolveOptions | None = None) -> Solution:
     """Return whether the target of *episode*, which ended in a collision, could have driven otherwise.
 
@@ -100,7 +100,7 @@ def solve(episode: EpisodeStates, road: RoadMap, options: SolveOptions | None = 
     steps = min(int(np.ceil(needed / MODEL_STEP_S - 1e-9)), FUTURE_STEPS)
     around = surroundings(tracks, episode.target, begin, steps * stride)
     view = look(road, _scene(tracks, episode.target, begin, stride))
-    given = RivalOptions(weights=options.weights, device=options.device, threads=options.threads)
+    given = RivalOptions(weights=options.weights, device=options.device)
     found = search(
         prior_of(given, "the solution stage"),
         view,

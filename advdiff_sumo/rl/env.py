@@ -14,6 +14,7 @@ from advdiff_sumo.core.errors import EpisodeFailure
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.record import EndReason
 from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.rl.adversary_reward import Half, mean_accel, reward_terms
 from advdiff_sumo.rl.rl_options import adversary_options
@@ -90,6 +91,7 @@ class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
 
+    @one_thread()
     def __init__(self, **options: Any) -> None:
         self.options = adversary_options(options)
         self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (FEATURES,), np.float32)
@@ -101,6 +103,7 @@ class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._loop: Loop | None = None
         self._accel_mps2, self._paid, self._done = 0.0, 0.0, 0
 
+    @one_thread()
     def reset(
         self,
         *,
@@ -136,6 +139,7 @@ class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             else:
                 return loop
 
+    @one_thread()
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Let half a second pass.
 

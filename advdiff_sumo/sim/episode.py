@@ -15,6 +15,7 @@ import numpy as np
 from advdiff_sumo.core.errors import EpisodeFailure
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, Failure
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.sim.episode_loop import Loop
@@ -92,8 +93,9 @@ class Episode:
     gui: bool = field(default=False)
     heartbeat: Heartbeat = field(default_factory=Heartbeat)
 
+    @one_thread()
     def run(self, ended: Ended | None = None) -> tuple[EpisodeRecord, Timing]:
-        """Run it; a failure of SUMO, planner or policy is part of the record, not an exception.
+        """Run it on one thread; a failure of SUMO, planner or policy is part of the record, not an exception.
 
         Args:
             ended: how it ended before, in a process that died of it: it runs no further than it came then.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import sys
 import time
 import traceback
 from collections.abc import Mapping
@@ -17,6 +16,7 @@ import pyarrow as pa
 
 from advdiff_sumo.core.errors import AdvdiffError, NetError, SceneError
 from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.columns import Column
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
@@ -43,7 +43,8 @@ NO_ROOM = "no_room"
 
 def perform(task: Task) -> Outcome:
     """Do *task*; whatever goes wrong short of the process's death comes back as a failure."""
-    one_thread()
+    one_thread_for_good()
+    pa.set_cpu_count(1)
     begun = time.perf_counter()
     try:
         product = _scenes(task) if isinstance(task, SceneTask) else (_episode(task),)
@@ -141,13 +142,6 @@ def _target(name: str, plain: _Plain) -> Target:
 @lru_cache(maxsize=8)
 def _policy(name: str, plain: _Plain) -> TrafficPolicy:
     return policy_of(plain.options.model_copy(update={"background": name, "background_options": plain.own}))
-
-
-def one_thread() -> None:
-    """Let torch and Arrow compute on one thread: sums of several threads differ in their last digits."""
-    pa.set_cpu_count(1)
-    if "torch" in sys.modules:
-        sys.modules["torch"].set_num_threads(1)
 
 
 def rss_mb() -> float:

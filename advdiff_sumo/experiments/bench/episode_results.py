@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -11,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
+from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.traces import UNTRACED, Trace, trace_of
@@ -18,7 +18,6 @@ from advdiff_sumo.metrics.severity import is_failure
 from advdiff_sumo.sweep.job_plan import Job
 from advdiff_sumo.sweep.sweep_files import read_checked, write_checked
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.work import one_thread
 
 _Key = TypeVar("_Key")
 
@@ -115,11 +114,7 @@ def in_processes(
 
 def _quiet_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
-    os.environ["OMP_NUM_THREADS"] = "1"
-    import torch  # late: only here is it known that a worker is wanted
-
-    torch.set_num_threads(1)
-    one_thread()
+    one_thread_for_good()
 
 
 def _take(found: Gathered, cell: BenchCell, job: Job, store: Store, trace: Trace | None) -> None:

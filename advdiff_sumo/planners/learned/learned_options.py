@@ -13,7 +13,6 @@ class LearnedOptions(Options):
     Attributes:
         weights: a file of networks; empty: the shipped ones.
         device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
-        threads: of PyTorch on the CPU, for the whole process; results differ in the last digits with their number.
         agents: road users that the networks see, the nearest ones.
         route: whether the model's speeds are also tried along the route's lanes; without it the target drives
             where the model would go, which knows no route.
@@ -22,7 +21,6 @@ class LearnedOptions(Options):
 
     weights: str = ""
     device: str = "auto"
-    threads: int = Field(1, ge=1, le=64)
     agents: int = Field(16, ge=2, le=64)
     route: bool = True
     brakes: bool = True

@@ -20,6 +20,7 @@ from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.plan import Plan, Trajectory
 from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.core.tracking import track
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
@@ -70,6 +71,7 @@ class LearnedPlanner(ABC):
     name: ClassVar[str]
     options: LearnedOptions
 
+    @one_thread()
     def __init__(self, **options: Any) -> None:
         """Check the options and read the networks.
 
@@ -80,7 +82,6 @@ class LearnedPlanner(ABC):
         whose = f"target '{self.name}'"
         self.options = self.Options.parse(options, f"options of {whose}")
         device = device_of(self.options.device, whose)
-        torch.set_num_threads(self.options.threads)
         self.model = self._model(device)
 
     @abstractmethod
@@ -93,6 +94,7 @@ class LearnedPlanner(ABC):
         _ = road.pieces
         return Memory(LaneMemory(Geometry.of(road)))
 
+    @one_thread()
     def plan(
         self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
     ) -> tuple[Plan, Memory]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 
 from advdiff_sumo.core.errors import WeightsError
+from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.shipped_weights import device_of, shipped_weights
@@ -31,15 +32,15 @@ class Prior:
     device: torch.device
 
 
+@one_thread()
 def prior_of(options: RivalOptions, whose: str) -> Prior:
-    """Return the networks that *options* name, and give PyTorch its threads; read once a process.
+    """Return the networks that *options* name; read once a process.
 
     Raises:
         WeightsError: the file is missing, damaged, or holds no latent model.
         ConfigError: no such device.
     """
     device = device_of(options.device, whose)
-    torch.set_num_threads(options.threads)
     return _prior(options.weights or str(shipped_weights()), device)
 
 

@@ -21,7 +21,6 @@ class RivalOptions(Options):
         replan: model steps of 0.5 s of a plan that are driven before the next one.
         weights: a bundle of networks; empty: the shipped one.
         device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
-        threads: of PyTorch on the CPU, for the whole process.
     """
 
     rounds: int = Field(20, ge=0, le=1000)
@@ -31,7 +30,6 @@ class RivalOptions(Options):
     replan: int = Field(1, ge=1, le=12)
     weights: str = ""
     device: str = "auto"
-    threads: int = Field(1, ge=1, le=64)
 
 
 class StriveOptions(RivalOptions):

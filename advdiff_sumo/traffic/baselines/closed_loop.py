@@ -14,6 +14,7 @@ from torch import Tensor
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
 from advdiff_sumo.models.view import View, look
@@ -119,6 +120,7 @@ class Rival(ABC):
         own = np.random.default_rng(int(rng.integers(2**62)))
         return Memory(surrogate=self.surrogate.start(road, scene, own))
 
+    @one_thread()
     def plan(
         self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
     ) -> tuple[JointPlan, Memory]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 
 from advdiff_sumo.core.errors import ConfigError, WeightsError
+from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
 from advdiff_sumo.diffusion.fast_encoder import FastEncoder
@@ -54,15 +55,15 @@ class Networks:
         return replace(self, bundle=replace(self.bundle, reward=reward), reward=RewardWeights(reward))
 
 
+@one_thread()
 def networks_of(options: DiffusionOptions) -> Networks:
-    """Return the networks that *options* name, and give PyTorch its threads; read once a process.
+    """Return the networks that *options* name; read once a process.
 
     Raises:
         WeightsError: a file is missing, damaged, or holds networks that this policy cannot use.
         ConfigError: no such device, or more steps than the networks were trained with.
     """
     device = device_of(options.device, "background 'diffusion'")
-    torch.set_num_threads(options.threads)
     made = _networks(str(options.path), options.reward, device, options.steps, options.family, options.eta)
     if options.guided and not isinstance(made.codec, LatentCodec):
         raise WeightsError(

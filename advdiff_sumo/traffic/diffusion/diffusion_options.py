@@ -31,7 +31,6 @@ class DiffusionOptions(Options):
         weights: a bundle of networks; empty: the shipped one.
         reward: a reward model of ``advdiff-sumo warmup`` in place of the bundle's; empty: none.
         device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
-        threads: of PyTorch on the CPU, for the whole process; results differ in the last digits with their number.
     """
 
     shipped: ClassVar[Literal["traffic", "traj2traj"]] = "traffic"
@@ -48,7 +47,6 @@ class DiffusionOptions(Options):
     weights: str = ""
     reward: str = ""
     device: str = "auto"
-    threads: int = Field(1, ge=1, le=64)
 
     @property
     def guided(self) -> bool:

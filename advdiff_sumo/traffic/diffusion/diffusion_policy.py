@@ -12,6 +12,7 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.view import View, look
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks, networks_of
@@ -77,6 +78,7 @@ class DiffusionTraffic:
         _ = road.pieces
         return Memory()
 
+    @one_thread()
     def plan(
         self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
     ) -> tuple[JointPlan, Memory]:

@@ -15,11 +15,9 @@ class AdvRlOptions(Options):
         prior_weights: networks of the behaviour model, of the kind that the actor names; empty: the shipped ones.
         strength: share of the actor's deviation from the behaviour model that is driven; 0 is the behaviour model.
         attackers: most vehicles that the actor drives at a time; it was trained as one.
-        threads: of PyTorch on the CPU, for the whole process.
     """
 
     weights: str = ""
     prior_weights: str = ""
     strength: float = Field(1.0, ge=0.0, le=1.0)
     attackers: int = Field(2, ge=1, le=8)
-    threads: int = Field(1, ge=1, le=64)

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-import torch
 
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.traffic.rl.actor import Actor, load_actor
 from advdiff_sumo.traffic.rl.adv_rl_options import AdvRlOptions
@@ -45,6 +45,7 @@ class AdvRl:
 
     Options: ClassVar[type[AdvRlOptions]] = AdvRlOptions
 
+    @one_thread()
     def __init__(self, **options: Any) -> None:
         """Check the options and read the networks.
 
@@ -53,7 +54,6 @@ class AdvRl:
             WeightsError: the actor or the behaviour model is missing or unusable.
         """
         self.options = AdvRlOptions.parse(options, "options of background 'adv-rl'")
-        torch.set_num_threads(self.options.threads)
         path = Path(self.options.weights) if self.options.weights else shipped_actor()
         self.actor: Actor = load_actor(path)
         self.prior: Prior = load_prior(self.actor.prior, self.options.prior_weights)
@@ -63,6 +63,7 @@ class AdvRl:
         _ = road.pieces
         return Memory()
 
+    @one_thread()
     def plan(
         self,
         road: RoadMap,

@@ -8,6 +8,7 @@ from typing import Literal, Protocol, TypeAlias
 
 import torch
 
+from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import load_bundle
@@ -65,6 +66,7 @@ class TrafficPrior:
 
 
 @lru_cache(maxsize=4)
+@one_thread()
 def load_prior(name: PriorName, weights: str = "") -> Prior:
     """Return the behaviour model of that kind, from the file *weights* or the shipped ones; read once a process.
 

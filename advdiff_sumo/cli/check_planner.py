@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from advdiff_sumo.cli.run_flags import Defect
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.threads import one_thread_for_good
@@ -25,6 +26,7 @@ def check_planner(
     assign: Annotated[
         list[str] | None, typer.Option("--set", help="An option of the planner, as NAME=VALUE.")
     ] = None,
+    defect: Defect = None,
     episodes: Annotated[int, typer.Option(min=1, help="Drives in SUMO's traffic.")] = 2,
     horizon: Annotated[float, typer.Option(min=1.0, help="Their length in seconds.")] = 10.0,
     within_ms: Annotated[float, typer.Option(min=0.0, help="Longest median time of a plan.")] = 500.0,
@@ -39,7 +41,7 @@ def check_planner(
     one_thread_for_good()
     from advdiff_sumo.experiments.planner_check import Extent, check_target  # late: --help needs none of it
 
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = {"defects": defect} if defect else {}
     for assignment in assign or ():
         set_dotted(options, assignment)
     extent = Extent(net=net, episodes=episodes, horizon_s=horizon, within_ms=within_ms, seed=seed)

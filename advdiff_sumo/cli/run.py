@@ -44,6 +44,7 @@ def run(
     out: flags.Out = None,
     config: flags.Config = None,
     assign: flags.Assign = None,
+    defect: flags.Defect = None,
     gui: flags.Gui = False,
     resume: flags.Resume = False,
     check: flags.Check = False,
@@ -86,7 +87,7 @@ def run(
         config = config or _begun(out)
     if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
-    prepared = Run.prepare(_options(config, given, policy, assign or []), gui)
+    prepared = Run.prepare(_options(config, given, policy, assign or [], defect), gui)
     folder = RunFolder.create(out or _free_folder(prepared), prepared.settings, resume)
     console = terminal()
     count = _episodes(prepared, folder, console)
@@ -136,11 +137,16 @@ def progress_bar(console: Console) -> Progress:
 
 
 def _options(
-    config: Path | None, given: Mapping[str, Any], policy: Mapping[str, Any], assignments: list[str]
+    config: Path | None,
+    given: Mapping[str, Any],
+    policy: Mapping[str, Any],
+    assignments: list[str],
+    defects: list[str] | None = None,
 ) -> RunOptions:
     """Return the options of the file, then of the command line, then of ``--set``; later ones win.
 
-    *policy* holds options of the background, which a file has in a table of their own.
+    *policy* holds options of the background and *defects* what is planted in the target, which a file has in tables of
+    their own.
     """
     from advdiff_sumo.sim.run_episodes import RunOptions  # late, as above
 
@@ -154,6 +160,8 @@ def _options(
     named = {key: value for key, value in policy.items() if value is not None}
     if named:
         values["background_options"] = {**values.get("background_options", {}), **named}
+    if defects:
+        values["target_options"] = {**values.get("target_options", {}), "defects": defects}
     for assignment in assignments:
         set_dotted(values, assignment)
     return RunOptions.parse(values, str(config) if config else "options")

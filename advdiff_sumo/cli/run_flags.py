@@ -85,6 +85,13 @@ Reward: TypeAlias = Annotated[
 Device: TypeAlias = Annotated[
     str | None, typer.Option(help="diffusion: auto, cpu or cuda.", show_default="auto")
 ]
+Defect: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--defect",
+        help="Plant a fault in the target, as NAME:SEVERITY: late:1.0, range:strong; may be given several times.",
+    ),
+]
 Check: TypeAlias = Annotated[
     bool, typer.Option("--check", help="Print which background vehicle did what no vehicle should do.")
 ]

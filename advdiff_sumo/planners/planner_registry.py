@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, did_you_mean
+from advdiff_sumo.planners.defects import parse_defects, plant
 from advdiff_sumo.planners.planner_protocol import Planner, SumoDriver, Target
 from advdiff_sumo.planners.remote.remote_name import is_remote
 from advdiff_sumo.planners.sumo_models import CAR_FOLLOWING, sumo_driver
@@ -32,12 +33,20 @@ def make_target(name: str, options: Mapping[str, Any]) -> Target:
     Args:
         name: a built-in or plug-in (case, hyphen and underscore do not matter), ``package.module:Class``,
             ``grpc://HOST:PORT`` or ``exec:COMMAND``.
-        options: see ``docs/planners.md``; keyword arguments of the class for plug-ins.
+        options: see ``docs/planners.md``; keyword arguments of the class for plug-ins. ``defects`` is never one of
+            those: it lists what is planted in the target (``docs/defects.md``).
 
     Raises:
         UnknownNameError: no such target; with the nearest name.
         ConfigError: an option has no such name or value, or the class cannot be imported or is no planner.
     """
+    defects = parse_defects(options.get("defects", ()))
+    own = {key: value for key, value in options.items() if key != "defects"}
+    return plant(_sound(name, own), defects, name)
+
+
+def _sound(name: str, options: Mapping[str, Any]) -> Target:
+    """Return the target without defects."""
     if is_remote(name):
         from advdiff_sumo.planners.remote.remote_planner import remote_planner  # late: gRPC takes a while
 

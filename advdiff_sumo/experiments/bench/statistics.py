@@ -204,6 +204,23 @@ def mcnemar(only_a: int, only_b: int) -> float:
     return float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
 
 
+def mcnemar_more(only_a: int, only_b: int) -> float:
+    """Return the one-sided p of the exact McNemar test that a happens more often than b; 1 without discordant pairs."""
+    if not only_a + only_b:
+        return 1.0
+    return float(binomtest(only_a, only_a + only_b, alternative="greater").pvalue)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return *p_values* adjusted for each other by Holm's step-down method (doi:10.2307/4615733), in their order."""
+    order = sorted(range(len(p_values)), key=lambda k: p_values[k])
+    adjusted, largest = [1.0] * len(p_values), 0.0
+    for rank, k in enumerate(order):
+        largest = max(largest, min((len(p_values) - rank) * p_values[k], 1.0))
+        adjusted[k] = largest
+    return adjusted
+
+
 def draws(scenes: int, seed: int, resamples: int = RESAMPLES) -> FloatArray:
     """Return (R, S) how often each scene is drawn in each of the bootstrap's samples."""
     rng = np.random.default_rng(seed)

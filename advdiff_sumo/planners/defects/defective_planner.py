@@ -1,0 +1,88 @@
+"""A planner with planted faults: what it is given and what it returns pass through them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.plan import Plan
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.planners.defects.fault import Fault
+from advdiff_sumo.planners.planner_protocol import Planner
+
+_SEED_BITS = 62
+
+
+@dataclass(frozen=True)
+class _Memory:
+    """What a defective planner remembers.
+
+    Attributes:
+        planner: the sound planner's own memory.
+        seeds: of each fault.
+        perceived: each fault's memory of what was given.
+        acted: each fault's memory of what was returned.
+    """
+
+    planner: Any
+    seeds: tuple[SeedTree, ...]
+    perceived: tuple[Any, ...]
+    acted: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class DefectivePlanner:
+    """Any planner, ours or a user's, with faults between it and the world.
+
+    What the planner is given passes through the faults in their order, what it returns in the opposite one. Faults
+    draw from a child of the target's generator, so that the planner draws the same numbers as without them.
+
+    Attributes:
+        planner: the sound one.
+        faults: what is planted.
+    """
+
+    planner: Planner
+    faults: tuple[Fault, ...]
+
+    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> _Memory:
+        """Return the memory of an episode that begins in *scene*."""
+        root = SeedTree(int(rng.spawn(1)[0].integers(1 << _SEED_BITS)))
+        seeds = tuple(root.child(type(fault).__name__) for fault in self.faults)
+        nothing = (None,) * len(self.faults)
+        scenes, _ = self._perceive(road, scene, seeds, nothing)
+        return _Memory(self.planner.start(road, scenes[-1], rng), seeds, nothing, nothing)
+
+    def plan(
+        self, road: RoadMap, scene: Scene, memory: _Memory, rng: np.random.Generator
+    ) -> tuple[Plan, _Memory]:
+        """Return what is driven, and the new memory."""
+        scenes, perceived = self._perceive(road, scene, memory.seeds, memory.perceived)
+        memory = replace(memory, perceived=perceived)
+        for fault, acted in zip(self.faults, memory.acted, strict=True):
+            held = fault.held_plan(scene, acted)
+            if held is not None:
+                return held, memory
+        made: Any = self.planner.plan(road, scenes[-1], memory.planner, rng)
+        if not (isinstance(made, tuple) and len(made) == 2):
+            return made  # type: ignore[no-any-return] # no plan: the episode refuses it and says so
+        plan, own = made
+        acted_now = list(memory.acted)
+        for k in reversed(range(len(self.faults))):
+            plan, acted_now[k] = self.faults[k].act(plan, scenes[k], memory.acted[k])
+        return plan, replace(memory, planner=own, acted=tuple(acted_now))
+
+    def _perceive(
+        self, road: RoadMap, scene: Scene, seeds: tuple[SeedTree, ...], memories: tuple[Any, ...]
+    ) -> tuple[list[Scene], tuple[Any, ...]]:
+        """Return what each fault is given, what the planner is given last, and the faults' new memories."""
+        scenes, after = [scene], []
+        for fault, seed, memory in zip(self.faults, seeds, memories, strict=True):
+            given, kept = fault.perceive(road, scenes[-1], memory, seed)
+            scenes.append(given)
+            after.append(kept)
+        return scenes, tuple(after)

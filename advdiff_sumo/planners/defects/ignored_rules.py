@@ -1,0 +1,143 @@
+"""Faults of understanding: red lights, the right of way, and who is changing into the target's lane."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.maps import Link, RoadMap
+from advdiff_sumo.planners.defects.fault import Fault, chance, others_of, with_states, without
+
+_STOP, _YELLOW, _FREE = "ru", "yY", "G"
+
+
+class IgnoredSignals(Fault):
+    """On the target's own way red is taken for green for its first ``value`` seconds, yellow always."""
+
+    def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
+        """Return the scene with the target's own signals green; a red that is there at first begins then."""
+        del seed
+        since: dict[tuple[str, int], float] = {}
+        shown = dict(scene.signals)
+        for link in own_links(road, scene):
+            if link.tls_id is None or link.tls_index is None:
+                continue
+            state, key = shown.get(link.tls_id, ""), (link.tls_id, link.tls_index)
+            letter = scene.signals.get(link.tls_id, "")[link.tls_index : link.tls_index + 1]
+            if letter and letter in _STOP:
+                since[key] = (memory or {}).get(key, scene.time_s)
+            early = key in since and scene.time_s - since[key] < self.value
+            if early or (letter and letter in _YELLOW):
+                shown[link.tls_id] = state[: link.tls_index] + _FREE + state[link.tls_index + 1 :]
+        return replace(scene, signals=shown), since
+
+
+class IgnoredPriority(Fault):
+    """A share ``value`` of those who have the right of way at the next junction is not seen until they are past it."""
+
+    def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
+        """Return the scene without them."""
+        before: set[tuple[str, int]] = set()
+        ahead = own_links(road, scene)
+        for link in (x for x in ahead if x.junction_id == ahead[0].junction_id):
+            junction = road.junctions.get(link.junction_id)
+            requests = (
+                junction.response.get(link.request_index, frozenset()) if junction else frozenset[int]()
+            )
+            before |= {(link.junction_id, request) for request in requests}
+        if not before:
+            return scene, memory
+        history = scene.history
+        lanes, *_ = road.locate_many(history.xy_m[:, -1], history.yaw_rad[:, -1])
+        foes = [lane is not None and bool(before & _requests_from(road, lane)) for lane in lanes]
+        drawn = [chance(seed, "priority", name) < self.value for name in history.ids]
+        return without(scene, np.array(foes) & np.array(drawn) & others_of(scene)), memory
+
+
+@dataclass(frozen=True)
+class _Change:
+    """The lane that somebody is in, and its last change of lanes.
+
+    Attributes:
+        lane: the lane now.
+        came_from: +1 from the left, −1 from the right, 0 no change yet.
+        at_s: when.
+    """
+
+    lane: str
+    came_from: int
+    at_s: float
+
+
+class IgnoredCutIns(Fault):
+    """Others seem to keep their lane; that one has changed into another one is noticed ``value`` seconds late."""
+
+    def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
+        """Return others in the middle of the lane that they are in, or were in until lately."""
+        del seed
+        history, known, now = scene.history, dict(memory or {}), {}
+        lanes, s, d, _ = road.locate_many(history.xy_m[:, -1], history.yaw_rad[:, -1], internal=False)
+        xy, yaw = history.xy_m.copy(), history.yaw_rad.copy()
+        rows = others_of(scene)
+        for row, name in enumerate(history.ids):
+            lane = lanes[row]
+            if lane is None or not rows[row] or abs(d[row]) > road.lanes[lane].width_m:
+                rows[row] = False
+                continue
+            change = _changed(road, known.get(name), lane, scene.time_s)
+            now[name] = change
+            aside = 0.0
+            if change.came_from and scene.time_s - change.at_s < self.value:
+                aside = change.came_from * road.lanes[lane].width_m
+            place, heading = road.to_world(lane, float(s[row]), aside)
+            xy[row] += place - history.xy_m[row, -1]
+            yaw[row, -1] = float(heading)
+        return with_states(scene, rows, xy, yaw), now
+
+
+def own_links(road: RoadMap, scene: Scene) -> tuple[Link, ...]:
+    """Return the links on the target's route, the nearest first; none without a route."""
+    return _links_of(road, scene.routes[scene.target])
+
+
+@lru_cache(maxsize=256)
+def _links_of(road: RoadMap, route: tuple[str, ...]) -> tuple[Link, ...]:
+    return tuple(
+        link
+        for before, after in pairwise(route)
+        if before in road.edges
+        for lane in road.edges[before].lane_ids
+        for link in road.lanes[lane].successors
+        if road.lanes[link.to_lane].edge_id == after
+    )
+
+
+@lru_cache(maxsize=4)
+def _link_of_internal(road: RoadMap) -> Mapping[str, Link]:
+    return {lane: link for link in road.links.values() for lane in link.via}
+
+
+def _requests_from(road: RoadMap, lane: str) -> set[tuple[str, int]]:
+    """Return the rows of right-of-way matrices that somebody in *lane* takes or may take next."""
+    on_junction = _link_of_internal(road).get(lane)
+    links = (on_junction,) if on_junction is not None else road.lanes[lane].successors
+    return {(link.junction_id, link.request_index) for link in links}
+
+
+def _changed(road: RoadMap, before: _Change | None, lane: str, time_s: float) -> _Change:
+    if before is None:
+        return _Change(lane, 0, time_s)
+    if lane == before.lane:
+        return before
+    if road.lanes[lane].left_id == before.lane:
+        return _Change(lane, 1, time_s)
+    if road.lanes[lane].right_id == before.lane:
+        return _Change(lane, -1, time_s)
+    return _Change(lane, before.came_from, before.at_s)  # another edge

@@ -1,0 +1,97 @@
+"""Faults of measurement and prediction: the others' speed and place, and the target's own place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.plan import Plan, Trajectory
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.planners.defects.fault import Fault, ages_s, others_of, seen_from_target, with_states
+
+_CORRIDOR_M = 2.5
+_SAME_WAY_RAD = np.pi / 3.0
+
+
+class Misjudgement(Fault):
+    """A fault that changes the states of road users."""
+
+    def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
+        """Return *scene* as it is believed to be."""
+        del road, seed
+        return self.believed(scene), memory
+
+    def believed(self, scene: Scene) -> Scene:
+        """Return *scene* with wrong states."""
+        raise NotImplementedError
+
+
+class FrozenPrediction(Misjudgement):
+    """A share ``value`` of the others' motion is left out, past and speed: with 1 they seem to stand."""
+
+    def believed(self, scene: Scene) -> Scene:
+        """Return the others where they are, slower."""
+        history, kept = scene.history, 1.0 - self.value
+        now = history.xy_m[:, -1:]
+        xy = now + kept * (history.xy_m - now)
+        return with_states(scene, others_of(scene), xy, None, kept * history.speed_mps)
+
+
+class SpeedBias(Misjudgement):
+    """The others seem ``value`` metres a second faster than they are, along their heading."""
+
+    def believed(self, scene: Scene) -> Scene:
+        """Return the others where they are, faster."""
+        history = scene.history
+        back = self.value * ages_s(history)[None, :, None] * unit(history.yaw_rad)
+        speed = history.speed_mps + self.value
+        return with_states(scene, others_of(scene), history.xy_m - back, None, speed)
+
+
+class PositionBias(Misjudgement):
+    """The others seem ``value`` metres farther to the target's left than they are."""
+
+    def believed(self, scene: Scene) -> Scene:
+        """Return the others displaced."""
+        xy = scene.history.xy_m + self.value * _left(scene)
+        return with_states(scene, others_of(scene), xy)
+
+
+class LocalisationOffset(Misjudgement):
+    """The target believes to be ``value`` metres to the left of where it is; what it senses moves with it."""
+
+    def believed(self, scene: Scene) -> Scene:
+        """Return everybody displaced on the map."""
+        history = scene.history
+        moved = replace(history, xy_m=history.xy_m + self.value * _left(scene))
+        return replace(scene, history=moved)
+
+    def act(self, plan: Plan, scene: Scene, memory: Any) -> tuple[Plan, Any]:
+        """Return the plan from where the target really is."""
+        if isinstance(plan, Trajectory):
+            return replace(plan, xy_m=plan.xy_m - self.value * _left(scene)), memory
+        return plan, memory
+
+
+class ShortHeadway(Misjudgement):
+    """Who drives ahead in the target's corridor seems farther by the way that it drives in ``value`` seconds."""
+
+    def believed(self, scene: Scene) -> Scene:
+        """Return leaders displaced along their heading."""
+        history = scene.history
+        place, heading = seen_from_target(scene)
+        leads = (place[:, 0] > 0.0) & (np.abs(place[:, 1]) < _CORRIDOR_M) & (np.abs(heading) < _SAME_WAY_RAD)
+        way = self.value * max(float(history.speed_mps[scene.target, -1]), 0.0)
+        xy = history.xy_m + way * unit(history.yaw_rad[:, -1:])
+        return with_states(scene, others_of(scene) & leads, xy)
+
+
+def _left(scene: Scene) -> FloatArray:
+    """Return the unit vector (2,) to the target's left."""
+    return unit(np.asarray(scene.history.yaw_rad[scene.target, -1] + 0.5 * np.pi))

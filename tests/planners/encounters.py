@@ -51,7 +51,7 @@ CROSSING = (
 
 
 @dataclass(frozen=True)
-class Road:
+class Scripted:
     """A road user that drives as written.
 
     Attributes:
@@ -95,9 +95,9 @@ class Encounter:
     """
 
     road: RoadMap
-    target: Road
+    target: Scripted
     route: tuple[str, ...]
-    others: tuple[Road, ...]
+    others: tuple[Scripted, ...]
     horizon_s: float = 15.0
 
     def drive(self, defects: Sequence[str] = (), target: str = "lane_graph") -> dict[str, Any]:
@@ -192,7 +192,7 @@ def _of(value: float | Callable[[FloatArray], FloatArray], times_s: FloatArray) 
     return np.asarray(value(times_s)) if callable(value) else np.full(len(times_s), float(value))
 
 
-def _tracks(road: RoadMap, users: Sequence[Road], times_s: FloatArray, dt_s: float) -> Tracks:
+def _tracks(road: RoadMap, users: Sequence[Scripted], times_s: FloatArray, dt_s: float) -> Tracks:
     xy, yaw, speed = zip(*(user.states(road, times_s) for user in users), strict=True)
     return Tracks(
         ids=tuple(f"car{k}" for k in range(len(users))),

@@ -14,28 +14,31 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.planners.defects.fault import Fault, chance, others_of, with_states, without
+from advdiff_sumo.planners.lane_graph.rules import signal_state
 
-_STOP, _YELLOW, _FREE = "ru", "yY", "G"
+_STOP, _YELLOW, _FREE, _RED = "ru", "yY", "G", "r"
 
 
 class IgnoredSignals(Fault):
-    """On the target's own way red is taken for green for its first ``value`` seconds, yellow always."""
+    """On the target's own way red is taken for green for its first ``value`` seconds, yellow always.
+
+    Those who cross it have red then, as they would have if its own light were green.
+    """
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
         """Return the scene with the target's own signals green; a red that is there at first begins then."""
         del seed
         since: dict[tuple[str, int], float] = {}
-        shown = dict(scene.signals)
+        shown = scene.signals
         for link in own_links(road, scene):
             if link.tls_id is None or link.tls_index is None:
                 continue
-            state, key = shown.get(link.tls_id, ""), (link.tls_id, link.tls_index)
-            letter = scene.signals.get(link.tls_id, "")[link.tls_index : link.tls_index + 1]
+            letter, key = signal_state(link, scene.signals), (link.tls_id, link.tls_index)
             if letter and letter in _STOP:
                 since[key] = (memory or {}).get(key, scene.time_s)
             early = key in since and scene.time_s - since[key] < self.value
             if early or (letter and letter in _YELLOW):
-                shown[link.tls_id] = state[: link.tls_index] + _FREE + state[link.tls_index + 1 :]
+                shown = _as_if_green(road, link, shown)
         return replace(scene, signals=shown), since
 
 
@@ -117,6 +120,20 @@ def _links_of(road: RoadMap, route: tuple[str, ...]) -> tuple[Link, ...]:
         for link in road.lanes[lane].successors
         if road.lanes[link.to_lane].edge_id == after
     )
+
+
+def _as_if_green(road: RoadMap, link: Link, signals: Mapping[str, str]) -> Mapping[str, str]:
+    """Return *signals* with green for *link* and red for whom it crosses or meets."""
+    junction = road.junctions.get(link.junction_id)
+    foes = junction.foes.get(link.request_index, frozenset()) if junction else frozenset[int]()
+    letters = list(signals[link.tls_id or ""])
+    for other in road.links.values():
+        if other.tls_id == link.tls_id and other.tls_index is not None and other.tls_index < len(letters):
+            if (other.from_lane, other.to_lane) == (link.from_lane, link.to_lane):
+                letters[other.tls_index] = _FREE
+            elif other.junction_id == link.junction_id and other.request_index in foes:
+                letters[other.tls_index] = _RED
+    return {**signals, link.tls_id or "": "".join(letters)}
 
 
 @lru_cache(maxsize=4)

@@ -74,3 +74,10 @@ def test_the_changelog_knows_this_version() -> None:
     headings = re.findall(r"^## \[(.+?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     assert headings[0] == "Unreleased"
     assert __version__ in (ROOT / "pyproject.toml").read_text()
+
+
+def test_the_catalogue_of_defects_is_that_of_the_code(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["write_defects_doc.py", "--check"])
+    assert tool("write_defects_doc").main() == 0, capsys.readouterr().out

@@ -16,12 +16,12 @@ from advdiff_sumo.core.plan import Controls, Trajectory
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects import DEFECTS, SEVERITIES, parse_defect, parse_defects
+from advdiff_sumo.planners.defects import DEFECTS, SEVERITIES, parse_defect, parse_defects, plant
 from advdiff_sumo.planners.defects.actuation import SlowBrakes, StuckReplanning, WeakBrakes
 from advdiff_sumo.planners.defects.defective_planner import DefectivePlanner
 from advdiff_sumo.planners.defects.fault import Fault
 from advdiff_sumo.planners.planner_check import check_planner, same_plan
-from advdiff_sumo.planners.planner_protocol import SumoDriver
+from advdiff_sumo.planners.planner_protocol import Served, SumoDriver
 from advdiff_sumo.planners.planner_registry import make_target
 
 from .scenes import Car, make_scene
@@ -425,6 +425,35 @@ def test_braked_plans_never_brake_harder_nor_fall_behind(brake: float, bound: fl
     steps = -np.diff(np.append(speed, plan.speed_mps)) / 0.1
     assert steps.max() <= max(bound, 0.0) + 1e-6
     assert (plan.xy_m[:, 0] >= stop(brake, speed).xy_m[:, 0] - 1e-9).all()
+
+
+class Distant(Counting):
+    """A planner with something outside this process behind it, which notes what it is told."""
+
+    def __init__(self) -> None:
+        self.heard: list[object] = []
+
+    def check(self) -> None:
+        self.heard.append("check")
+
+    def end(self, memory: Any, end: str, time_s: float, failure: str) -> None:
+        self.heard.append((memory, end, time_s, failure))
+
+    def close(self) -> None:
+        self.heard.append("close")
+
+
+def test_a_remote_planner_with_a_defect_is_checked_ended_and_closed() -> None:
+    scene, distant = agents((0.0, 0.0, 0.0, 10.0)), Distant()
+    planner = plant(distant, parse_defects("late:1"), "distant")  # type: ignore[arg-type] # no map is needed
+    assert isinstance(planner, Served)
+    planner.check()
+    rng = np.random.default_rng(0)
+    _, memory = planner.plan(None, scene, planner.start(None, scene, rng), rng)  # type: ignore[attr-defined] # the same
+    planner.end(memory, "horizon", 4.0, "")
+    planner.close()
+    assert distant.heard == ["check", (1, "horizon", 4.0, ""), "close"]
+    assert not isinstance(plant(Counting(), parse_defects("late:1"), "near"), Served)  # type: ignore[arg-type] # the same
 
 
 def test_classes_are_the_packages_own() -> None:

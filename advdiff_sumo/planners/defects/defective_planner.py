@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -12,9 +12,13 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.defects.fault import Fault
-from advdiff_sumo.planners.planner_protocol import Planner
+from advdiff_sumo.planners.planner_protocol import Planner, Served
 
 _SEED_BITS = 62
+
+
+class ServedPlanner(Planner, Served, Protocol):
+    """A planner that something outside this process stands behind."""
 
 
 @dataclass(frozen=True)
@@ -86,3 +90,28 @@ class DefectivePlanner:
             scenes.append(given)
             after.append(kept)
         return scenes, tuple(after)
+
+
+class ServedDefectivePlanner(DefectivePlanner):
+    """The same around a planner that something outside this process stands behind."""
+
+    planner: ServedPlanner
+
+    def check(self) -> None:
+        """Look whether the planner can be used; raises InputError where not."""
+        self.planner.check()
+
+    def end(self, memory: _Memory, end: str, time_s: float, failure: str) -> None:
+        """Tell the planner that an episode is over."""
+        self.planner.end(memory.planner, end, time_s, failure)
+
+    def close(self) -> None:
+        """Let the planner let go of what it holds."""
+        self.planner.close()
+
+
+def with_faults(planner: Planner, faults: tuple[Fault, ...]) -> Planner:
+    """Return *planner* with *faults*."""
+    if isinstance(planner, Served):
+        return ServedDefectivePlanner(planner, faults)
+    return DefectivePlanner(planner, faults)

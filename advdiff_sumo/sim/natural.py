@@ -21,6 +21,7 @@ from advdiff_sumo.sim.demand_files import DemandFiles
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session, SessionOptions
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.situations import in_situation
 from advdiff_sumo.sim.world import Frame, World, read, register, stack
 
 _NEIGHBOUR_RADIUS_M = 50.0
@@ -114,8 +115,9 @@ class NaturalTraffic:
                 if tries > _PATIENCE:
                     raise SceneError(
                         f"{self.road.path}: no vehicle with {self.scene.min_neighbours} others near it and a route of "
-                        f"{self.scene.min_route_m:g} m ahead in {stretch.session.time_s:g} s of traffic; "
-                        "raise scene.density_per_km or scene.warmup_s, or lower scene.min_neighbours"
+                        f"{self.scene.min_route_m:g} m ahead in {stretch.session.time_s:g} s of traffic"
+                        f"{_wanted(self.scene)}; raise scene.density_per_km or scene.warmup_s, or lower "
+                        "scene.min_neighbours or scene.min_speed_mps"
                     )
             else:
                 found, tries = found + 1, 0
@@ -203,8 +205,19 @@ def _choose(
     )
     gaps = np.linalg.norm(frame.xy_m[rows, None] - frame.xy_m[None, frame.present], axis=-1)
     crowded = rows[(gaps < _NEIGHBOUR_RADIUS_M).sum(-1) - 1 >= scene.min_neighbours]
-    usable = [row for row in crowded.tolist() if _has_route(stretch, road, row, scene.min_route_m)]
+    api = stretch.session.api
+    usable = [
+        row
+        for row in crowded.tolist()
+        if _has_route(stretch, road, row, scene.min_route_m)
+        and in_situation(scene.situation, road, world, frame, row, remaining_route(api, world.ids[row]))
+    ]
     return int(rng.choice(usable)) if usable else None
+
+
+def _wanted(scene: SceneOptions) -> str:
+    """Return what else a target had to meet, for a message; "" where nothing."""
+    return "" if scene.situation == "any" else f" is '{scene.situation}'"
 
 
 def _has_route(stretch: _Stretch, road: RoadMap, row: int, min_route_m: float) -> bool:

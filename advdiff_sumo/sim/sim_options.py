@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Literal, Self, TypeAlias
 
 from pydantic import Field, model_validator
 
 from advdiff_sumo.config import Options
+
+Situation: TypeAlias = Literal["any", "following", "merging", "yielding", "turning"]
+"""What a target can be about to do when an episode begins."""
 
 
 class SimOptions(Options):
@@ -70,6 +73,7 @@ class SceneOptions(Options):
         min_neighbours: vehicles that must be within 50 m of the target at the start.
         min_route_m: route that the target must have ahead.
         min_speed_mps: the target must move at least so fast at the start.
+        situation: what the target must be about to do at the start: following, merging, yielding, turning, or any.
         spacing_s: natural traffic between two scenes that come from one warm-up.
         scenes_per_warmup: scenes taken from one stretch of natural traffic.
         stride_s: spacing of the scenes taken from one driving log.
@@ -82,6 +86,7 @@ class SceneOptions(Options):
     min_neighbours: int = Field(3, ge=0)
     min_route_m: float = Field(120.0, ge=0.0)
     min_speed_mps: float = Field(1.0, ge=0.0)
+    situation: Situation = "any"
     spacing_s: float = Field(10.0, gt=0.0)
     scenes_per_warmup: int = Field(5, ge=1)
     stride_s: float = Field(2.0, gt=0.0)

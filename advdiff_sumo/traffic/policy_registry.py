@@ -23,6 +23,7 @@ POLICIES = Registry(
         "traj2traj": "advdiff_sumo.traffic.diffusion.diffusion_policy:Traj2Traj",
         "advsim": "advdiff_sumo.traffic.baselines.advsim:AdvSim",
         "strive": "advdiff_sumo.traffic.baselines.strive:Strive",
+        "scripted": "advdiff_sumo.traffic.scripted.scripted_policy:ScriptedTraffic",
         "adv-rl": "advdiff_sumo.traffic.rl.adv_rl_policy:AdvRl",
     },
 )

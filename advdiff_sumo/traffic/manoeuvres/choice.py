@@ -1,0 +1,79 @@
+"""Chooses the manoeuvre that asks most of the target while a careful driver still answers it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.traffic.manoeuvres.answers import needed_braking
+from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+
+HARD_WORTH: Mapping[float, float] = {2.0: 0.1, 3.0: 0.3, 4.0: 0.5, 5.0: 0.8, 6.0: 1.0, 7.0: 1.0}
+"""Worth of an encounter by the braking that it needs; none where it needs little or more than a driver has."""
+SEEN_WORTH: Mapping[float, float] = {1.0: 0.5, 2.0: 0.7, 3.0: 0.8, 4.0: 0.8, 5.0: 0.8, 6.0: 0.8}
+"""Worth where what counts is whether the target sees the other and gives way at all."""
+SEEN_KINDS = ("blocked-lane", "crossing", "cut-out")
+SETTING_UP = 0.05
+"""Worth of getting into position."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A lawful manoeuvre and its future.
+
+    Attributes:
+        manoeuvre: what.
+        futures: of it alone, C = 1.
+        needed_mps2: braking of the target that it needs.
+        worth: how well it serves.
+    """
+
+    manoeuvre: Manoeuvre
+    futures: ManoeuvreFutures
+    needed_mps2: float
+    worth: float
+
+
+def rank(view: SituationView, proposals: Sequence[Manoeuvre], weights: Mapping[str, float]) -> list[Chosen]:
+    """Return the lawful ones of *proposals* that serve at all, best first.
+
+    Args:
+        view: the scene.
+        proposals: manoeuvres of any vehicles.
+        weights: kind → how much it is wanted.
+    """
+    target = view.target
+    if target is None or not proposals:
+        return []
+    speed = np.array([view.speed(m.row) for m in proposals])
+    futures = futures_of_manoeuvres(proposals, speed)
+    size = view.scene.history.size_m[[m.row for m in proposals]]
+    now = view.scene.history.xy_m[:, -1]
+    perceived = np.array([m.enters_s(now[m.row]) for m in proposals])
+    needed = needed_braking(target, futures.xy_m, futures.yaw_rad, size, perceived)
+    worth = np.array([_worth(m, n, weights) for m, n in zip(proposals, needed.tolist(), strict=True)])
+    useful = np.flatnonzero(worth > 0.0)
+    kept = useful[lawful(view, [proposals[k] for k in useful.tolist()], _rows(futures, useful))]
+    order = kept[np.argsort(-worth[kept], kind="stable")].tolist()
+    return [
+        Chosen(proposals[k], _rows(futures, np.array([k])), float(needed[k]), float(worth[k])) for k in order
+    ]
+
+
+def _worth(manoeuvre: Manoeuvre, needed_mps2: float, weights: Mapping[str, float]) -> float:
+    weight = weights.get(manoeuvre.kind, 0.0)
+    if manoeuvre.sets_up:
+        return SETTING_UP * weight if needed_mps2 <= 1.0 else 0.0
+    table = SEEN_WORTH if manoeuvre.kind in SEEN_KINDS else HARD_WORTH
+    return table.get(needed_mps2, 0.0) * weight
+
+
+def _rows(futures: ManoeuvreFutures, rows: FloatArray | np.ndarray) -> ManoeuvreFutures:
+    return ManoeuvreFutures(
+        futures.xy_m[rows], futures.yaw_rad[rows], futures.speed_mps[rows], futures.driven_m[rows]
+    )

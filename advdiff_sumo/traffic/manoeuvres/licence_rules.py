@@ -1,0 +1,152 @@
+"""Which manoeuvres break no rule: judged on what they would do, before anybody drives them.
+
+The rules are those of ``docs/metrics.md``: red lights, right of way, the safe gap of RSS at an entry (Shalev-Shwartz
+et al. 2017, arXiv:1708.06374, Definition 1), the limit, and room to everybody else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray
+from advdiff_sumo.core.boxes import axis_gaps
+from advdiff_sumo.maps.lanes import Link
+from advdiff_sumo.metrics.safe_gap import safe_gap_m
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
+from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.ways import Way
+
+_RED, _YIELDS_ON_GREEN = "ruy", "g"
+_OVER_LIMIT = 1.02
+_SPARE_M, _SPARE_SHARE = 1.0, 1.1
+_ROOM_M = np.array([0.5, 0.15])
+_STOPS = ("hard-stop", "blocked-lane")
+
+
+def lawful(view: SituationView, manoeuvres: Sequence[Manoeuvre], futures: ManoeuvreFutures) -> BoolArray:
+    """Return (C,) which of *manoeuvres*, with these *futures*, break no rule and harm nobody but the target."""
+    out = np.ones(len(manoeuvres), dtype=np.bool_)
+    for k, manoeuvre in enumerate(manoeuvres):
+        out[k] = (
+            _keeps_limit(manoeuvre, float(futures.speed_mps[k].max()), view.speed(manoeuvre.row))
+            and _respects_links(view, manoeuvre, float(futures.driven_m[k, -1]))
+            and _stops_clear(manoeuvre, float(futures.driven_m[k, -1]))
+            and _leaves_gaps(view, manoeuvre)
+            and _has_room(view, manoeuvre, futures, k)
+        )
+    return out
+
+
+def _keeps_limit(manoeuvre: Manoeuvre, fastest_mps: float, speed_mps: float) -> bool:
+    return fastest_mps <= max(_OVER_LIMIT * manoeuvre.way.lane.speed_mps, speed_mps + 0.1)
+
+
+def _respects_links(view: SituationView, manoeuvre: Manoeuvre, driven_m: float) -> bool:
+    """Return whether every stop line it drives over may be passed: green, and no duty to yield."""
+    front = 0.5 * float(view.size(manoeuvre.row)[0])
+    for reach, link in manoeuvre.way.links:
+        if reach - front < 0.0 or reach - front > driven_m:
+            continue
+        signal = view.signal(link)
+        if signal.lower() in _RED and signal:
+            return False
+        if manoeuvre.kind == "crossing":
+            if not _has_priority(view, manoeuvre.row):
+                return False
+        elif (link.yields and not signal) or signal == _YIELDS_ON_GREEN:
+            return False
+    return True
+
+
+def _has_priority(view: SituationView, row: int) -> bool:
+    """Return whether the target has to give way to *row* where their ways cross, and not the other way round."""
+    links = crossing_links(view, row)
+    if links is None:
+        return False
+    own, targets = links
+    response = view.road.junctions[own.junction_id].response
+    if own.request_index < 0 or targets.request_index < 0:
+        return False
+    if _stopped_by_signal(view, targets):
+        return view.signal(own) in ("G", "g")
+    yields = own.request_index in response.get(targets.request_index, frozenset())
+    bound = targets.request_index in response.get(own.request_index, frozenset())
+    return yields and not bound and not (own.yields and not view.signal(own))
+
+
+def _stopped_by_signal(view: SituationView, link: Link) -> bool:
+    return view.signal(link) in ("r", "u")
+
+
+def _stops_clear(manoeuvre: Manoeuvre, driven_m: float) -> bool:
+    """Return whether a stop does not end inside a junction."""
+    if manoeuvre.kind not in _STOPS:
+        return True
+    at = manoeuvre.way.lane.s_m + driven_m
+    for lane in manoeuvre.way.lane.lanes:
+        if at <= lane.length_m:
+            return not lane.is_internal
+        at -= lane.length_m
+    return True
+
+
+def _leaves_gaps(view: SituationView, manoeuvre: Manoeuvre) -> bool:
+    """Return whether a lane change leaves the safe gap to whoever follows and leads on the new lane."""
+    if manoeuvre.goal is None:
+        return True
+    row, goal = manoeuvre.row, manoeuvre.goal
+    enters_s = manoeuvre.enters_s(view.scene.history.xy_m[row, -1])
+    beside = [other for other in view.ways if other != row and _on(goal, view, other)]
+    return all(_gap_holds(view, row, other, enters_s) for other in beside)
+
+
+def _on(goal: Way, view: SituationView, other: int) -> bool:
+    left = goal.line.project(view.scene.history.xy_m[other, -1], extrapolate=True)[1]
+    return abs(float(left)) < 0.5 * (goal.present_lane.width_m + float(view.size(other)[1])) - 0.3
+
+
+def _gap_holds(view: SituationView, row: int, other: int, enters_s: float) -> bool:
+    """Return whether the gap between *row* and *other* is safe when it enters, with both at their speeds of now."""
+    speed, theirs = view.speed(row), view.speed(other)
+    ahead = view.place_on(view.ways[other], row)[0] + enters_s * (speed - theirs)
+    gap = abs(ahead) - 0.5 * float(view.size(row)[0] + view.size(other)[0])
+    follower, leader = (theirs + 0.5, speed) if ahead > 0.0 else (speed, theirs)
+    return gap >= _SPARE_SHARE * safe_gap_m(follower, leader) + _SPARE_M
+
+
+def _has_room(view: SituationView, manoeuvre: Manoeuvre, futures: ManoeuvreFutures, k: int) -> bool:
+    """Return whether it meets nobody but the target, if all others keep their speeds on their ways.
+
+    Who follows on the same lane is left out: drivers keep their distance to a leader.
+    """
+    rows = np.array(
+        [
+            r
+            for r in view.ways
+            if r not in (manoeuvre.row, view.scene.target) and not _follows(view, manoeuvre, r)
+        ],
+        dtype=np.int64,
+    )
+    if not len(rows):
+        return True
+    xy, yaw = view.coasting(rows)
+    near = np.linalg.norm(xy - futures.xy_m[k], axis=-1).min(axis=1) < 12.0
+    if not near.any():
+        return True
+    half = 0.5 * view.scene.history.size_m
+    gaps = axis_gaps(
+        xy[near] - futures.xy_m[k],
+        np.broadcast_to(futures.yaw_rad[k], yaw[near].shape),
+        half[manoeuvre.row] + _ROOM_M,
+        yaw[near],
+        half[rows[near]][:, None],
+    )[0].max(-1)
+    return bool((gaps > 0.0).all())
+
+
+def _follows(view: SituationView, manoeuvre: Manoeuvre, other: int) -> bool:
+    ahead, left = view.place_on(view.ways[other], manoeuvre.row)
+    return ahead > 0.0 and abs(left) < 1.2

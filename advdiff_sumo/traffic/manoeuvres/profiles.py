@@ -1,0 +1,66 @@
+"""Speed over time: a first acceleration, then another one, between a lowest and a highest speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+
+PLAN_STEPS, PLAN_DT_S = 12, 0.5
+"""A plan: 6 s at the model step."""
+CHECK_DT_S = 0.25
+"""Spacing at which boxes are compared."""
+CHECK_TIMES_S: FloatArray = np.arange(1.0, round(PLAN_STEPS * PLAN_DT_S / CHECK_DT_S) + 1.0) * CHECK_DT_S
+"""(24,) instants of a plan at which boxes are compared."""
+_FINE = 5
+
+
+@dataclass(frozen=True)
+class SpeedProfile:
+    """How a vehicle changes its speed.
+
+    Attributes:
+        first_mps2: acceleration up to ``switch_s``.
+        switch_s: when the second one begins.
+        then_mps2: acceleration from then on.
+        lowest_mps: speed that braking ends at.
+        highest_mps: speed that accelerating ends at.
+    """
+
+    first_mps2: float = 0.0
+    switch_s: float = 0.0
+    then_mps2: float = 0.0
+    lowest_mps: float = 0.0
+    highest_mps: float = np.inf
+
+    @staticmethod
+    def table(profiles: list[SpeedProfile]) -> FloatArray:
+        """Return (P, 5) the attributes of *profiles*, in their order."""
+        return np.array(
+            [(p.first_mps2, p.switch_s, p.then_mps2, p.lowest_mps, p.highest_mps) for p in profiles]
+        ).reshape(len(profiles), 5)
+
+
+def drive_profiles(speed_mps: FloatArray, profiles: list[SpeedProfile]) -> tuple[FloatArray, FloatArray]:
+    """Return distances driven (P, 24) and speeds (P, 24) at ``CHECK_TIMES_S``.
+
+    Args:
+        speed_mps: (P,) speeds now.
+        profiles: P profiles. A speed beyond a bound now stays as it is until the profile takes it back.
+    """
+    first, switch, then, lowest, highest = SpeedProfile.table(profiles).T
+    small = CHECK_DT_S / _FINE
+    time = small * (np.arange(_FINE * len(CHECK_TIMES_S)) + 0.5)
+    accel = np.where(time < switch[:, None], first[:, None], then[:, None])
+    speed = np.empty((len(profiles), len(time) + 1))
+    speed[:, 0] = speed_mps
+    for k in range(len(time)):
+        free = speed[:, k] + small * accel[:, k]
+        slowest = np.minimum(lowest, speed[:, k])
+        fastest = np.maximum(highest, speed[:, k])
+        speed[:, k + 1] = np.clip(free, np.maximum(slowest, 0.0), fastest)
+    driven = np.cumsum(0.5 * small * (speed[:, 1:] + speed[:, :-1]), axis=1)
+    at = slice(_FINE - 1, None, _FINE)
+    return driven[:, at], speed[:, 1:][:, at]

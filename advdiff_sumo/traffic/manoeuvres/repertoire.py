@@ -1,0 +1,164 @@
+"""What vehicles around the target could do: manoeuvres that people drive and no rule forbids.
+
+Each function proposes for one vehicle; whether a proposal is lawful in this scene is judged in ``licence_rules``,
+what it demands of the target in ``answers``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+
+import numpy as np
+
+from advdiff_sumo.maps.lanes import Link
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import LATERAL_MPS, Manoeuvre
+from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.ways import Way
+
+HARD_BRAKING_MPS2 = (4.5, 6.0, 7.5, 8.5)
+"""A leader that brakes for something it alone sees."""
+GENTLE_BRAKING_MPS2 = (2.0, 3.0)
+"""A vehicle that stops in its lane as at a kerb."""
+AFTER_CUT_IN_MPS2 = (2.0, 3.5, 5.0, 6.5)
+"""How somebody slows who has just changed lanes and finds the queue."""
+TIMING_MPS2 = (-2.0, -1.0, 0.0, 1.0, 2.0)
+"""How somebody with priority chooses when to arrive."""
+_TIMING_S = (1.5, 3.0)
+_IN_LANE_M, _BESIDE_M = 1.2, 5.5
+_AHEAD_M, _CROSSING_M = 55.0, 60.0
+_SLOWEST_MPS = 2.0
+_STOPS_FROM_MPS = 5.0
+
+
+def hard_stop(view: SituationView, row: int) -> Iterator[Manoeuvre]:
+    """The target's leader brakes hard to a stop."""
+    yield from _stops(view, row, "hard-stop", HARD_BRAKING_MPS2)
+
+
+def blocked_lane(view: SituationView, row: int) -> Iterator[Manoeuvre]:
+    """Somebody well ahead in the target's lane stops gently and stays."""
+    yield from _stops(view, row, "blocked-lane", GENTLE_BRAKING_MPS2)
+
+
+def stop_and_go(view: SituationView, row: int) -> Iterator[Manoeuvre]:
+    """The target's leader slows to walking speed and goes again."""
+    for brake in HARD_BRAKING_MPS2[:2]:
+        if _leads(view, row):
+            slowing = SpeedProfile(-brake, 2.5, 1.5, 1.0, view.ways[row].lane.speed_mps)
+            yield Manoeuvre("stop-and-go", row, view.ways[row], slowing)
+
+
+def cut_in(view: SituationView, row: int) -> Iterator[Manoeuvre]:
+    """Somebody ahead on the next lane changes into the target's and slows, or gets into position for it."""
+    target = view.target
+    if target is None or not _beside(view, row):
+        return
+    goal = _lane_of_target(view, row)
+    if goal is None:
+        return
+    way, limit = view.ways[row], view.ways[row].lane.speed_mps
+    lateral = abs(view.place_on(target.way, row)[1]) / LATERAL_MPS
+    for brake in AFTER_CUT_IN_MPS2:
+        after = SpeedProfile(0.0, 0.6 * lateral, -brake, 0.3 * target.speed_mps, limit)
+        yield Manoeuvre("cut-in", row, way, after, goal)
+    for accel in (1.5, -1.0):
+        approach = SpeedProfile(accel, 2.0, 0.0, _SLOWEST_MPS, limit)
+        yield Manoeuvre("cut-in", row, way, approach, sets_up=True)
+
+
+def crossing(view: SituationView, row: int) -> Iterator[Manoeuvre]:
+    """Somebody with priority crosses the target's way when it gets there."""
+    if crossing_links(view, row) is None:
+        return
+    way = view.ways[row]
+    for accel in TIMING_MPS2:
+        for until_s in _TIMING_S if accel else _TIMING_S[:1]:
+            timed = SpeedProfile(accel, until_s, 0.0, _SLOWEST_MPS, way.lane.speed_mps)
+            yield Manoeuvre("crossing", row, way, timed)
+
+
+def cut_out(view: SituationView, row: int) -> Iterator[Manoeuvre]:
+    """The target's leader changes lanes late and reveals somebody who stands."""
+    if not (_leads(view, row) and _stands_before(view, row)):
+        return
+    for side in ("left", "right"):
+        goal = view.neighbour(row, side)
+        if goal is not None:
+            yield Manoeuvre("cut-out", row, view.ways[row], SpeedProfile(), goal)
+
+
+KINDS: Mapping[str, Callable[[SituationView, int], Iterator[Manoeuvre]]] = {
+    "hard-stop": hard_stop,
+    "cut-in": cut_in,
+    "crossing": crossing,
+    "blocked-lane": blocked_lane,
+    "stop-and-go": stop_and_go,
+    "cut-out": cut_out,
+}
+"""Every kind of manoeuvre by name."""
+
+
+def crossing_links(view: SituationView, row: int) -> tuple[Link, Link] | None:
+    """Return the links of *row* and of the target at the first junction where their ways meet, else None."""
+    target = view.target
+    if target is None:
+        return None
+    theirs = {link.junction_id: link for reach, link in reversed(target.way.links) if reach < _CROSSING_M}
+    for reach, link in view.ways[row].links:
+        other = theirs.get(link.junction_id)
+        if other is None or reach > _CROSSING_M or link is other:
+            continue
+        foes = view.road.junctions[link.junction_id].foes.get(link.request_index, frozenset())
+        if other.request_index in foes and link.from_lane.rpartition("_")[0] != _edge(other):
+            return link, other
+    return None
+
+
+def _edge(link: Link) -> str:
+    return link.from_lane.rpartition("_")[0]
+
+
+def _stops(view: SituationView, row: int, kind: str, braking: tuple[float, ...]) -> Iterator[Manoeuvre]:
+    if _leads(view, row) and view.speed(row) > _STOPS_FROM_MPS:
+        for brake in braking:
+            yield Manoeuvre(kind, row, view.ways[row], SpeedProfile(then_mps2=-brake))
+
+
+def _leads(view: SituationView, row: int) -> bool:
+    """Return whether *row* is ahead in the target's lane, on the target's way."""
+    target = view.target
+    if target is None:
+        return False
+    ahead, left = view.place_on(target.way, row)
+    same = np.cos(view.scene.history.yaw_rad[row, -1] - target.way.line.at(target.way.lane.s_m + ahead)[1])
+    return bool(0.0 < ahead < _AHEAD_M and abs(left) < _IN_LANE_M and same > 0.9)
+
+
+def _beside(view: SituationView, row: int) -> bool:
+    target = view.target
+    if target is None:
+        return False
+    ahead, left = view.place_on(target.way, row)
+    return bool(-10.0 < ahead < _AHEAD_M and _IN_LANE_M < abs(left) < _BESIDE_M)
+
+
+def _lane_of_target(view: SituationView, row: int) -> Way | None:
+    """Return the neighbouring way of *row* that lies on the target's way; None where there is none."""
+    target = view.target
+    on = {lane.id for lane in target.way.lane.lanes} if target is not None else set()
+    for side in ("left", "right"):
+        goal = view.neighbour(row, side)
+        if goal is not None and goal.present_lane.id in on:
+            return goal
+    return None
+
+
+def _stands_before(view: SituationView, row: int) -> bool:
+    """Return whether somebody who stands is next on the way of *row*."""
+    for other in view.ways:
+        if other not in (row, view.scene.target) and view.speed(other) < 0.5:
+            ahead, left = view.place_on(view.ways[row], other)
+            if 5.0 < ahead < 35.0 and abs(left) < _IN_LANE_M:
+                return True
+    return False

@@ -1,0 +1,106 @@
+"""What the choice of a manoeuvre is made from: everybody's way, speed and box, the target's first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.lanes import Link
+from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
+from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
+from advdiff_sumo.traffic.manoeuvres.ways import Way
+from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
+
+NEAR_M = 70.0
+"""Vehicles farther from the target than this do not matter to it."""
+
+
+@dataclass(frozen=True)
+class SituationView:
+    """The scene as ways.
+
+    Attributes:
+        road: the map.
+        scene: now.
+        ways: row → way; who is on no lane has none.
+    """
+
+    road: RoadMap
+    scene: Scene
+    ways: Mapping[int, Way]
+
+    @staticmethod
+    def of(road: RoadMap, scene: Scene) -> SituationView:
+        """Return the view of everybody within ``NEAR_M`` of the target."""
+        now = scene.history
+        apart = np.linalg.norm(now.xy_m[:, -1] - now.xy_m[scene.target, -1], axis=-1)
+        rows = np.flatnonzero(now.valid[:, -1] & (apart <= NEAR_M))
+        lanes = lanes_ahead(
+            road, now.xy_m[rows, -1], now.yaw_rad[rows, -1], [scene.routes[row] for row in rows.tolist()]
+        )
+        pairs = zip(rows.tolist(), lanes, strict=True)
+        return SituationView(road, scene, {row: Way(lane) for row, lane in pairs if lane is not None})
+
+    @property
+    def target(self) -> TargetWay | None:
+        """The target on its way; None where it is on no lane."""
+        row = self.scene.target
+        way = self.ways.get(row)
+        return None if way is None else TargetWay(way, self.speed(row), self.size(row))
+
+    def speed(self, row: int) -> float:
+        """Return the speed of *row* now, at least 0."""
+        return max(float(self.scene.history.speed_mps[row, -1]), 0.0)
+
+    def size(self, row: int) -> FloatArray:
+        """Return (2,) length and width of *row*."""
+        return np.asarray(self.scene.history.size_m[row])
+
+    @cached_property
+    def movable(self) -> tuple[int, ...]:
+        """Rows that may be moved and are on a lane, ascending."""
+        return tuple(row for row in self.ways if self.scene.movable[row])
+
+    def place_on(self, way: Way, row: int) -> tuple[float, float]:
+        """Return how far *row* is along *way* from where it begins now, and to the left of it."""
+        s, left = way.line.project(self.scene.history.xy_m[row, -1])
+        return float(s) - way.lane.s_m, float(left)
+
+    def gap_m(self, ahead_m: float, first: int, second: int) -> float:
+        """Return the bumper gap of two boxes whose centres are *ahead_m* apart on one way."""
+        return abs(ahead_m) - 0.5 * float(self.size(first)[0] + self.size(second)[0])
+
+    def signal(self, link: Link) -> str:
+        """Return SUMO's letter of the light of *link*; "" where none controls it."""
+        state = self.scene.signals.get(link.tls_id or "", "")
+        known = link.tls_index is not None and 0 <= link.tls_index < len(state)
+        return state[link.tls_index] if known and link.tls_index is not None else ""
+
+    def neighbour(self, row: int, side: str) -> Way | None:
+        """Return the way that *row* would follow on the lane to its "left" or "right"; None without one."""
+        way = self.ways[row]
+        lane = way.present_lane
+        name = lane.left_id if side == "left" else lane.right_id
+        if name is None or lane.is_internal or not self.road.lanes[name].is_drivable:
+            return None
+        there = self.road.lanes[name]
+        at, yaw = there.line.at(min(way.lane.s_m, there.length_m))
+        beyond = lanes_ahead(self.road, at[None], np.array([float(yaw)]), [self.scene.routes[row]])[0]
+        return None if beyond is None else Way(_beside(beyond))
+
+    def coasting(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return centres (R, T, 2) and headings (R, T) of *rows* that keep their speed on their ways."""
+        poses = [self.ways[r].poses(self.speed(r) * CHECK_TIMES_S, CHECK_TIMES_S) for r in rows.tolist()]
+        if not poses:
+            return np.zeros((0, len(CHECK_TIMES_S), 2)), np.zeros((0, len(CHECK_TIMES_S)))
+        return np.stack([xy for xy, _ in poses]), np.stack([yaw for _, yaw in poses])
+
+
+def _beside(lane: LaneAhead) -> LaneAhead:
+    return LaneAhead(lane.s_m, lane.lanes, lane.speed_mps, lane.stops, lane.end_m, 0.0)

@@ -1,0 +1,1 @@
+"""The background ``scripted``: lawful manoeuvres against the target, SUMO's traffic all around."""

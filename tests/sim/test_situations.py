@@ -1,0 +1,58 @@
+"""Seed scenes of a situation: what is asked for is there, and what never happens is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.natural import NaturalTraffic
+from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+
+OPTIONS = SceneOptions(warmup_s=20.0, scenes_per_warmup=3, density_per_km=10.0, min_speed_mps=4.0)
+
+
+def scenes(networks: Path, situation: str) -> tuple[RoadMap, list[SeedScene]]:
+    road = RoadMap.read(networks / "downtown.net.xml")
+    options = SceneOptions.parse({**OPTIONS.model_dump(), "situation": situation})
+    source = NaturalTraffic(road, None, options, SimOptions(), 5.0, SeedTree(3))
+    return road, source.batch(0)
+
+
+def test_a_follower_has_somebody_ahead_in_its_lane(networks: Path) -> None:
+    road, found = scenes(networks, "following")
+    for scene in found:
+        now = scene.history
+        row = now.index[scene.target]
+        pose = road.locate(now.xy_m[row, -1], float(now.yaw_rad[row, -1]))
+        assert pose is not None
+        line = road.lanes[pose.lane_id].line
+        along, across = line.project(now.xy_m[:, -1])
+        ahead = (along > pose.s_m + 1.0) & (np.abs(across) < 1.6)
+        assert (ahead & (along < pose.s_m + max(3.5 * now.speed_mps[row, -1], 10.0))).any()
+
+
+def test_who_turns_has_a_turn_ahead(networks: Path) -> None:
+    road, found = scenes(networks, "turning")
+    for scene in found:
+        route = scene.routes[scene.target]
+        links = [
+            link
+            for name in road.edges[route[0]].lane_ids
+            for link in road.lanes[name].successors
+            if road.lanes[link.to_lane].edge_id == route[1]
+        ]
+        assert {link.direction.lower() for link in links} <= {"l", "r"}
+
+
+def test_a_situation_that_never_comes_is_said(networks: Path) -> None:
+    road = RoadMap.read(networks / "motorway.net.xml")
+    options = OPTIONS.model_copy(update={"situation": "turning", "min_speed_mps": 60.0})
+    source = NaturalTraffic(road, None, options, SimOptions(), 5.0, SeedTree(3))
+    with pytest.raises(SceneError, match="is 'turning'"):
+        source.batch(0)

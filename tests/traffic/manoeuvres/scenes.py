@@ -1,0 +1,45 @@
+"""Scenes on a straight lane of the shipped motorway, worked out by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.lanes import Lane
+
+LENGTH_M, WIDTH_M = 4.5, 1.8
+
+
+def long_lane(road: RoadMap) -> Lane:
+    """Return the rightmost lane of the longest edge with two lanes."""
+    edges = [edge for edge in road.edges.values() if len(edge.lane_ids) > 1 and not edge.is_internal]
+    longest = max(edges, key=lambda edge: edge.length_m)
+    return road.lanes[longest.lane_ids[0]]
+
+
+def scene_on(lanes: Mapping[str, tuple[Lane, float, float]]) -> Scene:
+    """Return a scene of named vehicles, the target first: name → (lane, place along it, speed)."""
+    names = tuple(lanes)
+    poses = [lane.line.at(s) for lane, s, _ in lanes.values()]
+    count, steps = len(names), 5
+    speed = np.array([v for _, _, v in lanes.values()])
+    yaw = np.array([float(y) for _, y in poses])
+    xy = np.array([p for p, _ in poses])
+    back = 0.5 * np.arange(steps - 1, -1, -1)
+    heading = np.stack((np.cos(yaw), np.sin(yaw)), axis=-1)
+    history = Tracks(
+        ids=names,
+        classes=np.zeros(count, dtype=np.int64),
+        size_m=np.tile([LENGTH_M, WIDTH_M], (count, 1)),
+        xy_m=xy[:, None] - (speed[:, None] * back)[..., None] * heading[:, None],
+        yaw_rad=np.repeat(yaw[:, None], steps, axis=1),
+        speed_mps=np.repeat(speed[:, None], steps, axis=1),
+        valid=np.ones((count, steps), dtype=np.bool_),
+        t0_s=-2.0,
+        dt_s=0.5,
+    )
+    movable = np.arange(count) > 0
+    return Scene(history, 0, movable, tuple((lane.edge_id,) for lane, _, _ in lanes.values()), {})

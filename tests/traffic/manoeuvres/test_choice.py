@@ -1,0 +1,127 @@
+"""What is lawful, what it asks of the target, and what is chosen, on a straight lane of the motorway."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.safe_gap import safe_gap_m
+from advdiff_sumo.traffic.manoeuvres.answers import UNANSWERABLE_MPS2, needed_braking
+from advdiff_sumo.traffic.manoeuvres.choice import rank
+from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
+from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from tests.traffic.manoeuvres.scenes import LENGTH_M, long_lane, scene_on
+
+
+@pytest.fixture(scope="module")
+def motorway(networks: object) -> RoadMap:
+    return RoadMap.read(f"{networks}/motorway.net.xml")
+
+
+def view_of(road: RoadMap, **cars: tuple[int, float, float]) -> SituationView:
+    """Return a view of cars: name → (lanes to the left of the rightmost, place, speed); the target first."""
+    right = long_lane(road)
+    lanes = [road.lanes[name] for name in road.edges[right.edge_id].lane_ids]
+    return SituationView.of(road, scene_on({n: (lanes[k], s, v) for n, (k, s, v) in cars.items()}))
+
+
+def needed(view: SituationView, *manoeuvres: Manoeuvre, perceived_s: float = 0.0) -> list[float]:
+    speed = np.array([view.speed(m.row) for m in manoeuvres])
+    futures = futures_of_manoeuvres(manoeuvres, speed)
+    assert view.target is not None
+    size = view.scene.history.size_m[[m.row for m in manoeuvres]]
+    when = np.full(len(manoeuvres), perceived_s)
+    return needed_braking(view.target, futures.xy_m, futures.yaw_rad, size, when).tolist()
+
+
+def test_braking_that_is_needed_behind_a_stopping_leader(motorway: RoadMap) -> None:
+    """Both at 20 m/s; the leader stops in 20²/(2·8) = 25 m.
+
+    The target goes on for 0.75 s at 0.5 m/s²: 15.1 m, up to 20.4 m/s. Less 0.3 m of room, gaps of 40, 30, 22 and
+    10 m leave 49.6, 39.6, 31.6 and 19.6 m, for which 4.2, 5.3, 6.6 and 10.6 m/s² are needed; tried are whole ones.
+    """
+    gaps = {40.0: 5.0, 30.0: 6.0, 22.0: 7.0, 10.0: UNANSWERABLE_MPS2}
+    for gap, braking in gaps.items():
+        view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 50.0 + gap + LENGTH_M, 20.0))
+        stop = Manoeuvre("hard-stop", 1, view.ways[1], SpeedProfile(then_mps2=-8.0))
+        assert needed(view, stop) == [braking], gap
+
+
+def test_no_braking_is_needed_for_who_goes_on(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 90.0, 25.0))
+    assert needed(view, Manoeuvre("hard-stop", 1, view.ways[1])) == [0.0]
+
+
+def test_who_is_perceived_later_asks_for_more(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 90.0, 20.0))
+    stop = Manoeuvre("hard-stop", 1, view.ways[1], SpeedProfile(then_mps2=-6.0))
+    assert needed(view, stop, perceived_s=1.0)[0] > needed(view, stop)[0]
+
+
+def change(view: SituationView) -> Manoeuvre:
+    proposals = [m for m in KINDS["cut-in"](view, 1) if m.goal is not None]
+    assert proposals
+    return replace(proposals[0], profile=SpeedProfile())
+
+
+def is_lawful(view: SituationView, manoeuvre: Manoeuvre) -> bool:
+    futures = futures_of_manoeuvres([manoeuvre], np.array([view.speed(manoeuvre.row)]))
+    return bool(lawful(view, [manoeuvre], futures)[0])
+
+
+@pytest.mark.parametrize(("spare", "allowed"), [(-0.5, False), (0.5, True)])
+def test_a_lane_change_needs_the_safe_gap(motorway: RoadMap, spare: float, allowed: bool) -> None:
+    """Both at 20 m/s, judged half a metre a second faster for who follows, with a tenth and a metre on top."""
+    gap = 1.1 * safe_gap_m(20.5, 20.0) + 1.0 + spare
+    view = view_of(motorway, target=(0, 50.0, 20.0), other=(1, 50.0 + LENGTH_M + gap, 20.0))
+    assert is_lawful(view, change(view)) is allowed
+
+
+def test_nobody_drives_into_others(motorway: RoadMap) -> None:
+    cars = {"target": (0, 50.0, 20.0), "other": (1, 90.0, 20.0)}
+    free = view_of(motorway, **cars)
+    assert is_lawful(free, change(free))
+    blocked = view_of(motorway, **cars, beside=(0, 92.0, 20.0))
+    assert not is_lawful(blocked, change(blocked))
+
+
+def test_the_limit_holds(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 20.0), other=(1, 90.0, 20.0))
+    limit = view.ways[1].lane.speed_mps
+    assert not is_lawful(
+        view, Manoeuvre("cut-in", 1, view.ways[1], SpeedProfile(3.0, 6.0, highest_mps=1.3 * limit))
+    )
+
+
+def test_red_lights_hold(networks: object) -> None:
+    road = RoadMap.read(f"{networks}/downtown.net.xml")
+    link = next(
+        x for lane in road.lanes.values() for x in lane.successors if x.tls_id and not lane.is_internal
+    )
+    lane = road.lanes[link.from_lane]
+    place = max(lane.length_m - 25.0, 5.0)
+    scene = scene_on({"target": (lane, max(place - 12.0, 1.0), 8.0), "other": (lane, place, 8.0)})
+    for letter, allowed in (("r", False), ("G", True)):
+        lights = {link.tls_id or "": letter * 60}
+        view = SituationView.of(road, replace(scene, signals=lights))
+        goes_on = Manoeuvre("stop-and-go", 1, view.ways[1], SpeedProfile())
+        assert is_lawful(view, goes_on) is allowed
+
+
+def test_the_hardest_answerable_manoeuvre_is_chosen(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 85.0, 20.0))
+    proposals = [m for kind in KINDS.values() for m in kind(view, 1)]
+    best = rank(view, proposals, dict.fromkeys(KINDS, 1.0))[0]
+    assert best.manoeuvre.kind == "hard-stop"
+    assert 5.0 <= best.needed_mps2 <= 7.0
+
+
+def test_who_is_behind_proposes_nothing(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 90.0, 20.0), follower=(0, 50.0, 30.0))
+    assert [m for kind in KINDS.values() for m in kind(view, 1)] == []

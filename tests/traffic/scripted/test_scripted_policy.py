@@ -1,0 +1,46 @@
+"""The scripted background: its contract, its memory, and that it breaks no rule in closed loop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.policy_registry import make_policy
+from advdiff_sumo.traffic.scripted.scripted_policy import ScriptedTraffic
+from tests.traffic.manoeuvres.scenes import long_lane, scene_on
+
+
+@pytest.fixture(scope="module")
+def motorway(networks: object) -> RoadMap:
+    return RoadMap.read(f"{networks}/motorway.net.xml")
+
+
+def test_the_leader_stops_and_goes_on_stopping(motorway: RoadMap) -> None:
+    lane = long_lane(motorway)
+    policy = ScriptedTraffic(attack="hard-stop")
+    rng = np.random.default_rng(0)
+    scene = scene_on({"target": (lane, 50.0, 20.0), "leader": (lane, 85.0, 20.0)})
+    memory = policy.start(motorway, scene, None, rng)
+    plan, memory = policy.plan(motorway, scene, memory, rng)
+    assert plan.tracks.ids == ("leader",)
+    assert plan.tracks.speed_mps[0, -1] == 0.0
+    slower = scene_on({"target": (lane, 60.0, 18.0), "leader": (lane, 94.0, 16.0)})
+    again, _ = policy.plan(motorway, slower, memory, rng)
+    assert again.tracks.ids == ("leader",)
+    assert again.tracks.speed_mps[0, -1] == 0.0
+
+
+def test_nobody_is_moved_where_nothing_serves(motorway: RoadMap) -> None:
+    lane = long_lane(motorway)
+    policy = ScriptedTraffic()
+    rng = np.random.default_rng(0)
+    scene = scene_on({"target": (lane, 90.0, 20.0), "follower": (lane, 50.0, 20.0)})
+    plan, _ = policy.plan(motorway, scene, policy.start(motorway, scene, None, rng), rng)
+    assert plan.tracks.agents == 0
+
+
+def test_a_misspelt_kind_is_refused() -> None:
+    with pytest.raises(ConfigError, match="attack = 'cutin'"):
+        make_policy("scripted", {"attack": "cutin"})

@@ -19,11 +19,13 @@ test: setup
 	$(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --quiet
 
 # other people's programs that read what we export, in environments of their own; tests/export uses them where they are
-readers: build/readers/commonroad/.ready build/readers/asam/.ready
+readers: build/readers/commonroad/.ready build/readers/asam/.ready build/readers/av2/.ready
+
+build/readers/av2/.ready: PIP_FLAGS = --no-deps
 
 build/readers/%/.ready: tests/export/readers/%.txt
 	$(PYTHON) -m venv build/readers/$*
-	build/readers/$*/bin/pip install --quiet --disable-pip-version-check --requirement $<
+	build/readers/$*/bin/pip install --quiet --disable-pip-version-check $(PIP_FLAGS) --requirement $<
 	touch $@
 
 check: setup

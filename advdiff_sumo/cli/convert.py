@@ -14,13 +14,19 @@ from advdiff_sumo.core.errors import ConfigError
 if TYPE_CHECKING:
     from advdiff_sumo.maps.convert import ConversionResult
 
+MAP_HELP = (
+    "nuScenes or Argoverse 2 map (.json), ScenarioNet record (.pkl), CommonRoad scenario (.xml, .xml.gz)."
+)
 _console = Console(highlight=False, soft_wrap=True)
 
 
 def convert(
     map_file: Annotated[
         Path | None,
-        typer.Argument(metavar="MAP", help="Map expansion v1.3 (.json) or ScenarioNet record (.pkl)."),
+        typer.Argument(
+            metavar="MAP",
+            help=MAP_HELP,
+        ),
     ] = None,
     output: Annotated[
         Path | None,
@@ -50,7 +56,7 @@ def convert(
     ] = 0,
     seed: Annotated[int, typer.Option(help="Seed of the driving tests.")] = 1,
 ) -> None:
-    """Convert nuScenes HD maps to SUMO nets with exact centre lines, and measure how exact they are.
+    """Convert HD maps to SUMO nets with exact centre lines, and measure how exact they are.
 
     Example: advdiff-sumo convert boston-seaport.json -o networks/boston-seaport.net.xml --report
     """
@@ -103,13 +109,14 @@ def _convert(
     source: Path, net: Path, lefthand: bool | None, guess: bool, opendrive: bool
 ) -> ConversionResult:
     from advdiff_sumo.data.pickles import load_plain  # late, as above
-    from advdiff_sumo.maps.convert import convert_map, convert_source
+    from advdiff_sumo.maps.convert import convert_source
+    from advdiff_sumo.maps.convert.sources.read_map import read_map
     from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
 
     if source.suffix == ".pkl":
         record = read_record_map(load_plain(source), source)
         return convert_source(record, net, lefthand=lefthand, guess_signals=guess, opendrive=opendrive)
-    return convert_map(source, net, lefthand=lefthand, guess_signals=guess, opendrive=opendrive)
+    return convert_source(read_map(source), net, lefthand=lefthand, guess_signals=guess, opendrive=opendrive)
 
 
 def _say(result: ConversionResult, figures: dict[str, Any]) -> None:

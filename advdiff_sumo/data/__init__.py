@@ -5,15 +5,29 @@ from __future__ import annotations
 from pathlib import Path
 
 from advdiff_sumo.core.errors import LogError
+from advdiff_sumo.data.argoverse2_log import Argoverse2Reader
+from advdiff_sumo.data.commonroad_log import CommonRoadReader
 from advdiff_sumo.data.log_reader import LogReader, LogScene
 from advdiff_sumo.data.nuscenes import NuScenesReader
 from advdiff_sumo.data.scenarionet_log import ScenarioNetReader
 
-__all__ = ["LogReader", "LogScene", "NuScenesReader", "ScenarioNetReader", "open_log"]
+__all__ = [
+    "Argoverse2Reader",
+    "CommonRoadReader",
+    "LogReader",
+    "LogScene",
+    "NuScenesReader",
+    "ScenarioNetReader",
+    "open_log",
+]
+LOGS = (
+    "a folder with nuScenes' v1.0-*/ tables, ScenarioNet .pkl records, Argoverse 2 scenario_*.parquet, "
+    "CommonRoad scenarios (.xml, .xml.gz) or a run"
+)
 
 
 def open_log(path: Path) -> LogReader:
-    """Return the reader for the log at *path*: a nuScenes dataset root, ScenarioNet records, or a run folder.
+    """Return the reader for the log at *path*: of whichever kind :data:`LOGS` names.
 
     Raises:
         LogError: there is nothing, or nothing that is known.
@@ -28,6 +42,13 @@ def open_log(path: Path) -> LogReader:
         return NuScenesReader(path)
     if path.suffix == ".pkl" or (path.is_dir() and any(path.glob("*.pkl"))):
         return ScenarioNetReader(path)
-    raise LogError(
-        path, "holds no driving log", "give a folder with v1.0-*/ tables, ScenarioNet .pkl records or a run"
-    )
+    if path.suffix == ".parquet" or (path.is_dir() and any(path.rglob("scenario_*.parquet"))):
+        return Argoverse2Reader(path)
+    if _is_commonroad(path):
+        return CommonRoadReader(path)
+    raise LogError(path, "holds no driving log", f"give {LOGS}")
+
+
+def _is_commonroad(path: Path) -> bool:
+    names = [path.name] if path.is_file() else [child.name for child in path.iterdir()]
+    return any(name.endswith((".xml", ".xml.gz")) for name in names)

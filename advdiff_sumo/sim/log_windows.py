@@ -12,7 +12,14 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.errors import ConfigError, LogError, SceneError
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import AgentClass, Tracks
-from advdiff_sumo.data import LogReader, LogScene, NuScenesReader, ScenarioNetReader
+from advdiff_sumo.data import (
+    Argoverse2Reader,
+    CommonRoadReader,
+    LogReader,
+    LogScene,
+    NuScenesReader,
+    ScenarioNetReader,
+)
 from advdiff_sumo.data.pickles import load_plain
 from advdiff_sumo.data.runs import RunReader
 from advdiff_sumo.data.scenarionet_log import map_offset_m, read_record
@@ -20,7 +27,8 @@ from advdiff_sumo.data.splits import in_split, prediction_windows
 from advdiff_sumo.data.window_arrays import WindowArrays, WindowFileBuilder, crop, crops, window_arrays
 from advdiff_sumo.data.window_files import DT_S, FUTURE, PAST, SUFFIX, WindowFile, write_windows
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.maps.convert import convert_map, convert_source
+from advdiff_sumo.maps.convert import convert_source
+from advdiff_sumo.maps.convert.sources.read_map import read_map
 from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.sim.logs import fits
@@ -87,7 +95,7 @@ class Nets:
         source = None if self.converted is None else _map_of(drive, reader)
         if source is None or self.converted is None:
             return None
-        net = self.converted / f"{source.stem}.net.xml"
+        net = self.converted / f"{source.name.split('.')[0]}.net.xml"
         if not net.exists():
             _convert(source, net)
         road = self._read(net)
@@ -241,6 +249,10 @@ def _map_of(drive: LogScene, reader: LogReader) -> Path | None:
         if not path.exists():
             raise LogError(path, "no such map", "unpack the map expansion v1.3 there, or give a --net")
         return path
+    if isinstance(reader, Argoverse2Reader):
+        return reader.map_file(drive.name)
+    if isinstance(reader, CommonRoadReader):
+        return drive.source
     return None
 
 
@@ -256,7 +268,7 @@ def _convert(source: Path, net: Path) -> None:
     if source.suffix == ".pkl":
         convert_source(read_record_map(load_plain(source), source), net)
     else:
-        convert_map(source, net)
+        convert_source(read_map(source), net)
 
 
 def _placed(out: Path, made: Mapping[str, WindowFile]) -> Iterator[tuple[Path, WindowFile]]:

@@ -19,6 +19,7 @@ from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 _ON_LANE_M, _ALONG_LANE_RAD = 1.5, 0.6
 _ALIGNED_RAD = 0.1
 _MIN_FUTURE_S = 6.0
+_SHORTEST_FUTURE_S = 1.5  # of logs that are too short for the whole of it
 _BEYOND_LOG_M = 300.0
 _FIT_SHARE, _FIT_M = 0.8, 3.0
 
@@ -63,7 +64,8 @@ class LoggedTraffic:
     def _starts(self, drive: LogScene) -> list[int]:
         dt = drive.tracks.dt_s
         first = round(self.sim.history_s / dt)
-        last = drive.tracks.steps - 1 - round(_MIN_FUTURE_S / dt)
+        future_s = min(_MIN_FUTURE_S, max(_SHORTEST_FUTURE_S, (drive.tracks.steps - 1 - first) * dt))
+        last = drive.tracks.steps - 1 - round(future_s / dt)
         there = drive.tracks.valid[drive.ego]
         stride = max(1, round(self.scene.stride_s / dt))
         starts: list[int] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import sumolib
 
 from advdiff_sumo.core.errors import NetError
 
-SHORTEST_TRIP_M = 200.0
+SHORTEST_TRIPS_M = (200.0, 100.0, 50.0)  # the first that the net has
 SHORTEST_END_M = (
     20.0  # of edges where trips begin and end; SUMO puts cars into each other on those shorter than a car
 )
@@ -40,23 +41,21 @@ class RandomTrips:
 
     def _find_pool(self, net: Path) -> list[tuple[list[str], float]]:
         """Return a pool of routes; a few hundred are enough for an hour."""
-        pool: list[tuple[list[str], float]] = []
-        for _ in range(TRIES):
-            route = self._route()
-            if route is not None:
-                pool.append(route)
-            if len(pool) >= POOL:
-                break
-        if not pool:
-            raise NetError(net, f"holds no way of {SHORTEST_TRIP_M:.0f} m", "give a net with roads that join")
-        return pool
+        for shortest_m in SHORTEST_TRIPS_M:
+            routes = (self._route(shortest_m) for _ in range(TRIES))
+            pool = list(itertools.islice((route for route in routes if route is not None), POOL))
+            if pool:
+                return pool
+        raise NetError(
+            net, f"holds no way of {SHORTEST_TRIPS_M[-1]:.0f} m", "give a net with roads that join"
+        )
 
-    def _route(self) -> tuple[list[str], float] | None:
+    def _route(self, shortest_m: float) -> tuple[list[str], float] | None:
         if not self._ends:
             return None
         origin, target = self._random.choice(self._ends), self._random.choice(self._ends)
         way, length = self._net.getShortestPath(origin, target, vClass="passenger")
-        if way is None or length < SHORTEST_TRIP_M:
+        if way is None or length < shortest_m:
             return None
         return [edge.getID() for edge in way], float(length)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from shapely.geometry import LineString
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 
 OUTSIDE_M = 1.0  # a centre line farther outside its polygon is not in it
@@ -20,7 +20,6 @@ MEETS_M = 1.0  # two lanes whose ends lie nearer meet
 FAR_LINK_M = 10.0  # a link over a larger gap joins lanes that are not neighbours
 BACKWARDS_RAD = 2.4  # a link that turns on the spot by more leads backwards
 FULL_TURN_RAD = 1.9 * math.pi
-MOST_SENTENCES = 20
 
 
 def check_geometry(source: SourceMap) -> SourceMap:
@@ -30,7 +29,7 @@ def check_geometry(source: SourceMap) -> SourceMap:
     confirms (a polygon is left out instead where a neighbour does), links of a lane to itself, over more than
     10 m, or backwards. Each gets a sentence in ``warnings`` (20 of a kind at most) and is counted in ``notes``.
     """
-    faults = _Faults(source)
+    faults = MapFaults(source.path)
     lanes = [lane for lane in source.lanes if not _is_loop(lane, faults)]
     links = _sound_links({lane.token: lane for lane in lanes}, source.links, faults)
     lanes = _in_their_polygons(lanes, links, faults)
@@ -46,29 +45,7 @@ def check_geometry(source: SourceMap) -> SourceMap:
     )
 
 
-class _Faults:
-    """What was found, by kind; *notes* counts it."""
-
-    def __init__(self, source: SourceMap) -> None:
-        self.file = source.path.name
-        self.notes: Counter[str] = Counter()
-        self._sentences: dict[str, list[str]] = {}
-
-    def add(self, kind: str, sentence: str) -> None:
-        self.notes[kind] += 1
-        self._sentences.setdefault(kind, []).append(f"{self.file}: {sentence}")
-
-    def sentences(self) -> tuple[str, ...]:
-        """Return the sentences of each kind, the first ones and how many more there are."""
-        told: list[str] = []
-        for kind, own in self._sentences.items():
-            told += own[:MOST_SENTENCES]
-            if len(own) > MOST_SENTENCES:
-                told.append(f"{self.file}: {kind}: {len(own) - MOST_SENTENCES} more")
-        return tuple(told)
-
-
-def _is_loop(lane: SourceLane, faults: _Faults) -> bool:
+def _is_loop(lane: SourceLane, faults: MapFaults) -> bool:
     """Return whether a path turns full circle or ends where it begins."""
     line = lane.centre_m
     yaw = np.unwrap(np.arctan2(*np.diff(line, axis=0).T[::-1]))
@@ -80,12 +57,12 @@ def _is_loop(lane: SourceLane, faults: _Faults) -> bool:
 
 
 def _sound_links(
-    lanes: dict[str, SourceLane], links: tuple[tuple[str, str], ...], faults: _Faults
+    lanes: dict[str, SourceLane], links: tuple[tuple[str, str], ...], faults: MapFaults
 ) -> list[tuple[str, str]]:
     return [link for link in links if set(link) <= lanes.keys() and _is_sound(lanes, link, faults)]
 
 
-def _is_sound(lanes: dict[str, SourceLane], link: tuple[str, str], faults: _Faults) -> bool:
+def _is_sound(lanes: dict[str, SourceLane], link: tuple[str, str], faults: MapFaults) -> bool:
     before, after = lanes[link[0]].centre_m, lanes[link[1]].centre_m
     gap = math.dist(before[-1], after[0])
     if link[0] == link[1]:
@@ -112,7 +89,7 @@ def _turn(before: FloatArray, after: FloatArray) -> float:
 
 
 def _in_their_polygons(
-    lanes: list[SourceLane], links: list[tuple[str, str]], faults: _Faults
+    lanes: list[SourceLane], links: list[tuple[str, str]], faults: MapFaults
 ) -> list[SourceLane]:
     line = {lane.token: lane.centre_m for lane in lanes}
     meeting = {token for a, b in links if math.dist(line[a][-1], line[b][0]) < MEETS_M for token in (a, b)}

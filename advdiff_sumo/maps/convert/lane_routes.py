@@ -44,11 +44,11 @@ class LaneGraph:
         return frozenset(reached)
 
     def parts(self, edge: str) -> list[list[int]]:
-        """Return the lanes of *edge* in groups between which no change is permitted in either direction."""
+        """Return the lanes of *edge* in groups within which each lane can be changed to the next and back."""
         groups: list[list[int]] = []
         for lane, after in enumerate(self.changes[edge]):
-            together = groups and (groups[-1][-1] in after or lane in self.changes[edge][groups[-1][-1]])
-            if together:
+            before = lane - 1
+            if groups and before in after and lane in self.changes[edge][before]:
                 groups[-1].append(lane)
             else:
                 groups.append([lane])

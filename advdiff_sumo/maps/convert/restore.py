@@ -20,7 +20,9 @@ DIVIDED = re.compile(r'<connection from="(:[^"]+)"[^>]* via="')
 
 
 def restore_shapes(net: Path, plan: NetPlan) -> int:
-    """Give each lane of *net* the ends that *plan* gives it; return how many had been moved.
+    """Give each lane of *net* the shape that *plan* gives it; return how many had been moved at an end.
+
+    netconvert leaves out points some centimetres from the one before.
 
     A lane that begins inside its own junction and leaves it across another lane has no place where netconvert
     would leave it alone, whatever the junction's shape; the ways from and to it move along with it. Ways that a
@@ -36,14 +38,13 @@ def restore_shapes(net: Path, plan: NetPlan) -> int:
     def put_back(match: re.Match[str]) -> str:
         nonlocal moved
         shape = planned.get(match["id"])
-        if shape is None or _same_ends(match["shape"], shape):
+        if shape is None:
             return match[0]
-        moved += 1
+        moved += not _same_ends(match["shape"], shape)
         return match[1] + shape_text(shape) + match[4]
 
     text = LANE.sub(put_back, text)
-    if moved:
-        net.write_text(text, encoding="utf-8")
+    net.write_text(text, encoding="utf-8")
     return moved
 
 

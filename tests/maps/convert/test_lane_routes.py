@@ -33,7 +33,8 @@ def test_a_change_in_one_direction_helps_one_of_them() -> None:
     lanes = graph(changes=False)
     lanes.changes["m"] = [{1}, set()]
     assert undrivable_routes(lanes) == [("b", "m", "c")]
-    assert edges_to_part(lanes) == []  # parting it would take away the way that there is
+    assert edges_to_part(lanes) == ["m"]
+    assert lanes.parts("m") == [[0], [1]]
 
 
 def short_middle() -> MapBuilder:

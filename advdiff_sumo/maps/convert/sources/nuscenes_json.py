@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,11 +13,12 @@ from shapely.geometry import LineString, MultiPolygon, Polygon
 
 from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.maps.convert.sources.arcline import sample_path
+from advdiff_sumo.maps.convert.sources.bounded_lanes import as_multi
+from advdiff_sumo.maps.convert.sources.map_files import load_json
 from advdiff_sumo.maps.convert.sources.map_tables import MapTables, Row, finite
 from advdiff_sumo.maps.convert.sources.nuscenes_control import signals_of, stop_lines_of
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceLane, SourceMap, StatedSizes
 
-MAX_FILE_BYTES = 600_000_000  # the largest genuine file has about a tenth of that
 OLDEST = (1, 3)
 LANE_LAYERS = ("lane", "lane_connector")
 SMALLEST_EXTENT_M, LONGEST_EXTENTS = 1000.0, 2.0  # no lane is longer than twice the diagonal of the map
@@ -42,35 +42,20 @@ USES = {"CAR": LaneUse.CAR, "BUS": LaneUse.BUS, "BIKE": LaneUse.BICYCLE, "BICYCL
 
 
 def read_nuscenes_map(path: Path) -> SourceMap:
-    """Read a map expansion file.
+    """Read a map expansion file; see :func:`nuscenes_map`."""
+    return nuscenes_map(load_json(path, "give a file of maps/expansion"), path)
+
+
+def nuscenes_map(data: object, path: Path) -> SourceMap:
+    """Return the map in *data*, the JSON of *path*.
 
     Raises:
         MapError: not such a file, an older expansion, a needed layer is absent, or nothing in it is usable.
     """
-    return _Reader(path, load_json(path)).read()
+    return _Reader(path, _checked_layers(path, data)).read()
 
 
-def load_json(path: Path) -> dict[str, Any]:
-    """Return the object in *path*, checked to be a map expansion with the layers that conversion needs."""
-    try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise MapError(
-                path, f"{size / 1e6:.0f} MB is more than any map expansion has", "give a city's JSON file"
-            )
-        data = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise MapError(
-            path, f"cannot be read ({error.strerror})", "give the path of an existing JSON file"
-        ) from None
-    except (ValueError, RecursionError) as error:
-        raise MapError(path, f"is no JSON text ({error})", "give a file of maps/expansion") from None
-    _check_layers(path, data)
-    checked: dict[str, Any] = data
-    return checked
-
-
-def _check_layers(path: Path, data: object) -> None:
+def _checked_layers(path: Path, data: object) -> dict[str, Any]:
     remedy = "download the map expansion v1.3 from nuscenes.org"
     if not isinstance(data, dict) or not ({"lane", "node", "polygon"} & set(data)):
         raise MapError(path, "is JSON of another format, not a nuScenes map expansion", remedy)
@@ -85,6 +70,7 @@ def _check_layers(path: Path, data: object) -> None:
         raise MapError(path, "holds no lane", "give the map of a city, not an empty one")
     if not data["arcline_path_3"]:
         raise MapError(path, "layer 'arcline_path_3' is empty, so no lane has a centre line", remedy)
+    return data
 
 
 def _check_version(path: Path, version: object, remedy: str) -> None:
@@ -229,12 +215,6 @@ class _Reader(MapTables):
                 lines += [LineString(points)] if points else []
                 run = []
         return lines
-
-
-def as_multi(shape: shapely.Geometry) -> MultiPolygon:
-    """Return the polygons of any geometry as one MultiPolygon."""
-    parts = [part for part in shapely.get_parts(shape) if isinstance(part, Polygon) and part.area > 0]
-    return MultiPolygon(parts)
 
 
 def _dashed_nodes(rows: Sequence[Row]) -> frozenset[str]:

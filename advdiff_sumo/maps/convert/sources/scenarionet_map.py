@@ -15,7 +15,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
-from advdiff_sumo.maps.convert.sources.nuscenes_json import as_multi
+from advdiff_sumo.maps.convert.sources.bounded_lanes import as_multi
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceLane, SourceMap
 
 KMH_MPS = 1.0 / 3.6

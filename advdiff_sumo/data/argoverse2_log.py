@@ -1,0 +1,144 @@
+"""Argoverse 2 motion forecasting (Wilson et al. 2021, arXiv:2301.00493): ``scenario_*.parquet``, 10 Hz, 11 s."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.errors import LogError, UnknownNameError
+from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.data.log_reader import LogScene
+from advdiff_sumo.data.motion import parked_agents, signed_speeds
+
+DT_S = 0.1
+EGO = "AV"
+PREFIX = "scenario_"
+COLUMNS = ("track_id", "object_type", "timestep", "position_x", "position_y", "heading")
+CLASSES = {
+    "vehicle": AgentClass.CAR,
+    "bus": AgentClass.BUS,
+    "motorcyclist": AgentClass.MOTORCYCLE,
+    "cyclist": AgentClass.BICYCLE,
+    "pedestrian": AgentClass.PEDESTRIAN,
+}
+SIZES_M = {  # the files hold no sizes
+    AgentClass.CAR: (4.6, 1.9),
+    AgentClass.BUS: (12.0, 2.6),
+    AgentClass.MOTORCYCLE: (2.2, 0.9),
+    AgentClass.BICYCLE: (1.8, 0.7),
+    AgentClass.PEDESTRIAN: (0.6, 0.6),
+}
+_AGAIN = "give an unchanged scenario_*.parquet"
+
+
+class Argoverse2Reader:
+    """Reads one ``scenario_*.parquet`` or the ones below a folder; a scene is named by its scenario's id.
+
+    Riderless bicycles, static objects and background are left out; sizes are those usual for the class, as the
+    files hold none.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Point at a file, or at a folder of them (searched recursively)."""
+        self.path = Path(path)
+
+    def names(self) -> list[str]:
+        """Return the ids of the scenarios, sorted.
+
+        Raises:
+            LogError: there is none.
+        """
+        return sorted(self._files())
+
+    def read(self, name: str) -> LogScene:
+        """Return one scene.
+
+        Raises:
+            UnknownNameError: there is no such scenario.
+            LogError: the file is damaged.
+        """
+        files = self._files()
+        if name not in files:
+            raise UnknownNameError("scenario", name, files)
+        path = files[name]
+        try:
+            return _scene(name, path, _table(path))
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise LogError(path, f"cannot be used ({type(error).__name__}: {error})", _AGAIN) from None
+
+    def scenes(self) -> Iterator[LogScene]:
+        """Yield all scenes."""
+        return map(self.read, self.names())
+
+    def map_file(self, name: str) -> Path:
+        """Return the map beside the scenario.
+
+        Raises:
+            LogError: it is not there.
+        """
+        path = self._files()[name]
+        beside = path.with_name(f"log_map_archive_{name}.json")
+        if not beside.exists():
+            raise LogError(beside, "no such map", "unpack the scenario's folder whole, or give a --net")
+        return beside
+
+    def _files(self) -> dict[str, Path]:
+        paths = [self.path] if self.path.is_file() else sorted(self.path.rglob(f"{PREFIX}*.parquet"))
+        if not paths:
+            raise LogError(self.path, f"no such file or folder of {PREFIX}*.parquet", "give one of these")
+        return {path.stem.removeprefix(PREFIX): path for path in paths}
+
+
+def _table(path: Path) -> dict[str, Any]:
+    import pyarrow as pa  # late: training reads window files without pyarrow
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path, columns=list(COLUMNS))
+    except (OSError, pa.ArrowException) as error:
+        raise LogError(path, f"is no readable Parquet file ({str(error).splitlines()[0]})", _AGAIN) from None
+    return {name: table[name].to_numpy() for name in table.column_names}
+
+
+def _scene(name: str, path: Path, table: dict[str, Any]) -> LogScene:
+    kinds = {
+        str(track): CLASSES.get(str(kind))
+        for track, kind in zip(table["track_id"], table["object_type"], strict=True)
+    }
+    ids = [track for track, kind in kinds.items() if kind is not None]
+    if EGO not in ids:
+        raise ValueError(f"it has no track '{EGO}' of the recording vehicle")
+    tracks = _tracks(table, ids, [kinds[track] for track in ids])
+    ego = ids.index(EGO)
+    parked = parked_agents(tracks.xy_m, tracks.valid, tracks.dt_s)
+    parked[ego] = False
+    return LogScene(name, f"log_map_archive_{name}", tracks, ego, parked, path)
+
+
+def _tracks(table: dict[str, Any], ids: list[str], kinds: list[AgentClass | None]) -> Tracks:
+    row_of = {track: row for row, track in enumerate(ids)}
+    steps = int(table["timestep"].max()) + 1
+    rows = np.array([row_of.get(str(track), -1) for track in table["track_id"]])
+    kept = rows >= 0
+    at = rows[kept], table["timestep"][kept].astype(np.int64)
+    xy = np.full((len(ids), steps, 2), np.nan)
+    yaw = np.full((len(ids), steps), np.nan)
+    xy[at] = np.stack((table["position_x"][kept], table["position_y"][kept]), axis=-1)
+    yaw[at] = table["heading"][kept]
+    valid = np.isfinite(xy).all(-1) & np.isfinite(yaw)
+    if not valid[at].all():
+        raise ValueError("a state is not finite")
+    return Tracks(
+        ids=tuple(ids),
+        classes=np.array(kinds, dtype=np.int64),
+        size_m=np.array([SIZES_M[AgentClass(kind)] for kind in kinds if kind is not None]),
+        xy_m=xy,
+        yaw_rad=yaw,
+        speed_mps=signed_speeds(xy, yaw, valid, DT_S),
+        valid=valid,
+        t0_s=0.0,
+        dt_s=DT_S,
+    )

@@ -1,0 +1,154 @@
+"""The road users of a CommonRoad scenario 2020a (Althoff et al. 2017, DOI 10.1109/IVS.2017.7995802)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import LogError, UnknownNameError
+from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.data.log_reader import LogScene
+from advdiff_sumo.data.motion import parked_agents, signed_speeds
+
+CLASSES = {
+    "car": AgentClass.CAR,
+    "taxi": AgentClass.CAR,
+    "priorityVehicle": AgentClass.CAR,
+    "truck": AgentClass.TRUCK,
+    "bus": AgentClass.BUS,
+    "motorcycle": AgentClass.MOTORCYCLE,
+    "bicycle": AgentClass.BICYCLE,
+    "pedestrian": AgentClass.PEDESTRIAN,
+}
+SUFFIXES = (".xml", ".xml.gz")
+_AGAIN = "give an unchanged CommonRoad scenario of version 2020a"
+
+
+class CommonRoadReader:
+    """Reads one scenario (``.xml``, ``.xml.gz``) or those of a folder; a scene is named by its file.
+
+    A scenario has no recording vehicle: the vehicle that drives farthest stands in its place. Obstacles without a
+    trajectory, and those of which only sets are known, are left out.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Point at a scenario, or at a folder of them."""
+        self.path = Path(path)
+
+    def names(self) -> list[str]:
+        """Return the names of the scenarios, sorted.
+
+        Raises:
+            LogError: there is none.
+        """
+        return sorted(self._files())
+
+    def read(self, name: str) -> LogScene:
+        """Return one scene.
+
+        Raises:
+            UnknownNameError: there is no such scenario.
+            LogError: the file is damaged.
+        """
+        files = self._files()
+        if name not in files:
+            raise UnknownNameError("scenario", name, files)
+        path = files[name]
+        from advdiff_sumo.maps.convert.sources.map_files import load_xml  # late: training runs without SUMO
+
+        try:
+            return _scene(name, path, load_xml(path))
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise LogError(path, f"cannot be used ({error})", _AGAIN) from None
+
+    def scenes(self) -> Iterator[LogScene]:
+        """Yield all scenes."""
+        return map(self.read, self.names())
+
+    def _files(self) -> dict[str, Path]:
+        if self.path.is_file():
+            paths = [self.path]
+        else:
+            paths = [path for path in sorted(self.path.iterdir()) if path.name.endswith(SUFFIXES)]
+        if not paths:
+            raise LogError(self.path, "no such file or folder of CommonRoad scenarios", "give one of these")
+        return {path.name.split(".")[0]: path for path in paths}
+
+
+def _scene(name: str, path: Path, root: Element) -> LogScene:
+    if root.tag != "commonRoad":
+        raise ValueError(f"it begins with <{root.tag}>, not <commonRoad>")
+    dt_s = float(root.attrib["timeStepSize"])
+    rows = [row for row in root.iterfind("dynamicObstacle") if _kind(row) is not None and _has_states(row)]
+    if not rows:
+        raise ValueError("no obstacle has a trajectory, so there is nobody to drive")
+    states = [_states(row) for row in rows]
+    tracks = _tracks(rows, states, dt_s)
+    parked = parked_agents(tracks.xy_m, tracks.valid, tracks.dt_s)
+    driven = np.nansum(np.hypot(*np.moveaxis(np.diff(tracks.xy_m, axis=1), -1, 0)), axis=1)
+    driven[tracks.classes >= AgentClass.BICYCLE] = -1.0
+    ego = int(driven.argmax())
+    parked[ego] = False
+    return LogScene(name, root.get("benchmarkID", name), tracks, ego, parked, path)
+
+
+def _kind(row: Element) -> AgentClass | None:
+    return CLASSES.get((row.findtext("type") or "").strip())
+
+
+def _has_states(row: Element) -> bool:
+    return row.find("trajectory/state") is not None and row.find("shape/rectangle") is not None
+
+
+def _states(row: Element) -> FloatArray:
+    """Return rows (K, 4) of step, x and y in m and orientation in rad."""
+    elements = [*row.iterfind("initialState"), *row.iterfind("trajectory/state")]
+    return np.array([[_number(s, "time"), *_xy(s), _number(s, "orientation")] for s in elements])
+
+
+def _number(state: Element, tag: str) -> float:
+    text = state.findtext(f"{tag}/exact")
+    if text is not None:
+        return float(text)
+    low, high = state.findtext(f"{tag}/intervalStart"), state.findtext(f"{tag}/intervalEnd")
+    if low is None or high is None:
+        raise ValueError(f"a state has no {tag}")
+    return 0.5 * (float(low) + float(high))
+
+
+def _xy(state: Element) -> tuple[float, float]:
+    point = state.find("position/point")
+    if point is None:
+        raise ValueError("a state has no point as its position")
+    return float(point.findtext("x") or "nan"), float(point.findtext("y") or "nan")
+
+
+def _tracks(rows: list[Element], states: list[FloatArray], dt_s: float) -> Tracks:
+    steps = int(max(own[:, 0].max() for own in states)) + 1
+    xy = np.full((len(rows), steps, 2), np.nan)
+    yaw = np.full((len(rows), steps), np.nan)
+    for number, own in enumerate(states):
+        at = own[:, 0].astype(np.int64)
+        xy[number, at], yaw[number, at] = own[:, 1:3], own[:, 3]
+        if not np.isfinite(own).all():
+            raise ValueError(f"a state of obstacle {rows[number].get('id')} is not finite")
+    valid = np.isfinite(yaw)
+    boxes = [row.find("shape/rectangle") for row in rows]
+    sizes = [
+        [float(box.findtext(key) or "nan") for key in ("length", "width")] for box in boxes if box is not None
+    ]
+    return Tracks(
+        ids=tuple(row.get("id", "") for row in rows),
+        classes=np.array([_kind(row) for row in rows], dtype=np.int64),
+        size_m=np.array(sizes),
+        xy_m=xy,
+        yaw_rad=yaw,
+        speed_mps=signed_speeds(xy, yaw, valid, dt_s),
+        valid=valid,
+        t0_s=0.0,
+        dt_s=dt_s,
+    )

@@ -1,0 +1,214 @@
+"""CommonRoad scenarios 2020a (Althoff et al. 2017, DOI 10.1109/IVS.2017.7995802): the lanelets of an XML file.
+
+Coordinates are those of the file in m; boundaries run in driving direction, with as many points on both sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from shapely.geometry import LineString, Polygon
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.maps.convert.sources.bounded_lanes import (
+    BoundedLane,
+    covered_area,
+    lane_links,
+    largest_part,
+    source_lanes,
+)
+from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
+from advdiff_sumo.maps.convert.sources.source_map import (
+    LaneUse,
+    Signal,
+    SourceLane,
+    SourceMap,
+    StatedSizes,
+    StopLine,
+)
+
+REMEDY = "give an unchanged CommonRoad scenario of version 2020a"
+USES = {"busLane": LaneUse.BUS, "bicycleLane": LaneUse.BICYCLE}
+ON_FOOT = {"crosswalk", "sidewalk"}
+SPEED_SIGNS = {"274", "R2-1", "274.1", "302_vienna"}  # speed limits; their values are in m/s
+STOP_SIGNS, YIELD_SIGNS = {"206", "R1-1"}, {"205", "R1-2"}
+LINE_M = 0.25  # half the depth of a painted stop line
+
+
+def commonroad_map(root: Element, path: Path) -> SourceMap:
+    """Return the lanelet network below *root*, read from *path*.
+
+    Lanelets that an intersection names as successors of its incoming ones are connectors; where the file has no
+    intersection, geometry tells them. Crosswalks and sidewalks are areas on foot, not lanes.
+
+    Raises:
+        MapError: another format or version, or no lanelet is usable.
+    """
+    _check(root, path)
+    faults = MapFaults(path)
+    inside = {ref for row in root.iterfind("intersection/incoming") for ref in _successors(row)}
+    limits, rules = _signs(root)
+    drawn = [row for row in root.iterfind("lanelet") if _kinds(row).isdisjoint(ON_FOOT)]
+    rows = [lane for row in drawn if (lane := _lane(row, inside, limits, faults))]
+    lanes = source_lanes(rows, faults)
+    if not lanes:
+        raise MapError(path, "holds no usable lanelet", REMEDY)
+    known = {lane.token for lane in lanes}
+    links, stated = lane_links(rows, lanes, faults)
+    return SourceMap(
+        path=path,
+        location=root.get("benchmarkID") or path.name.split(".")[0],
+        lanes=tuple(lanes),
+        links=tuple(links),
+        drivable=covered_area(lanes),
+        crossings=tuple(_areas(root, "crosswalk")),
+        walkways=tuple(_areas(root, "sidewalk")),
+        stop_lines=tuple(_stop_lines(root, lanes, rules)),
+        signals=tuple(_signals(root)),
+        stated=StatedSizes(len(drawn), stated),
+        left_out=tuple(name for row in drawn if (name := row.get("id", "")) not in known),
+        notes=faults.notes,
+        warnings=faults.sentences(),
+    )
+
+
+def _check(root: Element, path: Path) -> None:
+    if root.tag != "commonRoad":
+        raise MapError(path, f"begins with <{root.tag}>, so it is no CommonRoad scenario", REMEDY)
+    version = root.get("commonRoadVersion")
+    if version is None or not version.startswith("20"):
+        raise MapError(path, f"states CommonRoad version {version!r}", REMEDY)
+    if root.find("lanelet") is None:
+        raise MapError(path, "holds no lanelet", "give a scenario with a road network")
+
+
+def _successors(incoming: Element) -> Iterator[str]:
+    for tag in ("successorsLeft", "successorsStraight", "successorsRight"):
+        yield from (row.get("ref", "") for row in incoming.iterfind(tag))
+
+
+def _kinds(row: Element) -> set[str]:
+    return {(kind.text or "").strip() for kind in row.iterfind("laneletType")}
+
+
+def _signs(root: Element) -> tuple[dict[str, float], dict[str, str]]:
+    """Return speed limits in m/s and STOP_SIGN or YIELD by traffic sign."""
+    limits: dict[str, float] = {}
+    rules: dict[str, str] = {}
+    for sign in root.iterfind("trafficSign"):
+        name = sign.get("id", "")
+        for element in sign.iterfind("trafficSignElement"):
+            kind = (element.findtext("trafficSignID") or "").strip()
+            if kind in SPEED_SIGNS:
+                _put_limit(limits, name, element.findtext("additionalValue"))
+            elif kind in STOP_SIGNS | YIELD_SIGNS:
+                rules[name] = "STOP_SIGN" if kind in STOP_SIGNS else "YIELD"
+    return limits, rules
+
+
+def _put_limit(limits: dict[str, float], name: str, text: str | None) -> None:
+    try:
+        value = float(text or "")
+    except ValueError:
+        return
+    if np.isfinite(value) and value > 0.0:
+        limits[name] = value
+
+
+def _lane(row: Element, inside: set[str], limits: dict[str, float], faults: MapFaults) -> BoundedLane | None:
+    name = row.get("id", "")
+    speeds = [limits[ref] for ref in _refs(row, "trafficSignRef") if ref in limits]
+    kinds = _kinds(row)
+    try:
+        left, right = _bound(row, "leftBound"), _bound(row, "rightBound")
+    except ValueError as error:
+        faults.add("lanelet malformed", f"lanelet {name!r} is left out: {error}")
+        return None
+    return BoundedLane(
+        token=name,
+        left_m=left,
+        right_m=right,
+        is_connector=name in inside,
+        use=next((use for kind, use in USES.items() if kind in kinds), LaneUse.CAR),
+        speed_mps=min(speeds, default=None),
+        successors=tuple(_refs(row, "successor")),
+        predecessors=tuple(_refs(row, "predecessor")),
+        left_neighbour=_same_way(row, "adjacentLeft"),
+        left_dashed=_dashed(row, "leftBound"),
+        right_dashed=_dashed(row, "rightBound"),
+    )
+
+
+def _refs(row: Element, tag: str) -> list[str]:
+    return [found.get("ref", "") for found in row.iterfind(tag)]
+
+
+def _same_way(row: Element, tag: str) -> str | None:
+    beside = row.find(tag)
+    return beside.get("ref") if beside is not None and beside.get("drivingDir") == "same" else None
+
+
+def _dashed(row: Element, side: str) -> bool | None:
+    mark = (row.findtext(f"{side}/lineMarking") or "").strip()
+    return None if mark in ("", "unknown", "no_marking") else "dashed" in mark
+
+
+def _bound(row: Element, side: str) -> FloatArray:
+    bound = row.find(side)
+    if bound is None:
+        raise ValueError(f"it has no {side}")
+    return _points(bound.iterfind("point"))
+
+
+def _points(rows: Iterator[Element]) -> FloatArray:
+    text = [(row.findtext("x") or "", row.findtext("y") or "") for row in rows]
+    try:
+        return np.array([[float(x), float(y)] for x, y in text], dtype=np.float64).reshape(-1, 2)
+    except ValueError:
+        raise ValueError("a coordinate of a boundary is no number") from None
+
+
+def _areas(root: Element, kind: str) -> Iterator[Polygon]:
+    for row in root.iterfind("lanelet"):
+        if kind in _kinds(row):
+            try:
+                ring = np.vstack((_bound(row, "leftBound"), _bound(row, "rightBound")[::-1]))
+            except ValueError:
+                continue
+            area = largest_part(ring)
+            if area is not None:
+                yield area
+
+
+def _stop_lines(root: Element, lanes: list[SourceLane], rules: dict[str, str]) -> Iterator[StopLine]:
+    """Yield a stop line at the end of each lanelet that a stop or yield sign governs."""
+    by_token = {lane.token: lane for lane in lanes}
+    for row in root.iterfind("lanelet"):
+        lane = by_token.get(row.get("id", ""))
+        kinds = {rules[ref] for ref in _refs(row, "trafficSignRef") if ref in rules}
+        if lane is not None and kinds:
+            yield StopLine(lane.token, _end_bar(lane), min(kinds))
+
+
+def _end_bar(lane: SourceLane) -> Polygon:
+    """Return the painted line across the end of *lane*, as wide as a lane at least."""
+    end, before = lane.centre_m[-1], lane.centre_m[-2]
+    along = (end - before) / np.hypot(*(end - before))
+    across = np.array([-along[1], along[0]])
+    return LineString([end - across, end + across]).buffer(LINE_M, cap_style="flat")
+
+
+def _signals(root: Element) -> Iterator[Signal]:
+    """Yield the traffic lights with the lanelets that refer to them."""
+    lanes: dict[str, list[str]] = {}
+    for row in root.iterfind("lanelet"):
+        at_line = [light.get("ref", "") for light in row.iterfind("stopLine/trafficLightRef")]
+        for ref in dict.fromkeys((*_refs(row, "trafficLightRef"), *at_line)):
+            lanes.setdefault(ref, []).append(row.get("id", ""))
+    for light in root.iterfind("trafficLight"):
+        name = light.get("id", "")
+        yield Signal(name, None, lanes=tuple(lanes.get(name, ())))

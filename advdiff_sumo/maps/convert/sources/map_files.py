@@ -1,0 +1,61 @@
+"""Read the text of a map file, JSON or XML, gzipped or not, of bounded size."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import zlib
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, ParseError
+
+from defusedxml import DefusedXmlException, ElementTree
+
+from advdiff_sumo.core.errors import MapError
+
+MAX_FILE_BYTES = 600_000_000  # the largest genuine file has about a tenth of that
+
+
+def load_json(path: Path, remedy: str) -> Any:
+    """Return what the JSON text in *path* holds; *remedy* tells what to give instead.
+
+    Raises:
+        MapError: the file cannot be read, is too large, or is no JSON text.
+    """
+    try:
+        return json.loads(_bytes(path).decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise MapError(path, f"is no JSON text ({error})", remedy) from None
+
+
+def load_xml(path: Path) -> Element:
+    """Return the root of the XML document in *path*; entities and external references are refused.
+
+    Raises:
+        MapError: the file cannot be read, is too large, or is no XML text.
+    """
+    try:
+        root: Element = ElementTree.fromstring(_bytes(path), forbid_dtd=True)
+    except (ParseError, DefusedXmlException, ValueError) as error:
+        problem = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise MapError(path, f"is no XML text ({problem})", "give an unchanged file") from None
+    return root
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise MapError(
+                path, f"{size / 1e6:.0f} MB is more than any map expansion has", "give one map's file"
+            )
+        if path.suffix != ".gz":
+            return path.read_bytes()
+        with gzip.open(path) as file:
+            content = file.read(MAX_FILE_BYTES + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise MapError(path, f"cannot be read ({reason})", "give the path of an existing map file") from None
+    if len(content) > MAX_FILE_BYTES:
+        raise MapError(path, "unpacks to more than any map expansion has", "give one map's file")
+    return content

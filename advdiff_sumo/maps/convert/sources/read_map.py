@@ -1,0 +1,33 @@
+"""Any map that can be converted, by what its file holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.maps.convert.sources.argoverse2_map import argoverse2_map
+from advdiff_sumo.maps.convert.sources.commonroad_map import commonroad_map
+from advdiff_sumo.maps.convert.sources.map_files import load_json, load_xml
+from advdiff_sumo.maps.convert.sources.nuscenes_json import nuscenes_map
+from advdiff_sumo.maps.convert.sources.source_map import SourceMap
+
+FORMATS = (
+    "a nuScenes map expansion or an Argoverse 2 log_map_archive (.json), a ScenarioNet record (.pkl), "
+    "a CommonRoad scenario (.xml, .xml.gz)"
+)
+
+
+def read_map(path: Path) -> SourceMap:
+    """Return the map in *path*, of whichever format.
+
+    Raises:
+        MapError: the file cannot be read, is of no known format, or holds nothing usable.
+    """
+    name = path.name.removesuffix(".gz")
+    if name.endswith(".json"):
+        data = load_json(path, f"give {FORMATS}")
+        is_argoverse = isinstance(data, dict) and "lane_segments" in data
+        return argoverse2_map(data, path) if is_argoverse else nuscenes_map(data, path)
+    if name.endswith(".xml"):
+        return commonroad_map(load_xml(path), path)
+    raise MapError(path, "is of no known map format", f"give {FORMATS}")

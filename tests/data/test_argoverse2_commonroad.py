@@ -1,0 +1,91 @@
+"""Logs that come along with Argoverse 2 and CommonRoad maps."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from advdiff_sumo.core.errors import LogError
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.data import Argoverse2Reader, CommonRoadReader, open_log
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "maps" / "convert"))
+import small_sources
+
+
+def write_scenario(path: Path, **changes: object) -> Path:
+    """Write the recording vehicle at 10 m/s eastwards, someone on foot from step 5 on, and a bollard."""
+    rows = [("AV", "vehicle", k, 1.0 * k, 0.0, 0.0) for k in range(20)]
+    rows += [("7", "pedestrian", k, 5.0, 4.0 + 0.1 * k, 0.5 * np.pi) for k in range(5, 20)]
+    rows += [("8", "static", k, 9.0, 9.0, 0.0) for k in range(20)]
+    names = ("track_id", "object_type", "timestep", "position_x", "position_y", "heading")
+    table = {name: list(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)}
+    table.update(changes)
+    pq.write_table(pa.table({key: value for key, value in table.items() if value is not None}), path)
+    return path
+
+
+def test_argoverse2_tracks(tmp_path: Path) -> None:
+    path = write_scenario(tmp_path / "scenario_x.parquet")
+    reader = open_log(path)
+    assert isinstance(reader, Argoverse2Reader)
+    (scene,) = reader.scenes()
+    assert (scene.name, scene.location) == ("x", "log_map_archive_x")
+    assert scene.tracks.ids == ("AV", "7")
+    assert scene.ego == 0
+    assert scene.tracks.classes.tolist() == [AgentClass.CAR, AgentClass.PEDESTRIAN]
+    assert scene.tracks.valid[1].tolist() == [False] * 5 + [True] * 15
+    assert scene.tracks.speed_mps[0] == pytest.approx(np.full(20, 10.0))
+    assert scene.tracks.speed_mps[1, 5:] == pytest.approx(np.full(15, 1.0))
+
+
+@pytest.mark.parametrize(
+    "changes", [{"heading": None}, {"track_id": ["x"] * 55}, {"position_x": [np.nan] * 55}]
+)
+def test_argoverse2_damage_is_one_sentence(changes: dict[str, object], tmp_path: Path) -> None:
+    path = write_scenario(tmp_path / "scenario_x.parquet", **changes)
+    with pytest.raises(LogError, match="scenario_x") as caught:
+        Argoverse2Reader(path).read("x")
+    assert "\n" not in str(caught.value)
+
+
+def test_file_that_is_no_parquet(tmp_path: Path) -> None:
+    path = tmp_path / "scenario_x.parquet"
+    path.write_bytes(b"PAR1 nothing")
+    with pytest.raises(LogError, match="no readable Parquet"):
+        Argoverse2Reader(path).read("x")
+
+
+def test_commonroad_tracks(tmp_path: Path) -> None:
+    reader = open_log(small_sources.write("commonroad", tmp_path))
+    assert isinstance(reader, CommonRoadReader)
+    (scene,) = reader.scenes()
+    assert scene.tracks.ids == ("100",)
+    assert scene.tracks.size_m.tolist() == [[4.5, 1.8]]
+    assert scene.tracks.xy_m[0, :, 0] == pytest.approx(5.0 + 0.5 * np.arange(41))
+    assert scene.tracks.speed_mps[0] == pytest.approx(np.full(41, 5.0))
+    assert scene.tracks.dt_s == 0.1
+
+
+def test_commonroad_without_trajectories(tmp_path: Path) -> None:
+    path = tmp_path / "x.xml"
+    text = small_sources.commonroad()
+    start = text.index("<dynamicObstacle")
+    path.write_text(text[:start] + "</commonRoad>", encoding="utf-8")
+    with pytest.raises(LogError, match="nobody to drive"):
+        CommonRoadReader(path).read("x")
+
+
+@pytest.mark.data
+def test_genuine_logs(adv_data: Path) -> None:
+    (scene,) = Argoverse2Reader(adv_data / "argoverse2").scenes()
+    assert scene.tracks.steps == 110
+    assert scene.tracks.valid[scene.ego].all()
+    scenes = {scene.name: scene for scene in CommonRoadReader(adv_data / "commonroad").scenes()}
+    assert len(scenes) == 4
+    assert scenes["USA_Lanker-1_3_T-1"].tracks.agents == 36

@@ -1,0 +1,70 @@
+"""Nets against what other people's readers say of the maps: geometry within 2 cm, the same topology, all names."""
+
+from __future__ import annotations
+
+import itertools
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from defusedxml import ElementTree
+from source_readers import read_outside
+
+from advdiff_sumo.maps.convert import convert_source
+from advdiff_sumo.maps.convert.sources.read_map import read_map
+
+NEAR_M = 0.02
+FILES = [
+    ("av2", "argoverse2/log_map_archive_0a1e6f0a-1817-4a98-b02e-db8c9327d151.json"),
+    ("av2", "argoverse2/log_map_archive_3b3570b4-7b0b-3268-a571-b0889dbf40b6____MIA_city_47894.json"),
+    ("av2", "argoverse2/log_map_archive_adcf7d18-0510-35b0-a2fa-b4cea13a6d76____PIT_city_57819.json"),
+    ("commonroad", "commonroad/DEU_Moabit-4_1_T-1.xml.gz"),
+    ("commonroad", "commonroad/USA_Lanker-1_3_T-1.xml.gz"),
+    ("commonroad", "commonroad/ZAM_Tjunction-1_97_T-1.xml.gz"),
+]
+
+
+def drawn(net: Path) -> tuple[dict[str, list[shapely.LineString]], set[tuple[str, str]]]:
+    """Return what *net* draws of each lane of the source, and the steps from lane to lane that its ways make."""
+    root = ElementTree.fromstring(net.read_bytes())
+    source, shape = {}, {}
+    for row in root.iter("lane"):
+        points = [tuple(map(float, point.split(",")[:2])) for point in row.attrib["shape"].split()]
+        shape[row.attrib["id"]] = shapely.LineString(points)
+        names = [p.attrib["value"] for p in row.findall("param") if p.attrib["key"] == "source"]
+        source[row.attrib["id"]] = [name.split(":")[0] for value in names for name in value.split()]
+    lines: dict[str, list[shapely.LineString]] = defaultdict(list)
+    for lane, names in source.items():
+        for name in names:
+            lines[name].append(shape[lane])
+    links: set[tuple[str, str]] = set()
+    for row in root.iter("connection"):
+        if row.attrib["from"].startswith(":"):
+            continue
+        values = [p.attrib["value"] for p in row.findall("param") if p.attrib["key"] == "source"]
+        inner = [name.split(":")[0] for value in values for name in value.split()]
+        before = source[f"{row.attrib['from']}_{row.attrib['fromLane']}"]
+        after = source[f"{row.attrib['to']}_{row.attrib['toLane']}"]
+        chain = [name for name, _ in itertools.groupby([*before, *inner, *after])]
+        links |= set(itertools.pairwise(chain))
+        for name in inner:
+            lines[name].append(shape[row.attrib["via"]])
+    return lines, links
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(("reader", "name"), FILES)
+def test_net_holds_what_the_outside_reader_sees(
+    reader: str, name: str, adv_data: Path, tmp_path: Path
+) -> None:
+    truth = read_outside(reader, adv_data / name)
+    net = tmp_path / "n.net.xml"
+    convert_source(read_map(adv_data / name), net)
+    lines, links = drawn(net)
+    assert set(lines) == set(truth["lanes"])
+    for token, points in truth["lanes"].items():
+        away = shapely.distance(shapely.union_all(lines[token]), shapely.points(np.array(points)))
+        assert away.max() <= NEAR_M, token
+    assert links == set(map(tuple, truth["links"]))

@@ -1,0 +1,201 @@
+"""Maps of other formats through the one interface: hand-worked values, then genuine files."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_sources
+import sumolib
+
+from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.maps.convert import convert_source
+from advdiff_sumo.maps.convert.fidelity import measure
+from advdiff_sumo.maps.convert.sources.bounded_lanes import midline, midline_by_length
+from advdiff_sumo.maps.convert.sources.read_map import read_map
+
+KINDS = ("argoverse2", "commonroad")
+GENUINE = (
+    "argoverse2/log_map_archive_0a1e6f0a-1817-4a98-b02e-db8c9327d151.json",
+    "argoverse2/log_map_archive_3b3570b4-7b0b-3268-a571-b0889dbf40b6____MIA_city_47894.json",
+    "argoverse2/log_map_archive_adcf7d18-0510-35b0-a2fa-b4cea13a6d76____PIT_city_57819.json",
+    "commonroad/DEU_Moabit-4_1_T-1.xml.gz",
+    "commonroad/USA_Lanker-1_3_T-1.xml.gz",
+    "commonroad/ZAM_Tjunction-1_97_T-1.xml.gz",
+)
+
+
+def test_midline_by_length_in_space() -> None:
+    left = np.array([[0.0, 2.0, 0.0], [3.0, 2.0, 4.0], [8.0, 2.0, 4.0]])  # 5 m up a ramp, then 5 m
+    right = np.array([[0.0, 0.0, 0.0], [8.0, 0.0, 0.0]])
+    assert midline_by_length(left, right).tolist() == [[0.0, 1.0], [3.5, 1.0], [8.0, 1.0]]
+
+
+def test_midline_of_unequal_boundaries() -> None:
+    left = np.array([[0.0, 2.0], [10.0, 2.0]])
+    right = np.array([[0.0, 0.0], [4.0, 0.0], [10.0, 0.0]])
+    assert midline(left, right).tolist() == [[0.0, 1.0], [4.0, 1.0], [10.0, 1.0]]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_small_road(kind: str, tmp_path: Path) -> None:
+    source = read_map(small_sources.write(kind, tmp_path))
+    assert [lane.token for lane in source.lanes] == ["1", "2", "3", "4"]
+    assert [lane.is_connector for lane in source.lanes] == [False, False, True, False]
+    assert sorted(source.links) == [("2", "3"), ("3", "4")]
+    assert source.lanes[0].centre_m.tolist() == [[0.0, 0.0], [50.0, 0.0]]
+    result = convert_source(source, tmp_path / "n.net.xml")
+    figures = measure(result).as_dict()
+    assert figures["lanes"]["held"] == figures["lanes"]["given"] == 4
+    assert figures["connections"]["kept"] == figures["connections"]["given"] == 2
+    assert figures["lane_changes"]["dashed_pairs"] == figures["lane_changes"]["neighbours_in_one_edge"] == 1
+    assert all(error["max"] <= 0.001 for error in figures["centre_line_error_m"].values())
+    net = sumolib.net.readNet(str(result.net))
+    assert sorted(edge.getLaneNumber() for edge in net.getEdges()) == [1, 2]
+    widths = [lane.getWidth() for edge in net.getEdges() for lane in edge.getLanes()]
+    assert widths == pytest.approx([3.5] * 3)
+
+
+def test_argoverse2_areas(tmp_path: Path) -> None:
+    source = read_map(small_sources.write("argoverse2", tmp_path))
+    assert source.drivable.area == pytest.approx(62.0 * 62.0)
+    (crossing,) = source.crossings
+    assert crossing.area == pytest.approx(3.0 * 8.0)
+
+
+def test_commonroad_signs_and_lights(tmp_path: Path) -> None:
+    source = read_map(small_sources.write("commonroad", tmp_path))
+    assert [lane.speed_mps for lane in source.lanes] == [10.0, None, None, None]
+    assert [(line.token, line.kind) for line in source.stop_lines] == [("2", "STOP_SIGN")]
+    assert [(light.token, light.lanes) for light in source.signals] == [("30", ("2",))]
+    plan = convert_source(source, tmp_path / "n.net.xml").plan
+    assert plan.idle_signals == ()
+    assert "traffic_light" in {junction.kind for junction in plan.junctions}
+
+
+@pytest.mark.parametrize("left", [True, False])
+def test_argoverse2_neighbour_of_the_other_direction_is_none(left: bool, tmp_path: Path) -> None:
+    data = small_sources.argoverse2()
+    if left:  # lane 2 runs against lane 1
+        row = data["lane_segments"]["2"]
+        sides = row["left_lane_boundary"], row["right_lane_boundary"]
+        row["left_lane_boundary"], row["right_lane_boundary"] = sides[1][::-1], sides[0][::-1]
+        row["successors"] = []
+        data["lane_segments"]["3"]["predecessors"] = []
+    path = tmp_path / "m.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    assert bool(read_map(path).lanes[0].left_dashed) == (not left)
+
+
+@pytest.mark.parametrize("name", ["m.txt", "m.xml", "m.json"])
+def test_unknown_formats(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_text("<net/>" if name.endswith("xml") else "{}", encoding="utf-8")
+    with pytest.raises(MapError, match=name):
+        read_map(path)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", GENUINE)
+def test_genuine_files_are_exact_and_complete(name: str, adv_data: Path, tmp_path: Path) -> None:
+    figures = measure(convert_source(read_map(adv_data / name), tmp_path / "n.net.xml")).as_dict()
+    assert all(error["max"] <= 0.02 for error in figures["centre_line_error_m"].values())
+    assert figures["lanes"]["held"] == figures["lanes"]["given"]
+    assert figures["lanes"]["lost"] == figures["connections"]["lost"] == []
+    assert figures["connections"]["kept"] == figures["connections"]["given"]
+    assert figures["connections"]["invented"] == figures["routes_no_lane_follows"] == []
+    assert figures["signals"]["that_stop_nobody"] == []
+    assert all(row["meaning"] != "not explained" for row in figures["netconvert_warnings"])
+
+
+def faults(kind: str) -> Iterator[tuple[str, bytes]]:
+    """Yield (what is wrong, content of a file) for files that cannot be used."""
+    whole = {
+        "argoverse2": json.dumps(small_sources.argoverse2()).encode(),
+        "commonroad": small_sources.commonroad().encode(),
+        "nuscenes": b'{"version": "1.3", "lane": [{"token": "a"}], "node": [], "polygon": []}',
+    }[kind]
+    yield "empty", b""
+    yield "blank", b"  \n"
+    yield "binary", bytes(range(256))
+    yield "zeros", b"\x00" * 1000
+    yield "not UTF-8", whole.replace(b"1", b"\xff\xfe")
+    yield "cut in the middle", whole[: len(whole) // 2]
+    yield "without its end", whole[:-2]
+    yield "twice", whole * 2
+    yield "a list", b"[]"
+    yield "a number", b"3"
+    yield "null", b"null"
+    yield "text", b'"map"'
+    yield "deep", b"[" * 100_000
+    yield "HTML", b"<html><body>404 Not Found</body></html>"
+    yield "LFS pointer", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 12345\n"
+    if kind != "commonroad":  # XML may be in UTF-16
+        yield "UTF-16", whole.decode().encode("utf-16")
+    yield "entity bomb", b'<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><commonRoad>&b;</commonRoad>'
+    yield "of another root", b"<net version='1.9'></net>"
+    if kind == "commonroad":
+        text = whole.decode()
+        yield "no version", text.replace(' commonRoadVersion="2020a"', "").encode()
+        yield "version 1", text.replace("2020a", "1.0").encode()
+        yield "no lanelet", b'<commonRoad commonRoadVersion="2020a" timeStepSize="0.1"/>'
+        yield "no bounds", text.replace("leftBound", "leftSide").encode()
+        yield "no numbers", text.replace("<x>", "<x>east").encode()
+        yield "NaN", text.replace("<x>", "<x>nan</x><x>").encode()
+    else:
+        data = json.loads(whole)
+        for layer in list(data):
+            yield f"without {layer}", json.dumps({**data, layer: None}).encode()
+            yield f"{layer} of another type", json.dumps({**data, layer: 7}).encode()
+            yield f"{layer} empty", json.dumps({k: v for k, v in data.items() if k != layer}).encode()
+
+
+CASES = [
+    pytest.param(kind, content, id=f"{kind}: {name}")
+    for kind in ("argoverse2", "commonroad", "nuscenes")
+    for name, content in faults(kind)
+]
+
+
+def test_there_are_sixty_malformed_files() -> None:
+    assert len(CASES) >= 60
+
+
+@pytest.mark.parametrize(("kind", "content"), CASES)
+def test_malformed_files_get_one_sentence(kind: str, content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / ("bad.xml" if kind == "commonroad" else "bad.json")
+    path.write_bytes(content)
+    with pytest.raises(MapError) as caught:
+        convert_source(read_map(path), tmp_path / "n.net.xml")
+    sentence = str(caught.value)
+    assert sentence.startswith(f"{path}: ")
+    assert "; " in sentence
+    assert "\n" not in sentence
+    assert len(sentence) < 600
+
+
+@pytest.mark.parametrize(("kind", "name"), [("argoverse2", "bad.json"), ("commonroad", "bad.xml")])
+def test_command_ends_with_2(kind: str, name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(next(content for what, content in faults(kind) if what == "cut in the middle"))
+    command = [sys.executable, "-m", "advdiff_sumo", "convert", str(path), "-o", str(tmp_path / "n.net.xml")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_command_converts(kind: str, tmp_path: Path) -> None:
+    path = small_sources.write(kind, tmp_path)
+    command = [sys.executable, "-m", "advdiff_sumo", "convert", str(path), "-o", str(tmp_path / "n.net.xml")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "hold 4 of 4 lanes and connectors of the file and 2 of its 2 links" in done.stdout
+    figures = json.loads((tmp_path / "n.fidelity.json").read_text("utf-8"))
+    assert figures["centre_line_error_m"]["net_to_source"]["median"] == pytest.approx(0.0, abs=1e-3)

@@ -1,3 +1,35 @@
-"""Closed-loop adversarial traffic on SUMO: finds the situations in which a driving planner fails."""
+"""Closed-loop adversarial traffic on SUMO: finds the situations in which a driving planner fails.
 
-__version__ = "0.1.0"
+::
+
+    import advdiff_sumo as ads
+
+    found = ads.run(net="downtown", target=MyPlanner(), background="diffusion", episodes=20)
+    found.summary()
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.2.0"
+
+if TYPE_CHECKING:
+    from advdiff_sumo.api import EpisodeView, Results, convert, load, run, sweep
+
+__all__ = ["EpisodeView", "Results", "__version__", "convert", "load", "run", "sweep"]
+
+
+def __getattr__(name: str) -> Any:
+    """Return a name of the API; imported with its first use, since it brings SUMO and plots with it."""
+    if name in __all__:
+        import importlib
+
+        value = getattr(importlib.import_module("advdiff_sumo.api"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'advdiff_sumo' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -68,7 +68,7 @@ def convert(
     if tls not in ("guess", "map"):
         raise ConfigError(f"--tls {tls}: known are 'guess' and 'map'")
     for source, net in _jobs(map_file, output, all_of):
-        result = _convert(source, net, lefthand, tls == "guess", opendrive)
+        result = convert_file(source, net, lefthand, tls == "guess", opendrive)
         figures: dict[str, Any] = measure(result).as_dict()
         root = dataroot or all_of
         if root is not None:
@@ -105,9 +105,10 @@ def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> li
     return [(path, folder / f"{path.stem}.net.xml") for path in maps]
 
 
-def _convert(
+def convert_file(
     source: Path, net: Path, lefthand: bool | None, guess: bool, opendrive: bool
 ) -> ConversionResult:
+    """Convert a map of any kind that the verb takes."""
     from advdiff_sumo.data.pickles import load_plain  # late, as above
     from advdiff_sumo.maps.convert import convert_source
     from advdiff_sumo.maps.convert.sources.read_map import read_map

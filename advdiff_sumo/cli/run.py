@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,8 +20,6 @@ from advdiff_sumo.core.threads import one_thread_for_good
 if TYPE_CHECKING:
     from advdiff_sumo.sim.run_episodes import Run, RunOptions
     from advdiff_sumo.sim.run_store import RunFolder
-
-_RUNS = Path("runs")
 
 
 def run(
@@ -61,6 +58,7 @@ def run(
     one_thread_for_good()
     from advdiff_sumo.cli.check_exports import print_check  # late: --help needs neither SUMO nor plots
     from advdiff_sumo.cli.summary import print_summary
+    from advdiff_sumo.sim.free_folder import free_folder, run_words
     from advdiff_sumo.sim.run_episodes import Run
     from advdiff_sumo.sim.run_store import RunFolder
 
@@ -88,7 +86,8 @@ def run(
     if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
     prepared = Run.prepare(_options(config, given, policy, assign or [], defect), gui)
-    folder = RunFolder.create(out or _free_folder(prepared), prepared.settings, resume)
+    words = run_words(prepared.settings["options"]["net"], *prepared.names, prepared.options.seed)
+    folder = RunFolder.create(out or free_folder(*words), prepared.settings, resume)
     console = terminal()
     count = _episodes(prepared, folder, console)
     print_summary(console, folder.path, prepared.options.episodes - count)
@@ -165,14 +164,3 @@ def _options(
     for assignment in assignments:
         set_dotted(values, assignment)
     return RunOptions.parse(values, str(config) if config else "options")
-
-
-def _free_folder(prepared: Run) -> Path:
-    options = prepared.options
-    net = Path(prepared.settings["options"]["net"]).name.split(".net.xml")[0]
-    words = (net, prepared.names[0], prepared.names[1], f"s{options.seed}")
-    name = re.sub(r"[^\w.-]+", "-", "-".join(words))
-    path, number = _RUNS / name, 2
-    while path.exists():
-        path, number = _RUNS / f"{name}-{number}", number + 1
-    return path

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from advdiff_sumo.sweep.sweep_store import Store
     from advdiff_sumo.sweep.tasks import Failed, Limits
 
-_RUNS = Path("runs")
-
 
 class ExecutorName(StrEnum):
     """Who runs the episodes."""
@@ -88,6 +86,7 @@ def sweep(
     """
     one_thread_for_good()
     from advdiff_sumo.cli.sweep_results import conclude, condition_of  # late: --help needs no simulator
+    from advdiff_sumo.sim.free_folder import free_folder
     from advdiff_sumo.sweep.job_plan import plan_sweep
     from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
 
@@ -104,7 +103,7 @@ def sweep(
             _tell_estimate(console, plan, Todo.of(plan, store, limit, retry_failed), slots, limits)
             return
         done_by = _executor(executor, workers if ray_address else slots, ray_address, plan, limits)
-        path = resume or out or _free_folder(file)
+        path = resume or out or free_folder(file.stem if file is not None else "sweep")
         store = open_store(path, plan, done_by.slots, resume is not None)
         todo = Todo.of(plan, store, limit, retry_failed)
         with _Progress(console, todo) as progress:
@@ -196,14 +195,6 @@ def _tell_estimate(console: Console, plan: Plan, todo: Todo, workers: int, limit
             f"{found.episodes} × {found.episode_s:.1f} s for episodes (measured just now)",
             soft_wrap=True,
         )
-
-
-def _free_folder(file: Path | None) -> Path:
-    name = file.stem if file is not None else "sweep"
-    path, number = _RUNS / name, 2
-    while path.exists():
-        path, number = _RUNS / f"{name}-{number}", number + 1
-    return path
 
 
 class _Progress:

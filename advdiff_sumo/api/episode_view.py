@@ -1,0 +1,106 @@
+"""One episode, to look at."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from advdiff_sumo.report.folder import FinishedRun
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_FACTS = (
+    "end",
+    "collision_type",
+    "at_fault",
+    "min_ttc_s",
+    "min_clearance_m",
+    "failure_kind",
+    "failure_message",
+)
+
+
+@dataclass(frozen=True)
+class Player:
+    """The report's player of one episode, inline in a notebook.
+
+    Attributes:
+        page: HTML that needs nothing else.
+    """
+
+    page: str
+
+    def _repr_html_(self) -> str:
+        from advdiff_sumo.api.result_tables import framed
+
+        return framed(self.page, 620)
+
+
+@dataclass(frozen=True)
+class EpisodeView:
+    """One episode of a run or sweep; shows itself as a film strip.
+
+    Attributes:
+        run: that it belongs to.
+        row: its row of ``episodes.parquet``.
+    """
+
+    run: FinishedRun
+    row: Mapping[str, Any]
+
+    @property
+    def number(self) -> int:
+        """Its number."""
+        return int(self.row["episode"])
+
+    def figure(self, panels: int = 4, start_s: float | None = None, end_s: float | None = None) -> Figure:
+        """Return *panels* moments side by side as a figure of matplotlib.
+
+        Args:
+            panels: how many.
+            start_s: first moment; by default 6 s before the last.
+            end_s: last moment; by default the contact, or 1 s after the least distance.
+
+        Raises:
+            FileError: there are no states of it.
+            ConfigError: the stretch is not in the episode.
+        """
+        from advdiff_sumo.report.selection import ChosenEpisode
+        from advdiff_sumo.report.strip import STRIP_S, draw_strip
+
+        chosen = ChosenEpisode.read(self.run.folder, self.number)
+        start, end = chosen.span_s(start_s, end_s, STRIP_S)
+        return draw_strip(chosen, np.linspace(start, end, max(panels, 2))[-panels:], start)
+
+    def player(self) -> Player:
+        """Return a player with the charts in step."""
+        from advdiff_sumo.report.page import report_html
+
+        return Player(report_html(replace(self.run, episodes=(self.row,), collisions=self._collisions())))
+
+    def _collisions(self) -> tuple[Mapping[str, Any], ...]:
+        return self.run.collisions_of(self.number)
+
+    def __repr__(self) -> str:
+        facts = (f"{name} {_short(self.row[name])}" for name in _FACTS if self.row.get(name))
+        return f"episode {self.number}: {', '.join(facts)}"
+
+    def _repr_html_(self) -> str:
+        facts = f"<p>{html.escape(repr(self))}</p>"
+        if self.run.states(self.number) is None:
+            return facts
+        picture = io.BytesIO()
+        self.figure().savefig(picture, format="png")
+        code = base64.b64encode(picture.getvalue()).decode()
+        return f"{facts}<img src='data:image/png;base64,{code}' style='max-width:100%'>"
+
+
+def _short(value: Any) -> str:
+    return f"{value:.2f}" if isinstance(value, float) else str(value)

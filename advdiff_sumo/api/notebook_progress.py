@@ -1,0 +1,79 @@
+"""How far a run is: a bar in a terminal, a line of HTML in a notebook, nothing in a pipe."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+
+
+class Progress:
+    """Counts episodes and collisions while a block runs."""
+
+    def __init__(self, total: int, wanted: bool) -> None:
+        self.total, self.done, self.hits = total, 0, 0
+        self._bar: Bar | None = None
+        self._html: Any = None
+        if wanted and in_notebook():
+            self._html = _display(self._line())
+        elif wanted and sys.stderr.isatty():
+            console = Console(stderr=True)
+            columns = (
+                TextColumn("{task.description}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeRemainingColumn(),
+            )
+            self._bar = Bar(*columns, console=console, transient=True)
+
+    def __enter__(self) -> Self:
+        if self._bar is not None:
+            self._bar.start()
+            self._bar.add_task("episodes", total=self.total)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def tell(self, row: Mapping[str, Any] | None) -> None:
+        """Count one finished episode; None for one that came to nothing."""
+        self.done += 1
+        self.hits += bool(row and row["target_collision"])
+        if self._bar is not None:
+            self._bar.update(
+                self._bar.task_ids[0], advance=1, description=f"episodes · {self.hits} collisions"
+            )
+        if self._html is not None:
+            self._html.update(_html(self._line()))
+
+    def _line(self) -> str:
+        bar = f"<progress max='{self.total}' value='{self.done}'></progress>"
+        return f"{bar} {self.done} of {self.total} episodes · {self.hits} collisions"
+
+
+def in_notebook() -> bool:
+    """Return whether this runs in a kernel that shows HTML."""
+    if "IPython" not in sys.modules:
+        return False
+    shell = sys.modules["IPython"].get_ipython()
+    return shell is not None and hasattr(shell, "kernel")
+
+
+def _display(line: str) -> Any:
+    from IPython.display import display
+
+    return display(_html(line), display_id=True)
+
+
+def _html(line: str) -> Any:
+    from IPython.display import HTML
+
+    return HTML(line)

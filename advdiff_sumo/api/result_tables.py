@@ -1,0 +1,157 @@
+"""What a run or sweep came to, to be asked in a script and looked at in a notebook."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from advdiff_sumo.api.episode_view import EpisodeView
+from advdiff_sumo.core.errors import FileError, MissingExtraError
+from advdiff_sumo.metrics.severity import worst_first
+from advdiff_sumo.report.folder import FinishedRun
+from advdiff_sumo.report.run_summary import summary_figures, summary_lines
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A few figures about a run; prints itself, and is a table in a notebook.
+
+    Attributes:
+        lines: (name, value with unit).
+        figures: the numbers behind them.
+    """
+
+    lines: tuple[tuple[str, str], ...]
+    figures: dict[str, Any]
+
+    def __repr__(self) -> str:
+        wide = max(len(name) for name, _ in self.lines)
+        return "\n".join(f"{name:<{wide}}  {value}" for name, value in self.lines)
+
+    def _repr_html_(self) -> str:
+        rows = (f"<tr><th>{html.escape(n)}</th><td>{html.escape(v)}</td></tr>" for n, v in self.lines)
+        return f"<table>{''.join(rows)}</table>"
+
+
+@dataclass(frozen=True)
+class ReportPage:
+    """The page of a run; opens inline in a notebook.
+
+    Attributes:
+        path: the file, which needs nothing else.
+    """
+
+    path: Path
+
+    def _repr_html_(self) -> str:
+        return framed(self.path.read_text(encoding="utf-8"), 700)
+
+
+@dataclass(frozen=True)
+class Results:
+    """The folder of a finished run or sweep.
+
+    Attributes:
+        folder: where it lies.
+    """
+
+    folder: Path
+
+    @cached_property
+    def finished(self) -> FinishedRun:
+        """What the report reads of it."""
+        return FinishedRun.read(self.folder)
+
+    def table(self, name: str = "episodes") -> pa.Table:
+        """Return ``NAME.parquet`` of the folder; ``docs/outputs.md`` has names and columns.
+
+        Raises:
+            FileError: there is no such table.
+        """
+        path = self.folder / f"{name}.parquet"
+        if not path.exists():
+            known = ", ".join(sorted(p.stem for p in self.folder.glob("*.parquet")))
+            raise FileError(path, "no such table", f"known are: {known}")
+        return pq.read_table(path)
+
+    @property
+    def episodes(self) -> pa.Table:
+        """One row an episode."""
+        return self.table("episodes")
+
+    def to_pandas(self, name: str = "episodes") -> Any:
+        """Return a table as a data frame.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        try:
+            return self.table(name).to_pandas()
+        except ModuleNotFoundError:
+            raise MissingExtraError("a data frame", "pandas") from None
+
+    def summary(self) -> Summary:
+        """Return rates with intervals, medians and planning times."""
+        rows, timing = self.episodes.to_pylist(), self.table("timing").to_pylist()
+        return Summary(tuple(summary_lines(rows, timing)), summary_figures(rows))
+
+    def report(self) -> ReportPage:
+        """Write ``report.html`` into the folder and return it."""
+        from advdiff_sumo.report import write_report
+
+        return ReportPage(write_report(self.folder))
+
+    def episode(self, number: int) -> EpisodeView:
+        """Return one episode.
+
+        Raises:
+            FileError: there is none of that number.
+        """
+        return EpisodeView(self.finished, self.finished.row(number))
+
+    def worst(self) -> EpisodeView:
+        """Return the episode that the report shows first.
+
+        Raises:
+            FileError: there is no episode.
+        """
+        if not self.finished.episodes:
+            raise FileError(self.folder, "has no episode", "give the folder of a finished run")
+        return EpisodeView(self.finished, worst_first(self.finished.episodes)[0])
+
+    def __len__(self) -> int:
+        return len(self.finished.episodes)
+
+    def __iter__(self) -> Iterator[EpisodeView]:
+        return (EpisodeView(self.finished, row) for row in self.finished.episodes)
+
+    def __repr__(self) -> str:
+        return f"{self.folder}: {len(self)} episodes\n{self.summary()!r}"
+
+    def _repr_html_(self) -> str:
+        shown = self.worst()._repr_html_() if len(self) else ""
+        return f"<p><code>{html.escape(str(self.folder))}</code></p>{self.summary()._repr_html_()}{shown}"
+
+
+def load(folder: str | Path) -> Results:
+    """Return the results in the folder of a run or sweep, also of one that was interrupted.
+
+    Raises:
+        FileError: it is no such folder, or a file in it is damaged.
+    """
+    results = Results(Path(folder))
+    _ = results.finished
+    return results
+
+
+def framed(page: str, height: int) -> str:
+    """Return *page* as a frame of its own in a notebook, so that neither's style changes the other's."""
+    frame = f"width='100%' height='{height}' style='border:1px solid #ccc'"
+    return f'<iframe {frame} srcdoc="{html.escape(page, quote=True)}"></iframe>'

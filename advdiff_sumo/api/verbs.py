@@ -1,0 +1,136 @@
+"""Run, sweep and convert, as functions."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from advdiff_sumo.api.notebook_progress import Progress
+from advdiff_sumo.api.result_tables import Results
+from advdiff_sumo.planners.planner_protocol import Planner
+
+if TYPE_CHECKING:
+    from advdiff_sumo.maps.convert import ConversionResult
+
+_MEMORY_MB, _TIMEOUT_S, _RETRIES = 4000, 300.0, 2
+
+
+def run(
+    net: str | Path = "downtown",
+    target: str | Planner = "IDM",
+    background: str = "sumo",
+    episodes: int = 10,
+    *,
+    horizon_s: float = 20.0,
+    seed: int = 0,
+    out: str | Path | None = None,
+    progress: bool = True,
+    **options: Any,
+) -> Results:
+    """Run episodes in this process and return what happened.
+
+    Args:
+        net: a SUMO net, or the name of a shipped one.
+        target: what drives the tested vehicle: a name as of ``--target``, or a planner itself.
+        background: what moves the others, as of ``--background``.
+        episodes: how many.
+        horizon_s: longest duration of an episode.
+        seed: root of all random numbers.
+        out: a new folder for the results; by default one in ``runs``, named after the run.
+        progress: whether to show how far it is.
+        **options: any other field of :class:`~advdiff_sumo.sim.run_episodes.RunOptions`: ``target_options``,
+            ``background_options``, ``demand``, ``scenes``, ``sim``, ``scene``.
+
+    Raises:
+        InputError: one of its kinds; a sentence that names the culprit.
+    """
+    from advdiff_sumo.sim.free_folder import free_folder, run_words
+    from advdiff_sumo.sim.run_episodes import Run, RunOptions
+    from advdiff_sumo.sim.run_store import RunFolder
+
+    name = target if isinstance(target, str) else "IDM"
+    given = {"net": str(net), "target": name, "background": background, "episodes": episodes}
+    asked = RunOptions.parse({**given, "horizon_s": horizon_s, "seed": seed, **options}, "ads.run")
+    prepared = Run.prepare(asked)
+    if not isinstance(target, str):
+        prepared = _with_planner(prepared, target)
+    words = run_words(prepared.settings["options"]["net"], *prepared.names, seed)
+    folder = RunFolder.create(Path(out) if out is not None else free_folder(*words), prepared.settings, False)
+    with Progress(episodes, progress) as shown:
+        prepared.into(folder, shown.tell)
+    return Results(folder.path)
+
+
+def _with_planner(prepared: Any, planner: Planner) -> Any:
+    """Return the run with *planner* itself as its target; it is written down by its class's name."""
+    kind = type(planner)
+    name = f"{kind.__module__}:{kind.__qualname__}"
+    options = prepared.options.model_copy(update={"target": name})
+    return replace(prepared, options=options, target=planner, names=(name, prepared.names[1]))
+
+
+def sweep(
+    spec: str | Path | Mapping[str, Any],
+    *,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    progress: bool = True,
+) -> Results:
+    """Run a sweep on processes of this machine and return what happened.
+
+    A script calls this below ``if __name__ == "__main__":``, as its workers import it.
+
+    Args:
+        spec: a sweep file, or what would stand in one.
+        out: a new folder for the results; by default one in ``runs``.
+        workers: how many processes; by default one a core.
+        progress: whether to show how far it is.
+
+    Raises:
+        InputError: one of its kinds; a sentence that names the culprit.
+    """
+    from advdiff_sumo.sim.free_folder import free_folder
+    from advdiff_sumo.sweep.executors import ProcessExecutor
+    from advdiff_sumo.sweep.job_plan import plan_sweep
+    from advdiff_sumo.sweep.spec import SweepSpec
+    from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+    from advdiff_sumo.sweep.tasks import Limits
+
+    asked = SweepSpec.of(spec, "ads.sweep") if isinstance(spec, Mapping) else SweepSpec.read(Path(spec))
+    plan = plan_sweep(asked)
+    name = "sweep" if isinstance(spec, Mapping) else Path(spec).stem
+    slots = workers or len(os.sched_getaffinity(0))
+    logs = Path(tempfile.mkdtemp(prefix="advdiff-sweep-"))
+    try:
+        executor = ProcessExecutor(slots, Limits(_TIMEOUT_S, _MEMORY_MB, 250, 0.5, logs))
+        store = open_store(Path(out) if out is not None else free_folder(name), plan, slots, resume=False)
+        with Progress(len(plan.jobs), progress) as shown:
+            run_sweep(plan, store, Todo.of(plan, store), executor, _RETRIES, _tell_row(shown))
+    finally:
+        shutil.rmtree(logs, ignore_errors=True)
+    return Results(store.path)
+
+
+def _tell_row(shown: Progress) -> Callable[[Any, Any], None]:
+    return lambda row, failed: shown.tell(row if failed is None else None)
+
+
+def convert(map_file: str | Path, net: str | Path, *, lefthand: bool | None = None) -> ConversionResult:
+    """Convert an HD map of any kind that ``advdiff-sumo convert`` takes to a SUMO net.
+
+    Args:
+        map_file: the map.
+        net: the net to be written, ``NAME.net.xml``; its drivable area is written beside it.
+        lefthand: side of the road; by default by the map's name.
+
+    Raises:
+        InputError: one of its kinds; a sentence that names the culprit.
+    """
+    from advdiff_sumo.cli.convert import convert_file
+
+    return convert_file(Path(map_file), Path(net), lefthand, guess=False, opendrive=False)

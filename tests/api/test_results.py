@@ -89,7 +89,7 @@ def test_what_is_not_there_is_said_in_one_sentence(results: ads.Results, tmp_pat
         results.episode(7)
     with pytest.raises(FileError, match="no such table; known are: collisions, episodes"):
         results.table("episode")
-    with pytest.raises(FileError, match="run.toml: is missing; give the folder of a finished run"):
+    with pytest.raises(FileError, match=r"run.toml: is missing; give the folder of a finished run"):
         ads.load(tmp_path / "nothing")
     with pytest.raises(ConfigError, match=r"ads.run: no option 'horizon'; did you mean 'horizon_s'"):
         ads.run(horizon=3.0)

@@ -27,6 +27,7 @@ from advdiff_sumo.cli.run import run
 from advdiff_sumo.cli.sweep import sweep
 from advdiff_sumo.cli.train import train
 from advdiff_sumo.cli.train_rl import train_rl
+from advdiff_sumo.cli.verdict import verdict
 from advdiff_sumo.cli.video import video
 from advdiff_sumo.cli.warmup import warmup
 from advdiff_sumo.core.errors import INTERRUPTED, KEPT, AdvdiffError
@@ -45,6 +46,7 @@ app.command("convert")(convert)
 app.command("sweep")(sweep)
 app.command("results")(results)
 app.command("compare")(compare)
+app.command("verdict")(verdict)
 app.command("replay")(replay)
 app.command("report")(report)
 app.command("figure")(figure)

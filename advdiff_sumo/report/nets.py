@@ -29,7 +29,7 @@ class Nets:
         if name in ("", "?"):
             self.problems[name] = "run.toml names no net"
             return None
-        path = next((p for p in self._candidates(name) if p.is_file()), None)
+        path = net_path(name, self._folder)
         if path is None:
             self.problems[name] = f"the net {name} is no longer there"
             return None
@@ -39,10 +39,11 @@ class Nets:
             self.problems[name] = str(error)
             return None
 
-    def _candidates(self, name: str) -> tuple[Path, ...]:
-        """Return where the net may be: as named, beside the tables, among the shipped ones."""
-        shipped = (find_net(name),) if name in SHIPPED_NETS else ()
-        return Path(name), self._folder / Path(name).name, *shipped
+
+def net_path(name: str, folder: Path) -> Path | None:
+    """Return where the net *name* of a folder is: as named, beside the tables, among the shipped ones; or None."""
+    shipped = (find_net(name),) if name in SHIPPED_NETS else ()
+    return next((p for p in (Path(name), folder / Path(name).name, *shipped) if p.is_file()), None)
 
 
 def place_name(net: str) -> str:

@@ -51,6 +51,12 @@ PLAN_COLUMNS: Mapping[str, Column] = {
 NATURAL_COLUMNS: Mapping[str, Column] = {
     name: column for name, column in STATE_COLUMNS.items() if name != "controller"
 } | {"step": Column("int64", "", "number of the instant, `sim.model_step_s` apart", nullable=False)}
+SIGNAL_COLUMNS: Mapping[str, Column] = {
+    "episode": Column("int64", "", "number of the episode in its run", nullable=False),
+    "step": Column("int64", "", "SUMO step from which on it shows this; 0 is the seed scene", nullable=False),
+    "traffic_light": Column("str", "", "SUMO's id of the traffic light", nullable=False),
+    "state": Column("str", "", "SUMO's letters, one a connection: r, y, g, G, u, o, O, s", nullable=False),
+}
 TIMING_COLUMNS: Mapping[str, Column] = {
     "episode": Column("int64", "", "number of the episode in its run", nullable=False),
     "simulated_s": Column("float64", "s", "simulated time", nullable=False),
@@ -67,8 +73,11 @@ TABLES: Mapping[str, Mapping[str, Column]] = {
     "collisions": COLLISION_COLUMNS,
     "plans": PLAN_COLUMNS,
     "unattacked": NATURAL_COLUMNS,
+    "signals": SIGNAL_COLUMNS,
     "timing": TIMING_COLUMNS,
 }
+#: Tables that folders of earlier versions lack.
+LATER_TABLES = frozenset(("signals",))
 
 
 @dataclass(frozen=True)
@@ -150,7 +159,7 @@ class RunFolder:
 
     def _in_tables(self) -> list[int]:
         """Return the numbers of the episodes of a finished run."""
-        if not all((self.path / f"{table}.parquet").exists() for table in TABLES):
+        if not all((self.path / f"{table}.parquet").exists() for table in TABLES.keys() - LATER_TABLES):
             return []
         numbers = pq.read_table(self.path / "episodes.parquet", columns=["episode"])["episode"]
         return [number for number in numbers.to_pylist() if number is not None]
@@ -163,8 +172,9 @@ class RunFolder:
         aside = self.path / f"{_PARTS}.aside"
         shutil.rmtree(aside, ignore_errors=True)
         aside.mkdir()
-        for table in TABLES:
-            whole = pq.read_table(self.path / f"{table}.parquet")
+        for table, columns in TABLES.items():
+            path = self.path / f"{table}.parquet"
+            whole = pq.read_table(path) if path.exists() else schema_of(columns).empty_table()
             for number in numbers:
                 part = whole.filter(pc.field("episode") == number).combine_chunks()
                 _write(aside / f"{number:06d}.{table}.parquet", part)
@@ -212,7 +222,7 @@ def episode_tables(
     rows = {"episodes": [dict(episode)], "collisions": collisions, "timing": [timing_row(record, timing)]}
     tables = {name: table_of(content, TABLES[name]) for name, content in rows.items()}
     tables |= {"states": states_table(record), "plans": plans_table(record)}
-    return {**tables, "unattacked": natural_table(record)}
+    return {**tables, "unattacked": natural_table(record), "signals": signals_table(record)}
 
 
 def states_table(record: EpisodeRecord) -> pa.Table:
@@ -252,6 +262,19 @@ def _state_columns(tracks: Tracks, episode: int, target: int) -> dict[str, Any]:
         "speed_mps": tracks.speed_mps[agent, step],
         "is_target": agent == target,
     }
+
+
+def signals_table(record: EpisodeRecord) -> pa.Table:
+    """Return what each traffic light shows at first, and each change, in the order of time."""
+    rows: list[dict[str, Any]] = []
+    shown: dict[str, str] = {}
+    for step, states in enumerate(record.signals):
+        for name in sorted(states):
+            if shown.get(name) != states[name]:
+                shown[name] = states[name]
+                row = {"episode": record.episode, "step": step, "traffic_light": name, "state": states[name]}
+                rows.append(row)
+    return table_of(rows, SIGNAL_COLUMNS)
 
 
 def plans_table(record: EpisodeRecord) -> pa.Table:

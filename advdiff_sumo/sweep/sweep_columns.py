@@ -49,6 +49,7 @@ SWEEP_TABLES: Mapping[str, Mapping[str, Column]] = {
     "states": TABLES["states"],
     "plans": TABLES["plans"],
     "unattacked": TABLES["unattacked"],
+    "signals": TABLES["signals"],
     "timing": {**TABLES["timing"], **WORKER_COLUMNS},
     "failures": FAILURE_COLUMNS,
 }

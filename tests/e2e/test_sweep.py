@@ -26,7 +26,7 @@ backgrounds = ["replay"]
 """
 TABLES = (
     *("episodes.parquet", "states.parquet", "collisions.parquet", "failures.parquet"),
-    *("plans.parquet", "unattacked.parquet"),
+    *("plans.parquet", "unattacked.parquet", "signals.parquet"),
 )
 
 

@@ -121,6 +121,7 @@ def record_of(
     *cars: Car,
     route: tuple[str, ...] = ("WC", "CE"),
     signals: tuple[Mapping[str, str], ...] = (),
+    episode_number: int = 0,
     **rest: object,
 ) -> EpisodeRecord:
     """Return the record of *cars*, of which the first is the target; NaN positions mean absent."""
@@ -139,7 +140,16 @@ def record_of(
     )
     controller = np.where(valid, Controller.POLICY, Controller.ABSENT).astype(np.int64)
     return EpisodeRecord(
-        0, 1, "hand-made", tracks, 0, controller, route, EndReason.HORIZON, signals=signals, **rest
+        episode_number,
+        1,
+        "hand-made",
+        tracks,
+        0,
+        controller,
+        route,
+        EndReason.HORIZON,
+        signals=signals,
+        **rest,
     )  # type: ignore[arg-type]  # keyword fields vary by test
 
 

@@ -1,0 +1,278 @@
+"""Adds verdicts to the folder of a finished run or sweep."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_completed, wait
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.breaches import BreachKind
+from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, VERDICT_COLUMNS
+from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
+from advdiff_sumo.metrics.summary import summarise
+from advdiff_sumo.report.folder import FinishedRun
+from advdiff_sumo.report.nets import net_path
+from advdiff_sumo.report.stored_record import stored_record
+from advdiff_sumo.sim.run_store import schema_of, table_of
+from advdiff_sumo.sweep.consolidate import consolidate
+from advdiff_sumo.sweep.episode_result import Part
+from advdiff_sumo.sweep.job_plan import plan_sweep
+from advdiff_sumo.sweep.situation import SITUATION_COLUMNS
+from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
+
+#: What is taken over of an episode's row; the rest stays as it was measured with all that the simulation knew.
+_JUDGED = (
+    *("collision_type", "at_fault", "fault_reason"),
+    *VERDICT_COLUMNS,
+    *("critical", "critical_brake_mps2", "resolved_by"),
+)
+_ON_RED = "entered the junction on red."
+_AHEAD = 4
+_OF_COLLISIONS = ("type", "at_fault", "fault_reason", *VERDICT_COLUMNS)
+
+
+@dataclass(frozen=True)
+class EpisodeTables:
+    """What is stored of one episode.
+
+    Attributes:
+        net: where the net is.
+        row: of ``episodes``.
+        states: rows of ``states``.
+        collisions: rows of ``collisions``.
+        signals: rows of ``signals``; None in a folder of an earlier version.
+    """
+
+    net: Path
+    row: Mapping[str, Any]
+    states: pa.Table
+    collisions: Sequence[Mapping[str, Any]]
+    signals: pa.Table | None
+
+
+@dataclass(frozen=True)
+class JudgedRows:
+    """The rows of one episode with their verdicts.
+
+    Attributes:
+        episode: of ``episodes``.
+        collisions: of ``collisions``.
+    """
+
+    episode: dict[str, Any]
+    collisions: list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Judging:
+    """A folder whose episodes are to be judged.
+
+    Attributes:
+        count: how many episodes it has.
+        episodes: gives them, each with its key.
+        keep: called with a key and what was judged, as each is done.
+        finish: called at the end.
+    """
+
+    count: int
+    episodes: Callable[[], Iterator[tuple[str, EpisodeTables]]]
+    keep: Callable[[str, JudgedRows], None]
+    finish: Callable[[], None]
+
+    def judge(self, workers: int, tell: Callable[[], None]) -> list[dict[str, Any]]:
+        """Judge all episodes in *workers* processes and return their rows; *tell* is called after each.
+
+        Raises:
+            InputError: a table or net cannot be read, or the results not be written.
+        """
+        rows: list[tuple[str, dict[str, Any]]] = []
+        for key, judged in _judged(self.episodes(), workers):
+            self.keep(key, judged)
+            rows.append((key, judged.episode))
+            tell()
+        self.finish()
+        return [row for _, row in sorted(rows, key=lambda pair: int(pair[1]["episode"]))]
+
+
+def open_folder(folder: Path) -> Judging:
+    """Open the folder of a finished or interrupted run or sweep.
+
+    Raises:
+        InputError: it is neither, or is damaged.
+    """
+    return _sweep(folder) if (folder / SETTINGS).exists() else _run(folder)
+
+
+def _run(folder: Path) -> Judging:
+    run = FinishedRun.read(folder)
+    net = _net(str(run.options.get("net", "")), folder)
+    rows = {int(row["episode"]): dict(row) for row in run.episodes}
+    hits: dict[int, list[dict[str, Any]]] = {number: [] for number in rows}
+    for row in run.collisions:
+        hits[int(row["episode"])].append(dict(row))
+
+    def episodes() -> Iterator[tuple[str, EpisodeTables]]:
+        lights = folder / "signals.parquet"
+        signals = _by_episode(_read(lights)) if lights.exists() else None
+        states = _by_episode(_read(folder / "states.parquet"))
+        for number, row in rows.items():
+            if number in states:
+                shown = None if signals is None else signals.get(number)
+                yield str(number), EpisodeTables(net, row, states[number], hits[number], shown)
+
+    def keep(key: str, judged: JudgedRows) -> None:
+        rows[int(key)], hits[int(key)] = judged.episode, judged.collisions
+
+    def finish() -> None:
+        _replace(folder / "episodes.parquet", list(rows.values()), EPISODE_COLUMNS)
+        _replace(
+            folder / "collisions.parquet", [x for some in hits.values() for x in some], COLLISION_COLUMNS
+        )
+
+    return Judging(len(rows), episodes, keep, finish)
+
+
+def _sweep(folder: Path) -> Judging:
+    store = Store.open(folder)
+    plan = plan_sweep(store.spec())
+    store.must_match(plan.keys)
+    jobs = {job.key: job for job in plan.jobs if store.has(job.key)}
+
+    def episodes() -> Iterator[tuple[str, EpisodeTables]]:
+        for key, job in jobs.items():
+            part = store.read(key)
+            if part is None or "states" not in part.tables:
+                continue
+            (row,) = part.tables["episodes"].to_pylist()
+            hits = part.tables["collisions"].to_pylist()
+            net = _net(plan.options(job).net, folder)
+            yield key, EpisodeTables(net, row, part.tables["states"], hits, part.tables.get("signals"))
+
+    def keep(key: str, judged: JudgedRows) -> None:
+        part = store.read(key)
+        if part is not None:
+            tables = {
+                "episodes": table_of([judged.episode], {**EPISODE_COLUMNS, **SITUATION_COLUMNS}),
+                "collisions": table_of(judged.collisions, COLLISION_COLUMNS),
+            }
+            store.write(key, Part({**part.tables, **tables}, part.failed).to_bytes())
+
+    def finish() -> None:
+        consolidate(store, plan)
+
+    return Judging(len(jobs), episodes, keep, finish)
+
+
+def judge_episode(stored: EpisodeTables) -> JudgedRows:
+    """Return the rows of *stored* with verdicts; those of an episode that never began without.
+
+    Raises:
+        NetError: the net cannot be read.
+    """
+    record = stored_record(stored.states, stored.row, stored.signals)
+    row, collisions = dict(stored.row), [dict(x) for x in stored.collisions]
+    if record is None or record.tracks.steps < 2:
+        return JudgedRows(row, collisions)
+    road = _road(stored.net)
+    metrics = summarise(record, road)
+    judged = episode_row(record, road, metrics)
+    if bool(judged["target_collision"]) == bool(row["target_collision"]):
+        row |= _told(row, {name: judged[name] for name in _JUDGED}, stored.signals)
+    by_pair = {_pair(x): x for x in collision_rows(record, road, metrics)}
+    for one in collisions:
+        if _pair(one) in by_pair:
+            found = {name: by_pair[_pair(one)][name] for name in _OF_COLLISIONS}
+            one |= _told(one, found, stored.signals)
+    return JudgedRows(row, collisions)
+
+
+def _told(before: Mapping[str, Any], judged: dict[str, Any], signals: pa.Table | None) -> dict[str, Any]:
+    """Return what was *judged*, with the red light that the run saw where its signals were not kept."""
+    reason = str(before.get("fault_reason") or "")
+    if signals is not None or not reason.endswith(_ON_RED):
+        return judged
+    by_target = reason.startswith("The target")
+    side = "target_breaches" if by_target else "other_breaches"
+    breaches = [x for x in str(judged[side] or "").split(", ") if x and x != BreachKind.RIGHT_OF_WAY]
+    told = {name: before[name] for name in ("at_fault", "fault_reason")}
+    told[side] = ", ".join([str(BreachKind.RED_LIGHT), *breaches])
+    told["lawful"] = judged["lawful"] if by_target else False
+    told["valid_failure"] = by_target
+    return {**judged, **told, "verdict": f"{judged['verdict']} {reason}"}
+
+
+def _judged(episodes: Iterator[tuple[str, EpisodeTables]], workers: int) -> Iterator[tuple[str, JudgedRows]]:
+    """Yield each episode with its verdict, in whatever order they are done."""
+    if workers <= 1:
+        for key, one in episodes:
+            yield key, judge_episode(one)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
+        waiting: dict[Future[JudgedRows], str] = {}
+        for key, one in episodes:
+            waiting[pool.submit(judge_episode, one)] = key
+            if len(waiting) >= _AHEAD * workers:
+                done, _ = wait(waiting, return_when=FIRST_COMPLETED)
+                yield from ((waiting.pop(future), future.result()) for future in done)
+        for future in as_completed(list(waiting)):
+            yield waiting[future], future.result()
+
+
+def _one_thread() -> None:
+    pa.set_cpu_count(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the leading process hears Ctrl-C
+
+
+@lru_cache(maxsize=4)
+def _road(net: Path) -> RoadMap:
+    return RoadMap.read(net)
+
+
+def _pair(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    return row["first"], row["second"], round(float(row["time_s"]), 6)
+
+
+def _net(name: str, folder: Path) -> Path:
+    path = net_path(name, folder)
+    if path is None:
+        raise FileError(folder, f"the net {name} is no longer there", "put it back, or beside the tables")
+    return path
+
+
+def _by_episode(table: pa.Table) -> dict[int, pa.Table]:
+    """Return the rows of each episode, which lie together."""
+    numbers = table["episode"].to_numpy()
+    starts = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
+    return {int(numbers[a]): table.slice(a, b - a).combine_chunks() for a, b in pairwise(starts) if b > a}
+
+
+def _read(path: Path) -> pa.Table:
+    try:
+        return pq.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        problem = " ".join(str(error).split())
+        raise FileError(
+            path, f"cannot be read ({problem})", "give the folder of a finished run or sweep"
+        ) from None
+
+
+def _replace(path: Path, rows: list[dict[str, Any]], columns: Mapping[str, Any]) -> None:
+    schema = schema_of(columns)
+    aside = path.with_suffix(".aside")
+    try:
+        pq.write_table(pa.Table.from_pylist(rows, schema=schema), aside, compression="zstd")
+        aside.replace(path)
+    except OSError as error:
+        raise FileError(path, f"cannot be written ({error.strerror or error})", "free some space") from None

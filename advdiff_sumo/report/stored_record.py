@@ -1,0 +1,66 @@
+"""Turns the tables of a folder back into the record of an episode, as far as they tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
+from advdiff_sumo.report.states import states_of
+
+
+def stored_record(
+    states: pa.Table, row: Mapping[str, Any] | None = None, signals: pa.Table | None = None
+) -> EpisodeRecord | None:
+    """Return the record of one episode; None without a target.
+
+    What the folder does not hold is left empty: routes and signals of earlier versions, plans, failures.
+
+    Args:
+        states: rows of ``states.parquet`` of the episode.
+        row: its row of ``episodes.parquet``.
+        signals: its rows of ``signals.parquet``.
+    """
+    episode = states_of(states)
+    if episode is None:
+        return None
+    row = row if row is not None else {}
+    return EpisodeRecord(
+        episode=int(row.get("episode") or 0),
+        seed=int(row.get("seed") or 0),
+        scene=str(row.get("scene") or ""),
+        tracks=episode.tracks,
+        target=episode.target,
+        controller=_controllers(states, episode.tracks.valid.shape, episode.tracks.index),
+        route=tuple(str(row.get("route") or "").split()),
+        end=EndReason(str(row.get("end") or EndReason.HORIZON)),
+        signals=_signals(signals, episode.tracks.steps),
+    )
+
+
+def _controllers(states: pa.Table, shape: tuple[int, ...], index: Mapping[str, int]) -> Any:
+    who = np.full(shape, Controller.ABSENT, dtype=np.int64)
+    if "controller" in states.column_names:
+        columns = (states[name].to_pylist() for name in ("agent", "step", "controller"))
+        for name, step, mover in zip(*columns, strict=True):
+            who[index[name], step] = Controller[mover.upper()]
+    return who
+
+
+def _signals(table: pa.Table | None, steps: int) -> tuple[Mapping[str, str], ...]:
+    """Return what the lights show at each of *steps* instants; () where nothing is known."""
+    if table is None or not table.num_rows:
+        return ()
+    changes: dict[int, dict[str, str]] = {}
+    for change in table.to_pylist():
+        changes.setdefault(int(change["step"]), {})[change["traffic_light"]] = change["state"]
+    shown: dict[str, str] = {}
+    instants: list[Mapping[str, str]] = []
+    for step in range(steps):
+        if step in changes:
+            shown = {**shown, **changes[step]}
+        instants.append(shown)
+    return tuple(instants)

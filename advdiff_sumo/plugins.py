@@ -38,6 +38,11 @@ class Registry:
         """Return every name that resolves, built-ins first."""
         return [*self.builtins, *(e.name for e in self._plugins())]
 
+    def source(self, name: str) -> str:
+        """Return the ``package.module:attribute`` behind one of :meth:`names`."""
+        plugins = {plugin.name: plugin.value for plugin in self._plugins()}
+        return self.builtins.get(name) or plugins[name]
+
     def canonical(self, name: str) -> str:
         """Return *name* as it is spelt in the registry (or unchanged for ``package.module:Class``).
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from typing import Annotated, NoReturn
@@ -19,6 +20,7 @@ from advdiff_sumo.cli.doctor import doctor
 from advdiff_sumo.cli.evaluate import evaluate
 from advdiff_sumo.cli.export import export
 from advdiff_sumo.cli.figure import figure
+from advdiff_sumo.cli.list_names import list_names
 from advdiff_sumo.cli.planner_kit import planner_kit
 from advdiff_sumo.cli.replay import replay
 from advdiff_sumo.cli.report import report
@@ -59,6 +61,7 @@ app.command("evaluate")(evaluate)
 app.command("warmup")(warmup)
 app.command("export")(export)
 app.command("check-planner")(check_planner)
+app.command("list")(list_names)
 app.command("planner-kit")(planner_kit)
 app.command("doctor")(doctor)
 
@@ -71,11 +74,21 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _common(
-    version: Annotated[
+    version: Annotated[  # noqa: ARG001 - its callback prints it
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and leave.")
     ] = False,
+    verbose: Annotated[
+        int,
+        typer.Option(
+            "--verbose", "-v", count=True, help="Log to standard error: -v what is done, -vv details."
+        ),
+    ] = 0,
 ) -> None:
     """Verbs are listed below; each has its own --help."""
+    if verbose:
+        level = logging.DEBUG if verbose > 1 else logging.INFO
+        logging.basicConfig(format="%(relativeCreated)7.0f ms %(name)s: %(message)s")
+        logging.getLogger("advdiff_sumo").setLevel(level)
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from advdiff_sumo.cli import run_flags as flags
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.terminal import print_json, verb_console
 from advdiff_sumo.config import read_toml, set_dotted
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.threads import one_thread_for_good
@@ -45,6 +45,8 @@ def run(
     gui: flags.Gui = False,
     resume: flags.Resume = False,
     check: flags.Check = False,
+    quiet: flags.Quiet = False,
+    as_json: flags.Json = False,
 ) -> None:
     """Run episodes of a tested vehicle in traffic, and write what happened.
 
@@ -57,7 +59,7 @@ def run(
     """
     one_thread_for_good()
     from advdiff_sumo.cli.check_exports import print_check  # late: --help needs neither SUMO nor plots
-    from advdiff_sumo.cli.summary import print_summary
+    from advdiff_sumo.cli.summary import print_summary, run_object
     from advdiff_sumo.sim.free_folder import free_folder, run_words
     from advdiff_sumo.sim.run_episodes import Run
     from advdiff_sumo.sim.run_store import RunFolder
@@ -88,11 +90,13 @@ def run(
     prepared = Run.prepare(_options(config, given, policy, assign or [], defect), gui)
     words = run_words(prepared.settings["options"]["net"], *prepared.names, prepared.options.seed)
     folder = RunFolder.create(out or free_folder(*words), prepared.settings, resume)
-    console = terminal()
+    console = verb_console(quiet, as_json)
     count = _episodes(prepared, folder, console)
     print_summary(console, folder.path, prepared.options.episodes - count)
     if check:
         print_check(console, folder.path, prepared.road)
+    if as_json:
+        print_json(run_object(folder.path))
 
 
 def _episodes(prepared: Run, folder: RunFolder, console: Console) -> int:
@@ -132,6 +136,7 @@ def progress_bar(console: Console) -> Progress:
         MofNCompleteColumn(),
         TimeRemainingColumn(),
         console=console,
+        disable=not console.is_terminal,
     )
 
 

@@ -10,14 +10,15 @@ import typer
 Net: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="SUMO net (.net.xml, .net.xml.gz), or a shipped one: downtown, downtown-left, motorway.",
+        help="SUMO net (.net.xml, .net.xml.gz), a .sumocfg with its demand, or one of advdiff-sumo list nets.",
         show_default="downtown",
     ),
 ]
 Target: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="What drives the tested vehicle: IDM, Krauss, EIDM, …, lane_graph, or package.module:Class.",
+        help="What drives the tested vehicle: IDM, Krauss, …, lane_graph, package.module:Class, grpc://HOST:PORT, "
+        "or exec:COMMAND.",
         show_default="IDM",
     ),
 ]
@@ -94,4 +95,8 @@ Defect: TypeAlias = Annotated[
 ]
 Check: TypeAlias = Annotated[
     bool, typer.Option("--check", help="Print which background vehicle did what no vehicle should do.")
+]
+Quiet: TypeAlias = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Json: TypeAlias = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object, what it came to, and nothing else.")
 ]

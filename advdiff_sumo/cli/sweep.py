@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli import run_flags as flags
+from advdiff_sumo.cli.terminal import print_json, verb_console
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.threads import one_thread_for_good
 
@@ -76,6 +77,8 @@ def sweep(
     fail_if: Annotated[
         str | None, typer.Option(help='Exit with code 1 if so, for example "valid_failure_rate > 0".')
     ] = None,
+    quiet: flags.Quiet = False,
+    as_json: flags.Json = False,
 ) -> None:
     """Run many episodes in parallel: nets × seed scenes × targets × backgrounds × seeds.
 
@@ -85,14 +88,15 @@ def sweep(
     a power cut lose the episodes in flight: advdiff-sumo sweep --resume DIR runs what is missing.
     """
     one_thread_for_good()
-    from advdiff_sumo.cli.sweep_results import conclude, condition_of  # late: --help needs no simulator
+    from advdiff_sumo.cli.summary import run_object  # late: --help needs no simulator
+    from advdiff_sumo.cli.sweep_results import conclude, condition_of
     from advdiff_sumo.sim.free_folder import free_folder
     from advdiff_sumo.sweep.job_plan import plan_sweep
     from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
 
     signal.signal(signal.SIGTERM, _as_ctrl_c)
     condition = condition_of(fail_if)
-    console = terminal()
+    console = verb_console(quiet, as_json)
     store = _begun(resume)
     spec = _spec(file, store)
     plan = plan_sweep(spec)
@@ -110,6 +114,8 @@ def sweep(
             missing = run_sweep(plan, store, todo, done_by, retries, progress.tell)
     if report:
         _draw(console, store.path)
+    if as_json:
+        print_json({**run_object(store.path), "missing": missing})
     conclude(console, store, plan, missing, condition, junit)
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
+import sys
+from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
@@ -21,3 +24,13 @@ def terminal(**options: Any) -> Console:
     if not console.is_terminal and "COLUMNS" not in os.environ and "width" not in options:
         console.width = PIPED_WIDTH
     return console
+
+
+def verb_console(quiet: bool, as_json: bool) -> Console:
+    """Return the console of a verb with ``--quiet`` and ``--json``: silent where either was given."""
+    return terminal(quiet=quiet or as_json)
+
+
+def print_json(content: Mapping[str, Any]) -> None:
+    """Print *content* as one JSON object on standard output."""
+    sys.stdout.write(json.dumps(content, ensure_ascii=False, allow_nan=False) + "\n")

@@ -58,6 +58,19 @@ def read_demand(path: Path, road: RoadMap) -> DemandFiles:
     return DemandFiles(tuple(f.resolve() for f in routes), tuple(f.resolve() for f in kept), begin)
 
 
+def net_of_configuration(path: Path) -> Path:
+    """Return the net that a SUMO configuration names.
+
+    Raises:
+        FileError: it is missing, truncated, or names none.
+    """
+    _must_be_file(path, "give a .net.xml or a .sumocfg")
+    for element in _elements(path):
+        if element.tag == "net-file" and element.get("value"):
+            return path.parent / element.get("value", "")
+    raise FileError(path, "names no net-file", "give the .net.xml and the demand one by one")
+
+
 def _of_configuration(path: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
     found: dict[str, tuple[Path, ...]] = {}
     for element in _elements(path):

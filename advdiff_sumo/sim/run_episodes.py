@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import subprocess
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from advdiff_sumo import __version__
 from advdiff_sumo.config import Options
@@ -24,7 +25,7 @@ from advdiff_sumo.maps.shipped_nets import find_net, net_name
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.planners.planner_protocol import Served, SumoDriver, Target
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
-from advdiff_sumo.sim.demand_files import DemandFiles, read_demand
+from advdiff_sumo.sim.demand_files import DemandFiles, net_of_configuration, read_demand
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.logs import LoggedTraffic
 from advdiff_sumo.sim.natural import NaturalTraffic
@@ -36,13 +37,15 @@ from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 from advdiff_sumo.traffic.policy_registry import POLICIES, make_policy
 
 _Made = TypeVar("_Made")
+_log = logging.getLogger(__name__)
 
 
 class RunOptions(Options):
     """What ``advdiff-sumo run`` takes; the same names in a configuration file.
 
     Attributes:
-        net: a SUMO net (``.net.xml``, ``.net.xml.gz``) or the name of a shipped one.
+        net: a SUMO net (``.net.xml``, ``.net.xml.gz``), the name of a shipped one, or a ``.sumocfg``, which brings its
+            demand.
         target: what drives the tested vehicle.
         target_options: of that target.
         background: what moves the others.
@@ -68,6 +71,20 @@ class RunOptions(Options):
     scenes: str = ""
     sim: SimOptions = SimOptions()
     scene: SceneOptions = SceneOptions()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_configuration(cls, values: Any) -> Any:
+        """Let a ``.sumocfg`` stand for the net and, where none is given, the demand that it names."""
+        net = values.get("net") if isinstance(values, dict) else None
+        if not (isinstance(net, str) and net.endswith(".sumocfg")):
+            return values
+        demand = "" if values.get("scenes") else net
+        return {
+            **values,
+            "net": str(net_of_configuration(Path(net))),
+            "demand": values.get("demand") or demand,
+        }
 
 
 @dataclass(frozen=True)
@@ -188,6 +205,7 @@ class Run:
 
     def _one(self, number: int, scene: SeedScene, folder: RunFolder) -> Mapping[str, Any]:
         record, timing = self.episode(number, scene).run()
+        _log.info("episode %d of %s: %s after %.1f s", number, scene.name, record.end, timing.wall_s)
         row = episode_row(record, self.road)
         folder.add(record, row, collision_rows(record, self.road), timing)
         return {**row, "wall_s": timing.wall_s}

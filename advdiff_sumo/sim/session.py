@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import io
+import logging
 import os
 import sys
 import tempfile
@@ -15,6 +16,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from advdiff_sumo.core.errors import SimulationError
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,7 @@ class Session:
             except Exception as error:
                 raise SimulationError(f"SUMO does not start: {_cause(said(), error)}") from error
         Session._open = True
+        _log.debug("SUMO began: %s", " ".join(self.options.arguments()))
         return self
 
     def __exit__(

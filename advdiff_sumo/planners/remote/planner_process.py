@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import shlex
 import shutil
@@ -18,6 +19,7 @@ from advdiff_sumo.core.process_end import how_it_ended
 from advdiff_sumo.planner_kit.planner_server import ADDRESS_VARIABLE
 from advdiff_sumo.planners.remote import keeper
 
+_log = logging.getLogger(__name__)
 _POLL_S, _END_S = 0.01, 5.0
 _TAIL_BYTES, _LOG_BYTES = 4000, 1 << 20
 #: What a command may hold in place of the environment variable.
@@ -51,6 +53,7 @@ class PlannerProcess:
                 env={**os.environ, ADDRESS_VARIABLE: self.address},
                 start_new_session=True,  # Ctrl-C is for us alone
             )
+        _log.info("started %s for %s", shlex.join(words), self.address)
         self._finish = weakref.finalize(self, _end, self._keeper, self._folder)
 
     def wait(self, timeout_s: float) -> None:
@@ -91,6 +94,7 @@ class PlannerProcess:
 
     def end(self) -> None:
         """End it and all that it started."""
+        _log.info("ending the server at %s", self.address)
         self._finish()
 
     def _last_line(self) -> str:

@@ -1,0 +1,63 @@
+"""``advdiff-sumo list``: the names that other verbs take."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+
+from advdiff_sumo.cli.terminal import terminal
+
+
+class Kind(StrEnum):
+    """What can be listed."""
+
+    targets = "targets"
+    backgrounds = "backgrounds"
+    nets = "nets"
+    defects = "defects"
+
+
+def list_names(
+    kind: Annotated[Kind, typer.Argument(help="What to list.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """List the targets, backgrounds, shipped nets or planted defects that there are, plug-ins included.
+
+    advdiff-sumo list targets
+    """
+    found = _names(kind)
+    if as_json:
+        typer.echo(json.dumps({kind.value: found}, ensure_ascii=False))
+        return
+    wide = max(map(len, found))
+    console = terminal(highlight=False, soft_wrap=True)
+    for name, words in found.items():
+        console.print(f"{name:<{wide}}  {words}".rstrip(), markup=False)
+
+
+def _names(kind: Kind) -> dict[str, str]:
+    """Return the names of *kind*, each with what it is."""
+    if kind is Kind.nets:
+        from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, find_net
+
+        return {name: str(find_net(name)) for name in SHIPPED_NETS}
+    if kind is Kind.defects:
+        from advdiff_sumo.planners.defects import DEFECTS
+
+        return {name: defect.stands_for for name, defect in DEFECTS.items()}
+    if kind is Kind.targets:
+        from advdiff_sumo.planners.planner_registry import TARGETS
+        from advdiff_sumo.planners.sumo_models import CAR_FOLLOWING
+
+        words = dict.fromkeys(CAR_FOLLOWING, "SUMO's car-following model")
+        own = {"package.module:Class": "a planner of yours", "grpc://HOST:PORT": "a planner's server"}
+        own["exec:COMMAND"] = "a planner's server, started for the run"
+        return {name: words.get(name, TARGETS.source(name)) for name in TARGETS.names()} | own
+    from advdiff_sumo.traffic.policy_registry import POLICIES
+
+    return {name: POLICIES.source(name) for name in POLICIES.names()} | {
+        "package.module:Class": "a policy of yours"
+    }

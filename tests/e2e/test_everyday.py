@@ -1,0 +1,107 @@
+"""Quiet runs, results for programs, lists, logs, and SUMO configurations."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from advdiff_sumo.planners.defects import DEFECTS
+from advdiff_sumo.planners.planner_registry import TARGETS
+from tests.e2e.commands import TINY, Outcome, advdiff
+from tests.e2e.conftest import sentence
+
+RUN = ("run", "--net", "grid.net.xml", "--episodes", 2, *TINY)
+SWEEP = """
+episodes = 1
+horizon_s = 2.0
+scene = { warmup_s = 10.0, scenes_per_warmup = 2, min_neighbours = 1 }
+[grid]
+nets = ["grid.net.xml"]
+targets = ["IDM"]
+backgrounds = ["sumo"]
+"""
+
+
+def test_json_is_one_object_and_nothing_else(workplace: Path) -> None:
+    done = advdiff(*RUN, "--target", "our_planners:Raises", "--json", "--out", "run", cwd=workplace)
+    assert (done.code, done.err) == (0, "")
+    told = json.loads(done.out)
+    assert told["folder"] == str(workplace / "run")
+    assert Path(told["report"]).exists()
+    assert (told["episodes"], told["finished"], told["failed"]) == (2, 0, {"planner_error": 2})
+
+
+def test_quiet_prints_nothing(here: Callable[..., Outcome], workplace: Path) -> None:
+    assert here(*RUN, "--quiet", "--out", "run") == Outcome(0, "", "")
+    assert "our_planners:Nothing" in sentence(here(*RUN, "-q", "--target", "our_planners:Nothing"))
+
+
+def test_a_sweep_as_json(workplace: Path) -> None:
+    (workplace / "sweep.toml").write_text(SWEEP)
+    done = advdiff("sweep", "sweep.toml", "--executor", "serial", "--json", "--out", "s", cwd=workplace)
+    assert (done.code, done.err) == (0, "")
+    told = json.loads(done.out)
+    assert (told["episodes"], told["missing"], told["failed"]) == (1, 0, {})
+
+
+def test_no_bar_and_no_colour_in_a_pipe(here: Callable[..., Outcome], workplace: Path) -> None:
+    done = here(*RUN, "--episodes", 1, "--out", "run")
+    assert "━" not in done.out + done.err
+    assert "\x1b" not in done.out + done.err
+    assert "1 episodes, rates" in done.out
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [
+        ("targets", {*TARGETS.names(), "exec:COMMAND"}),
+        ("backgrounds", {"sumo", "replay", "diffusion"}),
+        ("nets", {"downtown", "downtown-left", "motorway"}),
+        ("defects", set(DEFECTS)),
+    ],
+)
+def test_lists(here: Callable[..., Outcome], kind: str, names: set[str]) -> None:
+    told = json.loads(here("list", kind, "--json").out)[kind]
+    assert names <= set(told)
+    assert all(told.values())
+    lines = here("list", kind).out.splitlines()
+    assert [line.split()[0] for line in lines] == [name.split()[0] for name in told]
+
+
+def test_a_list_of_nothing(here: Callable[..., Outcome]) -> None:
+    assert "'planets' is not one of" in sentence(here("list", "planets"))
+
+
+def test_logs_go_to_standard_error(workplace: Path) -> None:
+    done = advdiff("-vv", *RUN, "--episodes", 1, "--out", "run", "--quiet", cwd=workplace)
+    assert (done.code, done.out) == (0, "")
+    assert "advdiff_sumo.sim.run_episodes: episode 0 of" in done.err
+    assert "SUMO began: --net-file" in done.err
+
+
+def test_a_configuration_stands_for_net_and_demand(here: Callable[..., Outcome], workplace: Path) -> None:
+    net = (workplace / "grid.net.xml").read_text()
+    edges = [
+        line.split('id="')[1].split('"')[0]
+        for line in net.splitlines()
+        if "<edge id=" in line and ":" not in line
+    ]
+    flows = "".join(
+        f'<flow id="f{k}" begin="0" end="99" number="20" from="{e}" to="{edges[0]}"/>'
+        for k, e in enumerate(edges[1:5])
+    )
+    (workplace / "some.rou.xml").write_text(f"<routes>{flows}</routes>")
+    files = '<net-file value="grid.net.xml"/><route-files value="some.rou.xml"/>'
+    (workplace / "grid.sumocfg").write_text(f"<configuration><input>{files}</input></configuration>")
+    words = ("run", "--episodes", 1, *TINY)
+    one = here(*words, "--net", "grid.sumocfg", "--out", "one")
+    two = here(*words, "--net", "grid.net.xml", "--demand", "grid.sumocfg", "--out", "two")
+    assert (one.code, two.code) == (0, 0), one.err + two.err
+    tables = [pq.read_table(workplace / name / "states.parquet") for name in ("one", "two")]
+    assert tables[0].equals(tables[1])
+    (workplace / "empty.sumocfg").write_text("<configuration/>")
+    assert "names no net-file; give the .net.xml" in sentence(here(*words, "--net", "empty.sumocfg"))

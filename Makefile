@@ -19,7 +19,7 @@ test: setup
 	$(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --quiet
 
 # other people's programs that read what we export, in environments of their own; tests/export uses them where they are
-readers: build/readers/commonroad/.ready build/readers/asam/.ready build/readers/av2/.ready
+readers: build/readers/commonroad/.ready build/readers/asam/.ready build/readers/av2/.ready build/readers/lanelet2/.ready
 
 build/readers/av2/.ready: PIP_FLAGS = --no-deps
 

@@ -9,10 +9,24 @@ from __future__ import annotations
 import gzip
 import json
 import math
+import sqlite3
+import struct
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pyproj
+import shapely
+
 HALF_M = 1.75
+UTM_M = (456_100.0, 5_428_200.0)  # where the road lies in zone 32, in Karlsruhe
+NAMES = {
+    "argoverse2": "log_map_archive_small.json",
+    "commonroad": "TST_Small-1_1_T-1.xml.gz",
+    "lanelet2": "small.osm",
+    "nuplan": "map.gpkg",
+}
 Points = list[tuple[float, float]]
 
 
@@ -114,14 +128,92 @@ def _obstacle() -> str:
     )
 
 
+def lanelet2(*, in_degrees: bool = False) -> str:
+    """Return the road as a Lanelet2 map: nodes with local places, one way for each side, lane 4 drawn backwards."""
+    nodes: dict[tuple[float, float], int] = {}
+    ways, relations = [], []
+    for name, (centre, _, inside) in LANES.items():
+        for side, points in zip(("left", "right"), sides(centre), strict=True):
+            drawn = points[::-1] if (name, side) == ("4", "left") else points
+            refs = [nodes.setdefault((round(x, 9), round(y, 9)), len(nodes) + 1) for x, y in drawn]
+            number = 100 + 10 * int(name) + (side == "right")
+            mark = "dashed" if (name, side) == ("1", "left") else "solid"
+            inner = "".join(f'<nd ref="{ref}"/>' for ref in refs)
+            ways.append(f'<way id="{number}">{inner}{_tags(type="line_thin", subtype=mark)}</way>')
+        left, right = 100 + 10 * int(name), 101 + 10 * int(name)
+        right = 110 if name == "2" else right  # lane 1's left line
+        tags = _tags(type="lanelet", subtype="road", location="urban", one_way="yes", speed_limit="36 km/h")
+        tags += _tags(turn_direction="left") if inside else ""
+        rule = '<member type="relation" ref="900" role="regulatory_element"/>' if name == "2" else ""
+        relations.append(
+            f'<relation id="{name}"><member type="way" ref="{left}" role="left"/>'
+            f'<member type="way" ref="{right}" role="right"/>{rule}{tags}</relation>'
+        )
+    light = _tags(type="regulatory_element", subtype="traffic_light")
+    relations.append(f'<relation id="900"><member type="way" ref="130" role="refers"/>{light}</relation>')
+    back = pyproj.Transformer.from_crs("EPSG:32632", "EPSG:4326", always_xy=True)
+    places = []
+    for (x, y), number in nodes.items():
+        lon, lat = back.transform(UTM_M[0] + x, UTM_M[1] + y)
+        tags = "" if in_degrees else _tags(local_x=str(x), local_y=str(y))
+        places.append(f'<node id="{number}" lat="{lat!r}" lon="{lon!r}">{tags}</node>')
+    return f'<osm version="0.6">{"".join(places)}{"".join(ways)}{"".join(relations)}</osm>'
+
+
+def _tags(**values: str) -> str:
+    return "".join(f'<tag k="{key}" v="{value}"/>' for key, value in values.items())
+
+
+def nuplan(path: Path) -> None:
+    """Write the road as a nuPlan map whose projected system is UTM 11 N, about (500000, 4000000)."""
+    back = pyproj.Transformer.from_crs("EPSG:32611", "EPSG:4326", always_xy=True)
+
+    def blob(shape: shapely.Geometry) -> bytes:
+        moved = shapely.transform(
+            shape, lambda xy: np.stack(back.transform(xy[:, 0] + 5e5, xy[:, 1] + 4e6), axis=-1)
+        )
+        return b"GP" + bytes((0, 1)) + struct.pack("<i", 4326) + shapely.to_wkb(moved)
+
+    lines, polygons, connectors, areas = [], [], [], []
+    for name, (centre, _, inside) in LANES.items():
+        left, right = sides(centre)
+        ring = shapely.Polygon([*left, *right[::-1]])
+        lines.append(
+            (
+                None if inside else name,
+                name if inside else None,
+                blob(shapely.LineString([p[:2] for p in centre])),
+            )
+        )
+        areas.append((blob(ring),))
+        if inside:
+            connectors.append((int(name), "2", "4", 6.7))
+        else:
+            polygons.append((name, 13.4, blob(ring)))
+    with closing(sqlite3.connect(path)) as base, base:
+        base.execute("CREATE TABLE meta (key TEXT, value TEXT)")
+        base.execute("INSERT INTO meta VALUES ('projectedCoordSystem', 'EPSG:32611')")
+        base.execute("CREATE TABLE baseline_paths (lane_fid TEXT, lane_connector_fid TEXT, geom BLOB)")
+        base.executemany("INSERT INTO baseline_paths VALUES (?, ?, ?)", lines)
+        base.execute("CREATE TABLE lanes_polygons (lane_fid TEXT, speed_limit_mps REAL, geom BLOB)")
+        base.executemany("INSERT INTO lanes_polygons VALUES (?, ?, ?)", polygons)
+        base.execute(
+            "CREATE TABLE lane_connectors (fid INTEGER, exit_lane_fid TEXT, entry_lane_fid TEXT, speed_limit_mps REAL)"
+        )
+        base.executemany("INSERT INTO lane_connectors VALUES (?, ?, ?, ?)", connectors)
+        base.execute("CREATE TABLE generic_drivable_areas (geom BLOB)")
+        base.executemany("INSERT INTO generic_drivable_areas VALUES (?)", areas)
+
+
 def write(kind: str, folder: Path) -> Path:
     """Write the road in the format *kind* and return its path."""
+    path = folder / NAMES[kind]
     if kind == "argoverse2":
-        path = folder / "log_map_archive_small.json"
         path.write_text(json.dumps(argoverse2()), encoding="utf-8")
     elif kind == "commonroad":
-        path = folder / "TST_Small-1_1_T-1.xml.gz"
         path.write_bytes(gzip.compress(commonroad().encode(), mtime=0))
-    else:
-        raise ValueError(kind)
+    elif kind == "lanelet2":
+        path.write_text(lanelet2(), encoding="utf-8")
+    elif kind == "nuplan":
+        nuplan(path)
     return path

@@ -36,7 +36,21 @@ lanes = {str(row.lanelet_id): row.center_vertices.tolist() for row in lanelets}
 links = [[str(row.lanelet_id), str(n)] for row in lanelets for n in row.successor if n in names]
 print(json.dumps({"lanes": lanes, "links": links}))
 """
-SCRIPTS = {"av2": ARGOVERSE2, "commonroad": COMMONROAD}
+LANELET2 = """
+import json, sys
+import lanelet2
+from lanelet2.projection import UtmProjector
+origin = lanelet2.io.Origin(49.0, 8.4)
+base = UtmProjector(origin)
+city = lanelet2.io.load(sys.argv[1], base)
+rules = lanelet2.traffic_rules.create(
+    lanelet2.traffic_rules.Locations.Germany, lanelet2.traffic_rules.Participants.Vehicle)
+graph = lanelet2.routing.RoutingGraph(city, rules)
+lanes = {str(row.id): [[p.x, p.y] for p in row.centerline] for row in city.laneletLayer}
+links = [[str(row.id), str(n.id)] for row in city.laneletLayer for n in graph.following(row)]
+print(json.dumps({"lanes": lanes, "links": links}))
+"""
+SCRIPTS = {"lanelet2": LANELET2, "av2": ARGOVERSE2, "commonroad": COMMONROAD}
 
 
 def read_outside(reader: str, path: Path) -> dict[str, Any]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import itertools
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import shapely
+import small_sources
 from defusedxml import ElementTree
 from source_readers import read_outside
 
@@ -54,17 +56,32 @@ def drawn(net: Path) -> tuple[dict[str, list[shapely.LineString]], set[tuple[str
     return lines, links
 
 
+def same(net: Path, truth: dict[str, Any], offset_m: tuple[float, float] = (0.0, 0.0)) -> None:
+    """Check that *net* draws the lanes of *truth*, moved by *offset_m*, and makes its links."""
+    lines, links = drawn(net)
+    assert set(lines) == set(truth["lanes"])
+    for token, points in truth["lanes"].items():
+        places = shapely.points(np.array(points) + offset_m)
+        assert shapely.distance(shapely.union_all(lines[token]), places).max() <= NEAR_M, token
+    assert links == set(map(tuple, truth["links"]))
+
+
 @pytest.mark.data
 @pytest.mark.parametrize(("reader", "name"), FILES)
 def test_net_holds_what_the_outside_reader_sees(
     reader: str, name: str, adv_data: Path, tmp_path: Path
 ) -> None:
     truth = read_outside(reader, adv_data / name)
-    net = tmp_path / "n.net.xml"
-    convert_source(read_map(adv_data / name), net)
-    lines, links = drawn(net)
-    assert set(lines) == set(truth["lanes"])
-    for token, points in truth["lanes"].items():
-        away = shapely.distance(shapely.union_all(lines[token]), shapely.points(np.array(points)))
-        assert away.max() <= NEAR_M, token
-    assert links == set(map(tuple, truth["links"]))
+    convert_source(read_map(adv_data / name), tmp_path / "n.net.xml")
+    same(tmp_path / "n.net.xml", truth)
+
+
+def test_net_holds_what_lanelet2_sees(tmp_path: Path) -> None:
+    """Lanelet2 counts from its origin, ours from the corner of the full kilometre; lane 1 begins at UTM_M in both."""
+    path = tmp_path / "m.osm"
+    path.write_text(small_sources.lanelet2(in_degrees=True), encoding="utf-8")
+    truth = read_outside("lanelet2", path)
+    convert_source(read_map(path), tmp_path / "n.net.xml")
+    corner = np.floor((np.array(small_sources.UTM_M) - [0.0, 1.75]) / 1000.0) * 1000.0
+    offset = np.array(small_sources.UTM_M) - corner - truth["lanes"]["1"][0]
+    same(tmp_path / "n.net.xml", truth, (float(offset[0]), float(offset[1])))

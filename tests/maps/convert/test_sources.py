@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 import small_sources
 import sumolib
 
@@ -19,7 +22,7 @@ from advdiff_sumo.maps.convert.fidelity import measure
 from advdiff_sumo.maps.convert.sources.bounded_lanes import midline, midline_by_length
 from advdiff_sumo.maps.convert.sources.read_map import read_map
 
-KINDS = ("argoverse2", "commonroad")
+KINDS = tuple(small_sources.NAMES)
 GENUINE = (
     "argoverse2/log_map_archive_0a1e6f0a-1817-4a98-b02e-db8c9327d151.json",
     "argoverse2/log_map_archive_3b3570b4-7b0b-3268-a571-b0889dbf40b6____MIA_city_47894.json",
@@ -45,20 +48,94 @@ def test_midline_of_unequal_boundaries() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_small_road(kind: str, tmp_path: Path) -> None:
     source = read_map(small_sources.write(kind, tmp_path))
-    assert [lane.token for lane in source.lanes] == ["1", "2", "3", "4"]
-    assert [lane.is_connector for lane in source.lanes] == [False, False, True, False]
-    assert sorted(source.links) == [("2", "3"), ("3", "4")]
-    assert source.lanes[0].centre_m.tolist() == [[0.0, 0.0], [50.0, 0.0]]
+    names = [lane.token.split()[-1] for lane in source.lanes]
+    assert sorted(names) == ["1", "2", "3", "4"]
+    assert {name: lane.is_connector for name, lane in zip(names, source.lanes, strict=True)}["3"]
+    assert sorted((a.split()[-1], b.split()[-1]) for a, b in source.links) == [("2", "3"), ("3", "4")]
+    origin = np.array([5e5, 4e6]) if kind == "nuplan" else np.zeros(2)
+    line = source.lanes[names.index("1")].centre_m - origin
+    assert line == pytest.approx(np.array([[0.0, 0.0], [50.0, 0.0]]), abs=1e-6)
     result = convert_source(source, tmp_path / "n.net.xml")
     figures = measure(result).as_dict()
     assert figures["lanes"]["held"] == figures["lanes"]["given"] == 4
     assert figures["connections"]["kept"] == figures["connections"]["given"] == 2
-    assert figures["lane_changes"]["dashed_pairs"] == figures["lane_changes"]["neighbours_in_one_edge"] == 1
+    if kind != "nuplan":  # whose markings are not read
+        pairs = figures["lane_changes"]
+        assert pairs["dashed_pairs"] == pairs["neighbours_in_one_edge"] == 1
     assert all(error["max"] <= 0.001 for error in figures["centre_line_error_m"].values())
     net = sumolib.net.readNet(str(result.net))
     assert sorted(edge.getLaneNumber() for edge in net.getEdges()) == [1, 2]
     widths = [lane.getWidth() for edge in net.getEdges() for lane in edge.getLanes()]
-    assert widths == pytest.approx([3.5] * 3)
+    assert widths == pytest.approx([3.5] * 3, abs=0.01)
+
+
+def test_lanelet2_limits_and_lights(tmp_path: Path) -> None:
+    source = read_map(small_sources.write("lanelet2", tmp_path))
+    assert [lane.speed_mps for lane in source.lanes] == pytest.approx([10.0] * 4)
+    assert [(light.token, light.lanes) for light in source.signals] == [("900", ("2",))]
+
+
+def test_lanelet2_in_degrees(tmp_path: Path) -> None:
+    """One lanelet of 111 m eastwards on the equator; UTM shrinks it there by 0.9996 in the middle of a zone."""
+    nodes = [(9.0, 0.00002), (9.001, 0.00002), (9.0, 0.0), (9.001, 0.0)]
+    rows = "".join(f'<node id="{n}" lon="{lon}" lat="{lat}"/>' for n, (lon, lat) in enumerate(nodes, 1))
+    rows += '<way id="10"><nd ref="1"/><nd ref="2"/></way><way id="11"><nd ref="3"/><nd ref="4"/></way>'
+    rows += '<relation id="20"><member type="way" ref="10" role="left"/><member type="way" ref="11" role="right"/>'
+    path = tmp_path / "m.osm"
+    path.write_text(f'<osm>{rows}<tag k="type" v="lanelet"/></relation></osm>', encoding="utf-8")
+    (lane,) = read_map(path).lanes
+    assert np.hypot(*(lane.centre_m[1] - lane.centre_m[0])) == pytest.approx(111.3195 * 0.9996, abs=0.01)
+
+
+def test_nuplan_limits_and_areas(tmp_path: Path) -> None:
+    source = read_map(small_sources.write("nuplan", tmp_path))
+    assert {lane.token: lane.speed_mps for lane in source.lanes}["connector 3"] == 6.7
+    lanes = shapely.union_all([lane.polygon for lane in source.lanes if lane.polygon is not None])
+    assert source.drivable.area > lanes.area > 300.0  # the connector has no polygon, yet an area
+
+
+@pytest.mark.parametrize("damage", ["no file", "empty", "text", "no meta", "no system", "no shapes"])
+def test_malformed_nuplan_gets_one_sentence(damage: str, tmp_path: Path) -> None:
+    path = small_sources.write("nuplan", tmp_path)
+    if damage in ("empty", "text"):
+        path.write_bytes(b"" if damage == "empty" else b"no data base " * 100)
+    elif damage == "no file":
+        path.unlink()
+    else:
+        change = {"no meta": "DROP TABLE meta", "no system": "DELETE FROM meta"}
+        with closing(sqlite3.connect(path)) as base, base:
+            base.execute(change.get(damage, "UPDATE baseline_paths SET geom = x'00'"))
+    with pytest.raises(MapError, match=r"map\.gpkg") as caught:
+        read_map(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_opendrive(tmp_path: Path) -> None:
+    """The road written as OpenDRIVE by our own exporter, read by netconvert: the same places."""
+    first = convert_source(
+        read_map(small_sources.write("argoverse2", tmp_path)), tmp_path / "n.net.xml", opendrive=True
+    )
+    result = convert_source(read_map(tmp_path / "n.xodr"), tmp_path / "again.net.xml")
+    figures = measure(result).as_dict()
+    assert figures["lanes"]["lost"] == figures["connections"]["lost"] == []
+    assert all(error["max"] <= 0.02 for error in figures["centre_line_error_m"].values())
+    old, new = (
+        shapely.union_all([shapely.LineString(lane.centre_m) for lane in source.lanes])
+        for source in (first.source, result.source)
+    )
+    assert shapely.hausdorff_distance(old, new, densify=0.05) <= 0.1
+    assert result.sidecar.exists()
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"<OpenDRIVE/>", b"<net/>", b"<OpenDRIVE><road id='1'/></OpenDRIVE>"]
+)
+def test_malformed_opendrive_gets_one_sentence(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "m.xodr"
+    path.write_bytes(content)
+    with pytest.raises(MapError, match=r"m\.xodr") as caught:
+        read_map(path)
+    assert "\n" not in str(caught.value)
 
 
 def test_argoverse2_areas(tmp_path: Path) -> None:
@@ -113,11 +190,15 @@ def test_genuine_files_are_exact_and_complete(name: str, adv_data: Path, tmp_pat
     assert all(row["meaning"] != "not explained" for row in figures["netconvert_warnings"])
 
 
+XML_NAMES = {"commonroad": "bad.xml", "lanelet2": "bad.osm"}
+
+
 def faults(kind: str) -> Iterator[tuple[str, bytes]]:
     """Yield (what is wrong, content of a file) for files that cannot be used."""
     whole = {
         "argoverse2": json.dumps(small_sources.argoverse2()).encode(),
         "commonroad": small_sources.commonroad().encode(),
+        "lanelet2": small_sources.lanelet2().encode(),
         "nuscenes": b'{"version": "1.3", "lane": [{"token": "a"}], "node": [], "polygon": []}',
     }[kind]
     yield "empty", b""
@@ -135,7 +216,7 @@ def faults(kind: str) -> Iterator[tuple[str, bytes]]:
     yield "deep", b"[" * 100_000
     yield "HTML", b"<html><body>404 Not Found</body></html>"
     yield "LFS pointer", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 12345\n"
-    if kind != "commonroad":  # XML may be in UTF-16
+    if kind not in XML_NAMES:  # XML may be in UTF-16
         yield "UTF-16", whole.decode().encode("utf-16")
     yield "entity bomb", b'<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><commonRoad>&b;</commonRoad>'
     yield "of another root", b"<net version='1.9'></net>"
@@ -147,6 +228,13 @@ def faults(kind: str) -> Iterator[tuple[str, bytes]]:
         yield "no bounds", text.replace("leftBound", "leftSide").encode()
         yield "no numbers", text.replace("<x>", "<x>east").encode()
         yield "NaN", text.replace("<x>", "<x>nan</x><x>").encode()
+    elif kind == "lanelet2":
+        text = whole.decode()
+        yield "no lanelet", text.replace('v="lanelet"', 'v="multipolygon"').encode()
+        yield "no boundary", text.replace('role="left"', 'role="side"').encode()
+        yield "no nodes", text.replace("<node ", "<place ").replace("</node>", "</place>").encode()
+        yield "no places", text.replace("local_x", "x").replace("lat=", "north=").encode()
+        yield "NaN", text.replace('k="local_x" v="', 'k="local_x" v="nan" w="').encode()
     else:
         data = json.loads(whole)
         for layer in list(data):
@@ -157,7 +245,7 @@ def faults(kind: str) -> Iterator[tuple[str, bytes]]:
 
 CASES = [
     pytest.param(kind, content, id=f"{kind}: {name}")
-    for kind in ("argoverse2", "commonroad", "nuscenes")
+    for kind in ("argoverse2", "commonroad", "lanelet2", "nuscenes")
     for name, content in faults(kind)
 ]
 
@@ -168,7 +256,7 @@ def test_there_are_sixty_malformed_files() -> None:
 
 @pytest.mark.parametrize(("kind", "content"), CASES)
 def test_malformed_files_get_one_sentence(kind: str, content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / ("bad.xml" if kind == "commonroad" else "bad.json")
+    path = tmp_path / XML_NAMES.get(kind, "bad.json")
     path.write_bytes(content)
     with pytest.raises(MapError) as caught:
         convert_source(read_map(path), tmp_path / "n.net.xml")

@@ -7,13 +7,16 @@ from pathlib import Path
 from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.maps.convert.sources.argoverse2_map import argoverse2_map
 from advdiff_sumo.maps.convert.sources.commonroad_map import commonroad_map
+from advdiff_sumo.maps.convert.sources.lanelet2_map import lanelet2_map
 from advdiff_sumo.maps.convert.sources.map_files import load_json, load_xml
+from advdiff_sumo.maps.convert.sources.nuplan_map import nuplan_map
 from advdiff_sumo.maps.convert.sources.nuscenes_json import nuscenes_map
 from advdiff_sumo.maps.convert.sources.source_map import SourceMap
+from advdiff_sumo.maps.convert.sources.sumo_net_map import opendrive_map
 
 FORMATS = (
     "a nuScenes map expansion or an Argoverse 2 log_map_archive (.json), a ScenarioNet record (.pkl), "
-    "a CommonRoad scenario (.xml, .xml.gz)"
+    "a CommonRoad scenario (.xml, .xml.gz), a Lanelet2 map (.osm), an OpenDRIVE file (.xodr), a nuPlan map (.gpkg)"
 )
 
 
@@ -30,4 +33,10 @@ def read_map(path: Path) -> SourceMap:
         return argoverse2_map(data, path) if is_argoverse else nuscenes_map(data, path)
     if name.endswith(".xml"):
         return commonroad_map(load_xml(path), path)
+    if name.endswith(".osm"):
+        return lanelet2_map(load_xml(path), path)
+    if name.endswith(".xodr"):
+        return opendrive_map(path)
+    if name.endswith(".gpkg"):
+        return nuplan_map(path)
     raise MapError(path, "is of no known map format", f"give {FORMATS}")

@@ -1,0 +1,286 @@
+"""Lanelet2 maps (Poggenhans et al. 2018, DOI 10.1109/ITSC.2018.8569929): OSM XML with lanelet relations.
+
+Places are the nodes' ``local_x``, ``local_y`` in m where all have them, else UTM of the map's middle, counted from
+the south-west corner of the map in full kilometres. Lanelets follow each other where they share end nodes.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pyproj
+from shapely.geometry import LineString, Polygon
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.maps.convert.sources.bounded_lanes import (
+    BoundedLane,
+    covered_area,
+    lane_links,
+    largest_part,
+    source_lanes,
+)
+from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
+from advdiff_sumo.maps.convert.sources.source_map import (
+    LaneUse,
+    Signal,
+    SourceMap,
+    StatedSizes,
+    StopLine,
+)
+
+REMEDY = "give an unchanged Lanelet2 map (.osm)"
+USES = {"road": LaneUse.CAR, "highway": LaneUse.CAR, "play_street": LaneUse.CAR, "bus_lane": LaneUse.BUS}
+USES |= {"bicycle_lane": LaneUse.BICYCLE, "emergency_lane": LaneUse.BUS, "": LaneUse.CAR}
+ON_FOOT = {"crosswalk": "crossings", "walkway": "walkways", "shared_walkway": "walkways"}
+KMH_MPS, MPH_MPS = 1.0 / 3.6, 0.44704
+STOP_LINE_M = 0.25  # half the depth of a painted stop line
+Tags = Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class _Relation:
+    id: str
+    tags: Tags
+    members: tuple[tuple[str, str], ...]  # role, reference
+
+    def refs(self, role: str) -> list[str]:
+        return [ref for name, ref in self.members if name == role]
+
+
+def lanelet2_map(root: Element, path: Path) -> SourceMap:
+    """Return the lanelets below *root*, read from *path*.
+
+    Lanelets with a ``turn_direction`` are connectors; where none has one, geometry tells them. Lanelets for both
+    directions are taken in the direction in which they are drawn.
+
+    Raises:
+        MapError: another format, or no lanelet is usable.
+    """
+    relations = [_relation(row) for row in root.iterfind("relation")]
+    lanelets = [row for row in relations if row.tags.get("type") == "lanelet"]
+    if root.tag != "osm" or not lanelets:
+        raise MapError(path, "holds no relation of type lanelet, so it is no Lanelet2 map", REMEDY)
+    faults = MapFaults(path)
+    ways = _Ways(root, path)
+    driven = [row for row in lanelets if row.tags.get("subtype", "") in USES]
+    rows = _with_neighbours([lane for row in driven if (lane := _lane(row, ways, faults))], driven)
+    lanes = source_lanes(_with_successors(rows), faults)
+    if not lanes:
+        raise MapError(path, "holds no usable lanelet for vehicles", REMEDY)
+    known = {lane.token for lane in lanes}
+    links, stated = lane_links(_with_successors(rows), lanes, faults)
+    areas = _areas(lanelets, ways)
+    rules = [row for row in relations if row.tags.get("type") == "regulatory_element"]
+    return SourceMap(
+        path=path,
+        location=path.name.removesuffix(".gz").removesuffix(".osm"),
+        lanes=tuple(lanes),
+        links=tuple(links),
+        drivable=covered_area(lanes),
+        crossings=tuple(areas["crossings"]),
+        walkways=tuple(areas["walkways"]),
+        stop_lines=tuple(_stop_lines(rules, ways)),
+        signals=tuple(_signals(rules, lanelets, ways)),
+        stated=StatedSizes(len(driven), stated),
+        left_out=tuple(row.id for row in driven if row.id not in known),
+        notes=faults.notes,
+        warnings=faults.sentences(),
+    )
+
+
+def _relation(row: Element) -> _Relation:
+    members = tuple((m.get("role", ""), m.get("ref", "")) for m in row.iterfind("member"))
+    return _Relation(row.get("id", ""), _tags(row), members)
+
+
+def _tags(row: Element) -> Tags:
+    return {tag.get("k", ""): tag.get("v", "") for tag in row.iterfind("tag")}
+
+
+class _Ways:
+    """Places and tags of the ways of a map."""
+
+    def __init__(self, root: Element, path: Path) -> None:
+        self._xy = _places(root, path)
+        self._nodes = {
+            row.get("id", ""): [nd.get("ref", "") for nd in row.iterfind("nd")]
+            for row in root.iterfind("way")
+        }
+        self.tags = {row.get("id", ""): _tags(row) for row in root.iterfind("way")}
+
+    def points(self, name: str) -> FloatArray:
+        """Return the places (N, 2) of way *name*.
+
+        Raises:
+            ValueError: the way or one of its nodes does not exist.
+        """
+        if name not in self._nodes:
+            raise ValueError(f"way {name!r} does not exist")
+        missing = next((node for node in self._nodes[name] if node not in self._xy), None)
+        if missing is not None:
+            raise ValueError(f"node {missing!r} of way {name!r} does not exist")
+        return np.array([self._xy[node] for node in self._nodes[name]], dtype=np.float64).reshape(-1, 2)
+
+
+def _places(root: Element, path: Path) -> dict[str, tuple[float, float]]:
+    rows = [(row.get("id", ""), row, _tags(row)) for row in root.iterfind("node")]
+    try:
+        if all("local_x" in tags and "local_y" in tags for *_, tags in rows):
+            return {name: (float(tags["local_x"]), float(tags["local_y"])) for name, _, tags in rows}
+        degrees = np.array([[float(row.attrib["lon"]), float(row.attrib["lat"])] for _, row, _ in rows])
+    except (KeyError, ValueError) as error:
+        raise MapError(path, f"a node has no place ({error})", REMEDY) from None
+    if not (np.abs(degrees) <= (180.0, 84.0)).all():
+        raise MapError(path, "a node lies at no place on earth where UTM holds", REMEDY)
+    zone = int((degrees[:, 0].mean() + 180.0) // 6.0) + 1
+    south = " +south" if degrees[:, 1].mean() < 0.0 else ""
+    project = pyproj.Proj(f"+proj=utm +zone={zone}{south} +ellps=WGS84 +units=m")
+    xy = np.stack(project(degrees[:, 0], degrees[:, 1]), axis=-1)
+    xy -= np.floor(xy.min(axis=0) / 1000.0) * 1000.0
+    return {name: (float(x), float(y)) for (name, _, _), (x, y) in zip(rows, xy, strict=True)}
+
+
+def _lane(row: _Relation, ways: _Ways, faults: MapFaults) -> BoundedLane | None:
+    try:
+        left, right = _bounds(row, ways)
+    except ValueError as error:
+        faults.add("lanelet malformed", f"lanelet {row.id!r} is left out: {error}")
+        return None
+    if row.tags.get("one_way") == "no":
+        faults.notes["two-way lanelets taken in the direction in which they are drawn"] += 1
+    sides = [ways.tags[row.refs(side)[0]] for side in ("left", "right")]
+    return BoundedLane(
+        token=row.id,
+        left_m=left,
+        right_m=right,
+        is_connector="turn_direction" in row.tags,
+        use=USES[row.tags.get("subtype", "")],
+        speed_mps=_speed(row.tags.get("speed_limit", "")),
+        left_dashed=_dashed(sides[0]),
+        right_dashed=_dashed(sides[1]),
+    )
+
+
+def _bounds(row: _Relation, ways: _Ways) -> tuple[FloatArray, FloatArray]:
+    """Return both boundaries in driving direction, turned round where they are drawn the other way."""
+    sides = []
+    for side in ("left", "right"):
+        parts = [ways.points(ref) for ref in row.refs(side)]
+        if not parts or any(len(part) < 2 for part in parts):
+            raise ValueError(f"it has no {side} boundary")
+        sides.append(_chained(parts))
+    left, right = sides
+    along = np.hypot(*(left[0] - right[0])) + np.hypot(*(left[-1] - right[-1]))
+    across = np.hypot(*(left[0] - right[-1])) + np.hypot(*(left[-1] - right[0]))
+    if across < along:
+        right = right[::-1]
+    ring = np.vstack((left, right[::-1]))
+    area = float(np.sum(ring[:, 0] * np.roll(ring[:, 1], -1) - ring[:, 1] * np.roll(ring[:, 0], -1)))
+    return (left[::-1], right[::-1]) if area > 0.0 else (left, right)
+
+
+def _chained(parts: list[FloatArray]) -> FloatArray:
+    """Return ways one after the other, each turned so that it goes on where the one before ends."""
+    line = parts[0]
+    for part in parts[1:]:
+        if np.hypot(*(line[0] - part[0])) < 1e-6 or np.hypot(*(line[0] - part[-1])) < 1e-6:
+            line = line[::-1]
+        part = part[::-1] if np.hypot(*(line[-1] - part[-1])) < np.hypot(*(line[-1] - part[0])) else part
+        line = np.vstack((line, part[1:]))
+    return line
+
+
+def _speed(text: str) -> float | None:
+    """Return a limit in m/s; without a unit it is in km/h, as Lanelet2 has it."""
+    words = text.lower().replace("km/h", " kmh").replace("kmh", " kmh").split()
+    try:
+        value = float(words[0])
+    except (IndexError, ValueError):
+        return None
+    unit = words[1] if len(words) > 1 else "kmh"
+    factor = MPH_MPS if unit == "mph" else 1.0 if unit in ("m/s", "mps") else KMH_MPS
+    return value * factor if np.isfinite(value) and value > 0.0 else None
+
+
+def _dashed(tags: Tags) -> bool | None:
+    """Return whether a line may be crossed; None where there is none. "solid_dashed" forbids one side alone."""
+    if tags.get("type") not in ("line_thin", "line_thick"):
+        return None
+    return "dashed" in tags.get("subtype", "")
+
+
+def _with_neighbours(rows: list[BoundedLane], driven: list[_Relation]) -> list[BoundedLane]:
+    """Name the lanelet whose right boundary is a lanelet's left one."""
+    sides = {row.id: (row.refs("left"), row.refs("right")) for row in driven}
+    right_of = {ref: row.token for row in rows for ref in sides[row.token][1]}
+    left_of = [next((right_of[ref] for ref in sides[row.token][0] if ref in right_of), None) for row in rows]
+    return [replace(row, left_neighbour=other) for row, other in zip(rows, left_of, strict=True)]
+
+
+def _with_successors(rows: list[BoundedLane]) -> list[BoundedLane]:
+    """Name the lanelets that begin at both end nodes of a lanelet."""
+    starts: dict[tuple[float, ...], list[str]] = defaultdict(list)
+    for row in rows:
+        starts[_key(row.left_m[0], row.right_m[0])].append(row.token)
+    return [
+        replace(row, successors=tuple(starts.get(_key(row.left_m[-1], row.right_m[-1]), ()))) for row in rows
+    ]
+
+
+def _key(left: FloatArray, right: FloatArray) -> tuple[float, ...]:
+    return tuple(np.concatenate((left, right)).round(3).tolist())
+
+
+def _areas(lanelets: Iterable[_Relation], ways: _Ways) -> dict[str, list[Polygon]]:
+    areas: dict[str, list[Polygon]] = {"crossings": [], "walkways": []}
+    for row in lanelets:
+        kind = ON_FOOT.get(row.tags.get("subtype", ""))
+        if kind is not None:
+            try:
+                left, right = _bounds(row, ways)
+            except ValueError:
+                continue
+            area = largest_part(np.vstack((left, right[::-1])))
+            areas[kind] += [] if area is None else [area]
+    return areas
+
+
+def _lines(row: _Relation, ways: _Ways) -> list[tuple[str, LineString]]:
+    """Return the stop lines (``ref_line``) of a rule that exist."""
+    lines = []
+    for ref in row.refs("ref_line"):
+        try:
+            points = ways.points(ref)
+        except ValueError:
+            continue
+        lines += [(ref, LineString(points))] if len(points) > 1 else []
+    return lines
+
+
+def _stop_lines(rules: Iterable[_Relation], ways: _Ways) -> list[StopLine]:
+    kinds = {"all_way_stop": "STOP_SIGN", "right_of_way": "YIELD"}
+    return [
+        StopLine(name, line.buffer(STOP_LINE_M, cap_style="flat"), kinds[row.tags["subtype"]])
+        for row in rules
+        if row.tags.get("subtype") in kinds
+        for name, line in _lines(row, ways)
+    ]
+
+
+def _signals(rules: Iterable[_Relation], lanelets: Iterable[_Relation], ways: _Ways) -> list[Signal]:
+    users: dict[str, list[str]] = defaultdict(list)
+    for lanelet in lanelets:
+        for ref in lanelet.refs("regulatory_element"):
+            users[ref].append(lanelet.id)
+    signals = []
+    for row in rules:
+        if row.tags.get("subtype") == "traffic_light":
+            lines = _lines(row, ways)
+            signals.append(Signal(row.id, lines[0][1] if lines else None, lanes=tuple(users[row.id])))
+    return signals

@@ -1,9 +1,10 @@
 """Moving vehicles by moveToXY, so that SUMO's drivers see them (measured traps: docs/sumo.md).
 
-Rules that SUMO does not state: a vehicle must have been on a lane before anything else; off the lanes nobody
-sees it, and with sublanes it can crash the process, so it is taken out of SUMO until it comes back to a lane (our
-own states go on); a moved vehicle loses its route unless it is given the edges that it is about to drive; and its
-speed, as others see it, is clipped to the lane's limit times its speed factor.
+Rules that SUMO does not state: a vehicle must have been on a lane before anything else; off the lanes, or with its
+front bumper beside the lane that SUMO holds it on, nobody sees it, and with sublanes a step can end the process, so it
+is taken out of SUMO until it comes back to a lane (our own states go on); a moved vehicle loses its route unless it is
+given the edges that it is about to drive; and its speed, as others see it, is clipped to the lane's limit times its
+speed factor.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.errors import SimulationError
 from advdiff_sumo.core.frames import bumper_from_centre, sumo_from_yaw, unit
 from advdiff_sumo.maps import RoadMap
@@ -114,16 +115,17 @@ class Actuator:
         self.outside.discard(row)
 
     def on_lanes(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> set[int]:
-        """Return those of *rows* that SUMO could have on a lane at poses (N, 2), (N,)."""
-        half = 0.5 * self.world.size_m[rows]
-        lanes, _, d, _ = self.road.locate_many(bumper_from_centre(xy_m, yaw_rad, 2.0 * half[:, 0]), yaw_rad)
-        return {
-            row
-            for row, lane, offset, beside in zip(
-                rows.tolist(), lanes, d.tolist(), half[:, 1].tolist(), strict=True
-            )
-            if lane is not None and abs(offset) <= 0.5 * self.road.lanes[lane].width_m + beside
-        }
+        """Return those of *rows* whose front bumpers' centres are on a lane at poses (N, 2), (N,)."""
+        bumper = bumper_from_centre(xy_m, yaw_rad, self.world.size_m[rows, 0])
+        return set(rows[self._lane_under(bumper, yaw_rad)[0]].tolist())
+
+    def _lane_under(
+        self, bumper_xy_m: FloatArray, yaw_rad: FloatArray
+    ) -> tuple[BoolArray, FloatArray, FloatArray]:
+        """Return for points (N, 2) whether they are on a lane, how far to its left (m), and its heading."""
+        lanes, _, d, turned = self.road.locate_many(bumper_xy_m, yaw_rad)
+        width = np.array([self.road.lanes[lane].width_m if lane is not None else 0.0 for lane in lanes])
+        return np.abs(d) <= 0.5 * width, d, yaw_rad - turned  # NaN compares as False
 
     def settle(self, departed: Sequence[int]) -> None:
         """Free vehicles that SUMO has just inserted for us from its own limits."""
@@ -137,10 +139,19 @@ class Actuator:
         self._out_of_sumo(row)
 
     def leave_lanes(self) -> None:
-        """Take those out of SUMO that it has just lost off the lanes."""
-        for row in [r for r, m in self.moved.items() if m.inserted and not self.world.lane[r]]:
+        """Take those out of SUMO that its last step has off the lanes, or beside the lane that it holds them on."""
+        for row in [r for r, m in self.moved.items() if m.inserted and not self._on_its_lane(r)]:
             self._out_of_sumo(row)
             self.outside.add(row)
+
+    def _on_its_lane(self, row: int) -> bool:
+        """Return whether SUMO has the front bumper's centre of *row* within its lane.
+
+        At the beginning of a route it may be metres beside it: SUMO looks for a lane on the route alone and takes the
+        nearest end. A step with sublanes then reads freed memory (docs/sumo.md).
+        """
+        lane = self.road.lanes.get(self.world.lane[row])
+        return lane is not None and self.world.beside_m[row] <= 0.5 * lane.width_m
 
     def _out_of_sumo(self, row: int) -> None:
         if self.moved.pop(row, None) is not None:
@@ -156,30 +167,29 @@ class Actuator:
         return self.world.lane[row] == lane and abs(beside - d_m) <= _SAME_PLACE_M
 
     def move(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> None:
-        """Put *rows* at poses (N, 2), (N,) in the next step; those outside or being inserted are left alone."""
-        bumper = bumper_from_centre(xy_m, yaw_rad, self.world.size_m[rows, 0])
-        if self.road.lefthand:
-            bumper = self._mirrored(bumper, yaw_rad)
-        angle = sumo_from_yaw(yaw_rad)
-        move_to, names, moved = self.api.vehicle.moveToXY, self.world.sumo_ids, self.moved
-        for row, (x, y), turn in zip(rows.tolist(), bumper.tolist(), angle.tolist(), strict=True):
-            state = moved.get(row)
-            if state is None or not state.inserted:
-                continue
-            move_to(names[row], "", -1, x, y, turn, _OWN_ROUTE if state.route else _ANY_EDGE)
+        """Put *rows* at poses (N, 2), (N,) in the next step, and take those out of SUMO that leave the lanes.
 
-    def _mirrored(self, bumper_xy_m: FloatArray, yaw_rad: FloatArray) -> FloatArray:
-        """Return front-bumper points (N, 2) on the other side of their lanes' centre lines.
-
-        With traffic on the left, SUMO counts lateral positions to the right, but moveToXY still sets them to the
-        left: others would see the vehicle on the wrong side of its lane, and a released one would jump there.
+        Those outside or being inserted are left alone.
         """
-        lanes, _, d, turned = self.road.locate_many(bumper_xy_m, yaw_rad)
-        width = np.array([self.road.lanes[lane].width_m if lane is not None else 0.0 for lane in lanes])
-        inside = np.abs(d) <= 0.5 * width  # NaN compares as False
-        along = unit(np.where(inside, yaw_rad - turned, 0.0))
-        left = np.stack((-along[:, 1], along[:, 0]), axis=-1)
-        return bumper_xy_m - 2.0 * np.where(inside, d, 0.0)[:, None] * left
+        inserted = [row in self.moved and self.moved[row].inserted for row in rows.tolist()]
+        rows, xy_m, yaw_rad = rows[inserted], xy_m[inserted], yaw_rad[inserted]
+        bumper = bumper_from_centre(xy_m, yaw_rad, self.world.size_m[rows, 0])
+        inside, d, along = self._lane_under(bumper, yaw_rad)
+        for row in rows[~inside].tolist():
+            self._out_of_sumo(row)
+            self.outside.add(row)
+        if self.road.lefthand:
+            bumper = _mirrored(bumper, d, along)
+        names, moved = self.world.sumo_ids, self.moved
+        places = zip(
+            rows[inside].tolist(),
+            bumper[inside].tolist(),
+            sumo_from_yaw(yaw_rad[inside]).tolist(),
+            strict=True,
+        )
+        for row, (x, y), turn in places:
+            keep_route = _OWN_ROUTE if moved[row].route else _ANY_EDGE
+            self.api.vehicle.moveToXY(names[row], "", -1, x, y, turn, keep_route)
 
     def predict_route(self, row: int, route: tuple[str, ...]) -> None:
         """Tell SUMO which edges *row* is about to drive, so that drivers at junctions yield to it (#6140)."""
@@ -221,3 +231,14 @@ class Actuator:
         name = self.world.ids[row] + (f"~{count}" if count else "")
         self.world.rename(row, name)
         return name
+
+
+def _mirrored(bumper_xy_m: FloatArray, d_m: FloatArray, along_rad: FloatArray) -> FloatArray:
+    """Return front-bumper points (N, 2), *d_m* left of lanes of heading *along_rad*, on the other side of them.
+
+    With traffic on the left, SUMO counts lateral positions to the right, but moveToXY still sets them to the
+    left: others would see the vehicle on the wrong side of its lane, and a released one would jump there.
+    """
+    along = unit(along_rad)
+    left = np.stack((-along[:, 1], along[:, 0]), axis=-1)
+    return bumper_xy_m - 2.0 * d_m[:, None] * left

@@ -13,9 +13,9 @@ from advdiff_sumo.core.frames import centre_from_bumper, yaw_from_sumo
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import AgentClass, Tracks
 
-_POSITION, _ANGLE, _SPEED, _LANE = 0x42, 0x43, 0x40, 0x51  # libsumo.constants.VAR_*
+_POSITION, _ANGLE, _SPEED, _LANE, _LATERAL = 0x42, 0x43, 0x40, 0x51, 0xB8  # libsumo.constants.VAR_*
 _NOWHERE = -1e9  # SUMO's INVALID_DOUBLE_VALUE is −2³⁰
-VARIABLES = (_POSITION, _ANGLE, _SPEED, _LANE)
+VARIABLES = (_POSITION, _ANGLE, _SPEED, _LANE, _LATERAL)
 
 CLASS_OF_VCLASS = {
     "truck": AgentClass.TRUCK,
@@ -65,6 +65,7 @@ class World:
         in_sumo: rows that SUMO has.
         had_in_sumo: rows that SUMO has or had.
         lane: SUMO's lane of each row at the last read; "" off the road.
+        beside_m: how far SUMO had the front bumper of each row beside that lane's centre line, without sign.
         xy_m, yaw_rad, speed_mps: present states, (capacity, …); NaN where absent.
         controller: (capacity,) values of :class:`Controller`.
     """
@@ -76,6 +77,7 @@ class World:
         self.in_sumo: set[int] = set()
         self.had_in_sumo: set[int] = set()
         self.lane: list[str] = []
+        self.beside_m: list[float] = []
         self.classes = np.zeros(capacity, dtype=np.int64)
         self.size_m = np.zeros((capacity, 2))
         self.xy_m = np.full((capacity, 2), np.nan)
@@ -96,6 +98,7 @@ class World:
         self.ids.append(name)
         self.sumo_ids.append(name)
         self.lane.append("")
+        self.beside_m.append(0.0)
         self.index[name] = row
         self.classes[row] = agent_class
         self.size_m[row] = length_m, width_m
@@ -165,7 +168,7 @@ def read(world: World, api: Any, ours: Collection[int]) -> IntArray:
     Args:
         world: updated in place.
         api: libsumo or traci.
-        ours: rows whose states are our own; of these only the lane is read.
+        ours: rows whose states are our own; of these only the place on a lane is read.
 
     Returns:
         Rows that SUMO no longer knows.
@@ -175,7 +178,7 @@ def read(world: World, api: Any, ours: Collection[int]) -> IntArray:
     rows, states, lost = [], [], []
     for name, values in results.items():
         row = world.index[name]
-        world.lane[row] = values[_LANE]
+        world.lane[row], world.beside_m[row] = values[_LANE], abs(values[_LATERAL])
         x, y = values[_POSITION][:2]
         if row in ours:
             continue

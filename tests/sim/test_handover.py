@@ -76,9 +76,16 @@ def hand_over(
 
     def step() -> None:
         s.session.step()
-        read(world, s.api, np.array(sorted(actuator.moved), dtype=np.int64))
+        actuator.settle(register(world, s.api, s.api.simulation.getDepartedIDList()))
+        read(world, s.api, actuator.ours)
+        actuator.leave_lanes()
         assert np.isfinite(world.xy_m[0]).all()
         out.append((*world.xy_m[0], world.yaw_rad[0], world.speed_mps[0]))
+
+    def come_back() -> None:
+        """Bring it into SUMO again once it is back on a lane, as the loop does."""
+        if actuator.outside and actuator.on_lanes(rows, world.xy_m[rows], world.yaw_rad[rows]):
+            actuator.insert(0, "car")
 
     for k in range(10):
         point, along = road.to_world(lane_id, s_m - (9 - k) * STEP_S * speed, d_m)
@@ -93,13 +100,14 @@ def hand_over(
         motion = handover.settle(Motion.none(PERIOD), -1, PERIOD, routes)
         if not motion.rows.size:
             break
+        come_back()
         for k in range(PERIOD):
             at = motion.xy_m[:, k], motion.yaw_rad[:, k]
             world.set_state(rows, *at, motion.speed_mps[:, k], Controller.POLICY)
             actuator.move(rows, *at)
             step()
     taken = len(out)
-    assert not actuator.moved
+    assert not actuator.ours
     for _ in range(10):
         step()
     return Released(np.array(out), taken, STEP_S * (taken - begun), handover.rough)

@@ -25,6 +25,7 @@ from advdiff_sumo.sim.world import World, read, register
 from tests.sim.nets import EAST, EXACTLY, LENGTH_M, NORTH, TYPES, WEST, WIDTH_M, Stage, stage
 
 EASTBOUND, WESTBOUND = ("WM", "ME"), ("EM", "MW")
+NETWORKS = Path(__file__).parents[2] / "networks"
 NOBODY = np.zeros(0, dtype=np.int64)
 
 
@@ -321,8 +322,48 @@ def test_a_vehicle_that_never_was_on_a_lane_kills_the_process(street: Path) -> N
     assert done.returncode == -signal.SIGSEGV
 
 
+BESIDE_ITS_LANE = """
+import sys
+import libsumo
+libsumo.start(["sumo", "-n", sys.argv[1], "--step-length", "0.1", "--no-step-log", "--lateral-resolution", "0.4"])
+libsumo.route.add("r", ["H3f-H3.1"])
+for name in ("ahead", "beside"):
+    libsumo.vehicle.add(name, "r")
+libsumo.vehicle.moveToXY("beside", "", -1, 854.819, 208.395, 105.67, 3)
+libsumo.simulationStep()
+print("beside by", round(libsumo.vehicle.getLateralLanePosition("beside"), 1), flush=True)
+if sys.argv[2] == "out":
+    libsumo.vehicle.remove("beside")
+else:
+    libsumo.vehicle.moveToXY("beside", "", -1, 855.933, 208.049, 107.25, 3)
+libsumo.simulationStep()
+libsumo.simulationStep()
+print("survived", flush=True)
+"""
+
+
+def test_a_vehicle_held_beside_its_lane_kills_the_process_with_sublanes_unless_it_is_taken_out() -> None:
+    def run(then: str) -> subprocess.CompletedProcess[str]:
+        words = [sys.executable, "-c", BESIDE_ITS_LANE, str(NETWORKS / "downtown.net.xml"), then]
+        return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+
+    dead, alive = run("moved on"), run("out")
+    assert "beside by -2.0" in dead.stdout  # of a lane 3.3 m wide
+    assert dead.returncode == -signal.SIGSEGV
+    assert "survived" in alive.stdout
+
+
+@pytest.mark.parametrize(("net", "seed"), [("downtown-left", 5), ("downtown-left", 8), ("motorway", 2)])
+def test_sumo_survives_moved_vehicles_that_wander_off_their_lanes(net: str, seed: int) -> None:
+    words = [sys.executable, "-m", "tests.sim.moved_walk", str(NETWORKS / f"{net}.net.xml"), str(seed)]
+    done = subprocess.run(
+        words, capture_output=True, text=True, timeout=300, check=False, cwd=NETWORKS.parent
+    )
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize(("x", "y", "yaw"), [(150.0, -40.0, EAST), (150.0, -4.0, 0.7), (-30.0, 5.0, WEST)])
-def test_the_actuator_inserts_on_a_lane_first_and_exactly_from_then_on(
+def test_the_actuator_inserts_on_a_lane_first_and_takes_out_who_is_on_none(
     street: Path, x: float, y: float, yaw: float
 ) -> None:
     with stage(street) as s:
@@ -333,18 +374,28 @@ def test_the_actuator_inserts_on_a_lane_first_and_exactly_from_then_on(
             np.array([row]), np.array([[x, y]]), np.array([yaw]), np.array([5.0]), Controller.POLICY
         )
         actuator.insert(row, "car")
-        roads = []
-        for _ in range(5):
+        move(actuator, s, row, (x, y), yaw)
+        assert actuator.moved[row].inserted
+        assert s.api.vehicle.getRoadID("b") in ("WM", "MW")  # would kill the process (see above)
+        for _ in range(4):
             move(actuator, s, row, (x, y), yaw)
-            roads.append(s.api.vehicle.getRoadID("b"))  # would kill the process (see above)
-            assert actuator.moved[row].inserted
-        assert roads[0] in ("WM", "MW")
-        xy, seen = s.pose("b")
-        np.testing.assert_allclose(xy, (x, y), atol=1e-6)
-        assert abs(wrap_angle(seen - yaw)) < 1e-6
+        held_or_outside(actuator, s, row, (x, y), yaw)
+        assert (row in actuator.moved) == (y == -4.0)
         actuator.remove(row)
         s.session.step()
         assert s.api.vehicle.getIDList() == ()
+
+
+def held_or_outside(actuator: Actuator, s: Stage, row: int, xy: tuple[float, float], yaw: float) -> None:
+    """Assert that SUMO has *row* exactly there, or not at all, while our own state goes on."""
+    if row in actuator.moved:
+        at, heading = s.pose("b")
+    else:
+        assert row in actuator.outside
+        assert "b" not in s.api.vehicle.getIDList()
+        at, heading = actuator.world.xy_m[row], float(actuator.world.yaw_rad[row])
+    np.testing.assert_allclose(at, xy, atol=1e-6)
+    assert abs(wrap_angle(heading - yaw)) < 1e-6
 
 
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -364,6 +415,4 @@ def test_any_place_can_be_inserted_at(street: Path, x: float, y: float, yaw: flo
         actuator.insert(row, "car")
         for _ in range(3):
             move(actuator, s, row, (x, y), yaw, speed)
-        xy, seen = s.pose("b")
-    np.testing.assert_allclose(xy, (x, y), atol=1e-6)
-    assert abs(wrap_angle(seen - yaw)) < 1e-6
+        held_or_outside(actuator, s, row, (x, y), yaw)

@@ -11,6 +11,10 @@ import tempfile
 from pathlib import Path
 
 from advdiff_sumo.experiments.bench.scene_list import (
+    DEFECTS_HORIZON_S,
+    DEFECTS_LIST,
+    DEFECTS_SEED,
+    HORIZON_S,
     TABLE_LIST,
     TABLE_SEED,
     TUNING_LIST,
@@ -18,11 +22,19 @@ from advdiff_sumo.experiments.bench.scene_list import (
     make_list,
     write_scene_list,
 )
+from advdiff_sumo.sim.sim_options import SceneOptions
 
 FOLDER = Path(__file__).resolve().parents[1] / "scenarios" / "benches"
 LISTS = {
-    TUNING_LIST: (20, TUNING_SEED, "to tune on: no table uses these scenes"),
-    TABLE_LIST: (100, TABLE_SEED, "seed scenes of the tables: nothing is tuned on them"),
+    TUNING_LIST: (20, TUNING_SEED, "to tune on: no table uses these scenes", SceneOptions(), HORIZON_S),
+    TABLE_LIST: (
+        *(100, TABLE_SEED, "seed scenes of the tables: nothing is tuned on them"),
+        *(SceneOptions(), HORIZON_S),
+    ),
+    DEFECTS_LIST: (
+        *(100, DEFECTS_SEED, "dense seed scenes of bench defects: nothing is tuned on them"),
+        *(SceneOptions(density_per_km=20.0, min_neighbours=5, min_speed_mps=3.0), DEFECTS_HORIZON_S),
+    ),
 }
 
 
@@ -33,9 +45,9 @@ def main() -> int:
     parser.add_argument("--only", choices=sorted(LISTS), help="this one alone")
     asked = parser.parse_args()
     stale = 0
-    for name, (per_net, seed, about) in LISTS.items():
+    for name, (per_net, seed, about, scene, horizon_s) in LISTS.items():
         if asked.only in (None, name):
-            made = make_list(per_net, seed, about)
+            made = make_list(per_net, seed, about, scene=scene, horizon_s=horizon_s)
             path = FOLDER / f"{name}.json"
             with tempfile.TemporaryDirectory() as aside:
                 write_scene_list(Path(aside) / path.name, made)

@@ -47,6 +47,10 @@ Policies = Annotated[
 Targets = Annotated[
     str | None, typer.Option(help="Only these targets, with commas.", show_default="all there are")
 ]
+Severity = Annotated[
+    str | None,
+    typer.Option(help="Of defects that are given none: weak, middle or strong.", show_default="strong"),
+]
 Timeout = Annotated[
     float, typer.Option(min=0.1, help="Longest time for one episode, in seconds of the clock.")
 ]
@@ -79,11 +83,11 @@ def traffic(
     given = {
         "scenes": scenes,
         "data": None if data is None else [str(path.resolve()) for path in data],
-        "policies": _names(policies),
+        "policies": names_of(policies),
         "seeds": seeds,
         "samples": samples,
     }
-    _bench("traffic", out, workers, 300.0, given)
+    run_or_print("traffic", out, workers, 300.0, given)
 
 
 @bench.command()
@@ -102,11 +106,11 @@ def adversarial(
     """
     given = {
         "scenes": scenes,
-        "policies": _names(policies),
-        "targets": _names(targets),
+        "policies": names_of(policies),
+        "targets": names_of(targets),
         "horizon_s": horizon,
     }
-    _bench("adversarial", out, workers, timeout, given)
+    run_or_print("adversarial", out, workers, timeout, given)
 
 
 @bench.command()
@@ -128,12 +132,12 @@ def transfer(
     """
     given = {
         "scenes": scenes,
-        "policies": _names(policies),
-        "targets": _names(targets),
+        "policies": names_of(policies),
+        "targets": names_of(targets),
         "horizon_s": horizon,
         "steps": steps,
     }
-    _bench("transfer", out, workers, timeout, given)
+    run_or_print("transfer", out, workers, timeout, given)
 
 
 @bench.command()
@@ -157,15 +161,51 @@ def fewshot(
     """
     given = {
         "scenes": scenes,
-        "targets": _names(targets),
+        "targets": names_of(targets),
         "seeds": seeds,
         "steps": steps,
         "horizon_s": horizon,
     }
-    _bench("fewshot", out, workers, timeout, given)
+    run_or_print("fewshot", out, workers, timeout, given)
 
 
-def _bench(
+@bench.command()
+def defects(
+    scenes: Scenes = None,
+    policies: Policies = None,
+    targets: Targets = None,
+    planted: Annotated[
+        str | None,
+        typer.Option(
+            "--defects",
+            help="Only these, with commas, as NAME or NAME:SEVERITY.",
+            show_default="all there are",
+        ),
+    ] = None,
+    severity: Severity = None,
+    horizon: Annotated[
+        float | None, typer.Option(help="Longest duration of an episode, s.", show_default="30")
+    ] = None,
+    workers: Workers = None,
+    timeout: Timeout = 600.0,
+    out: Out = None,
+) -> None:
+    """What each background is worth as a test: how many planted defects it detects, beside its false alarms.
+
+    advdiff-sumo bench defects --policies sumo,diffusion --defects late,headway,priority:weak --scenes 30
+    """
+    given = {
+        "scenes": scenes,
+        "policies": names_of(policies),
+        "targets": names_of(targets),
+        "defects": names_of(planted),
+        "severity": severity,
+        "horizon_s": horizon,
+    }
+    run_or_print("defects", out, workers, timeout, given)
+
+
+def run_or_print(
     name: BenchName, out: Path | None, workers: int | None, timeout_s: float, given: dict[str, Any]
 ) -> None:
     """Run a bench, or print it where it is finished."""
@@ -188,10 +228,13 @@ def _bench(
             with _Bars(console) as bars:
                 table = run_bench(folder, workers or _cores(), limits, bars)
     print_table(console, table)
-    console.print(f"table.csv, table.tex, table.md, table.png: {path}", soft_wrap=True, markup=False)
+    files = "table.csv, table.tex, table.md, table.png"
+    if name == "defects":
+        files += ", detections.csv, first_detection.csv"
+    console.print(f"{files}: {path}", soft_wrap=True, markup=False)
 
 
-def _names(text: str | None) -> list[str] | None:
+def names_of(text: str | None) -> list[str] | None:
     """Return the names in *text*, which has commas between them.
 
     Raises:

@@ -16,6 +16,7 @@ from advdiff_sumo.cli.check_planner import check_planner
 from advdiff_sumo.cli.compare import compare
 from advdiff_sumo.cli.convert import convert
 from advdiff_sumo.cli.data import data
+from advdiff_sumo.cli.defects import defects
 from advdiff_sumo.cli.doctor import doctor
 from advdiff_sumo.cli.evaluate import evaluate
 from advdiff_sumo.cli.export import export
@@ -62,6 +63,7 @@ app.command("warmup")(warmup)
 app.command("export")(export)
 app.command("check-planner")(check_planner)
 app.command("list")(list_names)
+app.command("defects")(defects)
 app.command("planner-kit")(planner_kit)
 app.command("doctor")(doctor)
 

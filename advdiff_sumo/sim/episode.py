@@ -33,11 +33,13 @@ class Timing:
 
     Attributes:
         wall_s: whole episode, the start included.
+        cpu_s: processor time of the same, SUMO's included.
         target_plans_s: each plan of a Python planner.
         background_plans_s: each plan of the policy.
     """
 
     wall_s: float
+    cpu_s: float | None = field(default=None, kw_only=True)
     target_plans_s: tuple[float, ...] = ()
     background_plans_s: tuple[float, ...] = ()
 
@@ -103,7 +105,7 @@ class Episode:
         Raises:
             InputError: an option cannot be used with this scene.
         """
-        begun = time.perf_counter()
+        begun, cpu_s = time.perf_counter(), time.process_time()
         if ended is not None and ended.steps < 0:
             return self._unstarted(ended), Timing(time.perf_counter() - begun)
         self.heartbeat.note(Phase.SIMULATOR)
@@ -122,7 +124,8 @@ class Episode:
             record = loop.record(end, failure)
             loop.leave(record)
         self.heartbeat.note(Phase.OTHER)
-        timing = Timing(time.perf_counter() - begun, *loop.planning_s())
+        used_s = time.process_time() - cpu_s
+        timing = Timing(time.perf_counter() - begun, *loop.planning_s(), cpu_s=used_s)
         return record, timing
 
     def _unstarted(self, ended: Ended) -> EpisodeRecord:

@@ -18,7 +18,7 @@ from advdiff_sumo.sim.run_episodes import versions
 from advdiff_sumo.sweep.fingerprint import digest, file_digest
 from advdiff_sumo.sweep.sweep_files import write_whole
 
-BenchName: TypeAlias = Literal["traffic", "adversarial", "transfer", "fewshot"]
+BenchName: TypeAlias = Literal["traffic", "adversarial", "transfer", "fewshot", "defects"]
 _FILE = "bench.json"
 
 
@@ -35,6 +35,8 @@ class Request(Options):
         steps: of a warm-up, the last of the ladder (transfer, fewshot).
         data: window files of ``traffic``; empty: made for it.
         samples: joint samples of a scene (traffic).
+        defects: what is planted, as ``NAME`` or ``NAME:SEVERITY`` (defects).
+        severity: of those that have none.
     """
 
     bench: BenchName
@@ -46,6 +48,8 @@ class Request(Options):
     steps: int = Field(90, ge=1, le=10_000)
     data: tuple[str, ...] = ()
     samples: int = Field(10, ge=2, le=100)
+    defects: tuple[str, ...] = ()
+    severity: Literal["weak", "middle", "strong"] = "strong"
 
 
 @dataclass(frozen=True)

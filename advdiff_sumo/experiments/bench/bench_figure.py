@@ -27,7 +27,7 @@ def draw(path: Path, table: Table) -> None:
     Raises:
         FileError: it cannot be written.
     """
-    kinds = {"transfer": _heat_map, "fewshot": _curves}
+    kinds = {"transfer": _heat_map, "fewshot": _curves, "defects": _detections}
     figure = kinds.get(table.bench, _intervals)(table)
     sink = io.BytesIO()
     figure.savefig(sink, format="png", metadata={"Software": None})
@@ -95,6 +95,31 @@ def _heat_map(table: Table) -> Figure:
     axes.set_yticks(range(len(table.lines)), [line.title for line in table.lines], fontsize=7)
     axes.set_xticks(range(len(heads)), [head.title.partition(":")[0] for head in heads], fontsize=7)
     axes.set_title(f"{table.title}\nAV CR in %, the paper's in brackets", fontsize=8)
+    return figure
+
+
+def _detections(table: Table) -> Figure:
+    """Return the rates of valid failures as colours: what is planted (rows) before each background (columns)."""
+    lines = [line for line in table.lines if line.key != "score"]
+    values = np.array([[_value(line, head) for head in table.heads] for line in lines])
+    size = (3.0 + 1.1 * len(table.heads), 1.6 + 0.27 * len(lines))
+    figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
+    axes = figure.subplots()
+    highest = max(float(np.nan_to_num(values).max()), 1.0)
+    axes.imshow(np.nan_to_num(values), cmap="YlOrRd", aspect="auto", vmin=0.0, vmax=highest)
+    for row, line in enumerate(lines):
+        for column, head in enumerate(table.heads):
+            cell = line.cells.get(head.key)
+            if cell is not None and cell.found.n:
+                text = formatting.number(cell.found.value, head) + (" ★" if cell.best else "")
+                colour = "white" if values[row, column] > _DARK * highest else "black"
+                weight = "bold" if cell.best else "normal"
+                axes.text(
+                    column, row, text, ha="center", va="center", fontsize=7, color=colour, weight=weight
+                )
+    axes.set_yticks(range(len(lines)), [f"{line.group}: {line.title}" for line in lines], fontsize=7)
+    axes.set_xticks(range(len(table.heads)), [head.title for head in table.heads], fontsize=7, rotation=30)
+    axes.set_title(f"{table.title}\nvalid failures in %, a star where the defect is detected", fontsize=8)
     return figure
 
 

@@ -36,6 +36,7 @@ class BenchCell:
         target_options: of the target.
         background_options: of the background.
         like: cells of the same name here take as long as each other; "" for the row's.
+        defect: what is planted in the target, where that is what the bench is about.
     """
 
     row: str
@@ -44,6 +45,7 @@ class BenchCell:
     target_options: Mapping[str, Any] = field(default_factory=dict)
     background_options: Mapping[str, Any] = field(default_factory=dict)
     like: str = ""
+    defect: str = ""
 
 
 @dataclass(frozen=True)

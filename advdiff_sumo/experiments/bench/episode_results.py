@@ -31,12 +31,14 @@ class EpisodeResult:
         row: of ``episodes``.
         trace: of its background; ``UNTRACED`` where nobody asks for it.
         plan_s: median time of a plan of the background; None where it plans nothing.
+        cpu_s: processor time of the episode; None where it was not measured.
     """
 
     scene: str
     row: Mapping[str, Any]
     trace: Trace
     plan_s: float | None
+    cpu_s: float | None = None
 
 
 @dataclass
@@ -130,7 +132,8 @@ def _take(found: Gathered, cell: BenchCell, job: Job, store: Store, trace: Trace
     (timing,) = part.tables["timing"].to_pylist()
     if is_failure(row):
         return
-    seen.append(EpisodeResult(job.scene_key, row, trace, timing["background_plan_p50_s"]))
+    plan_s, cpu_s = timing["background_plan_p50_s"], timing.get("cpu_s")
+    seen.append(EpisodeResult(job.scene_key, row, trace, plan_s, cpu_s))
 
 
 def failures_told(found: Gathered, names: Iterable[BenchCell]) -> str:

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from advdiff_sumo.experiments.bench import adversarial, fewshot, transfer
+from advdiff_sumo.experiments.bench import adversarial, defect_cells, fewshot, transfer
 from advdiff_sumo.experiments.bench.adversarial import plan_adversarial, run_adversarial
 from advdiff_sumo.experiments.bench.bench_config import BenchName, Folder, Request
 from advdiff_sumo.experiments.bench.cells import BenchCells
+from advdiff_sumo.experiments.bench.defect_cells import plan_defects
+from advdiff_sumo.experiments.bench.defect_score import run_defects
 from advdiff_sumo.experiments.bench.fewshot import plan_fewshot, run_fewshot
 from advdiff_sumo.experiments.bench.forecast import forecast
 from advdiff_sumo.experiments.bench.natural_traffic import check_traffic, run_traffic
 from advdiff_sumo.experiments.bench.progress import ProgressReporter, Silent
+from advdiff_sumo.experiments.bench.scene_list import DEFECTS_HORIZON_S
 from advdiff_sumo.experiments.bench.table import Table
 from advdiff_sumo.experiments.bench.table_cache import save
 from advdiff_sumo.experiments.bench.transfer import plan_transfer, run_transfer
@@ -26,6 +29,7 @@ DEFAULTS: Mapping[BenchName, Mapping[str, Any]] = {
     "adversarial": {"scenes": "60"},
     "transfer": {"scenes": "8"},
     "fewshot": {"scenes": "30", "seeds": 5},
+    "defects": {"scenes": "60", "horizon_s": DEFECTS_HORIZON_S},
 }
 _Plan = Callable[[Folder, int, ProgressReporter], BenchCells]
 _Run = Callable[[Folder, BenchCells, int, Limits, ProgressReporter], Table]
@@ -33,6 +37,7 @@ _CLOSED_LOOP: Mapping[BenchName, tuple[_Plan, _Run]] = {
     "adversarial": (lambda folder, _, teller: plan_adversarial(folder, teller), run_adversarial),
     "transfer": (plan_transfer, run_transfer),
     "fewshot": (plan_fewshot, run_fewshot),
+    "defects": (lambda folder, _, teller: plan_defects(folder, teller), run_defects),
 }
 
 
@@ -48,6 +53,8 @@ def check_request(request: Request) -> None:
         adversarial.asked_of(request, Silent())
     elif request.bench == "transfer":
         transfer.asked_of(request, Silent())
+    elif request.bench == "defects":
+        defect_cells.asked_of(request, Silent())
     else:
         fewshot.asked_of(request)
 

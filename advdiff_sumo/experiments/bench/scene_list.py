@@ -20,9 +20,9 @@ from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.sweep_files import write_whole
 
 FORMAT: Literal["advdiff-scenes-1"] = "advdiff-scenes-1"
-TABLE_LIST, TUNING_LIST = "scenes-300", "scenes-tuning"
-TABLE_SEED, TUNING_SEED = 3001, 7001
-HORIZON_S = 10.0
+TABLE_LIST, TUNING_LIST, DEFECTS_LIST = "scenes-300", "scenes-tuning", "scenes-defects"
+TABLE_SEED, TUNING_SEED, DEFECTS_SEED = 3001, 7001, 9101
+HORIZON_S, DEFECTS_HORIZON_S = 10.0, 30.0
 
 
 class ListedScene(Options):
@@ -132,14 +132,14 @@ def shipped_list(name: str = TABLE_LIST) -> Path:
     )
 
 
-def choose_scenes(asked: str) -> SceneList:
-    """Return the scenes that ``--scenes`` asks for: a number of the shipped list's first, or a list's file.
+def choose_scenes(asked: str, name: str = TABLE_LIST) -> SceneList:
+    """Return the scenes that ``--scenes`` asks for: a number of the first of the shipped list *name*, or a list's file.
 
     Raises:
         InputError: no such file or number.
     """
     if asked.isdigit() and int(asked) > 0:
-        return read_scene_list(shipped_list()).first(int(asked))
+        return read_scene_list(shipped_list(name)).first(int(asked))
     if asked.lstrip("+-").isdigit():
         raise ConfigError(f"--scenes {asked}: give a number above 0, or the file of a list")
     return read_scene_list(Path(asked))
@@ -151,6 +151,7 @@ def make_list(
     about: str,
     nets: Sequence[str] = SHIPPED_NETS,
     scene: SceneOptions | None = None,
+    horizon_s: float = HORIZON_S,
 ) -> SceneList:
     """Return a new list; the same arguments give the same list.
 
@@ -160,6 +161,7 @@ def make_list(
         about: what it is for.
         nets: where.
         scene: how scenes are found; None: as ``run`` does.
+        horizon_s: duration of the episodes that it is for.
 
     Raises:
         InputError: there is no such net.
@@ -168,7 +170,14 @@ def make_list(
     scenes = tuple(ListedScene(net=n, seed=seed, number=k) for k in range(per_net) for n in names)
     digests = {net: file_digest(*net_files(net)) for net in names}
     found = scene if scene is not None else SceneOptions()
-    whole = SceneList(about=about, nets=digests, sumo=version("libsumo"), scene=found, scenes=scenes)
+    whole = SceneList(
+        about=about,
+        nets=digests,
+        sumo=version("libsumo"),
+        horizon_s=horizon_s,
+        scene=found,
+        scenes=scenes,
+    )
     return whole.model_copy(update={"sha256": whole.content_digest})
 
 

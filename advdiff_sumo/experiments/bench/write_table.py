@@ -137,11 +137,14 @@ def escaped(text: str) -> str:
 
 def _markdown_gaps(table: Table) -> str:
     heads = {head.key: head for head in table.heads}
-    text = "| target | figure | best rival | ours less it | 95 % | McNemar | scenes |\n|---|---|---|---|---|---|---|\n"
+    several = len({gap.ours for gap in table.gaps if gap.group == table.gaps[0].group}) > 1
+    titles = "compared | difference" if several else "best rival | ours less it"
+    text = f"| target | figure | {titles} | 95 % | McNemar | scenes |\n|---|---|---|---|---|---|---|\n"
     for gap in table.gaps:
         head, found = heads[gap.column], gap.found
         between = formatting.interval(found.low, found.high, head)
-        cells = (gap.group, formatting.heading(head), gap.rival, formatting.change(found, head), between)
+        pair = f"{gap.ours} less {gap.rival}" if several else gap.rival
+        cells = (gap.group, formatting.heading(head), pair, formatting.change(found, head), between)
         text += f"| {' | '.join((*cells, formatting.p_value(found.p), str(found.scenes)))} |\n"
     return text
 

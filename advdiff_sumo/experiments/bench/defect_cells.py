@@ -1,0 +1,86 @@
+"""What ``bench defects`` tries: the sound target, the careful driver and each defect, before each background."""
+
+from __future__ import annotations
+
+from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
+from advdiff_sumo.experiments.bench.bench_rows import REGISTERED, made_policy, made_target, policy_row
+from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
+from advdiff_sumo.experiments.bench.progress import ProgressReporter
+from advdiff_sumo.experiments.bench.scene_list import DEFECTS_LIST, SceneList, choose_scenes
+from advdiff_sumo.planners.defects import DEFECTS, Defect, parse_defects
+from advdiff_sumo.planners.planner_protocol import SumoDriver
+from advdiff_sumo.planners.planner_registry import TARGETS, make_target
+from advdiff_sumo.traffic.policy_registry import POLICIES
+
+SOUND, CAREFUL = "sound", "careful"
+_USUAL_TARGET = "lane_graph"
+_BACKGROUNDS = {name: background for name, background in REGISTERED.items() if name != "traj2traj"}
+
+
+def plan_defects(folder: Folder, teller: ProgressReporter) -> BenchCells:
+    """Return the cells that the request asks for, one background after the other.
+
+    Raises:
+        InputError: a name is unknown, or the list of scenes cannot be used.
+    """
+    request = folder.request
+    scenes, targets, names = asked_of(request, teller)
+    planted = {target: planted_in(target, request, teller) for target in targets}
+    cells = []
+    for name in names:
+        if CAREFUL in TARGETS.names() and CAREFUL not in targets:
+            cells.append(_cell(name, CAREFUL))
+        for target, defects in planted.items():
+            cells.append(_cell(name, target))
+            cells += [_cell(name, target, defect) for defect in defects]
+    return plan_cells(cells, scenes, request.horizon_s)
+
+
+def asked_of(
+    request: Request, teller: ProgressReporter
+) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
+    """Return the seed scenes, targets and backgrounds that the request asks for.
+
+    Raises:
+        InputError: a name is unknown, or the list of scenes cannot be used.
+    """
+    scenes = choose_scenes(request.scenes, DEFECTS_LIST)
+    targets, _ = chosen(request.targets, {_USUAL_TARGET: _USUAL_TARGET}, TARGETS, "--targets", made_target)
+    names, lacking = chosen(request.policies, _BACKGROUNDS, POLICIES, "--policies", made_policy)
+    for name in lacking:
+        teller.say(f"row {name} is left out: this installation lacks that background or its weights")
+    for target in targets:
+        planted_in(target, request)
+    return scenes, targets, names
+
+
+def planted_in(target: str, request: Request, teller: ProgressReporter | None = None) -> tuple[Defect, ...]:
+    """Return the defects for *target*: those asked for, or all; of all, those that SUMO has no form of are left out.
+
+    Raises:
+        InputError: a defect is unknown, given twice, or has no form for this target.
+    """
+    texts = [text if ":" in text else f"{text}:{request.severity}" for text in request.defects or DEFECTS]
+    defects = parse_defects(texts)
+    if not isinstance(make_target(target, {}), SumoDriver):
+        return defects
+    if request.defects:
+        make_target(target, {"defects": [defect.name for defect in defects]})  # says what has no form
+    lacking = [defect.kind.name for defect in defects if defect.kind.sumo is None]
+    if lacking and teller is not None:
+        teller.say(f"left out, as SUMO, which drives {target}, has no form of them: {', '.join(lacking)}")
+    return tuple(defect for defect in defects if defect.kind.sumo is not None)
+
+
+def _cell(name: str, target: str, defect: Defect | None = None) -> BenchCell:
+    row = policy_row(name)
+    options = {} if defect is None else {"defects": [defect.name]}
+    return BenchCell(
+        row=name,
+        target=target,
+        background=row.background,
+        target_options=options,
+        background_options=row.options,
+        like=name,
+        defect=SOUND if defect is None else defect.name,
+    )

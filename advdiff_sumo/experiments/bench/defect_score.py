@@ -1,0 +1,206 @@
+"""``bench defects``: what each background is worth as a test, in planted defects that it detects."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from advdiff_sumo.experiments.bench.adversarial import notes_of
+from advdiff_sumo.experiments.bench.bench_config import Folder
+from advdiff_sumo.experiments.bench.bench_rows import policy_row
+from advdiff_sumo.experiments.bench.cells import BenchCells, run_cells
+from advdiff_sumo.experiments.bench.defect_cells import SOUND
+from advdiff_sumo.experiments.bench.detection import (
+    LEVEL,
+    Detection,
+    FirstDetection,
+    Outcome,
+    Tried,
+    detections,
+    first_detection,
+)
+from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered, gather_rows
+from advdiff_sumo.experiments.bench.progress import ProgressReporter
+from advdiff_sumo.experiments.bench.statistics import Estimate, Ratio, difference, estimate, ratio
+from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
+from advdiff_sumo.sweep.sweep_files import write_whole
+from advdiff_sumo.sweep.tasks import Limits
+
+DETECTIONS, FIRST = "detections.csv", "first_detection.csv"
+SCORE = "detected / planted"
+NOTES = (
+    "Cells: share of episodes that end in a valid failure of the target, 95 % Wilson interval. Bold: detected, the "
+    "defect's valid failures exceed the sound target's on the same seed scenes (exact McNemar, one-sided, p < "
+    f"{LEVEL:g} after Holm over the defects). Rows 'sound': false alarms. Below: defects less sound, with that p, "
+    "where they differ.",
+)
+
+
+@dataclass(frozen=True)
+class Contest:
+    """One target before one background.
+
+    Attributes:
+        background: key of the background's row.
+        target: as registered.
+        sound: what the sound target came to.
+        defective: the same with each defect, by its name.
+        found: what is detected.
+        first: after how much; None where nothing is.
+    """
+
+    background: str
+    target: str
+    sound: Tried
+    defective: Mapping[str, Tried]
+    found: tuple[Detection, ...]
+    first: FirstDetection | None
+
+
+def run_defects(
+    folder: Folder, cells: BenchCells, workers: int, limits: Limits, teller: ProgressReporter
+) -> Table:
+    """Run what is missing, write what is detected, and return the table.
+
+    Raises:
+        FileError: results cannot be stored.
+    """
+    store = run_cells(cells, folder.sweep, workers, limits, teller)
+    gathered = gather_rows(cells, store)
+    contests = contests_of(gathered, cells)
+    write_whole(folder.path / DETECTIONS, detections_text(contests).encode())
+    write_whole(folder.path / FIRST, first_text(contests).encode())
+    return defects_table(contests, gathered, cells, folder)
+
+
+def contests_of(gathered: Gathered, cells: BenchCells) -> tuple[Contest, ...]:
+    """Return each target before each background, in the order of the cells."""
+    order = scene_order(cells)
+    tried: dict[tuple[str, str], dict[str, Tried]] = {}
+    for cell, episodes in gathered.seen.items():
+        tried.setdefault((cell.row, cell.target), {})[cell.defect] = _tried(episodes, order)
+    contests = []
+    for (background, target), by_defect in tried.items():
+        sound = by_defect.pop(SOUND)
+        found = detections(sound, by_defect)
+        contests.append(
+            Contest(background, target, sound, by_defect, found, first_detection(sound, by_defect))
+        )
+    return tuple(contests)
+
+
+def scene_order(cells: BenchCells) -> Mapping[str, int]:
+    """Return the place of each seed scene, by its key, in the list, in which the nets take turns."""
+    places = {scene.place: k for k, scene in enumerate(cells.scenes.scenes)}
+    nets = list(cells.scenes.counts())
+    return {job.scene_key: places[(*nets[job.cell % len(nets)], job.number)] for job in cells.plan.jobs}
+
+
+def defects_table(
+    contests: tuple[Contest, ...], gathered: Gathered, cells: BenchCells, folder: Folder
+) -> Table:
+    """Return the table: a column a background, a row a defect."""
+    names = tuple(dict.fromkeys(contest.background for contest in contests))
+    heads = tuple(Head(name, policy_row(name).title, "%", 100.0, 1) for name in names)
+    lines: list[Line] = []
+    for target in dict.fromkeys(contest.target for contest in contests):
+        here = {contest.background: contest for contest in contests if contest.target == target}
+        lines.append(_sound_line(target, here))
+        defects = tuple(dict.fromkeys(name for contest in here.values() for name in contest.defective))
+        lines += [_defect_line(target, defect, here) for defect in defects]
+        if defects:
+            lines.append(_score_line(target, here))
+    scenes = cells.scenes
+    title = f"Planted defects: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
+    firsts = tuple(_first_note(contest) for contest in contests if contest.defective)
+    notes = (*NOTES, *firsts, *notes_of(gathered, scenes, folder, ()))
+    return Table("defects", title, heads, tuple(lines), _gaps(contests), notes)
+
+
+def detections_text(contests: tuple[Contest, ...]) -> str:
+    """Return one line a defect, target and background: what was counted and how it was tested."""
+    sink = io.StringIO()
+    writer = csv.writer(sink, lineterminator="\n")
+    counts = ("scenes", "failures", "sound_failures", "only_defect", "only_sound")
+    writer.writerow(("background", "target", "defect", *counts, "p", "p_holm", "detected"))
+    for contest in contests:
+        for one in contest.found:
+            numbers = (getattr(one, name) for name in counts)
+            tested = (f"{one.p:.6g}", f"{one.adjusted:.6g}", str(one.detected).lower())
+            writer.writerow((contest.background, contest.target, one.defect, *numbers, *tested))
+    return sink.getvalue()
+
+
+def first_text(contests: tuple[Contest, ...]) -> str:
+    """Return one line a target and background: what its first detection cost; the seconds differ between machines."""
+    sink = io.StringIO()
+    writer = csv.writer(sink, lineterminator="\n")
+    writer.writerow(
+        ("background", "target", "detected", "planted", "first", "scenes", "episodes", "cpu_s", "all_cpu_s")
+    )
+    for contest in contests:
+        if not contest.defective:
+            continue
+        detected = sum(one.detected for one in contest.found)
+        every = sum(one.cpu_s for x in (contest.sound, *contest.defective.values()) for one in x.values())
+        first = contest.first
+        cost = ("", "", "", "")
+        if first is not None:
+            cost = (" ".join(first.defects), str(first.scenes), str(first.episodes), f"{first.cpu_s:.1f}")
+        writer.writerow(
+            (contest.background, contest.target, detected, len(contest.found), *cost, f"{every:.1f}")
+        )
+    return sink.getvalue()
+
+
+def _tried(episodes: list[EpisodeResult], order: Mapping[str, int]) -> Tried:
+    ranked = sorted(episodes, key=lambda one: order[one.scene])
+    return {one.scene: Outcome.of(one.row, one.cpu_s) for one in ranked}
+
+
+def _rate(tried: Tried) -> Ratio:
+    return ratio(list(tried), [float(one.failed) for one in tried.values()], [1.0] * len(tried), rate=True)
+
+
+def _sound_line(target: str, here: Mapping[str, Contest]) -> Line:
+    cells = {name: Cell(estimate(_rate(contest.sound))) for name, contest in here.items()}
+    return Line(SOUND, target, SOUND, cells, reference=True)
+
+
+def _defect_line(target: str, defect: str, here: Mapping[str, Contest]) -> Line:
+    cells = {}
+    for name, contest in here.items():
+        if defect in contest.defective:
+            detected = any(one.detected for one in contest.found if one.defect == defect)
+            cells[name] = Cell(estimate(_rate(contest.defective[defect])), best=detected)
+    return Line(defect, target, defect, cells)
+
+
+def _score_line(target: str, here: Mapping[str, Contest]) -> Line:
+    cells = {}
+    for name, contest in here.items():
+        share = sum(one.detected for one in contest.found) / len(contest.found)
+        cells[name] = Cell(Estimate(share, n=len(contest.found)))
+    return Line("score", target, SCORE, cells)
+
+
+def _gaps(contests: tuple[Contest, ...]) -> tuple[Gap, ...]:
+    gaps = []
+    for contest in contests:
+        for one in contest.found:
+            if one.only_defect or one.only_sound:
+                change = difference(_rate(contest.defective[one.defect]), _rate(contest.sound))
+                change = replace(change, p=one.adjusted)
+                gaps.append(Gap(contest.target, contest.background, one.defect, SOUND, change))
+    return tuple(gaps)
+
+
+def _first_note(contest: Contest) -> str:
+    detected = sum(one.detected for one in contest.found)
+    told = f"{policy_row(contest.background).title} detects {detected} of {len(contest.found)} in {contest.target}"
+    first = contest.first
+    if first is None:
+        return f"{told}."
+    return f"{told}; the first, {' and '.join(first.defects)}, after {first.scenes} scenes, {first.episodes} episodes."

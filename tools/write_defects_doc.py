@@ -1,4 +1,7 @@
-"""Write the catalogue of docs/defects.md out of the code, or check it: write_defects_doc.py [--check]."""
+"""Write the catalogue of docs/defects.md out of the code, or check it: write_defects_doc.py [--check].
+
+With ``--bench FOLDER`` the table of a folder of ``bench defects`` becomes the page's baseline, too.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from advdiff_sumo.planners.defects.catalogue import catalogue_table
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "defects.md"
 _PLACE = re.compile(r"(<!-- catalogue -->\n).*?(<!-- end -->)", re.DOTALL)
+_BASELINE = re.compile(r"(<!-- baseline -->\n).*?(<!-- end of baseline -->)", re.DOTALL)
 
 
 def filled(page: str) -> str:
@@ -22,9 +26,14 @@ def main() -> int:
     """Write the page, or with ``--check`` return 1 when it is not up to date."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing")
-    check = parser.parse_args().check
+    parser.add_argument("--bench", type=Path, help="folder of the bench whose table is the baseline")
+    asked = parser.parse_args()
+    check = asked.check
     before = PAGE.read_text(encoding="utf-8")
     after = filled(before)
+    if asked.bench is not None:
+        table = (asked.bench / "table.md").read_text(encoding="utf-8")
+        after = _BASELINE.sub(lambda place: f"{place[1]}{table}\n{place[2]}", after)
     if check and after != before:
         print(f"{PAGE.name} is behind the code: run tools/write_defects_doc.py")
         return 1

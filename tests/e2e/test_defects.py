@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
+from advdiff_sumo.experiments.bench.scene_list import make_list, write_scene_list
+from advdiff_sumo.sim.sim_options import SceneOptions
 from tests.e2e.commands import TINY, Outcome, advdiff
 
 RUN = ("run", "--net", "motorway", "--target", "lane_graph", "--episodes", "2", *TINY)
@@ -64,3 +67,79 @@ def test_a_defect_that_cannot_be_planted_gets_a_sentence(
     done = here("run", "--net", "grid.net.xml", "--target", target, "--defect", defect, "--out", "out")
     assert (done.code, done.err.count("\n")) == (2, 1)
     assert said in done.err
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A list of four seed scenes of dense traffic."""
+    path = tmp_path_factory.mktemp("scenes") / "four.json"
+    scene = SceneOptions(
+        warmup_s=10.0, scenes_per_warmup=4, spacing_s=2.0, density_per_km=10.0, max_vehicles=60
+    )
+    write_scene_list(path, make_list(4, 5, "a test", ("motorway",), scene, 5.0))
+    return path
+
+
+@pytest.mark.slow
+def test_what_a_users_own_test_can_see(scenes: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "from advdiff_sumo.planners.lane_graph import LaneGraphPlanner\n\n\nclass Mine(LaneGraphPlanner):\n    pass\n"
+    )
+    words = ("defects", "--target", "mine:Mine", "--background", "sumo", "--scenes", str(scenes))
+    more = ("--horizon", "5", "--workers", "1", "--out", "seen")
+    first = advdiff(*words, "--defect", "localisation:3.5", *more, cwd=tmp_path)
+    assert first.code == 0, first.err
+    assert "mine:Mine" in first.out
+    assert "detects" in first.out
+    row = _detections(tmp_path / "seen")["localisation:3.5"]
+    assert (row["background"], row["target"], row["scenes"]) == ("sumo", "mine:Mine", "4")
+    assert (
+        int(row["failures"]) == int(row["only_defect"]) > 0
+    )  # 3.5 m to the right is off the road or in another lane
+    printed = advdiff(*words, "--defect", "localisation:3.5", *more, cwd=tmp_path)
+    assert "to do" not in printed.out
+    assert "localisation:3.5" in printed.out
+
+    grown = advdiff(*words, "--defect", "localisation:3.5", "--defect", "late", *more, cwd=tmp_path)
+    assert grown.code == 0, grown.err
+    assert "; 4 to do" in grown.out  # what is there already stays
+    both = _detections(tmp_path / "seen")
+    assert list(both) == ["localisation:3.5", "late:strong"]
+    assert both["localisation:3.5"]["failures"] == row["failures"]
+    bench = advdiff(
+        *("bench", "defects", "--targets", "mine:Mine", "--policies", "sumo", "--scenes", str(scenes)),
+        *("--defects", "localisation:3.5,late", *more[:4], "--out", "bench"),
+        cwd=tmp_path,
+        hash_seed=2,
+    )
+    assert bench.code == 0, bench.err
+    for name in ("detections.csv", "table.csv", "differences.csv", "table.json"):
+        assert (tmp_path / "bench" / name).read_bytes() == (tmp_path / "seen" / name).read_bytes(), name
+    assert (tmp_path / "bench" / "table.png").stat().st_size > 0
+    (cost,) = csv.DictReader((tmp_path / "bench" / "first_detection.csv").read_text().splitlines())
+    assert float(cost["all_cpu_s"]) > 0.0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--defect", "laet"), "unknown defect 'laet'; did you mean 'late'?"),
+        (("--severity", "stronk"), "severity = 'stronk'"),
+        (("--background", "smuo"), "unknown background 'smuo'; did you mean 'sumo'?"),
+        (("--target", "lane_grpah"), "unknown target 'lane_grpah'; did you mean 'lane_graph'?"),
+        (("--target", "IDM", "--defect", "range"), "defect 'range' has no form for target 'IDM'"),
+        (("--target", ""), "--target is empty"),
+        (("--scenes", "301"), "--scenes 301: the list has 300"),
+    ],
+)
+def test_what_defects_cannot_be_asked(
+    words: tuple[str, ...], said: str, here: Callable[..., Outcome]
+) -> None:
+    done = here("defects", *words, "--out", "out")
+    assert (done.code, done.err.count("\n")) == (2, 1)
+    assert said in done.err
+
+
+def _detections(folder: Path) -> dict[str, dict[str, str]]:
+    rows = csv.DictReader((folder / "detections.csv").read_text().splitlines())
+    return {row["defect"]: row for row in rows}

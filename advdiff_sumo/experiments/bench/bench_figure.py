@@ -102,7 +102,7 @@ def _detections(table: Table) -> Figure:
     """Return the rates of valid failures as colours: what is planted (rows) before each background (columns)."""
     lines = [line for line in table.lines if line.key != "score"]
     values = np.array([[_value(line, head) for head in table.heads] for line in lines])
-    size = (3.0 + 1.1 * len(table.heads), 1.6 + 0.27 * len(lines))
+    size = (max(3.0 + 1.1 * len(table.heads), 6.0), 1.6 + 0.27 * len(lines))
     figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
     axes = figure.subplots()
     highest = max(float(np.nan_to_num(values).max()), 1.0)

@@ -10,6 +10,8 @@ import pytest
 
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.experiments.bench.scene_list import (
+    DEFECTS_LIST,
+    DEFECTS_SEED,
     TABLE_LIST,
     TABLE_SEED,
     TUNING_LIST,
@@ -25,6 +27,7 @@ from advdiff_sumo.experiments.bench.scene_list import (
 DIGESTS = {
     TUNING_LIST: "4bc5a5e4ead4aaa472b56f488c7e7bf51ca03c717ad8968f9e5e7645b5ec2a75",
     TABLE_LIST: "c34b7930804bf5646eeff8e9e2dbaec77b4dfaa45c5988e174ed2d2853219cb5",
+    DEFECTS_LIST: "042d9230b3737a38dd0c8b8e57e60762e2cb509dcb509199b1260d523ec33071",
 }
 
 
@@ -97,9 +100,11 @@ def test_numbers_that_make_no_sense_are_refused(asked: str, said: str) -> None:
 
 
 def test_the_shipped_lists_are_what_their_tool_makes(tmp_path: Path) -> None:
-    for name, seed, per_net in ((TABLE_LIST, TABLE_SEED, 100), (TUNING_LIST, TUNING_SEED, 20)):
+    lists = ((TABLE_LIST, TABLE_SEED, 100), (TUNING_LIST, TUNING_SEED, 20), (DEFECTS_LIST, DEFECTS_SEED, 100))
+    for name, seed, per_net in lists:
         shipped = read_scene_list(shipped_list(name))
-        write_scene_list(tmp_path / name, make_list(per_net, seed, shipped.about))
+        made = make_list(per_net, seed, shipped.about, scene=shipped.scene, horizon_s=shipped.horizon_s)
+        write_scene_list(tmp_path / name, made)
         assert (tmp_path / name).read_bytes() == shipped_list(name).read_bytes()
 
 

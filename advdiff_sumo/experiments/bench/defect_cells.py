@@ -14,7 +14,9 @@ from advdiff_sumo.traffic.policy_registry import POLICIES
 
 SOUND, CAREFUL = "sound", "careful"
 _USUAL_TARGET = "lane_graph"
-_BACKGROUNDS = {name: background for name, background in REGISTERED.items() if name != "traj2traj"}
+_BACKGROUNDS = {name: background for name, background in REGISTERED.items() if name != "traj2traj"} | {
+    "scripted": "scripted"
+}
 
 
 def plan_defects(folder: Folder, teller: ProgressReporter) -> BenchCells:

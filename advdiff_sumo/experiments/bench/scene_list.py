@@ -8,9 +8,9 @@ from collections import Counter
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, field_serializer
 
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import ConfigError, FileError
@@ -22,6 +22,7 @@ from advdiff_sumo.sweep.sweep_files import write_whole
 FORMAT: Literal["advdiff-scenes-1"] = "advdiff-scenes-1"
 TABLE_LIST, TUNING_LIST, DEFECTS_LIST = "scenes-300", "scenes-tuning", "scenes-defects"
 TABLE_SEED, TUNING_SEED, DEFECTS_SEED = 3001, 7001, 9101
+_LATER, _ALWAYS = {"situation": "any"}, object()
 HORIZON_S, DEFECTS_HORIZON_S = 10.0, 30.0
 
 
@@ -67,6 +68,12 @@ class SceneList(Options):
     scene: SceneOptions = SceneOptions()
     scenes: tuple[ListedScene, ...]
     sha256: str = ""
+
+    @field_serializer("scene")
+    def _as_when_made(self, scene: SceneOptions) -> dict[str, Any]:
+        """Return the options as a list writes them: a later option only where it is set."""
+        written = scene.model_dump(mode="json")
+        return {name: value for name, value in written.items() if _LATER.get(name, _ALWAYS) != value}
 
     @property
     def content_digest(self) -> str:

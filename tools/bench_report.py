@@ -23,7 +23,10 @@ import tomli_w
 
 from advdiff_sumo.report import write_report
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
-from advdiff_sumo.sim.run_store import TABLES, RunFolder
+from advdiff_sumo.sim.run_store import TABLES
+from advdiff_sumo.sweep.executors import SerialExecutor
+from advdiff_sumo.sweep.run_engine import run_into
+from advdiff_sumo.sweep.run_folder import RunFolder
 
 _PLAY = """async ([from, seconds]) => {
   const { player } = document.getElementById("player"), gaps = [], spent = [];
@@ -46,7 +49,7 @@ def small_run(folder: Path) -> Path:
     """Make a run of four guided episodes and return its folder."""
     values = {"target": "lane_graph", "background": "diffusion", "episodes": 4, "horizon_s": 20.0}
     run = Run.prepare(RunOptions.parse(values | {"sim": {"stop_at_collision": False}}))
-    run.into(RunFolder.create(folder, run.settings, resume=False), lambda _: None)
+    run_into(run, RunFolder.create(folder, run.settings, resume=False), SerialExecutor(), lambda *_: None)
     return folder
 
 

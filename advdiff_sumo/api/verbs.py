@@ -51,7 +51,9 @@ def run(
     """
     from advdiff_sumo.sim.free_folder import free_folder, run_words
     from advdiff_sumo.sim.run_episodes import Run, RunOptions
-    from advdiff_sumo.sim.run_store import RunFolder
+    from advdiff_sumo.sweep.executors import SerialExecutor
+    from advdiff_sumo.sweep.run_engine import run_into, run_settings
+    from advdiff_sumo.sweep.run_folder import RunFolder
 
     name = target if isinstance(target, str) else "IDM"
     given = {"net": str(net), "target": name, "background": background, "episodes": episodes}
@@ -60,9 +62,10 @@ def run(
     if not isinstance(target, str):
         prepared = _with_planner(prepared, target)
     words = run_words(prepared.settings["options"]["net"], *prepared.names, seed)
-    folder = RunFolder.create(Path(out) if out is not None else free_folder(*words), prepared.settings, False)
+    path = Path(out) if out is not None else free_folder(*words)
+    folder = RunFolder.create(path, run_settings(prepared), resume=False)
     with Progress(episodes, progress) as shown:
-        prepared.into(folder, shown.tell)
+        run_into(prepared, folder, SerialExecutor(prepared), lambda row, _: shown.tell(row))
     return Results(folder.path)
 
 

@@ -2,24 +2,37 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.cli.terminal import print_json, verb_console
+from advdiff_sumo.cli.worker_flags import (
+    MEMORY_MB,
+    PLAN_TIMEOUT_S,
+    Memory,
+    PlanTimeout,
+    limits_of,
+)
 from advdiff_sumo.config import read_toml, set_dotted
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
     from advdiff_sumo.sim.run_episodes import Run, RunOptions
-    from advdiff_sumo.sim.run_store import RunFolder
+    from advdiff_sumo.sweep.run_folder import RunFolder
+    from advdiff_sumo.sweep.tasks import Failed, Limits
+
+_FAILED = 1
 
 
 def run(
@@ -42,6 +55,8 @@ def run(
     config: flags.Config = None,
     assign: flags.Assign = None,
     defect: flags.Defect = None,
+    plan_timeout: PlanTimeout = PLAN_TIMEOUT_S,
+    memory: Memory = MEMORY_MB,
     gui: flags.Gui = False,
     resume: flags.Resume = False,
     check: flags.Check = False,
@@ -55,15 +70,22 @@ def run(
     advdiff-sumo run --net city.net.xml --target lane_graph --background diffusion --attack cut-in --check
 
     The folder of results holds run.toml (repeats the run: advdiff-sumo run --config run.toml),
-    episodes.parquet, collisions.parquet, states.parquet, timing.parquet and report.html.
+    episodes.parquet, collisions.parquet, states.parquet, timing.parquet and report.html; where episodes failed,
+    failures.parquet. A planner or SUMO that crashes, hangs or eats memory costs its episode, never the run.
+
+    Exit code 0: some episodes came to their end; 1: every one failed; 2: something given cannot be used.
     """
     one_thread_for_good()
     from advdiff_sumo.cli.check_exports import print_check  # late: --help needs neither SUMO nor plots
     from advdiff_sumo.cli.summary import print_summary, run_object
     from advdiff_sumo.sim.free_folder import free_folder, run_words
     from advdiff_sumo.sim.run_episodes import Run
-    from advdiff_sumo.sim.run_store import RunFolder
+    from advdiff_sumo.sweep.executors import prepare_workers
+    from advdiff_sumo.sweep.run_engine import run_settings
+    from advdiff_sumo.sweep.run_folder import RunFolder
 
+    if not gui:
+        prepare_workers()  # which import what they need while this process does
     given = {
         "net": net,
         "target": target,
@@ -89,32 +111,44 @@ def run(
         raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
     prepared = Run.prepare(_options(config, given, policy, assign or [], defect), gui)
     words = run_words(prepared.settings["options"]["net"], *prepared.names, prepared.options.seed)
-    folder = RunFolder.create(out or free_folder(*words), prepared.settings, resume)
+    folder = RunFolder.create(out or free_folder(*words), run_settings(prepared), resume)
     console = verb_console(quiet, as_json)
-    count = _episodes(prepared, folder, console)
-    print_summary(console, folder.path, prepared.options.episodes - count)
+    with ExitStack() as stack:
+        count = _episodes(prepared, folder, console, limits_of(stack, math.inf, plan_timeout, memory))
+    failures = folder.failures()
+    print_summary(console, folder.path, prepared.options.episodes - count, failures)
     if check:
         print_check(console, folder.path, prepared.road)
     if as_json:
         print_json(run_object(folder.path))
+    if len(failures) == count:
+        raise typer.Exit(_FAILED)
 
 
-def _episodes(prepared: Run, folder: RunFolder, console: Console) -> int:
-    """Run what *folder* lacks behind a bar, write the report whatever happens, and return how many finished."""
+def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits) -> int:
+    """Run what *folder* lacks behind a bar, write the report whatever happens, and return how many there are."""
     from advdiff_sumo.report import write_report
+    from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
+    from advdiff_sumo.sweep.run_engine import run_into
 
-    rows: list[Mapping[str, Any]] = []
+    executor = SerialExecutor(prepared) if prepared.gui else ProcessExecutor(1, limits)
+    hits = failed = 0
     try:
         with progress_bar(console) as progress:
             done = len(folder.done())
             task = progress.add_task("episodes", total=prepared.options.episodes, completed=done)
 
-            def tell(row: Mapping[str, Any]) -> None:
-                rows.append(row)
-                hits = sum(bool(r["target_collision"]) for r in rows)
-                progress.update(task, advance=1, description=f"episodes · {hits} collisions")
+            def tell(row: Mapping[str, Any] | None, failure: Failed | None) -> None:
+                nonlocal hits, failed
+                hits += bool(row and row["target_collision"])
+                failed += failure is not None
+                words = f"episodes · {hits} collisions" + (f" · {failed} failed" if failed else "")
+                progress.update(task, advance=1, description=words)
 
-            return prepared.into(folder, tell)
+            def hear(said: str) -> None:
+                sys.stderr.write(f"{said}\n")  # above the bar, which minds it
+
+            return run_into(prepared, folder, executor, tell, hear)
     finally:
         if (folder.path / "episodes.parquet").exists():
             write_report(folder.path)

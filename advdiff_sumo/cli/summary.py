@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +15,20 @@ from rich.table import Table
 
 from advdiff_sumo.report.run_summary import summary_figures, summary_lines
 
+_WHEN = re.compile(r" (at [\d.]+ s of the episode|before the first step)")
 
-def print_summary(console: Console, folder: Path, missing: int) -> None:
-    """Print what the run in *folder* came to; *missing* episodes could not be made."""
+
+def print_summary(
+    console: Console, folder: Path, missing: int, failures: Sequence[Mapping[str, Any]]
+) -> None:
+    """Print what the run in *folder* came to.
+
+    Args:
+        console: where to.
+        folder: of the run.
+        missing: episodes that could not be made.
+        failures: rows of ``failures.parquet``.
+    """
     rows = pq.read_table(folder / "episodes.parquet").to_pylist()
     timing = pq.read_table(folder / "timing.parquet").to_pylist()
     table = Table(
@@ -27,6 +41,9 @@ def print_summary(console: Console, folder: Path, missing: int) -> None:
     console.print(table)
     if missing > 0:
         console.print(f"[yellow]the log held {missing} seed scenes fewer than asked for[/yellow]")
+    for failure, count in _distinct(failures):
+        told = f"failed, {count} of {len(rows)}: {failure['kind']}: {failure['message']}"
+        console.print(f"{told}\n  again: {failure['command']}", style="red", markup=False, soft_wrap=True)
     console.print(f"results: {folder}  ·  look at {folder / 'report.html'}", soft_wrap=True)
 
 
@@ -35,3 +52,10 @@ def run_object(folder: Path) -> dict[str, Any]:
     rows = pq.read_table(folder / "episodes.parquet").to_pylist()
     files = {"folder": str(folder.resolve()), "report": str((folder / "report.html").resolve())}
     return files | summary_figures(rows)
+
+
+def _distinct(failures: Sequence[Mapping[str, Any]]) -> list[tuple[Mapping[str, Any], int]]:
+    """Return the first failure of each reason and how often the reason was met; when it happened does not count."""
+    reasons = [(row["kind"], _WHEN.sub("", row["message"])) for row in failures]
+    first = dict(zip(reversed(reasons), reversed(failures), strict=True))
+    return [(first[reason], count) for reason, count in Counter(reasons).items()]

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
-import tempfile
 from collections.abc import Mapping
 from contextlib import ExitStack
 from enum import StrEnum
@@ -17,6 +15,13 @@ from rich.console import Console
 
 from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.cli.terminal import print_json, verb_console
+from advdiff_sumo.cli.worker_flags import (
+    MEMORY_MB,
+    PLAN_TIMEOUT_S,
+    Memory,
+    PlanTimeout,
+    limits_of,
+)
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.threads import one_thread_for_good
 
@@ -59,9 +64,8 @@ def sweep(
         float, typer.Option(min=0.1, help="Longest time for one episode, in seconds of the clock.")
     ] = 300.0,
     limit: Annotated[int | None, typer.Option(min=1, help="Only the first so many episodes.")] = None,
-    memory: Annotated[
-        int, typer.Option(min=0, help="Most memory of a worker, in MB; 0 for no limit.")
-    ] = 4000,
+    plan_timeout: PlanTimeout = PLAN_TIMEOUT_S,
+    memory: Memory = MEMORY_MB,
     retries: Annotated[
         int, typer.Option(min=0, help="Try an episode again so often when its worker died.")
     ] = 2,
@@ -102,7 +106,7 @@ def sweep(
     plan = plan_sweep(spec)
     slots = workers or _cores()
     with ExitStack() as stack:
-        limits = _limits(stack, timeout, memory)
+        limits = limits_of(stack, timeout, plan_timeout, memory)
         if dry_run:
             _tell_estimate(console, plan, Todo.of(plan, store, limit, retry_failed), slots, limits)
             return
@@ -159,14 +163,6 @@ def _spec(file: Path | None, store: Store | None) -> Any:
     if store is not None:
         must_equal(store.path, store.spec(), spec)
     return spec
-
-
-def _limits(stack: ExitStack, timeout: float, memory: int) -> Limits:
-    from advdiff_sumo.sweep.tasks import Limits
-
-    logs = Path(tempfile.mkdtemp(prefix="advdiff-sweep-"))
-    stack.callback(shutil.rmtree, logs, ignore_errors=True)
-    return Limits(timeout_s=timeout, memory_mb=memory, tasks=250, recycle_share=0.5, logs=logs)
 
 
 def _executor(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import inspect
+import re
 import sysconfig
 import traceback
 from pathlib import Path
 
 _OURS = str(Path(__file__).parents[1])
+_CALL = re.compile(r'File "([^"]+)", line (\d+) in (\S+)')
 _STDLIB, _INSTALLED = sysconfig.get_path("stdlib"), {"site-packages", "dist-packages"}
 
 
@@ -36,6 +38,12 @@ def planned_at(plug_in: object) -> str:
     if code is None or code.co_filename.startswith(_OURS):
         return ""
     return f" ({Path(code.co_filename).name}, line {code.co_firstlineno}, plan)"
+
+
+def crashed_at(stack: str) -> str:
+    """Return the same of the stack that Python's fault handler wrote, its innermost call first."""
+    calls = ((file, line, name) for file, line, name in _CALL.findall(stack) if not _is_library(file))
+    return next((f" ({Path(file).name}, line {line}, {name})" for file, line, name in calls), "")
 
 
 def _is_library(filename: str) -> bool:

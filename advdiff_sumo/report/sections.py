@@ -146,7 +146,9 @@ class Sections:
         return {
             **facts_of(row, charts, contacts),
             "line": where,
-            "command": f"advdiff-sumo replay {key} --sweep ." if key else "",
+            "command": f"advdiff-sumo replay {key} --sweep ."
+            if key
+            else f"advdiff-sumo replay {row['episode']} --run .",
             "net": -1 if self._nets.layer(net) is None else self._places.index(net),
         }
 

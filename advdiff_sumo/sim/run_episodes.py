@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 import subprocess
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
-from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,20 +14,18 @@ from pydantic import Field, model_validator
 
 from advdiff_sumo import __version__
 from advdiff_sumo.config import Options
-from advdiff_sumo.core.errors import AdvdiffError, ConfigError, NetError, SceneError
+from advdiff_sumo.core.errors import AdvdiffError, ConfigError, NetError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data import open_log
 from advdiff_sumo.data.log_reader import LogReader
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net, net_name
-from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.planners.planner_protocol import Served, SumoDriver, Target
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
 from advdiff_sumo.sim.demand_files import DemandFiles, net_of_configuration, read_demand
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.logs import LoggedTraffic
 from advdiff_sumo.sim.natural import NaturalTraffic
-from advdiff_sumo.sim.run_store import RunFolder
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.start import lane_change_model
@@ -37,7 +33,6 @@ from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 from advdiff_sumo.traffic.policy_registry import POLICIES, make_policy
 
 _Made = TypeVar("_Made")
-_log = logging.getLogger(__name__)
 
 
 class RunOptions(Options):
@@ -159,35 +154,6 @@ class Run:
         source = NaturalTraffic(self.road, self.demand, options.scene, options.sim, options.horizon_s, seed)
         return source.batch(number)
 
-    def into(self, folder: RunFolder, tell: Callable[[Mapping[str, Any]], None]) -> int:
-        """Run the episodes that *folder* lacks and put its tables together, also after an interrupt.
-
-        Args:
-            folder: where the results go.
-            tell: called with each finished episode's row.
-
-        Returns:
-            Number of episodes in the folder.
-        """
-        done = set(folder.done())
-        finished = False
-        try:
-            for number, scene in enumerate(islice(self.seed_scenes(), self.options.episodes)):
-                if number not in done:
-                    tell(self._one(number, scene, folder))
-            finished = True
-        finally:
-            if isinstance(self.target, Served):
-                self.target.close()
-            numbers = folder.done()
-            if numbers:
-                folder.consolidate(finished)
-            else:
-                folder.discard()
-        if not numbers:
-            raise SceneError(f"{self.road.path}: no seed scene was found")
-        return len(numbers)
-
     def episode(self, number: int, scene: SeedScene) -> Episode:
         """Return episode *number* of this run, which starts in *scene*."""
         return Episode(
@@ -202,13 +168,6 @@ class Run:
             seed=SeedTree(self.options.seed).child("episode", number),
             gui=self.gui,
         )
-
-    def _one(self, number: int, scene: SeedScene, folder: RunFolder) -> Mapping[str, Any]:
-        record, timing = self.episode(number, scene).run()
-        _log.info("episode %d of %s: %s after %.1f s", number, scene.name, record.end, timing.wall_s)
-        row = episode_row(record, self.road)
-        folder.add(record, row, collision_rows(record, self.road), timing)
-        return {**row, "wall_s": timing.wall_s}
 
     @cached_property
     def settings(self) -> dict[str, Any]:

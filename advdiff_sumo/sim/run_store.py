@@ -1,28 +1,18 @@
-"""The run folder: finished episodes are on disk at once, tables are put together at the end."""
+"""The tables of a run: their columns, and what one episode adds to each."""
 
 from __future__ import annotations
 
-import contextlib
-import shutil
-import tomllib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
-import tomli_w
 
-from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.record import Controller, EpisodeRecord
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, Column
 from advdiff_sumo.sim.episode import Timing
 
-_PARTS = "parts"
 _ARROW = {"str": pa.string(), "int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_()}
 
 STATE_COLUMNS: Mapping[str, Column] = {
@@ -79,138 +69,6 @@ TABLES: Mapping[str, Mapping[str, Column]] = {
 }
 #: Tables that folders of earlier versions lack.
 LATER_TABLES = frozenset(("signals",))
-
-
-@dataclass(frozen=True)
-class RunFolder:
-    """A run's folder.
-
-    Attributes:
-        path: the folder.
-        made: folders that this run made, innermost first.
-        fresh: there was no run in it before.
-    """
-
-    path: Path
-    made: tuple[Path, ...] = ()
-    fresh: bool = False
-
-    @staticmethod
-    def create(path: Path, settings: Mapping[str, Any], resume: bool) -> RunFolder:
-        """Make the folder and write ``run.toml``.
-
-        Args:
-            path: a new or empty folder; with *resume*, one that an interrupted run left.
-            settings: what ``run.toml`` holds.
-            resume: go on with that run.
-
-        Raises:
-            FileError: the folder cannot be written, or holds something else.
-            ConfigError: it is of a run with other options.
-        """
-        begun = (path / "run.toml").exists()
-        made = tuple(folder for folder in (path, *path.parents) if not folder.exists())
-        folder = RunFolder(path, made, fresh=not begun)
-        if begun:
-            folder._must_continue(path / "run.toml", settings, resume)
-        elif path.is_dir() and any(child.name != _PARTS for child in path.iterdir()):
-            raise FileError(path, "is a folder that holds other files", "choose a new --out")
-        try:
-            folder._take_apart()
-            (path / _PARTS).mkdir(parents=True, exist_ok=True)
-            _replace(path / "run.toml", tomli_w.dumps(settings).encode())
-        except OSError as error:
-            folder.discard()
-            raise FileError(path, f"cannot be written ({error.strerror})", "choose another --out") from None
-        return folder
-
-    def discard(self) -> None:
-        """Take a new folder away again, for a run of which no episode finished; what was there before stays."""
-        if not self.fresh or self.done():
-            return
-        shutil.rmtree(self.path / _PARTS, ignore_errors=True)
-        for name in ("run.toml", "run.aside"):
-            with contextlib.suppress(OSError):
-                (self.path / name).unlink()
-        for folder in self.made:
-            with contextlib.suppress(OSError):  # somebody else put something there
-                folder.rmdir()
-
-    def _must_continue(self, before: Path, settings: Mapping[str, Any], resume: bool) -> None:
-        if not resume:
-            raise FileError(
-                self.path, "already holds a run", "choose a new --out, or add --resume to go on with it"
-            )
-        try:
-            old = tomllib.loads(before.read_text(encoding="utf-8")).get("options", {})
-        except tomllib.TOMLDecodeError as error:
-            raise FileError(before, f"is damaged ({error})", "choose a new --out") from None
-        new = settings["options"]
-        for key in sorted({*old, *new} - {"episodes", "out"}):
-            if old.get(key) != new.get(key):
-                raise ConfigError(
-                    f"{self.path}: that run had {key} = {old.get(key)!r}, not {new.get(key)!r}; "
-                    "leave that option out, or choose a new --out"
-                )
-        had = max(self.done() or self._in_tables(), default=-1) + 1
-        if had > new["episodes"]:
-            raise ConfigError(
-                f"{self.path}: that run has {had} episodes; ask for as many, or choose a new --out"
-            )
-
-    def _in_tables(self) -> list[int]:
-        """Return the numbers of the episodes of a finished run."""
-        if not all((self.path / f"{table}.parquet").exists() for table in TABLES.keys() - LATER_TABLES):
-            return []
-        numbers = pq.read_table(self.path / "episodes.parquet", columns=["episode"])["episode"]
-        return [number for number in numbers.to_pylist() if number is not None]
-
-    def _take_apart(self) -> None:
-        """Make parts of a finished run's tables again, so that none of its episodes is run or lost."""
-        numbers = self._in_tables()
-        if (self.path / _PARTS).exists() or not numbers:
-            return
-        aside = self.path / f"{_PARTS}.aside"
-        shutil.rmtree(aside, ignore_errors=True)
-        aside.mkdir()
-        for table, columns in TABLES.items():
-            path = self.path / f"{table}.parquet"
-            whole = pq.read_table(path) if path.exists() else schema_of(columns).empty_table()
-            for number in numbers:
-                part = whole.filter(pc.field("episode") == number).combine_chunks()
-                _write(aside / f"{number:06d}.{table}.parquet", part)
-                (aside / f"{number:06d}.done").touch()
-        aside.replace(self.path / _PARTS)
-
-    def done(self) -> list[int]:
-        """Return the numbers of the episodes that are on disk."""
-        return sorted(int(p.stem) for p in (self.path / _PARTS).glob("*.done"))
-
-    def add(
-        self,
-        record: EpisodeRecord,
-        episode: Mapping[str, Any],
-        collisions: list[dict[str, Any]],
-        timing: Timing,
-    ) -> None:
-        """Write one finished episode; it counts only once all of it is on disk."""
-        base = self.path / _PARTS / f"{record.episode:06d}"
-        for name, table in episode_tables(record, episode, collisions, timing).items():
-            _write(base.with_suffix(f".{name}.parquet"), table)
-        base.with_suffix(".done").touch()
-
-    def consolidate(self, finished: bool) -> None:
-        """Put the finished episodes together in one file a table.
-
-        Args:
-            finished: nothing is missing: the parts are removed.
-        """
-        numbers = self.done()
-        for table, columns in TABLES.items():
-            parts = (self.path / _PARTS / f"{n:06d}.{table}.parquet" for n in numbers)
-            _write_all(self.path / f"{table}.parquet", parts, schema_of(columns))
-        if finished:
-            shutil.rmtree(self.path / _PARTS)
 
 
 def episode_tables(
@@ -326,25 +184,3 @@ def schema_of(columns: Mapping[str, Column]) -> pa.Schema:
 def table_of(rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> pa.Table:
     """Return *rows* as a table of *columns*."""
     return pa.Table.from_pylist(rows, schema=schema_of(columns))
-
-
-def _write(path: Path, table: pa.Table) -> None:
-    _write_all(path, (table,), table.schema)
-
-
-def _write_all(path: Path, parts: Iterable[Path | pa.Table], schema: pa.Schema) -> None:
-    """Write *parts* one after the other into *path*, aside first and then renamed."""
-    aside = path.with_suffix(".aside")
-    try:
-        with pq.ParquetWriter(aside, schema, compression="zstd") as writer:
-            for part in parts:
-                writer.write_table(pq.read_table(part, schema=schema) if isinstance(part, Path) else part)
-    except OSError as error:
-        raise FileError(path, f"cannot be written ({error.strerror or error})", "free some space") from None
-    aside.replace(path)
-
-
-def _replace(path: Path, content: bytes) -> None:
-    aside = path.with_suffix(".aside")
-    aside.write_bytes(content)
-    aside.replace(path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,9 @@ from advdiff_sumo.sim.run_store import schema_of, table_of
 from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.job_plan import Job, Plan
 from advdiff_sumo.sweep.sweep_columns import FAILURE_COLUMNS, SWEEP_TABLES, job_row
-from advdiff_sumo.sweep.sweep_files import aside_of, checksum_of, settle, unwritable, write_whole
+from advdiff_sumo.sweep.sweep_files import checksum_of, write_whole
 from advdiff_sumo.sweep.sweep_store import Store
+from advdiff_sumo.sweep.table_writer import TableWriter
 
 _ROWS_TOGETHER = 100_000
 _SEAL = "tables.json"
@@ -37,7 +37,7 @@ def consolidate(store: Store, plan: Plan) -> int:
     missing = 0
     folder = store.path
     with contextlib.ExitStack() as stack:
-        writers = {name: stack.enter_context(_Table(folder, name)) for name in SWEEP_TABLES}
+        writers = {name: stack.enter_context(_writer(folder, name)) for name in SWEEP_TABLES}
         for job in plan.jobs:
             part = store.read(job.key)
             if part is None:
@@ -93,6 +93,10 @@ def _rows(part: Part, job: Job, plan: Plan, folder: Path) -> dict[str, pa.Table]
     return tables
 
 
+def _writer(folder: Path, name: str) -> TableWriter:
+    return TableWriter(folder / f"{name}.parquet", schema_of(SWEEP_TABLES[name]), _ROWS_TOGETHER)
+
+
 def _led(table: pa.Table, leading: Mapping[str, Any], columns: Mapping[str, Column]) -> pa.Table:
     """Return *table* with the same *leading* values in front of each row."""
     schema = schema_of(columns)
@@ -108,53 +112,3 @@ def _led(table: pa.Table, leading: Mapping[str, Any], columns: Mapping[str, Colu
         if name in LATER_COLUMNS and name not in front.column_names:
             front = front.append_column(name, pa.nulls(n))  # of an earlier version
     return front.select(schema.names).cast(schema)
-
-
-class _Table:
-    """One table that is being written, aside first."""
-
-    def __init__(self, folder: Path, name: str) -> None:
-        self.path, self.schema = folder / f"{name}.parquet", schema_of(SWEEP_TABLES[name])
-        self.aside = aside_of(self.path)
-        self._held: list[pa.Table] = []
-        self._rows = 0
-        self._writer: Any = None
-
-    def __enter__(self) -> _Table:
-        try:
-            self._writer = pq.ParquetWriter(self.aside, self.schema, compression="zstd")
-        except OSError as error:
-            raise unwritable(self.path, error) from None
-        return self
-
-    def add(self, table: pa.Table) -> None:
-        """Take rows; they are written in groups of a size that does not depend on when they came."""
-        self._held.append(table)
-        self._rows += table.num_rows
-        if self._rows >= _ROWS_TOGETHER:
-            self._flush()
-
-    def _flush(self) -> None:
-        if self._held:
-            try:
-                self._writer.write_table(pa.concat_tables(self._held).combine_chunks())
-            except OSError as error:
-                raise unwritable(self.path, error) from None
-        self._held, self._rows = [], 0
-
-    def __exit__(self, kind: object, error: object, trace: object) -> None:
-        try:
-            if kind is None:
-                self._flush()
-            self._writer.close()
-            if kind is None:
-                with self.aside.open("rb+") as file:
-                    os.fsync(file.fileno())
-                settle(self.aside, self.path)
-                return
-        except OSError as failed:
-            if kind is None:
-                raise unwritable(self.path, failed) from None
-        finally:
-            with contextlib.suppress(OSError):
-                self.aside.unlink()

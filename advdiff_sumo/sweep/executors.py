@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import multiprocessing
+import os
+import signal
+import time
 from collections import deque
 from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
 from multiprocessing.context import BaseContext
+from multiprocessing.forkserver import ensure_running
 from types import TracebackType
 from typing import Any, Protocol, Self
 
 from pebble import ProcessExpired, ProcessPool
 
 from advdiff_sumo.core.process_end import how_it_ended
+from advdiff_sumo.core.threads import one_thread
+from advdiff_sumo.planners.planner_protocol import Served
+from advdiff_sumo.sim.heartbeat import Heartbeat
+from advdiff_sumo.sim.run_episodes import Run
 from advdiff_sumo.sweep.tasks import Limits, Outcome, Task
 from advdiff_sumo.sweep.work import perform
 from advdiff_sumo.sweep.worker_sandbox import (
@@ -22,11 +32,10 @@ from advdiff_sumo.sweep.worker_sandbox import (
     lost,
     prepare_worker,
     run_sandboxed,
-    tail_of,
-    timed_out,
 )
 
 _WORKER = "pebble_pool_worker"  # the name that pebble gives its processes
+_LOOK_S = 1.0  # between looks at where the workers stand
 _GRACE_S = 10.0  # a worker ends itself at its time limit; this much later it is ended from outside
 
 
@@ -61,17 +70,24 @@ class Executor(Protocol):
 
 
 class SerialExecutor(AbstractContextManager["SerialExecutor"]):
-    """Does one task after the other in this process: for debugging, without limits or protection."""
+    """Does one task after the other in this process: for debugging, without limits or protection.
+
+    Attributes:
+        run: that all episodes are of, with its planner, policy and window; None: they are made of each task's options.
+    """
 
     slots = 1
 
-    def __init__(self) -> None:
+    def __init__(self, run: Run | None = None) -> None:
+        self.run = run
         self._tasks: deque[Task] = deque()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Nothing to end."""
+        """Let the planner go where something outside this process stands behind it."""
+        if self.run is not None and isinstance(self.run.target, Served):
+            self.run.target.close()
 
     def submit(self, task: Task) -> None:
         """Take *task*."""
@@ -79,7 +95,8 @@ class SerialExecutor(AbstractContextManager["SerialExecutor"]):
 
     def wait(self) -> Outcome:
         """Do the task that was taken first."""
-        return perform(self._tasks.popleft())
+        with one_thread():
+            return perform(self._tasks.popleft(), run=self.run)
 
 
 class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
@@ -93,6 +110,7 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         self.slots, self.limits = workers, limits
         self._pools: dict[int, Any] = {}
         self._running: dict[Any, tuple[int, Task]] = {}
+        self._overdue: dict[str, float] = {}
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -111,7 +129,7 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         """Give *task* to a free worker."""
         busy = {slot for slot, _ in self._running.values()}
         slot = next(k for k in range(self.slots) if k not in busy)
-        timeout = self.limits.timeout_s + _GRACE_S
+        timeout = self.limits.timeout_s + _GRACE_S if math.isfinite(self.limits.timeout_s) else None
         try:
             future = self._pool(slot).schedule(run_sandboxed, (task, self.limits), timeout=timeout)
         except RuntimeError:  # the worker was killed while it was idle, and its pool gave up
@@ -121,23 +139,39 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
 
     def wait(self) -> Outcome:
         """Wait for any worker."""
-        done, _ = wait(self._running, return_when=FIRST_COMPLETED)
+        done: set[Any] = set()
+        while not done:
+            done, _ = wait(self._running, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+            self._end_overdue()
         future = min(done, key=lambda f: self._running[f][0])
         slot, task = self._running.pop(future)
         limits = self.limits
         try:
             made: Outcome = future.result()
         except FutureTimeoutError:
-            return Outcome(task.key, (), timed_out(limits, tail_of(limits.log_of(task.key))))
+            return lost(task, limits, None, "")
         except ProcessExpired as error:
             if error.exitcode == RECYCLED:
                 self.submit(task)
                 return self.wait()
-            return lost(task.key, limits, how_it_ended(error.exitcode))
+            overdue = self._overdue.pop(task.key, None) is not None
+            return lost(task, limits, error.exitcode, how_it_ended(error.exitcode), overdue)
         except BrokenProcessPool:
             self._discard(slot)
-            return lost(task.key, limits, "was killed while it took the task")
+            return lost(task, limits, None, "was killed while it took the task")
+        self._overdue.pop(task.key, None)
         return made
+
+    def _end_overdue(self) -> None:
+        """End workers that have been at one plan, or one step of SUMO, for too long."""
+        for _, task in self._running.values():
+            beat = Heartbeat.read(self.limits.heartbeat_of(task.key))
+            now = time.monotonic()
+            if beat is None or now - beat.since_s <= self.limits.longest_s(beat.phase):
+                continue
+            asked = self._overdue.setdefault(task.key, now)
+            with contextlib.suppress(ProcessLookupError):  # it says where it is stuck; or else it is killed
+                os.kill(beat.pid, signal.SIGABRT if now - asked < _GRACE_S else signal.SIGKILL)
 
     def workers(self) -> list[int]:
         """Return the process numbers of the workers that are there now."""
@@ -147,6 +181,7 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
     def _pool(self, slot: int) -> Any:
         if slot not in self._pools:
             limits = self.limits
+            prepare_workers()
             self._pools[slot] = ProcessPool(
                 max_workers=1,
                 max_tasks=limits.tasks,
@@ -160,6 +195,17 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         pool = self._pools.pop(slot)
         pool.stop()
         pool.join()
+
+
+def prepare_workers() -> None:
+    """Let the process that workers come from start now, deaf to Ctrl-C, and import while this one goes on."""
+    context = _context()
+    if context.get_start_method() == "forkserver":
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            ensure_running()
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 def _context() -> BaseContext:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,9 +15,9 @@ from advdiff_sumo.maps.shipped_nets import net_name
 from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.demand_files import read_demand
-from advdiff_sumo.sim.run_episodes import RunOptions, check_together, policy_of, read_road, target_of
+from advdiff_sumo.sim.run_episodes import Run, RunOptions, check_together, policy_of, read_road, target_of
 from advdiff_sumo.sweep.fingerprint import cell_digest, digest, net_files, source_digest
-from advdiff_sumo.sweep.spec import SweepSpec
+from advdiff_sumo.sweep.spec import Case, SweepSpec
 from advdiff_sumo.traffic.policy_registry import POLICIES
 
 
@@ -131,7 +131,45 @@ def plan_sweep(spec: SweepSpec) -> Plan:
             scene_key = digest([source, "scene", number])
             key = digest([own, "episode", number])
             jobs.append(Job(key, len(jobs), cell, number, batch, place, scene_key))
-    return Plan(spec, cells, tuple(jobs), batches, check.junction_types())
+    return Plan(spec, cells, tuple(jobs), batches, car_junctions(check.roads))
+
+
+def plan_run(run: Run) -> Plan:
+    """Lay a run out as a sweep of one cell; its episodes are called by their numbers."""
+    options = RunOptions.model_validate(run.settings["options"])
+    source = _source_of(run, options)
+    batches: dict[str, Batch] = {}
+    jobs: list[Job] = []
+    for number in range(options.episodes):
+        batch, place = _batch(options, source, number, batches)
+        scene_key = digest([source, "scene", number])
+        jobs.append(Job(run_key(number), number, 0, number, batch, place, scene_key))
+    own = options.model_dump(exclude={"horizon_s", "sim", "scene"})
+    spec = SweepSpec(
+        episodes=options.episodes,
+        horizon_s=options.horizon_s,
+        seeds=(options.seed,),
+        sim=options.sim,
+        scene=options.scene,
+        cases=(Case(**own),),
+    )
+    return Plan(spec, (options,), tuple(jobs), batches, car_junctions([run.road]))
+
+
+def run_key(number: int) -> str:
+    """Return what episode *number* of a run is called."""
+    return f"{number:06d}"
+
+
+def run_inputs(run: Run) -> str:
+    """Return the digest of all that the episodes of a run are made of, the contents of its files included."""
+    options = RunOptions.model_validate(run.settings["options"])
+    return cell_digest(options, _source_of(run, options))
+
+
+def _source_of(run: Run, options: RunOptions) -> str:
+    files = () if run.demand is None else (*run.demand.routes, *run.demand.additional)
+    return source_digest(options, files)
 
 
 def _batch(options: RunOptions, source: str, number: int, batches: dict[str, Batch]) -> tuple[str, int]:
@@ -141,6 +179,12 @@ def _batch(options: RunOptions, source: str, number: int, batches: dict[str, Bat
     if key not in batches or batches[key].scenes < size:
         batches[key] = Batch(key, options, stretch, size)
     return key, place
+
+
+def car_junctions(roads: Iterable[RoadMap]) -> tuple[str, ...]:
+    """Return the kinds of junction that a car can meet on *roads*."""
+    found = (junction.type for road in roads for junction in road.junctions.values())
+    return tuple(sorted(set(found) - {"dead_end", "internal"}))
 
 
 class _Check:
@@ -182,10 +226,10 @@ class _Check:
             self._demands[key] = (*files.routes, *files.additional)
         return self._demands.get(key, ())
 
-    def junction_types(self) -> tuple[str, ...]:
-        """Return the kinds of junction on all nets."""
-        found = (j.type for road in self._roads.values() for j in road.junctions.values())
-        return tuple(sorted(set(found) - {"dead_end", "internal"}))
+    @property
+    def roads(self) -> Iterable[RoadMap]:
+        """The nets."""
+        return self._roads.values()
 
     def _once(self, what: list[Any], make: Callable[[RunOptions], Any], options: RunOptions) -> Any:
         key = digest(what)

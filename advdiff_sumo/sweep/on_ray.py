@@ -97,7 +97,7 @@ class RayExecutor(AbstractContextManager["RayExecutor"]):
         except self._ray.exceptions.RayTaskError as error:
             return Outcome(task.key, (), Failed("error", _first_line(error), str(error)))
         except self._ray.exceptions.RayError as error:  # the worker or its whole machine is gone
-            return lost(task.key, self.limits, f"was lost ({type(error).__name__})")
+            return lost(task, self.limits, None, f"was lost ({type(error).__name__})")
         return made
 
 

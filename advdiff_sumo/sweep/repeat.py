@@ -1,4 +1,4 @@
-"""One episode of a sweep again, exactly."""
+"""One episode of a sweep or a run again, exactly."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, FileError, SceneError
-from advdiff_sumo.core.record import EpisodeRecord
-from advdiff_sumo.sim.episode import Timing
-from advdiff_sumo.sim.run_episodes import Run
+from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sim.scene_file import scene_from_bytes
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
-from advdiff_sumo.sweep.job_plan import Job, Plan, plan_sweep
+from advdiff_sumo.sweep.job_plan import Job, Plan, plan_run, plan_sweep
+from advdiff_sumo.sweep.run_folder import SETTINGS as RUN_SETTINGS
+from advdiff_sumo.sweep.run_folder import RunFolder, read_settings
 from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
 from advdiff_sumo.sweep.work import part_of, run_of
 
@@ -29,14 +29,12 @@ class Repeated:
 
     Attributes:
         run: the run that it belongs to.
-        record: what happened.
-        timing: how long it took.
+        part: what came of it.
         same: whether all values equal the stored ones; None when nothing was stored.
     """
 
     run: Run
-    record: EpisodeRecord
-    timing: Timing
+    part: Part
     same: bool | None
 
 
@@ -68,8 +66,31 @@ def sweep_with(key: str, folder: Path | None, among: Path) -> tuple[Store, Plan,
     raise ConfigError(f"no sweep in {among} has an episode '{key}'; name its folder with --sweep")
 
 
-def repeat(store: Store, plan: Plan, job: Job, gui: bool = False) -> Repeated:
+def run_with(number: str, folder: Path) -> tuple[RunFolder, Plan, Job]:
+    """Return the run in *folder* as a sweep of one cell, and its episode *number*.
+
+    Raises:
+        InputError: it holds no run, or none with such an episode.
+    """
+    settings = read_settings(folder)
+    options = RunOptions.parse(settings.get("options", {}), str(folder / RUN_SETTINGS))
+    plan = plan_run(Run.prepare(options))
+    if not (number.isdecimal() and int(number) < len(plan.jobs)):
+        raise ConfigError(
+            f"'{number}' is no episode of {folder}; give a number from 0 to {len(plan.jobs) - 1}"
+        )
+    return RunFolder(folder), plan, plan.jobs[int(number)]
+
+
+def repeat(store: Store, plan: Plan, job: Job, stored: Part | None, gui: bool = False) -> Repeated:
     """Run *job* again in this process.
+
+    Args:
+        store: where its seed scene may be.
+        plan: that it belongs to.
+        job: the episode.
+        stored: what came of it before, to compare with; None where nothing is kept.
+        gui: show it in sumo-gui.
 
     Raises:
         InputError: its seed scene cannot be made again.
@@ -78,7 +99,8 @@ def repeat(store: Store, plan: Plan, job: Job, gui: bool = False) -> Repeated:
     run = run_of(options, file_digest(*net_files(options.net)))
     run = replace(run, gui=gui)
     record, timing = run.episode(job.number, _scene(store, run, job)).run()
-    return Repeated(run, record, timing, _same(store.read(job.key), part_of(run, record, timing)))
+    part = part_of(run, record, timing)
+    return Repeated(run, part, _same(stored, part))
 
 
 def settings_for(job: Job, run: Run) -> dict[str, Any]:
@@ -104,6 +126,7 @@ def _same(stored: Part | None, again: Part) -> bool | None:
     if stored is None or not stored.tables:
         return None
     try:
-        return all(stored.tables[name].equals(again.tables[name]) for name in _SAME)
+        pairs = [(stored.tables[name], again.tables[name]) for name in _SAME]
     except KeyError as lacking:
         raise FileError(Path("episode"), f"lacks the table {lacking}", "resume the sweep") from None
+    return all(old.equals(new.select(old.column_names)) for old, new in pairs)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.errors import FileError, InputError, SceneError
+from advdiff_sumo.sim.episode import Ended
+from advdiff_sumo.sim.heartbeat import NOT_STARTED
 from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
@@ -17,8 +20,12 @@ from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Outcome, SceneTask, Task
 from advdiff_sumo.sweep.work import NO_ROOM
 
-#: Failures that say nothing about the episode: it is tried again.
-_CHANCE = {"worker_died"}
+#: Failures that may say nothing about the episode but about what its worker did before: it is tried again.
+_CHANCE = {"worker_died", "simulator_crashed", "planner_crashed"}
+#: Failures of an episode that never began.
+_UNUSABLE = {"no_scene", "input_error"}
+
+_log = logging.getLogger(__name__)
 
 Tell: TypeAlias = Callable[[Mapping[str, Any] | None, Failed | None], None]
 
@@ -33,6 +40,8 @@ class Conductor:
         executor: who does it.
         retries: how often a task whose worker died is given again.
         tell: called with every episode that was stored: its row, and why it failed.
+        hear: called with what planners and policies printed.
+        refuses: raise where seed scenes or options cannot be used, in place of recording it.
     """
 
     plan: Plan
@@ -40,6 +49,8 @@ class Conductor:
     executor: Executor
     retries: int
     tell: Tell
+    hear: Callable[[str], None] = lambda _: None
+    refuses: bool = False
     _waiting: dict[str, deque[Job]] = field(default_factory=dict)
     _unmade: deque[Batch] = field(default_factory=deque)
     _ready: deque[Job] = field(default_factory=deque)
@@ -48,12 +59,14 @@ class Conductor:
     _running: dict[str, Task] = field(default_factory=dict)
     _attempts: dict[str, int] = field(default_factory=dict)
     _net_digests: dict[str, str] = field(default_factory=dict)
+    _ended: dict[str, Failed] = field(default_factory=dict)
 
     def run(self, jobs: Iterable[Job]) -> None:
         """Do *jobs*.
 
         Raises:
             FileError: results cannot be stored; all that was computed until then is, disk full included.
+            InputError: ``refuses``, and so.
         """
         for job in jobs:
             self._jobs[job.key] = job
@@ -127,20 +140,46 @@ class Conductor:
         if outcome.failed is not None and outcome.failed.kind in _CHANCE and attempts <= self.retries:
             self._submit(task)
             return
+        if outcome.said:
+            self.hear(outcome.said)
+        outcome = outcome.tried(attempts)
+        if isinstance(task, EpisodeTask) and self._made_again(task, outcome):
+            return
         self._fill()  # workers first, then the disk
         if isinstance(task, EpisodeTask):
-            self._record(self._jobs[task.key], outcome.tried(attempts))
+            self._record(self._jobs[task.key], outcome)
         elif outcome.failed is None:
             self.store.write_scenes(task.key, outcome.product)
             self._release(self.plan.batches[task.key])
         else:
             self._give_up(task, outcome.failed)
 
+    def _made_again(self, task: EpisodeTask, outcome: Outcome) -> bool:
+        """Let what happened before an episode ended its worker be made again, as far as that goes, for its rows."""
+        failed = outcome.failed
+        if failed is None:
+            return False
+        self._refuse(failed)
+        if failed.kind in _UNUSABLE or (task.ended is not None and task.ended.steps < 0):
+            return False
+        first = self._ended.setdefault(task.key, failed)
+        slow = failed.kind == "timeout"  # it would be too slow again
+        reached = NOT_STARTED if slow or task.ended is not None else outcome.steps
+        ended = Ended(reached, first.kind, first.message, first.log_tail)
+        self._running[task.key] = again = replace(task, ended=ended)
+        self.executor.submit(again)
+        return True
+
+    def _refuse(self, failed: Failed) -> None:
+        if self.refuses and failed.kind in _UNUSABLE:
+            raise SceneError(failed.message) if failed.kind == "no_scene" else InputError(failed.message)
+
     def _release(self, batch: Batch) -> None:
         self._ready.extend(self._waiting.pop(batch.key, ()))
 
     def _give_up(self, task: SceneTask, failed: Failed) -> None:
         """Record that the episodes of a batch have no seed scene."""
+        self._refuse(failed)
         message = f"no seed scene: {failed.message}"
         for job in self._waiting.pop(task.key, ()):
             told = Failed(failed.kind, message, failed.log_tail, self._attempts[task.key])
@@ -150,18 +189,28 @@ class Conductor:
         """Record the episodes for which a driving log has no scene."""
         while self._short:
             job, scenes = self._short.popleft()
+            if self.refuses:
+                continue  # there are as many episodes as the log has scenes
             message = f"the log has {scenes} seed scenes, this is number {job.place + 1}"
             self._record(job, Outcome(job.key, (), Failed("no_scene", message)))
 
     def _record(self, job: Job, outcome: Outcome) -> None:
-        content = outcome.product[0] if outcome.failed is None else Part({}, outcome.failed).to_bytes()
+        first = self._ended.pop(job.key, None)
+        if outcome.failed is not None:
+            content = Part({}, first or outcome.failed).to_bytes()
+        elif first is not None:
+            content = replace(Part.from_bytes(outcome.product[0]), failed=first).to_bytes()
+        else:
+            content = outcome.product[0]
         try:
             self.store.write(job.key, content)
         except DiskFullError:
             self.store.drop_ballast()
             self.store.write(job.key, content)
             raise
-        self.tell(*Part.glance(content))
+        row, failed = Part.glance(content)
+        _log.info("episode %s: %s", job.key, row["end"] if row else failed and failed.message)
+        self.tell(row, failed)
 
     # --- the end -----------------------------------------------------------------------------------------
 

@@ -39,6 +39,10 @@ FAILURE_COLUMNS: Mapping[str, Column] = {
     "attempts": Column("int64", "", "how often it was tried", False),
     "command": _text("repeats just this episode"),
 }
+RUN_FAILURE_COLUMNS: Mapping[str, Column] = {
+    "episode": Column("int64", "", "number of the episode in its run", False),
+    **{name: FAILURE_COLUMNS[name] for name in ("kind", "message", "log_tail", "attempts", "command")},
+}
 SWEEP_TABLES: Mapping[str, Mapping[str, Column]] = {
     "episodes": {
         **JOB_COLUMNS,

@@ -111,17 +111,22 @@ class Store:
             )
 
     def _begin(self, settings: Mapping[str, Any], ballast_bytes: int) -> Store:
+        self.prepare(ballast_bytes)
+        write_whole(self.path / SETTINGS, tomli_w.dumps(settings).encode())
+        return self
+
+    def prepare(self, ballast_bytes: int) -> None:
+        """Make the folders for episodes and seed scenes, and keep room back; see :meth:`create`."""
         try:
             for name in (_EPISODES, _SCENES):
                 (self.path / name).mkdir(parents=True, exist_ok=True)
             for rest in self.path.rglob(f"*{ASIDE}"):
                 rest.unlink()  # of a process that was killed
-            self._load_ballast(ballast_bytes)
+            if ballast_bytes:
+                self._load_ballast(ballast_bytes)
         except OSError as error:
             self.drop_ballast()
             raise unwritable(self.path, error) from None
-        write_whole(self.path / SETTINGS, tomli_w.dumps(settings).encode())
-        return self
 
     def _load_ballast(self, size: int) -> None:
         with (self.path / _BALLAST).open("wb") as file:
@@ -160,6 +165,11 @@ class Store:
         """Return a finished episode; None when there is none, or its file is damaged."""
         content = read_checked(self._episode(key))
         return None if content is None else Part.from_bytes(content)
+
+    def finished(self) -> list[str]:
+        """Return the keys of the finished episodes that are there and whole."""
+        files = (path for path in (self.path / _EPISODES).glob("*/*") if not path.name.endswith(ASIDE))
+        return sorted(path.name for path in files if read_checked(path) is not None)
 
     def has(self, key: str) -> bool:
         """Return whether a finished episode is there and whole."""

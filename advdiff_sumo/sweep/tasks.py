@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import logging
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
+from advdiff_sumo.sim.episode import Ended
+from advdiff_sumo.sim.heartbeat import NOT_STARTED, Phase
 from advdiff_sumo.sim.run_episodes import RunOptions
+
+#: Wall-clock after which SUMO has surely stopped; its start with a large net is within it.
+STEP_TIMEOUT_S = 300.0
 
 
 @dataclass(frozen=True)
@@ -38,6 +45,7 @@ class EpisodeTask:
         number: of the episode in that run.
         scene: its seed scene, see :mod:`advdiff_sumo.sim.scene_file`.
         net_digest: as above.
+        ended: how it ended its worker before: what had happened until then is made again and recorded.
     """
 
     key: str
@@ -45,6 +53,7 @@ class EpisodeTask:
     number: int
     scene: bytes
     net_digest: str
+    ended: Ended | None = None
 
 
 Task: TypeAlias = SceneTask | EpisodeTask
@@ -76,12 +85,16 @@ class Outcome:
         product: scenes, or the one file of a finished episode.
         failed: set when there is no product.
         wall_s: how long it took.
+        steps: SUMO steps that an episode came to, where it failed without a product.
+        said: what a planner or policy printed.
     """
 
     key: str
     product: tuple[bytes, ...] = ()
     failed: Failed | None = None
     wall_s: float = 0.0
+    steps: int = NOT_STARTED
+    said: str = ""
 
     def tried(self, attempts: int) -> Outcome:
         """Return the same with the number of attempts noted in its failure."""
@@ -93,11 +106,13 @@ class Limits:
     """What a worker may take.
 
     Attributes:
-        timeout_s: wall-clock of one task.
+        timeout_s: wall-clock of one task; may be infinite.
         memory_mb: private memory of a worker; 0 for no limit.
         tasks: a worker is replaced after so many.
         recycle_share: and before its next task once it holds this share of ``memory_mb``.
         logs: folder for what workers say, a file a task.
+        plan_timeout_s: wall-clock of one plan of the target or the background; may be infinite.
+        log_level: least level of our own messages that a worker says, as in :mod:`logging`.
     """
 
     timeout_s: float
@@ -105,7 +120,21 @@ class Limits:
     tasks: int
     recycle_share: float
     logs: Path
+    plan_timeout_s: float = math.inf
+    log_level: int = logging.WARNING
+
+    def longest_s(self, phase: Phase) -> float:
+        """Return how long an episode may be in *phase* at a time; a plan, or a step of SUMO."""
+        if phase is Phase.OTHER:
+            return math.inf
+        return (
+            self.plan_timeout_s if phase is not Phase.SIMULATOR else max(self.plan_timeout_s, STEP_TIMEOUT_S)
+        )
 
     def log_of(self, key: str) -> Path:
         """Return the file that the worker of task *key* writes to."""
         return self.logs / f"{key}.log"
+
+    def heartbeat_of(self, key: str) -> Path:
+        """Return the file in which the worker of task *key* notes where it stands."""
+        return self.logs / f"{key}.heartbeat"

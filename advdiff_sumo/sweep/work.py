@@ -7,6 +7,7 @@ import os
 import time
 import traceback
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
@@ -16,12 +17,12 @@ import pyarrow as pa
 
 from advdiff_sumo.core.errors import AdvdiffError, NetError, SceneError
 from advdiff_sumo.core.record import EpisodeRecord
-from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.columns import Column
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.sim.episode import Timing
+from advdiff_sumo.sim.heartbeat import Heartbeat
 from advdiff_sumo.sim.run_episodes import Run, RunOptions, policy_of, read_road, target_of
 from advdiff_sumo.sim.run_store import episode_tables, table_of
 from advdiff_sumo.sim.scene_file import scene_from_bytes, scene_to_bytes
@@ -41,13 +42,18 @@ WORKER_COLUMNS: Mapping[str, Column] = {
 NO_ROOM = "no_room"
 
 
-def perform(task: Task) -> Outcome:
-    """Do *task*; whatever goes wrong short of the process's death comes back as a failure."""
-    one_thread_for_good()
-    pa.set_cpu_count(1)
+def perform(task: Task, heartbeat: Heartbeat | None = None, run: Run | None = None) -> Outcome:
+    """Do *task*; whatever goes wrong short of the process's death comes back as a failure.
+
+    Args:
+        task: seed scenes or an episode.
+        heartbeat: told where an episode stands.
+        run: that an episode is of; None: it is made of the task's options.
+    """
     begun = time.perf_counter()
+    heartbeat = heartbeat or Heartbeat()
     try:
-        product = _scenes(task) if isinstance(task, SceneTask) else (_episode(task),)
+        product = _scenes(task) if isinstance(task, SceneTask) else (_episode(task, heartbeat, run),)
     except MemoryError as error:
         failed = Failed("out_of_memory", f"the worker ran out of memory: {error}", traceback.format_exc())
     except AdvdiffError as error:
@@ -59,7 +65,7 @@ def perform(task: Task) -> Outcome:
         failed = Failed("error", f"{type(error).__name__}: {error}", traceback.format_exc())
     else:
         return Outcome(task.key, product, None, time.perf_counter() - begun)
-    return Outcome(task.key, (), failed, time.perf_counter() - begun)
+    return Outcome(task.key, (), failed, time.perf_counter() - begun, heartbeat.steps)
 
 
 def run_of(options: RunOptions, net_digest: str) -> Run:
@@ -100,10 +106,11 @@ def _scenes(task: SceneTask) -> tuple[bytes, ...]:
     return tuple(scene_to_bytes(scene) for scene in made)
 
 
-def _episode(task: EpisodeTask) -> bytes:
-    run = run_of(task.options, task.net_digest)
+def _episode(task: EpisodeTask, heartbeat: Heartbeat, run: Run | None) -> bytes:
+    run = run or run_of(task.options, task.net_digest)
     scene: SeedScene = scene_from_bytes(task.scene, run.road.path)
-    record, timing = run.episode(task.number, scene).run()
+    episode = replace(run.episode(task.number, scene), heartbeat=heartbeat)
+    record, timing = episode.run(task.ended)
     return part_of(run, record, timing).to_bytes()
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import faulthandler
+import logging
+import math
 import os
 import signal
 import sys
@@ -14,11 +16,17 @@ from itertools import count
 from multiprocessing import parent_process
 from pathlib import Path
 
+import pyarrow as pa
+
+from advdiff_sumo.core.plug_in_source import crashed_at
+from advdiff_sumo.core.threads import one_thread_for_good
+from advdiff_sumo.sim.heartbeat import NOT_STARTED, Beat, Heartbeat, Phase
 from advdiff_sumo.sweep.tasks import Failed, Limits, Outcome, Task
 from advdiff_sumo.sweep.work import data_bytes, perform, rss_mb
 
 #: Exit code of a worker that makes room for a fresh one.
 RECYCLED = 75
+_FROM_OUTSIDE = {-9, -15}  # SIGKILL, as of the system where memory runs out, and SIGTERM
 _TIMED_OUT, _CRASHED, _MODULES = (
     "Timeout (",
     "Fatal Python error",
@@ -32,7 +40,12 @@ _TASKS = count()  # of this process
 def prepare_worker(limits: Limits) -> None:
     """Set a new worker up: Ctrl-C is the parent's business, memory is bounded, no parent means no worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):  # blocked since the server of workers was started
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     bound_memory(limits.memory_mb)
+    if limits.log_level < logging.WARNING:
+        logging.basicConfig(format="%(name)s: %(message)s")
+        logging.getLogger("advdiff_sumo").setLevel(limits.log_level)
     threading.Thread(target=_follow_parent, daemon=True).start()
 
 
@@ -55,22 +68,74 @@ def run_sandboxed(task: Task, limits: Limits) -> Outcome:
     used = next(_TASKS) > 0
     if used and limits.memory_mb and rss_mb() > limits.recycle_share * limits.memory_mb:
         os._exit(RECYCLED)
+    one_thread_for_good()
+    pa.set_cpu_count(1)
+    heartbeat = limits.heartbeat_of(task.key)
     with _watched(limits.log_of(task.key), limits.timeout_s) as tail:
-        outcome = perform(task)
+        outcome = replace(perform(task, Heartbeat(heartbeat)), said=tail())
         if outcome.failed is not None and not outcome.failed.log_tail:
-            outcome = replace(outcome, failed=replace(outcome.failed, log_tail=tail()))
+            outcome = replace(outcome, failed=replace(outcome.failed, log_tail=outcome.said))
+    with contextlib.suppress(OSError):
+        heartbeat.unlink()
     return outcome
 
 
-def lost(key: str, limits: Limits, how: str) -> Outcome:
-    """Return the outcome of a task whose worker died; *how* says of what."""
-    log = limits.log_of(key)
-    tail = tail_of(log)
-    with contextlib.suppress(OSError):
-        log.unlink()
-    if _TIMED_OUT in tail:
-        return Outcome(key, (), timed_out(limits, tail))
-    return Outcome(key, (), Failed("worker_died", f"the worker {how}", tail))
+def lost(task: Task, limits: Limits, exit_code: int | None, how: str, overdue: bool = False) -> Outcome:
+    """Return the outcome of a task whose worker died.
+
+    Args:
+        task: that it had.
+        limits: that it kept or did not keep.
+        exit_code: of its process, negative for a signal; None where it is not known.
+        how: the same as the end of a sentence; "" where it was ended at its time limit.
+        overdue: it was ended because a plan or a step of SUMO took too long.
+    """
+    log, heartbeat = limits.log_of(task.key), limits.heartbeat_of(task.key)
+    tail, beat = tail_of(log), Heartbeat.read(heartbeat)
+    for file in (log, heartbeat):
+        with contextlib.suppress(OSError):
+            file.unlink()
+    steps = NOT_STARTED if beat is None else beat.steps
+    if overdue and beat is not None:
+        failed = _overdue(task, limits, beat, tail)
+    elif _TIMED_OUT in tail or not how:
+        failed = timed_out(limits, tail)
+    elif beat is None or beat.phase is Phase.OTHER or exit_code is None or exit_code in _FROM_OUTSIDE:
+        failed = Failed("worker_died", f"the worker {how}", tail)
+    else:
+        failed = _crashed(task, beat, how, tail)
+    return Outcome(task.key, (), failed, steps=steps)
+
+
+def _crashed(task: Task, beat: Beat, how: str, tail: str) -> Failed:
+    """Return the failure of an episode in which the simulator or somebody's code ended the process."""
+    when = _when(task, beat)
+    if beat.phase is Phase.SIMULATOR:
+        return Failed("simulator_crashed", f"SUMO crashed {when}: the worker {how}", tail)
+    who = _who(task, beat.phase)
+    return Failed(
+        "planner_crashed", f"{who} ended its process {when}{crashed_at(tail)}: the worker {how}", tail
+    )
+
+
+def _overdue(task: Task, limits: Limits, beat: Beat, tail: str) -> Failed:
+    when = _when(task, beat)
+    if beat.phase is Phase.SIMULATOR:
+        return Failed("timeout", f"SUMO made no step in {limits.longest_s(beat.phase):g} s {when}", tail)
+    who = _who(task, beat.phase)
+    problem = f"{who} made no plan in {limits.plan_timeout_s:g} s {when}{crashed_at(tail)}"
+    return Failed("planner_timeout", problem, tail)
+
+
+def _who(task: Task, phase: Phase) -> str:
+    options = task.options
+    return f"target '{options.target}'" if phase is Phase.TARGET else f"background '{options.background}'"
+
+
+def _when(task: Task, beat: Beat) -> str:
+    if beat.steps < 0:
+        return "before the first step"
+    return f"at {beat.steps * task.options.sim.step_s:.1f} s of the episode"
 
 
 def timed_out(limits: Limits, tail: str = "") -> Failed:
@@ -110,7 +175,8 @@ def _watched(log: Path, timeout_s: float) -> Iterator[Callable[[], str]]:
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
         faulthandler.enable(file=file)
-        faulthandler.dump_traceback_later(timeout_s, exit=True, file=file)
+        if math.isfinite(timeout_s):
+            faulthandler.dump_traceback_later(timeout_s, exit=True, file=file)
         try:
             yield lambda: _flushed() or tail_of(log)
         finally:

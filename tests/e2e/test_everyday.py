@@ -79,7 +79,7 @@ def test_a_list_of_nothing(here: Callable[..., Outcome]) -> None:
 def test_logs_go_to_standard_error(workplace: Path) -> None:
     done = advdiff("-vv", *RUN, "--episodes", 1, "--out", "run", "--quiet", cwd=workplace)
     assert (done.code, done.out) == (0, "")
-    assert "advdiff_sumo.sim.run_episodes: episode 0 of" in done.err
+    assert "advdiff_sumo.sweep.scheduler: episode 000000: " in done.err
     assert "SUMO began: --net-file" in done.err
 
 

@@ -38,7 +38,7 @@ def waiting(grid: Path, tmp_path: Path) -> Iterator[tuple[Path, subprocess.Popen
     (folder / "hold").touch()
     process = begin(*RUN, cwd=folder, hash_seed=2)
     until = time.monotonic() + 120.0
-    while len(list((folder / "run" / "parts").glob("*.done"))) < 2:
+    while len(list((folder / "run" / "parts").glob("episodes/00/??????"))) < 2:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < until
         time.sleep(0.02)

@@ -24,7 +24,7 @@ def test_a_failing_planner(
 ) -> None:
     target = f"our_planners:{name}"
     done = here("run", "--net", "grid.net.xml", "--target", target, "--episodes", 2, *TINY, "--out", "run")
-    assert done.code == 0, done.err
+    assert done.code == 1, done.err
     assert "Traceback" not in done.out + done.err
     assert "2 of 2" in next(line for line in done.out.splitlines() if "failed episodes" in line)
     rows = pq.read_table(workplace / "run" / "episodes.parquet").to_pylist()
@@ -50,7 +50,7 @@ def test_more_episodes_are_added_to_a_finished_run(here: Callable[..., Outcome],
 
 def test_without_out_the_folder_is_named_after_the_run(here: Callable[..., Outcome], workplace: Path) -> None:
     words = ("run", "--net", "grid.net.xml", "--target", "our_planners:Raises", "--episodes", 1, *TINY)
-    assert here(*words).code == 0
-    assert here(*words).code == 0
+    assert here(*words).code == 1
+    assert here(*words).code == 1
     names = sorted(path.name for path in (workplace / "runs").iterdir())
     assert names == ["grid-our_planners-Raises-sumo-s0", "grid-our_planners-Raises-sumo-s0-2"]

@@ -13,7 +13,9 @@ from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.columns import LATER_COLUMNS
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.sim.episode import Timing
-from advdiff_sumo.sim.run_store import RunFolder
+from advdiff_sumo.sim.run_store import episode_tables
+from advdiff_sumo.sweep.episode_result import Part
+from advdiff_sumo.sweep.run_folder import RunFolder
 from tests.e2e.commands import Outcome
 from tests.metrics.encounters import braking, crossing, driven, record_of, signals_of, straight
 
@@ -33,7 +35,8 @@ def collided(tmp_path: Path) -> Path:
     for number, crew in enumerate(((ego, lead), cars)):
         record = record_of(*crew, signals=lights, episode_number=number)
         assert target_collision(record, collisions(record)) is not None
-        folder.add(record, episode_row(record, road), collision_rows(record, road), Timing(1.0, (), ()))
+        rows = episode_row(record, road), collision_rows(record, road)
+        folder.add(number, Part(episode_tables(record, *rows, Timing(1.0, (), ())), None))
     folder.consolidate(finished=True)
     return folder.path
 

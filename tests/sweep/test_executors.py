@@ -69,4 +69,4 @@ def test_an_episode_is_repeated_exactly(plan: Plan, one_by_one: Store) -> None:
     job = plan.jobs[-1]
     store, found, same_job = sweep_with(job.key[:9], None, one_by_one.path.parent)
     assert same_job == job
-    assert repeat(store, found, job).same is True
+    assert repeat(store, found, job, store.read(job.key)).same is True

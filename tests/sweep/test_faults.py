@@ -28,8 +28,8 @@ KINDS = {
     "nan": "plan_refused",
     "hangs": "timeout",
     "eats": "out_of_memory",
-    "segfaults": "worker_died",
-    "exits": "error",
+    "segfaults": "planner_crashed",
+    "exits": "planner_error",
 }
 LEAST_TIMEOUT_S, TIMES_THE_SLOWEST = 12.0, 20.0
 

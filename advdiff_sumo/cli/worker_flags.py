@@ -1,0 +1,36 @@
+"""What a worker may take, as options of the commands that run episodes in one."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+import typer
+
+if TYPE_CHECKING:
+    from advdiff_sumo.sweep.tasks import Limits
+
+PlanTimeout: TypeAlias = Annotated[
+    float,
+    typer.Option(
+        "--plan-timeout", min=0.1, help="Longest time for one plan of target or background, in seconds."
+    ),
+]
+Memory: TypeAlias = Annotated[
+    int, typer.Option(min=0, help="Most memory of a worker, in MB; 0 for no limit.")
+]
+PLAN_TIMEOUT_S, MEMORY_MB = 300.0, 4000
+
+
+def limits_of(stack: ExitStack, timeout_s: float, plan_timeout_s: float, memory_mb: int) -> Limits:
+    """Return limits with a folder for logs, which goes when *stack* is left."""
+    from advdiff_sumo.sweep.tasks import Limits  # late: --help needs no simulator
+
+    logs = Path(tempfile.mkdtemp(prefix="advdiff-logs-"))
+    stack.callback(shutil.rmtree, logs, ignore_errors=True)
+    level = logging.getLogger("advdiff_sumo").getEffectiveLevel()
+    return Limits(timeout_s, memory_mb, 250, 0.5, logs, plan_timeout_s, level)

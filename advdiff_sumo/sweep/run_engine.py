@@ -1,0 +1,63 @@
+"""A run is a sweep of one cell: the same tasks, workers and records, into a folder of its own form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.sim.run_episodes import Run
+from advdiff_sumo.sweep.executors import Executor
+from advdiff_sumo.sweep.job_plan import plan_run, run_inputs
+from advdiff_sumo.sweep.run_folder import RunFolder
+from advdiff_sumo.sweep.scheduler import Conductor, Tell
+
+
+def run_settings(run: Run) -> dict[str, Any]:
+    """Return what ``run.toml`` holds: all that is needed to repeat the run, and a digest of its files."""
+    settings = run.settings
+    return {**settings, "run": {**settings["run"], "inputs": run_inputs(run)}}
+
+
+def run_into(
+    run: Run,
+    folder: RunFolder,
+    executor: Executor,
+    tell: Tell,
+    hear: Callable[[str], None] = lambda _: None,
+    retries: int = 1,
+) -> int:
+    """Run the episodes that *folder* lacks and put its tables together, also after an interrupt.
+
+    Args:
+        run: the run.
+        folder: where the results go.
+        executor: who does it.
+        tell: called with each finished episode: its row, and why it failed.
+        hear: called with what planners and policies printed.
+        retries: how often an episode whose worker died is tried again.
+
+    Returns:
+        Number of episodes in the folder.
+
+    Raises:
+        InputError: no seed scene can be made, or a file cannot be written; what had finished is kept.
+    """
+    plan = plan_run(run)
+    done = set(folder.done())
+    finished = False
+    try:
+        with executor:
+            conductor = Conductor(plan, folder.store, executor, retries, tell, hear, refuses=True)
+            conductor.run(job for job in plan.jobs if job.number not in done)
+        finished = True
+    finally:
+        folder.store.drop_ballast()
+        numbers = folder.done()
+        if numbers:
+            folder.consolidate(finished)
+        else:
+            folder.discard()
+    if not numbers:
+        raise SceneError(f"{run.road.path}: no seed scene was found")
+    return len(numbers)

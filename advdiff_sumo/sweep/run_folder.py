@@ -1,0 +1,239 @@
+"""The folder of a run: finished episodes are on disk at once, its tables are put together at the end."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import tomli_w
+
+from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.sim.run_store import LATER_TABLES, TABLES, schema_of, table_of
+from advdiff_sumo.sweep.episode_result import Part
+from advdiff_sumo.sweep.job_plan import run_key
+from advdiff_sumo.sweep.sweep_columns import RUN_FAILURE_COLUMNS
+from advdiff_sumo.sweep.sweep_files import ASIDE, write_whole
+from advdiff_sumo.sweep.sweep_store import Store
+from advdiff_sumo.sweep.table_writer import TableWriter
+from advdiff_sumo.sweep.tasks import Failed
+
+SETTINGS = "run.toml"
+FAILURES = "failures.parquet"
+_PARTS = "parts"
+_BALLAST_BYTES = 8 << 20
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A run's folder.
+
+    Attributes:
+        path: the folder.
+        made: folders that this run made, innermost first.
+        fresh: there was no run in it before.
+    """
+
+    path: Path
+    made: tuple[Path, ...] = ()
+    fresh: bool = False
+
+    @staticmethod
+    def create(path: Path, settings: Mapping[str, Any], resume: bool) -> RunFolder:
+        """Make the folder and write ``run.toml``.
+
+        Args:
+            path: a new or empty folder; with *resume*, one that an interrupted run left.
+            settings: what ``run.toml`` holds.
+            resume: go on with that run.
+
+        Raises:
+            FileError: the folder cannot be written, or holds something else.
+            ConfigError: it is of a run with other options.
+        """
+        begun = (path / SETTINGS).exists()
+        made = tuple(folder for folder in (path, *path.parents) if not folder.exists())
+        folder = RunFolder(path, made, fresh=not begun)
+        if begun:
+            folder._must_continue(settings, resume)
+        elif path.is_dir() and any(child.name != _PARTS for child in path.iterdir()):
+            raise FileError(path, "is a folder that holds other files", "choose a new --out")
+        try:
+            folder._take_apart()
+            folder.store.prepare(_BALLAST_BYTES)
+            write_whole(path / SETTINGS, tomli_w.dumps(settings).encode())
+        except (FileError, OSError) as error:
+            folder.discard()
+            reason = error.strerror if isinstance(error, OSError) else _reason(error)
+            raise FileError(path, f"cannot be written ({reason})", "choose another --out") from None
+        return folder
+
+    @property
+    def store(self) -> Store:
+        """Where its episodes are while it is going on; they are called by :func:`run_key`."""
+        return Store(self.path / _PARTS)
+
+    def discard(self) -> None:
+        """Take a new folder away again, for a run of which no episode finished; what was there before stays."""
+        if not self.fresh or self.done():
+            return
+        shutil.rmtree(self.path / _PARTS, ignore_errors=True)
+        for file in (self.path / SETTINGS, *self.path.glob(f"{SETTINGS}*{ASIDE}")):
+            with contextlib.suppress(OSError):
+                file.unlink()
+        for folder in self.made:
+            with contextlib.suppress(OSError):  # somebody else put something there
+                folder.rmdir()
+
+    def _must_continue(self, settings: Mapping[str, Any], resume: bool) -> None:
+        if not resume:
+            raise FileError(
+                self.path, "already holds a run", "choose a new --out, or add --resume to go on with it"
+            )
+        begun = read_settings(self.path)
+        old, new = begun.get("options", {}), settings["options"]
+        for key in sorted({*old, *new} - {"episodes", "out"}):
+            if old.get(key) != new.get(key):
+                raise ConfigError(
+                    f"{self.path}: that run had {key} = {old.get(key)!r}, not {new.get(key)!r}; "
+                    "leave that option out, or choose a new --out"
+                )
+        had = max(self.done() or self._in_tables(), default=-1) + 1
+        if had > new["episodes"]:
+            raise ConfigError(
+                f"{self.path}: that run has {had} episodes; ask for as many, or choose a new --out"
+            )
+        inputs = settings.get("run", {}).get("inputs")
+        if begun.get("run", {}).get("inputs", inputs) != inputs:
+            raise ConfigError(
+                f"{self.path}: a net, demand or log is not what it was when that run was begun; "
+                "put the old one back, or choose a new --out"
+            )
+
+    # --- episodes ----------------------------------------------------------------------------------------
+
+    def done(self) -> list[int]:
+        """Return the numbers of the episodes that are on disk."""
+        return [int(key) for key in self.store.finished()]
+
+    def add(self, number: int, part: Part) -> None:
+        """Write one finished episode; it counts only once all of it is on disk."""
+        self.store.write(run_key(number), part.to_bytes())
+
+    def part(self, number: int) -> Part | None:
+        """Return what is kept of an episode, while the run is going on and after; None where it has none."""
+        stored = self.store.read(run_key(number))
+        if stored is not None or number not in self._in_tables():
+            return stored
+        return self._from_tables((number,))[number]
+
+    def consolidate(self, finished: bool) -> int:
+        """Put the finished episodes together in one file a table.
+
+        Args:
+            finished: nothing is missing: the parts are removed.
+
+        Returns:
+            Number of episodes that have rows in the tables.
+        """
+        rows = 0
+        failures: list[dict[str, Any]] = []
+        with contextlib.ExitStack() as stack:
+            writers = {name: stack.enter_context(self._writer(name)) for name in TABLES}
+            for number in self.done():
+                part = self.store.read(run_key(number))
+                if part is None:
+                    continue
+                rows += bool(part.tables)
+                for name, table in part.tables.items():
+                    writers[name].add(table.select([*TABLES[name]]))
+                if part.failed is not None:
+                    failures.append(self._failure_row(number, part.failed))
+        self._write_failures(failures)
+        if finished:
+            shutil.rmtree(self.path / _PARTS)
+        return rows
+
+    def failures(self) -> list[dict[str, Any]]:
+        """Return the rows of ``failures.parquet``; none where no episode failed."""
+        path = self.path / FAILURES
+        return pq.read_table(path).to_pylist() if path.exists() else []
+
+    def _writer(self, name: str) -> TableWriter:
+        return TableWriter(self.path / f"{name}.parquet", schema_of(TABLES[name]), rows_together=0)
+
+    def _failure_row(self, number: int, failed: Failed) -> dict[str, Any]:
+        command = f"advdiff-sumo replay {number} --run {self.path}"
+        return {"episode": number, **vars(failed), "command": command}
+
+    def _write_failures(self, rows: list[dict[str, Any]]) -> None:
+        path = self.path / FAILURES
+        if not rows:
+            path.unlink(missing_ok=True)
+            return
+        with TableWriter(path, schema_of(RUN_FAILURE_COLUMNS), rows_together=0) as writer:
+            writer.add(table_of(rows, RUN_FAILURE_COLUMNS))
+
+    # --- a finished run goes on --------------------------------------------------------------------------
+
+    def _in_tables(self) -> list[int]:
+        """Return the numbers of the episodes of a finished run."""
+        if not all((self.path / f"{table}.parquet").exists() for table in TABLES.keys() - LATER_TABLES):
+            return []
+        numbers = pq.read_table(self.path / "episodes.parquet", columns=["episode"])["episode"]
+        return [number for number in numbers.to_pylist() if number is not None]
+
+    def _take_apart(self) -> None:
+        """Make parts of a finished run's tables again, so that none of its episodes is run or lost."""
+        numbers = self._in_tables()
+        if (self.path / _PARTS).exists() or not numbers:
+            return
+        aside = RunFolder(self.path / f"{_PARTS}{ASIDE}")
+        shutil.rmtree(aside.path, ignore_errors=True)
+        aside.store.prepare(0)
+        for number, part in self._from_tables(numbers).items():
+            aside.add(number, part)
+        (aside.path / _PARTS).replace(self.path / _PARTS)
+        shutil.rmtree(aside.path)
+
+    def _from_tables(self, numbers: Sequence[int]) -> dict[int, Part]:
+        whole = {name: _table_of(self.path / f"{name}.parquet", schema_of(TABLES[name])) for name in TABLES}
+        names = Failed.__dataclass_fields__
+        failed = {row["episode"]: Failed(**{name: row[name] for name in names}) for row in self.failures()}
+        return {number: Part(_rows_of(whole, number), failed.get(number)) for number in numbers}
+
+
+def _table_of(path: Path, schema: pa.Schema) -> pa.Table:
+    """Return a table; what an earlier version did not write is empty."""
+    return pq.read_table(path, schema=schema) if path.exists() else schema.empty_table()
+
+
+def _rows_of(tables: Mapping[str, pa.Table], number: int) -> dict[str, pa.Table]:
+    chosen = pc.field("episode") == number
+    return {name: table.filter(chosen).combine_chunks() for name, table in tables.items()}
+
+
+def read_settings(folder: Path) -> dict[str, Any]:
+    """Return the content of ``run.toml``.
+
+    Raises:
+        FileError: it is missing or damaged.
+    """
+    path = folder / SETTINGS
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError:
+        raise FileError(folder, "holds no run", "give the folder that advdiff-sumo run wrote") from None
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(path, f"is damaged ({error})", "choose a new --out") from None
+
+
+def _reason(error: FileError) -> str:
+    return str(error).partition("(")[2].rpartition(")")[0] or str(error)

@@ -1,0 +1,218 @@
+"""A run goes on whatever a planner or a policy does, and says what it was, where, and how to repeat it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.sweep.run_folder import RunFolder
+from tests.e2e.commands import TINY, advdiff
+
+PLUG_INS = '''
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from advdiff_sumo.core.plan import Controls
+from advdiff_sumo.traffic.natural import SumoTraffic
+
+
+def well():
+    return Controls(np.zeros(10), np.zeros(10), 0.1)
+
+
+def crash():
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def leave():
+    os._exit(7)
+
+
+def exit_():
+    sys.exit(3)
+
+
+def interrupt():
+    raise KeyboardInterrupt
+
+
+def lists():
+    return Controls([0.0] * 10, [0.0] * 10, 0.1)
+
+
+def uneven():
+    return Controls(np.zeros(10), np.zeros(7), 0.1)
+
+
+def hang():
+    print("thinking", flush=True)
+    while True:
+        try:
+            time.sleep(0.01)
+        except Exception:
+            pass
+
+
+def eat():
+    hold = []
+    while True:
+        hold.append(np.ones(8_000_000))
+
+
+class Ill:
+    """What it does in its third plan stands in a file, by the first number that the episode's generator draws."""
+
+    def start(self, road, scene, rng):
+        return json.loads(Path("deeds.json").read_text())[repr(float(rng.random()))], 0
+
+    def plan(self, road, scene, memory, rng):
+        deed, plans = memory
+        return globals()[deed if plans == 2 else "well"](), (deed, plans + 1)
+
+
+class IllTraffic(SumoTraffic):
+    def plan(self, road, scene, memory, rng):
+        if scene.time_s >= 1.0:
+            crash()
+        return super().plan(road, scene, memory, rng)
+
+
+class IllFromTheStart:
+    def start(self, road, scene, rng):
+        crash()
+
+    def plan(self, road, scene, memory, rng):
+        return well(), None
+'''
+
+
+def at(code: str, function: str) -> str:
+    """Return how a message names the line of ``PLUG_INS`` that has *code*."""
+    line = next(k for k, text in enumerate(PLUG_INS.splitlines(), 1) if code in text)
+    return f"(ill.py, line {line}, {function})"
+
+
+PLAN, CRASH = at("def plan(", "plan"), at("os.kill", "crash")
+KINDS = {
+    "crash": (
+        "planner_crashed",
+        f"ended its process at 1.0 s of the episode {CRASH}: the worker was ended by SIGSEGV",
+    ),
+    "well": (None, ""),
+    "leave": ("planner_crashed", "the worker ended with exit code 7"),
+    "exit_": ("planner_error", f"target 'ill:Ill' raised SystemExit: 3 {at('sys.exit', 'exit_')}"),
+    "interrupt": ("planner_error", f"raised KeyboardInterrupt {at('raise Key', 'interrupt')}"),
+    "lists": ("plan_refused", f"accel_mps2 is of type list, not a NumPy array {PLAN}"),
+    "uneven": ("plan_refused", f"accel_mps2 (10,), steer_rad (7,) {PLAN}"),
+    "hang": ("planner_timeout", f"made no plan in 20 s at 1.0 s of the episode {at('time.sleep', 'hang')}"),
+    "eat": ("out_of_memory", f"ran out of memory {at('hold.append', 'eat')}"),
+}
+RUN = ("run", "--net", "grid.net.xml", *TINY)
+
+
+@pytest.fixture
+def place(grid: Path, tmp_path: Path) -> Path:
+    """A folder with a net and plug-ins that do all that they should not."""
+    (tmp_path / "grid.net.xml").write_bytes(grid.read_bytes())
+    (tmp_path / "ill.py").write_text(PLUG_INS)
+    return tmp_path
+
+
+def deeds_by_draw(seed: int) -> dict[str, str]:
+    """Return what the planner does in each episode, by the first number of the episode's generator."""
+    root = SeedTree(seed)
+    draws = (root.child("episode", k).child("target").generator().random() for k in range(len(KINDS)))
+    return {repr(float(draw)): deed for draw, deed in zip(draws, KINDS, strict=True)}
+
+
+def rows_of(folder: Path, table: str = "episodes") -> list[dict[str, Any]]:
+    return pq.read_table(folder / f"{table}.parquet").to_pylist()
+
+
+def test_every_deed_costs_its_own_episode_only(place: Path) -> None:
+    (place / "deeds.json").write_text(json.dumps(deeds_by_draw(0)))
+    words = (*RUN, "--target", "ill:Ill", "--background", "replay", "--episodes", len(KINDS))
+    done = advdiff(*words, "--plan-timeout", 20, "--memory", 800, "--out", "run", cwd=place)
+    assert done.code == 0, done.err
+    assert done.err == ""
+    assert "Traceback" not in done.out
+    rows = rows_of(place / "run")
+    assert [row["failure_kind"] for row in rows] == [kind for kind, _ in KINDS.values()]
+    for row, (_, message) in zip(rows, KINDS.values(), strict=True):
+        assert message in (row["failure_message"] or "")
+        assert row["end"] == "failed" or row["failure_kind"] is None
+    states = pq.read_table(place / "run" / "states.parquet")
+    for row in rows:
+        target = states.filter((pc.field("episode") == row["episode"]) & pc.field("is_target"))
+        steps = sorted(target["step"].to_pylist())
+        assert steps == list(range(len(steps)))
+        assert len(steps) == 11 if row["end"] == "failed" else len(steps) > 11  # all up to the third plan
+    failures = {row["episode"]: row for row in RunFolder(place / "run").failures()}
+    assert sorted(failures) == [row["episode"] for row in rows if row["end"] == "failed"]
+    crashed, hung = failures[0], failures[7]
+    assert crashed["attempts"] == 2
+    assert "Fatal Python error: Segmentation fault" in crashed["log_tail"]
+    assert "thinking" in hung["log_tail"]
+    for number, row in failures.items():
+        assert row["command"] == f"advdiff-sumo replay {number} --run run"
+        assert row["command"] in done.out
+        assert done.out.count(f"failed, 1 of {len(KINDS)}: {row['kind']}: ") >= 1
+
+    (place / "deeds.json").write_text(json.dumps(dict.fromkeys(deeds_by_draw(0), "well")))
+    again = advdiff(*words, "--out", "well", cwd=place)
+    assert again.code == 0, again.err
+    well = rows_of(place / "well")
+    assert well[1] == rows[1]
+    whole = pq.read_table(place / "well" / "states.parquet")
+    for number in failures:  # what happened before the deed is what happens without it
+        told = states.filter(pc.field("episode") == number).to_pylist()
+        agents = {row["agent"] for row in told}  # the record keeps whoever comes near the target at any time
+        until = whole.filter((pc.field("episode") == number) & (pc.field("step") <= 10)).to_pylist()
+        assert told == [row for row in until if row["agent"] in agents]
+
+
+def test_a_policy_that_crashes_and_where_every_episode_fails(place: Path) -> None:
+    done = advdiff(*RUN, "--background", "ill:IllTraffic", "--episodes", 2, "--out", "run", cwd=place)
+    assert done.code == 1, done.err
+    assert [row["failure_kind"] for row in rows_of(place / "run")] == ["planner_crashed"] * 2
+    assert (
+        done.out.count("failed, 2 of 2: planner_crashed: background 'ill:IllTraffic' ended its process") == 1
+    )
+    assert "Traceback" not in done.out + done.err
+    assert {row["step"] for row in rows_of(place / "run", "states")} == set(range(11))
+
+
+def test_a_planner_that_crashes_before_the_first_step(place: Path) -> None:
+    done = advdiff(*RUN, "--target", "ill:IllFromTheStart", "--episodes", 1, "--out", "run", cwd=place)
+    assert done.code == 1, done.err
+    (row,) = rows_of(place / "run")
+    assert (row["end"], row["failure_kind"], row["duration_s"]) == ("failed", "planner_crashed", 0.0)
+    assert f"before the first step {CRASH}" in row["failure_message"]
+    assert {state["step"] for state in rows_of(place / "run", "states")} == {0}
+
+
+def test_one_episode_of_a_run_again(place: Path) -> None:
+    words = (*RUN, "--target", "lane_graph", "--episodes", 3, "--seed", 4)
+    assert advdiff(*words, "--out", "run", cwd=place).code == 0
+    done = advdiff("replay", 2, "--run", "run", "--out", "again", cwd=place)
+    assert done.code == 0, done.err
+    assert "the same as in the run" in done.out
+    assert (place / "again" / "report.html").exists()
+    assert rows_of(place / "again") == rows_of(place / "run")[2:]
+    refused = advdiff("replay", 3, "--run", "run", cwd=place)
+    assert refused.code == 2
+    assert "'3' is no episode of run; give a number from 0 to 2" in refused.err
+    assert "run holds no" not in refused.err
+    assert "holds no run" in advdiff("replay", 3, "--run", "nowhere", cwd=place).err

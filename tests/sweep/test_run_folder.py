@@ -1,0 +1,200 @@
+"""The run folder: what is refused, what is taken away again, and tables that come out the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
+from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
+from advdiff_sumo.sim.episode import Timing
+from advdiff_sumo.sim.run_store import TABLES, episode_tables
+from advdiff_sumo.sweep.episode_result import Part
+from advdiff_sumo.sweep.run_folder import FAILURES, RunFolder
+from advdiff_sumo.sweep.tasks import Failed
+
+BLANK = {"str": "word", "int64": 0, "float64": 0.5, "bool": False}
+TIMING = Timing(wall_s=0.1, target_plans_s=(0.01, 0.03))
+
+
+def settings(**options: Any) -> dict[str, Any]:
+    return {"run": {"advdiff_sumo": "0"}, "options": {"net": "a", "seed": 0, "episodes": 3, **options}}
+
+
+def record(number: int) -> EpisodeRecord:
+    """The target is there for three instants, a bus for the last two."""
+    valid = np.array([[True, True, True], [False, True, True]])
+    x = np.array([[0.0, 1.0, 2.0], [np.nan, 8.0, 8.0]])
+    tracks = Tracks(
+        ids=("ego", "bus7"),
+        classes=np.array([AgentClass.CAR, AgentClass.BUS]),
+        size_m=np.array([[4.5, 1.8], [12.0, 2.5]]),
+        xy_m=np.stack((x, 3.0 + 0.0 * x), axis=-1),
+        yaw_rad=0.0 * x,
+        speed_mps=10.0 + 0.0 * x,
+        valid=valid,
+        t0_s=0.0,
+        dt_s=0.1,
+    )
+    moved = np.where(valid, [[Controller.PLANNER], [Controller.POLICY]], Controller.ABSENT)
+    return EpisodeRecord(number, 5, f"scene{number}", tracks, 0, moved, ("e",), EndReason.HORIZON)
+
+
+def rows(number: int) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    episode = {name: BLANK[column.dtype] for name, column in EPISODE_COLUMNS.items()}
+    contact = {name: BLANK[column.dtype] for name, column in COLLISION_COLUMNS.items()}
+    return episode | {"episode": number}, [contact | {"episode": number}] * number
+
+
+def fill(folder: RunFolder, *numbers: int) -> RunFolder:
+    for number in numbers:
+        folder.add(number, Part(episode_tables(record(number), *rows(number), TIMING), None))
+    return folder
+
+
+def content(folder: Path) -> Mapping[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.*"))}
+
+
+def test_finished_episodes_become_tables(tmp_path: Path) -> None:
+    folder = fill(RunFolder.create(tmp_path / "run", settings(), resume=False), 0, 1, 2)
+    folder.consolidate(finished=True)
+    read = {name: pq.read_table(tmp_path / "run" / f"{name}.parquet") for name in TABLES}
+    assert {name: table.column_names for name, table in read.items()} == {
+        name: list(columns) for name, columns in TABLES.items()
+    }
+    assert read["episodes"]["episode"].to_pylist() == [0, 1, 2]
+    assert read["collisions"]["episode"].to_pylist() == [1, 2, 2]
+    assert read["states"].num_rows == 15
+    assert set(content(tmp_path / "run")) == {"run.toml", *(f"{name}.parquet" for name in TABLES)}
+
+
+def test_the_order_in_which_episodes_finish_does_not_matter(tmp_path: Path) -> None:
+    for name, order in (("a", (0, 1, 2)), ("b", (2, 0, 1))):
+        fill(RunFolder.create(tmp_path / name, settings(), resume=False), *order).consolidate(finished=True)
+    assert content(tmp_path / "a") == content(tmp_path / "b")
+
+
+def test_an_episode_counts_once_all_of_it_is_there(tmp_path: Path) -> None:
+    folder = fill(RunFolder.create(tmp_path / "run", settings(), resume=False), 0, 1)
+    stored = folder.path / "parts" / "episodes" / "00" / "000001"
+    stored.write_bytes(stored.read_bytes()[:-9])  # as if the disk had lost its end
+    assert folder.done() == [0]
+    folder.consolidate(finished=False)
+    assert pq.read_table(folder.path / "states.parquet")["episode"].unique().to_pylist() == [0]
+    again = fill(RunFolder.create(tmp_path / "run", settings(), resume=True), 1)
+    assert again.done() == [0, 1]
+
+
+@pytest.mark.parametrize("finished", [False, True])
+def test_resumed_gives_the_bytes_of_undisturbed(tmp_path: Path, *, finished: bool) -> None:
+    fill(RunFolder.create(tmp_path / "a", settings(), resume=False), 0, 1, 2).consolidate(finished=True)
+    begun = RunFolder.create(tmp_path / "b", settings(episodes=2), resume=False)
+    fill(begun, 0, 1).consolidate(finished=finished)
+    resumed = RunFolder.create(tmp_path / "b", settings(), resume=True)
+    assert resumed.done() == [0, 1]
+    fill(resumed, 2).consolidate(finished=True)
+    assert content(tmp_path / "a") == content(tmp_path / "b")
+
+
+def test_what_cannot_be_resumed(tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    fill(RunFolder.create(path, settings(), resume=False), 0, 1, 2).consolidate(finished=True)
+    before = content(path)
+    with pytest.raises(FileError, match=r"run: already holds a run; choose a new --out, or add --resume"):
+        RunFolder.create(path, settings(), resume=False)
+    with pytest.raises(ConfigError, match="that run had seed = 0, not 1; leave that option out"):
+        RunFolder.create(path, settings(seed=1), resume=True)
+    with pytest.raises(ConfigError, match="that run has 3 episodes; ask for as many"):
+        RunFolder.create(path, settings(episodes=2), resume=True)
+    assert content(path) == before
+    assert not (path / "parts").exists()
+    (path / "run.toml").write_text("[options\n")
+    with pytest.raises(FileError, match=r"run\.toml: is damaged .*line 1.*choose a new --out"):
+        RunFolder.create(path, settings(), resume=True)
+
+
+def test_other_files_are_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("mine")
+    for resume in (False, True):
+        with pytest.raises(FileError, match="holds other files; choose a new --out"):
+            RunFolder.create(tmp_path, settings(), resume=resume)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_path_that_cannot_be(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    for path in (tmp_path / "file", tmp_path / "file" / "below" / "it"):
+        with pytest.raises(FileError, match=r"cannot be written .*; choose another --out"):
+            RunFolder.create(path, settings(), resume=False)
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_discard_takes_away_what_was_made_and_no_more(tmp_path: Path) -> None:
+    RunFolder.create(tmp_path / "new" / "deep" / "run", settings(), resume=False).discard()
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "empty").mkdir()
+    RunFolder.create(tmp_path / "empty", settings(), resume=False).discard()
+    assert list((tmp_path / "empty").iterdir()) == []
+    shared = RunFolder.create(tmp_path / "runs" / "mine", settings(), resume=False)
+    (tmp_path / "runs" / "theirs").mkdir()
+    shared.discard()
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["theirs"]
+
+
+def test_discard_never_touches_episodes_or_an_older_run(tmp_path: Path) -> None:
+    fill(RunFolder.create(tmp_path / "run", settings(), resume=False), 0).discard()
+    assert RunFolder(tmp_path / "run").done() == [0]
+    RunFolder.create(tmp_path / "older", settings(), resume=False)
+    RunFolder.create(tmp_path / "older", settings(), resume=True).discard()
+    assert (tmp_path / "older" / "run.toml").exists()
+
+
+def test_failures_are_kept_with_the_command_that_repeats_them(tmp_path: Path) -> None:
+    folder = fill(RunFolder.create(tmp_path / "run", settings(), resume=False), 0)
+    failed = Failed("simulator_crashed", "SUMO crashed at 1.0 s of the episode", "Fatal Python error", 2)
+    folder.add(1, Part(episode_tables(record(1), *rows(1), TIMING), failed))
+    folder.add(2, Part({}, Failed("worker_died", "the worker was ended by SIGKILL")))
+    assert folder.consolidate(finished=True) == 2
+    assert pq.read_table(folder.path / "episodes.parquet")["episode"].to_pylist() == [0, 1]
+    crashed, died = folder.failures()
+    assert crashed == {
+        "episode": 1,
+        "kind": "simulator_crashed",
+        "message": "SUMO crashed at 1.0 s of the episode",
+        "log_tail": "Fatal Python error",
+        "attempts": 2,
+        "command": f"advdiff-sumo replay 1 --run {folder.path}",
+    }
+    assert (died["episode"], died["kind"]) == (2, "worker_died")
+    again = RunFolder.create(folder.path, settings(), resume=True)
+    assert again.done() == [0, 1]  # the one without rows is run again
+    kept = again.part(1)
+    assert kept is not None
+    assert kept.failed == failed
+    again.consolidate(finished=True)
+    assert [row["episode"] for row in again.failures()] == [1]
+
+
+def test_no_file_of_failures_where_nothing_failed(tmp_path: Path) -> None:
+    folder = fill(RunFolder.create(tmp_path / "run", settings(), resume=False), 0)
+    (folder.path / FAILURES).write_bytes(b"of before")
+    folder.consolidate(finished=True)
+    assert not (folder.path / FAILURES).exists()
+    assert folder.failures() == []
+
+
+def test_a_net_that_has_changed_is_noticed(tmp_path: Path) -> None:
+    asked = settings()
+    begun = {**asked, "run": {"inputs": "a1"}}
+    fill(RunFolder.create(tmp_path / "run", begun, resume=False), 0).consolidate(finished=False)
+    RunFolder.create(tmp_path / "run", begun, resume=True)
+    with pytest.raises(ConfigError, match="a net, demand or log is not what it was"):
+        RunFolder.create(tmp_path / "run", {**asked, "run": {"inputs": "b2"}}, resume=True)

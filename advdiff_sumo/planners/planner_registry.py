@@ -19,12 +19,19 @@ TARGETS = Registry(
     builtins={
         **dict.fromkeys(CAR_FOLLOWING, "advdiff_sumo.planners.sumo_models:sumo_driver"),
         "lane_graph": "advdiff_sumo.planners.lane_graph:LaneGraphPlanner",
+        "careful": "advdiff_sumo.planners.reference:CarefulPlanner",
+        "reg157": "advdiff_sumo.planners.reference:Reg157Planner",
+        "rss": "advdiff_sumo.planners.reference:RssPlanner",
+        "fsm": "advdiff_sumo.planners.reference:FsmPlanner",
         "simnet": "advdiff_sumo.planners.learned:SimNetPlanner",
         "trafficsim": "advdiff_sumo.planners.learned:TrafficSimPlanner",
         "diffusion": "advdiff_sumo.planners.learned:DiffusionPlanner",
     },
 )
-"""SUMO's models, ``lane_graph``, the learned targets, and plug-ins of the group ``advdiff_sumo.planners``."""
+"""SUMO's models, ``lane_graph``, the reference drivers, the learned targets, and plug-ins.
+
+The group of plug-ins is ``advdiff_sumo.planners``.
+"""
 
 
 def make_target(name: str, options: Mapping[str, Any]) -> Target:

@@ -8,8 +8,8 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.metrics.reference.driver_models import TIE_M, Situation
-from advdiff_sumo.metrics.reference.others_paths import LOOK_STEP_S, Expected, look_times
+from advdiff_sumo.metrics.reference.driver_models import CRITICAL_TTC_S, HUMAN, TIE_M, DriverModel, Situation
+from advdiff_sumo.metrics.reference.others_paths import LOOK_STEP_S, PERCEPTION_S, Expected, look_times
 from advdiff_sumo.metrics.reference.own_way import OwnWay
 
 #: Time that must lie between the ego and somebody with the right of way at a conflict area.
@@ -69,8 +69,7 @@ def corridor_of(way: OwnWay, tracks: Tracks, rows: IntArray, future: Expected, w
         width_m: width of the ego.
     """
     half = 0.5 * tracks.size_m[rows]
-    along, across = way.line.project(future.xy_m, extrapolate=True)
-    turn = future.yaw_rad - way.line.at(along)[1]
+    along, across, turn = _in_frame(way, future)
     cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
     extent = half[:, None, 0] * cos + half[:, None, 1] * sin
     breadth = half[:, None, 0] * sin + half[:, None, 1] * cos
@@ -81,6 +80,24 @@ def corridor_of(way: OwnWay, tracks: Tracks, rows: IntArray, future: Expected, w
     rate[-1:] = rate[-2:-1]
     speed = tracks.speed_mps[rows].T * np.cos(turn[:, :, 0])
     return Corridor(rows, along, extent, clear, speed, -rate, tracks.size_m[rows, 0])
+
+
+def _in_frame(way: OwnWay, future: Expected) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return places along and across *way* and headings against it, (K, N, H) each.
+
+    Every other instant ahead is projected, those between lie halfway.
+    """
+    along, across = way.line.project(future.xy_m[:, :, ::2], extrapolate=True)
+    turn = future.yaw_rad[:, :, ::2] - way.line.at(along)[1]
+    return _halved(along), _halved(across), _halved(np.unwrap(turn, axis=-1))
+
+
+def _halved(values: FloatArray) -> FloatArray:
+    """Return *values* (…, M) with the means of neighbours between them, (…, 2 M − 1)."""
+    out = np.empty((*values.shape[:-1], 2 * values.shape[-1] - 1))
+    out[..., ::2] = values
+    out[..., 1::2] = 0.5 * (values[..., 1:] + values[..., :-1])
+    return out
 
 
 def meeting(corridor: Corridor, instant: int, ego: tuple[float, float, float], length_m: float) -> Meeting:
@@ -125,8 +142,8 @@ def meeting(corridor: Corridor, instant: int, ego: tuple[float, float, float], l
 def _meeting_s(meets: BoolArray, gap_m: FloatArray, ego_mps: float) -> FloatArray:
     """Return (N,) the first instant at which *meets* (N, H), refined by how far the ego is into the other then."""
     first = np.argmax(meets, axis=-1)
-    depth = -np.take_along_axis(gap_m, first[:, None], -1)[:, 0]
-    early = np.clip(depth / max(ego_mps, 0.1), 0.0, LOOK_STEP_S)
+    depth = -gap_m[np.arange(len(first)), first]
+    early = np.minimum(np.maximum(depth / max(ego_mps, 0.1), 0.0), LOOK_STEP_S)
     seconds = np.maximum(LOOK_STEP_S * first - early, 0.0)
     return np.where(meets.any(-1), seconds, np.inf)
 
@@ -134,5 +151,26 @@ def _meeting_s(meets: BoolArray, gap_m: FloatArray, ego_mps: float) -> FloatArra
 def _in_front(meets: BoolArray, along_m: FloatArray, ego_s_m: FloatArray) -> BoolArray:
     """Return (N,) whether the other's centre is ahead of the ego's when they meet: braking may help."""
     first = np.argmax(meets, axis=-1)
-    there = np.take_along_axis(along_m, first[:, None], -1)[:, 0]
-    return np.asarray(there > ego_s_m[first])
+    return np.asarray(along_m[np.arange(len(first)), first] > ego_s_m[first])
+
+
+def demands(
+    driver: DriverModel, met: Meeting, reacting: bool = False, leader_s: float = PERCEPTION_S
+) -> FloatArray:
+    """Return (N,) the braking in m/s² that *driver* wants for each other; 0 where it calls the situation safe.
+
+    The human driver's criteria are those of the regulation: somebody who is about to cross or enter is critical
+    from ``CRITICAL_TTC_S`` on; somebody ahead in its lane is a risk once perceived, until it no longer closes in.
+
+    Args:
+        driver: the model.
+        met: how the ego stands to the others.
+        reacting: whether the driver has begun to react.
+        leader_s: from what time to a meeting on the human driver perceives somebody ahead in its lane.
+    """
+    demand = driver.demand(met.situation)
+    if driver is not HUMAN:
+        return demand
+    closing = met.inside & (met.situation.closing_mps > 0.0)
+    leading = (met.meet_s <= leader_s) | (reacting & closing)
+    return np.where(np.where(met.crossing, met.meet_s <= CRITICAL_TTC_S, leading), demand, 0.0)

@@ -26,6 +26,7 @@ CRITICAL_TTC_S = 2.0
 #: Rounding of positions, for comparisons at exact ties.
 TIE_M = 1e-9
 
+_HUMAN_HEADWAY_S = 2.0
 _REG_LATERAL_M, _REG_BRAKE_MPS2, _REG_DELAY_S, _REG_BUFFER_S = 0.5, 6.0, 0.35, 0.1
 _RSS_ACCEL_MPS2, _RSS_BRAKE_MPS2, _RSS_RESPONSE_S = 3.0, 6.0, 0.75
 _RSS_MARGIN_M, _RSS_LATERAL_MPS2 = 0.3, 1.0
@@ -80,7 +81,7 @@ class DriverModel:
         name: as in the regulation's tool.
         demand: the braking (…,) in m/s² that the model asks for; 0 where it calls the situation safe.
         delay_s: from the first unsafe instant until it brakes.
-        coast_mps2: deceleration meanwhile.
+        coast_mps2: deceleration meanwhile, from which the braking grows.
         jerk_mps3: how fast the deceleration grows; inf for at once.
     """
 
@@ -107,6 +108,22 @@ def regulation_demand(situation: Situation) -> FloatArray:
     near = situation.lateral_gap_m <= _REG_LATERAL_M + TIE_M
     unsafe = near & (np.abs(situation.ttc_s) <= allowed) & ~situation.passed
     return np.where(unsafe, _REG_BRAKE_MPS2, 0.0)
+
+
+def following_gap_m(model: DriverModel, speed_mps: FloatArray) -> FloatArray:
+    """Return the gap (…,) at which *model* follows a leader at *speed_mps*.
+
+    Two seconds for the human driver; the distance of RSS that is left after a response in which the leader brakes
+    with 6 m/s²; for the FSM the least gap that its proactive metric calls safe; the human driver's for ``Reg157``,
+    which says nothing of following.
+    """
+    if model.name == "RSS":
+        slower = np.maximum(speed_mps - _RSS_BRAKE_MPS2 * _RSS_RESPONSE_S, 0.0)
+        return rss_distance_m(speed_mps, slower) + 0.5 * _RSS_BRAKE_MPS2 * _RSS_RESPONSE_S**2
+    if model.name == "FSM":
+        spread = 1.0 / (2.0 * _FSM_COMFORT_MPS2) - 1.0 / (2.0 * _FSM_OTHER_MPS2)
+        return speed_mps * _FSM_RESPONSE_S + speed_mps**2 * spread + 2.0 * _FSM_MARGIN_M
+    return _HUMAN_HEADWAY_S * speed_mps
 
 
 def rss_distance_m(ego_mps: FloatArray, other_mps: FloatArray) -> FloatArray:
@@ -136,7 +153,7 @@ def proactive_metric(situation: Situation) -> FloatArray:
     base = v * _FSM_RESPONSE_S - u**2 / (2.0 * _FSM_OTHER_MPS2)
     unsafe = base + v**2 / (2.0 * _FSM_BRAKE_MPS2)
     safe = base + v**2 / (2.0 * _FSM_COMFORT_MPS2) + _FSM_MARGIN_M
-    return _falling(situation.gap_m - _FSM_MARGIN_M, unsafe, safe)
+    return _falling(situation.gap_m - _FSM_MARGIN_M - TIE_M, unsafe, safe)
 
 
 def critical_metric(situation: Situation) -> FloatArray:
@@ -174,7 +191,7 @@ def _laterally_unsafe(situation: Situation) -> BoolArray:
     headway = (situation.gap_m + situation.lengths_m) / np.where(closing > 0.0, closing, 1.0)
     sideways = situation.lateral_gap_m / np.where(w > 0.0, w, 1.0)
     approaching = (w > 0.0) & (closing > 0.0) & (sideways <= headway + _FSM_LATERAL_S)
-    return np.asarray((situation.gap_m > 0.0) & (inside | approaching))
+    return np.asarray(~situation.passed & (inside | approaching))
 
 
 def _falling(value: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

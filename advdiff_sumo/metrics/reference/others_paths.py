@@ -42,11 +42,17 @@ def look_times() -> FloatArray:
     return np.arange(0.0, PERCEPTION_S + 0.5 * LOOK_STEP_S, LOOK_STEP_S)
 
 
-def expected(road: RoadMap, tracks: Tracks, rows: IntArray, accel_mps2: FloatArray) -> Expected:
+def expected(
+    road: RoadMap,
+    tracks: Tracks,
+    rows: IntArray,
+    accel_mps2: FloatArray,
+    ahead: Sequence[frozenset[str]] | None = None,
+) -> Expected:
     """Return what can be expected of agents *rows* (N,) at every instant of *tracks*.
 
     Speeds are kept; whoever brakes goes on braking to a stop. At junctions everybody takes the connection that
-    the record shows, as its indicator would say; changes of lanes are not foreseen. Pedestrians, and whoever is
+    *tracks* show, as its indicator would say; changes of lanes are not foreseen. Pedestrians, and whoever is
     off the lanes or askew, go straight on.
 
     Args:
@@ -54,6 +60,7 @@ def expected(road: RoadMap, tracks: Tracks, rows: IntArray, accel_mps2: FloatArr
         tracks: A agents, K instants.
         rows: (N,) whom to look at.
         accel_mps2: (N, K) their accelerations.
+        ahead: N sets of lanes that each is known to be on later, where *tracks* do not show it.
     """
     steps, count = tracks.steps, len(rows)
     driven = _driven_m(tracks.speed_mps[rows], accel_mps2)  # (N, K, H)
@@ -67,9 +74,10 @@ def expected(road: RoadMap, tracks: Tracks, rows: IntArray, accel_mps2: FloatArr
         yaw[n] = heading[:, None]
         known: dict[tuple[str, str], Link] = {}
         visited = frozenset(x for x in lanes[n] if x is not None)
+        known_lanes = visited | (ahead[n] if ahead is not None else frozenset())
         for lane in sorted(visited):
             here = np.array([x == lane for x in lanes[n]]) & tracks.valid[row]
-            line, taken = _chain(road, lane, visited)
+            line, taken = _chain(road, lane, known_lanes)
             known |= {(x.from_lane, x.to_lane): x for x in taken}
             s, d = line.project(tracks.xy_m[row, here], extrapolate=True)
             at, along = line.at(s[:, None] + driven[n, here], d[:, None], extrapolate=True)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import unit
@@ -19,6 +20,7 @@ BEHIND_M = 20.0
 _BEYOND_M = 60.0
 _BLEND_S, _LEAST_BLEND_M, _BLEND_POINTS = 2.5, 10.0, 8
 _FLAT_M = 0.02
+_THIN_M = 0.03
 _LATERAL_MPS2, _COMFORT_MPS2 = 3.0, 2.5
 _PACE_SPACING_M = 2.0
 _HEADING_REACH_M = 1.3
@@ -86,7 +88,12 @@ def driven_way(record: EpisodeRecord, start: int, stop: int) -> OwnWay:
     for point in points[1:]:
         if np.hypot(*(point - spread[-1])) > 0.5:
             spread.append(point)
-    line = _with_ends(np.array(spread), float(tracks.yaw_rad[row, there[0]]))
+    return way_through(np.array(spread), float(tracks.yaw_rad[row, there[0]]))
+
+
+def way_through(xy_m: FloatArray, yaw_rad: float) -> OwnWay:
+    """Return the way through points (N, 2), straight on behind (by *yaw_rad*) and beyond them."""
+    line = _with_ends(xy_m, yaw_rad)
     return OwnWay(line, (), _pace(line))
 
 
@@ -97,7 +104,7 @@ def joined_way(record: EpisodeRecord, road: RoadMap, start: int, stop: int, reac
     end = float(driven.line.project(record.tracks.xy_m[record.target, stop])[0])
     first = driven.line.xy_m[driven.line.s_m < end - 0.1]
     last = onward.line.xy_m[onward.line.s_m > begin + 0.1]
-    line = Polyline.of(np.vstack((first, record.tracks.xy_m[record.target, stop], last)))
+    line = _thinned(np.vstack((first, record.tracks.xy_m[record.target, stop], last)))
     shift = end - begin
     links = tuple(PathLink(x.s_m + shift, x.end_s_m + shift, x.link) for x in onward.links)
     return OwnWay(line, links, _pace(line))
@@ -137,7 +144,12 @@ def _with_ends(xy_m: FloatArray, yaw_rad: float) -> Polyline:
     back = points[0] - BEHIND_M * unit(np.asarray(yaw_rad))
     last = points[-1] - points[-2] if len(points) > 1 else unit(np.asarray(yaw_rad))
     onward = points[-1] + _BEYOND_M * last / max(float(np.hypot(*last)), 1e-9)
-    return Polyline.of(np.vstack((back, points, onward)))
+    return _thinned(np.vstack((back, points, onward)))
+
+
+def _thinned(xy_m: FloatArray) -> Polyline:
+    """Return the line through *xy_m* (N, 2) without points that change it by less than ``_THIN_M``."""
+    return Polyline.of(shapely.get_coordinates(shapely.LineString(xy_m).simplify(_THIN_M)))
 
 
 def _pace(line: Polyline) -> FloatArray:

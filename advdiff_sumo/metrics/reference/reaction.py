@@ -46,6 +46,6 @@ def react(
     unsafe = demand_mps2 > 0.0
     waiting = unsafe & (reaction.delay_left_s > _DONE_S)
     grown = np.minimum(reaction.braking_mps2 + model.jerk_mps3 * dt_s, demand_mps2)
-    braking = np.where(unsafe & ~waiting, grown, 0.0)
+    braking = np.where(waiting, model.coast_mps2, np.where(unsafe, grown, 0.0))
     delay = np.where(waiting, reaction.delay_left_s - dt_s, reaction.delay_left_s)
-    return Reaction(delay, braking), -np.where(waiting, model.coast_mps2, braking)
+    return Reaction(delay, braking), -braking

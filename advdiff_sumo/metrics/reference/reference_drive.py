@@ -24,8 +24,8 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact
 from advdiff_sumo.metrics.encounter import Encounter
-from advdiff_sumo.metrics.reference.corridor import Corridor, Meeting, corridor_of, meeting
-from advdiff_sumo.metrics.reference.driver_models import CRITICAL_TTC_S, HUMAN, MODELS, DriverModel
+from advdiff_sumo.metrics.reference.corridor import Corridor, Meeting, corridor_of, demands, meeting
+from advdiff_sumo.metrics.reference.driver_models import HUMAN, MODELS, DriverModel
 from advdiff_sumo.metrics.reference.others_paths import PERCEPTION_S, Expected, expected
 from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
 from advdiff_sumo.metrics.reference.reaction import Reaction, react
@@ -36,6 +36,7 @@ LOOKBACK_S = 5.0
 #: The drive goes on for so long after the record's end, or until it stands: the others keep their motion.
 AFTER_S = 3.0
 _SAFE_SPELL_S = 0.3
+_BOUND_S = 1.0
 _ACCEL_OVER_S = 0.2
 _SAME_WAY_M = 0.4
 _MARGIN_M = 30.0
@@ -198,36 +199,53 @@ class ReferenceDrivers:
 
     # --- takeover ---------------------------------------------------------------------------------------
 
-    def _takeover(self, driver: DriverModel) -> int:
-        """Return the instant after the earliest one at which *driver* takes over."""
+    @cached_property
+    def _recorded(self) -> list[tuple[Meeting, bool]]:
+        """How the target stood to everybody at each instant up to the contact, and whether a stop line bound it."""
         span = self._contact - self._begin + 1
         row, tracks = self._record.target, self._tracks
         s, _ = self._way.line.project(tracks.xy_m[row, :span])
-        line_s, _ = self._route_way.line.project(tracks.xy_m[row, :span])
         speed = tracks.speed_mps[row, :span]
         accel = np.diff(speed, prepend=speed[:1]) / tracks.dt_s
-        safe = np.ones(span, dtype=np.bool_)
-        stop = np.zeros(span, dtype=np.bool_)
+        found = []
         for k in range(span):
-            met = meeting(self._corridor, k, (float(s[k]), float(speed[k]), float(accel[k])), self._length_m)
-            stop[k] = self._stop_demand(self._route_way, float(line_s[k]), float(speed[k]), k, met, False) > 0
-            safe[k] = not (stop[k] or self._beside(met) or bool((_demands(driver, met) > 0.0).any()))
-        latest = self._passed_line(line_s, stop)
-        return _last_safe(safe[: latest + 1], round(_SAFE_SPELL_S / tracks.dt_s))
+            ego = float(s[k]), float(speed[k]), float(accel[k])
+            met = meeting(self._corridor, k, ego, self._length_m)
+            place = float(self._along_route_m[k])
+            bound = self._stop_demand(self._route_way, place, float(speed[k]), k, met, False) > 0.0
+            found.append((met, bound))
+        return found
+
+    @cached_property
+    def _along_route_m(self) -> FloatArray:
+        """Places of the target along its route's lanes at each instant up to the contact."""
+        span = self._contact - self._begin + 1
+        return self._route_way.line.project(self._tracks.xy_m[self._record.target, :span])[0]
+
+    @cached_property
+    def _latest(self) -> int:
+        """The last instant before the target passed a stop line that bound it; that of the contact without one."""
+        bound = np.array([bound for _, bound in self._recorded])
+        recent = round(_BOUND_S / self._tracks.dt_s)
+        for place in self._route_way.links:
+            over = np.flatnonzero(self._along_route_m + 0.5 * self._length_m > place.s_m)
+            if over.size and over[0] > 0 and bound[: over[0]][-recent:].any():
+                return int(over[0]) - 1
+        return len(bound) - 1
+
+    def _takeover(self, driver: DriverModel) -> int:
+        """Return the instant after the earliest one at which *driver* takes over."""
+        safe = [
+            not (bound or self._beside(met) or bool((demands(driver, met) > 0.0).any()))
+            for met, bound in self._recorded[: self._latest + 1]
+        ]
+        return _last_safe(np.array(safe), round(_SAFE_SPELL_S / self._tracks.dt_s))
 
     def _beside(self, met: Meeting) -> bool:
         """Return whether the ego is beside the other party, where models call it safe as braking is of no use."""
         gap = met.situation.gap_m[self._rows == self._partner]
         lengths = met.situation.lengths_m[self._rows == self._partner]
         return bool(((gap <= 0.0) & (gap > -lengths)).any())
-
-    def _passed_line(self, front_s: FloatArray, stop: BoolArray) -> int:
-        """Return the last instant before the target passed a stop line that bound it; the last of all without."""
-        for place in self._route_way.links:
-            over = np.flatnonzero(front_s + 0.5 * self._length_m > place.s_m)
-            if over.size and over[0] > 0 and stop[: over[0]][-round(1.0 / self._tracks.dt_s) :].any():
-                return int(over[0]) - 1
-        return len(stop) - 1
 
     # --- the drive --------------------------------------------------------------------------------------
 
@@ -244,7 +262,7 @@ class ReferenceDrivers:
         for k in range(steps - 1):
             met = meeting(corridor, start + k, (s[k], speed[k], before), self._length_m)
             braking = bool(reaction.delay_left_s < driver.delay_s)
-            demand = float(_demands(driver, met, braking).max(initial=0.0))
+            demand = float(demands(driver, met, braking).max(initial=0.0))
             demand = max(demand, self._stop_demand(way, s[k], speed[k], start + k, met, braking))
             reaction, push = react(reaction, driver, np.asarray(demand), dt)
             after = min(max(speed[k] + float(push) * dt, 0.0), max(way.limit_mps(s[k]), speed[k] - 3.0 * dt))
@@ -308,20 +326,6 @@ class ReferenceDrivers:
         standing = np.flatnonzero(speed[recorded - 1 :] <= 0.0)
         end = recorded + int(standing[0]) if standing.size else len(speed)
         return end if contact is None else max(recorded, min(contact[0] + 2, len(speed)))
-
-
-def _demands(driver: DriverModel, met: Meeting, reacting: bool = False) -> FloatArray:
-    """Return (N,) the braking that *driver* wants for each other; 0 where it calls the situation safe.
-
-    The human driver's criteria are those of the regulation: somebody who is about to cross or enter is critical
-    from ``CRITICAL_TTC_S`` on; somebody in its lane ahead is a risk once perceived, and until no longer closed in on.
-    """
-    demand = driver.demand(met.situation)
-    if driver is HUMAN:
-        leading = np.isfinite(met.meet_s) | (reacting & (met.situation.closing_mps > 0.0) & met.inside)
-        noticed = np.where(met.crossing, met.meet_s <= CRITICAL_TTC_S, leading)
-        return np.where(noticed, demand, 0.0)
-    return demand
 
 
 def _last_safe(safe: BoolArray, spell: int) -> int:

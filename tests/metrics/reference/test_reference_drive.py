@@ -140,15 +140,15 @@ def test_on_a_straight_lane_it_is_the_models_own_world(adv_data: Path, straight,
             continue
         looked_at += 1
         drawn = drive_all(replace(record, tracks=record.tracks.window(0, hit.step + 2)), road, hit)
-        differ += [
-            (name, ego, other, gap, lateral)
-            for name, drive in drawn.items()
-            if (drive.contact_step is not None) != crashes[name]
-        ]
+        for name, drive in drawn.items():
+            if (drive.contact_step is not None) != crashes[name]:
+                assert not crashes[name], (name, ego, other, gap, lateral)
+                differ.append((name, ego, other, gap, lateral))
         if looked_at == 40:
             break
     assert looked_at == 40
-    assert len(differ) <= 2, differ  # cells at the edge: there the boxes are swept between instants
+    # corners that meet between two instants of 0.1 s: the swept boxes touch, those of the instants do not
+    assert len(differ) <= 5, differ
 
 
 def _critical_cells(path: Path) -> list[tuple[float, float, float, float, dict[str, bool]]]:

@@ -113,6 +113,8 @@ def run(
     words = run_words(prepared.settings["options"]["net"], *prepared.names, prepared.options.seed)
     folder = RunFolder.create(out or free_folder(*words), run_settings(prepared), resume)
     console = verb_console(quiet, as_json)
+    for file in prepared.demand.ignored if prepared.demand else ():
+        console.print(f"note: {file} holds detectors and outputs only, and is left out", markup=False)
     with ExitStack() as stack:
         count = _episodes(prepared, folder, console, limits_of(stack, math.inf, plan_timeout, memory))
     failures = folder.failures()

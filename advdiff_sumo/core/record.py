@@ -102,6 +102,7 @@ class EpisodeRecord:
         teleports: vehicles that SUMO teleported.
         rough_handovers: vehicles that SUMO got back although they stood askew in their lane.
         skipped_agents: agents of a log left to SUMO, which had them out of reach of where the log goes on.
+        refused_insertions: moved vehicles that SUMO would not take in; they leave the scene once nobody moves them.
         plans: what was planned, in the order of time; of a SUMO-driven vehicle nothing is known.
         natural: what everybody near did from the same start without attack, at the model step; None when it
             was not to be kept.
@@ -122,6 +123,7 @@ class EpisodeRecord:
     teleports: int = 0
     rough_handovers: int = 0
     skipped_agents: int = 0
+    refused_insertions: int = 0
     plans: tuple[MadePlans, ...] = ()
     natural: Tracks | None = None
     failure: Failure | None = field(default=None)

@@ -230,14 +230,15 @@ def _link(
         via.append(internal)
         step = second.get(internal)
     edge = raw.edges[connection.attrib["from"]]
-    index = connection.get("linkIndex")
+    light, index = connection.get("tl"), int(connection.get("linkIndex", "-1"))
+    controlled = bool(light) and index >= 0  # −1: the light stands there and leaves this connection alone
     return Link(
         from_lane=origin,
         to_lane=f"{connection.attrib['to']}_{connection.attrib['toLane']}",
         via=tuple(via),
         direction=connection.get("dir", "s"),
-        tls_id=connection.get("tl") or None,
-        tls_index=int(index) if index is not None and connection.get("tl") else None,
+        tls_id=light if controlled else None,
+        tls_index=index if controlled else None,
         state=connection.get("state", "M"),
         junction_id=edge.get("to") or junction_of_internal(origin),
         request_index=numbers.get(id(connection), -1),

@@ -114,6 +114,9 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "skipped_agents": _count(
         "agents of a log left to SUMO, as SUMO had them out of reach of where the log goes on"
     ),
+    "refused_insertions": _count(
+        "moved vehicles that SUMO would not take in; they leave the scene unless moved"
+    ),
     "min_ttc_s": _real("s", "least time to collision of boxes at constant velocity, up to 10 s"),
     "min_ttc_partner": _text("the vehicle it was with"),
     "min_lane_ttc_s": _real("s", "least time to collision with the vehicle ahead in the lane, up to 10 s"),

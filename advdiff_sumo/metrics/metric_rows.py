@@ -50,6 +50,7 @@ def episode_row(
         "teleports": record.teleports,
         "rough_handovers": record.rough_handovers,
         "skipped_agents": record.skipped_agents,
+        "refused_insertions": record.refused_insertions,
         **_criticality_values(record, m.criticality),
         **vars(m.comfort),
         "bv_collisions": len(m.background),

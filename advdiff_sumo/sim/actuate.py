@@ -9,6 +9,7 @@ speed factor.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,8 +19,9 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.errors import SimulationError
 from advdiff_sumo.core.frames import bumper_from_centre, sumo_from_yaw, unit
+from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.world import World
+from advdiff_sumo.sim.world import VCLASS_OF_CLASS, World
 
 _ANY_EDGE, _OWN_ROUTE = 2, 3  # moveToXY's keepRoute: exact position; 3 looks for a lane on the own route only
 _FREE_SPEED_FACTOR, _FREE_MAX_SPEED = 20.0, 90.0
@@ -55,6 +57,7 @@ class Actuator:
         road: the map.
         moved: row → what we changed in SUMO.
         outside: rows that we move off the lanes, where SUMO has no use for them.
+        refused: rows that SUMO would not take in on the lane nearest to them; they stay outside.
     """
 
     api: Any
@@ -62,6 +65,7 @@ class Actuator:
     road: RoadMap
     moved: dict[int, Moved] = field(default_factory=dict)
     outside: set[int] = field(default_factory=set)
+    refused: set[int] = field(default_factory=set)
     _entries: dict[int, int] = field(default_factory=dict)
 
     @property
@@ -97,10 +101,11 @@ class Actuator:
             SimulationError: the net has no lane to put it on, or SUMO refuses it.
         """
         xy, yaw = self.world.xy_m[row], float(self.world.yaw_rad[row])
-        pose = self.road.locate(xy, yaw, max_distance_m=np.inf)
+        vclass = VCLASS_OF_CLASS[AgentClass(int(self.world.classes[row]))]
+        pose = self.road.locate(xy, yaw, vclass=vclass, max_distance_m=np.inf)
         name = self._fresh_name(row)
         if pose is None:
-            raise SimulationError(f"no lane of {self.road.name} is near enough to insert '{name}'")
+            raise SimulationError(f"no lane of {self.road.name} is open to '{name}', a {vclass}")
         point, along = self.road.to_world(pose.lane_id, pose.s_m)
         front = bumper_from_centre(point, along, self.world.size_m[row, 0])
         try:
@@ -110,9 +115,23 @@ class Actuator:
                 name, "", -1, *front.tolist(), angle=float(sumo_from_yaw(along)), keepRoute=0
             )
         except Exception as error:
+            self._forget(name)
             raise SimulationError(f"SUMO refuses to insert '{name}': {error}") from error
         self.moved[row] = Moved(1.0, _FREE_MAX_SPEED, inserted=False)
         self.outside.discard(row)
+
+    def try_insert(self, row: int, type_id: str) -> None:
+        """Bring *row* into SUMO, or note that SUMO refuses it and move it outside."""
+        try:
+            self.insert(row, type_id)
+        except SimulationError:
+            self.refused.add(row)
+            self.outside.add(row)
+
+    def _forget(self, name: str) -> None:
+        """Take back what SUMO may have been told of *name* before it refused."""
+        with contextlib.suppress(Exception):  # libsumo and traci raise different kinds where it has none
+            self.api.vehicle.remove(name)
 
     def on_lanes(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> set[int]:
         """Return those of *rows* whose front bumpers' centres are on a lane at poses (N, 2), (N,)."""
@@ -220,7 +239,7 @@ class Actuator:
 
     def _edge_of(self, lane_id: str) -> str:
         lane = self.road.lanes[lane_id]
-        while lane.is_internal:
+        while lane.is_internal and lane.successors:
             lane = self.road.lanes[lane.successors[0].to_lane]
         return lane.edge_id
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
 
@@ -14,6 +17,7 @@ from advdiff_sumo.core.errors import FileError, SceneError
 from advdiff_sumo.maps import RoadMap
 
 _ROUTES_LOOKED_AT = 500
+_GZIP = b"\x1f\x8b"
 _WRITES_OUTPUT = {
     "e1Detector",
     "inductionLoop",
@@ -33,18 +37,20 @@ class DemandFiles:
         routes: route files.
         additional: vehicle types, signals and stops that they need.
         begin_s: earliest departure.
+        ignored: additional files that hold nothing but detectors and outputs, which SUMO is not given.
     """
 
     routes: tuple[Path, ...]
     additional: tuple[Path, ...]
     begin_s: float
+    ignored: tuple[Path, ...] = ()
 
 
 def read_demand(path: Path, road: RoadMap) -> DemandFiles:
     """Find the files behind *path* and check that they belong to *road*.
 
     Args:
-        path: ``.rou.xml``, ``.trips.xml`` (gzip not needed) or ``.sumocfg``.
+        path: ``.rou.xml``, ``.trips.xml`` (each gzipped or not) or ``.sumocfg``.
         road: the net that they will run on.
 
     Raises:
@@ -55,7 +61,8 @@ def read_demand(path: Path, road: RoadMap) -> DemandFiles:
     routes, additional = _of_configuration(path) if path.suffix == ".sumocfg" else ((path,), ())
     begin = min(_check(file, road) for file in routes)
     kept = tuple(file for file in additional if not _only_output(file))
-    return DemandFiles(tuple(f.resolve() for f in routes), tuple(f.resolve() for f in kept), begin)
+    ignored = tuple(file for file in additional if file not in kept)
+    return DemandFiles(tuple(f.resolve() for f in routes), tuple(f.resolve() for f in kept), begin, ignored)
 
 
 def net_of_configuration(path: Path) -> Path:
@@ -82,6 +89,13 @@ def _of_configuration(path: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
     for name in (name for names in found.values() for name in names):
         _must_be_file(name, f"{path.name} names it: put it there or correct the name")
     return found["route-files"], found.get("additional-files", ())
+
+
+def opened(path: Path) -> gzip.GzipFile | BufferedReader:
+    """Open a demand file for reading, gzipped or not, whatever its name says."""
+    with path.open("rb") as file:
+        zipped = file.read(2) == _GZIP
+    return gzip.open(path) if zipped else path.open("rb")
 
 
 def _must_be_file(path: Path, remedy: str) -> None:
@@ -126,7 +140,10 @@ def _only_output(path: Path) -> bool:
 
 def _elements(path: Path) -> Iterator[Element]:
     try:
-        yield from (element for _, element in iterparse(path, events=("end",)))
+        with opened(path) as file:
+            yield from (element for _, element in iterparse(file, events=("end",)))
+    except (EOFError, zlib.error, gzip.BadGzipFile):
+        raise FileError(path, "is a truncated gzip file", "export it again") from None
     except (ParseError, DefusedXmlException) as error:
         raise FileError(
             path, f"not well-formed XML ({error})", "it may be truncated: export it again"

@@ -147,11 +147,18 @@ class Loop:
     def _plan_background(self, scene: Scene, period: int) -> Motion:
         planned = self.background.replan(scene, period)
         motion = Motion.join(planned, self.context.motion(scene, period))
+        self._leave_scene(self.actuator.refused & self.actuator.outside - set(motion.rows.tolist()))
         routes = self.episode.scene.routes
         motion = self.handover.settle(motion, self.target, period, routes)
         self.handover.predict(planned_ends(motion), routes)
         self._let_in(motion)
         return motion
+
+    def _leave_scene(self, rows: set[int]) -> None:
+        """Take *rows* off the scene: those that SUMO refused, once nobody moves them any more."""
+        for row in sorted(rows):
+            self.actuator.remove(row)
+        self.world.remove(sorted(rows))
 
     def _step(self, motion: Motion, k: int) -> EndReason | None:
         self._move(motion, k)
@@ -196,13 +203,18 @@ class Loop:
             self.entering.discard(row)
             is_target = self.world.ids[row] == self.episode.scene.target
             agent_class = AgentClass(int(self.world.classes[row]))
-            self.actuator.insert(row, TARGET_TYPE if is_target else self.types[agent_class])
+            if is_target:
+                self.actuator.insert(row, TARGET_TYPE)
+            else:
+                self.actuator.try_insert(row, self.types[agent_class])
 
     def _let_in(self, motion: Motion) -> None:
         """Note which of the vehicles outside SUMO get onto a lane during *motion*, and which SUMO will bring."""
         if isinstance(self.episode.scene.start, SavedTraffic):
             self.demand_brings = set(motion.rows.tolist()) - self.world.had_in_sumo
-        waiting = ~np.isin(motion.rows, list(self.actuator.moved)) & motion.valid.any(axis=1)
+        waiting = ~np.isin(motion.rows, [*self.actuator.moved, *self.actuator.refused]) & motion.valid.any(
+            axis=1
+        )
         rows, valid = motion.rows[waiting], motion.valid[waiting]
         self.entering = set()
         if len(rows):
@@ -302,6 +314,7 @@ class Loop:
             visible=record.visible if isinstance(episode.target, SumoDriver) else None,
             rough_handovers=len(self.handover.rough),
             skipped_agents=len(self.background.skipped),
+            refused_insertions=len(self.actuator.refused),
             failure=failure,
             natural=natural_course(episode.scene.log, self.sim.model_step_s)
             if self.sim.record_natural

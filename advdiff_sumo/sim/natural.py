@@ -17,7 +17,7 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.demand import write_demand
-from advdiff_sumo.sim.demand_files import DemandFiles
+from advdiff_sumo.sim.demand_files import DemandFiles, opened
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session, SessionOptions
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
@@ -96,7 +96,7 @@ class NaturalTraffic:
             stretch = _Stretch(session, self.sim)
             found = list(self._look(stretch, seed.child("target").generator(), folder))
             stretch.advance(self.horizon_s)
-        routes, extra = ([f.read_bytes() for f in group] for group in (files.routes, files.additional))
+        routes, extra = ([_content(f) for f in group] for group in (files.routes, files.additional))
         return [
             self._scene(
                 number, k, stretch, f, SavedTraffic(f.state_xml, f.time_s, tuple(routes), tuple(extra))
@@ -180,6 +180,11 @@ class _Stretch:
     def _record(self) -> None:
         self.world.remove(read(self.world, self.session.api, ()))
         self.frames.append(self.world.frame())
+
+
+def _content(path: Path) -> bytes:
+    with opened(path) as file:
+        return file.read()
 
 
 def remaining_route(api: object, name: str) -> tuple[str, ...]:

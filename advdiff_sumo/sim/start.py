@@ -125,7 +125,7 @@ def lane_change_model(target: SumoDriver, sim: SimOptions) -> str:
 
 def _with_target_type(state_xml: bytes, target_id: str, target: Target) -> bytes:
     """Return a saved state in which *target_id* is of the target's type, with its desired speed."""
-    root = fromstring(state_xml)  # noqa: S314 - SUMO wrote it a moment ago
+    root = fromstring(_escaped(state_xml))  # noqa: S314 - SUMO wrote it a moment ago
     vehicle = next((v for v in root.iter("vehicle") if v.get("id") == target_id), None)
     if vehicle is None:
         raise SimulationError(f"the saved traffic holds no vehicle '{target_id}'")
@@ -135,6 +135,12 @@ def _with_target_type(state_xml: bytes, target_id: str, target: Target) -> bytes
     for saved in root.iter("vehicle"):
         _forget_advices(saved)
     return bytes(tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _escaped(state_xml: bytes) -> bytes:
+    """Return a saved state as XML: SUMO 1.28 writes ids with "<" or "&" as they are, and cannot read them back."""
+    text = re.sub(rb"&(?!(?:amp|lt|gt|quot|apos|#\d+|#x[0-9a-fA-F]+);)", b"&amp;", state_xml)
+    return re.sub(rb'"[^"]*"', lambda value: value.group().replace(b"<", b"&lt;"), text)
 
 
 def _forget_advices(vehicle: Element) -> None:

@@ -15,7 +15,13 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from advdiff_sumo.metrics.breaches.conduct_rules import reversing
-from advdiff_sumo.metrics.breaches.junction_rules import ARRIVAL_MARGIN_S, later_by_s, must_yield, ran_red
+from advdiff_sumo.metrics.breaches.junction_rules import (
+    ARRIVAL_MARGIN_S,
+    joined_safely,
+    later_by_s,
+    must_yield,
+    ran_red,
+)
 from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.encounter import Encounter
@@ -164,13 +170,9 @@ def _junction(view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault 
 
 def _joined(met: Encounter) -> Fault | None:
     """Judge front against rear where two ways join: who joined with a safe gap is a leader like any other."""
-    entry = met.entry
-    if entry is None or not entry.ahead or not (entry.safe or entry.recovered):
-        return None
-    faces = met.target.face, met.other.face
-    if faces == ("front", "rear") and entry.row == met.other.row:
+    if joined_safely(met, 1):
         return Fault(AtFault.TARGET, f"The target ran into the rear of '{met.other.name}'.")
-    if faces == ("rear", "front") and entry.row == met.target.row:
+    if joined_safely(met, 0):
         return Fault(AtFault.OTHER, f"'{met.other.name}' ran into the rear of the target.")
     return None
 

@@ -23,7 +23,7 @@ from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact
 from advdiff_sumo.metrics.criticality import Extreme
 from advdiff_sumo.metrics.kinematics import velocities
-from advdiff_sumo.metrics.reference import ReferenceDrivers
+from advdiff_sumo.metrics.reference import ReferenceDrive, ReferenceDrivers
 from advdiff_sumo.metrics.safe_gap import RESPONSE_S
 
 #: A near miss is looked at where the least time to collision is below this.
@@ -75,15 +75,27 @@ def near_miss(record: EpisodeRecord, road: RoadMap, ttc: Extreme | None) -> Near
     """
     if ttc is None or ttc.value >= NEAR_MISS_TTC_S:
         return None
-    tracks, target = record.tracks, record.target
-    step = round((ttc.time_s - tracks.t0_s) / tracks.dt_s)
-    if step == 0 or not tracks.valid[target, : step + 1].all():
+    step = _step_of(record, ttc)
+    drive = careful_drive(record, road, ttc)
+    if drive is None:
         return None
-    start = ReferenceDrivers(record, road, _closest(record, ttc.row, step)).drive().takeover_step
+    start = drive.takeover_step
     way = _driven_way(record, start)
     kept = _kept_velocity(record, ttc.row, start, step)
     brake = _needed_brake_mps2(record, way, start, ttc.row, kept)
     return NearMiss(ttc.row, ttc.time_s, brake, _resolved_by(record, ttc.row, step))
+
+
+def careful_drive(record: EpisodeRecord, road: RoadMap, ttc: Extreme) -> ReferenceDrive | None:
+    """Return what the careful and competent driver would have done in the encounter of *ttc*; None at the start."""
+    step = _step_of(record, ttc)
+    if step == 0 or not record.tracks.valid[record.target, : step + 1].all():
+        return None
+    return ReferenceDrivers(record, road, _closest(record, ttc.row, step)).drive()
+
+
+def _step_of(record: EpisodeRecord, ttc: Extreme) -> int:
+    return round((ttc.time_s - record.tracks.t0_s) / record.tracks.dt_s)
 
 
 def _closest(record: EpisodeRecord, row: int, step: int) -> Collision:

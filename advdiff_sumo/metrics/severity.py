@@ -21,6 +21,19 @@ def is_valid_failure(row: Row) -> bool:
     return bool(row["target_collision"]) and bool(row.get("valid_failure"))
 
 
+def badge(row: Row) -> str:
+    """Return the verdict of an episode in a word or two."""
+    if is_failure(row):
+        return "failed"
+    if row["target_collision"]:
+        if row.get("valid_failure") is None:
+            return "not judged"
+        if row["valid_failure"]:
+            return "valid failure"
+        return "unavoidable" if row.get("unavoidable") else "not counted"
+    return "critical" if row.get("critical") else "no collision"
+
+
 def worst_first(rows: Iterable[Row]) -> list[Row]:
     """Return the episodes by severity.
 

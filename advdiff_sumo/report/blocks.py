@@ -20,7 +20,11 @@ CELL_M = 250.0
 #: Streets are kept so far around the targets' paths.
 AROUND_M = 120.0
 _DEVIATION_M = 0.5
-_CHARTED = ("speed_mps", "attacker_mps", "accel_mps2", "attacker_accel_mps2", "jerk_mps3", "ttc_s", "gap_m")
+_CHARTED = (
+    *("speed_mps", "attacker_mps", "reference_mps"),
+    *("accel_mps2", "attacker_accel_mps2", "reference_accel_mps2"),
+    *("jerk_mps3", "ttc_s", "gap_m"),
+)
 
 
 def episode_block(
@@ -29,6 +33,7 @@ def episode_block(
     series: Series,
     natural: Tracks | None,
     plans: Sequence[Planned] = (),
+    reference: Tracks | None = None,
 ) -> str:
     """Return the block of one episode.
 
@@ -38,6 +43,7 @@ def episode_block(
         series: values of the charts.
         natural: what happened in the same seed scene without attack, or None.
         plans: what was planned, as far as it is known.
+        reference: what the careful driver would have done from its takeover on, or None.
     """
     tracks = states.tracks
     origin = np.rint(np.nanmin(tracks.xy_m.reshape(-1, 2), axis=0))
@@ -55,11 +61,16 @@ def episode_block(
         "agents": agents,
         "series": list(_CHARTED),
         "natural": None,
+        "reference": None,
         "plans": None,
     }
     if natural is not None and natural.agents:
         ghosts, more = _paths(natural, origin)
         header["natural"] = {"dt": natural.dt_s, "t0": natural.t0_s, "agents": ghosts}
+        numbers += more
+    if reference is not None:
+        ghosts, more = _paths(reference, origin)
+        header["reference"] = {"dt": reference.dt_s, "t0": reference.t0_s, "agents": ghosts}
         numbers += more
     header["plans"], more = packed_plans(plans, tracks.index, origin)
     numbers += more

@@ -18,7 +18,7 @@ _TTC_TOP_S = 10.0
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a chart: whose it is ("target", "attacker") and its path."""
+    """One line of a chart: whose it is ("target", "attacker", "reference") and its path."""
 
     role: str
     path: str
@@ -49,12 +49,13 @@ class Chart:
 
 def charts_of(series: Series, contact_s: float | None) -> tuple[Chart, ...]:
     """Return the charts of one episode: speed, acceleration, jerk, nearest gap, time to collision."""
-    speeds = {"attacker": series.attacker_mps, "target": series.speed_mps}
+    speeds = {"attacker": series.attacker_mps, "reference": series.reference_mps, "target": series.speed_mps}
     times = series.times_s
+    accelerations = {"reference": series.reference_accel_mps2, "target": series.accel_mps2}
     jerk = {"target": series.jerk_mps3}
     return (
         chart("Speed", "m/s", times, speeds, contact_s, least=(0.0, 1.0)),
-        chart("Acceleration", "m/s²", times, {"target": series.accel_mps2}, contact_s, least=(-1.0, 1.0)),
+        chart("Acceleration", "m/s²", times, accelerations, contact_s, least=(-1.0, 1.0)),
         chart("Jerk", "m/s³", times, jerk, contact_s, least=(-1.0, 1.0)),
         chart("Gap to the nearest", "m", times, {"target": series.gap_m}, contact_s, least=(0.0, 1.0)),
         chart("Time to collision", "s", times, {"target": series.ttc_s}, contact_s, least=(0.0, _TTC_TOP_S)),

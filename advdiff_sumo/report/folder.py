@@ -112,6 +112,20 @@ class FinishedRun:
         _require(path, STATE_COLUMNS)
         return self._states(path, episode)
 
+    def signals(self, episode: int) -> pa.Table | None:
+        """Return what the traffic lights of *episode* showed; None where the folder was made without.
+
+        Raises:
+            FileError: the table is damaged.
+        """
+        path = self.folder / "signals.parquet"
+        if not path.exists():
+            return None
+        try:
+            return pq.read_table(path, filters=[("episode", "==", episode)])
+        except (OSError, pa.ArrowException) as error:
+            raise FileError(path, f"is damaged ({_first_line(error)})", _REMEDY) from None
+
     def _states(self, path: Path, episode: int) -> EpisodeStates | None:
         try:
             there = set(pq.read_schema(path).names)

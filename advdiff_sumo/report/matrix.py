@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from advdiff_sumo.metrics.severity import is_valid_failure
 from advdiff_sumo.report.folder import Row
 from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.rate_blocks import Rate
@@ -12,8 +13,9 @@ from advdiff_sumo.report.rate_blocks import Rate
 
 @dataclass(frozen=True)
 class Cell:
-    """One target in one background: collisions of the target, and those that it caused."""
+    """One target in one background: valid failures, collisions of the target, and those that it caused."""
 
+    valid: Rate
     collisions: Rate
     at_fault: Rate
 
@@ -56,4 +58,9 @@ def _cell(rows: Sequence[Row] | None) -> Cell | None:
     hit = [bool(row["target_collision"]) for row in finished]
     guilty = [row["at_fault"] == "target" for row in finished]
     of = "finished episodes"
-    return Cell(Rate.of_flags("Collisions", of, hit), Rate.of_flags("Target at fault", of, guilty))
+    counted = [is_valid_failure(row) for row in finished if row["valid_failure"] is not None]
+    return Cell(
+        valid=Rate.of_flags("Valid failures", of, counted),
+        collisions=Rate.of_flags("Collisions", of, hit),
+        at_fault=Rate.of_flags("Target at fault", of, guilty),
+    )

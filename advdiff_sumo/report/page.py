@@ -8,6 +8,7 @@ from typing import Any
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.metrics.severity import badge
 from advdiff_sumo.report.blocks import streets_block
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
@@ -20,7 +21,7 @@ from advdiff_sumo.report.reference_episodes import Naturals
 from advdiff_sumo.report.sample_pictures import samples_by_background
 from advdiff_sumo.report.sections import Section, Sections
 from advdiff_sumo.report.select import worst_first
-from advdiff_sumo.report.templates import templates
+from advdiff_sumo.report.templates import breaches_of, templates
 
 #: Nets that get a map of their own, those with the most collisions first.
 MOST_MAPS = 6
@@ -62,6 +63,9 @@ def report_html(run: FinishedRun) -> str:
             targets=sorted({labels.target(row) for row in run.episodes}),
             backgrounds=sorted({labels.background(row) for row in run.episodes}),
             places=[place_name(net) for net in places],
+            verdicts=list(dict.fromkeys(badge(row) for row in ordered)),
+            breaches=sorted({name for row in run.episodes for name in breaches_of(row)}),
+            kinds=sorted({str(row["collision_type"]) for row in run.episodes if row["collision_type"]}),
             settings=list(_flat(run.settings)),
             rates=headline(run.episodes),
             matrix=matrix_of(run.episodes, labels),

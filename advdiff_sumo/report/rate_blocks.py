@@ -8,6 +8,8 @@ from typing import Any
 
 from scipy.stats import binomtest
 
+from advdiff_sumo.metrics.severity import is_valid_failure
+
 CONFIDENCE = 0.95
 
 
@@ -65,7 +67,11 @@ def headline(episodes: Sequence[Mapping[str, Any]]) -> tuple[Rate, ...]:
     finished = [row for row in episodes if row["end"] != "failed"]
     struck = [row for row in finished if row["target_collision"]]
     judged_visible = [row for row in struck if row["attacker_visible"] is not None]
+    judged = [row for row in finished if row["valid_failure"] is not None]
+    critical = [row for row in finished if row["critical"] is not None]
     return (
+        Rate.of_flags("Valid failures", "judged episodes", [is_valid_failure(r) for r in judged]),
+        Rate.of_flags("Critical near misses", "judged episodes", [bool(r["critical"]) for r in critical]),
         Rate.of_flags("Collisions", "finished episodes", [bool(r["target_collision"]) for r in finished]),
         Rate.of_flags(
             "Collisions, target at fault", "finished episodes", [r["at_fault"] == "target" for r in finished]

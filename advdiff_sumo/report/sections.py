@@ -10,7 +10,10 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.metrics.reference import ReferenceDrive
+from advdiff_sumo.metrics.severity import badge
 from advdiff_sumo.report.blocks import departed, episode_block
+from advdiff_sumo.report.careful_driver import drive_of, tracks_of
 from advdiff_sumo.report.charts import Chart, charts_of
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.labels import Labels
@@ -103,11 +106,13 @@ class Sections:
             fits = wanted and self._pictures.takes(html)
             return Section(episode, net, html if fits else "", left_out=wanted and not fits)
         attacker = attacker_of(row)
-        series = series_of(states, attacker)
+        layer = self._nets.layer(net)
+        drive = None if layer is None else drive_of(self._run, row, states, layer.road)
+        series = series_of(states, attacker, drive)
         charts = charts_of(series, row["collision_time_s"])
         html = self._html(row, states, charts, contacts) if wanted and not self._pictures.full else ""
         fits = bool(html) and self._pictures.takes(html)
-        block = "" if self._played.full else self._block(row, states, attacker, series)
+        block = "" if self._played.full else self._block(row, states, attacker, series, drive)
         return Section(
             episode=episode,
             net=net,
@@ -118,9 +123,17 @@ class Sections:
             left_out=wanted and not fits,
         )
 
-    def _block(self, row: Row, states: EpisodeStates, attacker: str | None, series: Series) -> str:
+    def _block(
+        self,
+        row: Row,
+        states: EpisodeStates,
+        attacker: str | None,
+        series: Series,
+        drive: ReferenceDrive | None,
+    ) -> str:
         plans = self._run.plans(int(row["episode"]))
-        return episode_block(states, attacker, series, self._ghosts(row, states), plans)
+        careful = None if drive is None else tracks_of(drive, states)
+        return episode_block(states, attacker, series, self._ghosts(row, states), plans, careful)
 
     def _ghosts(self, row: Row, states: EpisodeStates) -> Tracks | None:
         natural = self._naturals.of(row)
@@ -162,6 +175,7 @@ def facts_of(row: Row, charts: Sequence[Chart], contacts: Sequence[Row]) -> dict
     return {
         "number": int(row["episode"]),
         "title": f"Episode {row['episode']}: {title(row)}",
+        "badge": badge(row),
         "verdict": _verdict(row),
         "fault": str(row["at_fault"] or "") if hit else "",
         "hit": hit,
@@ -177,9 +191,14 @@ def facts_of(row: Row, charts: Sequence[Chart], contacts: Sequence[Row]) -> dict
 def _verdict(row: Row) -> str:
     if row["end"] == "failed":
         return str(row["failure_message"] or "No reason was recorded.")
+    if row["critical"]:
+        brake = number(row["critical_brake_mps2"], 1, "m/s²")
+        return f"A careful driver would have had to brake at {brake}; resolved by: {row['resolved_by']}."
     if not row["target_collision"]:
         gap = number(row["min_clearance_m"], 2, "m")
         return f"No contact; the least gap was {gap}."
     seen = row["attacker_visible"]
     told = "" if seen is None else f" The target {'had' if seen else 'had not'} perceived the other vehicle."
-    return f"At fault: {words(row['at_fault'])}. {row['fault_reason'] or ''}{told}"
+    sentence, reason = str(row["verdict"] or ""), str(row["fault_reason"] or "")
+    reason = "" if reason.rstrip(".").lower() in sentence.lower() else reason
+    return " ".join(f"{sentence} At fault: {words(row['at_fault'])}. {reason}{told}".split())

@@ -10,6 +10,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.boxes import corners, distance
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.criticality import time_to_collision
+from advdiff_sumo.metrics.reference import ReferenceDrive
 from advdiff_sumo.report.states import EpisodeStates
 
 
@@ -24,6 +25,8 @@ class Series:
         accel_mps2: longitudinal acceleration of the target over the step before, as recorded.
         jerk_mps3: change of ``accel_mps2`` from the step before.
         attacker_accel_mps2: acceleration of the attacker, likewise; NaN without one.
+        reference_mps: speed of the careful driver in the target's place; NaN before it takes over, or without one.
+        reference_accel_mps2: its acceleration.
         gap_m: distance between the target's box and the nearest other one.
         ttc_s: least time to collision of boxes at constant velocity, up to 10 s.
     """
@@ -34,12 +37,14 @@ class Series:
     accel_mps2: FloatArray
     jerk_mps3: FloatArray
     attacker_accel_mps2: FloatArray
+    reference_mps: FloatArray
+    reference_accel_mps2: FloatArray
     gap_m: FloatArray
     ttc_s: FloatArray
 
 
-def series_of(states: EpisodeStates, attacker: str | None) -> Series:
-    """Return the series of one episode; *attacker* is an id or None."""
+def series_of(states: EpisodeStates, attacker: str | None, drive: ReferenceDrive | None = None) -> Series:
+    """Return the series of one episode; *attacker* is an id or None, *drive* that of the careful driver."""
     tracks, target = states.tracks, states.target
     row = None if attacker is None else tracks.index.get(attacker)
     attacker_mps = np.full(tracks.steps, np.nan) if row is None else tracks.speed_mps[row]
@@ -51,9 +56,20 @@ def series_of(states: EpisodeStates, attacker: str | None) -> Series:
         accel_mps2=accel,
         jerk_mps3=difference_quotient(accel, tracks.dt_s),
         attacker_accel_mps2=difference_quotient(attacker_mps, tracks.dt_s),
+        reference_mps=_from_takeover(tracks, drive, None if drive is None else drive.states.speed_mps),
+        reference_accel_mps2=_from_takeover(tracks, drive, None if drive is None else drive.accel_mps2),
         gap_m=nearest_gap(tracks, target),
         ttc_s=_least(time_to_collision(tracks, target)),
     )
+
+
+def _from_takeover(tracks: Tracks, drive: ReferenceDrive | None, values: FloatArray | None) -> FloatArray:
+    """Return (T,) *values* of *drive* at the episode's instants; NaN before it."""
+    series = np.full(tracks.steps, np.nan)
+    if drive is not None and values is not None:
+        count = min(len(values), tracks.steps - drive.takeover_step)
+        series[drive.takeover_step : drive.takeover_step + count] = values[:count]
+    return series
 
 
 def difference_quotient(values: FloatArray, dt_s: float) -> FloatArray:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
-from advdiff_sumo.report.states import states_of
+from advdiff_sumo.report.states import EpisodeStates, states_of
 
 
 def stored_record(
@@ -27,14 +28,23 @@ def stored_record(
     episode = states_of(states)
     if episode is None:
         return None
-    row = row if row is not None else {}
+    return replace(
+        record_of_states(episode, row if row is not None else {}, signals),
+        controller=_controllers(states, episode.tracks.valid.shape, episode.tracks.index),
+    )
+
+
+def record_of_states(
+    episode: EpisodeStates, row: Mapping[str, Any], signals: pa.Table | None
+) -> EpisodeRecord:
+    """Return the record of one episode, arguments as above; who moved whom is not looked at."""
     return EpisodeRecord(
         episode=int(row.get("episode") or 0),
         seed=int(row.get("seed") or 0),
         scene=str(row.get("scene") or ""),
         tracks=episode.tracks,
         target=episode.target,
-        controller=_controllers(states, episode.tracks.valid.shape, episode.tracks.index),
+        controller=np.where(episode.tracks.valid, Controller.SUMO, Controller.ABSENT).astype(np.int64),
         route=tuple(str(row.get("route") or "").split()),
         end=EndReason(str(row.get("end") or EndReason.HORIZON)),
         signals=_signals(signals, episode.tracks.steps),

@@ -11,6 +11,8 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from advdiff_sumo.metrics.severity import badge
+
 ASSETS = Path(__file__).parent / "assets"
 _SCRIPTS = ("decode.js", "scene.js", "charts.js", "player.js", "table.js", "main.js")
 _DASH = "–"
@@ -32,6 +34,8 @@ def templates() -> Environment:
         "words": words,
         "yes_no": yes_no,
         "title": title,
+        "badge": badge,
+        "breaches_of": breaches_of,
         "as_json": as_json,
     }
     environment.globals |= {"asset": _asset, "scripts": _scripts}
@@ -54,6 +58,12 @@ def percent(share: float | None, digits: int = 1) -> str:
 def words(name: str | None) -> str:
     """Return a table's word as one reads it (``rear_end_struck`` → "rear end struck"); a dash for None."""
     return name.replace("_", " ") if name else _DASH
+
+
+def breaches_of(row: Mapping[str, Any]) -> list[str]:
+    """Return the rules that either side of an episode's collision broke, as the words of the table."""
+    told = f"{row['target_breaches'] or ''}, {row['other_breaches'] or ''}"
+    return sorted({word for word in told.split(", ") if word})
 
 
 def yes_no(flag: bool | None) -> str:

@@ -9,36 +9,15 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.columns import LATER_COLUMNS
-from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
-from advdiff_sumo.sim.episode import Timing
-from advdiff_sumo.sim.run_store import episode_tables
-from advdiff_sumo.sweep.episode_result import Part
-from advdiff_sumo.sweep.run_folder import RunFolder
 from tests.e2e.commands import Outcome
-from tests.metrics.encounters import braking, crossing, driven, record_of, signals_of, straight
+from tests.metrics.encounter_folder import encounter_folder
 
 
 @pytest.fixture
 def collided(tmp_path: Path) -> Path:
-    """A run folder of two hand-made episodes on a net of its own: a valid failure, and a red-light runner."""
-    road = crossing(tmp_path, "traffic_light")
-    ego = straight("ego", (-150, -1.6), 0, 12, steps=81)
-    lead = driven("lead", (-116, -1.6), 0, braking(12, 0.5, 3.0, 81))
-    lights = signals_of(road, {("WC_1", "CE_1"): "G", ("SC_0", "CN_0"): "r"}, 81)
-    cars = (
-        straight("east", (-30, -1.6), 0, 10, steps=81),
-        straight("north", (1.6, -31), 1.5707963, 10, steps=81),
-    )
-    folder = RunFolder.create(tmp_path / "run", {"options": {"net": str(road.path), "episodes": 2}}, False)
-    for number, crew in enumerate(((ego, lead), cars)):
-        record = record_of(*crew, signals=lights, episode_number=number)
-        assert target_collision(record, collisions(record)) is not None
-        rows = episode_row(record, road), collision_rows(record, road)
-        folder.add(number, Part(episode_tables(record, *rows, Timing(1.0, (), ())), None))
-    folder.consolidate(finished=True)
-    return folder.path
+    """A run folder of hand-made episodes on a net of its own."""
+    return encounter_folder(tmp_path)
 
 
 def table(folder: Path, name: str = "episodes") -> list[dict]:
@@ -57,7 +36,8 @@ def make_older(folder: Path, *, signals: bool) -> None:
 
 def test_the_same_verdicts_again(collided: Path, here: Callable[..., Outcome]) -> None:
     before = table(collided), table(collided, "collisions")
-    assert [row["valid_failure"] for row in before[0]] == [True, False]
+    assert [row["valid_failure"] for row in before[0]] == [True, False, False]
+    assert [row["critical"] for row in before[0]] == [False, False, True]
     done = here("verdict", collided, "--workers", "2")
     assert done.code == 0, done.err
     assert "2 collisions of the target: 1 valid failures" in done.out

@@ -12,6 +12,7 @@ import pytest
 
 from advdiff_sumo.report import write_report
 from advdiff_sumo.report.folder import FinishedRun
+from tests.metrics.encounter_folder import encounter_folder
 from tests.report.conftest import drive, episode, write_folder
 
 _CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -299,3 +300,24 @@ def test_hundred_vehicles_are_drawn_quickly(look: Callable[..., Any], tmp_path: 
         " return spent.sort((a, b) => a - b)[45]; }"
     )
     assert spent < 33.0  # ms, scene and five charts, without a graphics card
+
+
+def test_the_careful_driver_and_the_filters_of_verdicts(
+    look: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    page = look(write_report(encounter_folder(tmp_path_factory.mktemp("verdicts"))), anchor="#play-0")
+    player = "document.getElementById('player').player"
+    assert page.evaluate(f"{player}.episode.reference.agents[0].id") == "careful driver"
+    assert page.text_content("#player .badge") == "valid failure"
+    assert "careful driver" in (page.text_content("#player [data-part=charts]") or "")
+    button = page.locator("[data-part=reference]")
+    button.click()
+    assert button.get_attribute("aria-pressed") == "false"
+    page.keyboard.press("r")
+    assert button.get_attribute("aria-pressed") == "true"
+    for name, value, left in (("breach", "red_light", "1 of 3"), ("verdict", "critical", "1 of 3")):
+        page.select_option(f"#filter [name={name}]", value)
+        assert (page.text_content("#filter output") or "").startswith(left)
+        page.select_option(f"#filter [name={name}]", "")
+    page.select_option("#filter [name=kind]", "rear_end_striking")
+    assert (page.text_content("#filter output") or "").startswith("1 of 3")

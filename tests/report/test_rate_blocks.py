@@ -46,14 +46,16 @@ def test_interval_holds_the_share_and_mirrors(sample: tuple[int, int]) -> None:
 
 def test_headline_counts(rows: Any) -> None:
     episodes = [
-        rows.struck(0, attacker_visible=True),
-        rows.struck(1, at_fault="other", attacker_visible=False),
+        rows.struck(0, attacker_visible=True, valid_failure=True, critical=False),
+        rows.struck(1, at_fault="other", attacker_visible=False, valid_failure=False, critical=False),
         rows.struck(2, at_fault="unclear"),
-        rows.episode(3, route_completed=True),
+        rows.episode(3, route_completed=True, valid_failure=False, critical=True),
         rows.episode(4, end="failed", failure_kind="plan_refused"),
     ]
     counts = {rate.label: (rate.count, rate.n) for rate in headline(episodes)}
     assert counts == {
+        "Valid failures": (1, 3),
+        "Critical near misses": (1, 3),
         "Collisions": (3, 4),
         "Collisions, target at fault": (1, 4),
         "Attacker was visible": (1, 2),

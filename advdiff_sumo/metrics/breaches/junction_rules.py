@@ -40,7 +40,7 @@ def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None
     if (
         ran_red(view, party)
         or ran_red(view, other)
-        or _joined_safely(met, party)
+        or joined_safely(met, which)
         or not owes_way(view, met, which)
     ):
         return None
@@ -96,9 +96,12 @@ def _lately(view: TrafficView, met: Encounter, party: Party) -> bool:
     return entered is None or met.collision.step - entered <= view.steps(BREACH_WINDOW_S)
 
 
-def _joined_safely(met: Encounter, party: Party) -> bool:
-    entry = met.entry
-    return entry is not None and entry.row == party.row and entry.ahead and (entry.safe or entry.recovered)
+def joined_safely(met: Encounter, which: int) -> bool:
+    """Return whether the other ran into the rear of the party, which had joined its way with a safe gap."""
+    party, other, entry = met.parties[which], met.parties[1 - which], met.entry
+    if entry is None or entry.row != party.row or not entry.ahead or not (entry.safe or entry.recovered):
+        return False
+    return party.face == "rear" and other.face == "front"
 
 
 def _crossing_breach(view: TrafficView, met: Encounter, party: Party, walker: Party) -> Breach | None:

@@ -1,8 +1,8 @@
 // Charts over time under the scene, by uPlot; a line through all of them stands at the player's time.
 
 const CHARTS = [
-  { key: "speed_mps", rival: "attacker_mps", title: "Speed", unit: "m/s", low: 0, high: 1 },
-  { key: "accel_mps2", rival: "attacker_accel_mps2", title: "Acceleration", unit: "m/s²", low: -1, high: 1 },
+  { key: "speed_mps", rival: "attacker_mps", careful: "reference_mps", title: "Speed", unit: "m/s", low: 0, high: 1 },
+  { key: "accel_mps2", rival: "attacker_accel_mps2", careful: "reference_accel_mps2", title: "Acceleration", unit: "m/s²", low: -1, high: 1 },
   { key: "jerk_mps3", title: "Jerk", unit: "m/s³", low: -1, high: 1 },
   { key: "ttc_s", title: "Time to collision", unit: "s", low: 0, high: 10 },
   { key: "gap_m", title: "Gap to the nearest", unit: "m", low: 0, high: 1 },
@@ -36,15 +36,15 @@ class Charts {
     const style = getComputedStyle(document.documentElement), colour = (role) => style.getPropertyValue(`--${role}`).trim();
     const axis = { stroke: colour("muted"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "11px system-ui" };
     const range = (_, least, most) => uPlot.rangeNum(Math.min(chart.low, least ?? chart.low), Math.max(chart.high, most ?? chart.high), 0.05, false);
-    const keys = [chart.rival, chart.key].filter((key) => key && this.episode.charts[key].some((v) => v !== null));
+    const keys = [chart.rival, chart.careful, chart.key].filter((key) => key && this.episode.charts[key].some((v) => v !== null));
     const plot = new uPlot({
       width: this.width(), height: 112, legend: { show: false }, padding: [6, 8, 0, 0],
       cursor: { drag: { x: false, y: false }, points: { show: false }, y: false },
       scales: { x: { time: false }, y: { range } },
       axes: [{ ...axis, size: 22, space: 40 }, { ...axis, size: 40, space: 24 }],
       series: [{}, ...keys.map((key) => ({
-        stroke: colour(key === chart.rival ? "attacker" : "target"), width: 1.8, points: { show: false },
-        dash: key === chart.rival ? [5, 3] : undefined,
+        stroke: colour({ [chart.rival]: "attacker", [chart.careful]: "reference" }[key] ?? "target"), width: 1.8, points: { show: false },
+        dash: { [chart.rival]: [5, 3], [chart.careful]: [2, 2] }[key],
       }))],
       hooks: { draw: [(u) => this.markContact(u, colour("impact"))] },
     }, [times, ...keys.map((key) => this.episode.charts[key])], body);
@@ -83,7 +83,9 @@ class Charts {
     for (const { chart, now, value } of this.plots) {
       now.style.left = `${(100 * time) / Math.max(this.episode.end, 1e-6)}%`;
       const own = asText(this.episode.charts[chart.key][k]), rival = chart.rival && this.episode.charts[chart.rival][k];
-      value.textContent = rival === null || rival === undefined ? own : `target ${own}, ${this.facts.hit ? "attacker" : "nearest"} ${asText(rival)}`;
+      const careful = chart.careful && this.episode.charts[chart.careful][k], given = (one) => one !== null && one !== undefined;
+      const named = [given(rival) && `${this.facts.hit ? "attacker" : "nearest"} ${asText(rival)}`, given(careful) && `careful driver ${asText(careful)}`].filter(Boolean);
+      value.textContent = named.length ? [`target ${own}`, ...named].join(", ") : own;
     }
   }
 

@@ -64,6 +64,7 @@ async function readEpisode(id) {
     agent.parts = block.parts(agent.p);
     agent.row = header.agents.findIndex((other) => other.id === agent.id);
   }
+  for (const agent of header.reference?.agents ?? []) agent.parts = block.parts(agent.p);
   readPlans(block);
   const charts = {};
   for (const name of header.series) charts[name] = block.series(header.steps);

@@ -5,7 +5,7 @@ class Player {
     Object.assign(this, { root, index, order, time: 0, playing: false, follow: false, streets: new Map() });
     const part = (name) => root.querySelector(`[data-part=${name}]`);
     for (const name of ["play", "slider", "clock", "speed", "title", "verdict", "facts", "words", "contact", "canvas",
-      "previous", "next", "follow", "natural", "plans", "names", "fit", "mark", "command"]) this[name + "Part"] = part(name);
+      "previous", "next", "follow", "natural", "reference", "plans", "names", "fit", "mark", "command", "badge"]) this[name + "Part"] = part(name);
     this.scene = new Scene(this.canvasPart);
     this.charts = new Charts(part("charts"), (time) => this.seek(time));
     this.listen();
@@ -20,6 +20,7 @@ class Player {
     click("fit", () => { this.setFollow(false); this.scene.fit(); this.draw(); });
     click("follow", () => this.setFollow(!this.follow));
     click("natural", () => this.flip("natural"));
+    click("reference", () => this.flip("reference"));
     click("plans", () => this.flip("plans"));
     click("names", () => this.flip("names"));
     this.sliderPart.addEventListener("input", () => this.seek(Number(this.sliderPart.value)));
@@ -68,7 +69,7 @@ class Player {
       " ": () => this.toggle(), k: () => this.toggle(),
       ArrowRight: () => this.seek(this.time + tick), ArrowLeft: () => this.seek(this.time - tick),
       Home: () => this.seek(0), End: () => this.seek(this.episode.end),
-      c: () => this.seek(this.facts.moment), f: () => this.setFollow(!this.follow), g: () => this.flip("natural"), t: () => this.flip("plans"), l: () => this.flip("names"),
+      c: () => this.seek(this.facts.moment), f: () => this.setFollow(!this.follow), g: () => this.flip("natural"), r: () => this.flip("reference"), t: () => this.flip("plans"), l: () => this.flip("names"),
       n: () => this.step(1), p: () => this.step(-1), 0: () => { this.setFollow(false); this.scene.fit(); this.draw(); },
       "+": () => { this.scene.zoom(1.25); this.draw(); }, "-": () => { this.scene.zoom(0.8); this.draw(); },
       "]": () => this.hurry(1), "[": () => this.hurry(-1),
@@ -132,6 +133,8 @@ class Player {
     const { facts, episode } = this;
     this.titlePart.textContent = facts.title;
     this.verdictPart.textContent = facts.verdict;
+    this.badgePart.textContent = facts.badge;
+    this.badgePart.className = `badge ${facts.badge.replaceAll(" ", "-")}`;
     this.verdictPart.className = `verdict ${facts.fault}`;
     this.factsPart.textContent = facts.line;
     this.commandPart.textContent = facts.command;
@@ -141,7 +144,7 @@ class Player {
     this.sliderPart.step = episode.dt;
     this.markPart.hidden = facts.contact === null;
     this.markPart.style.setProperty("--share", facts.contact === null ? 0 : facts.contact / Math.max(episode.end, 1e-6));
-    for (const what of ["natural", "plans"]) {
+    for (const what of ["natural", "reference", "plans"]) {
       this[what + "Part"].disabled = !episode[what];
       this[what + "Part"].setAttribute("aria-pressed", Boolean(episode[what]) && this.scene.shown[what]);
     }

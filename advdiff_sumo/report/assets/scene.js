@@ -7,7 +7,7 @@ class Scene {
     this.canvas = canvas;
     this.pen = canvas.getContext("2d");
     this.ground = document.createElement("canvas");
-    this.shown = { natural: true, plans: true, names: false };
+    this.shown = { natural: true, reference: true, plans: true, names: false };
     this.view = { x: 0, y: 0, scale: 4 };
     this.labels = {}; // of target and attacker, by row, in pixels: where their names stand
     this.colours();
@@ -15,7 +15,7 @@ class Scene {
 
   colours() {
     const style = getComputedStyle(document.documentElement), names = ["ground", "area", "marking", "target", "attacker",
-      "other", "moved", "impact", "text", "page", "muted", "natural"];
+      "other", "moved", "impact", "text", "page", "muted", "natural", "reference"];
     this.colour = Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
     this.drawn = "";
   }
@@ -84,6 +84,7 @@ class Scene {
     this.world(pen, ox, oy);
     pen.lineJoin = pen.lineCap = "round";
     if (this.shown.natural && episode.natural) this.drawNatural(time);
+    if (this.shown.reference && episode.reference) this.drawReference(time);
     this.drawPaths(instant);
     if (this.shown.plans && episode.plans) this.drawPlans(time);
     const rows = [...episode.agents.keys()].filter((row) => !this.special.has(row));
@@ -205,6 +206,28 @@ class Scene {
       pen.lineWidth = 1.5 * px;
       pen.setLineDash([3 * px, 2 * px]);
       this.box(pose, size);
+      pen.stroke();
+      pen.setLineDash([]);
+    }
+    pen.globalAlpha = 1;
+  }
+
+  // The careful driver beside the target, from its takeover on; where it stands at the end it stays.
+  drawReference(time) {
+    const { pen, episode, colour, view } = this, { reference } = episode, px = 1 / view.scale, [{ parts }] = reference.agents;
+    const now = (time - reference.t0) / reference.dt, last = parts[parts.length - 1], end = last.start + last.count - 1;
+    pen.strokeStyle = pen.fillStyle = colour.reference;
+    pen.lineWidth = 4 * px;
+    pen.globalAlpha = 0.55;
+    this.trace(parts, 0, Infinity);
+    const pose = now >= -1e-6 && poseAt(parts, Math.min(now, end));
+    if (pose) {
+      this.box(pose, episode.agents[episode.target].s);
+      pen.globalAlpha = 0.3;
+      pen.fill();
+      pen.globalAlpha = 1;
+      pen.lineWidth = 2 * px;
+      pen.setLineDash([5 * px, 3 * px]);
       pen.stroke();
       pen.setLineDash([]);
     }

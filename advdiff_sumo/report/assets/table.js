@@ -29,7 +29,8 @@ class EpisodeTable {
     let left = 0;
     for (const row of this.body.rows) {
       const text = row.textContent.toLowerCase();
-      const fits = ["target", "policy", "outcome", "fault"].every((name) => !wanted[name] || row.dataset[name] === wanted[name]);
+      const fits = ["target", "policy", "outcome", "fault", "verdict", "kind"].every((name) => !wanted[name] || row.dataset[name] === wanted[name])
+        && (!wanted.breach || row.dataset.breach.split(" ").includes(wanted.breach));
       row.hidden = !(fits && words.every((word) => text.includes(word)));
       left += !row.hidden;
     }

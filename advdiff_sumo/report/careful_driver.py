@@ -1,0 +1,54 @@
+"""What the careful and competent driver would have done in the target's place, for player and charts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.collision import collisions, target_collision
+from advdiff_sumo.metrics.criticality import least, time_to_collision
+from advdiff_sumo.metrics.near_miss import careful_drive
+from advdiff_sumo.metrics.reference import ReferenceDrive, drive_reference
+from advdiff_sumo.report.folder import FinishedRun, Row
+from advdiff_sumo.report.states import EpisodeStates
+from advdiff_sumo.report.stored_record import record_of_states
+
+#: Its name in the player.
+NAME = "careful driver"
+
+
+def drive_of(run: FinishedRun, row: Row, states: EpisodeStates, road: RoadMap) -> ReferenceDrive | None:
+    """Return the drive from its takeover on; None where there is no verdict, or no contact or critical near miss.
+
+    Args:
+        run: for what the traffic lights showed.
+        row: of the episode.
+        states: of the episode.
+        road: its map.
+    """
+    if row["preventable"] is None and not row["critical"]:
+        return None
+    record = record_of_states(states, row, run.signals(int(row["episode"])))
+    if not row["critical"]:
+        hit = target_collision(record, collisions(record))
+        return None if hit is None else drive_reference(record, road, hit)
+    ttc = least(time_to_collision(record.tracks, record.target), record.tracks)
+    return None if ttc is None else careful_drive(record, road, ttc)
+
+
+def tracks_of(drive: ReferenceDrive, states: EpisodeStates) -> Tracks:
+    """Return the drive as tracks of one agent, cut to the episode."""
+    driven = states.tracks
+    count = min(len(drive.states.speed_mps), driven.steps - drive.takeover_step)
+    return Tracks(
+        ids=(NAME,),
+        classes=driven.classes[[states.target]],
+        size_m=driven.size_m[[states.target]],
+        xy_m=drive.states.xy_m[None, :count],
+        yaw_rad=drive.states.yaw_rad[None, :count],
+        speed_mps=drive.states.speed_mps[None, :count],
+        valid=np.ones((1, count), dtype=np.bool_),
+        t0_s=drive.takeover_step * driven.dt_s,
+        dt_s=driven.dt_s,
+    )

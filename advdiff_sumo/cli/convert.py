@@ -48,6 +48,10 @@ def convert(
         str, typer.Option(help="'guess': signals at large junctions; 'map': only where the map has them.")
     ] = "map",
     opendrive: Annotated[bool, typer.Option(help="Write NAME.xodr too.")] = False,
+    close_rim: Annotated[
+        bool,
+        typer.Option("--close-rim", help="Lead traffic back from where the map ends to where it begins."),
+    ] = False,
     drive: Annotated[
         int, typer.Option(min=0, help="Driving test of an hour in which so many vehicles set out; 0: none.")
     ] = 0,
@@ -68,7 +72,7 @@ def convert(
     if tls not in ("guess", "map"):
         raise ConfigError(f"--tls {tls}: known are 'guess' and 'map'")
     for source, net in _jobs(map_file, output, all_of):
-        result = convert_file(source, net, lefthand, tls == "guess", opendrive)
+        result = convert_file(source, net, lefthand, tls == "guess", opendrive, close_rim)
         figures: dict[str, Any] = measure(result).as_dict()
         root = dataroot or all_of
         if root is not None:
@@ -106,7 +110,7 @@ def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> li
 
 
 def convert_file(
-    source: Path, net: Path, lefthand: bool | None, guess: bool, opendrive: bool
+    source: Path, net: Path, lefthand: bool | None, guess: bool, opendrive: bool, close_rim: bool = False
 ) -> ConversionResult:
     """Convert a map of any kind that the verb takes."""
     from advdiff_sumo.data.pickles import load_plain  # late, as above
@@ -116,8 +120,17 @@ def convert_file(
 
     if source.suffix == ".pkl":
         record = read_record_map(load_plain(source), source)
-        return convert_source(record, net, lefthand=lefthand, guess_signals=guess, opendrive=opendrive)
-    return convert_source(read_map(source), net, lefthand=lefthand, guess_signals=guess, opendrive=opendrive)
+        return convert_source(
+            record, net, lefthand=lefthand, guess_signals=guess, opendrive=opendrive, close_rim=close_rim
+        )
+    return convert_source(
+        read_map(source),
+        net,
+        lefthand=lefthand,
+        guess_signals=guess,
+        opendrive=opendrive,
+        close_rim=close_rim,
+    )
 
 
 def _say(result: ConversionResult, figures: dict[str, Any]) -> None:

@@ -22,6 +22,8 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import NetError
 
 SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml")
+RETURN_TYPE = "rim_return"
+"""Type of the edges that lead from where a clipped map ends to where it begins; nothing is measured on them."""
 _KEPT_FUNCTIONS = ("", "normal", "internal")
 
 
@@ -70,8 +72,11 @@ def read_raw_net(path: Path) -> RawNet:
     root = read_root(path, "net", "a SUMO net")
     edges: dict[str, ET.Element] = {}
     pedestrian: dict[str, FloatArray] = {}
+    beyond = return_ids(root)
     for edge in root.iterfind("edge"):
         lane = edge.find("lane")
+        if edge.get("id") in beyond:
+            continue
         if edge.get("function", "") in _KEPT_FUNCTIONS and lane is not None:
             edges[edge.get("id", "")] = edge
         elif edge.get("function") in ("crossing", "walkingarea") and lane is not None:
@@ -87,6 +92,15 @@ def read_raw_net(path: Path) -> RawNet:
         ),
         pedestrian_shapes=pedestrian,
     )
+
+
+def return_ids(root: ET.Element) -> set[str]:
+    """Return the edges beyond the rim of a net (:data:`RETURN_TYPE`), ways to and from them among them."""
+    edges = {edge.get("id", "") for edge in root.iterfind("edge") if edge.get("type") == RETURN_TYPE}
+    if not edges:
+        return edges
+    ways = [c for c in root.iterfind("connection") if c.get("from") in edges or c.get("to") in edges]
+    return edges | {c.get("via", "").rpartition("_")[0] for c in ways}
 
 
 def read_root(path: Path, tag: str, what: str) -> ET.Element:

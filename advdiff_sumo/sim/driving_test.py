@@ -71,7 +71,8 @@ def driving_test(
         statistics = Path(folder) / "statistics.xml"
         libsumo.start([*command, "--statistic-output", str(statistics)])
         try:
-            tally = _drive(trips, vehicles, duration_s, step_s, at_once=at_once)
+            tally = _Tally(beyond=trips.beyond)
+            _drive(tally, trips, vehicles, duration_s, step_s, at_once=at_once)
         except libsumo.TraCIException as error:
             raise SimulationError(f"{net}: SUMO stopped the driving test ({error})") from None
         finally:
@@ -92,6 +93,7 @@ class _Tally:
     Attributes:
         across: contacts of a car that had just changed lane.
         changed_m: metres that a car has driven since it changed lane, up to its length.
+        beyond: edges beyond the rim of the map, where boxes are not compared.
         next_lanes: lanes that follow a lane, inner ones of junctions among them.
     """
 
@@ -108,13 +110,16 @@ class _Tally:
     places: Counter[str] = field(default_factory=Counter)
     stuck: Counter[str] = field(default_factory=Counter)
     last_lane: dict[str, str] = field(default_factory=dict)
+    beyond: set[str] = field(default_factory=set)
 
 
-def _drive(trips: RandomTrips, vehicles: int, duration_s: float, step_s: float, *, at_once: bool) -> _Tally:
+def _drive(
+    tally: _Tally, trips: RandomTrips, vehicles: int, duration_s: float, step_s: float, *, at_once: bool
+) -> None:
     libsumo.vehicletype.copy("DEFAULT_VEHTYPE", VTYPE)
     libsumo.vehicletype.setLength(VTYPE, LENGTH_M)
     libsumo.vehicletype.setWidth(VTYPE, WIDTH_M)
-    tally, number = _Tally(), 0
+    number = 0
     every = max(1, round(CHECK_S / step_s))
     for step in range(round(duration_s / step_s)):
         on_the_way = libsumo.vehicle.getIDCount() + len(libsumo.simulation.getPendingVehicles())
@@ -127,7 +132,14 @@ def _drive(trips: RandomTrips, vehicles: int, duration_s: float, step_s: float, 
         for name in libsumo.simulation.getDepartedIDList():
             libsumo.vehicle.subscribe(name, READ)
         _note(tally, libsumo.vehicle.getAllSubscriptionResults(), step_s, check=step % every == 0)
-    return tally
+
+
+def _on_map(state: dict[str, dict[int, Any]], beyond: set[str]) -> dict[str, dict[int, Any]]:
+    return {
+        name: row
+        for name, row in state.items()
+        if str(row[libsumo.VAR_LANE_ID]).rpartition("_")[0] not in beyond
+    }
 
 
 def _set_out(name: str, edges: list[str]) -> None:
@@ -150,7 +162,7 @@ def _note(tally: _Tally, state: dict[str, dict[int, Any]], step_s: float, *, che
     for collision in libsumo.simulation.getCollisions():
         tally.sumo_collisions.add(_pair(collision.collider, collision.victim))
     if check:
-        new = _contacts(on_road) - tally.box_contacts
+        new = _contacts(_on_map(on_road, tally.beyond)) - tally.box_contacts
         tally.places.update(str(state[first][libsumo.VAR_LANE_ID]) for first, _ in new)
         tally.box_contacts |= new
         tally.across |= {pair for pair in new if tally.changed_m.keys() & set(pair)}

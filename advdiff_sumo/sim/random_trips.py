@@ -9,6 +9,7 @@ from pathlib import Path
 import sumolib
 
 from advdiff_sumo.core.errors import NetError
+from advdiff_sumo.maps.read_net import RETURN_TYPE, read_root, return_ids
 
 SHORTEST_TRIPS_M = (200.0, 100.0, 50.0)  # the first that the net has
 SHORTEST_END_M = (
@@ -18,7 +19,11 @@ TRIES, POOL = 2000, 400
 
 
 class RandomTrips:
-    """Random trips between edges, from far apart ends where there are any."""
+    """Random trips between edges, from far apart ends where there are any.
+
+    Attributes:
+        beyond: edges beyond the rim of a map; trips lead over them and do not begin or end there.
+    """
 
     def __init__(self, net: Path, seed: int) -> None:
         """Read *net* and find its trips.
@@ -30,8 +35,10 @@ class RandomTrips:
         self._random = random.Random(seed)  # noqa: S311 - traffic, not secrets
         edges = [edge for edge in self._net.getEdges() if edge.allows("passenger")]
         self._edges = sorted(edges, key=lambda edge: edge.getID())
-        self._ends = [edge for edge in self._edges if edge.getLength() >= SHORTEST_END_M]
+        on_map = [edge for edge in self._edges if edge.getType() != RETURN_TYPE]
+        self._ends = [edge for edge in on_map if edge.getLength() >= SHORTEST_END_M]
         self._pool = self._find_pool(net)
+        self.beyond = return_ids(read_root(net, "net", "a SUMO net"))
 
     @property
     def lane_km(self) -> float:

@@ -29,6 +29,7 @@ from advdiff_sumo.maps.convert.plain_xml import write_plain_xml
 from advdiff_sumo.maps.convert.projection import drives_left, projection_of
 from advdiff_sumo.maps.convert.repair import repair
 from advdiff_sumo.maps.convert.restore import restore_shapes
+from advdiff_sumo.maps.convert.rim import ReturnEdge, put_aside, return_edges
 from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 from advdiff_sumo.maps.convert.widths import width_between, width_profile
@@ -100,8 +101,12 @@ def convert_source(
     lefthand: bool | None = None,
     guess_signals: bool = False,
     opendrive: bool = False,
+    close_rim: bool = False,
 ) -> ConversionResult:
-    """Convert a map already read; see :func:`convert_map`."""
+    """Convert a map already read; see :func:`convert_map`.
+
+    With *close_rim*, return edges beside the map lead from where it ends to where it begins (:mod:`.rim`).
+    """
     left = drives_left(source.location) if lefthand is None else lefthand
     given, source = source, repair(check_geometry(source))
     tracks = measure_tracks(source, SPEED_MPS[left])
@@ -115,11 +120,15 @@ def convert_source(
     plan = with_control(plan_drivable(tracks, layout, ways, left), source, guess_signals)
     source = _with_idle_signals(source, plan)
     _make_folder(out_net)
-    warnings = _build(plan, source.location, out_net, left, layout.counts)
+    returns = return_edges(plan) if close_rim else ()
+    layout.counts["return edges beyond the rim"] = len(returns)
+    warnings = _build(plan, source.location, out_net, left, layout.counts, returns)
     if opendrive:
         xodr = out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr")
         write_opendrive(plan, xodr, source.location, projection_of(source.location))
     layout.counts["lane shapes put back after netconvert"] = restore_shapes(out_net, plan)
+    if returns:
+        put_aside(out_net, plan, returns)
     annotate_net(out_net, plan)
     write_sidecar(source, sidecar_path(out_net))
     counts = source.notes + layout.counts
@@ -140,13 +149,20 @@ def _with_idle_signals(source: SourceMap, plan: NetPlan) -> SourceMap:
 
 
 def _build(
-    plan: NetPlan, location: str, out_net: Path, lefthand: bool, counts: Counter[str]
+    plan: NetPlan,
+    location: str,
+    out_net: Path,
+    lefthand: bool,
+    counts: Counter[str],
+    returns: tuple[ReturnEdge, ...],
 ) -> tuple[str, ...]:
     """Write the net; a second time where netconvert lets ways go together that are too near each other."""
     with tempfile.TemporaryDirectory() as folder:
 
         def build(prohibitions: list[tuple[Ends, Ends]]) -> tuple[str, ...]:
-            files = write_plain_xml(plan, Path(folder), location, projection_of(location), prohibitions)
+            files = write_plain_xml(
+                plan, Path(folder), location, projection_of(location), prohibitions, returns
+            )
             return run_netconvert(files, out_net, lefthand=lefthand)
 
         warnings = build([])

@@ -76,6 +76,7 @@ EXPLAINED = {
     "is not connected from any incoming edge": "the source has no lane that leads into this one; its neighbours in the "
     "edge have, so it is entered by a lane change",
     "is not connected to outgoing edges": "the source has no way on from there: a map that was clipped ends in it",
+    "m short": "a way to or from a return edge beyond the rim was drawn too short and got its length afterwards",
     "Custom shape has distance": "netconvert had moved the end of that lane; its shape was put back afterwards",
     "Intersecting left turns": "the source's centre lines of two opposite turns cross; one of them yields",
     "Ambiguity in turnarounds": "several edges leave a junction nearly opposite to one that enters it; turnarounds "

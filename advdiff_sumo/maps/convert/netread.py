@@ -11,6 +11,7 @@ import sumolib
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
+from advdiff_sumo.maps.read_net import RETURN_TYPE
 
 ConnectionKey = tuple[str, int, str, int]  # edge and lane that it leaves, edge and lane that it enters
 
@@ -22,7 +23,7 @@ class WrittenNet:
     Attributes:
         lanes: by (edge, lane number) the centre line (N, 2) and the width in m of edge lanes.
         ways: by connection the centre line (N, 2) and the width in m of its internal lanes, joined.
-        next_edges: edges that can be entered from each edge.
+        next_edges: edges that can be entered from each edge, return edges beyond the rim among them.
     """
 
     lanes: dict[tuple[str, int], tuple[FloatArray, float]]
@@ -33,15 +34,17 @@ class WrittenNet:
 def read_net(path: Path) -> WrittenNet:
     """Read the net at *path*."""
     net = sumolib.net.readNet(str(path), withInternal=True)
-    edges = [edge for edge in net.getEdges() if edge.getFunction() == ""]
+    roads = [edge for edge in net.getEdges() if edge.getFunction() == ""]
+    edges = [edge for edge in roads if edge.getType() != RETURN_TYPE]
     lanes = {
         (lane.getEdge().getID(), lane.getIndex()): (_line(lane.getShape()), float(lane.getWidth()))
         for edge in edges
         for lane in edge.getLanes()
     }
-    connections = [c for edge in edges for group in edge.getOutgoing().values() for c in group]
+    targets = [(after, group) for edge in edges for after, group in edge.getOutgoing().items()]
+    connections = [c for after, group in targets if after.getType() != RETURN_TYPE for c in group]
     ways = {_key(connection): _way(net, connection) for connection in connections}
-    following = {edge.getID(): sorted(after.getID() for after in edge.getOutgoing()) for edge in edges}
+    following = {edge.getID(): sorted(after.getID() for after in edge.getOutgoing()) for edge in roads}
     return WrittenNet(lanes, ways, following)
 
 

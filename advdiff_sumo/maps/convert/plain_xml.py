@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.lane_routes import CHANGE_M
 from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, JunctionPlan, NetPlan, Ring
+from advdiff_sumo.maps.convert.polyline import shape_text
+from advdiff_sumo.maps.convert.rim import ReturnEdge, return_connections, return_rows
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse
 
 NOBODY = "custom2"  # a vehicle class that nothing uses
@@ -28,21 +30,28 @@ def write_plain_xml(
     location: str,
     projection: str | None,
     prohibitions: Iterable[tuple[Ends, Ends]] = (),
+    returns: Sequence[ReturnEdge] = (),
 ) -> dict[str, Path]:
     """Write node, edge and connection files into *folder*; return them by netconvert's option name.
 
     A *projection* goes into the location element, as netconvert's option ``--proj`` would read the coordinates as
     degrees. *prohibitions* tell pairs of ways of which the second yields to the first.
     """
-    nodes = [*([_location(plan, projection)] if projection else []), *map(_node, plan.junctions)]
+    joined = {name for edge in returns for name in (edge.origin.target, edge.target.origin)}
+    junctions = [
+        replace(j, kind="priority") if j.id in joined and j.kind == "dead_end" else j for j in plan.junctions
+    ]
+    nodes = [*([_location(plan, projection)] if projection else []), *map(_node, junctions)]
     return {
         "node-files": _file(folder / "plain.nod.xml", "nodes", nodes),
         "edge-files": _file(
             folder / "plain.edg.xml",
             "edges",
-            [*(_edge(e, location) for e in plan.edges), *map(_roundabout, plan.rings)],
+            [*(_edge(e, location) for e in plan.edges), *return_rows(returns), *map(_roundabout, plan.rings)],
         ),
-        "connection-files": _file(folder / "plain.con.xml", "connections", _connections(plan, prohibitions)),
+        "connection-files": _file(
+            folder / "plain.con.xml", "connections", _connections(plan, prohibitions, returns)
+        ),
     }
 
 
@@ -52,11 +61,6 @@ def _file(path: Path, root: str, elements: Iterable[ET.Element]) -> Path:
     ET.indent(tree)
     ET.ElementTree(tree).write(path, encoding="utf-8", xml_declaration=True)
     return path
-
-
-def shape_text(points: FloatArray) -> str:
-    """Return "x,y x,y …" with millimetres kept."""
-    return " ".join(f"{x:.4f},{y:.4f}" for x, y in points)
 
 
 def _location(plan: NetPlan, projection: str) -> ET.Element:
@@ -116,12 +120,15 @@ def _roundabout(ring: Ring) -> ET.Element:
     return ET.Element("roundabout", nodes=" ".join(ring.junctions), edges=" ".join(ring.edges))
 
 
-def _connections(plan: NetPlan, prohibitions: Iterable[tuple[Ends, Ends]]) -> Iterable[ET.Element]:
+def _connections(
+    plan: NetPlan, prohibitions: Iterable[tuple[Ends, Ends]], returns: Sequence[ReturnEdge]
+) -> Iterable[ET.Element]:
     for connection in plan.connections:
         yield _connection(connection)
     for first, second in prohibitions:
         yield ET.Element("prohibition", prohibitor="->".join(first), prohibited="->".join(second))
-    leaving = {connection.origin[0] for connection in plan.connections}
+    yield from return_connections(returns)
+    leaving = {connection.origin[0] for connection in plan.connections} | {e.origin.id for e in returns}
     for edge in plan.edges:
         if edge.id not in leaving:  # tells netconvert not to invent ways on
             yield ET.Element("connection", {"from": edge.id})

@@ -71,3 +71,8 @@ def join(parts: list[FloatArray]) -> FloatArray:
         first = 1 if np.hypot(*(part[0] - whole[-1])) < 1e-6 else 0
         whole = np.vstack((whole, part[first:]))
     return whole
+
+
+def shape_text(points: FloatArray) -> str:
+    """Return "x,y x,y …" with millimetres kept."""
+    return " ".join(f"{x:.4f},{y:.4f}" for x, y in points)

@@ -9,7 +9,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.netplan import NetPlan
-from advdiff_sumo.maps.convert.plain_xml import shape_text
+from advdiff_sumo.maps.convert.polyline import shape_text
 
 SAME_M = 0.01
 LANE = re.compile(r'(<lane id="(?P<id>[^"]+)"[^>]* shape=")(?P<shape>[^"]*)(")')

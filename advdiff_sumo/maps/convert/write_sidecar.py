@@ -11,7 +11,7 @@ import shapely
 from shapely.coords import CoordinateSequence
 from shapely.geometry import Polygon
 
-from advdiff_sumo.maps.convert.plain_xml import shape_text
+from advdiff_sumo.maps.convert.polyline import shape_text
 from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 
 HOLE = "drivable_area_hole"

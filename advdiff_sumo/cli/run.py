@@ -44,6 +44,7 @@ def run(
     seed: flags.Seed = None,
     demand: flags.Demand = None,
     scenes: flags.Scenes = None,
+    licence: flags.Licence = None,
     strength: flags.Strength = None,
     attackers: flags.Attackers = None,
     attack: flags.Attack = None,
@@ -97,6 +98,7 @@ def run(
         "scenes": scenes and str(scenes),
     }
     policy = {
+        "licence": licence,
         "strength": strength,
         "attackers": attackers,
         "attack": attack,

@@ -63,10 +63,19 @@ Strength: TypeAlias = Annotated[
 Attackers: TypeAlias = Annotated[
     int | None, typer.Option(help="diffusion: how many vehicles attack at a time.", show_default="2")
 ]
+Licence: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="What attackers may do: lawful (no rule broken), careless, or reckless (the paper's).",
+        show_default="reckless; scripted: lawful",
+    ),
+]
 Attack: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="diffusion: what they do: any, cut-in, rear-end, head-on, junction or brake.", show_default="any"
+        help="diffusion: any, cut-in, rear-end, head-on, junction, brake; lawful ones and scripted: any, hard-stop, "
+        "cut-in, crossing, blocked-lane, stop-and-go, cut-out.",
+        show_default="any",
     ),
 ]
 Guide: TypeAlias = Annotated[

@@ -7,12 +7,14 @@ from typing import Literal
 from pydantic import Field
 
 from advdiff_sumo.config import Options
+from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
 
 
 class RivalOptions(Options):
     """What every rival takes.
 
     Attributes:
+        licence: what attackers may do, as of ``diffusion``: "lawful", "careless", or "reckless", as published.
         rounds: of the search for a plan; 0 is where the search starts from, exactly.
         attackers: most vehicles that attack at a time.
         surrogate: whose reaction the search expects of the target: "lane_graph", "model" (the traffic model's
@@ -23,6 +25,7 @@ class RivalOptions(Options):
         device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
     """
 
+    licence: LicenceName = "reckless"
     rounds: int = Field(20, ge=0, le=1000)
     attackers: int = Field(2, ge=1, le=8)
     surrogate: str = "lane_graph"

@@ -29,6 +29,7 @@ from advdiff_sumo.traffic.diffusion.diffusion_policy import (
     tracks_of,
 )
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
+from advdiff_sumo.traffic.manoeuvres.licensed_attack import licensed_attack
 from advdiff_sumo.traffic.planning.draw import Drawn
 from advdiff_sumo.traffic.planning.futures import futures_of
 
@@ -137,7 +138,10 @@ class Rival(ABC):
         found = self.search(Task(road, view, memory, seed))
         if self.listener is not None:
             self.listener(view, found.drawn)
-        guarded = apply_safeguard(road, view, found.drawn, lanes, (memory.plan, memory.driven))
+        futures, names = futures_of(view.now, found.drawn.rollout), found.drawn.attackers
+        options = self.options
+        attack = licensed_attack(road, view, futures, names, options.licence, None, options.attackers)
+        guarded = apply_safeguard(road, view, found.drawn, lanes, (memory.plan, memory.driven), attack)
         tracks = tracks_of(view, guarded.futures)
         return JointPlan(tracks), replace(found.memory, plan=tracks, driven=1)
 

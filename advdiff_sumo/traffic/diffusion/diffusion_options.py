@@ -2,21 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar, Literal, TypeAlias
+from typing import ClassVar, Literal, Self, TypeAlias
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from advdiff_sumo.config import Options
 from advdiff_sumo.models.shipped_weights import shipped_weights
+from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
 
-Attack: TypeAlias = Literal["any", "cut-in", "rear-end", "head-on", "junction", "brake"]
+Attack: TypeAlias = Literal[
+    "any",
+    "cut-in",
+    "rear-end",
+    "head-on",
+    "junction",
+    "brake",
+    "hard-stop",
+    "crossing",
+    "blocked-lane",
+    "stop-and-go",
+    "cut-out",
+]
+LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
+    "any": ("any", "any"),
+    "cut-in": ("cut-in", "cut-in"),
+    "brake": ("hard-stop", "brake"),
+    "hard-stop": ("hard-stop", "brake"),
+    "junction": ("crossing", "junction"),
+    "crossing": ("crossing", "junction"),
+    "blocked-lane": ("blocked-lane", "brake"),
+    "stop-and-go": ("stop-and-go", "brake"),
+    "cut-out": ("cut-out", "any"),
+}
+"""Attack → the manoeuvre that it stands for under a licence, and the guide's term that goes with it."""
+RECKLESS_ATTACKS = ("any", "cut-in", "rear-end", "head-on", "junction", "brake")
+"""Attacks that the guide has terms for."""
 
 
 class DiffusionOptions(Options):
     """Options of ``diffusion``.
 
     Attributes:
+        licence: what attackers may do: "reckless", anything that moves like a vehicle, as in the paper; "lawful": no
+            traffic rule is broken, and lawful manoeuvres are driven beside the guided plans; "careless": smaller gaps.
         strength: how hard attackers are guided against the target; 0 is natural traffic exactly.
         attackers: most vehicles that are guided at a time.
         attack: what they shall do; "any": whatever gets them close.
@@ -34,6 +64,7 @@ class DiffusionOptions(Options):
     """
 
     shipped: ClassVar[Literal["traffic", "traj2traj"]] = "traffic"
+    licence: LicenceName = "reckless"
     strength: float = Field(1.0, ge=0.0, le=1.0)
     attackers: int = Field(2, ge=1, le=8)
     attack: Attack = "any"
@@ -47,6 +78,28 @@ class DiffusionOptions(Options):
     weights: str = ""
     reward: str = ""
     device: str = "auto"
+
+    @model_validator(mode="after")
+    def _attack_fits_licence(self) -> Self:
+        reckless = self.licence == "reckless"
+        known = RECKLESS_ATTACKS if reckless else tuple(LAWFUL_ATTACKS)
+        if self.attack not in known:
+            other = "lawful" if reckless else "reckless"
+            raise ValueError(
+                f"attack = '{self.attack}' is none of licence = '{self.licence}': {', '.join(known)}; "
+                f"choose one of them, or licence = '{other}'"
+            )
+        return self
+
+    @property
+    def manoeuvre(self) -> str:
+        """The manoeuvre that ``attack`` stands for under a licence."""
+        return LAWFUL_ATTACKS[self.attack][0]
+
+    @property
+    def attack_term(self) -> str:
+        """The guide's term that goes with ``attack``."""
+        return self.attack if self.licence == "reckless" else LAWFUL_ATTACKS[self.attack][1]
 
     @property
     def guided(self) -> bool:

@@ -17,10 +17,12 @@ from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.view import View, look
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks, networks_of
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions, Traj2TrajOptions
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.licensed_attack import RECKLESS, LicensedAttack, licensed_attack
 from advdiff_sumo.traffic.planning.draw import Drawn, draw_plan
 from advdiff_sumo.traffic.planning.futures import Futures, coasting, futures_of, join
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
-from advdiff_sumo.traffic.planning.safeguard import Guarded, Plan, Watched, safeguard
+from advdiff_sumo.traffic.planning.safeguard import Guarded, Plan, Watched, back_to_lane, safeguard
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
@@ -40,12 +42,14 @@ class Memory:
         shifts: id of who was guided last → what its latent was shifted by, (Z,).
         plan: the last plan, at its own clock.
         driven: model steps of it that have been driven when the next plan is asked for.
+        commitments: manoeuvres under way; None where the licence asks for none.
     """
 
     noise: Mapping[str, FloatArray] = field(default_factory=dict)
     shifts: Mapping[str, FloatArray] = field(default_factory=dict)
     plan: Tracks | None = None
     driven: int = 0
+    commitments: Commitments | None = None
 
 
 class DiffusionTraffic:
@@ -76,7 +80,9 @@ class DiffusionTraffic:
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Memory:  # noqa: ARG002 - the contract
         """Return an empty memory, and let the map make its table of pieces."""
         _ = road.pieces
-        return Memory()
+        if self.options.licence == "reckless" or not self.options.guided:
+            return Memory()
+        return Memory(commitments=Commitments.start(self.options.manoeuvre, rng))
 
     @one_thread()
     def plan(
@@ -100,9 +106,18 @@ class DiffusionTraffic:
         drawn = draw_plan(self.networks, self.options, view, memory.noise, memory.shifts, seed)
         if self.listener is not None:
             self.listener(view, drawn)
-        guarded = apply_safeguard(road, view, drawn, lanes, (memory.plan, memory.driven))
+        attack = self._attack(road, view, drawn, memory)
+        guarded = apply_safeguard(road, view, drawn, lanes, (memory.plan, memory.driven), attack)
         tracks = tracks_of(view, guarded.futures)
-        return JointPlan(tracks), Memory(drawn.noise, drawn.shifts, tracks, 1)
+        return JointPlan(tracks), Memory(drawn.noise, drawn.shifts, tracks, 1, attack.commitments)
+
+    def _attack(self, road: RoadMap, view: View, drawn: Drawn, memory: Memory) -> LicensedAttack:
+        """Return what the licence makes of the plan *drawn*."""
+        if not self.options.guided:
+            return RECKLESS
+        futures = futures_of(view.now, drawn.rollout)
+        licence, most = self.options.licence, self.options.attackers
+        return licensed_attack(road, view, futures, drawn.attackers, licence, memory.commitments, most)
 
     def _lanes(self, road: RoadMap, scene: Scene) -> dict[int, LaneAhead | None]:
         return lanes_of(road, scene)
@@ -131,6 +146,7 @@ def apply_safeguard(
     drawn: Drawn,
     lanes: Mapping[int, LaneAhead | None],
     before: tuple[Tracks | None, int] = (None, 0),
+    attack: LicensedAttack = RECKLESS,
 ) -> Guarded:
     """Return the plans *drawn* for *view* made plausible, among everybody else's predictions.
 
@@ -140,6 +156,7 @@ def apply_safeguard(
         drawn: the plans.
         lanes: what each movable vehicle, by its row in the scene, would follow.
         before: the last plan and how many model steps of it have been driven.
+        attack: what the licence makes of the attackers.
     """
     seen = futures_of(view.now, drawn.rollout)
     scene = view.scene
@@ -154,15 +171,19 @@ def apply_safeguard(
         seen.dt_s,
     )
     more = np.zeros(len(rest), dtype=np.bool_)
+    planned = view.moved & ~np.isin(np.arange(len(view.ids)), list(attack.driven))
     watched = Watched(
-        planned=np.concatenate((view.moved, more)),
-        attacker=np.concatenate((np.isin(view.ids, drawn.attackers), more)),
+        planned=np.concatenate((planned, more)),
+        attacker=np.concatenate((np.isin(view.ids, drawn.attackers) & attack.exempt, more)),
         target=0,
         stood=np.concatenate((_stood(view.now), more)),
         lanes=[lanes.get(row) for row in (*view.rows.tolist(), *rest.tolist())],
         signals=scene.signals,
         before=rests(*before, view, seen.steps),
     )
+    for row, plan in attack.driven.items():
+        seen.put(row, *plan)
+    back_to_lane(seen, np.array(attack.refused, dtype=np.int64), watched)
     return safeguard(road, join(seen, others), watched)
 
 

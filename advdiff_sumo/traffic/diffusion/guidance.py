@@ -17,7 +17,7 @@ from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions
-from advdiff_sumo.traffic.planning.attackers import choose
+from advdiff_sumo.traffic.planning.attackers import choose, standing_of
 from advdiff_sumo.traffic.planning.futures import futures_of
 
 ALPHA = 10.0
@@ -62,9 +62,13 @@ def guidance(
         scenes: the same as tensors, with its context.
         before: who attacked last, and by what shift of its latent, (Z,).
     """
-    natural = naturally(networks, scenes, NEAR_STEPS if options.attack == "any" else HORIZON_STEPS)
+    attack = options.attack_term
+    natural = naturally(networks, scenes, NEAR_STEPS if attack == "any" else HORIZON_STEPS)
     futures = futures_of(view.now, natural.rollout)
-    rows = choose(futures, view.moved, options.attack, options.attackers, np.isin(view.ids, tuple(before)))
+    may = view.moved
+    if options.licence != "reckless":
+        may = may & (standing_of(futures).ahead_m > 0.0)  # who follows could only ram
+    rows = choose(futures, may, attack, options.attackers, np.isin(view.ids, tuple(before)))
     if not len(rows):
         return None, ()
     attackers = torch.from_numpy(rows).to(networks.device)
@@ -82,7 +86,7 @@ def guidance(
     if options.guide == "reward":
         assert isinstance(networks.codec, LatentCodec)  # noqa: S101 - networks_of refuses others where there is a guide
         scene = AttackScene(networks.decoder, networks.codec, scenes.context, scenes.one, attackers, natural)
-        terms.append(Term(attack_objective(options.attack, scene), _ATTACK_WEIGHT, _ATTACK_RUNGS))
+        terms.append(Term(attack_objective(attack, scene), _ATTACK_WEIGHT, _ATTACK_RUNGS))
     mask = torch.zeros(scenes.one.agents, dtype=h.dtype, device=networks.device)
     mask[attackers] = 1.0
     names = tuple(view.ids[row] for row in rows.tolist())

@@ -9,6 +9,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.traffic.manoeuvres.answers import needed_braking
+from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -39,13 +40,19 @@ class Chosen:
     worth: float
 
 
-def rank(view: SituationView, proposals: Sequence[Manoeuvre], weights: Mapping[str, float]) -> list[Chosen]:
-    """Return the lawful ones of *proposals* that serve at all, best first.
+def rank(
+    view: SituationView,
+    proposals: Sequence[Manoeuvre],
+    weights: Mapping[str, float],
+    licence: Licence | None = LAWFUL,
+) -> list[Chosen]:
+    """Return those of *proposals* that keep to *licence* and serve at all, best first.
 
     Args:
         view: the scene.
         proposals: manoeuvres of any vehicles.
         weights: kind → how much it is wanted.
+        licence: what they may do; None: anything.
     """
     target = view.target
     if target is None or not proposals:
@@ -58,7 +65,7 @@ def rank(view: SituationView, proposals: Sequence[Manoeuvre], weights: Mapping[s
     needed = needed_braking(target, futures.xy_m, futures.yaw_rad, size, perceived)
     worth = np.array([_worth(m, n, weights) for m, n in zip(proposals, needed.tolist(), strict=True)])
     useful = np.flatnonzero(worth > 0.0)
-    kept = useful[lawful(view, [proposals[k] for k in useful.tolist()], _rows(futures, useful))]
+    kept = useful[lawful(view, [proposals[k] for k in useful.tolist()], _rows(futures, useful), licence)]
     order = kept[np.argsort(-worth[kept], kind="stable")].tolist()
     return [
         Chosen(proposals[k], _rows(futures, np.array([k])), float(needed[k]), float(worth[k])) for k in order

@@ -14,44 +14,50 @@ from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
+from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
 from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
-_RED, _YIELDS_ON_GREEN = "ruy", "g"
-_OVER_LIMIT = 1.02
-_SPARE_M, _SPARE_SHARE = 1.0, 1.1
+_RED, _STOPS_AT, _YIELDS_ON_GREEN = "ru", "ruy", "g"
 _ROOM_M = np.array([0.5, 0.15])
 _STOPS = ("hard-stop", "blocked-lane")
 
 
-def lawful(view: SituationView, manoeuvres: Sequence[Manoeuvre], futures: ManoeuvreFutures) -> BoolArray:
-    """Return (C,) which of *manoeuvres*, with these *futures*, break no rule and harm nobody but the target."""
+def lawful(
+    view: SituationView,
+    manoeuvres: Sequence[Manoeuvre],
+    futures: ManoeuvreFutures,
+    licence: Licence | None = LAWFUL,
+) -> BoolArray:
+    """Return (C,) which of *manoeuvres*, with these *futures*, keep to *licence* and harm nobody but the target."""
     out = np.ones(len(manoeuvres), dtype=np.bool_)
+    if licence is None:
+        return np.array([_has_room(view, m, futures, k) for k, m in enumerate(manoeuvres)], dtype=np.bool_)
     for k, manoeuvre in enumerate(manoeuvres):
         out[k] = (
-            _keeps_limit(manoeuvre, float(futures.speed_mps[k].max()), view.speed(manoeuvre.row))
-            and _respects_links(view, manoeuvre, float(futures.driven_m[k, -1]))
+            _keeps_limit(manoeuvre, float(futures.speed_mps[k].max()), view.speed(manoeuvre.row), licence)
+            and _respects_links(view, manoeuvre, float(futures.driven_m[k, -1]), licence)
             and _stops_clear(manoeuvre, float(futures.driven_m[k, -1]))
-            and _leaves_gaps(view, manoeuvre)
+            and _leaves_gaps(view, manoeuvre, licence)
             and _has_room(view, manoeuvre, futures, k)
         )
     return out
 
 
-def _keeps_limit(manoeuvre: Manoeuvre, fastest_mps: float, speed_mps: float) -> bool:
-    return fastest_mps <= max(_OVER_LIMIT * manoeuvre.way.lane.speed_mps, speed_mps + 0.1)
+def _keeps_limit(manoeuvre: Manoeuvre, fastest_mps: float, speed_mps: float, licence: Licence) -> bool:
+    return fastest_mps <= max(licence.over_limit * manoeuvre.way.lane.speed_mps, speed_mps + 0.1)
 
 
-def _respects_links(view: SituationView, manoeuvre: Manoeuvre, driven_m: float) -> bool:
+def _respects_links(view: SituationView, manoeuvre: Manoeuvre, driven_m: float, licence: Licence) -> bool:
     """Return whether every stop line it drives over may be passed: green, and no duty to yield."""
     front = 0.5 * float(view.size(manoeuvre.row)[0])
     for reach, link in manoeuvre.way.links:
         if reach - front < 0.0 or reach - front > driven_m:
             continue
         signal = view.signal(link)
-        if signal.lower() in _RED and signal:
+        if signal and signal.lower() in (_STOPS_AT if licence.stops_at_yellow else _RED):
             return False
         if manoeuvre.kind == "crossing":
             if not _has_priority(view, manoeuvre.row):
@@ -93,14 +99,14 @@ def _stops_clear(manoeuvre: Manoeuvre, driven_m: float) -> bool:
     return True
 
 
-def _leaves_gaps(view: SituationView, manoeuvre: Manoeuvre) -> bool:
+def _leaves_gaps(view: SituationView, manoeuvre: Manoeuvre, licence: Licence) -> bool:
     """Return whether a lane change leaves the safe gap to whoever follows and leads on the new lane."""
     if manoeuvre.goal is None:
         return True
     row, goal = manoeuvre.row, manoeuvre.goal
     enters_s = manoeuvre.enters_s(view.scene.history.xy_m[row, -1])
     beside = [other for other in view.ways if other != row and _on(goal, view, other)]
-    return all(_gap_holds(view, row, other, enters_s) for other in beside)
+    return all(_gap_holds(view, row, other, enters_s, licence) for other in beside)
 
 
 def _on(goal: Way, view: SituationView, other: int) -> bool:
@@ -108,13 +114,13 @@ def _on(goal: Way, view: SituationView, other: int) -> bool:
     return abs(float(left)) < 0.5 * (goal.present_lane.width_m + float(view.size(other)[1])) - 0.3
 
 
-def _gap_holds(view: SituationView, row: int, other: int, enters_s: float) -> bool:
+def _gap_holds(view: SituationView, row: int, other: int, enters_s: float, licence: Licence) -> bool:
     """Return whether the gap between *row* and *other* is safe when it enters, with both at their speeds of now."""
     speed, theirs = view.speed(row), view.speed(other)
     ahead = view.place_on(view.ways[other], row)[0] + enters_s * (speed - theirs)
     gap = abs(ahead) - 0.5 * float(view.size(row)[0] + view.size(other)[0])
     follower, leader = (theirs + 0.5, speed) if ahead > 0.0 else (speed, theirs)
-    return gap >= _SPARE_SHARE * safe_gap_m(follower, leader) + _SPARE_M
+    return gap >= licence.gap_share * safe_gap_m(follower, leader) + licence.spare_m
 
 
 def _has_room(view: SituationView, manoeuvre: Manoeuvre, futures: ManoeuvreFutures, k: int) -> bool:

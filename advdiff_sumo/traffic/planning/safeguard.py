@@ -94,7 +94,7 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     off |= drives_against(road, made, watched.planned & ~watched.attacker & ~nowhere)
     far = np.linalg.norm(made.xy_m[:, 0] - made.xy_m[watched.target, 0], axis=-1) > FAR_M
     followed = (off | (far & watched.planned & ~watched.attacker)) & ~nowhere
-    _back_to_lane(made, np.flatnonzero(followed), watched)
+    back_to_lane(made, np.flatnonzero(followed), watched)
     moved = made.travelled_m()
     held = watched.planned & (made.speed_mps[:, 0] < _STANDS_MPS)
     held &= moved[:, min(_NOWHERE_STEPS, made.steps)] < _NOWHERE_M
@@ -114,7 +114,7 @@ def _settled(futures: Futures, watched: Watched, may: BoolArray, stop_m: FloatAr
     """Return *futures* braked; who is not clear then tries the plan before, then its lane."""
     minds = _minds(watched)
     best = _braked(futures, may, minds, stop_m)
-    for way in (_as_before, _back_to_lane):
+    for way in (_as_before, back_to_lane):
         rows = np.flatnonzero(best.unsolved)
         if not len(rows):
             break
@@ -164,7 +164,7 @@ def _as_before(futures: Futures, rows: IntArray, watched: Watched) -> None:
             futures.put(row, *watched.before[row])
 
 
-def _back_to_lane(futures: Futures, rows: IntArray, watched: Watched) -> None:
+def back_to_lane(futures: Futures, rows: IntArray, watched: Watched) -> None:
     """Let those of *rows* (V,) that have one follow their lanes, in place."""
     own = {row: lane for row in rows.tolist() if (lane := watched.lanes[row]) is not None}
     if own:

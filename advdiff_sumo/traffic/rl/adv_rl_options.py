@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from advdiff_sumo.config import Options
+from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
 
 
 class AdvRlOptions(Options):
@@ -15,9 +16,11 @@ class AdvRlOptions(Options):
         prior_weights: networks of the behaviour model, of the kind that the actor names; empty: the shipped ones.
         strength: share of the actor's deviation from the behaviour model that is driven; 0 is the behaviour model.
         attackers: most vehicles that the actor drives at a time; it was trained as one.
+        licence: what attackers may do, as of ``diffusion``: "lawful", "careless", or "reckless", as published.
     """
 
     weights: str = ""
     prior_weights: str = ""
     strength: float = Field(1.0, ge=0.0, le=1.0)
     attackers: int = Field(2, ge=1, le=8)
+    licence: LicenceName = "reckless"

@@ -74,7 +74,7 @@ class AdvRl:
         """Return the futures of all movable vehicles, 4 s at 2 Hz; nothing is drawn."""
         now = situation(road, scene, self.prior, self.options.attackers, memory.attackers)
         residuals = self.options.strength * self.actor.residuals(now.observations)
-        plan = joint_plan(road, now, self.prior, residuals, memory.plan)
+        plan = joint_plan(road, now, self.prior, residuals, memory.plan, self.options.licence)
         return plan, Memory(now.attackers, plan.tracks)
 
 

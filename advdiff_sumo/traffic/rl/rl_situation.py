@@ -16,6 +16,8 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.view import View, look
 from advdiff_sumo.traffic.diffusion.diffusion_policy import apply_safeguard, lanes_of, leaving, tracks_of
+from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
+from advdiff_sumo.traffic.manoeuvres.licensed_attack import licensed_attack
 from advdiff_sumo.traffic.planning.attackers import choose
 from advdiff_sumo.traffic.planning.draw import Drawn
 from advdiff_sumo.traffic.planning.futures import futures_of
@@ -74,7 +76,12 @@ def situation(road: RoadMap, scene: Scene, prior: Prior, count: int, before: tup
 
 
 def joint_plan(
-    road: RoadMap, now: Situation, prior: Prior, residuals: FloatArray, before: Tracks | None = None
+    road: RoadMap,
+    now: Situation,
+    prior: Prior,
+    residuals: FloatArray,
+    before: Tracks | None = None,
+    licence: LicenceName = "reckless",
 ) -> JointPlan:
     """Return the plan in which attackers deviate, made plausible as every policy's.
 
@@ -84,6 +91,7 @@ def joint_plan(
         prior: the behaviour model.
         residuals: (R, 2) deviations in [−1, 1].
         before: the plan before, of which one model step has been driven; who cannot stop in time may go on with it.
+        licence: what attackers may do.
     """
     if now.natural is None:
         t0 = now.view.scene.time_s + MODEL_STEP_S
@@ -91,9 +99,10 @@ def joint_plan(
     rows = torch.from_numpy(now.rows)
     made = steered(now.natural, now.view.batch, rows, torch.from_numpy(residuals), prior.options)
     drawn = Drawn(made, {}, now.attackers, torch.zeros(len(now.view.ids), 0))
-    return JointPlan(
-        tracks_of(now.view, apply_safeguard(road, now.view, drawn, now.lanes, (before, 1)).futures)
-    )
+    futures = futures_of(now.view.now, made)
+    attack = licensed_attack(road, now.view, futures, now.attackers, licence, None, len(now.rows))
+    guarded = apply_safeguard(road, now.view, drawn, now.lanes, (before, 1), attack)
+    return JointPlan(tracks_of(now.view, guarded.futures))
 
 
 def _actions(natural: Rollout, row: int) -> tuple[float, float]:

@@ -1,0 +1,153 @@
+"""Manoeuvres over time: chosen, carried on while they are lawful and of use, and over."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
+from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
+from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
+from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
+from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.ways import Way
+
+_LONGEST_S: Mapping[str, float] = {"blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
+_LONGEST_DEFAULT_S = 7.0
+_TRIED = 4
+"""Manoeuvres that are checked in full, best first."""
+
+
+@dataclass(frozen=True)
+class Commitment:
+    """A manoeuvre under way.
+
+    Attributes:
+        kind: which.
+        profile: its speed, as chosen.
+        since_s: when it began.
+        sets_up: whether it only gets into position.
+    """
+
+    kind: str
+    profile: SpeedProfile
+    since_s: float
+    sets_up: bool
+
+
+@dataclass(frozen=True)
+class Commitments:
+    """What is remembered from plan to plan.
+
+    Attributes:
+        weights: kind → how much it is wanted in this episode.
+        active: id → its manoeuvre.
+        rested_s: id → when it may take part again.
+    """
+
+    weights: Mapping[str, float]
+    active: Mapping[str, Commitment] = field(default_factory=dict)
+    rested_s: Mapping[str, float] = field(default_factory=dict)
+
+    @staticmethod
+    def start(attack: str, rng: np.random.Generator) -> Commitments:
+        """Return none, with preferences drawn for *attack*, a kind or "any", so that episodes differ."""
+        kinds = list(KINDS) if attack == "any" else [attack]
+        return Commitments(dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True)))
+
+
+def advance(
+    view: SituationView, kept: Commitments, attackers: int, pause_s: float, licence: Licence | None = LAWFUL
+) -> tuple[list[Manoeuvre], Commitments]:
+    """Return the manoeuvres that are driven now, and what is remembered of them.
+
+    Args:
+        view: the scene.
+        kept: from the plan before.
+        attackers: most vehicles that are in a manoeuvre at a time.
+        pause_s: rest of a vehicle after a manoeuvre.
+        licence: what they may do; None: anything.
+    """
+    going, kept = _carry_on(view, kept, pause_s, licence)
+    room = attackers - len(going)
+    fresh = _begin(view, kept, {m.row for m in going}, room, licence) if room > 0 else []
+    names, now = view.scene.history.ids, view.scene.time_s
+    begun = {names[m.row]: Commitment(m.kind, m.profile, now, m.sets_up) for m in fresh}
+    return [*going, *fresh], replace(kept, active={**kept.active, **begun})
+
+
+def _begin(
+    view: SituationView, kept: Commitments, busy: set[int], room: int, licence: Licence | None
+) -> list[Manoeuvre]:
+    """Return the best new manoeuvres, one a vehicle, at most *room*."""
+    names, now = view.scene.history.ids, view.scene.time_s
+    free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
+    proposals = [m for row in free for kind in kept.weights for m in KINDS[kind](view, row)]
+    out: list[Manoeuvre] = []
+    for chosen in rank(view, proposals, kept.weights, licence)[:_TRIED]:
+        fits = all(chosen.manoeuvre.row != other.row for other in out)
+        if len(out) < room and fits and _passes(view, chosen, licence):
+            out.append(chosen.manoeuvre)
+    return out
+
+
+def _passes(view: SituationView, chosen: Chosen, licence: Licence | None) -> bool:
+    """Return whether the breach rules of the verdict find nothing in the plan of *chosen*."""
+    if licence is None or chosen.manoeuvre.sets_up:
+        return True
+    future = chosen.futures
+    rows = [chosen.manoeuvre.row]
+    broken = plan_breaches(view, rows, future.xy_m, future.yaw_rad, future.speed_mps)[0]
+    return not (broken - (CARELESS_ALLOWS if licence is not LAWFUL else frozenset()))
+
+
+def _carry_on(
+    view: SituationView, kept: Commitments, pause_s: float, licence: Licence | None
+) -> tuple[list[Manoeuvre], Commitments]:
+    """Return the manoeuvres under way that go on within the licence, and the memory without the others."""
+    index, now = view.scene.history.index, view.scene.time_s
+    going: list[Manoeuvre] = []
+    active, rested = dict(kept.active), dict(kept.rested_s)
+    for name, under_way in kept.active.items():
+        row = index.get(name)
+        manoeuvre = _continued(view, row, under_way, now, licence) if row in view.movable else None
+        if manoeuvre is not None and _still_lawful(view, manoeuvre, licence):
+            going.append(manoeuvre)
+            continue
+        del active[name]
+        rested[name] = now + (0.0 if under_way.sets_up else pause_s)
+    return going, replace(kept, active=active, rested_s=rested)
+
+
+def _continued(
+    view: SituationView, row: int | None, under_way: Commitment, now_s: float, licence: Licence | None
+) -> Manoeuvre | None:
+    """Return the rest of a manoeuvre; None where it is over."""
+    passed = now_s - under_way.since_s
+    longest = _LONGEST_S.get(under_way.kind, _LONGEST_DEFAULT_S)
+    if row is None or under_way.sets_up or passed >= longest:
+        return None
+    if under_way.kind == "crossing":
+        again = rank(view, list(KINDS["crossing"](view, row)), {"crossing": 1.0}, licence)
+        if again:
+            return again[0].manoeuvre
+    begun = under_way.profile
+    rest = replace(begun, switch_s=max(begun.switch_s - passed, 0.0))
+    return Manoeuvre(under_way.kind, row, view.ways[row], rest, _goal(view, row, under_way.kind))
+
+
+def _goal(view: SituationView, row: int, kind: str) -> Way | None:
+    if kind not in ("cut-in", "cut-out"):
+        return None
+    again = [m.goal for m in KINDS[kind](view, row) if m.goal is not None]
+    return again[0] if again else None
+
+
+def _still_lawful(view: SituationView, manoeuvre: Manoeuvre, licence: Licence | None) -> bool:
+    futures = futures_of_manoeuvres([manoeuvre], np.array([view.speed(manoeuvre.row)]))
+    return bool(lawful(view, [manoeuvre], futures, licence)[0])

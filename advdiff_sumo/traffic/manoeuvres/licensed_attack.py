@@ -1,0 +1,109 @@
+"""What a licence makes of a plan: guided vehicles that would break a rule are refused, lawful manoeuvres are added."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.models.view import View
+from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance
+from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence, LicenceName, licence_of
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
+from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_DT_S, PLAN_DT_S
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.planning.futures import Futures
+
+if TYPE_CHECKING:
+    from advdiff_sumo.maps import RoadMap
+
+PAUSE_S = 8.0
+"""Rest of a vehicle after a manoeuvre."""
+_EVERY = round(PLAN_DT_S / CHECK_DT_S)
+
+
+@dataclass(frozen=True)
+class LicensedAttack:
+    """What attackers do; rows are those of the view.
+
+    Attributes:
+        exempt: whether red lights, lanes and the target itself do not bind attackers (the licence "reckless").
+        refused: rows whose plans would break a rule; they follow their lanes.
+        driven: row → positions (T, 2), headings (T,) and speeds (T,) of a lawful manoeuvre.
+        commitments: manoeuvres under way, for the next plan.
+    """
+
+    exempt: bool = True
+    refused: tuple[int, ...] = ()
+    driven: Mapping[int, tuple[FloatArray, FloatArray, FloatArray]] = field(default_factory=dict)
+    commitments: Commitments | None = None
+
+
+RECKLESS = LicensedAttack()
+"""Anything that moves like a vehicle: the paper's."""
+
+
+def licensed_attack(
+    road: RoadMap,
+    view: View,
+    futures: Futures,
+    attackers: tuple[str, ...],
+    name: LicenceName,
+    kept: Commitments | None,
+    most: int,
+) -> LicensedAttack:
+    """Return what may be driven of a joint plan, and the manoeuvres that are driven beside it.
+
+    Args:
+        road: the map.
+        view: the scene.
+        futures: planned for the view's rows.
+        attackers: ids that were guided.
+        name: of the licence.
+        kept: manoeuvres under way; None: none are added.
+        most: vehicles that attack at a time.
+    """
+    licence = licence_of(name)
+    if licence is None:
+        return RECKLESS
+    situation = SituationView.of(road, view.scene)
+    driven: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
+    if kept is not None:
+        manoeuvres, kept = advance(situation, kept, most, PAUSE_S, licence)
+        speed = np.array([situation.speed(m.row) for m in manoeuvres])
+        row_of = {row: k for k, row in enumerate(view.rows.tolist()) if view.moved[k]}
+        at = slice(_EVERY - 1, None, _EVERY)
+        planned = futures_of_manoeuvres(manoeuvres, speed)
+        for k, manoeuvre in enumerate(manoeuvres):
+            if manoeuvre.row in row_of:
+                plan = planned.xy_m[k, at], planned.yaw_rad[k, at], planned.speed_mps[k, at]
+                driven[row_of[manoeuvre.row]] = plan
+    guided = [row for row in map(view.ids.index, attackers) if row not in driven]
+    return LicensedAttack(False, _refused(situation, view, futures, guided, licence), driven, kept)
+
+
+def _refused(
+    situation: SituationView, view: View, futures: Futures, guided: list[int], licence: Licence
+) -> tuple[int, ...]:
+    """Return which of the *guided* rows break a rule, or leave the target no answer."""
+    if not guided:
+        return ()
+    xy, yaw = futures.halves()
+    speed = np.empty(yaw.shape)
+    speed[:, 1::2] = futures.speed_mps[:, 1:]
+    speed[:, ::2] = 0.5 * (futures.speed_mps[:, 1:] + futures.speed_mps[:, :-1])
+    rows = [int(view.rows[k]) for k in guided]
+    broken = plan_breaches(situation, rows, xy[guided], yaw[guided], speed[guided])
+    allowed = CARELESS_ALLOWS if licence is not LAWFUL else frozenset()
+    out = {k for k, kinds in zip(guided, broken, strict=True) if kinds - allowed}
+    target = situation.target
+    if target is not None:
+        now = np.zeros(len(guided))
+        needed = needed_braking(target, xy[guided], yaw[guided], futures.size_m[guided], now)
+        out |= {k for k, braking in zip(guided, needed.tolist(), strict=True) if braking > BRAKING_MPS2[-1]}
+    return tuple(sorted(out))

@@ -1,0 +1,97 @@
+"""Checks final plans with the breach rules of the verdict: would the contact that a plan leads to be its own fault?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.resample import resample
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.metrics.breaches import BreachKind, breaches_of, conduct_breaches
+from advdiff_sumo.metrics.collision import tracks_collisions
+from advdiff_sumo.metrics.encounter import encounter
+from advdiff_sumo.metrics.traffic_view import TrafficView
+from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2
+from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_DT_S, CHECK_TIMES_S, SpeedProfile, drive_profiles
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+
+CARELESS_ALLOWS = frozenset((BreachKind.UNSAFE_LANE_ENTRY, BreachKind.SPEEDING))
+"""Breaches that the licence "careless" leaves to its own bounds."""
+_ANSWERS_MPS2 = (BRAKING_MPS2[0], 4.0)
+
+
+def plan_breaches(
+    view: SituationView, rows: Sequence[int], xy_m: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray
+) -> list[frozenset[BreachKind]]:
+    """Return for each of R plans which rules its vehicle would break.
+
+    The target is taken to go on along its way, and to brake at 4 m/s²; where it is on no lane, plans are checked for
+    rules of conduct alone.
+
+    Args:
+        view: the scene.
+        rows: (R,) of the vehicles.
+        xy_m: (R, T, 2) centres at ``CHECK_TIMES_S``.
+        yaw_rad: (R, T) headings.
+        speed_mps: (R, T) speeds.
+    """
+    broken: list[set[BreachKind]] = [set() for _ in rows]
+    for braking in _ANSWERS_MPS2:
+        planned = _planned(view, rows, (xy_m, yaw_rad, speed_mps), braking)
+        if planned is None:
+            break
+        for k, kinds in _contacts(planned).items():
+            broken[k - 1] |= kinds
+        now = planned.tracks.steps - len(CHECK_TIMES_S)
+        for k in range(len(rows)):
+            conduct = conduct_breaches(planned, k + 1, now, planned.tracks.steps)
+            broken[k] |= {breach.kind for breach in conduct}
+    return [frozenset(kinds) for kinds in broken]
+
+
+def _contacts(planned: TrafficView) -> Mapping[int, set[BreachKind]]:
+    """Return row → kinds of breach that led to its contact with the target, which is row 0."""
+    out: dict[int, set[BreachKind]] = {}
+    for contact in tracks_collisions(planned.tracks, 0):
+        if contact.rows[0] == 0 and not contact.initial:
+            kinds = {b.kind for b in breaches_of(planned, encounter(planned, contact), 1)}
+            out.setdefault(contact.rows[1], set()).update(kinds)
+    return out
+
+
+def _planned(
+    view: SituationView,
+    rows: Sequence[int],
+    plans: tuple[FloatArray, FloatArray, FloatArray],
+    braking_mps2: float,
+) -> TrafficView | None:
+    """Return the target and *rows* from the history on to the end of their plans; None without a way of the target."""
+    target = view.target
+    if target is None:
+        return None
+    limit = max(target.way.lane.speed_mps, target.speed_mps)
+    driven, speed = drive_profiles(
+        np.array([target.speed_mps]), [SpeedProfile(then_mps2=-braking_mps2, highest_mps=limit)]
+    )
+    xy, yaw = target.way.poses(driven, CHECK_TIMES_S)
+    history = view.scene.history.rows([view.scene.target, *rows])
+    past = resample(history, CHECK_DT_S)
+    tracks = Tracks(
+        ids=past.ids,
+        classes=past.classes,
+        size_m=past.size_m,
+        xy_m=np.concatenate((past.xy_m, np.concatenate((xy, plans[0]))), axis=1),
+        yaw_rad=np.concatenate((past.yaw_rad, np.concatenate((yaw, plans[1]))), axis=1),
+        speed_mps=np.concatenate((past.speed_mps, np.concatenate((speed, plans[2]))), axis=1),
+        valid=np.concatenate((past.valid, np.ones((len(past.ids), len(CHECK_TIMES_S)), np.bool_)), axis=1),
+        t0_s=past.t0_s,
+        dt_s=CHECK_DT_S,
+    )
+    routes = {
+        0: view.scene.routes[view.scene.target],
+        **{k + 1: view.scene.routes[r] for k, r in enumerate(rows)},
+    }
+    known = {k: route for k, route in routes.items() if route}
+    return TrafficView(tracks, view.road, (view.scene.signals,) * tracks.steps, known)

@@ -1,0 +1,26 @@
+"""``--licence`` and the background ``scripted`` from the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow.parquet as pq
+
+from tests.e2e.commands import TINY, advdiff, bytes_of
+
+
+def test_a_lawful_run_and_the_same_again(tmp_path: Path) -> None:
+    words = ("run", "--background", "scripted", "--licence", "lawful", "--episodes", "2", *TINY)
+    first = advdiff(*words, "--out", "first", cwd=tmp_path)
+    assert first.code == 0, first.err
+    assert advdiff(*words, "--out", "again", cwd=tmp_path, hash_seed=1).code == 0
+    assert bytes_of(tmp_path / "first") == bytes_of(tmp_path / "again")
+    rows = pq.read_table(tmp_path / "first" / "episodes.parquet").to_pylist()
+    assert [row["end"] for row in rows] != ["failed", "failed"]
+
+
+def test_a_licence_that_does_not_exist_is_refused(tmp_path: Path) -> None:
+    outcome = advdiff("run", "--background", "scripted", "--licence", "legal", cwd=tmp_path)
+    assert outcome.code == 2
+    assert "licence = 'legal'" in outcome.err
+    assert "lawful" in outcome.err

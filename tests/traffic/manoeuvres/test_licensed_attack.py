@@ -1,0 +1,77 @@
+"""What a licence makes of guided plans: who rams is refused, lawful manoeuvres are added."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
+from advdiff_sumo.models.view import look
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.licensed_attack import RECKLESS, licensed_attack
+from advdiff_sumo.traffic.planning.futures import Futures, coasting
+from advdiff_sumo.traffic.policy_registry import make_policy
+from tests.traffic.small_networks import downtown, street
+
+__all__ = ["downtown", "street"]
+
+
+def futures_of_scene(scene: Scene) -> Futures:
+    now = scene.history
+    return coasting(
+        now.xy_m[:, -1],
+        now.yaw_rad[:, -1],
+        now.speed_mps[:, -1],
+        now.size_m,
+        FUTURE_STEPS,
+        MODEL_STEP_S,
+    )
+
+
+def attack_of(road: RoadMap, scene: Scene, licence: Any, kept: Commitments | None = None) -> Any:
+    view = look(road, scene, np.zeros(scene.history.agents, dtype=np.bool_))
+    assert view.ids == scene.history.ids
+    return licensed_attack(road, view, futures_of_scene(scene), ("v1",), licence, kept, 2)
+
+
+@pytest.mark.parametrize(("licence", "refused"), [("lawful", (1,)), ("careless", (1,)), ("reckless", ())])
+def test_who_would_ram_is_refused(
+    downtown: RoadMap, street: Callable[..., Scene], licence: str, refused: tuple[int, ...]
+) -> None:
+    scene = street([(60.0, 0.0), (40.0, 0.0)], [5.0, 13.0])
+    attack = attack_of(downtown, scene, licence)
+    assert attack.refused == refused
+    assert attack.exempt is (licence == "reckless")
+
+
+def test_who_harms_nobody_is_left_alone(downtown: RoadMap, street: Callable[..., Scene]) -> None:
+    scene = street([(40.0, 0.0), (80.0, 0.0)], [8.0, 9.0])
+    assert attack_of(downtown, scene, "lawful").refused == ()
+
+
+def test_a_lawful_manoeuvre_is_driven_beside_guided_plans(
+    downtown: RoadMap, street: Callable[..., Scene]
+) -> None:
+    scene = street([(30.0, 0.0), (52.0, 0.0)], [12.0, 12.0])
+    kept = Commitments.start("hard-stop", np.random.default_rng(0))
+    attack = attack_of(downtown, scene, "lawful", kept)
+    assert list(attack.driven) == [1]
+    assert attack.driven[1][2][-1] == 0.0
+
+
+def test_reckless_is_the_paper(downtown: RoadMap, street: Callable[..., Scene]) -> None:
+    assert attack_of(downtown, street([(60.0, 0.0), (40.0, 0.0)], [5.0, 13.0]), "reckless") is RECKLESS
+
+
+@pytest.mark.parametrize(
+    ("licence", "attack", "other"), [("lawful", "rear-end", "reckless"), ("reckless", "cut-out", "lawful")]
+)
+def test_an_attack_that_the_licence_has_not_is_refused(licence: str, attack: str, other: str) -> None:
+    with pytest.raises(ConfigError, match=f"attack = '{attack}' is none of licence = '{licence}'.*'{other}'"):
+        make_policy("diffusion", {"licence": licence, "attack": attack})

@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test readers check docs proto bench clean
+.PHONY: setup demo test readers check docs proto package bench clean
 
 setup: .venv/.ready
 
@@ -39,6 +39,10 @@ check: setup
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo build/site/index.html
+
+# wheel and sdist, and the wheel in an empty environment with no repository around
+package: setup
+	tools/check_package.sh build/package
 
 # the compiled description of the planners' protocol; a test holds it to planner.proto
 proto: setup

@@ -143,3 +143,25 @@ def test_what_defects_cannot_be_asked(
 def _detections(folder: Path) -> dict[str, dict[str, str]]:
     rows = csv.DictReader((folder / "detections.csv").read_text().splitlines())
     return {row["defect"]: row for row in rows}
+
+
+def test_a_sweep_varies_defects_and_refuses_those_it_does_not_know(tmp_path: Path) -> None:
+    text = (
+        "episodes = 1\nhorizon_s = 3\n[scene]\nwarmup_s = 10\nscenes_per_warmup = 1\nmin_neighbours = 1\n[sim]\n"
+        'record_natural = false\n[grid]\nnets = ["motorway"]\nbackgrounds = ["sumo"]\n[[grid.targets]]\n'
+        'name = "lane_graph"\n[grid.targets.vary]\ndefects = [[], ["localisation:3"], ["late:weak", "DEFECT"]]\n'
+    )
+    (tmp_path / "good.toml").write_text(text.replace("DEFECT", "range:9m"))
+    done = advdiff("sweep", "good.toml", "--workers", "1", "--no-report", "--out", "swept", cwd=tmp_path)
+    assert done.code == 0, done.err
+    rows = pq.read_table(tmp_path / "swept" / "episodes.parquet").to_pylist()
+    assert [row["target_options"] for row in rows] == [
+        '{"defects":[]}',
+        '{"defects":["localisation:3"]}',
+        '{"defects":["late:weak","range:9m"]}',
+    ]
+    assert len({row["scene_key"] for row in rows}) == 1
+    (tmp_path / "bad.toml").write_text(text.replace("DEFECT", "rnage:9"))
+    refused = advdiff("sweep", "bad.toml", "--out", "none", cwd=tmp_path)
+    assert (refused.code, refused.err.count("\n")) == (2, 1)
+    assert "unknown defect 'rnage'; did you mean 'range'?" in refused.err

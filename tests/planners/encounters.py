@@ -140,8 +140,8 @@ class Encounter:
 
 
 def failed(row: dict[str, Any]) -> bool:
-    """Return whether the target collided, or left the road, by its own fault."""
-    return bool(row["target_collision"] and row["at_fault"] == "target")
+    """Return whether the target collided, or left the road, by its own fault, and this counts as a valid failure."""
+    return bool(row["valid_failure"] and row["at_fault"] == "target")
 
 
 def braking(

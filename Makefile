@@ -1,22 +1,43 @@
-# Everything runs from the environment in .venv, which `make setup` makes with nothing but Python and make.
+# Everything runs from the environment in .venv, which these targets make with nothing but Python and make.
 PYTHON ?= python3
 BIN := .venv/bin
+PIP := $(BIN)/pip install --disable-pip-version-check --progress-bar on
+TESTS := $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 15 --quiet
 
-.PHONY: setup demo test readers check docs proto package bench clean
+.PHONY: install setup demo test test-all readers check docs proto package bench clean
 
+# what running needs: PyTorch, SUMO and the libraries around them
+install: .venv/.installed
+
+# that, and what developing needs: tests, type checker, browser driver, site generator, Ray
 setup: .venv/.ready
 
-.venv/.ready: pyproject.toml constraints.txt
+.venv/.installed: pyproject.toml constraints.txt
+	@echo "[1/3] an environment in .venv"
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check "$$(grep -m 1 '^torch==' constraints.txt)"
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
-	touch .venv/.ready
+	@echo "[2/3] PyTorch: 200 MB to fetch without a GPU's libraries, else some GB"
+	$(PIP) "$$(grep -m 1 '^torch==' constraints.txt)"
+	@echo "[3/3] SUMO (150 MB) and the libraries that running needs"
+	$(PIP) --constraint constraints.txt --editable .
+	@touch $@
+	@echo "installed; '. .venv/bin/activate' lets you type advdiff-sumo, without it type .venv/bin/advdiff-sumo"
 
-demo: setup
+.venv/.ready: .venv/.installed
+	@echo "what developing needs: about a GB, Ray, mypy, Playwright and MkDocs among it"
+	$(PIP) --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+demo: install
 	$(BIN)/advdiff-sumo run --target lane_graph --background diffusion --episodes 5 --out runs/demo-$$(date +%Y%m%d-%H%M%S)
+	@echo "next: . .venv/bin/activate    then advdiff-sumo run --help (or type .venv/bin/advdiff-sumo without activating)"
 
+# values worked by hand, contracts, and one of everything end to end: five minutes on two cores
 test: setup
-	$(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --quiet
+	$(TESTS) -m "not slow"
+
+# all there is, the quick ones first
+test-all: test
+	$(TESTS) -m slow
 
 # other people's programs that read what we export, in environments of their own; tests/export uses them where they are
 readers: build/readers/commonroad/.ready build/readers/asam/.ready build/readers/av2/.ready build/readers/lanelet2/.ready

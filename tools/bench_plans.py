@@ -114,7 +114,7 @@ def main() -> None:
     watch.wrap(guides.Guidance, "__call__", "guide")
     watch.wrap(draw, "sample", "denoiser", minus="guide")
     watch.wrap(draw, "decode", "decoder")
-    watch.wrap(diffusion_policy, "guard", "safeguard")
+    watch.wrap(diffusion_policy, "apply_safeguard", "safeguard")
     console = Console(width=120)
     for guide in arguments.guide:
         made = DiffusionTraffic(weights=arguments.weights, guide=guide)

@@ -72,5 +72,7 @@ class FastDecoder:
 def _compiled(decoder: Decoder) -> CompiledDecoder:
     """Return the compiled form; who never asks for it does not wait for the compiler's import."""
     from advdiff_sumo.diffusion.compiled.decoder_kernel import CompiledDecoder
+    from advdiff_sumo.diffusion.compiled.kernel_cache import link_shipped
 
+    link_shipped()
     return CompiledDecoder(decoder)

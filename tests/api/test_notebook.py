@@ -8,6 +8,8 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
+from tests.hang_guard import HANG_S
+
 NOTEBOOK = Path(__file__).parents[2] / "docs/notebooks/first_steps.ipynb"
 
 
@@ -15,7 +17,7 @@ NOTEBOOK = Path(__file__).parents[2] / "docs/notebooks/first_steps.ipynb"
 @pytest.mark.filterwarnings("default")  # of the kernel's own libraries
 def test_the_notebook(tmp_path: Path) -> None:
     notebook = nbformat.read(NOTEBOOK, as_version=4)
-    client = NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}})
+    client = NotebookClient(notebook, timeout=round(HANG_S), resources={"metadata": {"path": str(tmp_path)}})
     client.execute()
     shown = [
         output.get("data", {}).get("text/html", "")

@@ -26,6 +26,7 @@ from advdiff_sumo.sim.demand import write_demand
 from advdiff_sumo.sim.sim_options import SceneOptions
 from tests.docs.blocks import ROOT, SHELL, Block, blocks, commands, inline_commands, pages, shell_blocks
 from tests.docs.known import leaf, options_of, problem
+from tests.hang_guard import HANG_S
 
 MARKS = ("", "skip", "slow", "data", "weights")
 EVERYTHING = os.environ.get("ADVDIFF_DOCS") == "all"
@@ -142,7 +143,7 @@ class Workshop:
             capture_output=True,
             text=True,
             check=False,
-            timeout=900,
+            timeout=HANG_S,
         )
         assert done.returncode == 0, f"{place(block)}\n{block.script}{done.stdout}{done.stderr}"
 

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from tests.docs.blocks import ROOT
+from tests.hang_guard import HANG_S
 
 pytestmark = pytest.mark.slow
 
@@ -40,7 +41,7 @@ def build(folder: Path, *, config: Path = ROOT / "mkdocs.yml") -> subprocess.Com
         capture_output=True,
         text=True,
         check=False,
-        timeout=600,
+        timeout=HANG_S,
     )
 
 
@@ -138,7 +139,7 @@ def test_it_opens_from_the_disk_and_searches_offline(site: Path, width: int) -> 
         page.goto((site / "index.html").as_uri())
         page.keyboard.press("/")
         page.keyboard.type("encroachment")
-        page.wait_for_selector(".md-search-result__item a", timeout=60_000)
+        page.wait_for_selector(".md-search-result__item a", timeout=1e3 * HANG_S)
         found = page.locator(".md-search-result__item a").first.get_attribute("href")
         browser.close()
     assert "encroachment" in found or "metrics" in found

@@ -9,6 +9,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.hang_guard import HANG_S
+
 MODULE = (sys.executable, "-m", "advdiff_sumo")
 SAME_BYTES = ("episodes.parquet", "states.parquet", "collisions.parquet")
 TINY = (
@@ -46,7 +48,7 @@ def advdiff(*words: object, cwd: Path, hash_seed: int = 0, program: tuple[str, .
         capture_output=True,
         text=True,
         check=False,
-        timeout=300,
+        timeout=HANG_S,
     )
     return Outcome(done.returncode, done.stdout, done.stderr)
 

@@ -12,6 +12,7 @@ import pytest
 from advdiff_sumo.experiments.bench.scene_list import make_list, write_scene_list
 from advdiff_sumo.sim.sim_options import SceneOptions
 from tests.e2e.commands import Outcome, advdiff, begin
+from tests.hang_guard import HANG_S
 
 STEADY = ("table.csv", "differences.csv", "table.json")
 
@@ -38,7 +39,7 @@ def test_a_bench_that_was_killed_goes_on_and_ends_with_the_same_bytes(scenes: Pa
     first = begin(*words(scenes, "broken"), cwd=tmp_path, hash_seed=2)
     _wait_for(tmp_path / "broken" / "sweep" / "episodes", 3)
     first.kill()
-    first.communicate(timeout=60)
+    first.communicate(timeout=HANG_S)
     done = advdiff(*words(scenes, "broken"), cwd=tmp_path, hash_seed=3)
     assert done.code == 0, done.err
     for name in STEADY:
@@ -49,14 +50,12 @@ def test_a_bench_that_was_killed_goes_on_and_ends_with_the_same_bytes(scenes: Pa
     assert all(row["n"] == "4" and row["low"] and row["high"] for row in rates.values())
     assert {row["column"] for row in rows} >= {"jsd", "veh_rate", "nats", "accel_mps2"}
 
-    began = time.monotonic()
     printed = advdiff(
         "bench", "adversarial", "--out", "whole", cwd=tmp_path
     )  # what was asked for is remembered
     assert printed.code == 0, printed.err
     assert "to do" not in printed.out
     assert "Adversarial traffic, closed loop: 4 seed scenes, 3 s" in printed.out
-    assert time.monotonic() - began < 60.0
     wrong = advdiff("bench", "transfer", "--out", "whole", cwd=tmp_path)
     assert (wrong.code, wrong.err.count("\n")) == (2, 1)
     assert "belongs to bench adversarial; choose another --out" in wrong.err
@@ -172,7 +171,7 @@ def test_bad_input_gets_a_sentence(
 
 
 def _wait_for(folder: Path, count: int) -> None:
-    deadline = time.monotonic() + 240.0
+    deadline = time.monotonic() + HANG_S
     while sum(path.is_file() for path in folder.rglob("*")) < count:
         assert time.monotonic() < deadline, "no episode came"
         time.sleep(0.05)

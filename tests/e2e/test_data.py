@@ -11,6 +11,7 @@ import pytest
 
 from advdiff_sumo.data.window_files import read_windows
 from tests.e2e.commands import advdiff, begin, everything
+from tests.hang_guard import HANG_S
 
 
 def test_simulate_then_stats(tmp_path: Path) -> None:
@@ -70,11 +71,11 @@ def test_ctrl_c_keeps_what_is_complete(tmp_path: Path) -> None:
     words = ("data", "simulate", "--out", "w", "--windows", "900", "--net", "motorway")
     process = begin(*words, "--random-share", "0", "--workers", "1", cwd=tmp_path)
     folder = tmp_path / "w"
-    until = time.monotonic() + 240.0
+    until = time.monotonic() + HANG_S
     while not list(folder.glob("*.safetensors")) and time.monotonic() < until:
         time.sleep(0.2)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=240)
+    _, said = process.communicate(timeout=HANG_S)
     assert process.returncode == 130
     assert "interrupted; what had finished is kept" in said
     assert "Traceback" not in said

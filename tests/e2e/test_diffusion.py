@@ -20,7 +20,6 @@ def weights(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.slow
 def test_a_guided_run_its_check_and_its_repetition(weights: Path, tmp_path: Path) -> None:
     words = ("run", "--net", "motorway", "--background", "diffusion", "--weights", weights.name)
     words += ("--strength", "1", "--attackers", "2", "--attack", "cut-in", "--episodes", "2")

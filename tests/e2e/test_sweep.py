@@ -13,6 +13,7 @@ import pytest
 from defusedxml.ElementTree import parse
 
 from tests.e2e.commands import Outcome, advdiff, begin
+from tests.hang_guard import HANG_S
 
 SWEEP = """
 episodes = 3
@@ -106,6 +107,7 @@ def test_a_wrong_command_is_one_sentence(sweeps: Path, refused: Callable[..., st
     assert "no sweep in runs has an episode" in refused("replay", "0123456789")
 
 
+@pytest.mark.slow
 def test_killed_interrupted_and_resumed(sweeps: Path) -> None:
     fewer = SWEEP.replace("episodes = 3", "episodes = 9").replace(', "lane_graph"', "")
     (sweeps / "small.toml").write_text(fewer)
@@ -116,7 +118,7 @@ def test_killed_interrupted_and_resumed(sweeps: Path) -> None:
     _wait_for(sweeps / "broken", 2)
     workers = _children(first.pid)
     first.kill()
-    first.communicate(timeout=60)
+    first.communicate(timeout=HANG_S)
     _gone(workers)
     assert not (sweeps / "broken" / "episodes.parquet").exists()
 
@@ -124,7 +126,7 @@ def test_killed_interrupted_and_resumed(sweeps: Path) -> None:
     before = len(_episodes(sweeps / "broken"))
     _wait_for(sweeps / "broken", min(before + 1, 9))
     second.send_signal(signal.SIGINT)
-    _, said = second.communicate(timeout=60)
+    _, said = second.communicate(timeout=HANG_S)
     if second.returncode != 0:  # it may have been quicker
         assert second.returncode == 130
         assert said.splitlines() == ["interrupted; what had finished is kept"]
@@ -149,7 +151,7 @@ def _episodes(folder: Path) -> list[Path]:
 
 
 def _wait_for(folder: Path, episodes: int) -> None:
-    until = time.monotonic() + 240.0
+    until = time.monotonic() + HANG_S
     while len(_episodes(folder)) < episodes:
         assert time.monotonic() < until
         time.sleep(0.02)
@@ -164,7 +166,7 @@ def _children(pid: int) -> list[int]:
 def _gone(pids: list[int]) -> None:
     """Wait until none of *pids* is alive: nobody is left behind by a parent that was killed."""
     assert pids
-    until = time.monotonic() + 60.0
+    until = time.monotonic() + HANG_S
     while any(_alive(pid) for pid in pids):
         assert time.monotonic() < until, pids
         time.sleep(0.05)

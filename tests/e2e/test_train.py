@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.e2e.commands import Outcome, advdiff, begin
+from tests.hang_guard import HANG_S
 from tests.training.straight_road import write
 
 TINY = (
@@ -67,12 +68,13 @@ def test_evaluate_prints_and_writes_the_same_table(traffic: Path, data: Path, tm
     assert f"{rows['posterior']['ade_m']:.2f}" in done.out
 
 
+@pytest.mark.slow
 def test_ctrl_c_is_kept_and_goes_on(data: Path, tmp_path: Path) -> None:
     words = ("train", "traffic", "--data", data, "--out", "out", *TINY, "--judge", "0")
     process = begin(*words, "--set", "epochs=400", cwd=tmp_path)
     _wait_for(tmp_path / "out" / "metrics.jsonl", process)
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=HANG_S)
     assert process.returncode == 130, err
     assert "Traceback" not in err
     again = advdiff(
@@ -83,7 +85,7 @@ def test_ctrl_c_is_kept_and_goes_on(data: Path, tmp_path: Path) -> None:
 
 
 def _wait_for(path: Path, process: subprocess.Popen[str]) -> None:
-    end = time.monotonic() + 120.0
+    end = time.monotonic() + HANG_S
     while not path.exists():
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < end

@@ -34,6 +34,7 @@ def test_it_leaves_an_actor_and_its_curve(trained: tuple[Path, Outcome]) -> None
     assert files == {"actor.safetensors", "checkpoint.safetensors", "metrics.jsonl", "curves.png"}
 
 
+@pytest.mark.slow
 def test_it_goes_on(trained: tuple[Path, Outcome]) -> None:
     folder, _ = trained
     assert advdiff(*WORDS, "--steps", "8", cwd=folder).code == 2
@@ -43,6 +44,7 @@ def test_it_goes_on(trained: tuple[Path, Outcome]) -> None:
     assert [json.loads(line)["step"] for line in lines] == [4, 8]
 
 
+@pytest.mark.slow
 def test_a_run_drives_by_it(trained: tuple[Path, Outcome]) -> None:
     folder, _ = trained
     words = ("run", "--net", "motorway", "--background", "adv-rl", "--episodes", "1", "--out", "run")

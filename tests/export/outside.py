@@ -21,6 +21,7 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.export import ExportScene
 from advdiff_sumo.export.export_check import HEADING_RAD, POSITION_M
+from tests.hang_guard import HANG_S
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMONROAD_READER = """
@@ -154,7 +155,7 @@ def netconverted(roads: Path, folder: Path) -> sumolib.net.Net:
     net = folder / "again.net.xml"
     command = [sumolib.checkBinary("netconvert"), "--opendrive-files", str(roads), "-o", str(net)]
     command += ["--offset.disable-normalization", "true", "--opendrive.import-all-lanes", "true"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=HANG_S)
     assert done.returncode == 0, done.stderr
     return sumolib.net.readNet(str(net))
 
@@ -175,7 +176,7 @@ def played(config: Path) -> dict[tuple[str, float], list[float]]:
     command = [sumolib.checkBinary("sumo"), "-c", config.name]
     command += ["--fcd-output", "played.xml", "--precision", "4"]
     done = subprocess.run(
-        command, cwd=config.parent, capture_output=True, text=True, check=False, timeout=100
+        command, cwd=config.parent, capture_output=True, text=True, check=False, timeout=HANG_S
     )
     assert done.returncode == 0, done.stderr
     assert "Error" not in done.stderr

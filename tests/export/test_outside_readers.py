@@ -28,6 +28,7 @@ from advdiff_sumo.metrics.following import following
 from advdiff_sumo.sim.logs import LoggedTraffic
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from tests.export.outside import CommonRoadReader, netconverted, played, quality, same_obstacles, states_of
+from tests.hang_guard import HANG_S
 from tests.sim import nets
 
 SUMO_HOME = Path(sumolib.checkBinary("netconvert")).resolve().parents[1]
@@ -121,7 +122,7 @@ def test_sumo_gui_plays_the_configuration(busy: ExportScene, tmp_path: Path) -> 
     config = make_exporter("fcd").write(busy, tmp_path)[2]
     command = [*display, sumolib.checkBinary("sumo-gui"), "-c", config.name, "--start", "--quit-on-end"]
     command += ["--delay", "0", "--fcd-output", "played.xml", "--precision", "4"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=HANG_S)
     if "error while loading shared libraries" in done.stderr:
         pytest.skip(f"sumo-gui lacks a library of the system: {done.stderr.strip()}")
     assert done.returncode == 0, done.stderr

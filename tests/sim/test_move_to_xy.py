@@ -22,6 +22,7 @@ from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.perceive import visible_ids
 from advdiff_sumo.sim.plan_validation import check_plan
 from advdiff_sumo.sim.world import World, read, register
+from tests.hang_guard import HANG_S
 from tests.sim.nets import EAST, EXACTLY, LENGTH_M, NORTH, TYPES, WEST, WIDTH_M, Stage, stage
 
 EASTBOUND, WESTBOUND = ("WM", "ME"), ("EM", "MW")
@@ -316,7 +317,7 @@ print("survived", flush=True)
 
 def test_a_vehicle_that_never_was_on_a_lane_kills_the_process(street: Path) -> None:
     words = [sys.executable, "-c", textwrap.dedent(DEATH), str(street), str(street.parent / TYPES)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=HANG_S, check=False)
     assert "alive ('b',)" in done.stdout
     assert "survived" not in done.stdout
     assert done.returncode == -signal.SIGSEGV
@@ -345,7 +346,7 @@ print("survived", flush=True)
 def test_a_vehicle_held_beside_its_lane_kills_the_process_with_sublanes_unless_it_is_taken_out() -> None:
     def run(then: str) -> subprocess.CompletedProcess[str]:
         words = [sys.executable, "-c", BESIDE_ITS_LANE, str(NETWORKS / "downtown.net.xml"), then]
-        return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+        return subprocess.run(words, capture_output=True, text=True, timeout=HANG_S, check=False)
 
     dead, alive = run("moved on"), run("out")
     assert "beside by -2.0" in dead.stdout  # of a lane 3.3 m wide
@@ -357,7 +358,7 @@ def test_a_vehicle_held_beside_its_lane_kills_the_process_with_sublanes_unless_i
 def test_sumo_survives_moved_vehicles_that_wander_off_their_lanes(net: str, seed: int) -> None:
     words = [sys.executable, "-m", "tests.sim.moved_walk", str(NETWORKS / f"{net}.net.xml"), str(seed)]
     done = subprocess.run(
-        words, capture_output=True, text=True, timeout=300, check=False, cwd=NETWORKS.parent
+        words, capture_output=True, text=True, timeout=HANG_S, check=False, cwd=NETWORKS.parent
     )
     assert done.returncode == 0, done.stderr
 

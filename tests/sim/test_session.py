@@ -13,6 +13,7 @@ import pytest
 from advdiff_sumo.core.errors import NetError, SimulationError
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.session import Session, SessionOptions
+from tests.hang_guard import HANG_S
 from tests.sim.nets import EAST, Stage, stage
 
 EASTBOUND = ("WM", "ME")
@@ -128,7 +129,7 @@ def test_a_net_that_ends_inside_a_tag_would_kill_sumo_but_the_map_refuses_it_fir
     net.write_text("<net><edge")
     script = "import sys, libsumo; libsumo.start(['sumo', '-n', sys.argv[1], '--xml-validation', 'never'])"
     done = subprocess.run(
-        [sys.executable, "-c", script, str(net)], capture_output=True, timeout=60, check=False
+        [sys.executable, "-c", script, str(net)], capture_output=True, timeout=HANG_S, check=False
     )
     assert done.returncode == -signal.SIGSEGV
     with pytest.raises(NetError, match=r"cut\.net\.xml"):

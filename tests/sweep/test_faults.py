@@ -22,6 +22,8 @@ from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
 from tests.sweep.conftest import bytes_of, planned, serially
 
+pytestmark = pytest.mark.slow
+
 FAULTS = ("none", "raises", "nan", "hangs", "eats", "segfaults", "exits")
 KINDS = {
     "raises": "planner_error",

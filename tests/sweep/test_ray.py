@@ -20,6 +20,7 @@ import tomli_w
 
 from advdiff_sumo.sweep.sweep_store import Store
 from tests.e2e.commands import advdiff, begin
+from tests.hang_guard import HANG_S
 from tests.sweep.conftest import bytes_of, planned, serially, values
 
 pytestmark = [
@@ -75,13 +76,13 @@ def test_one_of_two_nodes_is_killed_in_the_middle(
     undisturbed = serially(planned(place, grid=grid, episodes=6), tmp_path / "serial")
     words = ("--executor", "ray", "--ray-address", address, "--retries", 5, "--out", "s")
     process = begin("sweep", "asked.toml", *words, cwd=tmp_path)
-    until = time.monotonic() + 300.0
+    until = time.monotonic() + HANG_S
     while sum(path.is_file() for path in (tmp_path / "s" / "episodes").rglob("*")) < 3:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < until
         time.sleep(0.05)
     _end(second, signal.SIGKILL)
-    out, err = process.communicate(timeout=400)
+    out, err = process.communicate(timeout=HANG_S)
     assert process.returncode == 0, out + err
     assert bytes_of(Store.open(tmp_path / "s")) == bytes_of(undisturbed)
 
@@ -111,6 +112,6 @@ def _wait_for_line(process: subprocess.Popen[bytes], words: bytes) -> None:
 def _end(process: subprocess.Popen[bytes], number: signal.Signals) -> None:
     if process.poll() is None:
         os.killpg(process.pid, number)
-        process.wait(timeout=60)
+        process.wait(timeout=HANG_S)
     if process.stdout is not None:
         process.stdout.close()

@@ -26,6 +26,8 @@ import numpy as np
 
 from advdiff_sumo.planner_kit import Controls, serve
 
+pytestmark = pytest.mark.slow
+
 CRASHES, HANGS, NANS, EXITS = map(float, sys.argv[1:5])
 
 

@@ -17,6 +17,7 @@ from advdiff_sumo.sweep.sweep_files import read_checked, write_checked
 from advdiff_sumo.sweep.sweep_runner import open_store
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Failed
+from tests.hang_guard import HANG_S
 
 PLAN = Plan(SweepSpec.of({"grid": {"targets": ["IDM"], "backgrounds": ["sumo"]}}, "x"), (), (), {}, ())
 PART = Part({}, Failed("timeout", "not finished after 3 s", "thinking", 1)).to_bytes()
@@ -103,7 +104,7 @@ def test_no_room_leaves_the_old_file_and_no_rest(tmp_path: Path) -> None:
         "except DiskFullError as error: print(error)\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True, timeout=120
+        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True, timeout=HANG_S
     )
     assert done.stdout.strip() == f"{path}: the disk is full; free some space and go on with --resume"
     assert read_checked(path) == b"old"

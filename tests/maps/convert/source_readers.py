@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from tests.hang_guard import HANG_S
+
 ROOT = Path(__file__).resolve().parents[3]
 ARGOVERSE2 = """
 import json, sys
@@ -63,7 +65,7 @@ def read_outside(reader: str, path: Path) -> dict[str, Any]:
         capture_output=True,
         text=True,
         check=False,
-        timeout=300,
+        timeout=HANG_S,
     )
     assert done.returncode == 0, done.stderr
     answer: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])

@@ -14,7 +14,7 @@ from advdiff_sumo.maps.convert import ConversionResult, convert_map
 from advdiff_sumo.maps.convert.fidelity import measure
 from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
 
-pytestmark = pytest.mark.data
+pytestmark = [pytest.mark.data, pytest.mark.slow]
 LOCATIONS = ("singapore-onenorth", "singapore-queenstown")  # the other two, larger, are checked by the tool
 
 

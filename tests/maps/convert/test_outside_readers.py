@@ -18,6 +18,7 @@ from small_maps import crossroads, two_lane_road
 
 from advdiff_sumo.maps.convert import ConversionResult, convert_map, polyline
 from advdiff_sumo.maps.convert.netread import WrittenNet, read_net
+from tests.hang_guard import HANG_S
 
 ROUND_TRIP_M = 0.02
 MAPS = {"two lanes": two_lane_road, "crossing": crossroads}
@@ -44,7 +45,7 @@ def run(command: Sequence[str | Path], **environment: str) -> str:
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=HANG_S,
         env={**os.environ, "SUMO_HOME": str(SUMO_HOME), **environment},
     )
     assert done.returncode == 0, done.stderr

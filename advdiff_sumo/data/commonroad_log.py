@@ -83,7 +83,8 @@ def _scene(name: str, path: Path, root: Element) -> LogScene:
     if root.tag != "commonRoad":
         raise ValueError(f"it begins with <{root.tag}>, not <commonRoad>")
     dt_s = float(root.attrib["timeStepSize"])
-    rows = [row for row in root.iterfind("dynamicObstacle") if _kind(row) is not None and _has_states(row)]
+    obstacles = [*root.iterfind("dynamicObstacle"), *root.iterfind("obstacle")]  # the latter in version 2018b
+    rows = [row for row in obstacles if _kind(row) is not None and _has_states(row)]
     if not rows:
         raise ValueError("no obstacle has a trajectory, so there is nobody to drive")
     states = [_states(row) for row in rows]

@@ -6,12 +6,14 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import shapely
+from shapely.geometry import Polygon
 
 from advdiff_sumo.maps.convert.approaches import Approaches
 from advdiff_sumo.maps.convert.narrow import long_conflicts
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.roundabouts import find_rings
 from advdiff_sumo.maps.convert.sources.source_map import SourceMap
+from advdiff_sumo.maps.convert.stop_lines import with_stop_offsets
 
 GUESS_APPROACHES, GUESS_LANES = 3, 4  # junctions at least so large get guessed signals
 MAJOR, MINOR = 10, 1  # edge priorities: without and with a stop or yield sign
@@ -19,12 +21,13 @@ MAJOR, MINOR = 10, 1  # edge priorities: without and with a stop or yield sign
 
 @dataclass(frozen=True)
 class Control:
-    """Approaches of each kind, by edge; *idle* are the lights that stop nobody."""
+    """Approaches of each kind, by edge, with the areas of their stop lines; *idle* are the lights that stop nobody."""
 
     lights: frozenset[str]
     stops: frozenset[str]
     yields: frozenset[str]
     idle: tuple[str, ...]
+    lines: dict[str, list[Polygon]]
 
 
 def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPlan:
@@ -33,7 +36,7 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
     A junction with a light on one of its approaches is signalled. Stop signs on all approaches make an all-way
     stop, on some of them (and yield signs) those approaches yield. With *guess_signals* junctions of at least
     three approaches with four lanes, whose ways cross, are signalled too, but for those of roundabouts. Signals serve
-    opposite approaches together unless ways of theirs run along each other.
+    opposite approaches together unless ways of theirs run along each other. Vehicles stop where the stop lines lie.
     """
     control = _read(plan, source)
     approaches: dict[str, list[EdgePlan]] = defaultdict(list)
@@ -51,7 +54,10 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
     long = long_conflicts(plan)
     return replace(
         plan,
-        edges=tuple(replace(edge, priority=MINOR if edge.id in minor else MAJOR) for edge in plan.edges),
+        edges=with_stop_offsets(
+            (replace(edge, priority=MINOR if edge.id in minor else MAJOR) for edge in plan.edges),
+            control.lines,
+        ),
         junctions=tuple(
             replace(j, kind=kinds.get(j.id) or j.kind, one_by_one=j.id in long) if j.kind == "priority" else j
             for j in plan.junctions
@@ -72,13 +78,14 @@ def _read(plan: NetPlan, source: SourceMap) -> Control:
         stopped = approaches.stopped_by(signal.at, signal.block, lanes)
         edges["light"] |= stopped
         idle += [] if stopped else [signal.token]
+    lines: dict[str, list[Polygon]] = {}
     for line in source.stop_lines:
         kind = _sign(line.kind)
-        if kind is not None:
-            edges[kind] |= approaches.stopped_by(line.area, line.block)
-    return Control(
-        frozenset(edges["light"]), frozenset(edges["stop"]), frozenset(edges["yield"]), tuple(idle)
-    )
+        for name in sorted(approaches.stopped_by(line.area, line.block)) if kind is not None else ():
+            edges[str(kind)].add(name)
+            lines.setdefault(name, []).append(line.area)
+    lights, stops, yields = (frozenset(edges[kind]) for kind in ("light", "stop", "yield"))
+    return Control(lights, stops, yields, tuple(idle), lines)
 
 
 def _sign(kind: str) -> str | None:

@@ -32,6 +32,7 @@ from advdiff_sumo.maps.convert.restore import restore_shapes
 from advdiff_sumo.maps.convert.rim import ReturnEdge, put_aside, return_edges
 from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
+from advdiff_sumo.maps.convert.stop_lines import waiting_turns
 from advdiff_sumo.maps.convert.widths import width_between, width_profile
 from advdiff_sumo.maps.convert.write_sidecar import sidecar_path, write_sidecar
 
@@ -122,7 +123,9 @@ def convert_source(
     _make_folder(out_net)
     returns = return_edges(plan) if close_rim else ()
     layout.counts["return edges beyond the rim"] = len(returns)
-    warnings = _build(plan, source.location, out_net, left, layout.counts, returns)
+    warnings = _build(
+        plan, source.location, out_net, left, layout.counts, returns, waiting_turns(plan, source)
+    )
     if opendrive:
         xodr = out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr")
         write_opendrive(plan, xodr, source.location, projection_of(source.location))
@@ -155,8 +158,12 @@ def _build(
     lefthand: bool,
     counts: Counter[str],
     returns: tuple[ReturnEdge, ...],
+    waiting: list[tuple[Ends, Ends]],
 ) -> tuple[str, ...]:
-    """Write the net; a second time where netconvert lets ways go together that are too near each other."""
+    """Write the net; a second time where netconvert lets ways go together that are too near each other.
+
+    *waiting* tells ways of which the second waits for the first in any case.
+    """
     with tempfile.TemporaryDirectory() as folder:
 
         def build(prohibitions: list[tuple[Ends, Ends]]) -> tuple[str, ...]:
@@ -165,10 +172,12 @@ def _build(
             )
             return run_netconvert(files, out_net, lefthand=lefthand)
 
-        warnings = build([])
+        warnings = build(waiting)
         unseen = unseen_conflicts(plan, out_net)
         counts["conflicts in junctions added to netconvert's"] = len(unseen)
-        return build(unseen) if unseen else warnings
+        settled = {frozenset(pair) for pair in waiting}
+        added = [pair for pair in unseen if frozenset(pair) not in settled]
+        return build(waiting + added) if added else warnings
 
 
 def measure_tracks(source: SourceMap, default_speed_mps: float) -> list[Track]:

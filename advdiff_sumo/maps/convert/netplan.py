@@ -69,6 +69,7 @@ class LanePlan:
             between them; no rows where the width hardly varies.
         no_change_up: changes to the next higher index are forbidden.
         no_change_down: changes to the next lower index are forbidden.
+        stop_offset_m: how far before its end vehicles stop, where the stop line lies there.
     """
 
     piece: Piece
@@ -80,6 +81,7 @@ class LanePlan:
     widths: FloatArray
     no_change_up: bool = False
     no_change_down: bool = False
+    stop_offset_m: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -109,6 +109,8 @@ def _edge(edge: EdgePlan, location: str) -> ET.Element:
                 solid or edge.length_m < CHANGE_M
             ):  # SUMO's left is the higher index, on whichever side the traffic keeps
                 row.set(side, NOBODY)
+        if lane.stop_offset_m > 0.0:
+            ET.SubElement(row, "stopOffset", value=f"{lane.stop_offset_m:.2f}")
         _param(row, "source", lane.source)
         if len(lane.widths):
             _param(row, "widths", " ".join(f"{s:.1f}:{width:.2f}" for s, width in lane.widths))

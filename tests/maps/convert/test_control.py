@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import libsumo
 import pytest
 import sumolib
 from small_maps import MapBuilder, crossroads, two_lane_road
@@ -79,12 +80,58 @@ def test_yield_sign(tmp_path: Path, at: list[tuple[float, float]], first: str, s
     assert "M" in found[first]
 
 
-@pytest.mark.parametrize("kind", ["PED_CROSSING", "TURN_STOP"])
-def test_other_stop_lines_change_nothing(tmp_path: Path, kind: str) -> None:
+def test_line_before_a_crossing_on_foot_changes_nothing(tmp_path: Path) -> None:
     plain = states(crossing(net_of(crossroads(), tmp_path)))
     road = crossroads()
-    stop_line(road, kind, AT_WEST)
+    stop_line(road, "PED_CROSSING", AT_WEST)
     assert states(crossing(net_of(road, tmp_path))) == plain
+
+
+@pytest.mark.parametrize(("waits", "at"), [("west", (98.0, 101.0)), ("south", (100.0, 92.0))])
+def test_turn_stop_lets_its_way_wait(tmp_path: Path, waits: str, at: tuple[float, float]) -> None:
+    """A line in the junction across the left turn from the west, or across the way from the south."""
+    road = crossroads()
+    x, y = at
+    stop_line(
+        road, "TURN_STOP", [(x - 1.0, y - 0.5), (x + 1.0, y - 0.5), (x + 1.0, y + 0.5), (x - 1.0, y + 0.5)]
+    )
+    node = crossing(net_of(road, tmp_path))
+    found = {
+        (
+            link.getFromLane().getParam("source").split(":")[0],
+            link.getToLane().getParam("source").split(":")[0],
+        ): link.getState()
+        for link in node.getConnections()
+        if link.getFrom().getFunction() == ""
+    }
+    assert found[waits, "north"] == "m"
+    assert found["south" if waits == "west" else "west", "north"] == "M"
+
+
+def test_vehicles_stop_where_the_stop_line_is(tmp_path: Path) -> None:
+    """A stop line 12 m before the end of lane "west", upstream edge at 13 m: the front stops there at red."""
+    road = crossroads()
+    stop_line(
+        road, "TRAFFIC_LIGHT", [(77.0, 98.0), (78.0, 98.0), (78.0, 102.0), (77.0, 102.0)], light="light"
+    )
+    road.data["traffic_light"].append({"token": "light", "line_token": ""})
+    result = convert_map(road.write(tmp_path / "m.json"), tmp_path / "m.net.xml")
+    net = sumolib.net.readNet(str(result.net))
+    (west,) = [e for e in net.getEdges() if e.getLane(0).getParam("source").startswith("west:")]
+    (east,) = [e for e in net.getEdges() if e.getLane(0).getParam("source").startswith("east:")]
+    libsumo.start(["sumo", "-n", str(result.net), "--no-step-log", "--step-length", "0.1"])
+    try:
+        (light,) = libsumo.trafficlight.getIDList()
+        red = "r" * len(libsumo.trafficlight.getRedYellowGreenState(light))
+        libsumo.trafficlight.setRedYellowGreenState(light, red)
+        libsumo.route.add("on", [west.getID(), east.getID()])
+        libsumo.vehicle.add("car", "on")
+        for _ in range(300):
+            libsumo.simulationStep()
+        x, _ = libsumo.vehicle.getPosition("car")
+    finally:
+        libsumo.close()
+    assert 75.0 < x <= 77.0
 
 
 def test_light_by_its_stop_line(tmp_path: Path) -> None:

@@ -130,6 +130,21 @@ def test_same_map_same_bytes(tmp_path: Path) -> None:
     assert converted(crossroads(), tmp_path).net.read_bytes() == first
 
 
+def test_two_ways_between_the_same_two_lanes_are_both_kept(tmp_path: Path) -> None:
+    road = MapBuilder()
+    end = road.straight("a", (40.0, 100.0, 0.0), 60.0)
+    road.straight("direct", end, 60.0 * math.sin(0.8), connector=True)
+    last = road.lane("round", end, "LRL", [12.0, 24.0, 12.0], 15.0, connector=True)
+    assert last == pytest.approx((100.0 + 60.0 * math.sin(0.8), 100.0, 0.0))
+    road.straight("b", last, 60.0)
+    road.link("a", "direct", "b")
+    road.link("a", "round", "b")
+    result = converted(road, tmp_path)
+    check_invariants(result)
+    assert measure(result).figures["connections"]["second_ways_left_out"] == []
+    assert result.counts["connectors made edges as a second way between two lanes"] == 1
+
+
 def test_bus_lane_is_for_buses(tmp_path: Path) -> None:
     road = two_lane_road()
     road.data["lane"][1]["lane_type"] = "BUS"

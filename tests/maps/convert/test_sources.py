@@ -28,6 +28,7 @@ GENUINE = (
     "argoverse2/log_map_archive_3b3570b4-7b0b-3268-a571-b0889dbf40b6____MIA_city_47894.json",
     "argoverse2/log_map_archive_adcf7d18-0510-35b0-a2fa-b4cea13a6d76____PIT_city_57819.json",
     "commonroad/DEU_Moabit-4_1_T-1.xml.gz",
+    "commonroad/HRV_Pula-27_3_T-1.xml.gz",
     "commonroad/USA_Lanker-1_3_T-1.xml.gz",
     "commonroad/ZAM_Tjunction-1_97_T-1.xml.gz",
 )

@@ -10,6 +10,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.layout.crossings import join_crossing_ways
 from advdiff_sumo.maps.convert.layout.grouping import KEEP_SHARE, group_pieces
+from advdiff_sumo.maps.convert.layout.lane_paths import find_connections
 from advdiff_sumo.maps.convert.layout.lane_segments import CUT_M, Piece, cut_lanes
 from advdiff_sumo.maps.convert.layout.layout_state import Layout, bonds_of, joints_of
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide
@@ -41,6 +42,7 @@ def lay_out(
     layout.counts["lanes cut"] = sum(len(own) > 1 for own in pieces.values())
     _open_ends(layout, is_connector)
     _direct_links(layout, is_connector)
+    _part_second_ways(layout, is_connector)
     _break_loops(layout, is_connector)
     layout.joints = joints_of(layout)
     join_crossing_ways(layout, lines_m, frozenset(lane for pair in roads for lane in (pair.left, pair.right)))
@@ -79,6 +81,29 @@ def _direct_links(layout: Layout, is_connector: Sequence[bool]) -> None:
             layout.pieces[lane][end] = Piece(lane, *shorter)
 
 
+def _part_second_ways(layout: Layout, is_connector: Sequence[bool]) -> None:
+    """Give a connector of each second way between two lanes an edge, as SUMO holds one way between two lanes.
+
+    The edge stays where the junction can be parted for it; see :func:`_break_loops`.
+    """
+    ways, doubles = find_connections(layout)
+    kept = {(way.origin, way.target): set(way.lanes) for way in ways}
+    for double in doubles:
+        own = set(double.lanes) - kept[double.origin, double.target]
+        long = [
+            c for c in own if is_connector[c] and not layout.pieces[c] and layout.lengths_m[c] >= PROMOTE_M
+        ]
+        if long:
+            _promote(layout, max(long, key=lambda c: (layout.lengths_m[c], -c)))
+            layout.counts["connectors made edges as a second way between two lanes"] += 1
+
+
+def _promote(layout: Layout, connector: int) -> None:
+    """Make the middle of a connector an edge: short, so that ways that cross it elsewhere cross an internal lane."""
+    middle = 0.5 * layout.lengths_m[connector]
+    layout.pieces[connector] = [Piece(connector, middle - 0.5 * STUB_M, middle + 0.5 * STUB_M)]
+
+
 def _break_loops(layout: Layout, is_connector: Sequence[bool]) -> None:
     """Make sure that no piece begins and ends in one junction.
 
@@ -96,11 +121,7 @@ def _break_loops(layout: Layout, is_connector: Sequence[bool]) -> None:
             c for c in way if is_connector[c] and not layout.pieces[c] and layout.lengths_m[c] >= PROMOTE_M
         ]
         if fit:
-            best = max(fit, key=lambda c: (layout.lengths_m[c], -c))
-            middle = (
-                0.5 * layout.lengths_m[best]
-            )  # short, so that ways that cross it elsewhere cross an internal lane
-            layout.pieces[best] = [Piece(best, middle - 0.5 * STUB_M, middle + 0.5 * STUB_M)]
+            _promote(layout, max(fit, key=lambda c: (layout.lengths_m[c], -c)))
             layout.counts["connectors made edges to part junctions"] += 1
         else:
             layout.pieces[piece.lane].remove(piece)

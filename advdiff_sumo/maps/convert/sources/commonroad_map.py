@@ -122,6 +122,8 @@ def _put_limit(limits: dict[str, float], name: str, text: str | None) -> None:
 def _lane(row: Element, inside: set[str], limits: dict[str, float], faults: MapFaults) -> BoundedLane | None:
     name = row.get("id", "")
     speeds = [limits[ref] for ref in _refs(row, "trafficSignRef") if ref in limits]
+    _put_limit(limits, f"{name} own", row.findtext("speedLimit"))  # of version 2018b
+    speeds += [limits[f"{name} own"]] if f"{name} own" in limits else []
     kinds = _kinds(row)
     try:
         left, right = _bound(row, "leftBound"), _bound(row, "rightBound")

@@ -86,6 +86,33 @@ def test_a_red_light_binds(straight, record_of, light_road) -> None:
     assert drives(green, light_road)["CC_human_driver"].states.xy_m[-1, 0] + 2.0 > line
 
 
+def test_the_duty_to_yield_binds(straight, record_of, road) -> None:
+    ego = straight("ego", (1.6, -62), NORTH, 10, steps=70)
+    crosser = straight("crosser", (-72, -1.6), 0, 12, steps=70)
+    record = record_of(ego, crosser, route=("SC", "CN"))
+    line = road.lanes["SC_0"].centre_xy_m[-1, 1]
+    hit = target_collision(record, collisions(record))
+    for name in MODELS:
+        drive = drive_reference(record, road, hit, name)
+        assert drive.contact_step is None, name
+        before = drive.states.xy_m[:, 1] + 2.0 <= line
+        assert before[0], name
+        assert drive.accel_mps2[before].min() <= -2.0, name  # it slows down at the line, not in the junction
+
+
+def test_somebody_who_appears_late_is_seen_late(straight, record_of, road) -> None:
+    ego = straight("ego", (-190, -4.8), 0, 15, steps=90)
+    still = straight("still", (-60.5, -4.8), 0, 0, steps=90)
+    gone = straight("gone", (-100, -1.6), 0, 10, steps=90)
+    still.xy_m[:75] = np.nan
+    gone.xy_m[40:] = np.nan
+    drive = drives(record_of(ego, still, gone), road)["CC_human_driver"]
+    # there from 7.5 s on, 13 m ahead; the contact is at 8.4 s: off the pedal for 0.75 s, hardly braking
+    assert drive.takeover_step == 74
+    assert drive.contact_with == "still"
+    assert drive.impact_mps > 13.0
+
+
 def test_a_late_look_back_takes_over_later(straight, record_of, road) -> None:
     ego = straight("ego", (-190, -4.8), 0, 15, steps=90)
     still = straight("still", (-60.5, -4.8), 0, 0, steps=90)

@@ -25,7 +25,7 @@ class DefectKind:
         values: at the three severities, the weakest first.
         bounds: smallest and largest value that makes sense.
         fault: makes the fault of a value.
-        sumo: vType attributes of a value, ``tau`` as a difference to the target's own; None where SUMO has no form of it.
+        sumo: vType attributes of a value, ``tau`` less the target's own; None where SUMO has no form of it.
         sumo_note: in words: the attributes, or why there are none.
     """
 

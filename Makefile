@@ -4,7 +4,7 @@ BIN := .venv/bin
 PIP := $(BIN)/pip install --disable-pip-version-check --progress-bar on
 TESTS := $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 15 --quiet
 
-.PHONY: install setup demo test test-all readers check docs proto package bench clean
+.PHONY: install setup demo test test-all readers check docs proto package bench soak clean
 
 # what running needs: PyTorch, SUMO and the libraries around them
 install: .venv/.installed
@@ -74,6 +74,10 @@ bench: setup
 	$(BIN)/python tools/bench_plans.py
 	$(BIN)/python tools/bench_sweep.py
 	$(BIN)/python tools/bench_report.py
+
+# an hour of every background, target and attack on many nets; ADVDIFF_DATA adds real nets and logs; resumes
+soak: setup
+	$(BIN)/python tools/soak.py build/soak $${ADVDIFF_DATA:+--data $$ADVDIFF_DATA} --minutes 60
 
 clean:
 	rm -rf .venv build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

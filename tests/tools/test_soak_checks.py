@@ -1,0 +1,113 @@
+"""What the soak must notice, by hand-worked states, and one place of it from end to end."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.maps import RoadMap
+from tests.hang_guard import HANG_S
+from tests.sim import nets
+
+TOOLS = Path(__file__).parents[2] / "tools"
+sys.path.insert(0, str(TOOLS))
+from soak_src.checks import States, problems  # noqa: E402 - the tools are no package
+
+STEPS, STEP_S, SPEED_MPS = 11, 0.1, 10.0
+
+
+@pytest.fixture(scope="module")
+def road(tmp_path_factory: pytest.TempPathFactory) -> RoadMap:
+    return RoadMap.read(nets.street(tmp_path_factory.mktemp("street")))
+
+
+def two_eastbound(gap_m: float) -> States:
+    """Two cars of 5 m × 1.8 m in the right eastbound lane (y = −4.8), *gap_m* apart, both at 10 m/s."""
+    x = 100.0 + SPEED_MPS * STEP_S * np.arange(STEPS)
+    xy = np.stack([np.stack((x + ahead, np.full(STEPS, -4.8)), -1) for ahead in (0.0, 5.0 + gap_m)])
+    ones = np.ones((2, STEPS))
+    return States(
+        ("ego", "other"),
+        0,
+        np.full(2, 5.0),
+        np.full(2, 1.8),
+        xy,
+        0.0 * ones,
+        SPEED_MPS * ones,
+        ones.astype(bool),
+        np.zeros(2, dtype=bool),
+        STEP_S,
+    )
+
+
+def moved(states: States, dx: float, dy: float, since: int) -> States:
+    """Put the other aside from step *since* on."""
+    xy = states.xy_m.copy()
+    xy[1, since:] += (dx, dy)
+    return replace(states, xy_m=xy)
+
+
+def contact(time_s: float) -> dict[str, Any]:
+    return {"time_s": time_s, "second": "other", "with_target": True, "initial": False}
+
+
+def test_nothing_is_wrong_with_two_cars_in_a_row(road: RoadMap) -> None:
+    assert list(problems(two_eastbound(10.0), road, [])) == []
+
+
+def test_a_jump_in_position_speed_or_heading_is_named(road: RoadMap) -> None:
+    states = two_eastbound(10.0)
+    assert [*problems(moved(states, 2.0, 0.0, 4), road, [])] == [
+        "jump in position of 'other' by 2.00 m after step 3"
+    ]
+    speed = states.speed_mps.copy()
+    speed[1, 6:] = 14.0
+    faster = replace(states, speed_mps=speed)
+    assert "jump in speed of 'other' by 4.00 m/s after step 5" in [*problems(faster, road, [])]
+    yaw = states.yaw_rad.copy()
+    yaw[1, 6:] = 0.5
+    turned = replace(states, yaw_rad=yaw, by_sumo=np.zeros((2, STEPS), dtype=bool))
+    assert "jump in heading of 'other' by 0.50 rad after step 5" in [*problems(turned, road, [])]
+
+
+def test_nan_and_a_sumo_vehicle_beside_all_lanes_are_named(road: RoadMap) -> None:
+    states = two_eastbound(10.0)
+    speed = states.speed_mps.copy()
+    speed[1, 3] = np.nan
+    assert "NaN in a state of 'other'" in [*problems(replace(states, speed_mps=speed), road, [])]
+    beside = moved(states, 0.0, -4.0, 0)  # 8.8 m south; the lane ends at 6.4 m
+    assert [*problems(beside, road, [])] == ["'other' is driven by SUMO 2.40 m beside all lanes at step 0"]
+
+
+def test_contacts_must_be_those_of_the_boxes(road: RoadMap) -> None:
+    overlapping = two_eastbound(-0.5)
+    assert [*problems(overlapping, road, [])] == [
+        "the boxes of target and 'other' overlap at step 0, which is not recorded"
+    ]
+    assert [*problems(overlapping, road, [contact(0.0)])] == []
+    assert [*problems(overlapping, road, [contact(0.5)])] == [
+        "contact of target and 'other' is recorded at step 5, the boxes overlap at 0"
+    ]
+    assert [*problems(two_eastbound(3.0), road, [contact(0.5)])] == [
+        "contact of target and 'other' is recorded at step 5, where the boxes are apart"
+    ]
+
+
+@pytest.mark.slow
+def test_a_place_is_driven_and_driven_again_without_doing_it_twice(tmp_path: Path) -> None:
+    words = [sys.executable, str(TOOLS / "soak.py"), str(tmp_path), "--episodes", "1", "--horizon", "1"]
+    words += ["--seeds", "0", "--workers", "1", "--places", "downtown", "--backgrounds", "sumo", "replay"]
+    first = subprocess.run(words, capture_output=True, text=True, timeout=HANG_S, check=False)
+    assert first.returncode == 0, first.stdout + first.stderr
+    assert "total: 1 places, 6 sound" in first.stdout
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "downtown/episodes").glob("*/*")}
+    assert len(before) == 6
+    again = subprocess.run(words, capture_output=True, text=True, timeout=HANG_S, check=False)
+    assert again.stdout == first.stdout
+    assert before == {path: path.stat().st_mtime_ns for path in before}

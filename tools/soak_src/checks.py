@@ -1,0 +1,178 @@
+"""What must hold of the states of any episode, looked at from outside: with shapely and plain differences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import shapely
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.frames import bumper_from_centre, wrap_angle
+from advdiff_sumo.maps import RoadMap
+
+#: Beyond what speed and step explain: of a position, of a speed in a step, and of a heading in a step.
+JUMP_M, JUMP_MPS, JUMP_RAD = 0.8, 3.0, 0.35
+#: A bend of a lane's centre line turns a vehicle that SUMO drives at once, so its heading may change by this.
+SUMO_JUMP_RAD = 1.6
+BESIDE_M = 0.3
+TOUCH_M2, TOUCH_M, TOUCH_STEPS = 1e-3, 0.6, 1
+
+
+@dataclass(frozen=True)
+class States:
+    """The states of one episode; A agents, T steps.
+
+    Attributes:
+        ids: A names.
+        target: row of the tested vehicle.
+        length_m, width_m: (A,) boxes.
+        xy_m, yaw_rad, speed_mps: (A, T, 2), (A, T), (A, T); NaN where absent.
+        by_sumo: (A, T) whether SUMO drove the agent.
+        walks: (A,) whether it is a pedestrian.
+        step_s: spacing.
+    """
+
+    ids: tuple[str, ...]
+    target: int
+    length_m: FloatArray
+    width_m: FloatArray
+    xy_m: FloatArray
+    yaw_rad: FloatArray
+    speed_mps: FloatArray
+    by_sumo: BoolArray
+    walks: BoolArray
+    step_s: float
+
+    @staticmethod
+    def of(columns: Mapping[str, Any], step_s: float = 0.1) -> States:
+        """Return columns of ``states.parquet`` (NumPy arrays of one episode) as arrays over agents and steps."""
+        ids, row = np.unique(columns["agent"].astype(str), return_inverse=True)
+        shape, step = (len(ids), int(columns["step"].max()) + 1), columns["step"]
+
+        def grid(name: str) -> FloatArray:
+            values = np.full(shape, np.nan)
+            values[row, step] = columns[name]
+            return values
+
+        by_sumo = np.zeros(shape, dtype=np.bool_)
+        by_sumo[row, step] = columns["controller"] == "sumo"
+        first = np.unique(row, return_index=True)[1]
+        return States(
+            tuple(ids.tolist()),
+            int(row[np.flatnonzero(columns["is_target"])[0]]),
+            columns["length_m"][first],
+            columns["width_m"][first],
+            np.stack((grid("x_m"), grid("y_m")), axis=-1),
+            grid("yaw_rad"),
+            grid("speed_mps"),
+            by_sumo,
+            columns["class"][first] == "pedestrian",
+            step_s,
+        )
+
+
+def problems(states: States, road: RoadMap, contacts: list[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield a sentence for everything that may not be.
+
+    Args:
+        states: of the episode.
+        road: its map.
+        contacts: the episode's rows of ``collisions.parquet``.
+    """
+    there = np.isfinite(states.yaw_rad)
+    holes = there & ~(np.isfinite(states.xy_m).all(-1) & np.isfinite(states.speed_mps))
+    if holes.any():
+        yield f"NaN in a state of '{states.ids[int(np.argwhere(holes)[0, 0])]}'"
+    yield from _jumps(states)
+    yield from _off_lanes(states, road)
+    yield from _contacts(states, contacts)
+
+
+def _jumps(states: States) -> Iterator[str]:
+    """Yield where somebody moves, speeds up or turns as nothing on wheels does."""
+    before, after = states.xy_m[:, :-1], states.xy_m[:, 1:]
+    way = np.hypot(*np.moveaxis(after - before, -1, 0))
+    fastest = np.fmax(np.abs(states.speed_mps[:, :-1]), np.abs(states.speed_mps[:, 1:]))
+    sumo = states.by_sumo[:, 1:] & states.by_sumo[:, :-1]
+    turn = np.abs(wrap_angle(np.diff(states.yaw_rad, axis=1)))
+    # the centre of a vehicle swings about its front bumper where SUMO turns it
+    swing = np.where(states.by_sumo[:, 1:], 0.5 * states.length_m[:, None] * turn, 0.0)
+    wheels = ~states.walks[:, None]
+    limits = (
+        ("position", way - fastest * states.step_s - swing, JUMP_M, "m"),
+        ("speed", np.abs(np.diff(states.speed_mps, axis=1)), JUMP_MPS, "m/s"),
+        ("heading", turn, np.where(sumo | states.by_sumo[:, 1:], SUMO_JUMP_RAD, JUMP_RAD), "rad"),
+    )
+    for what, change, most, unit in limits:
+        wrong = np.argwhere((change > most) & wheels)  # NaN compares as False
+        if len(wrong):
+            row, step = wrong[0].tolist()
+            yield f"jump in {what} of '{states.ids[row]}' by {change[row, step]:.2f} {unit} after step {step}"
+
+
+def _off_lanes(states: States, road: RoadMap) -> Iterator[str]:
+    """Yield who is driven by SUMO and has its front bumper on no lane."""
+    row, step = np.nonzero(states.by_sumo & ~states.walks[:, None])
+    if not len(row):
+        return
+    yaw = states.yaw_rad[row, step]
+    bumper = bumper_from_centre(states.xy_m[row, step], yaw, states.length_m[row])
+    near = road.index.candidates(bumper, 6.0)
+    excess = np.full(len(row), np.inf)
+    np.minimum.at(excess, near.point, np.abs(near.d_m) - 0.5 * road.index.width_m[near.lane])
+    wrong = np.flatnonzero(excess > BESIDE_M)
+    if len(wrong):
+        k = int(wrong[0])
+        yield f"'{states.ids[row[k]]}' is driven by SUMO {excess[k]:.2f} m beside all lanes at step {step[k]}"
+
+
+def _contacts(states: States, contacts: list[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield contacts of the target that the record lacks, and recorded ones that no boxes show."""
+    boxes = _boxes(states)
+    steps = states.yaw_rad.shape[1]
+    told = {
+        name: round(row["time_s"] / states.step_s)
+        for row in contacts
+        for name in [row["second"]]
+        if row["with_target"] and row["second"]
+    }
+    for other, name in enumerate(states.ids):
+        if other == states.target:
+            continue
+        mine, theirs = boxes[states.target], boxes[other]
+        touch = np.flatnonzero(shapely.area(shapely.intersection(mine, theirs)) > TOUCH_M2)
+        first = int(touch[0]) if len(touch) else None
+        if first is not None and name not in told:
+            yield f"the boxes of target and '{name}' overlap at step {first}, which is not recorded"
+        elif first is not None and abs(told[name] - first) > TOUCH_STEPS:
+            yield f"contact of target and '{name}' is recorded at step {told[name]}, the boxes overlap at {first}"
+    for name, step in told.items():
+        if name in states.ids:
+            around = slice(max(step - 1, 0), min(step + 2, steps))
+            gap = shapely.distance(boxes[states.target, around], boxes[states.ids.index(name), around])
+            if not np.nanmin(gap, initial=np.inf) <= TOUCH_M:
+                yield f"contact of target and '{name}' is recorded at step {step}, where the boxes are apart"
+
+
+def _boxes(states: States) -> Any:
+    """Return (A, T) polygons; None where absent."""
+    half = 0.5 * np.stack((states.length_m, states.width_m), axis=-1)
+    corners = half[:, None, :] * np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])  # (A, 4, 2)
+    cos, sin = np.cos(states.yaw_rad), np.sin(states.yaw_rad)
+    turn = np.stack((np.stack((cos, -sin), -1), np.stack((sin, cos), -1)), -2)  # (A, T, 2, 2)
+    ring = np.einsum("atij,akj->atki", turn, corners) + states.xy_m[:, :, None, :]
+    boxes = np.full(states.yaw_rad.shape, None, dtype=object)
+    there = np.isfinite(ring).all((-1, -2))
+    boxes[there] = shapely.polygons(ring[there])
+    return boxes
+
+
+def runs_of(episode: IntArray) -> Iterator[tuple[int, slice]]:
+    """Yield episode numbers with the rows that they have in a table that is sorted by them."""
+    starts = np.flatnonzero(np.diff(episode, prepend=-1))
+    for start, stop in pairwise([*starts.tolist(), len(episode)]):
+        yield int(episode[start]), slice(start, stop)

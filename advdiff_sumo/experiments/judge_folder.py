@@ -16,10 +16,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import BreachKind
-from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, VERDICT_COLUMNS
+from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, VERDICT_COLUMNS, Column
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.metrics.summary import summarise
 from advdiff_sumo.report.folder import FinishedRun
@@ -28,8 +28,9 @@ from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sim.run_store import schema_of, table_of
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.episode_result import Part
-from advdiff_sumo.sweep.job_plan import plan_sweep
+from advdiff_sumo.sweep.job_plan import Plan, plan_sweep
 from advdiff_sumo.sweep.situation import SITUATION_COLUMNS
+from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES
 from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
 
 #: What is taken over of an episode's row; the rest stays as it was measured with all that the simulation knew.
@@ -112,16 +113,24 @@ def open_folder(folder: Path) -> Judging:
     Raises:
         InputError: it is neither, or is damaged.
     """
-    return _sweep(folder) if (folder / SETTINGS).exists() else _run(folder)
+    if not (folder / SETTINGS).exists():
+        return _tables(folder, EPISODE_COLUMNS)
+    store = Store.open(folder)
+    plan = plan_sweep(store.spec())
+    try:
+        store.must_match(plan.keys)
+    except ConfigError:  # of an earlier version, or its nets have changed: its tables are all there is
+        return _tables(folder, SWEEP_TABLES["episodes"])
+    return _sweep(store, plan)
 
 
-def _run(folder: Path) -> Judging:
-    run = FinishedRun.read(folder)
-    net = _net(str(run.options.get("net", "")), folder)
-    rows = {int(row["episode"]): dict(row) for row in run.episodes}
+def _tables(folder: Path, columns: Mapping[str, Column]) -> Judging:
+    """Judge the episodes of the tables in *folder*, whose episodes have *columns*."""
+    net = str(FinishedRun.read(folder).options.get("net", ""))
+    rows = {int(row["episode"]): row for row in _read(folder / "episodes.parquet").to_pylist()}
     hits: dict[int, list[dict[str, Any]]] = {number: [] for number in rows}
-    for row in run.collisions:
-        hits[int(row["episode"])].append(dict(row))
+    for row in _read(folder / "collisions.parquet").to_pylist():
+        hits[int(row["episode"])].append(row)
 
     def episodes() -> Iterator[tuple[str, EpisodeTables]]:
         lights = folder / "signals.parquet"
@@ -130,13 +139,14 @@ def _run(folder: Path) -> Judging:
         for number, row in rows.items():
             if number in states:
                 shown = None if signals is None else signals.get(number)
-                yield str(number), EpisodeTables(net, row, states[number], hits[number], shown)
+                place = _net(str(row.get("net") or net), folder)
+                yield str(number), EpisodeTables(place, row, states[number], hits[number], shown)
 
     def keep(key: str, judged: JudgedRows) -> None:
         rows[int(key)], hits[int(key)] = judged.episode, judged.collisions
 
     def finish() -> None:
-        _replace(folder / "episodes.parquet", list(rows.values()), EPISODE_COLUMNS)
+        _replace(folder / "episodes.parquet", list(rows.values()), columns)
         _replace(
             folder / "collisions.parquet", [x for some in hits.values() for x in some], COLLISION_COLUMNS
         )
@@ -144,10 +154,7 @@ def _run(folder: Path) -> Judging:
     return Judging(len(rows), episodes, keep, finish)
 
 
-def _sweep(folder: Path) -> Judging:
-    store = Store.open(folder)
-    plan = plan_sweep(store.spec())
-    store.must_match(plan.keys)
+def _sweep(store: Store, plan: Plan) -> Judging:
     jobs = {job.key: job for job in plan.jobs if store.has(job.key)}
 
     def episodes() -> Iterator[tuple[str, EpisodeTables]]:
@@ -157,7 +164,7 @@ def _sweep(folder: Path) -> Judging:
                 continue
             (row,) = part.tables["episodes"].to_pylist()
             hits = part.tables["collisions"].to_pylist()
-            net = _net(plan.options(job).net, folder)
+            net = _net(plan.options(job).net, store.path)
             yield key, EpisodeTables(net, row, part.tables["states"], hits, part.tables.get("signals"))
 
     def keep(key: str, judged: JudgedRows) -> None:
@@ -268,7 +275,7 @@ def _read(path: Path) -> pa.Table:
         ) from None
 
 
-def _replace(path: Path, rows: list[dict[str, Any]], columns: Mapping[str, Any]) -> None:
+def _replace(path: Path, rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> None:
     schema = schema_of(columns)
     aside = path.with_suffix(".aside")
     try:

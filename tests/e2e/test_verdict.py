@@ -67,3 +67,36 @@ def test_what_is_no_run_or_has_lost_its_net(collided: Path, here: Callable[..., 
     assert "is no longer there" in lost.err.replace("\n", " ")
     shutil.rmtree(collided)
     assert here("verdict", collided).code == 2
+
+
+SWEEP = """
+episodes = 2
+horizon_s = 4.0
+seeds = [3]
+scene = { warmup_s = 8.0, scenes_per_warmup = 2, min_neighbours = 1 }
+
+[grid]
+nets = ["downtown"]
+targets = ["IDM"]
+backgrounds = ["sumo"]
+"""
+
+
+def test_a_sweep_and_one_of_an_earlier_version(tmp_path: Path, here: Callable[..., Outcome]) -> None:
+    (tmp_path / "small.toml").write_text(SWEEP)
+    assert here("sweep", tmp_path / "small.toml", "--out", tmp_path / "sweep", "--workers", "1").code == 0
+    before = table(tmp_path / "sweep")
+    assert here("verdict", tmp_path / "sweep", "--workers", "1").code == 0
+    assert table(tmp_path / "sweep") == before
+    assert here("results", tmp_path / "sweep", "--fail-if", "valid_failures > 0").code == 0
+    make_older(tmp_path / "sweep", signals=True)
+    settings = tmp_path / "sweep" / "sweep.toml"
+    lines = [
+        "keys = 'of old'" if line.startswith("keys") else line for line in settings.read_text().splitlines()
+    ]
+    settings.write_text("\n".join(lines))
+    done = here("verdict", tmp_path / "sweep", "--workers", "1")
+    assert done.code == 0, done.err
+    after = table(tmp_path / "sweep")
+    assert [row["valid_failure"] for row in after] == [row["valid_failure"] for row in before]
+    assert list(after[0]) == list(before[0])

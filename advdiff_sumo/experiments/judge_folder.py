@@ -16,13 +16,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import BreachKind
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, VERDICT_COLUMNS, Column
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.metrics.summary import summarise
-from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.nets import net_path
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sim.run_store import schema_of, table_of
@@ -126,7 +126,10 @@ def open_folder(folder: Path) -> Judging:
 
 def _tables(folder: Path, columns: Mapping[str, Column]) -> Judging:
     """Judge the episodes of the tables in *folder*, whose episodes have *columns*."""
-    net = str(FinishedRun.read(folder).options.get("net", ""))
+    settings = folder / (SETTINGS if (folder / SETTINGS).exists() else "run.toml")
+    if not settings.exists():
+        raise FileError(folder, "holds no run and no sweep", "give the folder of a finished run or sweep")
+    net = str(read_toml(settings).get("options", {}).get("net", ""))
     rows = {int(row["episode"]): row for row in _read(folder / "episodes.parquet").to_pylist()}
     hits: dict[int, list[dict[str, Any]]] = {number: [] for number in rows}
     for row in _read(folder / "collisions.parquet").to_pylist():

@@ -76,7 +76,7 @@ def _braking(met: Encounter, drive: ReferenceDrive) -> str:
     before = met.collision.step + met.collision.fraction - drive.takeover_step - float(at[0])
     seconds = before * drive.states.dt_s
     if seconds < 0.05:
-        return "who brakes only after that "
+        return "without time to brake "
     return f"who brakes {seconds:.1f} s before contact "
 
 

@@ -6,6 +6,7 @@ The crossing and its lanes are those of ``encounters.crossing``; cars are 4 x 2 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,11 +14,11 @@ import pytest
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import breaches_of, conduct_breaches
-from advdiff_sumo.metrics.collision import collisions, target_collision
+from advdiff_sumo.metrics.collision import collisions, target_collision, tracks_collisions
 from advdiff_sumo.metrics.encounter import encounter
 from advdiff_sumo.metrics.summary import judged
 from advdiff_sumo.metrics.traffic_view import TrafficView
-from tests.metrics.encounters import braking, driven, record_of, signals_of, straight
+from tests.metrics.encounters import braking, crossing, driven, record_of, signals_of, straight
 
 NORTH = math.pi / 2
 
@@ -260,3 +261,54 @@ def test_rules_of_conduct_hold_for_plans(road) -> None:
     view = TrafficView(plan, road)
     assert conduct_breaches(view, 0, 0, plan.steps) == ()
     assert [str(x.kind) for x in conduct_breaches(view, 1, 0, plan.steps)] == ["speeding"]
+
+
+# --- left-hand traffic -----------------------------------------------------------------------------------
+
+
+def mirrored(car):
+    """Return *car* with left and right exchanged."""
+    return replace(car, xy_m=car.xy_m * (1.0, -1.0), yaw_rad=-car.yaw_rad)
+
+
+@pytest.fixture(scope="module")
+def left_road(tmp_path_factory: pytest.TempPathFactory) -> RoadMap:
+    """The crossing with traffic on the left: the mirror image along the x axis."""
+    return crossing(tmp_path_factory.mktemp("left"), "priority", lefthand=True)
+
+
+def test_left_hand_traffic_is_the_mirror_image(road, left_road) -> None:
+    steps = 61
+    ego = straight("ego", (-150, -4.8), 0, 15, steps)
+    pairs = [
+        (ego, straight("cutter", (-138, -1.6), 0, 10, steps, drift=-2.0)),
+        (
+            straight("ego", (-150, -1.6), 0, 12, steps),
+            straight("on", (-80, 1.6), math.pi, 12, steps, drift=1.0),
+        ),
+        (
+            straight("steady", (-150, -1.6), 0, 12, steps),
+            straight("drift", (-150, -4.8), 0, 12, steps, drift=1),
+        ),
+        (straight("lead", (-16, -1.6), 0, 9, steps), straight("chaser", (-45, -1.6), 0, 15, steps)),
+        (straight("east", (-30, -1.6), 0, 10, steps), straight("north", (1.6, -31), NORTH, 10, steps)),
+    ]
+    for pair in pairs:
+        here, there = record_of(*pair), record_of(*map(mirrored, pair))
+        assert broken(here, road) == broken(there, left_road), pair[1].name
+        assert blame(here, road) == blame(there, left_road), pair[1].name
+
+
+# --- plans -----------------------------------------------------------------------------------------------
+
+
+def test_the_rules_hold_for_plans(road) -> None:
+    """A candidate future of a background vehicle, and what the target is expected to do, before it is driven."""
+    plan = record_of(
+        straight("ego", (-150, -4.8), 0, 15), straight("bv", (-138, -1.6), 0, 10, drift=-2.0)
+    ).tracks
+    view = TrafficView(plan, road)
+    (contact,) = tracks_collisions(plan, target=0)
+    met = encounter(view, contact)
+    assert [str(x.kind) for x in breaches_of(view, met, 1)] == ["unsafe_lane_entry"]
+    assert breaches_of(view, met, 0) == ()

@@ -13,7 +13,7 @@ from advdiff_sumo.metrics.traffic_view import TrafficView
 #: Headings that differ by less than this go the same way (45°).
 SAME_WAY_RAD = 0.7853981633974483
 #: Nearer to the edge of its lane than this, a vehicle that moves sideways has used its lane up.
-_AT_EDGE_M = 0.05
+_AT_EDGE_M = 0.2
 #: Moving sideways slower than this is keeping to the lane's middle.
 _DRIFT_MPS = 0.1
 

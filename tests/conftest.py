@@ -6,10 +6,11 @@ import os
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
-settings.register_profile("desk", deadline=None)  # a busy machine is no failure
-settings.register_profile("ci", derandomize=True, deadline=None)
+_BUSY = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}  # a busy machine is no failure
+settings.register_profile("desk", **_BUSY)
+settings.register_profile("ci", derandomize=True, **_BUSY)
 settings.load_profile("desk")
 
 LONG = ("test_bench.py", "test_commands.py", "test_converted_nets.py", "test_browser.py", "test_faults.py")

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pyarrow.parquet as pq
+import pytest
 
 from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.executors import ProcessExecutor
@@ -25,8 +26,6 @@ import time
 import numpy as np
 
 from advdiff_sumo.planner_kit import Controls, serve
-
-pytestmark = pytest.mark.slow
 
 CRASHES, HANGS, NANS, EXITS = map(float, sys.argv[1:5])
 
@@ -50,6 +49,8 @@ class Draws:
 
 serve(Draws)
 '''
+pytestmark = pytest.mark.slow
+
 KINDS = {"planner_crashed", "planner_timeout", "plan_refused"}
 
 
@@ -58,7 +59,7 @@ def test_every_episode_has_its_row_and_no_process_stays(place: Path, tmp_path: P
     server.write_text(SERVER)
     target = {
         "name": f"exec:{sys.executable} {server} 0.05 0.05 0.04 0.04",
-        "options": {"plan_timeout_s": 3.0},
+        "options": {"plan_timeout_s": 20.0},
     }
     grid = {"nets": [str(place / "small.net.xml")], "targets": [target], "backgrounds": ["sumo"]}
     plan = plan_sweep(SweepSpec.of(values(place, grid=grid, episodes=12), "test"))
@@ -70,7 +71,7 @@ def test_every_episode_has_its_row_and_no_process_stays(place: Path, tmp_path: P
     assert set(kinds) == KINDS
     assert any(row["end"] != "failed" for row in rows)
     messages = {row["message"] for row in read_rows(store.path, "failures")}
-    for words in ("was ended by SIGSEGV", "ended with exit code 4", "did not answer MakePlan within 3 s"):
+    for words in ("was ended by SIGSEGV", "ended with exit code 4", "did not answer MakePlan within 20 s"):
         assert any(words in message for message in messages), words
     while running("draws_server.py"):  # a worker's keeper ends it when the worker has gone
         pass

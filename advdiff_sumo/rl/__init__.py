@@ -1,6 +1,7 @@
-"""Adversarial reinforcement learning: the episode as a Gymnasium environment, and PPO on it.
+"""Reinforcement learning on the episode: from the attacker's seat (with PPO on it) and from the tested vehicle's.
 
-Importing this package registers ``advdiff_sumo/Adversary-v0``, as Gymnasium's environments do; nothing else happens.
+Importing this package registers ``advdiff_sumo/Adversary-v0`` and ``advdiff_sumo/Target-v0``, as Gymnasium's
+environments do; nothing else happens.
 """
 
 from __future__ import annotations
@@ -15,3 +16,6 @@ except ImportError:
 ENVIRONMENT = "advdiff_sumo/Adversary-v0"
 if ENVIRONMENT not in registry:
     register(id=ENVIRONMENT, entry_point="advdiff_sumo.rl.env:AdversaryEnv")
+TARGET_ENVIRONMENT = "advdiff_sumo/Target-v0"
+if TARGET_ENVIRONMENT not in registry:
+    register(id=TARGET_ENVIRONMENT, entry_point="advdiff_sumo.rl.target_env:TargetEnv")

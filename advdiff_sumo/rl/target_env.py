@@ -1,0 +1,243 @@
+"""The episode as a Gymnasium environment, seen from the tested vehicle's seat."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from advdiff_sumo.config import Options
+from advdiff_sumo.core.boxes import corners
+from advdiff_sumo.core.errors import EpisodeFailure
+from advdiff_sumo.core.plan import Plan
+from advdiff_sumo.core.record import EndReason
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.core.threads import one_thread
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.rl.target_view import LIMIT, OBSERVED, POINTS, observation, plan_of_action
+from advdiff_sumo.sim.episode import Episode
+from advdiff_sumo.sim.episode_loop import Loop
+from advdiff_sumo.sim.run_episodes import Run, RunOptions
+from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.sim.sim_options import SceneOptions
+
+Observation = NDArray[np.float32]
+_OVER = (EndReason.HORIZON, EndReason.LOG_END)
+_TRIES = 5
+
+
+class TargetRewards(Options):
+    """Weights of the reward, counted per step of 0.5 s.
+
+    Attributes:
+        progress: a metre of way.
+        collision: a contact with anybody.
+        off_road: the share of the box off the road; 1 ends the episode.
+        effort: squared action.
+    """
+
+    progress: float = 0.1
+    collision: float = 10.0
+    off_road: float = 5.0
+    effort: float = 0.02
+
+
+class TargetOptions(Options):
+    """Options of ``advdiff_sumo/Target-v0``.
+
+    Attributes:
+        net: where; as of ``--net``.
+        background: what moves the others, lawful or reckless; as of ``--background``.
+        background_options: of that policy.
+        action: "controls" (acceleration, steering) or "trajectory" (speed and step to the side of four half seconds).
+        scenes: different seed scenes; they are made when they are first drawn, and kept.
+        scene_seed: what those scenes come from.
+        horizon_s: longest episode.
+        reward: weights of its terms.
+        scene: how seed scenes are found.
+    """
+
+    net: str = "downtown"
+    background: str = "sumo"
+    background_options: dict[str, Any] = Field(default_factory=dict)
+    action: Literal["controls", "trajectory"] = "controls"
+    scenes: int = Field(40, ge=1)
+    scene_seed: int = Field(0, ge=0)
+    horizon_s: float = Field(15.0, ge=0.5, le=600.0, multiple_of=0.5)
+    reward: TargetRewards = TargetRewards()
+    scene: SceneOptions = SceneOptions()
+
+
+class TargetSeat:
+    """A planner that plans what the environment was told.
+
+    Attributes:
+        action: for the coming half second.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.action = np.zeros(size)
+
+    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> None:
+        """Remember nothing."""
+
+    def plan(
+        self,
+        road: RoadMap,  # noqa: ARG002 - the contract
+        scene: Scene,
+        memory: None,  # noqa: ARG002 - the contract
+        rng: np.random.Generator,  # noqa: ARG002 - the contract
+    ) -> tuple[Plan, None]:
+        """Return the plan that the action asks for."""
+        return plan_of_action(self.action, scene), None
+
+
+class TargetEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """The tested vehicle against the background; a step is one model step of 0.5 s of the real episode loop.
+
+    An episode terminates at a collision, off the road and at the route's end, and is truncated at the horizon. ``info``
+    of its last step has ``end``, of every step ``reward_terms``.
+
+    libsumo holds one simulation in a process: vectorise over processes (``gymnasium.vector.AsyncVectorEnv``,
+    ``SubprocVecEnv``), and close an environment before another one of the same process is reset.
+
+    Args:
+        options: fields of :class:`TargetOptions`.
+
+    Raises:
+        InputError: an option, a net or a background cannot be used.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
+
+    @one_thread()
+    def __init__(self, **options: Any) -> None:
+        self.options = TargetOptions.parse(options, "options of the environment")
+        asked = self.options
+        size = 2 if asked.action == "controls" else 2 * POINTS
+        self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (OBSERVED,), np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32)
+        self.render_mode = None
+        self._run = Run.prepare(
+            RunOptions(
+                net=asked.net,
+                background=asked.background,
+                background_options=asked.background_options,
+                seed=asked.scene_seed,
+                horizon_s=asked.horizon_s,
+                scene=asked.scene,
+            )
+        )
+        self._seat = TargetSeat(size)
+        self._batches: dict[int, list[SeedScene]] = {}
+        self._open = ExitStack()
+        self._loop: Loop | None = None
+
+    @one_thread()
+    def reset(
+        self,
+        *,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,  # noqa: ARG002 - Gymnasium's interface
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin another episode; the same seed, the same episode.
+
+        Raises:
+            SceneError: the traffic never has a usable target.
+            EpisodeFailure: SUMO starts none of several scenes.
+        """
+        super().reset(seed=seed)
+        self.close()
+        for left in reversed(range(_TRIES)):
+            try:
+                loop = self._open.enter_context(self._draw().opened())
+                loop.start()
+            except EpisodeFailure:
+                self.close()
+                if not left:
+                    raise
+            else:
+                self._loop = loop
+                break
+        return self._look(), {"scene": self.loop.episode.scene.name}
+
+    def _draw(self) -> Episode:
+        number = int(self.np_random.integers(self.options.scenes))
+        batch, place = divmod(number, self.options.scene.scenes_per_warmup)
+        if batch not in self._batches:
+            self._batches[batch] = self._run.scene_batch(batch)
+        scene = self._batches[batch][place % len(self._batches[batch])]
+        seed = SeedTree(int(self.np_random.integers(2**31))).child("target")
+        episode = self._run.episode(number, scene)
+        return replace(episode, target=self._seat, names=("Target-v0", episode.names[1]), seed=seed)
+
+    @one_thread()
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Let half a second pass.
+
+        A failure of SUMO or of the background ends the episode, truncated and unpaid; ``info`` tells it.
+
+        Raises:
+            RuntimeError: the environment has not been reset since the last episode's end.
+        """
+        loop = self.loop
+        self._seat.action = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        before = loop.world.xy_m[loop.target].copy()
+        try:
+            end = loop.run(min(loop.steps + loop.sim.substeps, loop.episode.steps))
+        except EpisodeFailure as error:
+            self.close()
+            return self._blank(), 0.0, False, True, {"failure": str(error), "end": "failed"}
+        terms = self._pay(loop, before, end)
+        gone = -terms["off_road"] >= self.options.reward.off_road > 0.0
+        terminated = end not in _OVER or gone
+        truncated = not terminated and loop.steps >= loop.episode.steps
+        seen = self._blank() if terminated else self._look()
+        info: dict[str, Any] = {"reward_terms": terms}
+        if terminated or truncated:
+            info["end"] = "off_road" if gone and end in _OVER else str(end)
+            self.close()
+        return seen, float(sum(terms.values())), terminated, truncated, info
+
+    def _pay(self, loop: Loop, before_m: NDArray[np.float64], end: EndReason) -> dict[str, float]:
+        """Return the reward's terms of the step that has just been made."""
+        weights, world, row = self.options.reward, loop.world, loop.target
+        xy, yaw = world.xy_m[row], world.yaw_rad[row]
+        if not np.isfinite(xy).all():  # arrived, and taken off the road
+            return {"progress": 0.0, "collision": 0.0, "off_road": 0.0, "effort": 0.0}
+        way = float(np.linalg.norm(xy - before_m)) * float(np.sign(world.speed_mps[row]))
+        outside = float(loop.road.off_road_share(corners(xy[None], yaw[None], world.size_m[row][None]))[0])
+        return {
+            "progress": weights.progress * way,
+            "collision": -weights.collision * float(end is EndReason.COLLISION),
+            "off_road": -weights.off_road * outside,
+            "effort": -weights.effort * float(np.square(self._seat.action).sum()),
+        }
+
+    @property
+    def loop(self) -> Loop:
+        """The episode that is running.
+
+        Raises:
+            RuntimeError: there is none.
+        """
+        if self._loop is None:
+            raise RuntimeError("reset the environment before its first step and after an episode's end")
+        return self._loop
+
+    def close(self) -> None:
+        """End the simulation; allowed at any time."""
+        self._open.close()
+        self._loop = None
+
+    def _look(self) -> Observation:
+        return observation(self.loop.road, self.loop.scene_now()).astype(np.float32)
+
+    def _blank(self) -> Observation:
+        return np.zeros(OBSERVED, dtype=np.float32)

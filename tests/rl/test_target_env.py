@@ -1,0 +1,84 @@
+"""The environment of the tested vehicle: the checkers, its reward, and that it repeats itself."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_for_training
+
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.rl import TARGET_ENVIRONMENT
+from advdiff_sumo.rl.target_env import TargetEnv
+from advdiff_sumo.rl.target_view import controls_of
+from tests.rl.conftest import SCENE
+
+OPTIONS: dict[str, Any] = {"net": "motorway", "scenes": 1, "horizon_s": 3.0, "scene": SCENE}
+
+
+@pytest.fixture(params=["controls", "trajectory"])
+def env(request: pytest.FixtureRequest) -> Iterator[TargetEnv]:
+    made = gymnasium.make(f"advdiff_sumo.rl:{TARGET_ENVIRONMENT}", action=request.param, **OPTIONS).unwrapped
+    assert isinstance(made, TargetEnv)
+    yield made
+    made.close()
+
+
+def walk(env: TargetEnv, action: np.ndarray) -> list[tuple[bytes, float]]:
+    seen, _ = env.reset(seed=4)
+    out, over = [(seen.tobytes(), 0.0)], False
+    while not over:
+        seen, reward, terminated, truncated, _ = env.step(action)
+        out.append((seen.tobytes(), reward))
+        over = terminated or truncated
+    return out
+
+
+def test_it_passes_the_checkers(env: TargetEnv) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # what they only warn of counts too
+        check_env(env)
+        check_for_training(env)
+
+
+def test_the_same_seed_gives_the_same_episode(env: TargetEnv) -> None:
+    action = np.zeros(env.action_space.shape or (), dtype=np.float32)
+    assert walk(env, action) == walk(env, action)
+
+
+def test_controls_by_hand() -> None:
+    assert controls_of(np.array([-1.0, 0.5])).accel_mps2.tolist() == [-9.0] * 5
+    assert controls_of(np.array([-1.0, 0.5])).steer_rad.tolist() == [0.25] * 5
+
+
+def test_steering_off_the_road_costs_and_ends_it() -> None:
+    env = TargetEnv(**{**OPTIONS, "horizon_s": 20.0})
+    env.reset(seed=4)
+    for _ in range(40):
+        _, reward, terminated, truncated, info = env.step(np.array([0.0, 0.3], dtype=np.float32))
+        if terminated or truncated:
+            break
+    env.close()
+    assert terminated
+    assert reward < 0.0
+    assert info["end"] in ("off_road", "collision")
+
+
+def test_a_step_pays_a_tenth_of_a_point_a_metre() -> None:
+    env = TargetEnv(**OPTIONS)
+    seen, _ = env.reset(seed=4)
+    speed = 15.0 * float(seen[0])
+    terms = env.step(np.zeros(2, dtype=np.float32))[4]["reward_terms"]
+    env.close()
+    assert terms["progress"] == pytest.approx(0.1 * 0.5 * speed, rel=0.02)
+    assert (terms["collision"], terms["effort"]) == (0.0, 0.0)
+
+
+def test_an_option_that_there_is_not() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'background'"):
+        TargetEnv(backgrounds="sumo")

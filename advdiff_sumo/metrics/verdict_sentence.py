@@ -41,6 +41,7 @@ def sentence_of(
     elif fault.at_fault is AtFault.TARGET:
         clauses.append(fault.reason[0].lower() + fault.reason[1:].rstrip("."))
     text = "; ".join(clause for clause in clauses if clause) + "."
+    text = text.replace(f"'{met.target.name}'", "the target")
     text = text[0].upper() + text[1:]
     return f"{text} Not judged: {'; '.join(not_judged)}." if not_judged else text
 
@@ -65,6 +66,8 @@ def _driver(met: Encounter, drive: ReferenceDrive | None, preventable_by: Sequen
         return f"{who} {braking}{_outcome(drive)}"
     others = f" ({' and '.join(preventable_by)} would not)" if preventable_by else ""
     hit = f"'{drive.contact_with}'" if drive.contact_with != met.other.name else "it"
+    if drive.contact_with == met.other.name and (met.target.face, met.other.face) == ("rear", "front"):
+        return f"even {who} {braking}is run into at {drive.impact_mps:.1f} m/s{others}"
     return f"even {who} {braking}hits {hit} at {drive.impact_mps:.1f} m/s{others}"
 
 

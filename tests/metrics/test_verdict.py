@@ -64,7 +64,7 @@ def test_rear_ended_while_standing(road) -> None:
     assert not result.valid_failure
     assert [str(x.kind) for x in result.other_breaches] == ["ran_into"]
     assert result.target_breaches == ()
-    assert "'fast' ran into 'still', which stood" in result.sentence
+    assert "is run into at 12.0 m/s; 'fast' ran into the target, which stood" in result.sentence
 
 
 def test_red_light_runner_seen_from_both_sides(light_road) -> None:

@@ -80,6 +80,7 @@ def convert(
             figures["logged_poses"] = compare_poses(
                 result, np.vstack(list(poses.values())) if poses else np.empty((0, 3))
             )
+        write_figures(figures, fidelity_path(net))  # kept where the driving test finds no trip
         for number, at_once in ((drive, False), (drive_at_once, True)):
             if number:
                 name = "driving_test_at_once" if at_once else "driving_test_in_the_hour"

@@ -10,6 +10,7 @@ from small_maps import MapBuilder
 from typer.testing import CliRunner
 
 from advdiff_sumo.cli.convert import convert
+from advdiff_sumo.core.errors import NetError
 
 
 def street(path: Path) -> Path:
@@ -40,3 +41,15 @@ def test_both_readings(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert "driving_test" not in (tmp_path / "street.fidelity.json").read_text()
+
+
+def test_figures_are_kept_where_there_is_no_trip(tmp_path: Path) -> None:
+    road = MapBuilder()
+    road.straight("a", (0.0, 100.0, 0.0), 30.0)
+    app = typer.Typer()
+    app.command()(convert)
+    words = [str(road.write(tmp_path / "short.json")), "-o", str(tmp_path / "short.net.xml"), "--drive", "3"]
+    done = CliRunner().invoke(app, words)
+    assert isinstance(done.exception, NetError)
+    assert "holds no way of 50 m" in str(done.exception)
+    assert json.loads((tmp_path / "short.fidelity.json").read_text())["lanes"]["held"] == 1

@@ -96,9 +96,9 @@ def test_an_everlasting_red_light_ends_in_teleports(tmp_path: Path) -> None:
 
 
 def test_a_net_without_a_trip_is_refused(tmp_path: Path) -> None:
-    nodes = '<nodes><node id="A" x="0" y="0"/><node id="B" x="90" y="0"/></nodes>'
+    nodes = '<nodes><node id="A" x="0" y="0"/><node id="B" x="40" y="0"/></nodes>'
     net = build(tmp_path, nodes, '<edges><edge id="AB" from="A" to="B"/></edges>')
-    with pytest.raises(NetError, match="holds no way of 200 m"):
+    with pytest.raises(NetError, match="holds no way of 50 m"):
         driving_test(net, vehicles=1, duration_s=10.0)
 
 

@@ -147,6 +147,23 @@ def weights() -> Iterator[Finding]:
         yield Finding("weights", State.NOTE, "none came with this package", hint)
 
 
+def loops() -> Iterator[Finding]:
+    """Look whether the machine code of the planning loops that came with the package is for this machine."""
+    from advdiff_sumo.diffusion.compiled.kernel_cache import (
+        aim_at_level,
+        own_folder,
+        runs_shipped,
+        shipped_code,
+    )
+
+    aim_at_level()
+    if runs_shipped():
+        yield Finding("planning loops", State.OK, shipped_code().name)
+    else:
+        hint = f"the first guided plan compiles for half a minute, once; kept in {own_folder()}"
+        yield Finding("planning loops", State.NOTE, f"no {shipped_code().name} for this processor", hint)
+
+
 def data() -> Iterator[Finding]:
     """Look for driving logs where ADVDIFF_DATA says."""
     named = os.environ.get("ADVDIFF_DATA")
@@ -223,7 +240,7 @@ def _driven(folder: Path, done: subprocess.CompletedProcess[str]) -> Finding:
 
 #: All checks in the order of the table; the last one takes seconds.
 CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
-    *(python, sumo, gpu, nets, weights, data, extras, self_test),
+    *(python, sumo, gpu, nets, weights, loops, data, extras, self_test),
 )
 
 

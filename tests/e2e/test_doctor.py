@@ -62,6 +62,13 @@ def test_programs_that_do_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "does not start" in found["no-such-gui"][1]
 
 
+def test_loops_that_have_to_be_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ADVDIFF_COMPILE", "1")
+    (found,) = checks.loops()
+    assert found.state is checks.State.NOTE
+    assert "compiles for half a minute, once" in found.hint
+
+
 def test_data_that_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ADVDIFF_DATA", str(tmp_path))
     assert states(checks.data)["data"][0] is State.NOTE

@@ -60,6 +60,12 @@ def shipped_code() -> Path:
     return Path(str(files(PACKAGE))) / "weights" / f"kernels-{tag}.zip"
 
 
+def runs_shipped() -> bool:
+    """Return whether shipped code is there, wanted, and for what numba compiles for."""
+    config: Any = numba_config
+    return config.CPU_NAME == LEVEL and not os.environ.get(IGNORE_SHIPPED) and shipped_code().exists()
+
+
 def own_folder() -> Path:
     """Return the folder for code that was compiled here; it is the user's, not the package's."""
     asked = os.environ.get("NUMBA_CACHE_DIR")

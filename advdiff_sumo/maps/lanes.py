@@ -43,6 +43,12 @@ class Link:
         """Whether the sign says to give way (minor road, stop, all-way stop, equal roads)."""
         return self.state in "mws="
 
+    def signal(self, signals: Mapping[str, str]) -> str:
+        """Return the letter of its light in *signals* (traffic light → states); "" without one or when unknown."""
+        states = signals.get(self.tls_id, "") if self.tls_id is not None else ""
+        index = self.tls_index
+        return states[index] if index is not None and index < len(states) else ""
+
 
 @dataclass(frozen=True, eq=False)
 class Lane:

@@ -14,21 +14,19 @@ from functools import cached_property
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
-from advdiff_sumo.core.boxes import axis_gaps, corners, distance
 from advdiff_sumo.core.errors import UnknownNameError
-from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import Trajectory
 from advdiff_sumo.core.record import EpisodeRecord
-from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import Collision
-from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact
 from advdiff_sumo.metrics.encounter import Encounter
 from advdiff_sumo.metrics.reference.corridor import Corridor, Meeting, corridor_of, demands, meeting
+from advdiff_sumo.metrics.reference.drive_contact import first_touch, least_gap_m
 from advdiff_sumo.metrics.reference.driver_models import HUMAN, MODELS, DriverModel
 from advdiff_sumo.metrics.reference.others_paths import PERCEPTION_S, Expected, expected
 from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
 from advdiff_sumo.metrics.reference.reaction import Reaction, react
+from advdiff_sumo.metrics.reference.record_tail import extended
 from advdiff_sumo.metrics.reference.stop_duty import stop_demand
 
 #: A reference driver takes over at most this long before the contact.
@@ -122,7 +120,7 @@ class ReferenceDrivers:
         earliest = int(absent[-1]) + 1 if absent.size else 0
         self._begin = max(met.step - round(lookback_s / dt), min(earliest, met.step))
         self._contact = met.step
-        self._tracks = _extended(record.tracks, self._begin, round(AFTER_S / dt))
+        self._tracks = extended(record.tracks, self._begin, round(AFTER_S / dt))
 
     def drive(self, model: str = HUMAN.name) -> ReferenceDrive:
         """Return the drive of *model*; see :func:`drive_reference`.
@@ -304,10 +302,10 @@ class ReferenceDrivers:
         yaw[0] = tracks.yaw_rad[row, start]
         drive = Trajectory(xy, yaw, speed, tracks.dt_s)
         others = tracks.window(start, tracks.steps)
-        contact = _contact(drive, others, row)
+        contact = first_touch(drive, others, row)
         length = self._kept(speed, start, contact)
         cut = slice(0, length)
-        partner = _least_gap_m(drive, others, row, self._partner, length)
+        partner = least_gap_m(drive, others, row, self._partner, length)
         return ReferenceDrive(
             model=driver.name,
             takeover_step=self._begin + start,
@@ -336,91 +334,6 @@ def _last_safe(safe: BoolArray, spell: int) -> int:
             return at
         at -= 1
     return 0
-
-
-def _extended(tracks: Tracks, begin: int, after: int) -> Tracks:
-    """Return instants from *begin* on, and *after* more in which everybody keeps heading and braking, or speed."""
-    cut = tracks.window(begin, tracks.steps)
-    time = tracks.dt_s * np.arange(1, after + 1)
-    speed, before = cut.speed_mps[:, -1], cut.speed_mps[:, -2] if cut.steps > 1 else cut.speed_mps[:, -1]
-    braking = np.clip((np.abs(before) - np.abs(speed)) / tracks.dt_s, 0.0, 8.0)
-    braking = np.where(np.isfinite(braking), braking, 0.0)[:, None]
-    stop = np.where(braking > 0.0, np.abs(speed)[:, None] / np.where(braking > 0.0, braking, 1.0), np.inf)
-    moving = np.minimum(time, stop)
-    sign = np.sign(speed)[:, None]
-    driven = speed[:, None] * moving - 0.5 * sign * braking * moving**2
-    heading = np.repeat(cut.yaw_rad[:, -1:], after, axis=1)
-    xy = cut.xy_m[:, -1:] + driven[..., None] * unit(heading)
-    pace = speed[:, None] - sign * braking * moving
-    there = np.repeat(cut.valid[:, -1:], after, axis=1)
-    return Tracks(
-        ids=cut.ids,
-        classes=cut.classes,
-        size_m=cut.size_m,
-        xy_m=np.concatenate((cut.xy_m, xy), axis=1),
-        yaw_rad=np.concatenate((cut.yaw_rad, heading), axis=1),
-        speed_mps=np.concatenate((cut.speed_mps, pace), axis=1),
-        valid=np.concatenate((cut.valid, there), axis=1),
-        t0_s=cut.t0_s,
-        dt_s=cut.dt_s,
-    )
-
-
-def _contact(drive: Trajectory, others: Tracks, target: int) -> tuple[int, int, float] | None:
-    """Return instant, row and closing speed of the drive's first contact; None without one."""
-    size = others.size_m
-    offset = others.xy_m[:, :-1] - drive.xy_m[:-1]
-    moves = np.hypot(*np.moveaxis(np.diff(others.xy_m, axis=1), -1, 0))
-    own = np.hypot(*np.diff(drive.xy_m, axis=0).T)
-    reach = 0.5 * (np.hypot(*size.T) + np.hypot(*size[target]))[:, None] + moves + own
-    with np.errstate(invalid="ignore"):
-        near = np.hypot(offset[..., 0], offset[..., 1]) <= reach
-    near[target] = False
-    row, step = np.nonzero(near)
-    if not row.size:
-        return None
-    a = Sweep.between(
-        drive.xy_m[step],
-        drive.yaw_rad[step],
-        drive.xy_m[step + 1],
-        drive.yaw_rad[step + 1],
-        np.broadcast_to(size[target], (len(row), 2)),
-    )
-    b = Sweep.between(
-        others.xy_m[row, step],
-        others.yaw_rad[row, step],
-        others.xy_m[row, step + 1],
-        others.yaw_rad[row, step + 1],
-        size[row],
-    )
-    fraction = first_contact(a, b)
-    if np.isnan(fraction).all():
-        return None
-    first = int(np.nanargmin(step + fraction))
-    return int(step[first]), int(row[first]), _closing_mps(a, b, first, float(fraction[first]), others.dt_s)
-
-
-def _closing_mps(a: Sweep, b: Sweep, pair: int, fraction: float, dt_s: float) -> float:
-    """Return the speed at which the boxes of *pair* approach along their contact normal."""
-    picked = np.array([pair])
-    a, b = a.rows(picked), b.rows(picked)
-    (xy_a, yaw_a), (xy_b, yaw_b) = a.pose(fraction), b.pose(fraction)
-    gaps, along, axes = axis_gaps(xy_b - xy_a, yaw_a, a.half_m, yaw_b, b.half_m)
-    best = int(np.argmax(gaps[0]))
-    normal = np.copysign(1.0, along[0, best]) * axes[0, best]
-    return max(0.0, float((a.move_m[0] - b.move_m[0]) @ normal) / dt_s)
-
-
-def _least_gap_m(drive: Trajectory, others: Tracks, target: int, partner: int, length: int) -> float:
-    """Return the least distance between the drive's box and that of *partner* over the first *length* instants."""
-    steps = np.arange(length)
-    own = corners(
-        drive.xy_m[steps], drive.yaw_rad[steps], np.broadcast_to(others.size_m[target], (length, 2))
-    )
-    size = np.broadcast_to(others.size_m[partner], (length, 2))
-    theirs = corners(others.xy_m[partner, steps], others.yaw_rad[partner, steps], size)
-    gap = distance(own, theirs)
-    return float(np.nanmin(gap)) if np.isfinite(gap).any() else float("inf")
 
 
 def drive_all(

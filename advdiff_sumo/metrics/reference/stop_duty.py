@@ -18,23 +18,16 @@ _MARGIN_M = 1.0
 _RED, _YELLOW, _FREE = "ru", "yY", "G"
 
 
-def link_signal(link: Link, signals: Mapping[str, str]) -> str:
-    """Return the letter of the link's signal in *signals* (traffic light → states); "" where there is none."""
-    states = signals.get(link.tls_id, "") if link.tls_id is not None else ""
-    index = link.tls_index
-    return states[index] if index is not None and index < len(states) else ""
-
-
 def yields_to(road: RoadMap, link: Link, signals: Mapping[str, str], theirs: tuple[Link, ...]) -> bool:
     """Return whether who takes *link* must give way to who takes one of *theirs*, as signs and signals stand."""
     junction = road.junctions.get(link.junction_id)
-    if junction is None or link_signal(link, signals) == _FREE:
+    if junction is None or link.signal(signals) == _FREE:
         return False
     response = junction.response.get(link.request_index, frozenset())
     return any(
         x.junction_id == link.junction_id
         and x.request_index in response
-        and link_signal(x, signals) not in tuple(_RED)
+        and x.signal(signals) not in tuple(_RED)
         for x in theirs
     )
 
@@ -86,7 +79,7 @@ def _must_stop(
     rivals: tuple[tuple[Link, ...], ...],
     conflict: BoolArray,
 ) -> bool:
-    letter = link_signal(link, signals)
+    letter = link.signal(signals)
     if letter and letter in _RED:
         return True
     if letter and letter in _YELLOW:

@@ -38,9 +38,7 @@ class Rule:
 
 def signal_state(link: Link, signals: Mapping[str, str]) -> str:
     """Return the letter of the link's signal; "" without one or when its state is unknown."""
-    states = signals.get(link.tls_id, "") if link.tls_id is not None else ""
-    index = link.tls_index
-    return states[index] if index is not None and index < len(states) else ""
+    return link.signal(signals)
 
 
 def rule_at(road: RoadMap, link: Link, signals: Mapping[str, str]) -> Rule:

@@ -11,12 +11,13 @@ from advdiff_sumo.core.scene import Tracks
 
 
 class Controller(IntEnum):
-    """Who moved an agent in a step."""
+    """Who moved an agent in a step; REPLAYED follows its driving log, as neither SUMO nor a policy drives it."""
 
     ABSENT = -1
     SUMO = 0
     POLICY = 1
     PLANNER = 2
+    REPLAYED = 3
 
 
 class EndReason(StrEnum):

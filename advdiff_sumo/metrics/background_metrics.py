@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.record import Controller, EpisodeRecord
 from advdiff_sumo.metrics.collision import Collision, Touches, find_touches, overlapping_steps
 
 
@@ -25,7 +25,21 @@ class SumoComparison:
 
 
 def background_collisions(record: EpisodeRecord, found: Sequence[Collision]) -> list[Collision]:
-    """Return those of *found* without the target that were not there from the beginning."""
+    """Return those of *found* without the target that were not there from the beginning, replayed pairs left out."""
+    return [c for c in _among_background(record, found) if not both_replayed(record, c)]
+
+
+def replayed_collisions(record: EpisodeRecord, found: Sequence[Collision]) -> list[Collision]:
+    """Return those of *found* in which two road users touch that both follow their log: the log's, not ours."""
+    return [c for c in _among_background(record, found) if both_replayed(record, c)]
+
+
+def both_replayed(record: EpisodeRecord, collision: Collision) -> bool:
+    """Return whether both of *collision* follow their log at the instant before the contact."""
+    return bool((record.controller[list(collision.rows), collision.step] == Controller.REPLAYED).all())
+
+
+def _among_background(record: EpisodeRecord, found: Sequence[Collision]) -> list[Collision]:
     return [c for c in found if record.target not in c.rows and not c.initial]
 
 

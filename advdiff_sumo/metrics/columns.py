@@ -35,6 +35,11 @@ def _count(description: str) -> Column:
     return Column("int64", "", description, nullable=False)
 
 
+def _later_count(description: str) -> Column:
+    """Return a count that folders of earlier versions lack."""
+    return Column("int64", "", description, nullable=True)
+
+
 def _flag(description: str, *, nullable: bool = False) -> Column:
     return Column("bool", "", description, nullable)
 
@@ -114,7 +119,7 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "skipped_agents": _count(
         "agents of a log left to SUMO, as SUMO had them out of reach of where the log goes on"
     ),
-    "refused_insertions": _count(
+    "refused_insertions": _later_count(
         "moved vehicles that SUMO would not take in; they leave the scene unless moved"
     ),
     "min_ttc_s": _real("s", "least time to collision of boxes at constant velocity, up to 10 s"),
@@ -134,7 +139,8 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "jerk_max_mps3": _real("m/s³", "greatest absolute longitudinal jerk"),
     "yaw_rate_mean_radps": _real("rad/s", "mean absolute yaw rate"),
     "yaw_rate_max_radps": _real("rad/s", "greatest absolute yaw rate"),
-    "bv_collisions": _count("collisions of background vehicles among themselves"),
+    "bv_collisions": _count("collisions of background vehicles among themselves, replayed pairs left out"),
+    "replayed_collisions": _later_count("collisions of two that both follow their log: the log's own"),
     "bv_offroad_share": _real(
         "", "mean share of moved background boxes off the road, beyond that at their start"
     ),
@@ -157,6 +163,7 @@ COLLISION_COLUMNS: Mapping[str, Column] = {
     "second": _text("id of the other; empty when the target left the road"),
     "with_target": _flag("the target takes part"),
     "initial": _flag("the boxes overlapped when the two were first there together"),
+    "replayed": _flag("both follow their log", nullable=True),
     "type": _text("as collision_type in the episodes; empty without the target or when initial"),
     "at_fault": _text("who caused it: target, other or unclear; empty as type"),
     "fault_reason": _text("the rule that says so, as a sentence"),
@@ -175,5 +182,6 @@ COLLISION_COLUMNS: Mapping[str, Column] = {
     "penetration_m": _real("m", "deepest overlap within the step of the contact"),
 }
 
-LATER_COLUMNS = frozenset(("route", *VERDICT_COLUMNS, *CRITICAL_COLUMNS))
+_LATER_COUNTS = ("refused_insertions", "replayed_collisions", "replayed")
+LATER_COLUMNS = frozenset(("route", *_LATER_COUNTS, *VERDICT_COLUMNS, *CRITICAL_COLUMNS))
 """Columns that folders of earlier versions lack; ``advdiff-sumo verdict`` adds those of the verdict."""

@@ -9,6 +9,7 @@ import numpy as np
 from advdiff_sumo.core.frames import local_from_world
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.background_metrics import both_replayed
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, VERDICT_COLUMNS
@@ -54,6 +55,7 @@ def episode_row(
         **_criticality_values(record, m.criticality),
         **vars(m.comfort),
         "bv_collisions": len(m.background),
+        "replayed_collisions": len(m.replayed),
         "bv_offroad_share": m.background_off_road.mean_share,
         "bv_offroad_max_share": m.background_off_road.max_share,
         "bv_offroad_vehicles": m.background_off_road.vehicles,
@@ -160,6 +162,7 @@ def _plain_values(record: EpisodeRecord, c: Collision) -> dict[str, Value]:
         "second": record.tracks.ids[c.rows[1]],
         "with_target": c.rows[0] == record.target,
         "initial": c.initial,
+        "replayed": both_replayed(record, c),
         "type": None,
         "at_fault": None,
         "fault_reason": None,
@@ -188,6 +191,7 @@ def _off_road_row(record: EpisodeRecord, road: RoadMap, left: OffRoad) -> dict[s
         "first": record.tracks.ids[record.target],
         "with_target": True,
         "initial": False,
+        "replayed": False,
         "type": str(CollisionType.OFF_ROAD),
         "at_fault": str(OFF_ROAD.at_fault),
         "fault_reason": OFF_ROAD.reason,

@@ -9,7 +9,12 @@ import numpy as np
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.metrics.background_metrics import SumoComparison, background_collisions, compare_with_sumo
+from advdiff_sumo.metrics.background_metrics import (
+    SumoComparison,
+    background_collisions,
+    compare_with_sumo,
+    replayed_collisions,
+)
 from advdiff_sumo.metrics.collision import Collision, collisions, find_touches, target_collision
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.comfort import Comfort, comfort
@@ -86,7 +91,8 @@ class EpisodeMetrics:
         criticality: how near it came.
         comfort: how the ride felt.
         progress: how far it came.
-        background: collisions of background vehicles among themselves.
+        background: collisions of background vehicles among themselves, replayed pairs left out.
+        replayed: collisions of two that both follow their log.
         background_off_road: how they left the road.
     """
 
@@ -99,6 +105,7 @@ class EpisodeMetrics:
     comfort: Comfort
     progress: Progress
     background: tuple[Collision, ...]
+    replayed: tuple[Collision, ...]
     background_off_road: BackgroundOffRoad
 
     @property
@@ -130,6 +137,7 @@ def summarise(record: EpisodeRecord, road: RoadMap) -> EpisodeMetrics:
         comfort=comfort(before, record.target),
         progress=progress(record, road),
         background=tuple(background_collisions(record, found)),
+        replayed=tuple(replayed_collisions(record, found)),
         background_off_road=background_off_road(record, road),
     )
 

@@ -61,6 +61,7 @@ class Loop:
         self.signals: Mapping[str, str] = {}
         self.target_left = False
         self.entering: set[int] = set()
+        self.replayed: IntArray = np.zeros(0, dtype=np.int64)
         self.demand_brings: set[int] = set()
         self.steps = 0
 
@@ -118,6 +119,7 @@ class Loop:
     def _roll_in(self) -> None:
         """Play a log's history, so that everybody is in SUMO, at speed, at instant 0."""
         motion = self.context.history(self.sim)
+        self.replayed = self.context.rows()
         for k in range(motion.valid.shape[1]):
             if k % self.sim.substeps == 0:
                 self._let_in(motion.span(k, k + self.sim.substeps))
@@ -146,7 +148,9 @@ class Loop:
 
     def _plan_background(self, scene: Scene, period: int) -> Motion:
         planned = self.background.replan(scene, period)
-        motion = Motion.join(planned, self.context.motion(scene, period))
+        logged = self.context.motion(scene, period)
+        self.replayed = np.setdiff1d(logged.rows, planned.rows)
+        motion = Motion.join(planned, logged)
         self._leave_scene(self.actuator.refused & self.actuator.outside - set(motion.rows.tolist()))
         routes = self.episode.scene.routes
         motion = self.handover.settle(motion, self.target, period, routes)
@@ -186,8 +190,9 @@ class Loop:
         if self.demand_brings:
             rows = rows & ~np.isin(motion.rows, list(self.demand_brings - self.world.had_in_sumo))
         there = motion.rows[rows]
+        who = np.where(np.isin(there, self.replayed), Controller.REPLAYED, Controller.POLICY)
         self.world.set_state(
-            there, motion.xy_m[rows, k], motion.yaw_rad[rows, k], motion.speed_mps[rows, k], Controller.POLICY
+            there, motion.xy_m[rows, k], motion.yaw_rad[rows, k], motion.speed_mps[rows, k], who
         )
         for row in there.tolist():
             if row not in self.actuator.moved:

@@ -27,7 +27,12 @@ STATE_COLUMNS: Mapping[str, Column] = {
     "y_m": Column("float64", "m", "north, centre of the box, the net's frame", nullable=False),
     "yaw_rad": Column("float64", "rad", "heading, counter-clockwise from east", nullable=False),
     "speed_mps": Column("float64", "m/s", "speed along the heading", nullable=False),
-    "controller": Column("str", "", "who moved it in this step: sumo, policy or planner", nullable=False),
+    "controller": Column(
+        "str",
+        "",
+        "who moved it in this step: sumo, policy, planner, or replayed: its log, as nobody drives it",
+        nullable=False,
+    ),
     "is_target": Column("bool", "", "whether it is the tested vehicle", nullable=False),
 }
 PLAN_COLUMNS: Mapping[str, Column] = {

@@ -114,9 +114,14 @@ class World:
         self.index[sumo_id] = row
 
     def set_state(
-        self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray, who: Controller
+        self,
+        rows: IntArray,
+        xy_m: FloatArray,
+        yaw_rad: FloatArray,
+        speed_mps: FloatArray,
+        who: Controller | IntArray,
     ) -> None:
-        """Write states of *rows*, all moved by *who*."""
+        """Write states of *rows*, moved by *who*: one for all, or (N,) values of :class:`Controller`."""
         self.xy_m[rows] = xy_m
         self.yaw_rad[rows] = yaw_rad
         self.speed_mps[rows] = speed_mps

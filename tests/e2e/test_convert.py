@@ -33,4 +33,4 @@ def test_from_a_map_and_a_log_to_an_episode(
     assert episode["end"] in {"horizon", "collision"}
     states = pq.read_table(workplace / "run" / "states.parquet").to_pylist()
     movers = {row["controller"] for row in states if not row["is_target"]}
-    assert movers == {"policy"}
+    assert movers == {"policy", "replayed"}

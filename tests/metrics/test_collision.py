@@ -8,8 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from advdiff_sumo.core.record import SumoCollision
-from advdiff_sumo.metrics.background_metrics import background_collisions, compare_with_sumo
+from advdiff_sumo.core.record import Controller, SumoCollision
+from advdiff_sumo.metrics.background_metrics import (
+    background_collisions,
+    compare_with_sumo,
+    replayed_collisions,
+)
 from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.contact import target_contact
 
@@ -83,6 +87,23 @@ def test_background_pairs_are_found_and_kept_apart(straight, record_of) -> None:
     found = collisions(record)
     assert {c.rows for c in found} == {(1, 2), (3, 4)}
     assert [c.rows for c in background_collisions(record, found)] == [(1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("movers", "replayed"), [("POLICY", 0), ("SUMO", 0), ("REPLAYED", 1), ("REPLAYED POLICY", 0)]
+)
+def test_contacts_of_two_that_follow_their_log_are_counted_apart(
+    straight, record_of, movers: str, replayed: int
+) -> None:
+    record = record_of(
+        straight("ego", (0, 50), 0, 10), straight("a", (0, 0), 0, 15), straight("b", (20, 0), 0, 10)
+    )
+    for row, mover in zip((1, 2), (movers.split() * 2)[:2], strict=True):
+        record.controller[row] = Controller[mover]
+    found = collisions(record)
+    assert len(found) == 1
+    assert len(replayed_collisions(record, found)) == replayed
+    assert len(background_collisions(record, found)) == 1 - replayed
 
 
 def test_first_contact_by_hand_needs_no_overlap_at_any_instant(straight, record_of) -> None:

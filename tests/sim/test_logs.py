@@ -114,7 +114,7 @@ def test_sumo_takes_over_what_it_can_drive_and_the_rest_follows_the_log(
             continue
         movers = set(np.unique(record.controller[row])) - {Controller.ABSENT}
         if not drivable[name]:
-            assert movers <= {Controller.POLICY}
+            assert movers <= {Controller.REPLAYED}
     assert (record.controller == Controller.SUMO).any()
 
 

@@ -33,6 +33,7 @@ def main() -> int:
     after = filled(before)
     if asked.bench is not None:
         table = (asked.bench / "table.md").read_text(encoding="utf-8")
+        table = re.sub(r" Revision: .*", "", table)  # the page's own history has it
         after = _BASELINE.sub(lambda place: f"{place[1]}{table}\n{place[2]}", after)
     if check and after != before:
         print(f"{PAGE.name} is behind the code: run tools/write_defects_doc.py")

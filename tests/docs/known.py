@@ -18,7 +18,7 @@ from advdiff_sumo.traffic.policy_registry import POLICIES
 from advdiff_sumo.training.presets import STAGES, preset
 from tests.docs.blocks import ROOT
 
-OTHERS = {".", "cat", "cd", "cmp", "git", "pip", "ray"}
+OTHERS = {".", "apt-get", "cat", "cd", "cmake", "cmp", "git", "pip", "ray", "setup.sh"}
 """Programs that are not ours; what they are called with is not looked at."""
 
 

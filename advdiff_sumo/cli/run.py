@@ -115,6 +115,11 @@ def run(
     words = run_words(prepared.settings["options"]["net"], *prepared.names, prepared.options.seed)
     folder = RunFolder.create(out or free_folder(*words), run_settings(prepared), resume)
     console = verb_console(quiet, as_json)
+    if standing := prepared.standing_starts():
+        least = prepared.options.scene.min_speed_mps
+        console.print(
+            f"note: {standing} starts of the log passed over, its ego is slower than {least:g} m/s there"
+        )
     for file in prepared.demand.ignored if prepared.demand else ():
         console.print(f"note: {file} holds detectors and outputs only, and is left out", markup=False)
     with ExitStack() as stack:

@@ -31,7 +31,7 @@ class LoggedTraffic:
     Attributes:
         road: the net.
         reader: of the log.
-        scene: the stride.
+        scene: the stride, and how fast the ego must be.
         sim: steps and radii.
         seed: the source's node of the seed tree.
     """
@@ -53,13 +53,30 @@ class LoggedTraffic:
             raise SceneError(
                 f"{self.road.path}: none of the log's drives is on this net; convert the log's own map"
             )
-        starts = [self._starts(drive) for drive in drives]
+        starts = [self._moving(drive) for drive in drives]
+        if not any(starts) and self._standing(drives):
+            raise SceneError(
+                f"{self.road.path}: the log's ego is never faster than {self.scene.min_speed_mps:g} m/s where a scene "
+                "could start; lower scene.min_speed_mps"
+            )
         for turn in range(max(len(s) for s in starts)):
             for drive, instants in zip(drives, starts, strict=True):
                 if turn < len(instants):
                     made = self._scene(drive, instants[turn])
                     if made is not None:
                         yield made
+
+    def standing_starts(self) -> int:
+        """Return how many starts are passed over because the ego stands there, or nearly (``min_speed_mps``)."""
+        return self._standing([drive for drive in self.reader.scenes() if fits(self.road, drive)])
+
+    def _standing(self, drives: list[LogScene]) -> int:
+        return sum(len(self._starts(drive)) - len(self._moving(drive)) for drive in drives)
+
+    def _moving(self, drive: LogScene) -> list[int]:
+        """Return those of the starts at which the ego is fast enough to be tested."""
+        speed = np.abs(drive.tracks.speed_mps[drive.ego])
+        return [k for k in self._starts(drive) if speed[k] >= self.scene.min_speed_mps]
 
     def _starts(self, drive: LogScene) -> list[int]:
         dt = drive.tracks.dt_s

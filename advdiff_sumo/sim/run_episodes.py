@@ -127,6 +127,14 @@ class Run:
         """The driving log that scenes come from, if any."""
         return open_log(Path(self.options.scenes)) if self.options.scenes else None
 
+    def standing_starts(self) -> int:
+        """Return how many starts of the driving log are passed over because its ego stands there."""
+        if self.log is None:
+            return 0
+        options = self.options
+        seed = SeedTree(options.seed)
+        return LoggedTraffic(self.road, self.log, options.scene, options.sim, seed).standing_starts()
+
     def seed_scenes(self) -> Iterator[SeedScene]:
         """Yield seed scenes in their order; a log's end, SUMO traffic goes on for ever.
 

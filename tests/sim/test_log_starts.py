@@ -1,0 +1,71 @@
+"""Which instants of a driving log become seed scenes, on a street by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.data.log_reader import LogScene
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.logs import LoggedTraffic
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+
+STEP_S, STEPS, WAITS_S, SPEED_MPS = 0.5, 41, 8.0, 8.0
+
+
+class OneDrive:
+    """A log of one drive: 8 s at rest, then 12 s at *speed_mps*, eastbound in the right lane of the street."""
+
+    def __init__(self, speed_mps: float) -> None:
+        times = STEP_S * np.arange(STEPS)
+        speed = np.where(times > WAITS_S, speed_mps, 0.0)
+        x = 20.0 + np.concatenate(([0.0], np.cumsum(speed[1:] * STEP_S)))
+        self.tracks = Tracks(
+            ids=("ego",),
+            classes=np.array([AgentClass.CAR]),
+            size_m=np.array([[4.5, 1.8]]),
+            xy_m=np.stack((x, np.full(STEPS, -4.8)), -1)[None],
+            yaw_rad=np.zeros((1, STEPS)),
+            speed_mps=speed[None],
+            valid=np.ones((1, STEPS), dtype=np.bool_),
+            t0_s=0.0,
+            dt_s=STEP_S,
+        )
+
+    def names(self) -> list[str]:
+        return ["drive"]
+
+    def read(self, name: str) -> LogScene:
+        return LogScene(name, "street", self.tracks, 0, np.zeros(1, dtype=np.bool_), Path("street"))
+
+    def scenes(self) -> Iterator[LogScene]:
+        yield self.read("drive")
+
+
+def source(street: Path, speed_mps: float, **scene: float) -> LoggedTraffic:
+    options = SceneOptions.parse({"stride_s": 2.0, **scene})
+    return LoggedTraffic(RoadMap.read(street), OneDrive(speed_mps), options, SimOptions(), SeedTree(0))
+
+
+def test_starts_at_which_the_ego_stands_are_passed_over_and_counted(street: Path) -> None:
+    """Starts are due at 2, 4, …, 14 s (6 s of future); up to 8 s the ego stands."""
+    logged = source(street, SPEED_MPS)
+    assert [scene.name for scene in logged.scenes()] == ["drive-020", "drive-024", "drive-028"]
+    assert logged.standing_starts() == 4
+
+
+def test_standing_is_a_start_where_it_is_asked_for(street: Path) -> None:
+    logged = source(street, SPEED_MPS, min_speed_mps=0.0)
+    assert len(list(logged.scenes())) == 7
+    assert logged.standing_starts() == 0
+
+
+def test_a_log_whose_ego_never_moves_is_refused(street: Path) -> None:
+    with pytest.raises(SceneError, match=r"lower scene\.min_speed_mps"):
+        list(source(street, 0.0).scenes())

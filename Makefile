@@ -72,6 +72,7 @@ proto: setup
 bench: setup
 	$(BIN)/python tools/bench.py
 	$(BIN)/python tools/bench_plans.py
+	$(BIN)/python tools/bench_engine.py
 	$(BIN)/python tools/bench_sweep.py
 	$(BIN)/python tools/bench_report.py
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from contextlib import ExitStack
 from typing import Annotated, Any
 
 import typer
@@ -10,6 +12,7 @@ from rich.text import Text
 
 from advdiff_sumo.cli.run_flags import Defect
 from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.worker_flags import MEMORY_MB, Memory, limits_of
 from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.threads import one_thread_for_good
 
@@ -31,21 +34,30 @@ def check_planner(
     horizon: Annotated[float, typer.Option(min=1.0, help="Their length in seconds.")] = 10.0,
     within_ms: Annotated[float, typer.Option(min=0.0, help="Longest median time of a plan.")] = 500.0,
     seed: Annotated[int, typer.Option(help="Of traffic and planner.")] = 0,
+    timeout: Annotated[
+        float, typer.Option(min=1.0, help="Longest time for all checks, in seconds of the clock.")
+    ] = 900.0,
+    memory: Memory = MEMORY_MB,
 ) -> None:
     """Check a planner: its contract, that it repeats itself, how it copes with hard scenes, and how long it takes.
 
     advdiff-sumo check-planner my_planner:MyPlanner --set headway_s=1.5
 
+    It is checked in a process of its own: a planner that crashes, hangs or leaves fails, too.
+
     Exit code 0: it may be tested; 1: a check fails; 2: there is no such planner, or it cannot be made.
     """
     one_thread_for_good()
-    from advdiff_sumo.experiments.planner_check import Extent, check_target  # late: --help needs none of it
+    from advdiff_sumo.experiments.planner_check import Extent  # late: --help needs none of it
+    from advdiff_sumo.experiments.planner_check_worker import check_in_worker
 
     options: dict[str, Any] = {"defects": defect} if defect else {}
     for assignment in assign or ():
         set_dotted(options, assignment)
     extent = Extent(net=net, episodes=episodes, horizon_s=horizon, within_ms=within_ms, seed=seed)
-    verdicts = check_target(name, options, extent)
+    with ExitStack() as stack:
+        limits = limits_of(stack, timeout, math.inf, memory)
+        verdicts = check_in_worker(name, options, extent, limits, lambda said: typer.echo(said, err=True))
     table = Table(show_header=False, box=None, padding=(0, 1))
     for _ in range(2):
         table.add_column(no_wrap=True)

@@ -1,8 +1,13 @@
-"""What the exit code of a process says."""
+"""What ends a process, and what its exit code says."""
 
 from __future__ import annotations
 
 import signal
+
+
+def hears_ctrl_c() -> bool:
+    """Return whether Ctrl-C can reach this process; a worker is deaf to it."""
+    return signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
 
 
 def how_it_ended(exit_code: int) -> str:

@@ -15,6 +15,7 @@ from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
 from advdiff_sumo.core.plan_form import form_problem, plan_arrays
 from advdiff_sumo.core.plug_in_source import described, raised_at
+from advdiff_sumo.core.process_end import hears_ctrl_c
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_protocol import Planner
@@ -71,7 +72,9 @@ def problems_of(planner: Planner, road: RoadMap, scene: Scene) -> list[Problem]:
         later, _ = _unpacked(planner.plan(road, scene, memory, np.random.default_rng(_SEED)))
     except _BrokenContractError as error:
         return [Problem(Part.FORM, str(error))]
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's planner may raise anything; that is a finding
+    except BaseException as error:  # a user's planner may raise anything; that is a finding
+        if isinstance(error, KeyboardInterrupt) and hears_ctrl_c():
+            raise
         return [Problem(Part.RAISES, f"it raised {described(error)}{raised_at(error, planner)}")]
     problems = _of_plan(first, scene)
     problems += [Problem(x.part, f"{x.text} (in its second plan)") for x in _of_plan(later, scene)]
@@ -99,7 +102,9 @@ def carries_over(planner: Planner, road: RoadMap, scenes: Sequence[Scene]) -> bo
         for scene in scenes:
             _begin(planner, road, scene)
         return not same_plan(before, _begin(planner, road, scenes[0])[0])
-    except (Exception, SystemExit):  # noqa: BLE001 - found by problems_of already
+    except BaseException as error:  # found by problems_of already
+        if isinstance(error, KeyboardInterrupt) and hears_ctrl_c():
+            raise
         return False
 
 

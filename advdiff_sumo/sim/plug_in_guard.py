@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TypeVar
 
 from advdiff_sumo.core.errors import AdvdiffError, OutOfMemoryFailure, PlannerError, PlanRefusedError
 from advdiff_sumo.core.plug_in_source import described, planned_at, raised_at
+from advdiff_sumo.core.process_end import hears_ctrl_c
 from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
 
 _Result = TypeVar("_Result")
@@ -48,7 +48,7 @@ class PlugInGuard:
                 problem = f"{self.who} ran out of memory{raised_at(error, self.plug_in)}: {error}"
                 raise OutOfMemoryFailure(problem) from error
             except KeyboardInterrupt as error:
-                if _hears_ctrl_c():
+                if hears_ctrl_c():
                     raise
                 raise self._raised(error) from error
             except (
@@ -58,8 +58,3 @@ class PlugInGuard:
 
     def _raised(self, error: BaseException) -> PlannerError:
         return PlannerError(f"{self.who} raised {described(error)}{raised_at(error, self.plug_in)}")
-
-
-def _hears_ctrl_c() -> bool:
-    """Return whether Ctrl-C can reach this process; a worker is deaf to it."""
-    return signal.getsignal(signal.SIGINT) is not signal.SIG_IGN

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from advdiff_sumo import __version__
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import AdvdiffError, ConfigError, NetError
+from advdiff_sumo.core.plug_in_source import described, raised_at
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data import open_log
 from advdiff_sumo.data.log_reader import LogReader
@@ -242,8 +243,12 @@ def _made(what: str, make: Callable[..., _Made], name: str, options: Mapping[str
         return make(name, options)
     except AdvdiffError:
         raise
-    except Exception as error:  # a user's own class may raise anything, also while it is imported
-        raise ConfigError(f"{what} cannot be made: {type(error).__name__}: {error}; correct it") from error
+    except (
+        Exception,
+        SystemExit,
+    ) as error:  # a user's own class may raise anything, also while it is imported
+        place = raised_at(error, None)
+        raise ConfigError(f"{what} cannot be made: {described(error)}{place}; correct it") from error
 
 
 def git_revision() -> str:

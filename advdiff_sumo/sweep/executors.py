@@ -173,7 +173,8 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
             with contextlib.suppress(ProcessLookupError):  # it says where it is stuck; or else it is killed
                 os.kill(beat.pid, signal.SIGABRT if now - asked < _GRACE_S else signal.SIGKILL)
 
-    def workers(self) -> list[int]:
+    @staticmethod
+    def workers() -> list[int]:
         """Return the process numbers of the workers that are there now."""
         alive = (w for w in multiprocessing.active_children() if w.name == _WORKER)
         return sorted(worker.pid for worker in alive if worker.pid is not None)

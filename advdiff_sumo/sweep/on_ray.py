@@ -20,7 +20,7 @@ from typing import Any
 from advdiff_sumo.core.errors import ConfigError, MissingExtraError
 from advdiff_sumo.maps.shipped_nets import shipped_networks
 from advdiff_sumo.sweep.sweep_files import write_whole
-from advdiff_sumo.sweep.tasks import Failed, Limits, Outcome, Task
+from advdiff_sumo.sweep.tasks import CallTask, Failed, Limits, Outcome, Task
 from advdiff_sumo.sweep.worker_sandbox import bound_memory, lost, run_sandboxed
 
 _ANSWER_S = 10.0
@@ -105,8 +105,8 @@ def on_worker(task: Task, limits: Limits, assets: Mapping[str, bytes]) -> Outcom
     """Do *task* on a worker of a cluster, where files may lie elsewhere."""
     bound_memory(limits.memory_mb)
     limits.logs.mkdir(parents=True, exist_ok=True)
-    net = task.options.net
-    if net in assets and not _holds(Path(net), assets[net]):
+    net = "" if isinstance(task, CallTask) else task.options.net
+    if not isinstance(task, CallTask) and net in assets and not _holds(Path(net), assets[net]):
         here = str(_unpacked(Path(net), assets))
         task = replace(task, options=task.options.model_copy(update={"net": here}))
     return run_sandboxed(task, replace(limits, recycle_share=math.inf))  # Ray replaces its workers itself

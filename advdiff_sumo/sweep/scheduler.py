@@ -151,7 +151,7 @@ class Conductor:
         elif outcome.failed is None:
             self.store.write_scenes(task.key, outcome.product)
             self._release(self.plan.batches[task.key])
-        else:
+        elif isinstance(task, SceneTask):
             self._give_up(task, outcome.failed)
 
     def _made_again(self, task: EpisodeTask, outcome: Outcome) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
@@ -56,7 +57,20 @@ class EpisodeTask:
     ended: Ended | None = None
 
 
-Task: TypeAlias = SceneTask | EpisodeTask
+@dataclass(frozen=True)
+class CallTask:
+    """Call a function that may do to its process whatever it likes.
+
+    Attributes:
+        key: of the task.
+        call: the function, with its arguments; both must be found by name in another process.
+    """
+
+    key: str
+    call: Callable[[], bytes]
+
+
+Task: TypeAlias = SceneTask | EpisodeTask | CallTask
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from typing import Any
 import pyarrow as pa
 
 from advdiff_sumo.core.errors import AdvdiffError, NetError, SceneError
+from advdiff_sumo.core.process_end import hears_ctrl_c
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.columns import Column
@@ -53,7 +54,7 @@ def perform(task: Task, heartbeat: Heartbeat | None = None, run: Run | None = No
     begun = time.perf_counter()
     heartbeat = heartbeat or Heartbeat()
     try:
-        product = _scenes(task) if isinstance(task, SceneTask) else (_episode(task, heartbeat, run),)
+        product = _product(task, heartbeat, run)
     except MemoryError as error:
         failed = Failed("out_of_memory", f"the worker ran out of memory: {error}", traceback.format_exc())
     except AdvdiffError as error:
@@ -61,11 +62,21 @@ def perform(task: Task, heartbeat: Heartbeat | None = None, run: Run | None = No
     except OSError as error:
         kind = NO_ROOM if error.errno == errno.ENOSPC else "error"
         failed = Failed(kind, f"{type(error).__name__}: {error}", traceback.format_exc())
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - any fault of a plug-in is a record, never the end
+    except BaseException as error:  # any fault of a plug-in is a record, never the end
+        if isinstance(error, KeyboardInterrupt) and hears_ctrl_c():
+            raise
         failed = Failed("error", f"{type(error).__name__}: {error}", traceback.format_exc())
     else:
         return Outcome(task.key, product, None, time.perf_counter() - begun)
     return Outcome(task.key, (), failed, time.perf_counter() - begun, heartbeat.steps)
+
+
+def _product(task: Task, heartbeat: Heartbeat, run: Run | None) -> tuple[bytes, ...]:
+    if isinstance(task, SceneTask):
+        return _scenes(task)
+    if isinstance(task, EpisodeTask):
+        return (_episode(task, heartbeat, run),)
+    return (task.call(),)
 
 
 def run_of(options: RunOptions, net_digest: str) -> Run:

@@ -21,7 +21,7 @@ import pyarrow as pa
 from advdiff_sumo.core.plug_in_source import crashed_at
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.sim.heartbeat import NOT_STARTED, Beat, Heartbeat, Phase
-from advdiff_sumo.sweep.tasks import Failed, Limits, Outcome, Task
+from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Limits, Outcome, Task
 from advdiff_sumo.sweep.work import data_bytes, perform, rss_mb
 
 #: Exit code of a worker that makes room for a fresh one.
@@ -96,18 +96,24 @@ def lost(task: Task, limits: Limits, exit_code: int | None, how: str, overdue: b
         with contextlib.suppress(OSError):
             file.unlink()
     steps = NOT_STARTED if beat is None else beat.steps
-    if overdue and beat is not None:
+    if overdue and beat is not None and isinstance(task, EpisodeTask):
         failed = _overdue(task, limits, beat, tail)
     elif _TIMED_OUT in tail or not how:
         failed = timed_out(limits, tail)
-    elif beat is None or beat.phase is Phase.OTHER or exit_code is None or exit_code in _FROM_OUTSIDE:
-        failed = Failed("worker_died", f"the worker {how}", tail)
-    else:
+    elif (
+        isinstance(task, EpisodeTask)
+        and beat is not None
+        and beat.phase is not Phase.OTHER
+        and exit_code is not None
+        and exit_code not in _FROM_OUTSIDE
+    ):
         failed = _crashed(task, beat, how, tail)
+    else:
+        failed = Failed("worker_died", f"the worker {how}", tail)
     return Outcome(task.key, (), failed, steps=steps)
 
 
-def _crashed(task: Task, beat: Beat, how: str, tail: str) -> Failed:
+def _crashed(task: EpisodeTask, beat: Beat, how: str, tail: str) -> Failed:
     """Return the failure of an episode in which the simulator or somebody's code ended the process."""
     when = _when(task, beat)
     if beat.phase is Phase.SIMULATOR:
@@ -118,7 +124,7 @@ def _crashed(task: Task, beat: Beat, how: str, tail: str) -> Failed:
     )
 
 
-def _overdue(task: Task, limits: Limits, beat: Beat, tail: str) -> Failed:
+def _overdue(task: EpisodeTask, limits: Limits, beat: Beat, tail: str) -> Failed:
     when = _when(task, beat)
     if beat.phase is Phase.SIMULATOR:
         return Failed("timeout", f"SUMO made no step in {limits.longest_s(beat.phase):g} s {when}", tail)
@@ -127,12 +133,12 @@ def _overdue(task: Task, limits: Limits, beat: Beat, tail: str) -> Failed:
     return Failed("planner_timeout", problem, tail)
 
 
-def _who(task: Task, phase: Phase) -> str:
+def _who(task: EpisodeTask, phase: Phase) -> str:
     options = task.options
     return f"target '{options.target}'" if phase is Phase.TARGET else f"background '{options.background}'"
 
 
-def _when(task: Task, beat: Beat) -> str:
+def _when(task: EpisodeTask, beat: Beat) -> str:
     if beat.steps < 0:
         return "before the first step"
     return f"at {beat.steps * task.options.sim.step_s:.1f} s of the episode"

@@ -82,6 +82,24 @@ class Ill:
         return globals()[deed if plans == 2 else "well"](), (deed, plans + 1)
 
 
+class Always:
+    """Does one thing in every plan."""
+
+    def __init__(self, deed):
+        self.deed = deed
+
+    def start(self, road, scene, rng):
+        return None
+
+    def plan(self, road, scene, memory, rng):
+        return globals()[self.deed](), None
+
+
+class CannotBeMade(Always):
+    def __init__(self):
+        exit_()
+
+
 class IllTraffic(SumoTraffic):
     def plan(self, road, scene, memory, rng):
         if scene.time_s >= 1.0:
@@ -105,6 +123,15 @@ def at(code: str, function: str) -> str:
 
 
 PLAN, CRASH = at("def plan(", "plan"), at("os.kill", "crash")
+CHECKED = {
+    "crash": ("comes to its end", f"the worker was ended by SIGSEGV {CRASH}"),
+    "leave": ("comes to its end", "the worker ended with exit code 7"),
+    "exit_": ("raises nothing", f"it raised SystemExit: 3 {at('sys.exit', 'exit_')}"),
+    "interrupt": ("raises nothing", f"it raised KeyboardInterrupt {at('raise Key', 'interrupt')}"),
+    "lists": ("form", "accel_mps2 is of type list, not a NumPy array"),
+    "uneven": ("form", "its arrays do not fit each other in shape: accel_mps2 (10,)"),
+    "hang": ("comes to its end", "not finished after 40 s"),
+}
 KINDS = {
     "crash": (
         "planner_crashed",
@@ -216,3 +243,39 @@ def test_one_episode_of_a_run_again(place: Path) -> None:
     assert "'3' is no episode of run; give a number from 0 to 2" in refused.err
     assert "run holds no" not in refused.err
     assert "holds no run" in advdiff("replay", 3, "--run", "nowhere", cwd=place).err
+
+
+@pytest.mark.parametrize("deed", CHECKED)
+def test_check_planner_says_what_a_planner_does(place: Path, deed: str) -> None:
+    words = ("check-planner", "ill:Always", "--set", f"deed={deed}", "--net", "grid.net.xml")
+    limit = ("--timeout", 40) if deed == "hang" else ()
+    done = advdiff(*words, "--episodes", 1, "--horizon", 2, "--memory", 800, *limit, cwd=place)
+    assert done.code == 1, done.err
+    assert "Traceback" not in done.out + done.err
+    name, message = CHECKED[deed]
+    line = next(line for line in done.out.splitlines() if line.strip().startswith("fails") and name in line)
+    assert message in line
+
+
+@pytest.mark.parametrize("command", [("check-planner",), ("run", "--target")])
+def test_a_planner_that_leaves_while_it_is_made(place: Path, command: tuple[str, ...]) -> None:
+    done = advdiff(*command, "ill:CannotBeMade", cwd=place)
+    assert (done.code, done.out) == (2, "")
+    words = "error: target 'ill:CannotBeMade' cannot be made: SystemExit: 3"
+    assert done.err == f"{words} {at('sys.exit', 'exit_')}; correct it\n"
+    assert not (place / "runs").exists()
+
+
+def test_a_sweep_ends_a_plan_that_hangs(place: Path) -> None:
+    (place / "s.toml").write_text(
+        "episodes = 1\nhorizon_s = 4.0\n[scene]\nwarmup_s = 10.0\nscenes_per_warmup = 2\nmin_neighbours = 1\n"
+        '[[cases]]\nnet = "grid.net.xml"\ntarget = "ill:Always"\ntarget_options = { deed = "hang" }\n'
+    )
+    words = ("--workers", 1, "--plan-timeout", 20, "--no-report", "--out", "s")
+    done = advdiff("sweep", "s.toml", *words, cwd=place)
+    assert done.code == 0, done.err
+    (failure,) = rows_of(place / "s", "failures")
+    assert failure["kind"] == "planner_timeout"
+    assert "made no plan in 20 s at 0.0 s of the episode" in failure["message"]
+    (row,) = rows_of(place / "s")
+    assert (row["end"], row["failure_kind"]) == ("failed", "planner_timeout")

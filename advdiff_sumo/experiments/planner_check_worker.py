@@ -1,0 +1,50 @@
+"""The checks of a planner in a process of its own, so that one that crashes, hangs or leaves is told so."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from functools import partial
+from typing import Any
+
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.plug_in_source import crashed_at
+from advdiff_sumo.experiments.planner_check import Extent, Verdict, check_target
+from advdiff_sumo.sweep.executors import ProcessExecutor
+from advdiff_sumo.sweep.tasks import CallTask, Limits
+
+LASTS = "comes to its end"
+
+
+def check_in_worker(
+    name: str, options: Mapping[str, Any], extent: Extent, limits: Limits, hear: Callable[[str], None]
+) -> list[Verdict]:
+    """Return what :func:`check_target` returns, or one verdict on a planner that ends the process or never comes back.
+
+    Args:
+        name: as of ``--target``.
+        options: of the planner.
+        extent: how much is tried.
+        limits: of the worker.
+        hear: called with what the planner printed.
+
+    Raises:
+        InputError: there is no such planner, or it cannot be made.
+    """
+    with ProcessExecutor(1, limits) as executor:
+        executor.submit(CallTask("check", partial(_verdicts, name, dict(options), extent)))
+        outcome = executor.wait()
+    if outcome.said:
+        hear(outcome.said)
+    failed = outcome.failed
+    if failed is None:
+        return [Verdict(**content) for content in json.loads(outcome.product[0])]
+    if failed.kind == "input_error":
+        raise ConfigError(failed.message)
+    return [Verdict(LASTS, False, f"{failed.message}{crashed_at(failed.log_tail)}")]
+
+
+def _verdicts(name: str, options: Mapping[str, Any], extent: Extent) -> bytes:
+    verdicts = [asdict(verdict) for verdict in check_target(name, options, extent)]
+    return json.dumps([{**content, "ok": bool(content["ok"])} for content in verdicts]).encode()

@@ -23,7 +23,7 @@ class SceneBatch:
         moved: (B, A) it is a vehicle, whose future is modelled.
         parked: (B, A) it never moves in its log; for statistics only, no network reads it.
         map_xy: (B, A, K, N, 2) pieces in the agent's own frame now (x forward, y left), lanes first, then edges.
-        map_features: (B, A, K, F) their columns, as in ``maps.pieces``, with the signal's state.
+        map_features: (B, A, K, F) their columns, as in ``maps.vector_map``, with the signal's state.
         map_valid: (B, A, K) whether the piece is real.
         future: (B, A, T, 4) what happened, 0 where unknown; all 0 at run time.
         future_valid: (B, A, T) whether it is known.

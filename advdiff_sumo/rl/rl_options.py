@@ -12,7 +12,7 @@ from advdiff_sumo.traffic.rl.prior import PriorName
 
 
 class RewardWeights(Options):
-    """Weights of the reward's terms, all counted per model step of 0.5 s; see ``rl.reward``.
+    """Weights of the reward's terms, all counted per model step of 0.5 s; see ``rl.adversary_reward``.
 
     Attributes:
         hit: the attacker and the target touch.

@@ -69,7 +69,7 @@ class RewardOptions(Options):
         returns: transitions of one plan whose rewards are summed before Q takes over (n-step targets); 1 is
             the paper's target.
         direction: weight of 1 − cos between ∂Q/∂a, which is what guides, and the way that leads to contact, see
-            ``training.direction``; 0 is the paper's loss.
+            ``training.gradient_alignment``; 0 is the paper's loss.
         look: model steps ahead of which that way is the way.
         push: longest shift up Q, in scaled latents, at which it is taught; guidance goes as far.
         transitions: experiences taken from one window one after another, while its log lasts.
@@ -101,7 +101,7 @@ class RewardOptions(Options):
 
 
 class SimnetOptions(Options):
-    """Closed-loop cloning, see ``training.simnet``.
+    """Closed-loop cloning, see ``training.simnet_stage``.
 
     Attributes:
         first_steps: model steps that are driven at the beginning of the training.
@@ -130,7 +130,7 @@ class TrainOptions(Options):
         epochs: passes over the training windows.
         batch_size: windows in a step.
         learning_rate: of Adam, at its highest.
-        schedule: how it changes, see ``training.rates``.
+        schedule: how it changes, see ``training.learning_rates``.
         gradient_clip: largest norm of the gradient.
         ema_decay: of the moving average of the weights.
         patience_epochs: epochs without progress on held-out windows after which it stops; 0: never.

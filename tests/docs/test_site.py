@@ -98,9 +98,9 @@ def test_the_api_has_every_public_class_and_no_roles(site: Path) -> None:
     anchors = set(re.findall(r"id=\"?(advdiff_sumo[\w.]*)", api))
     for name in (
         "core.scene.Scene",
-        "planners.base.Planner",
-        "traffic.base.TrafficPolicy",
-        "sim.run.RunOptions",
+        "planners.planner_protocol.Planner",
+        "traffic.policy_protocol.TrafficPolicy",
+        "sim.run_episodes.RunOptions",
     ):
         assert f"advdiff_sumo.{name}" in anchors
     assert not re.search(r":(?:class|func|meth|attr|data|mod):", api)

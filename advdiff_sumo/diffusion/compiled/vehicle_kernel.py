@@ -1,8 +1,8 @@
 """The decoder's vehicle with its gradient by hand: controls, arc, and what it sees of itself.
 
-The same functions as ``models.bicycle`` and ``models.geometry``, equal up to rounding. A motion is x, y, yaw, speed;
-a car is its motion now, to which others are relative, its largest curvature by steering, and 1 for vehicles or 0 for
-others, which keep their velocity; limits are the strongest acceleration, deceleration and lateral acceleration.
+The same functions as ``models.tensor_bicycle`` and ``models.geometry``, equal up to rounding. A motion is x, y, yaw,
+speed; a car is its motion now, to which others are relative, its largest curvature by steering, and 1 for vehicles or
+0 for others, which keep their velocity; limits are the strongest acceleration, deceleration and lateral acceleration.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ _DRIVEN_STEPS = 2
 
 
 class Surrogate(Protocol):
-    """A planner as in ``planners.base``."""
+    """A planner as in ``planners.planner_protocol``."""
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> Any:
         """Return the memory for an episode that begins in *scene*."""

@@ -75,7 +75,7 @@ def _way_back(turned: Tensor, speed: Tensor) -> Tensor:
 def _within(
     accel: Tensor, curvature: Tensor, speed: Tensor, length: Tensor, options: ModelOptions
 ) -> tuple[Tensor, Tensor]:
-    """Return both within the bounds that ``models.bicycle.controls`` keeps by construction."""
+    """Return both within the bounds that ``models.tensor_bicycle.controls`` keeps by construction."""
     geometric = math.tan(options.steer_rad) / (WHEELBASE_PER_LENGTH * length.clamp(min=0.5))
     bound = torch.minimum(geometric, options.lateral_mps2 / speed.clamp(min=0.1) ** 2)
     accel = accel.clamp(-options.brake_mps2, options.accel_mps2)

@@ -1,4 +1,4 @@
-"""A step of the bicycle model from unbounded numbers, as ``models.bicycle``, with its gradient."""
+"""A step of the bicycle model from unbounded numbers, as ``models.tensor_bicycle``, with its gradient."""
 
 from __future__ import annotations
 

@@ -27,8 +27,14 @@ setup: .venv/.ready
 	$(PIP) --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
+# a sound planner and the same one with 12 m of sight, in the same lawful traffic
 demo: install
-	$(BIN)/advdiff-sumo run --target lane_graph --background diffusion --episodes 5 --out runs/demo-$$(date +%Y%m%d-%H%M%S)
+	@folder=runs/demo-$$(date +%Y%m%d-%H%M%S) && set -e && \
+	echo "the sound planner:" && \
+	$(BIN)/advdiff-sumo run --config scenarios/demo.toml --out $$folder/sound && \
+	echo "the same planner, which sees 12 m far:" && \
+	$(BIN)/advdiff-sumo run --config scenarios/demo.toml --defect range:strong --out $$folder/short-sighted && \
+	echo "what only the second one fails at, with a careful driver beside it: $$folder/short-sighted/report.html"
 	@echo "next: . .venv/bin/activate    then advdiff-sumo run --help (or type .venv/bin/advdiff-sumo without activating)"
 
 # values worked by hand, contracts, and one of everything end to end: five minutes on two cores

@@ -157,6 +157,8 @@ def _junction(view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault 
         return Fault(AtFault.TARGET, "The target entered the junction on red.")
     if red == (False, True):
         return Fault(AtFault.OTHER, f"'{met.other.name}' entered the junction on red.")
+    if red == (True, True):
+        return Fault(AtFault.UNCLEAR, f"The target and '{met.other.name}' both entered the junction on red.")
     rear_end = _joined(met)
     if rear_end is not None:
         return rear_end

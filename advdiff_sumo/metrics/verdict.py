@@ -16,6 +16,7 @@ from advdiff_sumo.core.boxes import corners, separation
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import Breach, breaches_of
+from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.collision_type import CollisionType, collision_type
 from advdiff_sumo.metrics.encounter import Encounter, encounter
@@ -99,8 +100,9 @@ def judge(
     fault = fault_of(view, met, kind)
     target, other = (breaches_of(view, met, which) for which in (0, 1))
     drives = drive_all(record, road, collision) if collision.step > 0 else {}
+    pusher = pushed_by(view, met, 0)
     preventable_by = tuple(
-        name for name in MODELS if name in drives and avoids(record, collision, drives[name])
+        name for name in MODELS if name in drives and avoids(record, collision, drives[name], pusher)
     )
     preventable = None if not drives else YARDSTICK in preventable_by
     valid = fault.at_fault is AtFault.TARGET or (not other and bool(preventable))
@@ -125,12 +127,18 @@ def judge(
     )
 
 
-def avoids(record: EpisodeRecord, collision: Collision, drive: ReferenceDrive) -> bool:
-    """Return whether *drive* does not collide; being run into from behind by a third does not count."""
+def avoids(
+    record: EpisodeRecord, collision: Collision, drive: ReferenceDrive, pusher: int | None = None
+) -> bool:
+    """Return whether *drive* does not collide; being run into from behind by a third does not count.
+
+    It does where that third, *pusher*, pushed the target into the collision: the driver would have been pushed, too.
+    """
     if drive.contact_step is None:
         return True
     partner = collision.rows[1]
-    if drive.contact_with == record.tracks.ids[partner] or not _struck_from_behind(record, drive):
+    pushed = pusher is not None and drive.contact_with == record.tracks.ids[pusher]
+    if pushed or drive.contact_with == record.tracks.ids[partner] or not _struck_from_behind(record, drive):
         return False
     tracks, states = record.tracks, drive.states
     span = slice(drive.takeover_step, min(drive.takeover_step + len(states.speed_mps), tracks.steps))

@@ -116,12 +116,11 @@ def meeting(corridor: Corridor, instant: int, ego: tuple[float, float, float], l
     behind = s + v * times - 0.5 * length_m - (along + half)
     across = clear <= TIE_M
     with np.errstate(invalid="ignore"):
-        meets = across & (gap <= 0.0) & (behind <= 0.0)
         ahead = along[:, 0] + half[:, 0] > s + 0.5 * length_m
-    meet = _meeting_s(meets, gap, v)
+    meet = _meeting_s((clear - TIE_M, gap, behind))
     lateral, d = clear[:, 0], gap[:, 0]
     inside = across[:, 0] & ahead
-    crossing = ~across[:, 0] & np.isfinite(meet) & _in_front(meets, along, s + v * times)
+    crossing = ~across[:, 0] & np.isfinite(meet) & _in_front(meet, along - (s + v * times))
     closing = np.maximum(v - np.maximum(corridor.speed_mps[instant], 0.0), 1e-3)
     situation = Situation(
         ego_mps=np.full(len(d), v),
@@ -139,19 +138,35 @@ def meeting(corridor: Corridor, instant: int, ego: tuple[float, float, float], l
     return Meeting(situation, inside, crossing, meet, conflict)
 
 
-def _meeting_s(meets: BoolArray, gap_m: FloatArray, ego_mps: float) -> FloatArray:
-    """Return (N,) the first instant at which *meets* (N, H), refined by how far the ego is into the other then."""
+def _meeting_s(excesses_m: tuple[FloatArray, ...]) -> FloatArray:
+    """Return (N,) the first time at which all *excesses_m* (N, H) are 0 or less; inf for never, NaN counts as above.
+
+    They are taken to change evenly between two instants looked at, so that the time does not hang on where
+    those lie.
+    """
+    begin, end = np.zeros_like(excesses_m[0][:, 1:]), np.ones_like(excesses_m[0][:, 1:])
+    for excess in excesses_m:
+        before, after = excess[:, :-1], excess[:, 1:]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            root = before / (before - after)
+            begin = np.maximum(begin, np.where(before <= 0.0, 0.0, np.where(after <= 0.0, root, np.inf)))
+            end = np.minimum(end, np.where(after <= 0.0, 1.0, np.where(before <= 0.0, root, -np.inf)))
+    meets = begin <= end
     first = np.argmax(meets, axis=-1)
-    depth = -gap_m[np.arange(len(first)), first]
-    early = np.minimum(np.maximum(depth / max(ego_mps, 0.1), 0.0), LOOK_STEP_S)
-    seconds = np.maximum(LOOK_STEP_S * first - early, 0.0)
-    return np.where(meets.any(-1), seconds, np.inf)
+    return np.where(meets.any(-1), LOOK_STEP_S * (first + begin[np.arange(len(first)), first]), np.inf)
 
 
-def _in_front(meets: BoolArray, along_m: FloatArray, ego_s_m: FloatArray) -> BoolArray:
-    """Return (N,) whether the other's centre is ahead of the ego's when they meet: braking may help."""
-    first = np.argmax(meets, axis=-1)
-    return np.asarray(along_m[np.arange(len(first)), first] > ego_s_m[first])
+def _in_front(meet_s: FloatArray, ahead_m: FloatArray) -> BoolArray:
+    """Return (N,) whether the other's centre is ahead when they meet: braking may help.
+
+    Args:
+        meet_s: (N,) when they meet; inf for never.
+        ahead_m: (N, H) how far its centre is ahead of the ego's.
+    """
+    place = np.where(np.isfinite(meet_s), meet_s, 0.0) / LOOK_STEP_S
+    first = np.minimum(place.astype(np.int64), ahead_m.shape[-1] - 2)
+    row, share = np.arange(len(first)), place - first
+    return np.asarray((1.0 - share) * ahead_m[row, first] + share * ahead_m[row, first + 1] > 0.0)
 
 
 def demands(

@@ -34,7 +34,8 @@ LOOKBACK_S = 5.0
 #: The drive goes on for so long after the record's end, or until it stands: the others keep their motion.
 AFTER_S = 3.0
 _SAFE_SPELL_S = 0.3
-_BOUND_S = 1.0
+#: Full braking from up to 25 m/s ends within this time.
+_BOUND_S = 2.0
 _ACCEL_OVER_S = 0.2
 _SAME_WAY_M = 0.4
 _MARGIN_M = 30.0
@@ -222,13 +223,17 @@ class ReferenceDrivers:
 
     @cached_property
     def _latest(self) -> int:
-        """The last instant before the target passed a stop line that bound it; that of the contact without one."""
+        """The last instant at which a stop line bound the target that it then passed; that of the contact without one.
+
+        From there on the line is too near to stop at and binds no more, which does not make it harmless.
+        """
         bound = np.array([bound for _, bound in self._recorded])
         recent = round(_BOUND_S / self._tracks.dt_s)
         for place in self._route_way.links:
             over = np.flatnonzero(self._along_route_m + 0.5 * self._length_m > place.s_m)
-            if over.size and over[0] > 0 and bound[: over[0]][-recent:].any():
-                return int(over[0]) - 1
+            before = np.flatnonzero(bound[: over[0]]) if over.size else over
+            if before.size and over[0] - before[-1] <= recent:
+                return int(before[-1])
         return len(bound) - 1
 
     def _takeover(self, driver: DriverModel) -> int:

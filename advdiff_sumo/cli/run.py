@@ -77,9 +77,10 @@ def run(
     Exit code 0: some episodes came to their end; 1: every one failed; 2: something given cannot be used.
     """
     one_thread_for_good()
-    from advdiff_sumo.cli.check_exports import print_check  # late: --help needs neither SUMO nor plots
-    from advdiff_sumo.cli.summary import print_summary, run_object
-    from advdiff_sumo.sim.free_folder import free_folder, run_words
+    from advdiff_sumo.sim.free_folder import (  # late: --help needs neither SUMO nor plots
+        free_folder,
+        run_words,
+    )
     from advdiff_sumo.sim.run_episodes import Run
     from advdiff_sumo.sweep.executors import prepare_workers
     from advdiff_sumo.sweep.run_engine import run_settings
@@ -109,21 +110,24 @@ def run(
     }
     if resume:
         config = config or _begun(out)
-    if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
+    _check_display(gui)
     prepared = Run.prepare(_options(config, given, policy, assign or [], defect), gui)
     words = run_words(prepared.settings["options"]["net"], *prepared.names, prepared.options.seed)
     folder = RunFolder.create(out or free_folder(*words), run_settings(prepared), resume)
     console = verb_console(quiet, as_json)
-    if standing := prepared.standing_starts():
-        least = prepared.options.scene.min_speed_mps
-        console.print(
-            f"note: {standing} starts of the log passed over, its ego is slower than {least:g} m/s there"
-        )
-    for file in prepared.demand.ignored if prepared.demand else ():
-        console.print(f"note: {file} holds detectors and outputs only, and is left out", markup=False)
+    _print_notes(console, prepared)
     with ExitStack() as stack:
         count = _episodes(prepared, folder, console, limits_of(stack, math.inf, plan_timeout, memory))
+    _tell_outcome(console, folder, prepared, count, check, as_json)
+
+
+def _tell_outcome(
+    console: Console, folder: RunFolder, prepared: Run, count: int, check: bool, as_json: bool
+) -> None:
+    """Print what the *count* episodes came to; leave with 1 where every one failed."""
+    from advdiff_sumo.cli.check_exports import print_check  # late: --help needs neither SUMO nor plots
+    from advdiff_sumo.cli.summary import print_summary, run_object
+
     failures = folder.failures()
     print_summary(console, folder.path, prepared.options.episodes - count, failures)
     if check:
@@ -132,6 +136,23 @@ def run(
         print_json(run_object(folder.path))
     if len(failures) == count:
         raise typer.Exit(_FAILED)
+
+
+def _check_display(gui: bool) -> None:
+    """Refuse sumo-gui where there is no display."""
+    if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
+
+
+def _print_notes(console: Console, prepared: Run) -> None:
+    """Say what of the log and of the demand is left out."""
+    if standing := prepared.standing_starts():
+        least = prepared.options.scene.min_speed_mps
+        console.print(
+            f"note: {standing} starts of the log passed over, its ego is slower than {least:g} m/s there"
+        )
+    for file in prepared.demand.ignored if prepared.demand else ():
+        console.print(f"note: {file} holds detectors and outputs only, and is left out", markup=False)
 
 
 def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits) -> int:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from advdiff_sumo.core.errors import LogError, UnknownNameError
+from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
 from advdiff_sumo.data.motion import parked_agents, signed_speeds
+from advdiff_sumo.data.scene_files import SceneFiles
 
 DT_S = 0.1
 EGO = "AV"
@@ -34,44 +34,18 @@ SIZES_M = {  # the files hold no sizes
 _AGAIN = "give an unchanged scenario_*.parquet"
 
 
-class Argoverse2Reader:
+class Argoverse2Reader(SceneFiles):
     """Reads one ``scenario_*.parquet`` or the ones below a folder; a scene is named by its scenario's id.
 
     Riderless bicycles, static objects and background are left out; sizes are those usual for the class, as the
     files hold none.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        """Point at a file, or at a folder of them (searched recursively)."""
-        self.path = Path(path)
+    kind, remedy = "scenario", _AGAIN
 
-    def names(self) -> list[str]:
-        """Return the ids of the scenarios, sorted.
-
-        Raises:
-            LogError: there is none.
-        """
-        return sorted(self._files())
-
-    def read(self, name: str) -> LogScene:
-        """Return one scene.
-
-        Raises:
-            UnknownNameError: there is no such scenario.
-            LogError: the file is damaged.
-        """
-        files = self._files()
-        if name not in files:
-            raise UnknownNameError("scenario", name, files)
-        path = files[name]
-        try:
-            return _scene(name, path, _table(path))
-        except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise LogError(path, f"cannot be used ({type(error).__name__}: {error})", _AGAIN) from None
-
-    def scenes(self) -> Iterator[LogScene]:
-        """Yield all scenes."""
-        return map(self.read, self.names())
+    def read_file(self, name: str, path: Path) -> LogScene:
+        """Return the scenario in *path*."""
+        return _scene(name, path, _table(path))
 
     def map_file(self, name: str) -> Path:
         """Return the map beside the scenario.
@@ -79,13 +53,14 @@ class Argoverse2Reader:
         Raises:
             LogError: it is not there.
         """
-        path = self._files()[name]
+        path = self.files()[name]
         beside = path.with_name(f"log_map_archive_{name}.json")
         if not beside.exists():
             raise LogError(beside, "no such map", "unpack the scenario's folder whole, or give a --net")
         return beside
 
-    def _files(self) -> dict[str, Path]:
+    def files(self) -> dict[str, Path]:
+        """Return id → file of every scenario, searched recursively."""
         paths = [self.path] if self.path.is_file() else sorted(self.path.rglob(f"{PREFIX}*.parquet"))
         if not paths:
             raise LogError(self.path, f"no such file or folder of {PREFIX}*.parquet", "give one of these")

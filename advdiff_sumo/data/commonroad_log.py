@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.errors import LogError, UnknownNameError
+from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
 from advdiff_sumo.data.motion import parked_agents, signed_speeds
+from advdiff_sumo.data.scene_files import SceneFiles
 
 CLASSES = {
     "car": AgentClass.CAR,
@@ -28,48 +28,23 @@ SUFFIXES = (".xml", ".xml.gz")
 _AGAIN = "give an unchanged CommonRoad scenario of version 2020a"
 
 
-class CommonRoadReader:
+class CommonRoadReader(SceneFiles):
     """Reads one scenario (``.xml``, ``.xml.gz``) or those of a folder; a scene is named by its file.
 
     A scenario has no recording vehicle: the vehicle that drives farthest stands in its place. Obstacles without a
     trajectory, and those of which only sets are known, are left out.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        """Point at a scenario, or at a folder of them."""
-        self.path = Path(path)
+    kind, remedy = "scenario", _AGAIN
 
-    def names(self) -> list[str]:
-        """Return the names of the scenarios, sorted.
-
-        Raises:
-            LogError: there is none.
-        """
-        return sorted(self._files())
-
-    def read(self, name: str) -> LogScene:
-        """Return one scene.
-
-        Raises:
-            UnknownNameError: there is no such scenario.
-            LogError: the file is damaged.
-        """
-        files = self._files()
-        if name not in files:
-            raise UnknownNameError("scenario", name, files)
-        path = files[name]
+    def read_file(self, name: str, path: Path) -> LogScene:
+        """Return the scenario in *path*."""
         from advdiff_sumo.maps.convert.sources.map_files import load_xml  # late: training runs without SUMO
 
-        try:
-            return _scene(name, path, load_xml(path))
-        except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise LogError(path, f"cannot be used ({error})", _AGAIN) from None
+        return _scene(name, path, load_xml(path))
 
-    def scenes(self) -> Iterator[LogScene]:
-        """Yield all scenes."""
-        return map(self.read, self.names())
-
-    def _files(self) -> dict[str, Path]:
+    def files(self) -> dict[str, Path]:
+        """Return name → file of every scenario."""
         if self.path.is_file():
             paths = [self.path]
         else:

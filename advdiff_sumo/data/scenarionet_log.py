@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
-from advdiff_sumo.core.errors import LogError, UnknownNameError
+from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
@@ -17,6 +17,7 @@ from advdiff_sumo.data.motion import parked_agents, signed_speeds
 from advdiff_sumo.data.nuscenes import ZOE_CENTRE_AHEAD_M, ZOE_LENGTH_M, ZOE_WIDTH_M
 from advdiff_sumo.data.nuscenes_index import agent_class
 from advdiff_sumo.data.pickles import load_plain
+from advdiff_sumo.data.scene_files import SceneFiles
 
 LORRY_LENGTH_M = 7.0
 _KINDS = {"PEDESTRIAN": AgentClass.PEDESTRIAN, "CYCLIST": AgentClass.BICYCLE}
@@ -60,47 +61,20 @@ def map_offset_m(record: Mapping[str, Any]) -> FloatArray | None:
     return np.asarray(-moved[0], dtype=np.float64)
 
 
-class ScenarioNetReader:
+class ScenarioNetReader(SceneFiles):
     """Reads the records (``sd_*.pkl``) of a folder, or one record.
 
     A scene is named by its file: ScenarioNet's ids repeat between datasets.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        """Point at a record, or at a folder of them (searched recursively)."""
-        self.path = Path(path)
+    kind, remedy = "record", _AGAIN
 
-    def names(self) -> list[str]:
-        """Return the names of the records, sorted.
+    def read_file(self, name: str, path: Path) -> LogScene:
+        """Return the scene of a record; agents in its order, obstacles left out."""
+        return _scene(name, path, read_record(path))
 
-        Raises:
-            LogError: there is none.
-        """
-        return sorted(self._files())
-
-    def read(self, name: str) -> LogScene:
-        """Return one scene; agents in the order of the record, obstacles left out.
-
-        Raises:
-            UnknownNameError: there is no such record.
-            LogError: the record is damaged.
-        """
-        files = self._files()
-        if name not in files:
-            raise UnknownNameError("record", name, files)
-        path = files[name]
-        record = read_record(path)
-        try:
-            return _scene(name, path, record)
-        except (KeyError, TypeError, ValueError, IndexError) as error:
-            problem = f"record '{record['id']}' cannot be used ({type(error).__name__}: {error})"
-            raise LogError(path, problem, _AGAIN) from None
-
-    def scenes(self) -> Iterator[LogScene]:
-        """Yield all scenes."""
-        return map(self.read, self.names())
-
-    def _files(self) -> dict[str, Path]:
+    def files(self) -> dict[str, Path]:
+        """Return name → file of every record, searched recursively."""
         found = [self.path] if self.path.is_file() else sorted(self.path.rglob("sd_*.pkl"))
         if not found:
             raise LogError(self.path, "no such record or folder of sd_*.pkl records", "give one of these")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +20,7 @@ _CORRIDOR_M = 2.5
 _SAME_WAY_RAD = np.pi / 3.0
 
 
-class Misjudgement(Fault):
+class Misjudgement(Fault, ABC):
     """A fault that changes the states of road users."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
@@ -27,9 +28,9 @@ class Misjudgement(Fault):
         del road, seed
         return self.believed(scene), memory
 
+    @abstractmethod
     def believed(self, scene: Scene) -> Scene:
         """Return *scene* with wrong states."""
-        raise NotImplementedError
 
 
 class FrozenPrediction(Misjudgement):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ _HEAVY = (AgentClass.TRUCK, AgentClass.BUS)
 _UNPROTECTED = (AgentClass.MOTORCYCLE, AgentClass.BICYCLE, AgentClass.PEDESTRIAN)
 
 
-class Blindness(Fault):
+class Blindness(Fault, ABC):
     """A fault that hides some of the others."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
@@ -26,9 +27,9 @@ class Blindness(Fault):
         del road, seed
         return without(scene, self.hidden(scene) & others_of(scene)), memory
 
+    @abstractmethod
     def hidden(self, scene: Scene) -> BoolArray:
         """Return (A,) who is not seen."""
-        raise NotImplementedError
 
 
 class ShortRange(Blindness):

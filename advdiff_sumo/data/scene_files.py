@@ -1,0 +1,69 @@
+"""What readers of logs with one scene a file share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+from advdiff_sumo.core.errors import LogError, UnknownNameError
+from advdiff_sumo.data.log_reader import LogScene
+
+
+class SceneFiles(ABC):
+    """Reads one file, or those of a folder; every file holds one scene.
+
+    Attributes:
+        path: the file or the folder.
+        kind: what a file holds, for messages.
+        remedy: what to do about a damaged one.
+    """
+
+    kind: ClassVar[str]
+    remedy: ClassVar[str]
+
+    def __init__(self, path: str | Path) -> None:
+        """Point at a file, or at a folder of them."""
+        self.path = Path(path)
+
+    @abstractmethod
+    def files(self) -> dict[str, Path]:
+        """Return name → file of every scene.
+
+        Raises:
+            LogError: there is none.
+        """
+
+    @abstractmethod
+    def read_file(self, name: str, path: Path) -> LogScene:
+        """Return the scene *name* in *path*; whatever is wrong with its content may raise as it comes."""
+
+    def names(self) -> list[str]:
+        """Return the names of the scenes, sorted.
+
+        Raises:
+            LogError: there is none.
+        """
+        return sorted(self.files())
+
+    def read(self, name: str) -> LogScene:
+        """Return one scene.
+
+        Raises:
+            UnknownNameError: there is no such scene.
+            LogError: the file is damaged.
+        """
+        files = self.files()
+        if name not in files:
+            raise UnknownNameError(self.kind, name, files)
+        path = files[name]
+        try:
+            return self.read_file(name, path)
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            problem = f"cannot be used ({type(error).__name__}: {error})"
+            raise LogError(path, problem, self.remedy) from None
+
+    def scenes(self) -> Iterator[LogScene]:
+        """Yield all scenes."""
+        return map(self.read, self.names())

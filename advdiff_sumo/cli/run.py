@@ -113,9 +113,10 @@ def run(
     _check_display(gui)
     prepared = Run.prepare(_options(config, given, policy, assign or [], defect), gui)
     words = run_words(prepared.settings["options"]["net"], *prepared.names, prepared.options.seed)
+    standing = prepared.standing_starts()  # before there is a folder: a log that cannot be read leaves none
     folder = RunFolder.create(out or free_folder(*words), run_settings(prepared), resume)
     console = verb_console(quiet, as_json)
-    _print_notes(console, prepared)
+    _print_notes(console, prepared, standing)
     with ExitStack() as stack:
         count = _episodes(prepared, folder, console, limits_of(stack, math.inf, plan_timeout, memory))
     _tell_outcome(console, folder, prepared, count, check, as_json)
@@ -144,9 +145,9 @@ def _check_display(gui: bool) -> None:
         raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
 
 
-def _print_notes(console: Console, prepared: Run) -> None:
-    """Say what of the log and of the demand is left out."""
-    if standing := prepared.standing_starts():
+def _print_notes(console: Console, prepared: Run, standing: int) -> None:
+    """Say what of the log, such as its *standing* starts, and of the demand is left out."""
+    if standing:
         least = prepared.options.scene.min_speed_mps
         console.print(
             f"note: {standing} starts of the log passed over, its ego is slower than {least:g} m/s there"

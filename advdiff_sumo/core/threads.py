@@ -28,14 +28,14 @@ def one_thread() -> Iterator[None]:
     """
     torch = sys.modules.get("torch")  # what is not loaded has no threads, and core does not load it
     before = 1 if torch is None else torch.get_num_threads()
-    with _linear_algebra(tuple(name in sys.modules for name in _THREADED)).limit(limits=1):
-        if torch is not None:
-            torch.set_num_threads(1)
-        try:
-            yield
-        finally:
+    try:
+        with _linear_algebra(tuple(name in sys.modules for name in _THREADED)).limit(limits=1):
             if torch is not None:
-                torch.set_num_threads(before)
+                torch.set_num_threads(1)
+            yield
+    finally:
+        if torch is not None:  # last: linear algebra that shares PyTorch's threads takes them along
+            torch.set_num_threads(before)
 
 
 def one_thread_for_good() -> None:

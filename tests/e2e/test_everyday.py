@@ -28,7 +28,7 @@ backgrounds = ["sumo"]
 
 def test_json_is_one_object_and_nothing_else(workplace: Path) -> None:
     done = advdiff(*RUN, "--target", "our_planners:Raises", "--json", "--out", "run", cwd=workplace)
-    assert (done.code, done.err) == (0, "")
+    assert (done.code, done.err) == (1, ""), "every episode failed"
     told = json.loads(done.out)
     assert told["folder"] == str(workplace / "run")
     assert Path(told["report"]).exists()

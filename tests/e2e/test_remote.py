@@ -69,7 +69,7 @@ def test_a_planner_that_raises_over_there_is_a_failure_with_its_traceback(
 ) -> None:
     (workplace / "our_server.py").write_text(SERVER)
     done = here(*RUN, "--target", f"{COMMAND} raises", "--out", "run")
-    assert done.code == 0, done.err
+    assert done.code == 1, done.err  # every episode failed
     rows = pq.read_table(workplace / "run" / "episodes.parquet").to_pylist()
     assert [row["failure_kind"] for row in rows] == ["planner_error"] * 2
     assert "ValueError: no way found" in rows[0]["failure_message"]

@@ -65,10 +65,19 @@ def _driver(met: Encounter, drive: ReferenceDrive | None, preventable_by: Sequen
     if drive.model in preventable_by:
         return f"{who} {braking}{_outcome(drive)}"
     others = f" ({' and '.join(preventable_by)} would not)" if preventable_by else ""
-    hit = f"'{drive.contact_with}'" if drive.contact_with != met.other.name else "it"
-    if drive.contact_with == met.other.name and (met.target.face, met.other.face) == ("rear", "front"):
-        return f"even {who} {braking}is run into at {drive.impact_mps:.1f} m/s{others}"
+    partner = drive.contact_with == met.other.name
+    from_behind = partner and (met.target.face, met.other.face) == ("rear", "front")
+    if from_behind or _stands_at_contact(drive):
+        by = "" if partner else f" by '{drive.contact_with}'"
+        return f"even {who} {braking}is run into{by} at {drive.impact_mps:.1f} m/s{others}"
+    hit = "it" if partner else f"'{drive.contact_with}'"
     return f"even {who} {braking}hits {hit} at {drive.impact_mps:.1f} m/s{others}"
+
+
+def _stands_at_contact(drive: ReferenceDrive) -> bool:
+    if drive.contact_step is None:
+        return False
+    return bool(abs(drive.states.speed_mps[drive.contact_step - drive.takeover_step]) <= _STANDING_MPS)
 
 
 def _braking(met: Encounter, drive: ReferenceDrive) -> str:

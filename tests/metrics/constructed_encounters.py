@@ -206,7 +206,7 @@ ENCOUNTERS: tuple[Constructed, ...] = (
             driven("bus", (1.6, -20), NORTH, braking(10, 0.6, 5.5, 81), size=(10.0, 2.5)),
         ),
         Expected(*STRIKES, spare_m=(37.1, 1.6)),
-        Expected(*STRUCK, impact_mps=(11.0, 0.1)),
+        Expected(*STRUCK, impact_mps=(11.0, 0.1), says="is run into at 11.0 m/s"),
         routes=(EAST_ROUTE, NORTH_ROUTE),
     ),
     Constructed(
@@ -323,7 +323,9 @@ ENCOUNTERS: tuple[Constructed, ...] = (
         "pushed by a third into the one ahead",
         # a driver who stands there is pushed by the same third
         pushed,
-        Expected("other", (), (), False, False),
+        Expected(
+            "other", (), (), False, False, impact_mps=(10.0, 0.1), says="is run into by 'third' at 10.0 m/s"
+        ),
         # the one ahead stands and is hit with 5 m/s by somebody who could not help it
         Expected("other", (), (), False, False, impact_mps=(5.0, 0.1)),
     ),

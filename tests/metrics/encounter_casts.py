@@ -33,6 +33,7 @@ class Expected:
         preventable: by ``CC_human_driver``; None where it hangs on a hair and is not asserted.
         spare_m: what that driver clears the other by, and the tolerance.
         impact_mps: closing speed that it is left with, and the tolerance.
+        says: part of the sentence.
     """
 
     fault: str
@@ -42,6 +43,7 @@ class Expected:
     preventable: bool | None = None
     spare_m: tuple[float, float] | None = None
     impact_mps: tuple[float, float] | None = None
+    says: str = ""
 
 
 @dataclass(frozen=True)

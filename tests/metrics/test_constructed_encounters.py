@@ -107,6 +107,7 @@ def test_verdict(road_of, case: Constructed, lefthand: bool, exchanged: bool) ->
         assert verdict.spare_m == pytest.approx(expected.spare_m[0], abs=expected.spare_m[1])
     if expected.impact_mps is not None:
         assert verdict.impact_left_mps == pytest.approx(expected.impact_mps[0], abs=expected.impact_mps[1])
+    assert expected.says in verdict.sentence
     if verdict.preventable:
         assert verdict.unavoidable is False
         assert verdict.impact_left_mps is None

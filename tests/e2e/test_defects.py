@@ -17,6 +17,7 @@ from tests.e2e.commands import TINY, Outcome, advdiff
 RUN = ("run", "--net", "motorway", "--target", "lane_graph", "--episodes", "2", *TINY)
 
 
+@pytest.mark.slow
 def test_a_run_with_defects_is_repeated_by_its_own_file(tmp_path: Path) -> None:
     planted = ("--defect", "localisation:2m", "--defect", "flicker:middle")
     first = advdiff(*RUN, *planted, "--out", "first", cwd=tmp_path)

@@ -168,6 +168,7 @@ def rows_of(folder: Path, table: str = "episodes") -> list[dict[str, Any]]:
     return pq.read_table(folder / f"{table}.parquet").to_pylist()
 
 
+@pytest.mark.slow
 def test_every_deed_costs_its_own_episode_only(place: Path) -> None:
     (place / "deeds.json").write_text(json.dumps(deeds_by_draw(0)))
     words = (*RUN, "--target", "ill:Ill", "--background", "replay", "--episodes", len(KINDS))
@@ -230,6 +231,7 @@ def test_a_planner_that_crashes_before_the_first_step(place: Path) -> None:
     assert {state["step"] for state in rows_of(place / "run", "states")} == {0}
 
 
+@pytest.mark.slow
 def test_one_episode_of_a_run_again(place: Path) -> None:
     words = (*RUN, "--target", "lane_graph", "--episodes", 3, "--seed", 4)
     assert advdiff(*words, "--out", "run", cwd=place).code == 0
@@ -245,6 +247,7 @@ def test_one_episode_of_a_run_again(place: Path) -> None:
     assert "holds no run" in advdiff("replay", 3, "--run", "nowhere", cwd=place).err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("deed", CHECKED)
 def test_check_planner_says_what_a_planner_does(place: Path, deed: str) -> None:
     words = ("check-planner", "ill:Always", "--set", f"deed={deed}", "--net", "grid.net.xml")
@@ -266,6 +269,7 @@ def test_a_planner_that_leaves_while_it_is_made(place: Path, command: tuple[str,
     assert not (place / "runs").exists()
 
 
+@pytest.mark.slow
 def test_a_sweep_ends_a_plan_that_hangs(place: Path) -> None:
     (place / "s.toml").write_text(
         "episodes = 1\nhorizon_s = 4.0\n[scene]\nwarmup_s = 10.0\nscenes_per_warmup = 2\nmin_neighbours = 1\n"

@@ -35,7 +35,7 @@ def words(scenes: Path, out: str, targets: str = "IDM") -> tuple[str, ...]:
 def test_a_bench_that_was_killed_goes_on_and_ends_with_the_same_bytes(scenes: Path, tmp_path: Path) -> None:
     whole = advdiff(*words(scenes, "whole"), cwd=tmp_path)
     assert whole.code == 0, whole.err
-    assert "12 episodes in 3 contests; 12 to do" in whole.out
+    assert "12 episodes in 3 cells; 12 to do" in whole.out
     first = begin(*words(scenes, "broken"), cwd=tmp_path, hash_seed=2)
     _wait_for(tmp_path / "broken" / "sweep" / "episodes", 3)
     first.kill()

@@ -6,45 +6,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from advdiff_sumo.core.errors import ConfigError, FileError
-from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
-from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
-from advdiff_sumo.sim.episode import Timing
 from advdiff_sumo.sim.run_store import TABLES, episode_tables
 from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.run_folder import FAILURES, RunFolder
 from advdiff_sumo.sweep.tasks import Failed
+from tests.sim.test_run_store import TIMING, record
 
 BLANK = {"str": "word", "int64": 0, "float64": 0.5, "bool": False}
-TIMING = Timing(wall_s=0.1, target_plans_s=(0.01, 0.03))
 
 
 def settings(**options: Any) -> dict[str, Any]:
     return {"run": {"advdiff_sumo": "0"}, "options": {"net": "a", "seed": 0, "episodes": 3, **options}}
-
-
-def record(number: int) -> EpisodeRecord:
-    """The target is there for three instants, a bus for the last two."""
-    valid = np.array([[True, True, True], [False, True, True]])
-    x = np.array([[0.0, 1.0, 2.0], [np.nan, 8.0, 8.0]])
-    tracks = Tracks(
-        ids=("ego", "bus7"),
-        classes=np.array([AgentClass.CAR, AgentClass.BUS]),
-        size_m=np.array([[4.5, 1.8], [12.0, 2.5]]),
-        xy_m=np.stack((x, 3.0 + 0.0 * x), axis=-1),
-        yaw_rad=0.0 * x,
-        speed_mps=10.0 + 0.0 * x,
-        valid=valid,
-        t0_s=0.0,
-        dt_s=0.1,
-    )
-    moved = np.where(valid, [[Controller.PLANNER], [Controller.POLICY]], Controller.ABSENT)
-    return EpisodeRecord(number, 5, f"scene{number}", tracks, 0, moved, ("e",), EndReason.HORIZON)
 
 
 def rows(number: int) -> tuple[dict[str, Any], list[dict[str, Any]]]:

@@ -15,7 +15,6 @@ from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence, LicenceName, licence_of
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_DT_S, PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.planning.futures import Futures
 
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 
 PAUSE_S = 8.0
 """Rest of a vehicle after a manoeuvre."""
-_EVERY = round(PLAN_DT_S / CHECK_DT_S)
 
 
 @dataclass(frozen=True)
@@ -77,12 +75,10 @@ def licensed_attack(
         manoeuvres, kept = advance(situation, kept, most, PAUSE_S, licence)
         speed = np.array([situation.speed(m.row) for m in manoeuvres])
         row_of = {row: k for k, row in enumerate(view.rows.tolist()) if view.moved[k]}
-        at = slice(_EVERY - 1, None, _EVERY)
-        planned = futures_of_manoeuvres(manoeuvres, speed)
+        xy, yaw, planned_speed = futures_of_manoeuvres(manoeuvres, speed).at_model_steps()
         for k, manoeuvre in enumerate(manoeuvres):
             if manoeuvre.row in row_of:
-                plan = planned.xy_m[k, at], planned.yaw_rad[k, at], planned.speed_mps[k, at]
-                driven[row_of[manoeuvre.row]] = plan
+                driven[row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]
     guided = [row for row in map(view.ids.index, attackers) if row not in driven]
     return LicensedAttack(False, _refused(situation, view, futures, guided, licence), driven, kept)
 

@@ -8,7 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_DT_S, CHECK_TIMES_S, SpeedProfile, drive_profiles
+from advdiff_sumo.traffic.manoeuvres.profiles import (
+    CHECK_DT_S,
+    CHECK_TIMES_S,
+    PLAN_DT_S,
+    SpeedProfile,
+    drive_profiles,
+)
 from advdiff_sumo.traffic.manoeuvres.ways import Way, smooth_step
 
 LATERAL_MPS = 1.1
@@ -17,6 +23,7 @@ doi:10.3141/1999-08, give 1 to 13 s with a mean of 4 to 6)."""
 ENTERS_SHARE = 0.35
 """Share of the way across after which a vehicle that changes lanes is over the line, and perceived as intruding."""
 _TURNS_MPS = 0.5
+_EVERY = round(PLAN_DT_S / CHECK_DT_S)
 
 
 @dataclass(frozen=True)
@@ -61,6 +68,11 @@ class ManoeuvreFutures:
     yaw_rad: FloatArray
     speed_mps: FloatArray
     driven_m: FloatArray
+
+    def at_model_steps(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return centres (C, S, 2), headings (C, S) and speeds (C, S) at the instants of a plan alone."""
+        at = slice(_EVERY - 1, None, _EVERY)
+        return self.xy_m[:, at], self.yaw_rad[:, at], self.speed_mps[:, at]
 
 
 def futures_of_manoeuvres(manoeuvres: Sequence[Manoeuvre], speed_mps: FloatArray) -> ManoeuvreFutures:

@@ -78,9 +78,7 @@ class SituationView:
 
     def signal(self, link: Link) -> str:
         """Return SUMO's letter of the light of *link*; "" where none controls it."""
-        state = self.scene.signals.get(link.tls_id or "", "")
-        known = link.tls_index is not None and 0 <= link.tls_index < len(state)
-        return state[link.tls_index] if known and link.tls_index is not None else ""
+        return link.signal(self.scene.signals)
 
     def neighbour(self, row: int, side: str) -> Way | None:
         """Return the way that *row* would follow on the lane to its "left" or "right"; None without one."""

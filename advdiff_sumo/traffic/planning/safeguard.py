@@ -196,10 +196,7 @@ def stop_distances(futures: Futures, watched: Watched, rows: BoolArray) -> Float
         for distance, link in lane.stops[:1] if lane is not None else ():
             room = distance - 0.5 * futures.size_m[row, 0] - _BEFORE_LINE_M
             need = 0.5 * futures.speed_mps[row, 0] ** 2 / max(room, 0.1)
-            if (
-                need <= _limit(_state(watched.signals, link.tls_id, link.tls_index))
-                and room > -_BEFORE_LINE_M
-            ):
+            if need <= _limit(link.signal(watched.signals)) and room > -_BEFORE_LINE_M:
                 stop[row] = max(room, 0.0)
     return stop
 
@@ -209,8 +206,3 @@ def _limit(state: str) -> float:
     if state in ("r", "u"):
         return _STOP_BRAKE_MPS2
     return _YELLOW_BRAKE_MPS2 if state in ("y", "Y") else -1.0
-
-
-def _state(signals: Mapping[str, str], light: str | None, index: int | None) -> str:
-    text = signals.get(light or "", "")
-    return text[index] if index is not None and index < len(text) else ""

@@ -14,14 +14,13 @@ from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName, licence_of
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_DT_S, PLAN_DT_S
+from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
 
 Kind: TypeAlias = Literal["any", "hard-stop", "cut-in", "crossing", "blocked-lane", "stop-and-go", "cut-out"]
-_EVERY = round(PLAN_DT_S / CHECK_DT_S)
 
 
 class ScriptedOptions(Options):
@@ -79,16 +78,16 @@ def tracks_of_manoeuvres(view: SituationView, manoeuvres: Sequence[Manoeuvre]) -
         return Tracks.empty(steps=1, dt_s=PLAN_DT_S, t0_s=begin)
     rows = [m.row for m in manoeuvres]
     futures = futures_of_manoeuvres(manoeuvres, np.array([view.speed(row) for row in rows]))
-    at = slice(_EVERY - 1, None, _EVERY)
+    xy, yaw, speed = futures.at_model_steps()
     now = view.scene.history.rows(rows)
     return Tracks(
         ids=now.ids,
         classes=now.classes,
         size_m=now.size_m,
-        xy_m=futures.xy_m[:, at],
-        yaw_rad=futures.yaw_rad[:, at],
-        speed_mps=futures.speed_mps[:, at],
-        valid=np.ones((len(rows), futures.yaw_rad[:, at].shape[1]), dtype=np.bool_),
+        xy_m=xy,
+        yaw_rad=yaw,
+        speed_mps=speed,
+        valid=np.ones(yaw.shape, dtype=np.bool_),
         t0_s=begin,
         dt_s=PLAN_DT_S,
     )

@@ -9,6 +9,7 @@ import numpy as np
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Lane
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 LENGTH_M, WIDTH_M = 4.5, 1.8
 
@@ -43,3 +44,10 @@ def scene_on(lanes: Mapping[str, tuple[Lane, float, float]]) -> Scene:
     )
     movable = np.arange(count) > 0
     return Scene(history, 0, movable, tuple((lane.edge_id,) for lane, _, _ in lanes.values()), {})
+
+
+def view_of(road: RoadMap, **cars: tuple[int, float, float]) -> SituationView:
+    """Return a view of cars: name → (lanes to the left of the rightmost, place, speed); the target first."""
+    right = long_lane(road)
+    lanes = [road.lanes[name] for name in road.edges[right.edge_id].lane_ids]
+    return SituationView.of(road, scene_on({n: (lanes[k], s, v) for n, (k, s, v) in cars.items()}))

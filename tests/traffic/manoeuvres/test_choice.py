@@ -16,19 +16,12 @@ from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_mano
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from tests.traffic.manoeuvres.scenes import LENGTH_M, long_lane, scene_on
+from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on, view_of
 
 
 @pytest.fixture(scope="module")
 def motorway(networks: object) -> RoadMap:
     return RoadMap.read(f"{networks}/motorway.net.xml")
-
-
-def view_of(road: RoadMap, **cars: tuple[int, float, float]) -> SituationView:
-    """Return a view of cars: name → (lanes to the left of the rightmost, place, speed); the target first."""
-    right = long_lane(road)
-    lanes = [road.lanes[name] for name in road.edges[right.edge_id].lane_ids]
-    return SituationView.of(road, scene_on({n: (lanes[k], s, v) for n, (k, s, v) in cars.items()}))
 
 
 def needed(view: SituationView, *manoeuvres: Manoeuvre, perceived_s: float = 0.0) -> list[float]:

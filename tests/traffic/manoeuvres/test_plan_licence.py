@@ -12,18 +12,12 @@ from advdiff_sumo.traffic.manoeuvres.plan_licence import plan_breaches
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from tests.traffic.manoeuvres.scenes import LENGTH_M, long_lane, scene_on
+from tests.traffic.manoeuvres.scenes import LENGTH_M, view_of
 
 
 @pytest.fixture(scope="module")
 def motorway(networks: object) -> RoadMap:
     return RoadMap.read(f"{networks}/motorway.net.xml")
-
-
-def view_of(road: RoadMap, **cars: tuple[int, float, float]) -> SituationView:
-    right = long_lane(road)
-    lanes = [road.lanes[name] for name in road.edges[right.edge_id].lane_ids]
-    return SituationView.of(road, scene_on({n: (lanes[k], s, v) for n, (k, s, v) in cars.items()}))
 
 
 def broken(view: SituationView, manoeuvre: Manoeuvre) -> frozenset[BreachKind]:

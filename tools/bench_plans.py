@@ -99,6 +99,7 @@ def main() -> None:
     parser.add_argument("--plans", type=int, default=60)
     parser.add_argument("--weights", default="", help="default: the shipped ones")
     parser.add_argument("--guide", choices=("reward", "none"), nargs="+", default=["reward", "none"])
+    parser.add_argument("--licence", choices=("lawful", "careless", "reckless"), default="lawful")
     parser.add_argument(
         "--batches", type=int, nargs="+", default=[1, 16, 128], help="scenes sampled at once on --device"
     )
@@ -117,10 +118,9 @@ def main() -> None:
     watch.wrap(diffusion_policy, "apply_safeguard", "safeguard")
     console = Console(width=120)
     for guide in arguments.guide:
-        made = DiffusionTraffic(weights=arguments.weights, guide=guide)
-        title = (
-            f"one plan in ms ({arguments.clock} time), {road.name}, guide {guide}, {made.options.steps} steps"
-        )
+        made = DiffusionTraffic(weights=arguments.weights, guide=guide, licence=arguments.licence)
+        how = f"guide {guide}, {arguments.licence}, {made.options.steps} steps"
+        title = f"one plan in ms ({arguments.clock} time), {road.name}, {how}"
         table = Table(title=title, title_justify="left")
         for name in ("vehicles", "median", "99 %", *STAGES, "SUMO", "× real time"):
             table.add_column(name, justify="right")

@@ -26,9 +26,9 @@ from advdiff_sumo.sim.sim_options import SceneOptions
 _ATTACKS = ("any", "cut-in", "rear-end", "head-on", "junction", "brake")
 #: Background, its options, and target.
 EPISODES: tuple[tuple[str, dict[str, Any], str], ...] = (
-    *(("diffusion", {"attack": kind, "attackers": 2}, "IDM") for kind in _ATTACKS),
+    *(("diffusion", {"attack": k, "attackers": 2, "licence": "reckless"}, "IDM") for k in _ATTACKS),
     *(("diffusion", {"guide": "none"}, "diffusion"), ("sumo", {}, "trafficsim"), ("sumo", {}, "simnet")),
-    *(("strive", {}, "IDM"), ("advsim", {}, "IDM"), ("adv-rl", {}, "IDM")),
+    *((rival, {"licence": "reckless"}, "IDM") for rival in ("strive", "advsim", "adv-rl")),
 )
 _SCENE = SceneOptions(warmup_s=30.0, scenes_per_warmup=1, min_neighbours=4)
 

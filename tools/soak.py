@@ -39,6 +39,7 @@ BACKGROUNDS: tuple[dict[str, Any], ...] = (
     {"name": "replay"},
     {"name": "diffusion", "vary": {"attack": list(ATTACKS)}},
     {"name": "diffusion", "options": {"strength": 0.0}},
+    {"name": "diffusion", "vary": {"licence": ["careless", "reckless"]}},
     {"name": "scripted"},
     {"name": "adv-rl"},
 )

@@ -1,8 +1,9 @@
 """Collisions and plausibility of configurations of background policies, on seed scenes that no table uses.
 
 A configuration is a background with its options, ``strive:rate=0.3,persistence=0.8``; ``strive:`` alone is its
-default. All meet the same targets in the same seed scenes. What is there already in the folder is not run again, so
-that one configuration after the other can be added:
+default, as in the paper's tables: its attackers may do anything (``licence=reckless``) unless it says otherwise. All
+meet the same targets in the same seed scenes. What is there already in the folder is not run again, so that one
+configuration after the other can be added:
 
     python tools/tune_rivals.py advsim: advsim:spread=0.6 strive: --targets lane_graph,IDM --scenes 10
 
@@ -21,6 +22,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from advdiff_sumo.experiments.bench.bench_rows import policy_row
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
 from advdiff_sumo.experiments.bench.scene_list import TUNING_LIST, SceneList, read_scene_list, shipped_list
 from advdiff_sumo.metrics.intervals import wilson
@@ -130,7 +132,7 @@ def measure(
     made = [(text, *options_of(text)) for text in configurations]
     cells = plan_cells(
         [
-            BenchCell(text, target, policy, background_options=options)
+            BenchCell(text, target, policy, background_options={**policy_row(policy).options, **options})
             for text, policy, options in made
             for target in targets
         ],

@@ -67,14 +67,14 @@ Licence: TypeAlias = Annotated[
     str | None,
     typer.Option(
         help="What attackers may do: lawful (no rule broken), careless, or reckless (the paper's).",
-        show_default="reckless; scripted: lawful",
+        show_default="lawful",
     ),
 ]
 Attack: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="diffusion: any, cut-in, rear-end, head-on, junction, brake; lawful ones and scripted: any, hard-stop, "
-        "cut-in, crossing, blocked-lane, stop-and-go, cut-out.",
+        help="diffusion and scripted: any, hard-stop, cut-in, crossing, blocked-lane, stop-and-go, cut-out; with "
+        "--licence reckless: any, cut-in, rear-end, head-on, junction, brake.",
         show_default="any",
     ),
 ]

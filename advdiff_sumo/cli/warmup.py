@@ -46,6 +46,7 @@ def warmup(
     if not out.parent.is_dir():
         raise FileError(out.parent, "no such folder", "make it, or choose another --out")
     policy = {
+        "licence": "reckless",  # a manoeuvre driven in a guided plan's place says nothing of that plan's latents
         "strength": strength,
         "attackers": attackers,
         "attack": attack,

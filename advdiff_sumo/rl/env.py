@@ -66,7 +66,7 @@ class Seat:
         if now is None or now.view.scene.time_s != scene.time_s:
             raise RuntimeError("the loop asks for a plan of an instant that nobody has observed")
         residuals = np.repeat(self.residual[None], len(now.rows), axis=0)
-        plan = joint_plan(road, now, self.prior, residuals, self._last)
+        plan = joint_plan(road, now, self.prior, residuals, self._last, "reckless")
         self._last = plan.tracks
         return plan, None
 

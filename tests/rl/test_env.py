@@ -81,6 +81,7 @@ def test_an_idle_attacker_is_the_untrained_policy(
     policy = AdvRl(
         weights=str(tmp_path / "a.safetensors"),
         prior_weights=settings["prior_weights"],
+        licence="reckless",
         strength=0.0,
         attackers=1,  # as in the environment
     )

@@ -28,15 +28,17 @@ class PolicyRow:
 
 
 NATURAL, UNGUIDED, OURS = "sumo", "unguided", "diffusion"
+PAPERS_LICENCE: Mapping[str, Any] = {"licence": "reckless"}
+"""What attackers may do in the paper's tables: anything that moves like a vehicle."""
 POLICY_ROWS: Mapping[str, PolicyRow] = {
     NATURAL: PolicyRow("SUMO (natural)", "sumo", {}, True),
     "replay": PolicyRow("Replay", "replay", {}, True),
     UNGUIDED: PolicyRow("diffusion, unguided", "diffusion", {"guide": "none"}, True),
     "traj2traj": PolicyRow("traj2traj", "traj2traj", {}, True),
-    "advsim": PolicyRow("AdvSim", "advsim"),
-    "strive": PolicyRow("Strive", "strive"),
-    "adv-rl": PolicyRow("Adv-RL", "adv-rl"),
-    OURS: PolicyRow("diffusion, guided (ours)", "diffusion"),
+    "advsim": PolicyRow("AdvSim", "advsim", PAPERS_LICENCE),
+    "strive": PolicyRow("Strive", "strive", PAPERS_LICENCE),
+    "adv-rl": PolicyRow("Adv-RL", "adv-rl", PAPERS_LICENCE),
+    OURS: PolicyRow("diffusion, guided (ours)", "diffusion", PAPERS_LICENCE),
 }
 REGISTERED: Mapping[str, str] = {name: row.background for name, row in POLICY_ROWS.items()}
 TARGET_TITLES: Mapping[str, str] = {

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
-from advdiff_sumo.experiments.bench.bench_rows import REGISTERED, made_policy, made_target, policy_row
+from advdiff_sumo.experiments.bench.bench_rows import (
+    PAPERS_LICENCE,
+    REGISTERED,
+    made_policy,
+    made_target,
+    policy_row,
+)
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import DEFECTS_LIST, SceneList, choose_scenes
@@ -75,14 +81,16 @@ def planted_in(target: str, request: Request, teller: ProgressReporter | None = 
 
 
 def _cell(name: str, target: str, defect: Defect | None = None) -> BenchCell:
+    """Return the cell of the row *name*; its attackers keep to the law, whatever they do in the paper's tables."""
     row = policy_row(name)
+    lawful = {key: value for key, value in row.options.items() if key not in PAPERS_LICENCE}
     options = {} if defect is None else {"defects": [defect.name]}
     return BenchCell(
         row=name,
         target=target,
         background=row.background,
         target_options=options,
-        background_options=row.options,
+        background_options=lawful,
         like=name,
         defect=SOUND if defect is None else defect.name,
     )

@@ -14,6 +14,7 @@ from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
 from advdiff_sumo.experiments.bench.adversarial import notes_of
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
+from advdiff_sumo.experiments.bench.bench_rows import PAPERS_LICENCE
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered, gather_rows
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
@@ -89,7 +90,9 @@ def plan_fewshot(folder: Folder, workers: int, teller: ProgressReporter) -> Benc
 
 
 def _bench_cell(guide: str, name: str, seed: int, mark: int, reward: Path | None = None) -> BenchCell:
-    options = {"guide": guide} | ({} if reward is None else {"reward": str(reward.resolve())})
+    options = {**PAPERS_LICENCE, "guide": guide} | (
+        {} if reward is None else {"reward": str(reward.resolve())}
+    )
     row, target = f"{guide}/{name}/{seed}/{mark}", _of(name)
     return BenchCell(row, target.target, "diffusion", target.options, options, like=f"--guide {guide}")
 
@@ -238,6 +241,5 @@ def _made(name: str) -> object:
 
 def _adaptation(guide: str, name: str, seed: int, folder: Folder) -> Adaptation:
     request, one = folder.request, _of(name)
-    return Adaptation(
-        one.target, one.options, seed, marks_of(request.steps), request.horizon_s, {"guide": guide}
-    )
+    options = {**PAPERS_LICENCE, "guide": guide}
+    return Adaptation(one.target, one.options, seed, marks_of(request.steps), request.horizon_s, options)

@@ -14,6 +14,7 @@ from advdiff_sumo.experiments.bench.adversarial import notes_of
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
 from advdiff_sumo.experiments.bench.bench_rows import (
     OURS,
+    PAPERS_LICENCE,
     POLICY_ROWS,
     TARGET_TITLES,
     made_policy,
@@ -141,7 +142,7 @@ def _samples(target: str, seen: Sequence[EpisodeResult]) -> dict[str, Sample]:
 
 def _warm_up(source: str, folder: Folder) -> Adaptation:
     request = folder.request
-    return Adaptation(source, {}, 0, (request.steps,), request.horizon_s)
+    return Adaptation(source, {}, 0, (request.steps,), request.horizon_s, PAPERS_LICENCE)
 
 
 def _against(name: str, source: str, targets: Sequence[str], folder: Folder, q: Path) -> list[BenchCell]:

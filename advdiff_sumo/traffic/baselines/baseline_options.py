@@ -25,7 +25,7 @@ class RivalOptions(Options):
         device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
     """
 
-    licence: LicenceName = "reckless"
+    licence: LicenceName = "lawful"
     rounds: int = Field(20, ge=0, le=1000)
     attackers: int = Field(2, ge=1, le=8)
     surrogate: str = "lane_graph"

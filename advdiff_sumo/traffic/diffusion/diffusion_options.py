@@ -45,8 +45,8 @@ class DiffusionOptions(Options):
     """Options of ``diffusion``.
 
     Attributes:
-        licence: what attackers may do: "reckless", anything that moves like a vehicle, as in the paper; "lawful": no
-            traffic rule is broken, and lawful manoeuvres are driven beside the guided plans; "careless": smaller gaps.
+        licence: what attackers may do: "lawful": no traffic rule is broken, and lawful manoeuvres are driven beside
+            the guided plans; "careless": smaller gaps; "reckless": anything that moves like a vehicle, as in the paper.
         strength: how hard attackers are guided against the target; 0 is natural traffic exactly.
         attackers: most vehicles that are guided at a time.
         attack: what they shall do; "any": whatever gets them close.
@@ -64,7 +64,7 @@ class DiffusionOptions(Options):
     """
 
     shipped: ClassVar[Literal["traffic", "traj2traj"]] = "traffic"
-    licence: LicenceName = "reckless"
+    licence: LicenceName = "lawful"
     strength: float = Field(1.0, ge=0.0, le=1.0)
     attackers: int = Field(2, ge=1, le=8)
     attack: Attack = "any"

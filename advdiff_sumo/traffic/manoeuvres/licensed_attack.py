@@ -15,6 +15,7 @@ from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence, LicenceName, licence_of
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
+from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.planning.futures import Futures
 
@@ -89,6 +90,7 @@ def _refused(
     """Return which of the *guided* rows break a rule, or leave the target no answer."""
     if not guided:
         return ()
+    futures = futures.lasting(round(CHECK_TIMES_S[-1] / futures.dt_s))
     xy, yaw = futures.halves()
     speed = np.empty(yaw.shape)
     speed[:, 1::2] = futures.speed_mps[:, 1:]

@@ -58,6 +58,19 @@ class Futures:
             self, xy_m=self.xy_m[:, cut], yaw_rad=self.yaw_rad[:, cut], speed_mps=self.speed_mps[:, cut]
         )
 
+    def lasting(self, steps: int) -> Futures:
+        """Return now and *steps* instants; who has no plan for so long goes on at its last velocity."""
+        if steps <= self.steps:
+            return self.first(steps)
+        last = self.xy_m[:, -1], self.yaw_rad[:, -1], self.speed_mps[:, -1]
+        rest = coasting(*last, self.size_m, steps - self.steps, self.dt_s)
+        return replace(
+            self,
+            xy_m=np.concatenate((self.xy_m, rest.xy_m[:, 1:]), axis=1),
+            yaw_rad=np.concatenate((self.yaw_rad, rest.yaw_rad[:, 1:]), axis=1),
+            speed_mps=np.concatenate((self.speed_mps, rest.speed_mps[:, 1:]), axis=1),
+        )
+
     def halves(self) -> tuple[FloatArray, FloatArray]:
         """Return positions (N, 2 T, 2) and headings (N, 2 T) at every half step from now on, now left out."""
         xy = np.empty((self.agents, 2 * self.steps, 2))

@@ -23,4 +23,4 @@ class AdvRlOptions(Options):
     prior_weights: str = ""
     strength: float = Field(1.0, ge=0.0, le=1.0)
     attackers: int = Field(2, ge=1, le=8)
-    licence: LicenceName = "reckless"
+    licence: LicenceName = "lawful"

@@ -80,8 +80,8 @@ def joint_plan(
     now: Situation,
     prior: Prior,
     residuals: FloatArray,
-    before: Tracks | None = None,
-    licence: LicenceName = "reckless",
+    before: Tracks | None,
+    licence: LicenceName,
 ) -> JointPlan:
     """Return the plan in which attackers deviate, made plausible as every policy's.
 

@@ -47,7 +47,7 @@ def latents(policy: DiffusionTraffic, road: RoadMap, scene: Scene) -> np.ndarray
         {},
         {"guide": "none"},
         {"guide": "reward-only"},
-        {"attack": "rear-end", "attackers": 3, "strength": 1.0},
+        {"licence": "reckless", "attack": "rear-end", "attackers": 3, "strength": 1.0},
         {"samples": 3, "eta": 1.0, "family": "printed", "steps": 3},
     ],
 )
@@ -109,7 +109,9 @@ def test_q_alone_knows_no_kinds_of_attack(weights: str, downtown: RoadMap, stree
     scene = street(PLACES[:3], SPEEDS[:3])
 
     def of(guide: str, attack: str) -> bytes:
-        policy = DiffusionTraffic(weights=weights, guide=guide, attack=attack, attackers=1)
+        policy = DiffusionTraffic(
+            weights=weights, licence="reckless", guide=guide, attack=attack, attackers=1
+        )
         tracks, memory = planned(policy, downtown, scene)
         assert tuple(memory.shifts) == ("v1",)
         return tracks.xy_m.tobytes()
@@ -120,7 +122,7 @@ def test_q_alone_knows_no_kinds_of_attack(weights: str, downtown: RoadMap, stree
 
 def test_attackers_stay_attackers(weights: str, downtown: RoadMap, street: Street) -> None:
     scene = street(PLACES, SPEEDS)
-    policy = DiffusionTraffic(weights=weights, attackers=1)
+    policy = DiffusionTraffic(weights=weights, licence="reckless", attackers=1)
     _, memory = planned(policy, downtown, scene)
     (chosen,) = memory.shifts
     other = next(name for name in ("v1", "v2") if name != chosen)

@@ -34,10 +34,13 @@ def futures_of_scene(scene: Scene) -> Futures:
     )
 
 
-def attack_of(road: RoadMap, scene: Scene, licence: Any, kept: Commitments | None = None) -> Any:
+def attack_of(
+    road: RoadMap, scene: Scene, licence: Any, kept: Commitments | None = None, steps: int = FUTURE_STEPS
+) -> Any:
     view = look(road, scene, np.zeros(scene.history.agents, dtype=np.bool_))
     assert view.ids == scene.history.ids
-    return licensed_attack(road, view, futures_of_scene(scene), ("v1",), licence, kept, 2)
+    futures = futures_of_scene(scene).first(steps)
+    return licensed_attack(road, view, futures, ("v1",), licence, kept, 2)
 
 
 @pytest.mark.parametrize(("licence", "refused"), [("lawful", (1,)), ("careless", (1,)), ("reckless", ())])
@@ -48,6 +51,14 @@ def test_who_would_ram_is_refused(
     attack = attack_of(downtown, scene, licence)
     assert attack.refused == refused
     assert attack.exempt is (licence == "reckless")
+
+
+def test_a_short_plan_is_held_to_the_law_beyond_its_end(
+    downtown: RoadMap, street: Callable[..., Scene]
+) -> None:
+    """20 m behind and 8 m/s faster: contact after 2 s, a second after the plan's end."""
+    scene = street([(60.0, 0.0), (40.0, 0.0)], [5.0, 13.0])
+    assert attack_of(downtown, scene, "lawful", steps=2).refused == (1,)
 
 
 def test_who_harms_nobody_is_left_alone(downtown: RoadMap, street: Callable[..., Scene]) -> None:

@@ -75,7 +75,7 @@ def test_untrained_it_is_the_behaviour_model(actor_file: Files, downtown: RoadMa
 
 def test_only_the_attacker_deviates(actor_file: Files, downtown: RoadMap, street: Street) -> None:
     scene = street([(60.0, 0.0), (85.0, 0.0), (20.0, 0.0)], [8.0, 8.0, 8.0])
-    made = policy(actor_file, "", 0.4)
+    made = policy(actor_file, "", 0.4, licence="reckless")
     rng = np.random.default_rng(0)
     plan, memory = made.plan(downtown, scene, made.start(downtown, scene, None, rng), rng)
     before = planned(policy(actor_file, "", 0.0), downtown, scene)

@@ -6,7 +6,7 @@ import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_completed, wait
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 
 from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import BreachKind
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, VERDICT_COLUMNS, Column
@@ -92,14 +93,19 @@ class Judging:
     keep: Callable[[str, JudgedRows], None]
     finish: Callable[[], None]
 
-    def judge(self, workers: int, tell: Callable[[], None]) -> list[dict[str, Any]]:
+    def judge(self, workers: int, tell: Callable[[], None], search: bool = False) -> list[dict[str, Any]]:
         """Judge all episodes in *workers* processes and return their rows; *tell* is called after each.
+
+        Args:
+            workers: as above.
+            tell: as above.
+            search: ask the clairvoyant search of each collision of the target; what it said before is kept otherwise.
 
         Raises:
             InputError: a table or net cannot be read, or the results not be written.
         """
         rows: list[tuple[str, dict[str, Any]]] = []
-        for key, judged in _judged(self.episodes(), workers):
+        for key, judged in _judged(self.episodes(), workers, search):
             self.keep(key, judged)
             rows.append((key, judged.episode))
             tell()
@@ -185,18 +191,23 @@ def _sweep(store: Store, plan: Plan) -> Judging:
     return Judging(len(jobs), episodes, keep, finish)
 
 
-def judge_episode(stored: EpisodeTables) -> JudgedRows:
+def judge_episode(stored: EpisodeTables, search: bool = False) -> JudgedRows:
     """Return the rows of *stored* with verdicts; those of an episode that never began without.
+
+    Args:
+        stored: the episode.
+        search: ask the clairvoyant search.
 
     Raises:
         NetError: the net cannot be read.
+        WeightsError: the search has no weights.
     """
     record = stored_record(stored.states, stored.row, stored.signals)
     row, collisions = dict(stored.row), [dict(x) for x in stored.collisions]
     if record is None or record.tracks.steps < 2:
         return JudgedRows(row, collisions)
     road = _road(stored.net)
-    metrics = summarise(record, road)
+    metrics = summarise(record, road, solvable(record, road) if search else row.get("solvable"))
     judged = episode_row(record, road, metrics)
     if bool(judged["target_collision"]) == bool(row["target_collision"]):
         row |= _told(row, {name: judged[name] for name in _JUDGED}, stored.signals)
@@ -223,16 +234,19 @@ def _told(before: Mapping[str, Any], judged: dict[str, Any], signals: pa.Table |
     return {**judged, **told, "verdict": f"{judged['verdict']} {reason}"}
 
 
-def _judged(episodes: Iterator[tuple[str, EpisodeTables]], workers: int) -> Iterator[tuple[str, JudgedRows]]:
+def _judged(
+    episodes: Iterator[tuple[str, EpisodeTables]], workers: int, search: bool
+) -> Iterator[tuple[str, JudgedRows]]:
     """Yield each episode with its verdict, in whatever order they are done."""
+    judge = partial(judge_episode, search=search)
     if workers <= 1:
         for key, one in episodes:
-            yield key, judge_episode(one)
+            yield key, judge(one)
         return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
         waiting: dict[Future[JudgedRows], str] = {}
         for key, one in episodes:
-            waiting[pool.submit(judge_episode, one)] = key
+            waiting[pool.submit(judge, one)] = key
             if len(waiting) >= _AHEAD * workers:
                 done, _ = wait(waiting, return_when=FIRST_COMPLETED)
                 yield from ((waiting.pop(future), future.result()) for future in done)

@@ -75,17 +75,20 @@ class Solution:
 
 
 @one_thread()
-def solve(episode: EpisodeStates, road: RoadMap, options: SolveOptions | None = None) -> Solution:
+def solve(
+    episode: EpisodeStates, road: RoadMap, options: SolveOptions | None = None, contact: int | None = None
+) -> Solution:
     """Return whether the target of *episode*, which ended in a collision, could have driven otherwise.
 
-    The episode is taken to collide where boxes first meet, or else, as contact may fall between two instants, at
-    its end. The target is given ``BEFORE_S`` to do something about it; whoever is no longer recorded afterwards
+    The target is given ``BEFORE_S`` to do something about it; whoever is no longer recorded afterwards
     keeps its velocity for ``AFTER_S``.
 
     Args:
         episode: its states.
         road: its net.
         options: how long to look.
+        contact: the instant from which on boxes overlap; None: that where boxes first meet, or else, as contact may
+            fall between two instants, the last.
 
     Raises:
         WeightsError: the networks are missing or unusable.
@@ -93,9 +96,11 @@ def solve(episode: EpisodeStates, road: RoadMap, options: SolveOptions | None = 
     """
     options = options or SolveOptions()
     tracks = episode.tracks
-    contact = first_contact(tracks, episode.target)
+    contact = first_contact(tracks, episode.target) if contact is None else contact
     stride = max(round(MODEL_STEP_S / tracks.dt_s), 1)
-    begin = max(contact - round(BEFORE_S / tracks.dt_s), 0)
+    absent = np.flatnonzero(~tracks.valid[episode.target, :contact])
+    earliest = int(absent[-1]) + 1 if absent.size else 0
+    begin = max(contact - round(BEFORE_S / tracks.dt_s), earliest)
     needed = (contact - begin) * tracks.dt_s + AFTER_S
     steps = min(int(np.ceil(needed / MODEL_STEP_S - 1e-9)), FUTURE_STEPS)
     around = surroundings(tracks, episode.target, begin, steps * stride)

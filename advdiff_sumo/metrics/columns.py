@@ -60,7 +60,15 @@ VERDICT_COLUMNS: Mapping[str, Column] = {
     "spare_m": _real("m", "by how much the careful driver clears the other; empty where it does not"),
     "spare_s": _real("s", "the least time in which it would have met anybody, at most 5 s"),
     "impact_left_mps": _real("m/s", "closing speed at which the careful driver still collides"),
-    "unavoidable": _flag("no reference driver avoids it; they only brake, see verdict.md", nullable=True),
+    "solvable": _flag(
+        "the clairvoyant search found a drive that avoids it; empty unless verdict --search asked it",
+        nullable=True,
+    ),
+    "unavoidable": _flag(
+        "no reference driver and no drive of the clairvoyant search avoids it; "
+        "empty where no driver does and the search was not asked",
+        nullable=True,
+    ),
     "verdict": _text("all of it as a sentence"),
 }
 """What verdict.md says of a collision of the target, or of the episode by its first."""

@@ -125,6 +125,7 @@ def verdict_values(verdict: Verdict) -> dict[str, Value]:
         "spare_m": _finite(verdict.spare_m),
         "spare_s": _finite(verdict.spare_s),
         "impact_left_mps": verdict.impact_left_mps,
+        "solvable": verdict.solvable,
         "unavoidable": verdict.unavoidable,
         "verdict": verdict.sentence,
     }

@@ -114,8 +114,15 @@ class EpisodeMetrics:
         return self.struck is not None or self.left_road is not None
 
 
-def summarise(record: EpisodeRecord, road: RoadMap) -> EpisodeMetrics:
-    """Return all metrics of *record*, driven on *road*."""
+def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None) -> EpisodeMetrics:
+    """Return all metrics of *record*, driven on *road*.
+
+    Args:
+        record: the episode.
+        road: its map.
+        solvable: of the target's first collision with another, as in
+            :func:`~advdiff_sumo.metrics.verdict.judge`.
+    """
     touches = find_touches(record.tracks)
     found = collisions(record, touches)
     struck, left_road = target_collision(record, found), target_leaves_road(record, road)
@@ -129,7 +136,7 @@ def summarise(record: EpisodeRecord, road: RoadMap) -> EpisodeMetrics:
     collided = struck is not None or left_road is not None or record.failure is not None
     return EpisodeMetrics(
         found=tuple(found),
-        struck=None if struck is None else judged(record, road, struck),
+        struck=None if struck is None else judged(record, road, struck, solvable),
         left_road=left_road,
         near_miss=None if collided else near_miss(record, road, criticality.ttc),
         sumo=compare_with_sumo(record, touches),
@@ -149,9 +156,12 @@ def _before(record: EpisodeRecord, struck: Collision | None, left_road: OffRoad 
     return record.tracks if left_road is None else record.tracks.window(0, left_road.step + 1)
 
 
-def judged(record: EpisodeRecord, road: RoadMap, collision: Collision) -> Judged:
+def judged(
+    record: EpisodeRecord, road: RoadMap, collision: Collision, solvable: bool | None = None
+) -> Judged:
     """Return a collision of the target with its verdict and whether the target saw it come."""
-    return Judged(collision, judge(record, road, collision), attacker_visible(record, collision))
+    verdict = judge(record, road, collision, solvable)
+    return Judged(collision, verdict, attacker_visible(record, collision))
 
 
 def _criticality(

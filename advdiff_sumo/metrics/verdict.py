@@ -47,8 +47,9 @@ class Verdict:
         spare_s: the least time in which it would have met anybody had all gone on as they did; None as before.
         impact_left_mps: closing speed at which that driver still collides; None where it does not.
         valid_failure: the other is lawful and it was preventable, or the target is at fault by rule.
-        unavoidable: no reference driver avoids it, nor a drive of the clairvoyant search where that was made; None
-            where neither could be asked.
+        solvable: whether the clairvoyant search found a drive that avoids it; None where it was not asked.
+        unavoidable: no reference driver and no drive of that search avoids it; None where none of the drivers does
+            and the search was not asked.
         not_judged: what could not be judged, and why.
         sentence: all of it, for people.
         drives: the drive of each reference driver, by model.
@@ -65,6 +66,7 @@ class Verdict:
     spare_s: float | None
     impact_left_mps: float | None
     valid_failure: bool
+    solvable: bool | None
     unavoidable: bool | None
     not_judged: tuple[str, ...]
     sentence: str
@@ -120,9 +122,12 @@ def judge(
         spare_s=None if clear is None else clear.spare_s,
         impact_left_mps=drives[YARDSTICK].impact_mps if preventable is False else None,
         valid_failure=valid,
-        unavoidable=_unavoidable(bool(drives), preventable_by, solvable),
+        solvable=solvable,
+        unavoidable=_unavoidable(preventable_by, solvable),
         not_judged=not_judged,
-        sentence=sentence_of(met, (target, other), fault, drives.get(YARDSTICK), preventable_by, not_judged),
+        sentence=sentence_of(
+            met, (target, other), fault, drives.get(YARDSTICK), preventable_by, not_judged, solvable
+        ),
         drives=drives,
     )
 
@@ -161,10 +166,10 @@ def _struck_from_behind(record: EpisodeRecord, drive: ReferenceDrive) -> bool:
     return bool(ahead < -0.5 * tracks.size_m[record.target, 0])
 
 
-def _unavoidable(driven: bool, preventable_by: tuple[str, ...], solvable: bool | None) -> bool | None:
+def _unavoidable(preventable_by: tuple[str, ...], solvable: bool | None) -> bool | None:
     if preventable_by or solvable:
         return False
-    return True if driven else (None if solvable is None else not solvable)
+    return None if solvable is None else True
 
 
 def _not_judged(view: TrafficView, met: Encounter, driven: bool) -> tuple[str, ...]:
@@ -194,6 +199,7 @@ def _off_road() -> Verdict:
         spare_s=None,
         impact_left_mps=None,
         valid_failure=True,
+        solvable=None,
         unavoidable=None,
         not_judged=(),
         sentence=off_road_sentence(),

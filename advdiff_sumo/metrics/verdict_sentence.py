@@ -14,6 +14,10 @@ from advdiff_sumo.metrics.reference import ReferenceDrive
 #: Decelerating by more than this is braking; the regulation's driver takes its foot off the pedal with 0.4 m/s².
 _BRAKING_MPS2 = 0.5
 _STANDING_MPS = 0.05
+_SEARCHED = {
+    True: "a drive exists that avoids it, for one who knows what the others will do",
+    False: "no drive was found that avoids it",
+}
 
 
 def sentence_of(
@@ -23,6 +27,7 @@ def sentence_of(
     drive: ReferenceDrive | None,
     preventable_by: Sequence[str],
     not_judged: Sequence[str],
+    solvable: bool | None = None,
 ) -> str:
     """Return what happened, what a careful driver would have done, and who broke which rule.
 
@@ -33,9 +38,11 @@ def sentence_of(
         drive: of the legal yardstick among the reference drivers; None where there is none.
         preventable_by: reference drivers that avoid it.
         not_judged: what could not be judged.
+        solvable: whether the clairvoyant search found a drive that avoids it; None where it was not asked.
     """
     target = "the target" if breaches[0] else ""
-    clauses = [_driver(met, drive, preventable_by), _conduct(f"'{met.other.name}'", breaches[1])]
+    searched = "" if preventable_by or solvable is None else _SEARCHED[solvable]
+    clauses = [_driver(met, drive, preventable_by), searched, _conduct(f"'{met.other.name}'", breaches[1])]
     if target:
         clauses.append(_conduct(target, breaches[0]))
     elif fault.at_fault is AtFault.TARGET:

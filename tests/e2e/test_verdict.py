@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from advdiff_sumo.metrics.columns import LATER_COLUMNS
 from tests.e2e.commands import Outcome
 from tests.metrics.encounter_folder import encounter_folder
+
+TOOL = Path(__file__).resolve().parents[2] / "tools" / "check_verdicts.py"
 
 
 @pytest.fixture
@@ -42,6 +47,42 @@ def test_the_same_verdicts_again(collided: Path, here: Callable[..., Outcome]) -
     assert done.code == 0, done.err
     assert "2 collisions of the target: 1 valid failures" in done.out
     assert (table(collided), table(collided, "collisions")) == before
+
+
+@pytest.mark.slow
+def test_the_search_says_what_is_unavoidable(collided: Path, here: Callable[..., Outcome]) -> None:
+    """Both encounters leave the target seconds; what the search says once is kept, and contradicts nothing."""
+    unsearched = check_verdicts(collided)
+    assert unsearched.returncode == 2
+    assert "nothing was searched" in unsearched.stderr
+    assert [row["solvable"] for row in table(collided)] == [None, None, None]
+    done = here("verdict", collided, "--search", "--workers", "1")
+    assert done.code == 0, done.err
+    assert "0 unavoidable" in done.out
+    searched = table(collided)
+    assert [(row["solvable"], row["unavoidable"]) for row in searched] == [(True, False)] * 2 + [(None, None)]
+    assert here("verdict", collided, "--workers", "1").code == 0
+    assert table(collided) == searched
+    checked = check_verdicts(collided)
+    assert checked.returncode == 0, checked.stderr
+    assert checked.stdout.splitlines()[0] == "2 collisions of the target"
+    assert "0 contradictions" in checked.stdout
+    contradict(collided)
+    checked = check_verdicts(collided, "--differences")
+    assert checked.returncode == 1
+    assert "episode 0, lead, by CC_human_driver" in checked.stdout
+
+
+def check_verdicts(*arguments: Path | str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, TOOL, *arguments], check=False, capture_output=True, text=True)
+
+
+def contradict(folder: Path) -> None:
+    """Say of every collision that no drive avoids it."""
+    path = folder / "collisions.parquet"
+    whole = pq.read_table(path)
+    column = whole.column_names.index("solvable")
+    pq.write_table(whole.set_column(column, "solvable", pa.array([False] * whole.num_rows)), path)
 
 
 def test_a_folder_of_an_earlier_version(collided: Path, here: Callable[..., Outcome]) -> None:

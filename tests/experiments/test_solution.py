@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.boxes import corners, overlap
+from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.experiments.solution import SolveOptions, first_contact, solve
 from advdiff_sumo.experiments.solution_check import drive, surroundings, usable
+from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.report.states import EpisodeStates
 from tests.traffic.small_networks import downtown, one_thread, weights
@@ -104,3 +106,37 @@ def test_beyond_the_record_velocities_are_kept(downtown: RoadMap) -> None:
     assert around.states.shape == (1, 16, 4)
     went = np.linalg.norm(around.states[0, 15, :2] - around.states[0, 5, :2])
     assert went == pytest.approx(5.0, abs=1e-6)
+
+
+def test_the_contact_may_be_given_and_nothing_before_the_target_is_there(
+    downtown: RoadMap, weights: str
+) -> None:
+    """Boxes meet after 35.4 m, at 4.5 s; the target is there from 0.3 s on."""
+    tracks = drives(downtown, [(20.0, 0.0, 8.0), (60.0, 0.0, 0.0)], 5.0)
+    tracks.valid[0, :3] = False
+    made = solve(EpisodeStates(tracks, 0), downtown, SolveOptions(weights=weights, draws=1, rounds=5), 45)
+    assert (made.begin_s, made.contact_s) == (pytest.approx(0.3), pytest.approx(4.5))
+    assert made.solvable
+
+
+def test_solvable_asks_about_the_first_collision_alone(downtown: RoadMap, weights: str) -> None:
+    """The car beside overlaps from the start, which counts for nothing; the one ahead could have been braked for."""
+    options = SolveOptions(weights=weights, draws=1, rounds=5)
+    record = record_of_tracks(drives(downtown, [(20.0, 0.0, 8.0), (56.0, 0.0, 0.0), (19.0, 1.0, 0.0)], 4.5))
+    assert solvable(record, downtown, options) is True
+    far = record_of_tracks(drives(downtown, [(20.0, 0.0, 8.0), (80.0, 0.0, 8.0)], 2.0))
+    assert solvable(far, downtown, options) is None
+
+
+def record_of_tracks(tracks: Tracks) -> EpisodeRecord:
+    return EpisodeRecord(
+        episode=0,
+        seed=0,
+        scene="",
+        tracks=tracks,
+        target=0,
+        controller=np.where(tracks.valid, Controller.SUMO, Controller.ABSENT).astype(np.int64),
+        route=(),
+        end=EndReason.HORIZON,
+        signals=(),
+    )

@@ -49,13 +49,15 @@ def test_a_cut_in_at_a_third_of_a_second_is_unavoidable(road) -> None:
     assert not result.lawful
     assert result.preventable is False
     assert result.preventable_by == ()
-    assert result.unavoidable
+    assert result.unavoidable is None  # nobody has looked for other drives
     assert result.impact_left_mps is not None
     assert result.impact_left_mps > 1.0
     assert result.spare_m is None
     assert result.sentence.startswith("Even a careful and competent driver")
-    # a search that found a drive has the last word
-    assert verdict(record_of(ego, cutter), road, solvable=True).unavoidable is False
+    searched = {x: verdict(record_of(ego, cutter), road, solvable=x) for x in (False, True)}
+    assert [searched[x].unavoidable for x in (False, True)] == [True, False]
+    assert "no drive was found that avoids it; 'cutter'" in searched[False].sentence
+    assert "a drive exists that avoids it" in searched[True].sentence
 
 
 def test_rear_ended_while_standing(road) -> None:
@@ -101,4 +103,7 @@ def test_leaving_the_road_is_a_valid_failure(road) -> None:
 def test_preventable_is_never_unavoidable(road, solvable) -> None:
     ego = straight("ego", (-150, -1.6), 0, 12, steps=81)
     lead = driven("lead", (-116, -1.6), 0, braking(12, 0.5, 3.0, 81))
-    assert verdict(record_of(ego, lead), road, solvable).unavoidable is False
+    result = verdict(record_of(ego, lead), road, solvable)
+    assert result.solvable is solvable
+    assert result.unavoidable is False
+    assert "a drive" not in result.sentence

@@ -1,0 +1,34 @@
+"""Asks the clairvoyant search of a recorded collision, for its verdict."""
+
+from __future__ import annotations
+
+from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.experiments.solution import SolveOptions, solve
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.collision import collisions, target_collision
+from advdiff_sumo.report.states import EpisodeStates
+
+
+def solvable(record: EpisodeRecord, road: RoadMap, options: SolveOptions | None = None) -> bool | None:
+    """Return whether a drive is found that avoids the target's first collision with another.
+
+    None where there is no such collision, or where its record has another step than the networks that the search
+    begins from.
+
+    Args:
+        record: the episode.
+        road: its map.
+        options: how long to look.
+
+    Raises:
+        WeightsError: the networks are missing or unusable.
+    """
+    struck = target_collision(record, collisions(record))
+    if struck is None:
+        return None
+    contact = min(struck.step + (struck.fraction > 0.0), record.tracks.steps - 1)
+    try:
+        return solve(EpisodeStates(record.tracks, record.target), road, options, contact).solvable
+    except SceneError:
+        return None

@@ -1,0 +1,77 @@
+"""Hold verdicts against the clairvoyant search; exit with 1 where a reference driver avoids what no drive does.
+
+advdiff-sumo verdict FOLDER --search
+python tools/check_verdicts.py FOLDER ... [--differences]
+
+Whatever a reference driver avoids can be avoided, so the search, which knows the others' future, must find a drive.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+COLUMNS = (
+    "episode",
+    "with_target",
+    "initial",
+    "second",
+    "time_s",
+    "preventable_by",
+    "solvable",
+    "unavoidable",
+)
+Row = Mapping[str, Any]
+
+
+def main() -> int:
+    """Print how often drivers and search avoid the collisions; return the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folders", type=Path, nargs="+", help="runs or sweeps judged with --search")
+    parser.add_argument("--differences", action="store_true", help="name the collisions that contradict")
+    given = parser.parse_args()
+    try:
+        rows = [(folder, row) for folder in given.folders for row in searched_collisions(folder)]
+    except (OSError, KeyError, pa.ArrowException) as error:
+        print(f"check_verdicts: {error}; give folders judged by verdict --search", file=sys.stderr)
+        return 2
+    if not rows:
+        print(
+            "check_verdicts: nothing was searched; run advdiff-sumo verdict FOLDER --search", file=sys.stderr
+        )
+        return 2
+    contradictions = [(folder, row) for folder, row in rows if contradicts(row)]
+    avoided = [row for _, row in rows if row["preventable_by"]]
+    human = sum("CC_human_driver" in row["preventable_by"] for row in avoided)
+    print(f"{len(rows)} collisions of the target")
+    print(f"{human} avoided by the careful driver, {len(avoided)} by any reference driver")
+    print(f"{sum(row['solvable'] for _, row in rows)} avoided by a drive of the search")
+    print(f"{sum(bool(row['unavoidable']) for _, row in rows)} unavoidable")
+    print(f"{len(contradictions)} contradictions")
+    if given.differences:
+        for folder, row in contradictions:
+            print(f"    {folder}: episode {row['episode']}, {row['second']}, by {row['preventable_by']}")
+    return 1 if contradictions else 0
+
+
+def searched_collisions(folder: Path) -> list[Row]:
+    """Return the rows of the target's collisions in *folder* of which the search was asked."""
+    rows = pq.read_table(folder / "collisions.parquet", columns=list(COLUMNS)).to_pylist()
+    return [row for row in rows if row["with_target"] and row["solvable"] is not None]
+
+
+def contradicts(row: Row) -> bool:
+    """Return whether a reference driver avoids the collision and the search, or the verdict, says none can."""
+    return bool(row["preventable_by"]) and (not row["solvable"] or row["unavoidable"] is not False)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

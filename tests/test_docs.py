@@ -81,3 +81,42 @@ def test_the_catalogue_of_defects_is_that_of_the_code(
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["write_defects_doc.py", "--check"])
     assert tool("write_defects_doc").main() == 0, capsys.readouterr().out
+
+
+def test_the_results_show_the_figures_of_the_tables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["write_results.py", "--check", "--from", str(tmp_path)])
+    assert tool("write_results").main() == 0, capsys.readouterr().out
+
+
+def test_a_stale_figure_in_the_results_is_noticed_and_mended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    module = tool("write_results")
+    page = tmp_path / "results.md"
+    page.write_text(module.PAGE.read_text().replace("6.60 [6.13, 7.08]", "6.06 [6.13, 7.08]"))
+    monkeypatch.setattr(module, "PAGE", page)
+    monkeypatch.setattr(sys, "argv", ["write_results.py", "--check", "--from", str(tmp_path)])
+    assert module.main() == 1
+    assert "is behind the benches" in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", ["write_results.py", "--from", str(tmp_path)])
+    assert module.main() == 0
+    assert page.read_text() == (ROOT / "docs" / "results.md").read_text()
+
+
+def test_the_results_stay_short() -> None:
+    page = (ROOT / "docs" / "results.md").read_text()
+    assert len(page.encode()) <= 8192
+    for table in re.findall(r"^\|.*\n\|-.*\n((?:\|.*\n)+)", page, re.MULTILINE):
+        rows = table.splitlines()
+        assert len(rows) <= 6
+        assert all(row.count("|") - 1 <= 5 for row in rows)
+
+
+def test_no_page_tells_its_own_history() -> None:
+    history = re.compile(
+        r"before today|earlier revision|the Q before|as it was (?:before|in)|the default before", re.I
+    )
+    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md")):
+        assert not history.findall(page.read_text()), page.name

@@ -1,38 +1,103 @@
-"""Put the tables of finished benches into docs/results.md: write_results.py [--from runs] [--check].
+"""Put figures of finished benches into docs/tables and docs/results.md: write_results.py [--from runs] [--check].
 
-A place ``<!-- table NAME -->`` is filled from the folder ``bench-NAME``; places without one stay as they are.
+A folder ``bench-NAME`` becomes ``docs/tables/NAME.csv``, ``NAME-differences.csv`` and an entry of ``provenance.json``.
+A place ``<!-- table NAME -->`` of the page shows what ``tools/results_tables.toml`` picks from that CSV.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import re
 import sys
+import tomllib
 from pathlib import Path
+from typing import Any
 
 from advdiff_sumo.experiments.bench.table_cache import read_table
-from advdiff_sumo.experiments.bench.write_table import markdown_text
+from advdiff_sumo.experiments.bench.write_table import csv_text
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "results.md"
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "results.md"
+TABLES = ROOT / "docs" / "tables"
+SELECTION = ROOT / "tools" / "results_tables.toml"
+PROVENANCE = "provenance.json"
 _PLACE = re.compile(r"(<!-- table ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _FLAGS = {"scenes": "--scenes", "policies": "--policies", "targets": "--targets", "horizon_s": "--horizon"}
+_KEY = ("target", "row", "column")
 
 
-def filled(page: str, folder: Path) -> str:
-    """Return *page* with every place filled whose bench is in *folder*."""
+def bench_files(runs: Path, names: list[str]) -> dict[str, str]:
+    """Return the text of each file of ``docs/tables`` that a finished bench in *runs* gives.
 
-    def put(found: re.Match[str]) -> str:
-        bench = folder / f"bench-{found[2]}"
-        if not (bench / "table.json").is_file():
-            return found[0]
-        return f"{found[1]}{command(bench)}\n\n{markdown_text(read_table(bench))}{found[3]}"
+    Args:
+        runs: folder of the benches' folders.
+        names: tables of the page.
+    """
+    provenance = json.loads((TABLES / PROVENANCE).read_text(encoding="utf-8"))
+    files: dict[str, str] = {}
+    for name in names:
+        bench = runs / f"bench-{name}"
+        if (bench / "table.json").is_file():
+            table = read_table(bench)
+            files[f"{name}.csv"] = csv_text(table, table.heads)
+            files[f"{name}-differences.csv"] = (bench / "differences.csv").read_text(encoding="utf-8")
+            provenance[name] = {"command": command(bench), "title": table.title, "notes": list(table.notes)}
+    files[PROVENANCE] = json.dumps(provenance, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+    return files
 
-    return _PLACE.sub(put, page)
+
+def filled(page: str, files: dict[str, str]) -> str:
+    """Return *page* with every place filled from *files*, or from ``docs/tables`` where these lack it."""
+    selection = tomllib.loads(SELECTION.read_text(encoding="utf-8"))
+
+    def text(name: str) -> str:
+        return files[name] if name in files else (TABLES / name).read_text(encoding="utf-8")
+
+    def place(match: re.Match[str]) -> str:
+        name = match[2]
+        lines = list(csv.DictReader(text(f"{name}.csv").splitlines()))
+        origin = json.loads(text(PROVENANCE))[name]
+        pairs = (
+            f", [pairs](tables/{name}-differences.csv)"
+            if (TABLES / f"{name}-differences.csv").is_file()
+            else ""
+        )
+        source = f"[CSV](tables/{name}.csv){pairs}, `{origin['command']}`"
+        return f"{match[1]}{picked(lines, selection[name])}\n{source}\n{match[3]}"
+
+    return _PLACE.sub(place, page)
+
+
+def picked(lines: list[dict[str, str]], selection: dict[str, Any]) -> str:
+    """Return as Markdown the cells of *lines*, a CSV's, that *selection* picks.
+
+    A row and a column of the selection each give a part of ``target``, ``row`` and ``column``, which name one line.
+    """
+    cells = {tuple(line[key] for key in _KEY): line for line in lines}
+    text = f"|  | {' | '.join(column['title'] for column in selection['columns'])} |\n"
+    text += "|---|" + "--:|" * len(selection["columns"]) + "\n"
+    for row in selection["rows"]:
+        shown = []
+        for column in selection["columns"]:
+            asked = {"target": "", **row, **column}
+            shown.append(_cell(cells.get(tuple(asked[key] for key in _KEY)), column.get("digits", 1)))
+        text += f"| {row.get('title', row['row'])} | {' | '.join(shown)} |\n"
+    return text
+
+
+def _cell(line: dict[str, str] | None, digits: int) -> str:
+    if line is None or not line["value"]:
+        return "–"
+    value = f"{float(line['value']):.{digits}f}"
+    if not line["low"]:
+        return value
+    return f"{value} [{float(line['low']):.{digits}f}, {float(line['high']):.{digits}f}]"
 
 
 def command(bench: Path) -> str:
-    """Return the command that asks for what the folder *bench* holds, as a line of the page."""
+    """Return the command that asks for what the folder *bench* holds."""
     request = json.loads((bench / "bench.json").read_text(encoding="utf-8"))["request"]
     words = ["advdiff-sumo", "bench", request["bench"]]
     for key, flag in _FLAGS.items():
@@ -42,24 +107,29 @@ def command(bench: Path) -> str:
         if value and not (request["bench"] == "traffic" and key == "horizon_s"):
             words += [flag, f"{value:g}" if isinstance(value, float) else Path(str(value)).name]
     words += ["--data windows"] if request["data"] else []
-    return f"`{' '.join(words)}`"
+    return " ".join(words)
 
 
 def main() -> int:
-    """Write the page, or with ``--check`` return 1 when it is not what the folders hold."""
+    """Write tables and page, or with ``--check`` return 1 when they are not what the folders hold."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--from", dest="folder", type=Path, default=Path("runs"), help="folder of the benches' folders"
     )
     parser.add_argument("--check", action="store_true", help="write nothing")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     before = PAGE.read_text(encoding="utf-8")
-    after = filled(before, asked.folder)
-    if asked.check:
-        if after != before:
-            print(f"{PAGE.name} is behind the benches in {asked.folder}: run tools/write_results.py")
-        return int(after != before)
-    PAGE.write_text(after, encoding="utf-8")
+    files = bench_files(options.folder, [match[2] for match in _PLACE.finditer(before)])
+    after = {PAGE: filled(before, files), **{TABLES / name: text for name, text in files.items()}}
+    stale = [
+        path for path, text in after.items() if not path.is_file() or path.read_text(encoding="utf-8") != text
+    ]
+    if options.check:
+        for path in stale:
+            print(f"{path.name} is behind the benches in {options.folder}: run tools/write_results.py")
+        return int(bool(stale))
+    for path in stale:
+        path.write_text(after[path], encoding="utf-8")
     return 0
 
 

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from soak_src.checks import States, problems, runs_of
 from soak_src.places import Place, places
 
-from advdiff_sumo.core.errors import AdvdiffError
+from advdiff_sumo.core.errors import UNEXPLAINED_KINDS, AdvdiffError
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net
@@ -55,6 +55,8 @@ SCENE = {
     "max_vehicles": 400,
 }
 RETRIES = 1
+#: What must not happen: failures that nothing explains, and hangs. All others say whose fault they are.
+UNTYPED = UNEXPLAINED_KINDS | {"timeout"}
 
 
 def main() -> int:
@@ -97,13 +99,14 @@ def _soaked(place: Place, options: argparse.Namespace) -> Iterator[tuple[str, st
     for _ in range(missing):
         yield "lost", f"no record of an episode; advdiff-sumo sweep {folder / 'sweep.toml'} --resume"
     failures = {row["episode"]: row for row in read_rows(folder, "failures")}
-    typed = {"plan_refused", "planner_error", "planner_timeout", "no_scene", "scene_error"}
     for row in failures.values():
-        word = "typed" if row["kind"] in typed else "untyped"
+        word = "untyped" if row["kind"] in UNTYPED else "typed"
         yield word, f"{row['kind']}: {row['message']} | {row['command']}"
-    keys = {row["episode"]: row["key"] for row in read_rows(folder, "episodes")}
+    rows = {row["episode"]: row for row in read_rows(folder, "episodes")}
+    keys = {number: row["key"] for number, row in rows.items()}
     wrong: set[int] = set()
-    for number, sentence in _checked(place, folder):
+    replays = {number for number, row in rows.items() if row["background"] == "replay" and not place.scenes}
+    for number, sentence in _checked(place, folder, replays):
         wrong.add(number)
         yield "wrong", f"{sentence} | advdiff-sumo replay {keys.get(number, number)} --sweep {folder}"
     for number in keys:
@@ -140,14 +143,17 @@ def _driven(place: Place, folder: Path, options: argparse.Namespace) -> int:
     return run_sweep(plan, store, Todo.of(plan, store), executor, RETRIES, lambda *_: None)
 
 
-def _checked(place: Place, folder: Path) -> Iterator[tuple[int, str]]:
-    """Yield what is wrong in the states of the place's episodes, with the number of the episode."""
+def _checked(place: Place, folder: Path, replays: set[int]) -> Iterator[tuple[int, str]]:
+    """Yield what is wrong in the states of the place's episodes, with the number of the episode.
+
+    *replays* are episodes in which the others replay SUMO's traffic.
+    """
     road = RoadMap.read(find_net(place.net))
     contacts = read_rows(folder, "collisions")
     table = pq.read_table(folder / "states.parquet")
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
     for number, rows in runs_of(columns["episode"]):
-        states = States.of({name: values[rows] for name, values in columns.items()})
+        states = States.of({name: values[rows] for name, values in columns.items()}, replay=number in replays)
         mine = [row for row in contacts if row["episode"] == number]
         for sentence in problems(states, road, mine):
             yield number, sentence

@@ -13,8 +13,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
 from advdiff_sumo.report.run_summary import summary_figures, summary_lines
 
+UNEXPLAINED = "neither a plug-in nor the input explains this: please report it, with that command and the net"
 _WHEN = re.compile(r" (at [\d.]+ s of the episode|before the first step)")
 
 
@@ -43,7 +45,9 @@ def print_summary(
         console.print(f"[yellow]the log held {missing} seed scenes fewer than asked for[/yellow]")
     for failure, count in _distinct(failures):
         told = f"failed, {count} of {len(rows)}: {failure['kind']}: {failure['message']}"
-        console.print(f"{told}\n  again: {failure['command']}", style="red", markup=False, soft_wrap=True)
+        report = f"\n  {UNEXPLAINED}" if failure["kind"] in UNEXPLAINED_KINDS else ""
+        again = f"\n  again: {failure['command']}{report}"
+        console.print(told + again, style="red", markup=False, soft_wrap=True)
     console.print(f"results: {folder}  ·  look at {folder / 'report.html'}", soft_wrap=True)
 
 

@@ -11,6 +11,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from advdiff_sumo.cli.summary import UNEXPLAINED
+from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
 from advdiff_sumo.metrics.severity import is_valid_failure, worst_first
 from advdiff_sumo.sweep.condition import Condition, Undefined
 from advdiff_sumo.sweep.consolidate import read_rows
@@ -150,6 +152,8 @@ def _print_failures(console: Console, failures: Sequence[Row]) -> None:
     for kind, count in sorted(Counter(row["kind"] for row in failures).items()):
         table.add_row(kind, str(count), first[kind]["message"], first[kind]["command"])
     console.print(table)
+    for kind in sorted(first.keys() & UNEXPLAINED_KINDS):
+        console.print(f"{kind}: {UNEXPLAINED}", style="red", soft_wrap=True)
 
 
 def _print_findings(console: Console, found: Sequence[Finding]) -> None:

@@ -20,6 +20,8 @@ AdvdiffError
     ├── PlannerCrashedError  a planner's own process ended, or cannot be reached
     ├── OutOfMemoryFailure  the planner or policy asked for more memory than a worker may have
     └── SimulationError   SUMO refused or stopped
+        ├── StartRefusedError  SUMO does not start with the net, demand or options that it is given
+        └── NotInsertedError   SUMO has no lane for a vehicle, or refuses it
 """
 
 from __future__ import annotations
@@ -136,6 +138,22 @@ class SimulationError(EpisodeFailure):
     """SUMO refused a command or stopped."""
 
     kind = "simulation_error"
+
+
+class StartRefusedError(SimulationError):
+    """SUMO does not start with the net, demand or options that it is given; the message holds its reason."""
+
+    kind = "start_refused"
+
+
+class NotInsertedError(SimulationError):
+    """SUMO has no lane for a vehicle that it must have, or refuses it."""
+
+    kind = "not_inserted"
+
+
+UNEXPLAINED_KINDS = frozenset({SimulationError.kind, "simulator_crashed", "worker_died", "error"})
+"""Kinds of failure that neither a plug-in nor what was given explains: faults of SUMO, the machine or this package."""
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

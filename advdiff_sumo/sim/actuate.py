@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
-from advdiff_sumo.core.errors import SimulationError
+from advdiff_sumo.core.errors import NotInsertedError
 from advdiff_sumo.core.frames import bumper_from_centre, sumo_from_yaw, unit
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
@@ -98,14 +98,14 @@ class Actuator:
         """Bring *row* into SUMO: on the lane nearest to its pose in the next step, exactly from then on.
 
         Raises:
-            SimulationError: the net has no lane to put it on, or SUMO refuses it.
+            NotInsertedError: the net has no lane to put it on, or SUMO refuses it.
         """
         xy, yaw = self.world.xy_m[row], float(self.world.yaw_rad[row])
         vclass = VCLASS_OF_CLASS[AgentClass(int(self.world.classes[row]))]
         pose = self.road.locate(xy, yaw, vclass=vclass, max_distance_m=np.inf)
         name = self._fresh_name(row)
         if pose is None:
-            raise SimulationError(f"no lane of {self.road.name} is open to '{name}', a {vclass}")
+            raise NotInsertedError(f"no lane of {self.road.name} is open to '{name}', a {vclass}")
         point, along = self.road.to_world(pose.lane_id, pose.s_m)
         front = bumper_from_centre(point, along, self.world.size_m[row, 0])
         try:
@@ -116,7 +116,7 @@ class Actuator:
             )
         except Exception as error:
             self._forget(name)
-            raise SimulationError(f"SUMO refuses to insert '{name}': {error}") from error
+            raise NotInsertedError(f"SUMO refuses to insert '{name}': {error}") from error
         self.moved[row] = Moved(1.0, _FREE_MAX_SPEED, inserted=False)
         self.outside.discard(row)
 
@@ -124,7 +124,7 @@ class Actuator:
         """Bring *row* into SUMO, or note that SUMO refuses it and move it outside."""
         try:
             self.insert(row, type_id)
-        except SimulationError:
+        except NotInsertedError:
             self.refused.add(row)
             self.outside.add(row)
 

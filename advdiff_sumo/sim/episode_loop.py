@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
-from advdiff_sumo.core.errors import SimulationError
+from advdiff_sumo.core.errors import NotInsertedError
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, Failure
 from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.metrics.contact import standing_overlaps, target_contact
@@ -80,7 +80,7 @@ class Loop:
             self.world.remove(read(self.world, self.api, ()))
         row = self.world.row_of(scene.target)
         if row is None:
-            raise SimulationError(f"the target '{scene.target}' did not get into SUMO")
+            raise NotInsertedError(f"the target '{scene.target}' did not get into SUMO")
         self.target = row
         self.signals = read_signals(self.api)
         self.recorder.begin(scene.history)

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from advdiff_sumo.core.errors import SimulationError
+from advdiff_sumo.core.errors import SimulationError, StartRefusedError
 
 _log = logging.getLogger(__name__)
 
@@ -99,7 +99,7 @@ class Session:
             try:
                 self.api.start([_binary(program) if self.options.gui else program, *self.options.arguments()])
             except Exception as error:
-                raise SimulationError(f"SUMO does not start: {_cause(said(), error)}") from error
+                raise StartRefusedError(f"SUMO does not start: {_cause(said(), error)}") from error
         Session._open = True
         _log.debug("SUMO began: %s", " ".join(self.options.arguments()))
         return self

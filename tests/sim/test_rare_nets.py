@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from advdiff_sumo.core.errors import FileError, SimulationError
+from advdiff_sumo.core.errors import FileError, NotInsertedError
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.core.seeds import SeedTree
@@ -134,7 +134,7 @@ def test_whom_sumo_refuses_stays_outside_and_is_counted(tmp_path: Path) -> None:
     net = buses_westbound(tmp_path)
     with stage(net) as s:
         actuator, row = placed(s.api, net, AgentClass.BUS)
-        with pytest.raises(SimulationError, match="SUMO refuses to insert 'b'"):
+        with pytest.raises(NotInsertedError, match="SUMO refuses to insert 'b'"):
             actuator.insert(row, "car")
         actuator.try_insert(row, "car")
         assert actuator.refused == actuator.outside == {row}

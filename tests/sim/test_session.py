@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from advdiff_sumo.core.errors import NetError, SimulationError
+from advdiff_sumo.core.errors import NetError, SimulationError, StartRefusedError
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.session import Session, SessionOptions
 from tests.hang_guard import HANG_S
@@ -99,7 +99,7 @@ def test_a_bad_net_gives_sumos_own_sentence_and_prints_nothing(
     if content is not None:
         net.write_text(content)
     with (
-        pytest.raises(SimulationError, match="SUMO does not start: ") as caught,
+        pytest.raises(StartRefusedError, match="SUMO does not start: ") as caught,
         Session(SessionOptions(net, 1)),
     ):
         pass

@@ -18,6 +18,7 @@ from tests.sim import nets
 TOOLS = Path(__file__).parents[2] / "tools"
 sys.path.insert(0, str(TOOLS))
 from soak_src.checks import States, problems  # noqa: E402 - the tools are no package
+from soak_src.lane_seams import carried_m  # noqa: E402
 
 STEPS, STEP_S, SPEED_MPS = 11, 0.1, 10.0
 
@@ -40,6 +41,7 @@ def two_eastbound(gap_m: float) -> States:
         xy,
         0.0 * ones,
         SPEED_MPS * ones,
+        ones.astype(bool),
         ones.astype(bool),
         np.zeros(2, dtype=bool),
         STEP_S,
@@ -83,6 +85,57 @@ def test_nan_and_a_sumo_vehicle_beside_all_lanes_are_named(road: RoadMap) -> Non
     assert "NaN in a state of 'other'" in [*problems(replace(states, speed_mps=speed), road, [])]
     beside = moved(states, 0.0, -4.0, 0)  # 8.8 m south; the lane ends at 6.4 m
     assert [*problems(beside, road, [])] == ["'other' is driven by SUMO 2.40 m beside all lanes at step 0"]
+
+
+def test_a_lane_may_be_wide(tmp_path: Path) -> None:
+    """Lanes of 16 m from y = 0 to −16: 7.5 m beside the centre line is on the lane, 8.5 m is not."""
+    edges = nets.STREET[1].replace('numLanes="2"', 'numLanes="1" width="16"')
+    wide = RoadMap.read(nets.build(tmp_path, nets.STREET[0], edges, name="wide"))
+    states = two_eastbound(10.0)
+    assert [*problems(moved(states, 0.0, 4.8 - 15.5, 0), wide, [])] == []
+    assert [*problems(moved(states, 0.0, 4.8 - 16.5, 0), wide, [])] == [
+        "'other' is driven by SUMO 0.50 m beside all lanes at step 0"
+    ]
+
+
+SLANTED = """<edges>
+<edge id="slanted" from="W" to="M" numLanes="2" speed="14" length="195">
+<lane index="0" shape="0,-4.8 200,-4.8"/><lane index="1" shape="0,-1.6 180,-1.6"/>
+</edge>
+<edge id="on" from="M" to="E" numLanes="2" speed="14"/>
+</edges>"""
+
+
+def test_a_lane_change_between_lanes_of_unequal_length_is_sumos_own_jump(tmp_path: Path) -> None:
+    """Lanes drawn 190 m and 180 m long, both 195 m for SUMO: at 130 m of these they are at x = 127 and x = 120."""
+    net = nets.build(tmp_path, nets.STREET[0], SLANTED, name="slanted")
+    lengths = RoadMap.read(net)
+    places, lanes = [], []
+    with nets.stage(net) as s:
+        s.add("other", ("slanted", "on"), at=120.0, speed=10.0)
+        s.free("other")
+        s.api.vehicle.setSpeed("other", 10.0)
+        s.api.vehicle.changeSublane("other", 3.2)
+        while len(places) < 40:
+            places.append(s.pose("other")[0])
+            lanes.append(s.api.vehicle.getLaneIndex("other"))
+            s.step()
+    change = lanes.index(1)
+    states = two_eastbound(10.0)
+    xy = states.xy_m.copy()
+    xy[1] = places[change - 5 : change + 6]
+    xy[0, :, 0] -= 80.0
+    jumped = replace(states, xy_m=xy)
+    excess = float(np.hypot(*(xy[1, 5] - xy[1, 4]))) - 1.0
+    assert excess > 5.0
+    most = carried_m(lengths, xy[1, 4] + (2.5, 0.0), 1.0)
+    # the same change of lane backwards: on by 1 m, not back by 1 m
+    assert most == pytest.approx(excess + 2.0, abs=0.5)
+    assert [*problems(jumped, lengths, [])] == []
+    moved_by_us = replace(jumped, sumo_course=np.zeros((2, STEPS), dtype=bool))
+    assert any("jump in position of 'other'" in sentence for sentence in problems(moved_by_us, lengths, []))
+    beyond = moved(jumped, -5.0, 0.0, 5)
+    assert any("jump in position of 'other'" in sentence for sentence in problems(beyond, lengths, []))
 
 
 def test_contacts_must_be_those_of_the_boxes(road: RoadMap) -> None:

@@ -13,12 +13,13 @@ import shapely
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.frames import bumper_from_centre, wrap_angle
 from advdiff_sumo.maps import RoadMap
+from soak_src.lane_seams import carried_m
 
 #: Beyond what speed and step explain: of a position, of a speed in a step, and of a heading in a step.
 JUMP_M, JUMP_MPS, JUMP_RAD = 0.8, 3.0, 0.35
 #: A bend of a lane's centre line turns a vehicle that SUMO drives at once, so its heading may change by this.
 SUMO_JUMP_RAD = 1.6
-BESIDE_M = 0.3
+BESIDE_M, SEARCH_M = 0.3, 5.0
 TOUCH_M2, TOUCH_M, TOUCH_STEPS = 1e-3, 0.6, 1
 
 
@@ -32,6 +33,7 @@ class States:
         length_m, width_m: (A,) boxes.
         xy_m, yaw_rad, speed_mps: (A, T, 2), (A, T), (A, T); NaN where absent.
         by_sumo: (A, T) whether SUMO drove the agent.
+        sumo_course: (A, T) whether it moves as SUMO moved it, then or in the traffic that is replayed.
         walks: (A,) whether it is a pedestrian.
         step_s: spacing.
     """
@@ -44,12 +46,19 @@ class States:
     yaw_rad: FloatArray
     speed_mps: FloatArray
     by_sumo: BoolArray
+    sumo_course: BoolArray
     walks: BoolArray
     step_s: float
 
     @staticmethod
-    def of(columns: Mapping[str, Any], step_s: float = 0.1) -> States:
-        """Return columns of ``states.parquet`` (NumPy arrays of one episode) as arrays over agents and steps."""
+    def of(columns: Mapping[str, Any], step_s: float = 0.1, *, replay: bool = False) -> States:
+        """Return columns of ``states.parquet`` (NumPy arrays of one episode) as arrays over agents and steps.
+
+        Args:
+            columns: by name.
+            step_s: spacing.
+            replay: the others' courses are those of recorded SUMO traffic.
+        """
         ids, row = np.unique(columns["agent"].astype(str), return_inverse=True)
         shape, step = (len(ids), int(columns["step"].max()) + 1), columns["step"]
 
@@ -60,6 +69,7 @@ class States:
 
         by_sumo = np.zeros(shape, dtype=np.bool_)
         by_sumo[row, step] = columns["controller"] == "sumo"
+        others = ~np.isin(ids, columns["agent"][columns["is_target"]].astype(str))[:, None]
         first = np.unique(row, return_index=True)[1]
         return States(
             tuple(ids.tolist()),
@@ -70,6 +80,7 @@ class States:
             grid("yaw_rad"),
             grid("speed_mps"),
             by_sumo,
+            by_sumo | (others & replay),
             columns["class"][first] == "pedestrian",
             step_s,
         )
@@ -87,13 +98,16 @@ def problems(states: States, road: RoadMap, contacts: list[Mapping[str, Any]]) -
     holes = there & ~(np.isfinite(states.xy_m).all(-1) & np.isfinite(states.speed_mps))
     if holes.any():
         yield f"NaN in a state of '{states.ids[int(np.argwhere(holes)[0, 0])]}'"
-    yield from _jumps(states)
+    yield from _jumps(states, road)
     yield from _off_lanes(states, road)
     yield from _contacts(states, contacts)
 
 
-def _jumps(states: States) -> Iterator[str]:
-    """Yield where somebody moves, speeds up or turns as nothing on wheels does."""
+def _jumps(states: States, road: RoadMap) -> Iterator[str]:
+    """Yield where somebody moves, speeds up or turns as nothing on wheels does.
+
+    A vehicle of SUMO's may be carried as far as the lanes' drawing does that (:func:`carried_m`).
+    """
     before, after = states.xy_m[:, :-1], states.xy_m[:, 1:]
     way = np.hypot(*np.moveaxis(after - before, -1, 0))
     fastest = np.fmax(np.abs(states.speed_mps[:, :-1]), np.abs(states.speed_mps[:, 1:]))
@@ -109,9 +123,21 @@ def _jumps(states: States) -> Iterator[str]:
     )
     for what, change, most, unit in limits:
         wrong = np.argwhere((change > most) & wheels)  # NaN compares as False
+        if what == "position":
+            wrong = np.array([spot for spot in wrong.tolist() if not _carried(states, road, *spot, change)])
         if len(wrong):
             row, step = wrong[0].tolist()
             yield f"jump in {what} of '{states.ids[row]}' by {change[row, step]:.2f} {unit} after step {step}"
+
+
+def _carried(states: States, road: RoadMap, row: int, step: int, excess_m: FloatArray) -> bool:
+    """Return whether SUMO's lanes explain that *row* is *excess_m* (A, T − 1) farther than it drove after *step*."""
+    if not states.sumo_course[row, step : step + 2].all():
+        return False
+    yaw = states.yaw_rad[row, step]
+    bumper = bumper_from_centre(states.xy_m[row, step], yaw, states.length_m[row])
+    way_m = float(np.abs(states.speed_mps[row, step : step + 2]).max()) * states.step_s
+    return bool(excess_m[row, step] <= carried_m(road, bumper, way_m) + JUMP_M)
 
 
 def _off_lanes(states: States, road: RoadMap) -> Iterator[str]:
@@ -121,13 +147,14 @@ def _off_lanes(states: States, road: RoadMap) -> Iterator[str]:
         return
     yaw = states.yaw_rad[row, step]
     bumper = bumper_from_centre(states.xy_m[row, step], yaw, states.length_m[row])
-    near = road.index.candidates(bumper, 6.0)
+    near = road.index.candidates(bumper, 0.5 * float(road.index.width_m.max()) + SEARCH_M)
     excess = np.full(len(row), np.inf)
     np.minimum.at(excess, near.point, np.abs(near.d_m) - 0.5 * road.index.width_m[near.lane])
     wrong = np.flatnonzero(excess > BESIDE_M)
     if len(wrong):
         k = int(wrong[0])
-        yield f"'{states.ids[row[k]]}' is driven by SUMO {excess[k]:.2f} m beside all lanes at step {step[k]}"
+        beside = f"{excess[k]:.2f} m beside" if np.isfinite(excess[k]) else "far from"
+        yield f"'{states.ids[row[k]]}' is driven by SUMO {beside} all lanes at step {step[k]}"
 
 
 def _contacts(states: States, contacts: list[Mapping[str, Any]]) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """Write the catalogue of docs/defects.md out of the code, or check it: write_defects_doc.py [--check].
 
-With ``--bench FOLDER`` the table of a folder of ``bench defects`` becomes the page's baseline, too.
+With ``--bench FOLDER`` the table of a folder of ``bench defects`` becomes the page's baseline and
+``docs/tables/defects.csv``.
 """
 
 from __future__ import annotations
@@ -10,9 +11,12 @@ import re
 import sys
 from pathlib import Path
 
+from advdiff_sumo.experiments.bench.table import Cell, Table
+from advdiff_sumo.experiments.bench.table_cache import read_table
 from advdiff_sumo.planners.defects.catalogue import catalogue_table
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "defects.md"
+CSV = PAGE.parent / "tables" / "defects.csv"
 _PLACE = re.compile(r"(<!-- catalogue -->\n).*?(<!-- end -->)", re.DOTALL)
 _BASELINE = re.compile(r"(<!-- baseline -->\n).*?(<!-- end of baseline -->)", re.DOTALL)
 
@@ -20,6 +24,23 @@ _BASELINE = re.compile(r"(<!-- baseline -->\n).*?(<!-- end of baseline -->)", re
 def filled(page: str) -> str:
     """Return *page* with the catalogue as it is in the code."""
     return _PLACE.sub(lambda place: place[1] + catalogue_table() + place[2], page)
+
+
+def baseline(table: Table) -> str:
+    """Return the shares of *table* in whole percent, one row a defect; bold where it is detected."""
+
+    def shown(cell: Cell | None) -> str:
+        if cell is None or cell.found.value is None:
+            return "–"
+        text = f"{100.0 * cell.found.value:.0f}"
+        return f"**{text}**" if cell.best else text
+
+    several = len({line.group for line in table.lines}) > 1
+    text = f"|  | {' | '.join(head.title for head in table.heads)} |\n|---|{'--:|' * len(table.heads)}\n"
+    for line in table.lines:
+        name = f"{line.group}: {line.title}" if several else line.title
+        text += f"| {name} | {' | '.join(shown(line.cells.get(head.key)) for head in table.heads)} |\n"
+    return f"{table.title}, valid failures in % of the episodes ([CSV](tables/defects.csv)):\n\n{text}"
 
 
 def main() -> int:
@@ -32,9 +53,9 @@ def main() -> int:
     before = PAGE.read_text(encoding="utf-8")
     after = filled(before)
     if asked.bench is not None:
-        table = (asked.bench / "table.md").read_text(encoding="utf-8")
-        table = re.sub(r" Revision: .*", "", table)  # the page's own history has it
-        after = _BASELINE.sub(lambda place: f"{place[1]}{table}\n{place[2]}", after)
+        text = baseline(read_table(asked.bench))
+        after = _BASELINE.sub(lambda place: f"{place[1]}{text}{place[2]}", after)
+        CSV.write_bytes((asked.bench / "table.csv").read_bytes())
     if check and after != before:
         print(f"{PAGE.name} is behind the code: run tools/write_defects_doc.py")
         return 1

@@ -282,13 +282,14 @@ DEFECTS: Mapping[str, DefectKind] = {kind.name: kind for kind in _KINDS}
 
 
 def catalogue_table() -> str:
-    """Return the catalogue as a Markdown table, for the page."""
+    """Return the catalogue as a Markdown table, for the page, which gives the common reason for *none* once."""
     lines = [
         "| defect | stands for | parameter | unit | weak | middle | strong | SUMO's driver models |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for kind in DEFECTS.values():
         values = (f"{value:g}" for value in kind.values)
-        cells = (f"`{kind.name}`", kind.stands_for, kind.parameter, kind.unit, *values, kind.sumo_note)
+        sumo = "none" if kind.sumo_note.startswith(f"none: {_MODELS_SEE}") else kind.sumo_note
+        cells = (f"`{kind.name}`", kind.stands_for, kind.parameter, kind.unit, *values, sumo)
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"

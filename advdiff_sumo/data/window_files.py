@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -15,6 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.whole_file import whole_file
 
 FORMAT = "advdiff-windows-1"
 SUFFIX = ".safetensors"
@@ -117,7 +117,7 @@ TENSORS: Mapping[str, tuple[str, tuple[str | int, ...]]] = {
 
 
 def write_windows(path: str | Path, windows: WindowFile) -> None:
-    """Write *windows* to *path*, aside first and then renamed; equal windows give equal bytes.
+    """Write *windows* to *path*; equal windows give equal bytes.
 
     Raises:
         FileError: the file cannot be written.
@@ -132,12 +132,10 @@ def write_windows(path: str | Path, windows: WindowFile) -> None:
         "scene_names": json.dumps(list(windows.scene_names)),
     }
     tensors = {name: np.ascontiguousarray(getattr(windows, name)) for name in TENSORS}
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        aside.write_bytes(_sorted_header(save(tensors, metadata=header)))
-        aside.replace(path)
+        with whole_file(path) as aside:
+            aside.write_bytes(_sorted_header(save(tensors, metadata=header)))
     except OSError as error:
-        aside.unlink(missing_ok=True)
         raise FileError(path, f"cannot be written ({error.strerror})", "choose another --out") from None
 
 

@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 
 from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import BreachKind
@@ -294,9 +295,8 @@ def _read(path: Path) -> pa.Table:
 
 def _replace(path: Path, rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> None:
     schema = schema_of(columns)
-    aside = path.with_suffix(".aside")
     try:
-        pq.write_table(pa.Table.from_pylist(rows, schema=schema), aside, compression="zstd")
-        aside.replace(path)
+        with whole_file(path) as aside:
+            pq.write_table(pa.Table.from_pylist(rows, schema=schema), aside, compression="zstd")
     except OSError as error:
         raise FileError(path, f"cannot be written ({error.strerror or error})", "free some space") from None

@@ -12,17 +12,17 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from advdiff_sumo.core.errors import WeightsError
+from advdiff_sumo.core.whole_file import whole_file
 
 _HEADER = "advdiff"
 
 
 def write_stored(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
-    """Write *path*, aside first and then renamed; the same contents give the same bytes."""
-    aside = path.with_suffix(".tmp")
+    """Write *path*; the same contents give the same bytes."""
     cpu = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
-    # one key alone: safetensors writes several in an order that changes from run to run
-    save_file(cpu, str(aside), metadata={_HEADER: json.dumps(dict(header), sort_keys=True)})
-    aside.replace(path)
+    with whole_file(path) as aside:
+        # one key alone: safetensors writes several in an order that changes from run to run
+        save_file(cpu, str(aside), metadata={_HEADER: json.dumps(dict(header), sort_keys=True)})
 
 
 def read_stored(path: Path, kind: str, missing: str, remedy: str) -> tuple[dict[str, Any], dict[str, Tensor]]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.metrics.severity import badge
 from advdiff_sumo.report.blocks import streets_block
 from advdiff_sumo.report.folder import FinishedRun
@@ -35,12 +36,10 @@ def write_report(folder: Path) -> Path:
     """
     path = folder / "report.html"
     content = report_html(FinishedRun.read(folder)).encode()
-    aside = path.with_suffix(".aside")
     try:
-        aside.write_bytes(content)
-        aside.replace(path)
+        with whole_file(path) as aside:
+            aside.write_bytes(content)
     except OSError as error:
-        aside.unlink(missing_ok=True)
         raise FileError(path, f"cannot be written ({error.strerror})", "make the folder writable") from None
     return path
 

@@ -18,6 +18,7 @@ from PIL import Image
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.core.errors import FileError, MissingExtraError
+from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.report.drawing import (
     COLOURS,
     GROUND,
@@ -73,18 +74,15 @@ def video(
     moments = np.append(np.arange(start, end - 1e-6, speed / rate), np.full(round(_HELD_S * rate), end))
     if not path.parent.is_dir():
         raise FileError(path, "cannot be written (its folder is not there)", "choose another place")
-    aside = path.with_name(f".{path.stem}.aside{kind}")
     try:
-        frames = _frames(chosen, moments, start, end)
-        if ffmpeg is None:
-            _write_gif(frames, aside, rate)
-        else:
-            _write_mp4(frames, aside, rate, ffmpeg)
-        aside.replace(path)
+        with whole_file(path, kind) as aside:
+            frames = _frames(chosen, moments, start, end)
+            if ffmpeg is None:
+                _write_gif(frames, aside, rate)
+            else:
+                _write_mp4(frames, aside, rate, ffmpeg)
     except OSError as error:
         raise unwritable(path, error) from None
-    finally:
-        aside.unlink(missing_ok=True)
     return path
 
 

@@ -16,11 +16,12 @@ import pyarrow.parquet as pq
 import tomli_w
 
 from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.whole_file import ASIDE
 from advdiff_sumo.sim.run_store import LATER_TABLES, TABLES, schema_of, table_of
 from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.job_plan import run_key
 from advdiff_sumo.sweep.sweep_columns import RUN_FAILURE_COLUMNS
-from advdiff_sumo.sweep.sweep_files import ASIDE, write_whole
+from advdiff_sumo.sweep.sweep_files import write_whole
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.table_writer import TableWriter
 from advdiff_sumo.sweep.tasks import Failed

@@ -1,18 +1,15 @@
-"""Files that are whole or not there: written aside, flushed, renamed, and checked when they are read."""
+"""A sweep's files: whole or not there, with a checksum, and a full disk told from other failures."""
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import hashlib
-import os
 from pathlib import Path
 
 from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.whole_file import whole_file
 
 _MAGIC = b"advdiff-sumo 1 "
-#: Ends the name of a file that is being written.
-ASIDE = ".aside"
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -46,33 +43,11 @@ def read_checked(path: Path) -> bytes | None:
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write *content* to *path*, aside first; errors as in :func:`write_checked`."""
-    aside = aside_of(path)
     try:
-        with aside.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        settle(aside, path)
+        with whole_file(path) as aside:
+            aside.write_bytes(content)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            aside.unlink()
         raise unwritable(path, error) from None
-
-
-def aside_of(path: Path) -> Path:
-    """Return where this process writes *path* before it gets its name."""
-    return path.with_name(f"{path.name}.{os.getpid()}{ASIDE}")
-
-
-def settle(aside: Path, path: Path) -> None:
-    """Give a flushed file its name, and let the folder remember it."""
-    aside.replace(path)
-    if os.name == "posix":
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
 
 
 def unwritable(path: Path, error: OSError) -> FileError:

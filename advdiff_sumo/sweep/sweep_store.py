@@ -15,9 +15,10 @@ import tomli_w
 
 from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.whole_file import ASIDE
 from advdiff_sumo.sweep.episode_result import Part, pack, unpack
 from advdiff_sumo.sweep.spec import SweepSpec
-from advdiff_sumo.sweep.sweep_files import ASIDE, read_checked, unwritable, write_checked, write_whole
+from advdiff_sumo.sweep.sweep_files import read_checked, unwritable, write_checked, write_whole
 
 SETTINGS = "sweep.toml"
 _EPISODES, _SCENES, _BALLAST = "episodes", "scenes", "ballast"

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from advdiff_sumo.sweep.sweep_files import aside_of, settle, unwritable
+from advdiff_sumo.core.whole_file import aside_of, settle
+from advdiff_sumo.sweep.sweep_files import unwritable
 
 
 class TableWriter:
@@ -57,8 +57,6 @@ class TableWriter:
                 self._flush()
             self._writer.close()
             if kind is None:
-                with self.aside.open("rb+") as file:
-                    os.fsync(file.fileno())
                 settle(self.aside, self.path)
                 return
         except OSError as failed:

@@ -14,6 +14,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from advdiff_sumo.core.errors import WeightsError
+from advdiff_sumo.core.whole_file import whole_file
 
 FORMAT = "advdiff-training-1"
 NAME = "checkpoint.safetensors"
@@ -63,11 +64,10 @@ def save(folder: Path, progress: Progress, groups: Mapping[str, Mapping[str, Ten
         for name, value in named.items()
     }
     header = {"format": FORMAT, "progress": vars(progress)}
-    aside = folder / f".{NAME}"
     try:
-        # one key alone: safetensors writes several in an order that changes from run to run
-        save_file(tensors, aside, metadata={_HEADER: json.dumps(header, sort_keys=True)})
-        aside.replace(folder / NAME)
+        with whole_file(folder / NAME) as aside:
+            # one key alone: safetensors writes several in an order that changes from run to run
+            save_file(tensors, aside, metadata={_HEADER: json.dumps(header, sort_keys=True)})
     except (OSError, SafetensorError) as error:
         raise WeightsError(folder / NAME, f"cannot be written ({error})") from None
 

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from advdiff_sumo.core.whole_file import whole_file
+
 Record = dict[str, Any]
 """One epoch: {"epoch": 1, "step": 100, "train": {"loss": …}, "held_out": {"loss": …}}."""
 
@@ -56,10 +58,9 @@ def write_events(events: Events, record: Record) -> None:
 
 
 def write_lines(path: Path, history: Sequence[Record]) -> None:
-    """Write the whole history, one JSON object a line, aside and renamed."""
-    aside = path.with_name(f".{path.name}")
-    aside.write_text("".join(json.dumps(r, sort_keys=True) + "\n" for r in history), encoding="utf-8")
-    aside.replace(path)
+    """Write the whole history, one JSON object a line."""
+    with whole_file(path) as aside:
+        aside.write_text("".join(json.dumps(r, sort_keys=True) + "\n" for r in history), encoding="utf-8")
 
 
 def draw_curves(path: Path, title: str, history: Sequence[Record]) -> None:
@@ -81,9 +82,8 @@ def draw_curves(path: Path, title: str, history: Sequence[Record]) -> None:
                 axes.plot(*zip(*points, strict=True), ".-", color=colour, label=part.replace("_", " "))
         axes.grid(alpha=0.3)
         axes.legend(fontsize="x-small")
-    aside = path.with_name(f".{path.name}")
-    figure.savefig(aside, format="png", dpi=110, metadata={"Software": None})
-    aside.replace(path)
+    with whole_file(path) as aside:
+        figure.savefig(aside, format="png", dpi=110, metadata={"Software": None})
 
 
 def _names(history: Sequence[Record]) -> list[str]:

@@ -86,7 +86,4 @@ def _warm_up(one: Adaptation, folder: Path) -> None:
     done = warm_up(options, one.marks[-1], lambda _: None, one.marks, lambda mark, q: kept.update({mark: q}))
     said = description(options, done)
     for mark in one.marks:
-        path = one.path(folder, mark)
-        aside = path.with_name(f".{path.name}")
-        save_reward(kept[mark], aside, {**said, "steps": mark})
-        aside.replace(path)
+        save_reward(kept[mark], one.path(folder, mark), {**said, "steps": mark})

@@ -23,6 +23,10 @@ class AgentClass(IntEnum):
     PEDESTRIAN = 5
 
 
+MOTOR_CLASSES = (AgentClass.CAR, AgentClass.TRUCK, AgentClass.BUS, AgentClass.MOTORCYCLE)
+"""Motor vehicles: they belong on the drivable area."""
+
+
 @dataclass(frozen=True)
 class Tracks:
     """States of A agents at T evenly spaced instants; arrays are (A,), (A, T) or (A, T, 2).

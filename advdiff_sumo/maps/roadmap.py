@@ -16,6 +16,7 @@ from advdiff_sumo.maps.build_graph import LaneGraph, build_graph
 from advdiff_sumo.maps.drivable import DrivableArea, area_of_lanes
 from advdiff_sumo.maps.geo import Projection
 from advdiff_sumo.maps.lanes import Edge, Junction, Lane, LanePose, Link
+from advdiff_sumo.maps.legal_limits import legal_limits_mps
 from advdiff_sumo.maps.locate import LaneIndex, poses_of
 from advdiff_sumo.maps.matching import RouteMatcher
 from advdiff_sumo.maps.paths import LanePath, PathFinder
@@ -208,6 +209,11 @@ class RoadMap:
         if vclass not in self._allowed:
             self._allowed[vclass] = self.index.permits(vclass)
         return self._allowed[vclass]
+
+    @cached_property
+    def legal_limits_mps(self) -> Mapping[str, float]:
+        """Lane → the speed that the law allows; on a junction that of the lanes before and behind."""
+        return legal_limits_mps(self.lanes, self.links.values())
 
     # --- routes ------------------------------------------------------------------------------------------
 

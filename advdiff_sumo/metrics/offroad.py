@@ -14,7 +14,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.core.record import Controller, EpisodeRecord
-from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.core.scene import MOTOR_CLASSES, Tracks
 from advdiff_sumo.maps import RoadMap
 
 #: Share of the box outside the drivable area beyond which a vehicle has left the road.
@@ -85,7 +85,7 @@ def background_off_road(record: EpisodeRecord, road: RoadMap) -> BackgroundOffRo
     tracks = record.tracks
     moved = (record.controller == Controller.POLICY) & tracks.valid
     moved[record.target] = False
-    moved &= np.isin(tracks.classes, _MOTOR)[:, None]
+    moved &= np.isin(tracks.classes, MOTOR_CLASSES)[:, None]
     every = max(1, round(BACKGROUND_EVERY_S / tracks.dt_s))
     sampled = np.zeros(tracks.steps, dtype=np.bool_)
     sampled[::every] = True
@@ -105,6 +105,3 @@ def background_off_road(record: EpisodeRecord, road: RoadMap) -> BackgroundOffRo
 def shares(road: RoadMap, tracks: Tracks, row: IntArray, step: IntArray) -> FloatArray:
     """Return (N,) the share of the boxes of agents *row* at instants *step* off the road; NaN when absent."""
     return road.off_road_share(corners(tracks.xy_m[row, step], tracks.yaw_rad[row, step], tracks.size_m[row]))
-
-
-_MOTOR = (AgentClass.CAR, AgentClass.TRUCK, AgentClass.BUS, AgentClass.MOTORCYCLE)

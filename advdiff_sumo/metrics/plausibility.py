@@ -11,7 +11,7 @@ from scipy.signal import savgol_filter
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.record import Controller, EpisodeRecord
-from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.core.scene import MOTOR_CLASSES, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.background_metrics import background_collisions
 from advdiff_sumo.metrics.collision import collisions, find_touches
@@ -74,9 +74,7 @@ def _contacts(record: EpisodeRecord, moved: BoolArray) -> Iterator[Implausibilit
 
 def _off_road(tracks: Tracks, moved: BoolArray, road: RoadMap) -> Iterator[Implausibility]:
     every = max(1, round(BACKGROUND_EVERY_S / tracks.dt_s))
-    driven = np.isin(
-        tracks.classes, (AgentClass.CAR, AgentClass.TRUCK, AgentClass.BUS, AgentClass.MOTORCYCLE)
-    )
+    driven = np.isin(tracks.classes, MOTOR_CLASSES)
     for row in np.flatnonzero(moved.any(axis=1) & driven).tolist():
         steps = np.flatnonzero(moved[row] & tracks.valid[row])
         steps = steps[:: every if len(steps) > every else 1]

@@ -22,7 +22,7 @@ _LOOK_AHEAD_S, _MIN_LOOK_AHEAD_M = 1.0, 5.0
 _ROUTE_AHEAD_M = 200.0
 _SEES_M, _KEEPS_M, _SIDE_M = 50.0, 1.5, 0.2
 _STRAIGHT = 1e-4  # curvature, 1/m
-_LATERAL_MPS2, _BEND_BRAKE_MPS2 = 3.0, 3.0
+_LATERAL_MPS2, _BEND_BRAKE_MPS2, _LOST_BRAKE_MPS2 = 3.0, 3.0, 6.0
 
 
 class Handover:
@@ -102,15 +102,21 @@ class Handover:
         return bool(s_m >= 0.5 * self.world.size_m[row, 0] or self.world.speed_mps[row] < _STANDS_MPS)
 
     def _align(self, rows: IntArray, steps: int) -> Motion:
-        """Steer *rows* onto their lanes by pure pursuit, no faster than now, than who is ahead, and than bends ask."""
+        """Steer *rows* onto their lanes by pure pursuit, no faster than now, than who is ahead, and than bends ask.
+
+        Who is near no lane stops.
+        """
         world = self.world
         xy, yaw, speed = world.xy_m[rows].copy(), world.yaw_rad[rows].copy(), world.speed_mps[rows].copy()
         length = world.size_m[rows, 0]
         states = []
         for _ in range(steps):
-            bend = np.array([self._pursue(xy[i], float(yaw[i]), float(speed[i])) for i in range(len(rows))])
+            ways = [self._pursue(xy[i], float(yaw[i]), float(speed[i])) for i in range(len(rows))]
+            bend = np.array([0.0 if way is None else way for way in ways])
+            lost = np.array([0.0 if way is not None else -_LOST_BRAKE_MPS2 for way in ways])
             poses = zip(rows, xy, yaw, speed, bend, strict=True)
             slower = np.array([min(self._behind(*pose), gently(*pose[3:])) for pose in poses])
+            slower = np.minimum(slower, lost)
             accel, bend = clip_controls(speed, slower, bend, length, Limits())
             xy, yaw, speed = step(xy, yaw, speed, accel, bend, self.sim.step_s)
             states.append((xy, yaw, speed))
@@ -140,10 +146,11 @@ class Handover:
         closing = np.maximum(speed_mps - np.maximum(along, 0.0), 0.0)
         return -float((0.5 * closing**2 / np.maximum(gap, 0.1)).max())
 
-    def _pursue(self, xy_m: FloatArray, yaw_rad: float, speed_mps: float) -> float:
+    def _pursue(self, xy_m: FloatArray, yaw_rad: float, speed_mps: float) -> float | None:
+        """Return the curvature towards the nearest lane; None where there is none."""
         pose = self.road.locate(xy_m, yaw_rad)
         if pose is None:
-            return 0.0
+            return None
         ahead = max(_MIN_LOOK_AHEAD_M, _LOOK_AHEAD_S * speed_mps)
         lane = self.road.lanes[pose.lane_id]
         goal, along = self.road.to_world(pose.lane_id, pose.s_m + ahead)

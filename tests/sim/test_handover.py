@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from advdiff_sumo.core.frames import bumper_from_centre, wrap_angle
 from advdiff_sumo.core.record import Controller
+from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background_control import Motion
@@ -167,6 +168,28 @@ def test_who_cannot_be_aligned_is_handed_back_all_the_same_and_counted(street: P
         got = hand_over(s, RoadMap.read(street), ("WM", "ME"), "WM_0", 100.0, 0.0, 0.4, 0.0)
     assert got.rough == ["b"]
     assert got.waited_s == pytest.approx(8.0, abs=0.5)
+
+
+def test_who_is_left_far_from_every_lane_stops(street: Path) -> None:
+    """30 m beside the street at 9 m/s: at 6 m/s² it stands after 6.75 m, and does not cross open ground."""
+    road = RoadMap.read(street)
+    with stage(street) as s:
+        world = World()
+        handover = Handover(world, Actuator(s.api, world, road), road, SimOptions())
+        row, point = world.add("b", AgentClass.CAR, LENGTH_M, 1.8), road.to_world("WM_0", 100.0, -30.0)[0]
+        world.set_state(np.array([row]), point[None], np.zeros(1), np.array([9.0]), Controller.POLICY)
+        handover.actuator.outside.add(row)
+        for _ in range(8):
+            motion = handover.settle(Motion.none(PERIOD), -1, PERIOD, {})
+            world.set_state(
+                motion.rows,
+                motion.xy_m[:, -1],
+                motion.yaw_rad[:, -1],
+                motion.speed_mps[:, -1],
+                Controller.POLICY,
+            )
+    assert world.speed_mps[row] == 0.0
+    assert np.hypot(*(world.xy_m[row] - point)) == pytest.approx(6.75, abs=0.01)
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -6,7 +6,6 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import AgentClass
-from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
 from advdiff_sumo.metrics.encounter import BREACH_WINDOW_S, Encounter
 from advdiff_sumo.metrics.offroad import OFF_ROAD_SHARE, shares
@@ -51,23 +50,9 @@ def drove_too_fast(view: TrafficView, row: int, start: int, stop: int) -> Breach
 
 
 def _limits_mps(view: TrafficView, row: int, start: int, stop: int) -> FloatArray:
-    """Return (N,) speed limits; on a junction those of the lanes before and behind, inf off any lane.
-
-    A net's internal lanes have the speed at which a bend can be driven, which is no limit of the law.
-    """
-    limits = [_limit(view.road, x) for x in view.place(row, start, stop).lane]
-    return np.array(limits, dtype=np.float64)
-
-
-def _limit(road: RoadMap, lane_id: str | None) -> float:
-    if lane_id is None:
-        return float("inf")
-    lane = road.lanes[lane_id]
-    if not lane.is_internal:
-        return lane.speed_mps
-    links = (x for x in road.links.values() if lane_id in x.via)
-    ends = [road.lanes[y].speed_mps for x in links for y in (x.from_lane, x.to_lane)]
-    return max([lane.speed_mps, *ends])
+    """Return (N,) speed limits, inf off any lane."""
+    limits, lanes = view.road.legal_limits_mps, view.place(row, start, stop).lane
+    return np.array([np.inf if lane is None else limits[lane] for lane in lanes], dtype=np.float64)
 
 
 def reversing(view: TrafficView, met: Encounter, which: int) -> Breach | None:

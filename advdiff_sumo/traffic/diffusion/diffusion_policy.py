@@ -11,24 +11,26 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import JointPlan
-from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.core.scene import MOTOR_CLASSES, Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.view import View, look
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks, networks_of
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions, Traj2TrajOptions
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.licence import NATURAL_OVER_LIMIT
 from advdiff_sumo.traffic.manoeuvres.licensed_attack import RECKLESS, LicensedAttack, licensed_attack
 from advdiff_sumo.traffic.planning.draw import Drawn, draw_plan
 from advdiff_sumo.traffic.planning.futures import Futures, coasting, futures_of, join
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.planning.safeguard import Guarded, Plan, Watched, back_to_lane, safeguard
+from advdiff_sumo.traffic.planning.way_out import way_out
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
 
 _LEAVES_M, _LEAVES_S = 12.0, 2.0
-_STANDS_MPS, _SLIPPED_M = 0.2, 0.3
+_STANDS_MPS, _WALKS_MPS, _SLIPPED_M = 0.2, 2.0, 0.3
 
 Listener: TypeAlias = Callable[[View, Drawn], None]
 
@@ -182,13 +184,23 @@ def apply_safeguard(
         seen.dt_s,
     )
     more = np.zeros(len(rest), dtype=np.bool_)
+    guided = np.isin(view.ids, drawn.attackers)
+    over_limit = np.where(guided, attack.over_limit, NATURAL_OVER_LIMIT)
     planned = view.moved & ~np.isin(np.arange(len(view.ids)), list(attack.driven))
+    dawdled = _slower(view.now, _WALKS_MPS)
+    ahead = [lanes.get(row) for row in (*view.rows.tolist(), *rest.tolist())]
+    for row in np.flatnonzero(planned & dawdled).tolist():
+        if ahead[row] is None:
+            ahead[row] = way_out(road, seen.xy_m[row, 0], float(seen.yaw_rad[row, 0]))
     watched = Watched(
         planned=np.concatenate((planned, more)),
-        attacker=np.concatenate((np.isin(view.ids, drawn.attackers) & attack.exempt, more)),
+        attacker=np.concatenate((guided & attack.exempt, more)),
         target=0,
-        stood=np.concatenate((_stood(view.now), more)),
-        lanes=[lanes.get(row) for row in (*view.rows.tolist(), *rest.tolist())],
+        motor=np.concatenate((np.isin(view.now.classes, MOTOR_CLASSES), more)),
+        stood=np.concatenate((_slower(view.now, _STANDS_MPS), more)),
+        dawdled=np.concatenate((dawdled, more)),
+        over_limit=np.concatenate((over_limit, np.ones(len(rest)))),
+        lanes=ahead,
         signals=scene.signals,
         before=rests(*before, view, seen.steps),
     )
@@ -219,9 +231,9 @@ def rests(plan: Tracks | None, driven: int, view: View, steps: int) -> dict[int,
     return out
 
 
-def _stood(now: Tracks) -> BoolArray:
-    """Return (A,) who has been there, standing, for the whole history."""
-    return np.asarray((now.valid & (np.abs(now.speed_mps) < _STANDS_MPS)).all(axis=1))
+def _slower(now: Tracks, speed_mps: float) -> BoolArray:
+    """Return (A,) who has been there, slower than *speed_mps*, for the whole history."""
+    return np.asarray((now.valid & (np.abs(now.speed_mps) < speed_mps)).all(axis=1))
 
 
 def leaving(scene: Scene, lanes: Mapping[int, LaneAhead | None]) -> BoolArray:

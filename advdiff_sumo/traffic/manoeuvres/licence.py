@@ -10,7 +10,7 @@ LicenceName: TypeAlias = Literal["lawful", "careless", "reckless"]
 
 @dataclass(frozen=True)
 class Licence:
-    """Bounds of what attackers may do; ``reckless`` has none.
+    """Bounds of what attackers may do; ``reckless`` has none but ``RECKLESS_OVER_LIMIT``.
 
     Attributes:
         gap_share: share of the safe gap (RSS) that a lane change leaves to who follows.
@@ -29,6 +29,12 @@ LAWFUL = Licence(gap_share=1.1, spare_m=1.0, stops_at_yellow=True, over_limit=1.
 """No breach, with a little room for what the target does until then."""
 CARELESS = Licence(gap_share=0.5, spare_m=0.0, stops_at_yellow=False, over_limit=1.15)
 """What inattentive people do: half the safe gap, yellow lights, a little too fast."""
+
+
+RECKLESS_OVER_LIMIT = 1.5
+"""Highest share of the speed limit under the licence "reckless": 75 km/h where 50 are allowed."""
+NATURAL_OVER_LIMIT = CARELESS.over_limit
+"""Highest share of the speed limit of vehicles that are moved and attack nobody."""
 
 
 def licence_of(name: LicenceName) -> Licence | None:

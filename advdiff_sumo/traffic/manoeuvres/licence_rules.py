@@ -14,7 +14,7 @@ from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
-from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
+from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, RECKLESS_OVER_LIMIT, Licence
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
 from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -32,22 +32,28 @@ def lawful(
     licence: Licence | None = LAWFUL,
 ) -> BoolArray:
     """Return (C,) which of *manoeuvres*, with these *futures*, keep to *licence* and harm nobody but the target."""
-    out = np.ones(len(manoeuvres), dtype=np.bool_)
-    if licence is None:
-        return np.array([_has_room(view, m, futures, k) for k, m in enumerate(manoeuvres)], dtype=np.bool_)
-    for k, manoeuvre in enumerate(manoeuvres):
-        out[k] = (
-            _keeps_limit(manoeuvre, float(futures.speed_mps[k].max()), view.speed(manoeuvre.row), licence)
-            and _respects_links(view, manoeuvre, float(futures.driven_m[k, -1]), licence)
-            and _stops_clear(manoeuvre, float(futures.driven_m[k, -1]))
-            and _leaves_gaps(view, manoeuvre, licence)
-            and _has_room(view, manoeuvre, futures, k)
-        )
-    return out
+    keeps = [_keeps(view, m, futures, k, licence) for k, m in enumerate(manoeuvres)]
+    return np.array(keeps, dtype=np.bool_)
 
 
-def _keeps_limit(manoeuvre: Manoeuvre, fastest_mps: float, speed_mps: float, licence: Licence) -> bool:
-    return fastest_mps <= max(licence.over_limit * manoeuvre.way.lane.speed_mps, speed_mps + 0.1)
+def _keeps(
+    view: SituationView, manoeuvre: Manoeuvre, futures: ManoeuvreFutures, k: int, licence: Licence | None
+) -> bool:
+    over_limit = RECKLESS_OVER_LIMIT if licence is None else licence.over_limit
+    if not _keeps_limit(manoeuvre, float(futures.speed_mps[k].max()), view.speed(manoeuvre.row), over_limit):
+        return False
+    driven = float(futures.driven_m[k, -1])
+    if licence is not None and not (
+        _respects_links(view, manoeuvre, driven, licence)
+        and _stops_clear(manoeuvre, driven)
+        and _leaves_gaps(view, manoeuvre, licence)
+    ):
+        return False
+    return _has_room(view, manoeuvre, futures, k)
+
+
+def _keeps_limit(manoeuvre: Manoeuvre, fastest_mps: float, speed_mps: float, over_limit: float) -> bool:
+    return fastest_mps <= max(over_limit * manoeuvre.way.lane.speed_mps, speed_mps + 0.1)
 
 
 def _respects_links(view: SituationView, manoeuvre: Manoeuvre, driven_m: float, licence: Licence) -> bool:

@@ -12,7 +12,13 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance
-from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence, LicenceName, licence_of
+from advdiff_sumo.traffic.manoeuvres.licence import (
+    LAWFUL,
+    RECKLESS_OVER_LIMIT,
+    Licence,
+    LicenceName,
+    licence_of,
+)
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
@@ -35,16 +41,18 @@ class LicensedAttack:
         refused: rows whose plans would break a rule; they follow their lanes.
         driven: row → positions (T, 2), headings (T,) and speeds (T,) of a lawful manoeuvre.
         commitments: manoeuvres under way, for the next plan.
+        over_limit: highest share of the speed limit at which guided vehicles may drive.
     """
 
     exempt: bool = True
     refused: tuple[int, ...] = ()
     driven: Mapping[int, tuple[FloatArray, FloatArray, FloatArray]] = field(default_factory=dict)
     commitments: Commitments | None = None
+    over_limit: float = RECKLESS_OVER_LIMIT
 
 
 RECKLESS = LicensedAttack()
-"""Anything that moves like a vehicle: the paper's."""
+"""Anything that moves like a vehicle, up to 1.5 × the limit: the paper's, with a bound on its speed."""
 
 
 def licensed_attack(
@@ -81,7 +89,8 @@ def licensed_attack(
             if manoeuvre.row in row_of:
                 driven[row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]
     guided = [row for row in map(view.ids.index, attackers) if row not in driven]
-    return LicensedAttack(False, _refused(situation, view, futures, guided, licence), driven, kept)
+    refused = _refused(situation, view, futures, guided, licence)
+    return LicensedAttack(False, refused, driven, kept, licence.over_limit)
 
 
 def _refused(

@@ -1,8 +1,9 @@
 """Brakes planned vehicles along their own paths where plans would run through each other or a stop line.
 
 Who brakes: of two whose boxes would meet, the one that has the other before its front; both where neither or both
-have. For one whose speed is not ours to change everybody brakes that has it before its front, even if it ought to
-brake itself. Nobody brakes for a vehicle that comes from behind, and attackers never brake for the target.
+have. Of two that stand and would stay for each other, the one that has the other less squarely before it goes. For
+one whose speed is not ours to change everybody brakes that has it before its front, even if it ought to brake itself.
+Nobody brakes for a vehicle that comes from behind, and attackers never brake for the target.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps
-from advdiff_sumo.core.frames import unit, wrap_angle
+from advdiff_sumo.core.frames import unit
 from advdiff_sumo.traffic.planning.futures import Futures
+from advdiff_sumo.traffic.planning.planned_paths import PlannedPaths, speeds_of_strides
 
 LADDER_MPS2 = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 8.5)
 """Decelerations that are tried, the mildest that helps is taken; before them the plan itself."""
@@ -25,6 +27,7 @@ SIDE_M = 0.15
 _SHARES = (1.0, 0.5, 0.25, 0.1)
 """Shares of that room that are tried where two are nearer than it now."""
 _SAME_BEARING, _BEFORE_FRONT = 0.15, 0.3
+_STANDS_MPS, _STARTS_M = 0.2, 0.3
 _ROUNDS = 3
 
 
@@ -52,7 +55,7 @@ def brake_ahead(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: Floa
     if steps >= futures.steps:
         return brake(futures, may, minds, stop_m)
     near = brake(futures.first(steps), may, minds, stop_m)
-    made, path, dt = futures.copy(), _Paths(futures), futures.dt_s
+    made, path, dt = futures.copy(), PlannedPaths(futures), futures.dt_s
     driven = near.futures.travelled_m()
     for row in np.flatnonzero(near.rows).tolist():
         speed = near.futures.speed_mps[row, -1]
@@ -75,7 +78,7 @@ def brake(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray
         stop_m: (N,) distance along the own path that must not be passed; inf for none.
     """
     made = futures.copy()
-    path = _Paths(futures)
+    path = PlannedPaths(futures)
     braked, unsolved = np.zeros(len(may), dtype=np.bool_), np.zeros(len(may), dtype=np.bool_)
     for _ in range(_ROUNDS):
         pairs = _conflicts(made, minds & may[:, None], may)
@@ -93,27 +96,6 @@ def brake(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray
         if not changed:
             break
     return Braked(made, braked, unsolved & braked)
-
-
-class _Paths:
-    """The planned paths of N road users, kept while their speeds change."""
-
-    def __init__(self, futures: Futures) -> None:
-        self.xy_m, self.yaw_rad = futures.xy_m, futures.yaw_rad
-        self.s_m = futures.travelled_m()
-
-    def length_m(self, futures: Futures) -> FloatArray:
-        """Return (N,) how far *futures* get."""
-        return np.asarray(futures.travelled_m()[:, -1])
-
-    def at(self, row: int, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return points (…, 2) and headings (…,) of the path of *row* at *s_m* (…,), clamped to it."""
-        s = self.s_m[row]
-        piece = np.clip(np.searchsorted(s, s_m, side="right") - 1, 0, len(s) - 2)
-        share = np.clip((s_m - s[piece]) / np.maximum(s[piece + 1] - s[piece], 1e-9), 0.0, 1.0)
-        xy, yaw = self.xy_m[row], self.yaw_rad[row]
-        turned = yaw[piece] + share * wrap_angle(yaw[piece + 1] - yaw[piece])
-        return xy[piece] + share[..., None] * (xy[piece + 1] - xy[piece]), turned
 
 
 @dataclass(frozen=True)
@@ -165,7 +147,27 @@ def _conflicts(futures: Futures, minds: BoolArray, may: BoolArray) -> BoolArray:
     yours = -(offset * unit(boxes.yaw_rad[second, when])).sum(-1)
     out[first, second] = (mine >= yours - _SAME_BEARING) | (~may[second] & (mine > _BEFORE_FRONT))
     out[second, first] = (yours >= mine - _SAME_BEARING) | (~may[first] & (yours > _BEFORE_FRONT))
-    return out & minds
+    out &= minds
+    _one_starts(futures, out, (first, second), mine < yours)
+    return out
+
+
+def _one_starts(
+    futures: Futures, brakes: BoolArray, pairs: tuple[IntArray, IntArray], first_goes: BoolArray
+) -> None:
+    """Let one of two that stand, and would both stay for each other for ever, go; in place.
+
+    Args:
+        futures: plans of N road users.
+        brakes: (N, N) who has to brake for whom.
+        pairs: (P,) rows of the first ones and of the second ones.
+        first_goes: (P,) whether the first one is the one that goes.
+    """
+    starts = (futures.speed_mps[:, 0] < _STANDS_MPS) & (futures.travelled_m()[:, -1] > _STARTS_M)
+    first, second = pairs
+    both = brakes[first, second] & brakes[second, first] & starts[first] & starts[second]
+    brakes[first[both & first_goes], second[both & first_goes]] = False
+    brakes[second[both & ~first_goes], first[both & ~first_goes]] = False
 
 
 def _room(futures: Futures, first: IntArray, second: IntArray) -> tuple[FloatArray, BoolArray]:
@@ -181,7 +183,7 @@ def _room(futures: Futures, first: IntArray, second: IntArray) -> tuple[FloatArr
 
 
 def _ease(
-    futures: Futures, before: Futures, path: _Paths, row: int, others: IntArray, stop_m: float
+    futures: Futures, before: Futures, path: PlannedPaths, row: int, others: IntArray, stop_m: float
 ) -> tuple[bool, bool]:
     """Let *row* brake as mildly as keeps it clear of *others* as they were *before*, in place.
 
@@ -199,7 +201,7 @@ def _ease(
     if best == 0:
         return bool(clear[0]), False
     xy, yaw = path.at(row, driven[best])
-    futures.put(row, xy, yaw, _speeds(np.diff(driven[best], prepend=0.0), futures.dt_s))
+    futures.put(row, xy, yaw, speeds_of_strides(np.diff(driven[best], prepend=0.0), futures.dt_s))
     return bool(clear[best]), True
 
 
@@ -215,7 +217,7 @@ def _ladder(futures: Futures, row: int) -> FloatArray:
 
 
 def _clear_steps(
-    futures: Futures, path: _Paths, row: int, others: IntArray, driven: FloatArray
+    futures: Futures, path: PlannedPaths, row: int, others: IntArray, driven: FloatArray
 ) -> FloatArray:
     """Return (C,) the half step at which a ladder's rung first meets one of *others*; inf where it never does."""
     begin = np.hstack((np.zeros((len(driven), 1)), driven[:, :-1]))
@@ -230,11 +232,3 @@ def _clear_steps(
         turned = np.broadcast_to(all_yaw[other], yaw.shape)
         meets |= axis_gaps(all_xy[other] - xy, yaw, half[row] + wide, turned, half[other])[0].max(-1) < 0.0
     return np.where(meets.any(axis=1), meets.argmax(axis=1), np.inf)
-
-
-def _speeds(stride_m: FloatArray, dt_s: float) -> FloatArray:
-    """Return speeds (T,) at the instants of a plan that drives *stride_m* (T,) up to each of them."""
-    mean = stride_m / dt_s
-    last = max(0.0, 1.5 * mean[-1] - 0.5 * mean[-2]) if len(mean) > 1 else mean[-1]
-    speed = np.append(0.5 * (mean[:-1] + mean[1:]), last)
-    return np.where(stride_m > 1e-6, speed, 0.0)

@@ -11,6 +11,7 @@ from advdiff_sumo.core.bicycle import Limits, wheelbase_m
 from advdiff_sumo.core.polylines import kept_points
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 from advdiff_sumo.traffic.planning.pursuit import Lines, pursue
+from advdiff_sumo.traffic.planning.speed_bound import allowed_mps, sections
 
 _SUBSTEPS = 2
 
@@ -24,7 +25,7 @@ def follow(
     steps: int,
     dt_s: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return states (V, T, 2), (V, T), (V, T) of V vehicles that follow their lanes at the limit, slower in bends.
+    """Return states (V, T, 2), (V, T), (V, T) of V vehicles that follow their lanes at the limit, slower for bends.
 
     Pure pursuit through the bicycle model; other vehicles and signals are the business of ``braking``.
 
@@ -46,6 +47,15 @@ def follow(
     return last[..., :2], last[..., 2], last[..., 3]
 
 
+def approach_mps(lane: LaneAhead) -> float:
+    """Return the speed on *lane* now that keeps its limit and comes down in time to what is driven ahead.
+
+    The limits of lanes on junctions count as they are: the speed at which a bend can be driven.
+    """
+    begin, bound = sections(lane, {part.id: part.speed_mps for part in lane.lanes}, 1.0)
+    return float(allowed_mps(begin, bound, np.zeros(1))[0])
+
+
 def lines_of(lanes: Sequence[LaneAhead]) -> Lines:
     """Return the lines of vehicles on *lanes*."""
     parts = [x.centre_xy_m for lane in lanes for x in lane.lanes]
@@ -65,5 +75,5 @@ def lines_of(lanes: Sequence[LaneAhead]) -> Lines:
     s = np.concatenate([np.cumsum(part) - part for part in np.split(length, first[1:])])
     tangent = delta / length[:, None]
     yaw = np.arctan2(tangent[:, 1], tangent[:, 0])
-    begin, limit = np.array([(lane.s_m, lane.speed_mps) for lane in lanes], dtype=np.float64).T.copy()
+    begin, limit = np.array([(lane.s_m, approach_mps(lane)) for lane in lanes], dtype=np.float64).T.copy()
     return Lines(points[:-1][within], tangent, yaw, s, first, last, begin, limit)

@@ -20,7 +20,7 @@ class LaneAhead:
     """The lane that a vehicle is on and those behind it.
 
     Attributes:
-        s_m: place of the box centre along ``line``.
+        s_m: place of the box centre along the first lane; negative before its beginning.
         lanes: the lanes in driving order, internal ones included.
         speed_mps: the lowest limit within the next few seconds.
         stops: (distance from the box centre to a stop line, its link) of signalled links, nearest first.
@@ -53,13 +53,14 @@ def lanes_ahead(
         if lane is None or abs(turned) > _YAW_TOLERANCE_RAD:
             out.append(None)
         else:
-            out.append(_ahead(road.lanes, road.lanes[lane], float(at), float(beside), route))
+            out.append(lane_ahead(road.lanes, road.lanes[lane], float(at), float(beside), route))
     return out
 
 
-def _ahead(
-    lanes: Mapping[str, Lane], lane: Lane, s_m: float, offset_m: float, route: Sequence[str]
+def lane_ahead(
+    lanes: Mapping[str, Lane], lane: Lane, s_m: float, offset_m: float, route: Sequence[str] = ()
 ) -> LaneAhead:
+    """Return what lies ahead at *s_m* along *lane*, *offset_m* to its left, for who drives *route*."""
     driven, stops, reach = [lane], [], lane.length_m - s_m
     end = np.inf
     while reach < HORIZON_M and len(driven) < 40:

@@ -1,11 +1,13 @@
 """Keeps sampled plans plausible by construction; applied to every plan, guided or not.
 
-In this order: a vehicle far from the target, one whose plan leaves the road (it stops where it has no lane), and one
-that is no attacker and plans to drive on the wrong side, follows its lane instead; one that stands and has nowhere
-to go stands exactly still, and one that has stood for its whole history and means to leave within its plan leaves
-now; plans are braked (``braking``) where boxes would meet or a red light would be passed. Who could not avoid
-another box by braking drives on as the plan before said, which was free, or along its lane, where that helps.
-Attackers are left alone towards the target, and signals do not bind them; everybody else behaves.
+In this order: a vehicle far from the target, one whose plan leaves the road or goes on beside it (it stops where it
+has no lane), one that is no attacker and plans to drive on the wrong side, and one that has crept on a junction for
+its whole history and plans to stay there, follows its lane instead, or stops where it is too fast for that; all are
+slowed to their share of the speed limit (``speed_bound``); one that stands and has nowhere to go stands exactly
+still, and one that has stood for its whole history and means to leave within its plan leaves now; plans are braked
+(``braking``) where boxes would meet or a red light would be passed. Who could not avoid another box by braking drives
+on as the plan before said, which was free, or along its lane, where that helps. Attackers are left alone towards the
+target, and signals do not bind them; everybody else behaves.
 """
 
 from __future__ import annotations
@@ -17,24 +19,21 @@ from typing import TypeAlias
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
-from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.planning.braking import Braked, brake, brake_ahead
 from advdiff_sumo.traffic.planning.futures import Futures, standing
 from advdiff_sumo.traffic.planning.lane_following import follow
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 from advdiff_sumo.traffic.planning.oncoming import drives_against
+from advdiff_sumo.traffic.planning.road_bound import leaves_road
+from advdiff_sumo.traffic.planning.speed_bound import bound_speeds
 
-OFF_SHARE = 0.25
-"""Share of the box off the road, within the next seconds, that sends a vehicle back to its lane …"""
-_MORE = 0.02
-"""… if it is more by this than it is now: who is parked on the kerb may stay there."""
 FAR_M = 55.0
 """Vehicles farther from the target follow their lanes, so that SUMO gets them back aligned."""
-_OFF_STEPS = (1, 2, 3, 4, 6)
 _STANDS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 0.3, 3
 _LEAVES_M, _BUDGES_M = 1.5, 0.1
-_STOP_BRAKE_MPS2, _YELLOW_BRAKE_MPS2, _LOST_BRAKE_MPS2 = 6.0, 3.0, 4.0
+_CLEARS_M = 1.5
+_STOP_BRAKE_MPS2, _YELLOW_BRAKE_MPS2, _LOST_BRAKE_MPS2 = 6.0, 3.0, 6.0
 _BEFORE_LINE_M = 1.0
 _LOOK_STEPS = 6
 """Instants of a plan that have to be clear: 3 s, from 14 m/s a stop at less than 5 m/s²."""
@@ -51,7 +50,10 @@ class Watched:
         planned: (N,) whose futures are plans; the others' are predictions and stay.
         attacker: (N,) who is guided against the target.
         target: row of the target.
+        motor: (N,) who is a motor vehicle.
         stood: (N,) who has not moved for as long as its history goes back.
+        dawdled: (N,) who has been no faster than walking pace for as long.
+        over_limit: (N,) highest share of the speed limit that each may drive at.
         lanes: what each would follow, where asked for.
         signals: states of the traffic lights.
         before: row → what is left of the plan before, as long as the new one.
@@ -60,7 +62,10 @@ class Watched:
     planned: BoolArray
     attacker: BoolArray
     target: int
+    motor: BoolArray
     stood: BoolArray
+    dawdled: BoolArray
+    over_limit: FloatArray
     lanes: Sequence[LaneAhead | None]
     signals: Mapping[str, str]
     before: Mapping[int, Plan] = field(default_factory=dict)
@@ -89,12 +94,15 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     """Return plausible plans near *futures*."""
     made = futures.copy()
     nowhere = np.array([lane is None for lane in watched.lanes], dtype=np.bool_)
-    off = leaves_road(road, made, watched.planned)
+    off = leaves_road(road, made, watched.planned, watched.motor)
     lost = off & nowhere
     off |= drives_against(road, made, watched.planned & ~watched.attacker & ~nowhere)
     far = np.linalg.norm(made.xy_m[:, 0] - made.xy_m[watched.target, 0], axis=-1) > FAR_M
-    followed = (off | (far & watched.planned & ~watched.attacker)) & ~nowhere
-    back_to_lane(made, np.flatnonzero(followed), watched)
+    followed = off | (far & watched.planned & ~watched.attacker) | _blocks_junction(made, watched)
+    back_to_lane(made, np.flatnonzero(followed & ~nowhere), watched)
+    rows = np.flatnonzero(watched.planned)
+    bound_speeds(made, rows, watched.lanes, road.legal_limits_mps, watched.over_limit)
+    wide = leaves_road(road, made, followed & ~nowhere, watched.motor)  # too fast for its lane
     moved = made.travelled_m()
     held = watched.planned & (made.speed_mps[:, 0] < _STANDS_MPS)
     held &= moved[:, min(_NOWHERE_STEPS, made.steps)] < _NOWHERE_M
@@ -105,9 +113,17 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     standing(made, held)
     may = watched.planned & ~held
     stop = stop_distances(made, watched, may)
-    stop[lost] = np.minimum(stop[lost], 0.5 * made.speed_mps[lost, 0] ** 2 / _LOST_BRAKE_MPS2)
+    slows = lost | wide
+    stop[slows] = np.minimum(stop[slows], 0.5 * made.speed_mps[slows, 0] ** 2 / _LOST_BRAKE_MPS2)
     clear = _settled(made, watched, may, stop)
     return Guarded(clear.futures, off & ~lost, held, clear.rows, clear.unsolved)
+
+
+def _blocks_junction(futures: Futures, watched: Watched) -> BoolArray:
+    """Return (N,) who has stood or crept on a junction for its whole history, and plans to stay there."""
+    stays = futures.travelled_m()[:, min(_LOOK_STEPS, futures.steps)] < _CLEARS_M
+    inside = [lane is not None and (lane.lanes[0].is_internal or lane.s_m < 0.0) for lane in watched.lanes]
+    return np.asarray(watched.planned & watched.dawdled & stays & np.array(inside, dtype=np.bool_))
 
 
 def _settled(futures: Futures, watched: Watched, may: BoolArray, stop_m: FloatArray) -> Braked:
@@ -138,23 +154,6 @@ def _minds(watched: Watched) -> BoolArray:
     minds = ~np.eye(count, dtype=np.bool_)
     minds[watched.attacker, watched.target] = False
     return minds
-
-
-def leaves_road(road: RoadMap, futures: Futures, rows: BoolArray) -> BoolArray:
-    """Return (N,) which of *rows* (N,) plan to leave the drivable area, or to go on leaving it."""
-    out = np.zeros(futures.agents, dtype=np.bool_)
-    picked = np.flatnonzero(rows)
-    if not len(picked):
-        return out
-    steps = np.array([0, *(k for k in _OFF_STEPS if k <= futures.steps)])
-    size = np.repeat(futures.size_m[picked, None], len(steps), axis=1)
-    boxes = corners(futures.xy_m[picked][:, steps], futures.yaw_rad[picked][:, steps], size)
-    inside = road.covers(boxes).all(axis=(1, 2))
-    rest = ~inside
-    if rest.any():
-        share = road.off_road_share(boxes[rest].reshape(-1, 4, 2)).reshape(-1, len(steps))
-        out[picked[rest]] = share[:, 1:].max(axis=1) > np.maximum(OFF_SHARE, share[:, 0] + _MORE)
-    return out
 
 
 def _as_before(futures: Futures, rows: IntArray, watched: Watched) -> None:

@@ -103,6 +103,19 @@ def test_both_brake_head_on() -> None:
     assert not touching(made.futures)
 
 
+def test_of_two_that_would_stand_for_each_other_for_ever_one_goes() -> None:
+    """Both start from standing, at 1 m/s², to where their ways cross, 8 m and 8.5 m ahead; sides are equally far."""
+    plans = cars((0, 0, 0, 0), (8, -8.5, np.pi / 2, 0))
+    time = 0.5 * np.arange(T + 1)
+    for row, heading in enumerate(((1.0, 0.0), (0.0, 1.0))):
+        plans.xy_m[row] = plans.xy_m[row, 0] + 0.5 * (time**2)[:, None] * np.array(heading)
+        plans.speed_mps[row] = time
+    assert touching(plans)
+    made = braked(plans)
+    assert made.rows.sum() == 1
+    assert not touching(made.futures)
+
+
 def test_an_attacker_does_not_brake_for_its_target() -> None:
     plans = cars((40, 0, 0, 0), (0, 0, 0, 10))
     assert braked(plans).rows.tolist() == [False, True]

@@ -7,13 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Lane
 from advdiff_sumo.traffic.planning.futures import Futures, coasting
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
-from advdiff_sumo.traffic.planning.safeguard import Guarded, Watched, leaves_road, safeguard, stop_distances
+from advdiff_sumo.traffic.planning.road_bound import leaves_road
+from advdiff_sumo.traffic.planning.safeguard import Guarded, Watched, safeguard, stop_distances
 
 T, DT = 12, 0.5
+BOTH, SECOND = np.ones(2, dtype=np.bool_), np.array([False, True])
 SIZE = (4.6, 1.9)
 
 
@@ -47,7 +50,17 @@ def watched(road: RoadMap, futures: Futures, attacks: bool = False, light: str =
     planned = np.arange(futures.agents) > 0
     lights = {x.tls_id: 60 * light for y in road.lanes.values() for x in y.successors if x.tls_id}
     stood = planned & (futures.speed_mps[:, 0] == 0.0)
-    return Watched(planned, planned & attacks, 0, stood, ahead(road, futures), lights)
+    return Watched(
+        planned=planned,
+        attacker=planned & attacks,
+        target=0,
+        motor=np.ones_like(planned),
+        stood=stood,
+        dawdled=planned & (futures.speed_mps[:, 0] < 2.0),
+        over_limit=np.where(planned & attacks, 1.5, 1.15),
+        lanes=ahead(road, futures),
+        signals=lights,
+    )
 
 
 def guarded(road: RoadMap, futures: Futures, **how: object) -> Guarded:
@@ -63,10 +76,10 @@ def test_a_plan_along_the_lane_stays_as_it_is(downtown: RoadMap, lane: Lane) -> 
 
 def test_a_plan_off_the_road_becomes_one_along_the_lane(downtown: RoadMap, lane: Lane) -> None:
     plans = on(lane, 10.0, 8.0, turn=0.5)
-    assert leaves_road(downtown, plans, np.array([False, True])).tolist() == [False, True]
+    assert leaves_road(downtown, plans, SECOND, BOTH).tolist() == [False, True]
     made = guarded(downtown, plans)
     assert made.lane.tolist() == [False, True]
-    assert not leaves_road(downtown, made.futures, np.array([True, True]))[1]
+    assert not leaves_road(downtown, made.futures, BOTH, BOTH)[1]
     s, d = lane.line.project(made.futures.xy_m[1])
     assert abs(d[-1]) < 0.3 or s[-1] >= lane.length_m - 5.0
     assert (np.diff(s) > -0.01).all()
@@ -85,7 +98,50 @@ def test_far_from_the_target_cars_follow_their_lanes(downtown: RoadMap, lane: La
 def test_a_car_that_has_left_the_road_is_no_worse_for_staying(downtown: RoadMap, lane: Lane) -> None:
     """What is off the road now does not count, as with cars parked on the kerb."""
     plans = on(lane, 10.0, 0.0, left=-60.0)
-    assert not leaves_road(downtown, plans, np.array([False, True])).any()
+    assert not leaves_road(downtown, plans, SECOND, BOTH).any()
+
+
+def test_who_is_off_the_road_does_not_drive_on_beside_it(downtown: RoadMap, lane: Lane) -> None:
+    """60 m beside the lane, where there is none, it stops; 3.5 m beside it, it comes back."""
+    far, near = on(lane, 10.0, 6.0, left=-60.0), on(lane, 10.0, 6.0, left=-3.5)
+    for plans in (far, near):
+        assert downtown.off_road_share(boxes(plans))[:7].min() > 0.25
+        assert leaves_road(downtown, plans, SECOND, BOTH).tolist() == [False, True]
+        assert not leaves_road(downtown, plans, SECOND, ~BOTH).any()  # a bicycle on its own path
+    assert guarded(downtown, far).futures.travelled_m()[1, -1] <= 0.5 * 6.0**2 / 6.0 + 0.01
+    back = guarded(downtown, near).futures
+    assert abs(lane.line.project(back.xy_m[1, -1])[1]) < 0.5
+
+
+def boxes(plans: Futures) -> np.ndarray:
+    return corners(plans.xy_m[1], plans.yaw_rad[1], np.tile(SIZE, (T + 1, 1)))
+
+
+@pytest.mark.parametrize(("attacks", "share"), [(False, 1.15), (True, 1.5)])
+def test_nobody_drives_faster_than_its_share_of_the_limit(
+    downtown: RoadMap, lane: Lane, attacks: bool, share: float
+) -> None:
+    """At twice the limit within 6 s, towards a green light."""
+    plans = on(lane, 5.0, lane.speed_mps)
+    pace = lane.speed_mps * (1.0 + np.arange(T + 1) / T)
+    driven = np.append(0.0, np.cumsum(0.5 * DT * (pace[1:] + pace[:-1])))
+    plans.xy_m[1], plans.yaw_rad[1] = lane.line.at(5.0 + driven, extrapolate=True)
+    plans.speed_mps[1] = pace
+    who = replace(watched(downtown, plans, attacks), planned=SECOND)
+    made = safeguard(downtown, plans, who).futures
+    on_lane = lane.line.project(made.xy_m[1])[0] < lane.length_m
+    assert made.speed_mps[1, on_lane].max() == pytest.approx(share * lane.speed_mps, abs=0.1)
+
+
+@pytest.mark.parametrize(("dawdled", "goes"), [(True, True), (False, False)])
+def test_who_has_stood_on_a_junction_drives_off_it(downtown: RoadMap, dawdled: bool, goes: bool) -> None:
+    """Its plan is to stand in the middle of a bend for good."""
+    inner = max((x for x in downtown.lanes.values() if x.is_internal), key=lambda x: (x.length_m, x.id))
+    plans = on(inner, 0.5 * inner.length_m, 0.0)
+    who = replace(watched(downtown, plans), dawdled=SECOND & dawdled)
+    made = safeguard(downtown, plans, who)
+    assert made.held.tolist() == [False, not goes]
+    assert (made.futures.travelled_m()[1, -1] > 5.0) == goes
 
 
 @pytest.mark.parametrize(("speed", "held"), [(0.0, True), (0.15, True), (0.3, False)])

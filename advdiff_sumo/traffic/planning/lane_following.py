@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +12,7 @@ from advdiff_sumo.core.bicycle import Limits, wheelbase_m
 from advdiff_sumo.core.polylines import kept_points
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 from advdiff_sumo.traffic.planning.pursuit import Lines, pursue
-from advdiff_sumo.traffic.planning.speed_bound import allowed_mps, sections
+from advdiff_sumo.traffic.planning.speed_bound import EASE_MPS2
 
 _SUBSTEPS = 2
 
@@ -52,8 +53,12 @@ def approach_mps(lane: LaneAhead) -> float:
 
     The limits of lanes on junctions count as they are: the speed at which a bend can be driven.
     """
-    begin, bound = sections(lane, {part.id: part.speed_mps for part in lane.lanes}, 1.0)
-    return float(allowed_mps(begin, bound, np.zeros(1))[0])
+    slowest, reach = lane.lanes[0].speed_mps, lane.lanes[0].length_m - lane.s_m
+    for part in lane.lanes[1:]:  # plain numbers: this is asked for every vehicle of every plan
+        if part.speed_mps < slowest:
+            slowest = min(slowest, math.sqrt(part.speed_mps**2 + 2.0 * EASE_MPS2 * max(reach, 0.0)))
+        reach += part.length_m
+    return slowest
 
 
 def lines_of(lanes: Sequence[LaneAhead]) -> Lines:

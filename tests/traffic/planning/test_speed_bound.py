@@ -7,6 +7,7 @@ import pytest
 
 from advdiff_sumo.maps.lanes import Lane
 from advdiff_sumo.traffic.planning.futures import Futures, coasting
+from advdiff_sumo.traffic.planning.lane_following import approach_mps
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 from advdiff_sumo.traffic.planning.speed_bound import EASE_MPS2, NO_LANE_MPS, allowed_mps, bound_speeds
 
@@ -75,6 +76,12 @@ def test_a_lower_limit_is_met_where_it_begins() -> None:
     assert behind.any()
     assert made.speed_mps[0, behind] == pytest.approx(5.0, abs=0.3)
     assert (np.diff(made.speed_mps[0]) >= -EASE_MPS2 * DT - 1e-9).all()
+
+
+@pytest.mark.parametrize(("left_m", "speed"), [(50.0, 10.0), (5.0, np.sqrt(50.0)), (0.0, 5.0), (-5.0, 5.0)])
+def test_who_follows_its_lane_comes_down_in_time_to_what_is_ahead(left_m: float, speed: float) -> None:
+    """5 m before a lane of 5 m/s, 2.5 m/s² allow √(25 + 2 · 2.5 · 5) m/s; past its beginning it holds."""
+    assert approach_mps(street(left_m)) == pytest.approx(speed)
 
 
 def test_who_is_on_no_lane_does_not_speed_up() -> None:

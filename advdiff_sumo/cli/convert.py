@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
 
 import numpy as np
 import typer
@@ -13,6 +13,7 @@ from advdiff_sumo.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps.convert import ConversionResult
+    from advdiff_sumo.maps.convert.convert import Crossings
 
 MAP_HELP = (
     "nuScenes or Argoverse 2 map (.json), ScenarioNet record (.pkl), CommonRoad scenario (.xml, .xml.gz)."
@@ -47,6 +48,13 @@ def convert(
     tls: Annotated[
         str, typer.Option(help="'guess': signals at large junctions; 'map': only where the map has them.")
     ] = "map",
+    crossings: Annotated[
+        str,
+        typer.Option(
+            help="Crossings and sidewalks: 'map': where the map has crossings; 'guess': at junctions too where it has "
+            "none at all; 'none'."
+        ),
+    ] = "map",
     opendrive: Annotated[bool, typer.Option(help="Write NAME.xodr too.")] = False,
     close_rim: Annotated[
         bool,
@@ -64,6 +72,7 @@ def convert(
 
     Example: advdiff-sumo convert boston-seaport.json -o networks/boston-seaport.net.xml --report
     """
+    from advdiff_sumo.maps.convert.convert import Crossings  # late, too
     from advdiff_sumo.maps.convert.fidelity import measure  # late: --help needs neither SUMO nor plots
     from advdiff_sumo.maps.convert.fidelity_report import fidelity_path, write_figures, write_page
     from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
@@ -71,8 +80,12 @@ def convert(
 
     if tls not in ("guess", "map"):
         raise ConfigError(f"--tls {tls}: known are 'guess' and 'map'")
+    if crossings not in get_args(Crossings):
+        raise ConfigError(f"--crossings {crossings}: known are 'map', 'guess' and 'none'")
     for source, net in _jobs(map_file, output, all_of):
-        result = convert_file(source, net, lefthand, tls == "guess", opendrive, close_rim)
+        result = convert_file(
+            source, net, lefthand, tls == "guess", opendrive, close_rim, cast("Crossings", crossings)
+        )
         figures: dict[str, Any] = measure(result).as_dict()
         root = dataroot or all_of
         if root is not None:
@@ -111,7 +124,13 @@ def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> li
 
 
 def convert_file(
-    source: Path, net: Path, lefthand: bool | None, guess: bool, opendrive: bool, close_rim: bool = False
+    source: Path,
+    net: Path,
+    lefthand: bool | None,
+    guess: bool,
+    opendrive: bool,
+    close_rim: bool = False,
+    crossings: Crossings = "map",
 ) -> ConversionResult:
     """Convert a map of any kind that the verb takes."""
     from advdiff_sumo.data.pickles import load_plain  # late, as above
@@ -119,18 +138,15 @@ def convert_file(
     from advdiff_sumo.maps.convert.sources.read_map import read_map
     from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
 
-    if source.suffix == ".pkl":
-        record = read_record_map(load_plain(source), source)
-        return convert_source(
-            record, net, lefthand=lefthand, guess_signals=guess, opendrive=opendrive, close_rim=close_rim
-        )
+    given = read_record_map(load_plain(source), source) if source.suffix == ".pkl" else read_map(source)
     return convert_source(
-        read_map(source),
+        given,
         net,
         lefthand=lefthand,
         guess_signals=guess,
         opendrive=opendrive,
         close_rim=close_rim,
+        crossings=crossings,
     )
 
 
@@ -143,5 +159,13 @@ def _say(result: ConversionResult, figures: dict[str, Any]) -> None:
         f"({links['repaired']} repaired), centre lines of these off by {error['median']} m (median), "
         f"{error['max']} m (largest), {len(figures['netconvert_warnings'])} kinds of netconvert warnings"
     )
+    paths = result.foot_paths
+    if paths is not None and paths.given:
+        _console.print(
+            f"{paths.kept} of {paths.given} {'guessed ' if paths.guessed else ''}crossings are in the net, "
+            f"with {paths.sidewalk_m / 1000.0:.1f} km of sidewalks"
+        )
+        for reason, places in sorted(paths.left_out.items()):
+            _console.print(f"note: {len(places)} of the crossings left out: {reason}", markup=False)
     for sentence in result.source.warnings:
         _console.print(f"note: {sentence}", markup=False)

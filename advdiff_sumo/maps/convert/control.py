@@ -21,7 +21,10 @@ MAJOR, MINOR = 10, 1  # edge priorities: without and with a stop or yield sign
 
 @dataclass(frozen=True)
 class Control:
-    """Approaches of each kind, by edge, with the areas of their stop lines; *idle* are the lights that stop nobody."""
+    """Approaches of each kind, by edge; *idle* are the lights that stop nobody.
+
+    *lines* are the areas of their stop lines; those before a crossing on foot say where to stop, not who yields.
+    """
 
     lights: frozenset[str]
     stops: frozenset[str]
@@ -71,7 +74,7 @@ def _read(plan: NetPlan, source: SourceMap) -> Control:
     """Return which edges end at a light, a stop sign or a yield sign, and the lights that stop nobody."""
     approaches = Approaches(plan)
     number = {lane.token: index for index, lane in enumerate(source.lanes)}
-    edges: dict[str, set[str]] = {"light": set(), "stop": set(), "yield": set()}
+    edges: dict[str, set[str]] = {"light": set(), "stop": set(), "yield": set(), "crossing": set()}
     idle = []
     for signal in source.signals:
         lanes = [number[token] for token in signal.lanes if token in number]
@@ -92,7 +95,7 @@ def _sign(kind: str) -> str | None:
     kind = kind.upper()
     if "TRAFFIC_LIGHT" in kind:
         return "light"
-    return "stop" if kind == "STOP_SIGN" else "yield" if kind == "YIELD" else None
+    return {"STOP_SIGN": "stop", "YIELD": "yield", "PED_CROSSING": "crossing"}.get(kind)
 
 
 def _kind(edges: list[str], control: Control) -> str | None:

@@ -6,6 +6,7 @@ import tempfile
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -35,8 +36,11 @@ from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 from advdiff_sumo.maps.convert.stop_lines import waiting_turns
 from advdiff_sumo.maps.convert.widths import width_between, width_profile
 from advdiff_sumo.maps.convert.write_sidecar import sidecar_path, write_sidecar
+from advdiff_sumo.maps.on_foot import FootPaths, add_foot_paths
 
 SPEED_MPS = {True: 13.89, False: 11.18}  # by driving on the left: 50 km/h in Singapore, 25 mph in Boston
+Crossings: TypeAlias = Literal["map", "guess", "none"]
+"""Crossings of the map; those, or guessed ones where it has none; no crossings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +58,7 @@ class ConversionResult:
         doubles: ways that SUMO cannot hold beside another one between the same two lanes.
         counts: everything mended, cut or left out.
         netconvert_warnings: netconvert's own warnings.
+        foot_paths: what became of the crossings; None where none were wanted.
     """
 
     net: Path
@@ -66,6 +71,7 @@ class ConversionResult:
     doubles: list[Connection]
     counts: Counter[str]
     netconvert_warnings: tuple[str, ...]
+    foot_paths: FootPaths | None = None
 
 
 def convert_map(
@@ -75,6 +81,7 @@ def convert_map(
     lefthand: bool | None = None,
     guess_signals: bool = False,
     opendrive: bool = False,
+    crossings: Crossings = "map",
 ) -> ConversionResult:
     """Convert *map_json* to *out_net* and its side-car NAME.poly.xml.
 
@@ -84,6 +91,7 @@ def convert_map(
         lefthand: whether traffic keeps left; None: as is usual at the map's place.
         guess_signals: put signals at large junctions where the map has none.
         opendrive: also write NAME.xodr.
+        crossings: which crossings the net gets, with sidewalks between them.
 
     Raises:
         MapError: the map cannot be used.
@@ -91,7 +99,12 @@ def convert_map(
     """
     source = read_nuscenes_map(Path(map_json))
     return convert_source(
-        source, Path(out_net), lefthand=lefthand, guess_signals=guess_signals, opendrive=opendrive
+        source,
+        Path(out_net),
+        lefthand=lefthand,
+        guess_signals=guess_signals,
+        opendrive=opendrive,
+        crossings=crossings,
     )
 
 
@@ -103,6 +116,7 @@ def convert_source(
     guess_signals: bool = False,
     opendrive: bool = False,
     close_rim: bool = False,
+    crossings: Crossings = "map",
 ) -> ConversionResult:
     """Convert a map already read; see :func:`convert_map`.
 
@@ -133,10 +147,34 @@ def convert_source(
     if returns:
         put_aside(out_net, plan, returns)
     annotate_net(out_net, plan)
+    foot_paths = _foot_paths(out_net, source, crossings)
     write_sidecar(source, sidecar_path(out_net))
     counts = source.notes + layout.counts
     return ConversionResult(
-        out_net, sidecar_path(out_net), given, source, tracks, layout, plan, doubles, counts, warnings
+        out_net,
+        sidecar_path(out_net),
+        given,
+        source,
+        tracks,
+        layout,
+        plan,
+        doubles,
+        counts,
+        warnings,
+        foot_paths,
+    )
+
+
+def _foot_paths(net: Path, source: SourceMap, crossings: Crossings) -> FootPaths | None:
+    """Write the crossings of *source*, or guessed ones, into *net*."""
+    if crossings == "none":
+        return None
+    return add_foot_paths(
+        net,
+        source.crossings,
+        guess=crossings == "guess",
+        drivable=source.drivable,
+        walkways=source.walkways,
     )
 
 

@@ -21,6 +21,7 @@ from advdiff_sumo.maps.convert.netconvert import EXPLAINED
 from advdiff_sumo.maps.convert.netread import WrittenNet, read_net
 from advdiff_sumo.maps.convert.routability import routability
 from advdiff_sumo.maps.convert.widths import width_between
+from advdiff_sumo.maps.on_foot import FootPaths
 
 STEP_M = 0.5
 
@@ -58,6 +59,7 @@ def measure(result: ConversionResult) -> Fidelity:
                 "given": len(result.source.signals),
                 "that_stop_nobody": list(result.plan.idle_signals),
             },
+            "crossings": _crossing_counts(result.foot_paths),
             "lane_changes": lane_change_share(result),
             "drivable_area": _overlap(result, net),
             "mended_and_cut": dict(sorted(result.counts.items())),
@@ -175,6 +177,21 @@ def _connection_counts(result: ConversionResult, net: WrittenNet) -> dict[str, A
         "invented": sorted(map(list, set(net.ways) - planned), key=str),
         "second_ways_left_out": [[tokens[n] for n in way.lanes] for way in result.doubles],
         "parts_drawn_by_several_ways": _drawn_again(result),
+    }
+
+
+def _crossing_counts(paths: FootPaths | None) -> dict[str, Any] | None:
+    """Return how many crossings the net holds, and why others are left out; None where none were wanted."""
+    if paths is None:
+        return None
+    return {
+        "given": paths.given,
+        "guessed": paths.guessed,
+        "kept": paths.kept,
+        "sumo_crossings": paths.crossings,
+        "left_out": {reason: list(map(list, places)) for reason, places in sorted(paths.left_out.items())},
+        "sidewalk_m": paths.sidewalk_m,
+        "share_on_walkways": paths.on_walkways,
     }
 
 

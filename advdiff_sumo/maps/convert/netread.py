@@ -24,6 +24,8 @@ class WrittenNet:
         lanes: by (edge, lane number) the centre line (N, 2) and the width in m of edge lanes.
         ways: by connection the centre line (N, 2) and the width in m of its internal lanes, joined.
         next_edges: edges that can be entered from each edge, return edges beyond the rim among them.
+
+    Edges that are for people on foot alone are left out.
     """
 
     lanes: dict[tuple[str, int], tuple[FloatArray, float]]
@@ -34,7 +36,12 @@ class WrittenNet:
 def read_net(path: Path) -> WrittenNet:
     """Read the net at *path*."""
     net = sumolib.net.readNet(str(path), withInternal=True)
-    roads = [edge for edge in net.getEdges() if edge.getFunction() == ""]
+    roads = [
+        edge
+        for edge in net.getEdges()
+        if edge.getFunction() == ""
+        and any(lane.getPermissions() - {"pedestrian"} for lane in edge.getLanes())
+    ]
     edges = [edge for edge in roads if edge.getType() != RETURN_TYPE]
     lanes = {
         (lane.getEdge().getID(), lane.getIndex()): (_line(lane.getShape()), float(lane.getWidth()))

@@ -9,6 +9,7 @@ from typing import Any
 import libsumo
 import pytest
 import sumolib
+from defusedxml.ElementTree import parse
 from small_maps import MapBuilder, crossroads, two_lane_road
 
 from advdiff_sumo.maps.convert import convert_map
@@ -80,11 +81,14 @@ def test_yield_sign(tmp_path: Path, at: list[tuple[float, float]], first: str, s
     assert "M" in found[first]
 
 
-def test_line_before_a_crossing_on_foot_changes_nothing(tmp_path: Path) -> None:
+def test_line_before_a_crossing_on_foot_tells_where_to_stop_alone(tmp_path: Path) -> None:
+    """Its upstream edge lies 2 m before the end of lane "west"."""
     plain = states(crossing(net_of(crossroads(), tmp_path)))
     road = crossroads()
     stop_line(road, "PED_CROSSING", AT_WEST)
     assert states(crossing(net_of(road, tmp_path))) == plain
+    offsets = [float(row.get("value")) for row in parse(tmp_path / "small.net.xml").iter("stopOffset")]
+    assert offsets == pytest.approx([2.0])
 
 
 @pytest.mark.parametrize(("waits", "at"), [("west", (98.0, 101.0)), ("south", (100.0, 92.0))])

@@ -65,8 +65,8 @@ def commonroad_map(root: Element, path: Path) -> SourceMap:
         lanes=tuple(lanes),
         links=tuple(links),
         drivable=covered_area(lanes),
-        crossings=tuple(_areas(root, "crosswalk")),
-        walkways=tuple(_areas(root, "sidewalk")),
+        crossings=tuple(_areas(root, "crosswalk", faults)),
+        walkways=tuple(_areas(root, "sidewalk", faults)),
         stop_lines=tuple(_stop_lines(root, lanes, rules)),
         signals=tuple(_signals(root)),
         stated=StatedSizes(len(drawn), stated),
@@ -174,15 +174,18 @@ def _points(rows: Iterator[Element]) -> FloatArray:
         raise ValueError("a coordinate of a boundary is no number") from None
 
 
-def _areas(root: Element, kind: str) -> Iterator[Polygon]:
+def _areas(root: Element, kind: str, faults: MapFaults) -> Iterator[Polygon]:
     for row in root.iterfind("lanelet"):
         if kind in _kinds(row):
             try:
                 ring = np.vstack((_bound(row, "leftBound"), _bound(row, "rightBound")[::-1]))
-            except ValueError:
+                area = largest_part(ring)
+            except ValueError as error:
+                faults.add("area malformed", f"{kind} {row.get('id', '')!r} is left out: {error}")
                 continue
-            area = largest_part(ring)
-            if area is not None:
+            if area is None:
+                faults.add("area malformed", f"{kind} {row.get('id', '')!r} has no area and is left out")
+            else:
                 yield area
 
 

@@ -75,7 +75,7 @@ def lanelet2_map(root: Element, path: Path) -> SourceMap:
         raise MapError(path, "holds no usable lanelet for vehicles", REMEDY)
     known = {lane.token for lane in lanes}
     links, stated = lane_links(_with_successors(rows), lanes, faults)
-    areas = _areas(lanelets, ways)
+    areas = _areas(lanelets, ways, faults)
     rules = [row for row in relations if row.tags.get("type") == "regulatory_element"]
     return SourceMap(
         path=path,
@@ -237,16 +237,21 @@ def _key(left: FloatArray, right: FloatArray) -> tuple[float, ...]:
     return tuple(np.concatenate((left, right)).round(3).tolist())
 
 
-def _areas(lanelets: Iterable[_Relation], ways: _Ways) -> dict[str, list[Polygon]]:
+def _areas(lanelets: Iterable[_Relation], ways: _Ways, faults: MapFaults) -> dict[str, list[Polygon]]:
     areas: dict[str, list[Polygon]] = {"crossings": [], "walkways": []}
     for row in lanelets:
         kind = ON_FOOT.get(row.tags.get("subtype", ""))
         if kind is not None:
             try:
                 left, right = _bounds(row, ways)
-            except ValueError:
+            except ValueError as error:
+                faults.add("area malformed", f"lanelet {row.id!r} for people on foot is left out: {error}")
                 continue
             area = largest_part(np.vstack((left, right[::-1])))
+            if area is None:
+                faults.add(
+                    "area malformed", f"lanelet {row.id!r} for people on foot has no area and is left out"
+                )
             areas[kind] += [] if area is None else [area]
     return areas
 

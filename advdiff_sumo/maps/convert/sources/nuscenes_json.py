@@ -190,12 +190,15 @@ class _Reader(MapTables):
         return list(links), len(stated)
 
     def _areas(self, layer: str, wanted: Any = lambda _row: True) -> list[Polygon]:
-        found = [
-            self.polygon(row["polygon_token"])
-            for row in self.rows(layer)
-            if wanted(row) and row.get("polygon_token")
-        ]
-        return [polygon for polygon in found if polygon is not None]
+        polygons = []
+        for row in self.rows(layer):
+            if wanted(row) and not row.get("polygon_token"):
+                self.warn(
+                    f"{layer} without polygon", f"{layer} {row.get('token')!r} has no polygon and is left out"
+                )
+            elif wanted(row):
+                polygons.append(self.polygon(row["polygon_token"]))
+        return [polygon for polygon in polygons if polygon is not None]
 
     def _drivable(self) -> MultiPolygon:
         tokens = [token for row in self.rows("drivable_area") for token in self.items(row, "polygon_tokens")]

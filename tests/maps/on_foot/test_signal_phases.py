@@ -1,0 +1,52 @@
+"""Phases with people on foot, worked by hand."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+from advdiff_sumo.maps.on_foot.signal_phases import SignalledCrossing, add_crossings
+
+
+def program(*phases: tuple[int, str]) -> ET.Element:
+    root = ET.Element("tlLogic", id="j")
+    for duration, state in phases:
+        ET.SubElement(root, "phase", duration=str(duration), state=state, minDur="5", maxDur="50")
+    return root
+
+
+def phases(root: ET.Element) -> list[tuple[int, str, bool]]:
+    """Return duration, state and whether the duration may vary."""
+    return [(int(p.get("duration", "")), p.get("state", ""), "minDur" in p.attrib) for p in root]
+
+
+def test_green_while_those_straight_over_it_are_red() -> None:
+    """Links 0: straight over; 1: turns over it; 2: elsewhere. 9 m take 8 s, of which the yellow is 3."""
+    root = program((30, "GrrG"[:3]), (3, "yrr"), (30, "rGG"), (3, "ryy"))
+    add_crossings(root, [SignalledCrossing(3, frozenset({0}), frozenset({1}), 9.0)])
+    assert phases(root) == [
+        (30, "Grrr", True),
+        (3, "yrrr", True),
+        (30, "rgGG", True),  # who turns yields to who walks
+        (5, "rgGr", False),
+        (3, "ryyr", True),
+    ]
+
+
+def test_a_short_crossing_is_clear_when_the_yellow_ends() -> None:
+    root = program((30, "Gr"), (3, "yr"), (30, "rG"), (3, "ry"))
+    add_crossings(root, [SignalledCrossing(2, frozenset({0}), frozenset(), 3.6)])
+    assert phases(root)[2:] == [(30, "rGG", True), (3, "ryr", True)]
+
+
+def test_a_crossing_that_no_phase_serves_gets_its_own() -> None:
+    """Both phases lead straight over it: 10 s for people, then 10 s to clear 12 m, with red for all."""
+    root = program((30, "Gr"), (3, "yr"), (30, "rG"), (3, "ry"))
+    add_crossings(root, [SignalledCrossing(2, frozenset({0, 1}), frozenset(), 12.0)])
+    assert phases(root)[:4] == [(30, "Grr", True), (3, "yrr", True), (30, "rGr", True), (3, "ryr", True)]
+    assert phases(root)[4:] == [(10, "rrG", False), (10, "rrr", False)]
+
+
+def test_a_program_without_yellow_gets_some_before_the_phase_of_their_own() -> None:
+    root = program((30, "Gg"))
+    add_crossings(root, [SignalledCrossing(2, frozenset({0, 1}), frozenset(), 1.0)])
+    assert phases(root) == [(30, "Ggr", True), (3, "yyr", False), (10, "rrG", False), (1, "rrr", False)]

@@ -25,7 +25,7 @@ from rich.table import Table
 from advdiff_sumo.experiments.bench.bench_rows import policy_row
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
 from advdiff_sumo.experiments.bench.scene_list import TUNING_LIST, SceneList, read_scene_list, shipped_list
-from advdiff_sumo.metrics.intervals import wilson
+from advdiff_sumo.metrics.statistics import wilson
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
 

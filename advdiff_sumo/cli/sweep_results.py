@@ -14,13 +14,14 @@ from rich.table import Table
 from advdiff_sumo.cli.summary import UNEXPLAINED
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
 from advdiff_sumo.metrics.severity import is_valid_failure, worst_first
+from advdiff_sumo.metrics.statistics import Rate
 from advdiff_sumo.sweep.condition import Condition, Undefined
 from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.coverage import bands, coverage
 from advdiff_sumo.sweep.findings import Finding, findings
 from advdiff_sumo.sweep.job_plan import Plan
 from advdiff_sumo.sweep.junit import junit_xml
-from advdiff_sumo.sweep.summary_stats import FIGURE_NAMES, Figures, Rate, by_kind
+from advdiff_sumo.sweep.summary_stats import FIGURE_NAMES, Figures, by_kind
 from advdiff_sumo.sweep.sweep_columns import job_row
 from advdiff_sumo.sweep.sweep_files import write_whole
 from advdiff_sumo.sweep.sweep_store import Store

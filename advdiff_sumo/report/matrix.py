@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from advdiff_sumo.metrics.severity import is_valid_failure
+from advdiff_sumo.metrics.statistics import Rate
 from advdiff_sumo.report.folder import Row
 from advdiff_sumo.report.labels import Labels
-from advdiff_sumo.report.rate_blocks import Rate
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,9 @@ def _cell(rows: Sequence[Row] | None) -> Cell | None:
     finished = [row for row in rows if row["end"] != "failed"]
     hit = [bool(row["target_collision"]) for row in finished]
     guilty = [row["at_fault"] == "target" for row in finished]
-    of = "finished episodes"
     counted = [is_valid_failure(row) for row in finished if row["valid_failure"] is not None]
     return Cell(
-        valid=Rate.of_flags("Valid failures", of, counted),
-        collisions=Rate.of_flags("Collisions", of, hit),
-        at_fault=Rate.of_flags("Target at fault", of, guilty),
+        valid=Rate.of_flags(counted),
+        collisions=Rate.of_flags(hit),
+        at_fault=Rate.of_flags(guilty),
     )

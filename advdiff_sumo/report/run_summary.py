@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from statistics import median
 from typing import Any, TypeAlias
 
-from advdiff_sumo.metrics.intervals import wilson
 from advdiff_sumo.metrics.severity import is_valid_failure
+from advdiff_sumo.metrics.statistics import wilson
 
 Rows: TypeAlias = Sequence[dict[str, Any]]
 

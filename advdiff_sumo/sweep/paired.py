@@ -8,19 +8,17 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
-from scipy.stats import binomtest
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, did_you_mean
 from advdiff_sumo.metrics.severity import is_failure, is_valid_failure
-from advdiff_sumo.sweep.summary_stats import Rate
+from advdiff_sumo.metrics.statistics import TAILS, Rate, bootstrap_counts, mcnemar
 
 Row: TypeAlias = Mapping[str, Any]
 
 _KIND = ("target", "target_options", "background", "background_options")
 _VALUES = ("min_ttc_s", "min_pet_s", "min_clearance_m", "max_drac_mps2", "brake_max_mps2", "route_progress_m")
-_RESAMPLES, _AT_ONCE = 10_000, 250
-_CONFIDENCE = 0.95
+_RESAMPLES = 10_000
 
 
 #: What is compared, and the column without which it cannot be: folders of earlier versions have no verdicts.
@@ -183,13 +181,9 @@ class _Draws:
         count = np.bincount(scene, minlength=self.scenes).astype(np.float64)
         there = count > 0
         total, count = total[there], count[there]
-        rng = np.random.default_rng(self._rng_seed)
-        n, means = len(total), []
-        for _ in range(_RESAMPLES // _AT_ONCE):
-            times = rng.multinomial(n, np.full(n, 1.0 / n), size=_AT_ONCE)
-            means.append((times @ total) / (times @ count))
-        tail = 50.0 * (1.0 - _CONFIDENCE)
-        low, high = np.percentile(np.concatenate(means), [tail, 100.0 - tail])
+        samples = bootstrap_counts(len(total), self._rng_seed, _RESAMPLES)
+        means = [(times @ total) / (times @ count) for times in samples]
+        low, high = np.percentile(np.concatenate(means), TAILS)
         return float(low), float(high)
 
 
@@ -197,11 +191,10 @@ def _rate(pairs: Sequence[tuple[Row, Row]], draw: _Draws, happened: Callable[[Ro
     flags = np.array([[happened(a), happened(b)] for a, b in pairs], dtype=np.float64)
     both = Counter((bool(a), bool(b)) for a, b in flags)
     only_a, only_b = both[(True, False)], both[(False, True)]
-    p = float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
     low, high = draw.interval(flags[:, 1] - flags[:, 0], range(len(pairs)))
     n = len(pairs)
     rates = [Rate.of(int(flags[:, side].sum()), n) for side in (0, 1)]
-    return RateChange(rates[0], rates[1], only_a, only_b, low, high, p)
+    return RateChange(rates[0], rates[1], only_a, only_b, low, high, mcnemar(only_a, only_b))
 
 
 def _values(pairs: Sequence[tuple[Row, Row]], draw: _Draws) -> dict[str, ValueChange]:

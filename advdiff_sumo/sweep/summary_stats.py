@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any, TypeAlias
 
-from advdiff_sumo.metrics.intervals import wilson
 from advdiff_sumo.metrics.severity import is_failure, is_valid_failure
+from advdiff_sumo.metrics.statistics import Rate
 
 Row: TypeAlias = Mapping[str, Any]
 
@@ -28,34 +28,6 @@ FIGURE_NAMES = frozenset(
     | {f"{rate}{end}" for rate in (*_RATES, "failure_rate") for end in ("", "_low", "_high")}
     | {f"median_{column}" for column in _MEDIANS}
 )
-
-
-@dataclass(frozen=True)
-class Rate:
-    """How often something happened, with its 95 % Wilson interval.
-
-    Attributes:
-        count: how often.
-        total: out of how many.
-        low: lower end; None without a sample.
-        high: upper end; None without a sample.
-    """
-
-    count: int
-    total: int
-    low: float | None
-    high: float | None
-
-    @staticmethod
-    def of(count: int, total: int) -> Rate:
-        """Return the rate of *count* in *total*."""
-        low, high = wilson(count, total) if total else (None, None)
-        return Rate(count, total, low, high)
-
-    @property
-    def share(self) -> float | None:
-        """The observed share; None without a sample."""
-        return self.count / self.total if self.total else None
 
 
 @dataclass(frozen=True)

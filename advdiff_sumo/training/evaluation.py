@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.metrics.statistics import jensen_shannon
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
@@ -193,8 +194,8 @@ def _last(xy: Tensor, batch: SceneBatch) -> Tensor:
 def _figures(one: _Sums, log: _Sums) -> Figures:
     figures = means(one.tally)
     if one is not log:
-        figures["jsd_speed"] = realism.jensen_shannon(one.speed, log.speed)
-        figures["jsd_accel"] = realism.jensen_shannon(one.accel, log.accel)
+        figures["jsd_speed"] = float(jensen_shannon(one.speed, log.speed))
+        figures["jsd_accel"] = float(jensen_shannon(one.accel, log.accel))
     return figures
 
 

@@ -17,18 +17,6 @@ SPEED_BINS = np.arange(0.0, 40.5, 0.5)
 ACCEL_BINS = np.arange(-10.0, 10.25, 0.25)
 
 
-def jensen_shannon(p: NDArray[np.float64], q: NDArray[np.float64]) -> float:
-    """Return the Jensen-Shannon divergence of two histograms, 0 (alike) … 1 (nothing in common), base 2.
-
-    NaN where one of them is empty.
-    """
-    if not p.sum() or not q.sum():
-        return float("nan")
-    p, q = p / p.sum(), q / q.sum()
-    middle = 0.5 * (p + q)
-    return 0.5 * (_kl(p, middle) + _kl(q, middle))
-
-
 def histograms(rollout: Rollout, batch: SceneBatch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return counts of speeds and accelerations over the known instants of driving vehicles.
 

@@ -53,7 +53,7 @@ def test_matrix_counts_finished_episodes(run: FinishedRun) -> None:
     matrix = matrix_of(run.episodes, Labels(run.episodes))
     assert (matrix.targets, matrix.backgrounds) == (("IDM", "lane_graph"), ("sumo", "replay"))
     cells = [
-        [(c.collisions.count, c.collisions.n, c.at_fault.count) for c in row if c] for row in matrix.cells
+        [(c.collisions.count, c.collisions.total, c.at_fault.count) for c in row if c] for row in matrix.cells
     ]
     assert cells == [[(0, 1, 0), (1, 1, 1)], [(0, 0, 0), (0, 1, 0)]]
 

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from advdiff_sumo.core.boxes import corners, separation
+from advdiff_sumo.metrics.statistics import jensen_shannon
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.decoder import Rollout
@@ -21,7 +22,6 @@ from advdiff_sumo.training.realism import (
     colliding,
     final_diversity,
     histograms,
-    jensen_shannon,
     leaving_road,
 )
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, TypeAlias
 
-from advdiff_sumo.experiments.bench.statistics import holm, mcnemar_more
 from advdiff_sumo.metrics.severity import is_valid_failure
+from advdiff_sumo.metrics.statistics import holm, mcnemar_more
 
 LEVEL = 0.05
 """A defect is detected where its adjusted p is below it."""

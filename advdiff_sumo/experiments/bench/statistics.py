@@ -11,13 +11,11 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from scipy.stats import binomtest
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
-from advdiff_sumo.metrics.intervals import wilson
+from advdiff_sumo.metrics.statistics import TAILS, bootstrap_counts, jensen_shannon, mcnemar, wilson
 
 RESAMPLES = 4000
-_TAILS = (2.5, 97.5)
 
 
 @dataclass(frozen=True)
@@ -156,16 +154,6 @@ class Divergence:
         )
 
 
-def jensen_shannon(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Return (R,) Jensen-Shannon divergences of histograms (R, K), 0 … 1, base 2; NaN where one is empty."""
-    sums = p.sum(-1, keepdims=True), q.sum(-1, keepdims=True)
-    empty = (sums[0] <= 0.0) | (sums[1] <= 0.0)
-    p, q = (one / np.where(total > 0.0, total, 1.0) for one, total in zip((p, q), sums, strict=True))
-    middle = 0.5 * (p + q)
-    both = 0.5 * (_relative_entropy(p, middle) + _relative_entropy(q, middle))
-    return np.where(empty[..., 0], np.nan, both)
-
-
 def estimate(sample: Sample, seed: int = 0) -> Estimate:
     """Return the figure of *sample*: Wilson's interval for a rate, else the percentile bootstrap over scenes."""
     if not sample.scenes or not sample.n:
@@ -199,32 +187,9 @@ def aligned(a: Sample, b: Sample) -> tuple[Sample, Sample]:
     return a.rows(rows), b.rows(others)
 
 
-def mcnemar(only_a: int, only_b: int) -> float:
-    """Return the two-sided p of the exact McNemar test; 1 without discordant pairs."""
-    return float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
-
-
-def mcnemar_more(only_a: int, only_b: int) -> float:
-    """Return the one-sided p of the exact McNemar test that a happens more often than b; 1 without discordant pairs."""
-    if not only_a + only_b:
-        return 1.0
-    return float(binomtest(only_a, only_a + only_b, alternative="greater").pvalue)
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return *p_values* adjusted for each other by Holm's step-down method (doi:10.2307/4615733), in their order."""
-    order = sorted(range(len(p_values)), key=lambda k: p_values[k])
-    adjusted, largest = [1.0] * len(p_values), 0.0
-    for rank, k in enumerate(order):
-        largest = max(largest, min((len(p_values) - rank) * p_values[k], 1.0))
-        adjusted[k] = largest
-    return adjusted
-
-
 def draws(scenes: int, seed: int, resamples: int = RESAMPLES) -> FloatArray:
     """Return (R, S) how often each scene is drawn in each of the bootstrap's samples."""
-    rng = np.random.default_rng(seed)
-    return rng.multinomial(scenes, np.full(scenes, 1.0 / scenes), size=resamples).astype(np.float64)
+    return np.concatenate(list(bootstrap_counts(scenes, seed, resamples)))
 
 
 def ratio(scenes: Sequence[str], total: Sequence[float], count: Sequence[float], rate: bool = False) -> Ratio:
@@ -251,11 +216,5 @@ def _percentiles(values: FloatArray) -> tuple[float | None, float | None]:
     known = values[~np.isnan(values)]
     if not len(known):
         return None, None
-    low, high = np.percentile(known, _TAILS)
+    low, high = np.percentile(known, TAILS)
     return float(low), float(high)
-
-
-def _relative_entropy(p: FloatArray, q: FloatArray) -> FloatArray:
-    some = p > 0.0
-    share = np.where(some, p / np.where(some, q, 1.0), 1.0)
-    return np.asarray((p * np.log2(share)).sum(-1))

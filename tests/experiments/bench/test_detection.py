@@ -25,9 +25,9 @@ from advdiff_sumo.experiments.bench.defect_score import (
 from advdiff_sumo.experiments.bench.detection import Outcome, Tried, detections, first_detection
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.progress import Silent
-from advdiff_sumo.experiments.bench.statistics import holm, mcnemar_more
 from advdiff_sumo.experiments.bench.traces import UNTRACED
 from advdiff_sumo.experiments.bench.write_table import markdown_text
+from advdiff_sumo.metrics.statistics import holm, mcnemar_more
 
 REQUEST = Request(
     bench="defects",

@@ -12,11 +12,10 @@ from advdiff_sumo.experiments.bench.statistics import (
     Estimate,
     difference,
     estimate,
-    jensen_shannon,
-    mcnemar,
     ratio,
 )
 from advdiff_sumo.experiments.bench.transfer import share_kept
+from advdiff_sumo.metrics.statistics import jensen_shannon, mcnemar
 
 
 def names(count: int) -> list[str]:

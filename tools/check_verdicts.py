@@ -41,7 +41,8 @@ def main() -> int:
     try:
         rows = [(folder, row) for folder in given.folders for row in searched_collisions(folder)]
     except (OSError, KeyError, pa.ArrowException) as error:
-        print(f"check_verdicts: {error}; give folders judged by verdict --search", file=sys.stderr)
+        reason = error.args[0] if isinstance(error, KeyError) else error
+        print(f"check_verdicts: {reason}; give folders judged by verdict --search", file=sys.stderr)
         return 2
     if not rows:
         print(
@@ -63,7 +64,14 @@ def main() -> int:
 
 
 def searched_collisions(folder: Path) -> list[Row]:
-    """Return the rows of the target's collisions in *folder* of which the search was asked."""
+    """Return the rows of the target's collisions in *folder* of which the search was asked.
+
+    Raises:
+        KeyError: an earlier version wrote them.
+    """
+    known = pq.read_schema(folder / "collisions.parquet").names
+    if lacking := set(COLUMNS) - set(known):
+        raise KeyError(f"{folder} lacks the columns {', '.join(sorted(lacking))}")
     rows = pq.read_table(folder / "collisions.parquet", columns=list(COLUMNS)).to_pylist()
     return [row for row in rows if row["with_target"] and row["solvable"] is not None]
 

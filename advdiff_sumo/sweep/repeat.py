@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, FileError, SceneError
+from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sim.scene_file import scene_from_bytes
 from advdiff_sumo.sim.seed_scene import SeedScene
@@ -95,12 +96,17 @@ def repeat(store: Store, plan: Plan, job: Job, stored: Part | None, gui: bool = 
     Raises:
         InputError: its seed scene cannot be made again.
     """
-    options = plan.options(job)
-    run = run_of(options, file_digest(*net_files(options.net)))
-    run = replace(run, gui=gui)
-    record, timing = run.episode(job.number, _scene(store, run, job)).run()
+    run, episode = episode_again(store, plan, job, gui)
+    record, timing = episode.run()
     part = part_of(run, record, timing)
     return Repeated(run, part, _same(stored, part))
+
+
+def episode_again(store: Store, plan: Plan, job: Job, gui: bool = False) -> tuple[Run, Episode]:
+    """Return the run and the episode of *job*, ready to go; arguments and errors as in :func:`repeat`."""
+    options = plan.options(job)
+    run = replace(run_of(options, file_digest(*net_files(options.net))), gui=gui)
+    return run, run.episode(job.number, _scene(store, run, job))
 
 
 def settings_for(job: Job, run: Run) -> dict[str, Any]:

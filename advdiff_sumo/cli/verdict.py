@@ -1,4 +1,4 @@
-"""``advdiff-sumo verdict``."""
+"""``advdiff-sumo verdict``: of a finished run or sweep, or of a recorded scenario."""
 
 from __future__ import annotations
 
@@ -9,10 +9,14 @@ from typing import Annotated
 import typer
 
 from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.core.errors import ConfigError
 
 
 def verdict(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run or sweep.", show_default=False)],
+    folder: Annotated[
+        Path,
+        typer.Argument(help="Folder of a run or sweep; with --net a scenario or log.", show_default=False),
+    ],
     workers: Annotated[int, typer.Option(min=0, help="Processes; 0: one a core.")] = 0,
     search: Annotated[
         bool,
@@ -21,6 +25,15 @@ def verdict(
             help="Look for any drive that avoids each collision, knowing what the others will do (seconds each).",
         ),
     ] = False,
+    net: Annotated[
+        str, typer.Option(help="SUMO net of a scenario: a file that was exported, or a driving log.")
+    ] = "",
+    target: Annotated[
+        str,
+        typer.Option(
+            help="Who of a scenario is judged.", show_default="the exported target, or the log's ego"
+        ),
+    ] = "",
 ) -> None:
     """Judge the collisions of a finished run or sweep: which of them count, and why.
 
@@ -28,7 +41,16 @@ def verdict(
 
     Adds the columns of the verdict to episodes.parquet and collisions.parquet, or brings them up to date, and writes
     the report again. Folders of earlier versions will do; what they do not hold is named in each verdict's sentence.
+
+    advdiff-sumo verdict scenario.xml --net nets/scenario.net.xml --target 42
+
+    Says what a road user of a CommonRoad scenario, another driving log or an exported file came to, and writes nothing.
     """
+    if net:
+        _scenarios(folder, net, target, search)
+        return
+    if target:
+        raise ConfigError("--target is for scenarios, which need --net, too; a run knows its target")
     from advdiff_sumo.cli.run import progress_bar  # late: --help is quick
     from advdiff_sumo.experiments.judge_folder import open_folder
     from advdiff_sumo.metrics.severity import is_valid_failure
@@ -47,3 +69,16 @@ def verdict(
         console.print(f"{sum(bool(row['unavoidable']) for row in hits)} unavoidable")
     if (folder / "report.html").exists():
         console.print(f"look at {write_report(folder)}", soft_wrap=True)
+
+
+def _scenarios(path: Path, net: str, target: str, search: bool) -> None:
+    """Say what came of each scenario in *path*."""
+    from advdiff_sumo.experiments.judge_scenario import judge_scenario, outcome, read_scenarios  # as above
+    from advdiff_sumo.maps import RoadMap
+    from advdiff_sumo.maps.shipped_nets import find_net
+
+    console = terminal(highlight=False, soft_wrap=True)
+    road = RoadMap.read(find_net(net))
+    for scenario in read_scenarios(path, target or None):
+        metrics = judge_scenario(scenario, road, search)
+        console.print(f"{scenario.name}, {scenario.target_id}: {outcome(metrics)}", markup=False)

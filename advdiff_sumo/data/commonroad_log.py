@@ -25,13 +25,15 @@ CLASSES = {
     "pedestrian": AgentClass.PEDESTRIAN,
 }
 SUFFIXES = (".xml", ".xml.gz")
+_SAME_PLACE_M = 0.1
 _AGAIN = "give an unchanged CommonRoad scenario of version 2020a"
 
 
 class CommonRoadReader(SceneFiles):
     """Reads one scenario (``.xml``, ``.xml.gz``) or those of a folder; a scene is named by its file.
 
-    A scenario has no recording vehicle: the vehicle that drives farthest stands in its place. Obstacles without a
+    A scenario has no recording vehicle: in its place stands the obstacle that a planning problem begins with, or else
+    the vehicle that drives farthest. Obstacles without a
     trajectory, and those of which only sets are known, are left out.
     """
 
@@ -65,11 +67,27 @@ def _scene(name: str, path: Path, root: Element) -> LogScene:
     states = [_states(row) for row in rows]
     tracks = _tracks(rows, states, dt_s)
     parked = parked_agents(tracks.xy_m, tracks.valid, tracks.dt_s)
-    driven = np.nansum(np.hypot(*np.moveaxis(np.diff(tracks.xy_m, axis=1), -1, 0)), axis=1)
-    driven[tracks.classes >= AgentClass.BICYCLE] = -1.0
-    ego = int(driven.argmax())
+    ego = _planned_for(root, tracks)
+    if ego is None:
+        driven = np.nansum(np.hypot(*np.moveaxis(np.diff(tracks.xy_m, axis=1), -1, 0)), axis=1)
+        driven[tracks.classes >= AgentClass.BICYCLE] = -1.0
+        ego = int(driven.argmax())
     parked[ego] = False
     return LogScene(name, root.get("benchmarkID", name), tracks, ego, parked, path)
+
+
+def _planned_for(root: Element, tracks: Tracks) -> int | None:
+    """Return the obstacle that is where a planning problem begins, at the same time; None where none is."""
+    for start in root.iterfind("planningProblem/initialState"):
+        step = round(_number(start, "time"))
+        if start.find("position/point") is None or not 0 <= step < tracks.steps:
+            continue
+        with np.errstate(invalid="ignore"):
+            apart = np.hypot(*(tracks.xy_m[:, step] - _xy(start)).T)
+        same = np.flatnonzero(apart < _SAME_PLACE_M)  # NaN compares as False
+        if len(same):
+            return int(same[0])
+    return None
 
 
 def _kind(row: Element) -> AgentClass | None:

@@ -135,7 +135,7 @@ def _tables(folder: Path, columns: Mapping[str, Column]) -> Judging:
     """Judge the episodes of the tables in *folder*, whose episodes have *columns*."""
     settings = folder / (SETTINGS if (folder / SETTINGS).exists() else "run.toml")
     if not settings.exists():
-        raise FileError(folder, "holds no run and no sweep", "give the folder of a finished run or sweep")
+        raise FileError(folder, "holds no run and no sweep", "give a finished one, or --net with a scenario")
     net = str(read_toml(settings).get("options", {}).get("net", ""))
     rows = {int(row["episode"]): row for row in _read(folder / "episodes.parquet").to_pylist()}
     hits: dict[int, list[dict[str, Any]]] = {number: [] for number in rows}

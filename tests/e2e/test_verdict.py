@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -141,3 +142,42 @@ def test_a_sweep_and_one_of_an_earlier_version(tmp_path: Path, here: Callable[..
     after = table(tmp_path / "sweep")
     assert [row["valid_failure"] for row in after] == [row["valid_failure"] for row in before]
     assert list(after[0]) == list(before[0])
+
+
+def test_an_exported_scenario_and_one_of_others(collided: Path, here: Callable[..., Outcome]) -> None:
+    """The encounter of episode 0 is judged alike from each file; without names the planning problem says who it is."""
+    net, out = collided.parent / "traffic_light.net.xml", collided.parent / "files"
+    assert here("export", collided, "--episode", "0", "-f", "commonroad", "-f", "csv", "--out", out).code == 0
+    (commonroad,) = out.glob("*.cr.xml")
+    judged = [here("verdict", path, "--net", net) for path in (commonroad, *out.glob("*.csv"))]
+    assert [done.code for done in judged] == [0, 0], judged[0].err
+    for done in judged:
+        assert done.out.startswith("run-0000, ego: rear_end_striking at ")
+        assert "valid failure. A careful and competent driver" in done.out
+        assert "the target ran into the rear of 'lead'" in done.out
+    nameless = out / "others.xml"
+    nameless.write_text(re.sub("<!--.*?-->", "", commonroad.read_text()))
+    done = here("verdict", nameless, "--net", net)
+    assert done.code == 0, done.err
+    assert "rear_end_striking" in done.out
+    names = re.findall(r'<dynamicObstacle id="(\d+)"', nameless.read_text())
+    others = [here("verdict", nameless, "--net", net, "--target", name).out for name in names]
+    assert sorted("rear_end_struck" in text for text in others) == [False, True]
+
+
+def test_a_scenario_that_cannot_be_judged(collided: Path, here: Callable[..., Outcome]) -> None:
+    net, out = collided.parent / "traffic_light.net.xml", collided.parent / "files"
+    assert here("export", collided, "--episode", "0", "-f", "csv", "--out", out).code == 0
+    (path,) = out.glob("*.csv")
+    refused = {
+        "has no road user 'eco'; did you mean 'ego'?": (path, "--net", net, "--target", "eco"),
+        "is off the road of": (path, "--net", "motorway"),
+        "no such net": (path, "--net", "nowhere.net.xml"),
+        "no such log": (out / "none.xml", "--net", net),
+        "--target is for scenarios": (collided, "--target", "ego"),
+        "or --net with a scenario": (out,),
+    }
+    for sentence, arguments in refused.items():
+        done = here("verdict", *arguments)
+        assert done.code == 2, sentence
+        assert sentence in " ".join(done.err.split())

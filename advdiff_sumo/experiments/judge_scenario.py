@@ -1,0 +1,128 @@
+"""Judges what one road user of a recorded or exported scenario came to, on a net given beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from advdiff_sumo.core.boxes import corners
+from advdiff_sumo.core.errors import FileError, did_you_mean
+from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.data import open_log
+from advdiff_sumo.experiments.solvable import solvable
+from advdiff_sumo.export import ImportedScene, import_scene
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.summary import EpisodeMetrics, summarise
+from advdiff_sumo.report.states import EpisodeStates
+from advdiff_sumo.report.stored_record import record_of_states
+
+COARSEST_STEP_S = 0.2
+_EXPORTED = (".xosc", ".cr.xml", ".pkl", ".fcd.xml", ".csv")
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Recorded road users, one of whom is judged.
+
+    Attributes:
+        name: of the scenario.
+        source: file or folder it was read from.
+        tracks: (A, T) states in the net's frame.
+        target: row of who is judged.
+    """
+
+    name: str
+    source: Path
+    tracks: Tracks
+    target: int
+
+    @property
+    def target_id(self) -> str:
+        """Id of who is judged."""
+        return self.tracks.ids[self.target]
+
+
+def read_scenarios(path: Path, target: str | None = None) -> Iterator[Scenario]:
+    """Yield what *path* holds: a file that was exported here, or the scenes of a driving log.
+
+    Args:
+        path: file, or folder of a log.
+        target: id of who is judged; None: the exported target, or the log's own vehicle.
+
+    Raises:
+        InputError: it cannot be read, its instants are too far apart, or there is no such road user.
+    """
+    imported = _imported(path)
+    if imported is not None:
+        yield _scenario(path.name.split(".")[0], path, imported.tracks, imported.target, target)
+        return
+    for scene in open_log(path).scenes():
+        yield _scenario(scene.name, scene.source, scene.tracks, scene.ego, target)
+
+
+def judge_scenario(scenario: Scenario, road: RoadMap, search: bool = False) -> EpisodeMetrics:
+    """Return what came of the target of *scenario* on *road*; without signals and routes, which scenarios lack.
+
+    Args:
+        scenario: the recorded road users.
+        road: the net that they drove on.
+        search: ask the clairvoyant search of a collision.
+
+    Raises:
+        FileError: the target is off that net most of the time.
+        WeightsError: the search has no weights.
+    """
+    tracks, row = scenario.tracks, scenario.target
+    there = tracks.valid[row]
+    size = np.broadcast_to(tracks.size_m[row], (int(there.sum()), 2))
+    boxes = corners(tracks.xy_m[row, there], tracks.yaw_rad[row, there], size)
+    if float(np.median(road.off_road_share(boxes))) > 0.5:
+        raise FileError(
+            scenario.source,
+            f"'{scenario.target_id}' is off the road of {road.path} most of the time",
+            "give the net of this scenario, in its frame (advdiff-sumo convert)",
+        )
+    at = np.flatnonzero(there)
+    present = tracks.window(int(at[0]), int(at[-1]) + 1)
+    record = record_of_states(EpisodeStates(present, row), {}, None)
+    return summarise(record, road, solvable(record, road) if search else None)
+
+
+def outcome(metrics: EpisodeMetrics) -> str:
+    """Return what came of it as text for people."""
+    if metrics.struck is not None:
+        verdict = metrics.struck.verdict
+        usual = "unavoidable" if verdict.unavoidable else "not counted"
+        counts = "valid failure" if verdict.valid_failure else usual
+        return f"{verdict.kind} at {metrics.struck.collision.time_s:.1f} s, {counts}. {verdict.sentence}"
+    if metrics.left_road is not None:
+        return f"left the road at {metrics.left_road.time_s:.1f} s, valid failure"
+    missed = metrics.near_miss
+    if missed is not None and missed.critical:
+        braking = f"a careful driver would have had to brake at {missed.brake_mps2:.2f} m/s²"
+        return f"critical at {missed.time_s:.1f} s: {braking}; resolved by: {missed.resolved_by}"
+    return "no collision"
+
+
+def _imported(path: Path) -> ImportedScene | None:
+    """Return the scene of a file that was exported here; None where it is none, or by others."""
+    if not path.is_file() or not path.name.endswith(_EXPORTED):
+        return None
+    try:
+        return import_scene(path)
+    except FileError:
+        if path.name.endswith((".cr.xml", ".pkl")):
+            return None  # of others: a log
+        raise
+
+
+def _scenario(name: str, source: Path, tracks: Tracks, usual: int, asked: str | None) -> Scenario:
+    if tracks.dt_s > COARSEST_STEP_S:
+        problem = f"has a state every {tracks.dt_s:g} s, too seldom to see contacts"
+        raise FileError(source, problem, f"give one with a state every {COARSEST_STEP_S:g} s or more often")
+    if asked is not None and asked not in tracks.index:
+        raise FileError(source, f"has no road user '{asked}'", did_you_mean(asked, tracks.ids))
+    return Scenario(name, source, tracks, usual if asked is None else tracks.index[asked])

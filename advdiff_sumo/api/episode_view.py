@@ -38,8 +38,6 @@ class Player:
     page: str
 
     def _repr_html_(self) -> str:
-        from advdiff_sumo.api.result_tables import framed
-
         return framed(self.page, 620)
 
 
@@ -104,3 +102,9 @@ class EpisodeView:
 
 def _short(value: Any) -> str:
     return f"{value:.2f}" if isinstance(value, float) else str(value)
+
+
+def framed(page: str, height: int) -> str:
+    """Return *page* as a frame of its own in a notebook, so that neither's style changes the other's."""
+    frame = f"width='100%' height='{height}' style='border:1px solid #ccc'"
+    return f'<iframe {frame} srcdoc="{html.escape(page, quote=True)}"></iframe>'

@@ -12,7 +12,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from advdiff_sumo.api.episode_view import EpisodeView
+from advdiff_sumo.api.episode_view import EpisodeView, framed
 from advdiff_sumo.core.errors import FileError, MissingExtraError
 from advdiff_sumo.metrics.severity import worst_first
 from advdiff_sumo.report.folder import FinishedRun
@@ -149,9 +149,3 @@ def load(folder: str | Path) -> Results:
     results = Results(Path(folder))
     _ = results.finished
     return results
-
-
-def framed(page: str, height: int) -> str:
-    """Return *page* as a frame of its own in a notebook, so that neither's style changes the other's."""
-    frame = f"width='100%' height='{height}' style='border:1px solid #ccc'"
-    return f'<iframe {frame} srcdoc="{html.escape(page, quote=True)}"></iframe>'

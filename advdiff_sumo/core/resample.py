@@ -182,7 +182,10 @@ def _limited(slope: FloatArray, mean: FloatArray, bridged: BoolArray) -> FloatAr
 def _hermite(
     share: FloatArray, span: FloatArray, move: FloatArray, v0: FloatArray, v1: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return displacement and its rate at *share* in [0, 1] of an interval of *span* seconds."""
+    """Return displacement and its rate at *share* in [0, 1] of an interval of *span* seconds.
+
+    Written out, as scipy's ``CubicHermiteSpline`` is not for ``core``, which needs numpy alone.
+    """
     s2, s3 = share**2, share**3
     shift = move * (3 * s2 - 2 * s3) + span * (v0 * (share - 2 * s2 + s3) + v1 * (s3 - s2))
     rate = move / span * 6 * (share - s2) + v0 * (1 - 4 * share + 3 * s2) + v1 * (3 * s2 - 2 * share)

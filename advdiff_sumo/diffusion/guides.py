@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -26,7 +26,20 @@ FLOOR = 0.3
 """Least √Σ of a guided step."""
 
 Objective: TypeAlias = Callable[[Tensor], Tensor]
-"""Scaled latents (B, A, Z) → what shall grow (B,); one that has a method ``slope`` gives its gradient (B, A, Z)."""
+"""Scaled latents (B, A, Z) → what shall grow (B,)."""
+
+
+@runtime_checkable
+class SlopedObjective(Protocol):
+    """An objective that knows its own gradient, which spares PyTorch's."""
+
+    def __call__(self, latents: Tensor, /) -> Tensor:
+        """Return what shall grow (B,)."""
+        ...
+
+    def slope(self, latents: Tensor, /) -> Tensor:
+        """Return the gradient (B, A, Z) at scaled *latents* (B, A, Z)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -107,9 +120,8 @@ def direction(objective: Objective, latents: Tensor, attackers: Tensor) -> Tenso
 
 
 def _gradient(objective: Objective, latents: Tensor) -> Tensor:
-    slope: Objective | None = getattr(objective, "slope", None)
-    if slope is not None:
-        return slope(latents)
+    if isinstance(objective, SlopedObjective):
+        return objective.slope(latents)
     with torch.enable_grad():
         free = latents.requires_grad_(True)
         return torch.autograd.grad(objective(free).sum(), free)[0]

@@ -24,7 +24,7 @@ from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.start import prepare
-from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
+from advdiff_sumo.traffic.policy_protocol import TrafficPolicy, moves_everywhere
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class Episode:
     def steps(self) -> int:
         """SUMO steps that it lasts at most."""
         longest = self.horizon_s
-        if not isinstance(self.scene.start, SavedTraffic) or getattr(self.policy, "everywhere", False):
+        if not isinstance(self.scene.start, SavedTraffic) or moves_everywhere(self.policy):
             longest = min(longest, self.scene.horizon_s)
         return round(longest / self.sim.step_s)
 

@@ -28,6 +28,7 @@ from advdiff_sumo.sim.session import Session
 from advdiff_sumo.sim.start import TARGET_TYPE
 from advdiff_sumo.sim.target import PlannerDrive, SumoDrive
 from advdiff_sumo.sim.world import Frame, World, read, register
+from advdiff_sumo.traffic.policy_protocol import moves_everywhere
 
 if TYPE_CHECKING:
     from advdiff_sumo.sim.episode import Episode
@@ -54,7 +55,7 @@ class Loop:
         )
         self.context = Context(self.background, episode.scene)
         self.handover = Handover(self.world, self.actuator, self.road, self.sim)
-        self.everywhere = bool(getattr(episode.policy, "everywhere", False))
+        self.everywhere = moves_everywhere(episode.policy)
         self.target = 0
         self.ignored: BoolArray | None = None
         self.standing: BoolArray | None = None

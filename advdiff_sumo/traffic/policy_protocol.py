@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -13,11 +13,7 @@ from advdiff_sumo.maps import RoadMap
 
 @runtime_checkable
 class TrafficPolicy(Protocol):
-    """A policy keeps nothing between calls: its memory and random numbers come in and go out.
-
-    A class attribute ``everywhere = True`` lets a policy move vehicles beyond the control radius too, and ends
-    its episodes with the log; ``replay`` does so.
-    """
+    """A policy keeps nothing between calls: its memory and random numbers come in and go out."""
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Any:
         """Return the memory for a new episode.
@@ -39,3 +35,18 @@ class TrafficPolicy(Protocol):
         SUMO drives the rest.
         """
         ...
+
+
+@runtime_checkable
+class UnboundedPolicy(TrafficPolicy, Protocol):
+    """A policy that, where ``everywhere`` is True, moves vehicles beyond the control radius too, as ``replay`` does.
+
+    Its episodes end with the log.
+    """
+
+    everywhere: ClassVar[bool]
+
+
+def moves_everywhere(policy: TrafficPolicy) -> bool:
+    """Return whether the control radius does not bind *policy*."""
+    return isinstance(policy, UnboundedPolicy) and policy.everywhere

@@ -1,4 +1,8 @@
-"""Exponential moving average of the weights, which is what is evaluated and shipped."""
+"""Exponential moving average of the weights, which is what is evaluated and shipped.
+
+``torch.optim.swa_utils.AveragedModel`` is a second copy of the module, with names of its own in every checkpoint, and
+leaves to its user what is here: a decay that grows with the step, and letting the module have the average for a while.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Learning rate as a function of the step, so that nothing of it needs to be saved."""
+"""Learning rate as a function of the step, so that nothing of it needs to be saved.
+
+PyTorch's schedulers keep counts of their own that a checkpoint would have to hold, and ``OneCycleLR`` refuses a step
+beyond the total that it was made for; here ``--resume`` and a changed length need no care.
+"""
 
 from __future__ import annotations
 

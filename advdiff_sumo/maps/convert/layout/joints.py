@@ -1,27 +1,30 @@
-"""Which lane ends meet in one junction: a union-find over the ends of pieces and lanes."""
+"""Which lane ends meet in one junction: scipy's disjoint sets over the ends of pieces and lanes."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable
 
+from scipy.cluster.hierarchy import DisjointSet
+
 
 class Joints:
-    """Disjoint sets of lane ends."""
+    """Disjoint sets of lane ends; an end that was never joined is a set of its own."""
 
     def __init__(self) -> None:
-        self._parent: dict[Hashable, Hashable] = {}
+        self._sets = DisjointSet()
 
     def find(self, end: Hashable) -> Hashable:
         """Return the representative of the set that holds *end*."""
-        parent = self._parent.setdefault(end, end)
-        while parent != self._parent[parent]:
-            self._parent[parent] = parent = self._parent[self._parent[parent]]
-        self._parent[end] = parent
-        return parent
+        self._sets.add(end)
+        representative: Hashable = self._sets[end]
+        return representative
 
     def join(self, ends: Iterable[Hashable]) -> Hashable:
         """Put all *ends* into one set and return its representative."""
-        roots = list(dict.fromkeys(self.find(end) for end in ends))
-        for root in roots[1:]:
-            self._parent[root] = roots[0]
-        return roots[0]
+        first, *others = dict.fromkeys(ends)
+        self._sets.add(first)
+        for end in others:
+            self._sets.add(end)
+            self._sets.merge(first, end)
+        representative: Hashable = self._sets[first]
+        return representative

@@ -10,7 +10,7 @@ import numpy as np
 from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
-from advdiff_sumo.data.motion import parked_agents, signed_speeds
+from advdiff_sumo.data.motion import parked_agents, signed_speeds, without_jitter
 from advdiff_sumo.data.scene_files import SceneFiles
 
 DT_S = 0.1
@@ -90,6 +90,7 @@ def _scene(name: str, path: Path, table: dict[str, Any]) -> LogScene:
     ego = ids.index(EGO)
     parked = parked_agents(tracks.xy_m, tracks.valid, tracks.dt_s)
     parked[ego] = False
+    tracks = without_jitter(tracks, parked, ego)
     return LogScene(name, f"log_map_archive_{name}", tracks, ego, parked, path)
 
 

@@ -1,14 +1,21 @@
-"""What annotated boxes say about motion: signed speeds, and who never moves."""
+"""What annotated boxes say about motion: signed speeds, who never moves, and what stands still in spite of jitter."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
-from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.frames import unit, wrap_angle
+from advdiff_sumo.core.scene import AgentClass, Tracks
 
 PARKED_EXTENT_M = 1.0
 PARKED_SPEED_MPS = 1.0
+STILL_EXTENT_M, STILL_S = 0.25, 2.0
+"""Who stays within so much of one place for at least so long stands there."""
+_STARTS_M = 0.05
 _MONOTONE = 3.0
 
 
@@ -63,3 +70,53 @@ def parked_agents(xy_m: FloatArray, valid: BoolArray, dt_s: float) -> BoolArray:
         net = np.linalg.norm(path[-1] - path[0]) / seconds
         parked[row] = extent <= PARKED_EXTENT_M and net <= PARKED_SPEED_MPS
     return parked
+
+
+def without_jitter(tracks: Tracks, parked: BoolArray, ego: int) -> Tracks:
+    """Return *tracks* in which what stands stands still: annotations of it wander by up to a metre.
+
+    Who is parked, and not on foot, keeps its median position and heading throughout. Anybody else does so while it
+    stays within ``STILL_EXTENT_M`` of one place for ``STILL_S`` or longer, from when it is there to when it leaves.
+    Speeds are 0 then. The ego is not annotated and stays as it is.
+
+    Args:
+        tracks: of A agents.
+        parked: (A,) who never moves, as of :func:`parked_agents`.
+        ego: row of the recording vehicle.
+    """
+    xy, yaw, speed = tracks.xy_m.copy(), tracks.yaw_rad.copy(), tracks.speed_mps.copy()
+    whole = parked & (tracks.classes != AgentClass.PEDESTRIAN)
+    for row in range(tracks.agents):
+        there = np.flatnonzero(tracks.valid[row])
+        if row == ego or not len(there):
+            continue
+        for stand in [there] if whole[row] else _stands(tracks.xy_m[row], there, tracks.dt_s):
+            xy[row, stand] = np.median(tracks.xy_m[row, stand], axis=0)
+            yaw[row, stand] = _median_angle(tracks.yaw_rad[row, stand])
+            speed[row, stand] = 0.0
+    return replace(tracks, xy_m=xy, yaw_rad=yaw, speed_mps=speed)
+
+
+def _stands(xy_m: FloatArray, there: IntArray, dt_s: float) -> Iterator[IntArray]:
+    """Yield the instants of each stand of one agent, which is *there* (K,) and at *xy_m* (T, 2)."""
+    fewest = round(STILL_S / dt_s) + 1
+    first = 0
+    while first + fewest <= len(there):
+        away = np.linalg.norm(xy_m[there[first:]] - xy_m[there[first]], axis=-1) > STILL_EXTENT_M
+        count = int(away.argmax()) if away.any() else len(away)
+        if count < fewest:
+            first += 1
+            continue
+        stand = there[first : first + count]
+        beside = np.linalg.norm(xy_m[stand] - np.median(xy_m[stand], axis=0), axis=-1)
+        close = np.flatnonzero(beside <= max(_STARTS_M, float(np.median(beside))))
+        stand = stand[close[0] : close[-1] + 1]
+        if len(stand) >= fewest:
+            yield stand
+        first += count
+
+
+def _median_angle(angle_rad: FloatArray) -> float:
+    """Return the median of angles (K,) on the circle, seen from the first one."""
+    turned = wrap_angle(angle_rad - angle_rad[0])
+    return float(wrap_angle(angle_rad[0] + np.median(turned)))

@@ -19,7 +19,7 @@ from advdiff_sumo.core.errors import LogError, UnknownNameError
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
-from advdiff_sumo.data.motion import parked_agents, signed_speeds
+from advdiff_sumo.data.motion import parked_agents, signed_speeds, without_jitter
 from advdiff_sumo.data.nuscenes_index import (
     KEYFRAME_S,
     Boxes,
@@ -81,7 +81,7 @@ class NuScenesReader:
         )
         parked = parked_agents(tracks.xy_m, tracks.valid, KEYFRAME_S)
         parked[0] = False
-        tracks.speed_mps[parked[:, None] & tracks.valid] = 0.0
+        tracks = without_jitter(tracks, parked, 0)
         return LogScene(name, self._entries[number].location, tracks, 0, parked, self.folder)
 
     def scenes(self) -> Iterator[LogScene]:

@@ -13,7 +13,7 @@ from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
-from advdiff_sumo.data.motion import parked_agents, signed_speeds
+from advdiff_sumo.data.motion import parked_agents, signed_speeds, without_jitter
 from advdiff_sumo.data.nuscenes import ZOE_CENTRE_AHEAD_M, ZOE_LENGTH_M, ZOE_WIDTH_M
 from advdiff_sumo.data.nuscenes_index import agent_class
 from advdiff_sumo.data.pickles import load_plain
@@ -95,7 +95,7 @@ def _scene(name: str, path: Path, record: Mapping[str, Any]) -> LogScene:
         tracks = _with_zoe(tracks, ego)
     parked = parked_agents(tracks.xy_m, tracks.valid, tracks.dt_s)
     parked[ego] = False
-    tracks.speed_mps[parked[:, None] & tracks.valid] = 0.0
+    tracks = without_jitter(tracks, parked, ego)
     location = str(meta.get("map", "")) if nuscenes and offset is not None else ""
     return LogScene(name, location, tracks, ego, parked, path)
 

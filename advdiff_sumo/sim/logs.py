@@ -12,6 +12,7 @@ from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.log_reader import LogReader, LogScene
+from advdiff_sumo.data.motion import parked_agents
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.seed_scene import PlacedTraffic, SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
@@ -113,7 +114,8 @@ class LoggedTraffic:
         steps = now - first
         history = log.window(0, steps + 1).rows(log.valid[:, steps])
         history = _every(history, per_model_step)
-        parked = drive.parked[near]
+        parked = drive.parked[near] | parked_agents(log.xy_m, log.valid, log.dt_s)  # or parks by now
+        parked[target] = False
         routes = {name: route for name, route in self._routes(log, parked, target, steps) if route}
         name = f"{drive.name}-{now:03d}"
         if log.ids[target] not in routes:

@@ -14,6 +14,7 @@ import pytest
 from advdiff_sumo.core.errors import LogError, UnknownNameError
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.data.motion import STILL_EXTENT_M
 from advdiff_sumo.data.nuscenes import ZOE_CENTRE_AHEAD_M, NuScenesReader
 from advdiff_sumo.data.nuscenes_index import agent_class
 
@@ -171,7 +172,9 @@ def test_real_boxes_are_all_there_and_exact(reader: NuScenesReader) -> None:
             assert tracks.valid[1:, step].sum() == len(rows)
             for row in rows:
                 agent = tracks.index[row["instance_token"]]
-                assert tracks.xy_m[agent, step].tolist() == row["translation"][:2]
+                away = np.hypot(*(tracks.xy_m[agent, step] - row["translation"][:2]))
+                stands = tracks.speed_mps[agent, step] == 0.0
+                assert away <= (1.0 if scene.parked[agent] else STILL_EXTENT_M if stands else 0.0)
                 assert tracks.size_m[agent].tolist() == [row["size"][1], row["size"][0]]
             seen += len(rows)
             token = samples[token]["next"]
@@ -226,5 +229,8 @@ def test_parked_cars_stand_and_moving_ones_do_not(reader: NuScenesReader) -> Non
         assert (size[scene.parked] < 2.0).all()
         vehicles = (tracks.classes != AgentClass.PEDESTRIAN) & (size > 5.0)
         assert not scene.parked[vehicles].any()
-        assert (np.abs(tracks.speed_mps[scene.parked][tracks.valid[scene.parked]]) == 0.0).all()
+        parked = scene.parked & (tracks.classes != AgentClass.PEDESTRIAN)
+        assert parked.any()
+        assert (size[parked] == 0.0).all()
+        assert (np.abs(tracks.speed_mps[parked][tracks.valid[parked]]) == 0.0).all()
         assert np.isfinite(tracks.speed_mps[tracks.valid]).all()

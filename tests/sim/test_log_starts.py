@@ -14,6 +14,7 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.log_reader import LogScene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.logs import LoggedTraffic
+from advdiff_sumo.sim.seed_scene import PlacedTraffic
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 
 STEP_S, STEPS, WAITS_S, SPEED_MPS = 0.5, 41, 8.0, 8.0
@@ -69,3 +70,39 @@ def test_standing_is_a_start_where_it_is_asked_for(street: Path) -> None:
 def test_a_log_whose_ego_never_moves_is_refused(street: Path) -> None:
     with pytest.raises(SceneError, match=r"lower scene\.min_speed_mps"):
         list(source(street, 0.0).scenes())
+
+
+class WithOneThatParks(OneDrive):
+    """The same with another car, 10 m behind in the next lane, which drives 40 m in 5 s and then stands for good."""
+
+    def __init__(self) -> None:
+        super().__init__(SPEED_MPS)
+        x = 10.0 + np.minimum(STEP_S * np.arange(STEPS), 5.0) * SPEED_MPS
+        speed = np.where(STEP_S * np.arange(STEPS) < 5.0, SPEED_MPS, 0.0)
+        ego = self.tracks
+        self.tracks = Tracks(
+            ids=("ego", "parks"),
+            classes=np.repeat(ego.classes, 2),
+            size_m=np.repeat(ego.size_m, 2, axis=0),
+            xy_m=np.concatenate((ego.xy_m, np.stack((x, np.full(STEPS, -1.6)), -1)[None])),
+            yaw_rad=np.zeros((2, STEPS)),
+            speed_mps=np.concatenate((ego.speed_mps, speed[None])),
+            valid=np.ones((2, STEPS), dtype=np.bool_),
+            t0_s=0.0,
+            dt_s=STEP_S,
+        )
+
+    def read(self, name: str) -> LogScene:
+        return LogScene(name, "street", self.tracks, 0, np.zeros(2, dtype=np.bool_), Path("street"))
+
+
+def test_who_stands_from_the_start_on_as_long_as_it_is_logged_stays_put(street: Path) -> None:
+    """At 2 s it drives, at 10 s it has parked."""
+    options = SceneOptions.parse({"stride_s": 2.0, "min_speed_mps": 0.0})
+    logged = LoggedTraffic(RoadMap.read(street), WithOneThatParks(), options, SimOptions(), SeedTree(0))
+    driven = {}
+    for scene in logged.scenes():
+        assert isinstance(scene.start, PlacedTraffic)
+        driven[scene.name] = bool(scene.start.drivable[scene.log.index["parks"]])
+    assert driven["drive-004"]
+    assert not driven["drive-020"]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import MOTOR_CLASSES, Scene, Tracks
@@ -23,6 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.licensed_attack import RECKLESS, LicensedAt
 from advdiff_sumo.traffic.planning.draw import Drawn, draw_plan
 from advdiff_sumo.traffic.planning.futures import Futures, coasting, futures_of, join
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
+from advdiff_sumo.traffic.planning.people import PEOPLE, go_straight, velocities
 from advdiff_sumo.traffic.planning.safeguard import Guarded, Plan, Watched, back_to_lane, safeguard
 from advdiff_sumo.traffic.planning.way_out import way_out
 
@@ -171,43 +172,65 @@ def apply_safeguard(
         before: the last plan and how many model steps of it have been driven.
         attack: what the licence makes of the attackers.
     """
-    seen = futures_of(view.now, drawn.rollout)
-    scene = view.scene
+    seen, scene = futures_of(view.now, drawn.rollout), view.scene
     rest = np.setdiff1d(np.flatnonzero(scene.history.valid[:, -1]), view.rows)
-    now = scene.history
-    others = coasting(
-        now.xy_m[rest, -1],
-        now.yaw_rad[rest, -1],
-        now.speed_mps[rest, -1],
-        now.size_m[rest],
-        seen.steps,
-        seen.dt_s,
-    )
-    more = np.zeros(len(rest), dtype=np.bool_)
-    guided = np.isin(view.ids, drawn.attackers)
-    over_limit = np.where(guided, attack.over_limit, NATURAL_OVER_LIMIT)
-    planned = view.moved & ~np.isin(np.arange(len(view.ids)), list(attack.driven))
-    dawdled = _slower(view.now, _WALKS_MPS)
-    ahead = [lanes.get(row) for row in (*view.rows.tolist(), *rest.tolist())]
-    for row in np.flatnonzero(planned & dawdled).tolist():
-        if ahead[row] is None:
-            ahead[row] = way_out(road, seen.xy_m[row, 0], float(seen.yaw_rad[row, 0]))
-    watched = Watched(
-        planned=np.concatenate((planned, more)),
-        attacker=np.concatenate((guided & attack.exempt, more)),
-        target=0,
-        motor=np.concatenate((np.isin(view.now.classes, MOTOR_CLASSES), more)),
-        stood=np.concatenate((_slower(view.now, _STANDS_MPS), more)),
-        dawdled=np.concatenate((dawdled, more)),
-        over_limit=np.concatenate((over_limit, np.ones(len(rest)))),
-        lanes=ahead,
-        signals=scene.signals,
-        before=rests(*before, view, seen.steps),
-    )
+    rows = np.concatenate((view.rows, rest))
+    watched = _watched(road, view, rows, lanes, drawn.attackers, attack)
+    watched = replace(watched, before=rests(*before, view, seen.steps))
     for row, plan in attack.driven.items():
         seen.put(row, *plan)
     back_to_lane(seen, np.array(attack.refused, dtype=np.int64), watched)
-    return safeguard(road, join(seen, others), watched)
+    now = scene.history
+    joined = join(
+        seen,
+        coasting(
+            now.xy_m[rest, -1],
+            now.yaw_rad[rest, -1],
+            now.speed_mps[rest, -1],
+            now.size_m[rest],
+            seen.steps,
+            seen.dt_s,
+        ),
+    )
+    go_straight(joined, watched.people & ~_with_rest(view.moved, rest), velocities(now)[rows])
+    return safeguard(road, joined, watched)
+
+
+def _watched(
+    road: RoadMap,
+    view: View,
+    rows: IntArray,
+    lanes: Mapping[int, LaneAhead | None],
+    attackers: Sequence[str],
+    attack: LicensedAttack,
+) -> Watched:
+    """Return what the safeguard has to know of *rows* (N,) of the scene, those of the view first."""
+    scene, rest = view.scene, rows[len(view.ids) :]
+    guided = np.isin(view.ids, attackers)
+    planned = view.moved & ~np.isin(np.arange(len(view.ids)), list(attack.driven))
+    dawdled = _slower(view.now, _WALKS_MPS)
+    ahead = [lanes.get(row) for row in rows.tolist()]
+    for row in np.flatnonzero(planned & dawdled).tolist():
+        if ahead[row] is None:
+            ahead[row] = way_out(road, view.now.xy_m[row, -1], float(view.now.yaw_rad[row, -1]))
+    over_limit = np.where(guided, attack.over_limit, NATURAL_OVER_LIMIT)
+    return Watched(
+        planned=_with_rest(planned, rest),
+        attacker=_with_rest(guided & attack.exempt, rest),
+        target=0,
+        motor=np.isin(scene.history.classes[rows], MOTOR_CLASSES),
+        people=np.isin(scene.history.classes[rows], PEOPLE),
+        stood=_with_rest(_slower(view.now, _STANDS_MPS), rest),
+        dawdled=_with_rest(dawdled, rest),
+        over_limit=np.concatenate((over_limit, np.ones(len(rest)))),
+        lanes=ahead,
+        signals=scene.signals,
+    )
+
+
+def _with_rest(mask: BoolArray, rest: IntArray) -> BoolArray:
+    """Return *mask* of the view's agents, and False for the *rest* of the scene."""
+    return np.concatenate((mask, np.zeros(len(rest), dtype=np.bool_)))
 
 
 def rests(plan: Tracks | None, driven: int, view: View, steps: int) -> dict[int, Plan]:

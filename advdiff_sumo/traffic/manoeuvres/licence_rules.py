@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
@@ -19,9 +19,10 @@ from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFuture
 from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
+from advdiff_sumo.traffic.planning.people import PEOPLE_SIDE_M
 
 _RED, _STOPS_AT, _YIELDS_ON_GREEN = "ru", "ruy", "g"
-_ROOM_M = np.array([0.5, 0.15])
+_ROOM_M, _PEOPLE_ROOM_M = np.array([0.5, 0.15]), np.array([0.5, PEOPLE_SIDE_M])
 _STOPS = ("hard-stop", "blocked-lane")
 
 
@@ -132,7 +133,8 @@ def _gap_holds(view: SituationView, row: int, other: int, enters_s: float, licen
 def _has_room(view: SituationView, manoeuvre: Manoeuvre, futures: ManoeuvreFutures, k: int) -> bool:
     """Return whether it meets nobody but the target, if all others keep their speeds on their ways.
 
-    Who follows on the same lane is left out: drivers keep their distance to a leader.
+    Who follows on the same lane is left out: drivers keep their distance to a leader. Who is on foot, or on no lane,
+    keeps its velocity, and is given more room.
     """
     rows = np.array(
         [
@@ -142,18 +144,30 @@ def _has_room(view: SituationView, manoeuvre: Manoeuvre, futures: ManoeuvreFutur
         ],
         dtype=np.int64,
     )
-    if not len(rows):
-        return True
-    xy, yaw = view.coasting(rows)
-    near = np.linalg.norm(xy - futures.xy_m[k], axis=-1).min(axis=1) < 12.0
+    clear = _clear_of(view, manoeuvre, futures, k, rows, *view.coasting(rows), _ROOM_M)
+    return clear and _clear_of(view, manoeuvre, futures, k, view.astray, *view.straight_on, _PEOPLE_ROOM_M)
+
+
+def _clear_of(
+    view: SituationView,
+    manoeuvre: Manoeuvre,
+    futures: ManoeuvreFutures,
+    k: int,
+    rows: IntArray,
+    xy_m: FloatArray,
+    yaw_rad: FloatArray,
+    room_m: FloatArray,
+) -> bool:
+    """Return whether future *k* keeps *room_m* (2,) to *rows* (R,), which will be at (R, T, 2), (R, T)."""
+    near = np.linalg.norm(xy_m - futures.xy_m[k], axis=-1).min(axis=1, initial=np.inf) < 12.0
     if not near.any():
         return True
     half = 0.5 * view.scene.history.size_m
     gaps = axis_gaps(
-        xy[near] - futures.xy_m[k],
-        np.broadcast_to(futures.yaw_rad[k], yaw[near].shape),
-        half[manoeuvre.row] + _ROOM_M,
-        yaw[near],
+        xy_m[near] - futures.xy_m[k],
+        np.broadcast_to(futures.yaw_rad[k], yaw_rad[near].shape),
+        half[manoeuvre.row] + room_m,
+        yaw_rad[near],
         half[rows[near]][:, None],
     )[0].max(-1)
     return bool((gaps > 0.0).all())

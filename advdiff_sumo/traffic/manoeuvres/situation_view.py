@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
-from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
+from advdiff_sumo.traffic.planning.people import velocities
 
 NEAR_M = 70.0
 """Vehicles farther from the target than this do not matter to it."""
@@ -28,12 +29,14 @@ class SituationView:
     Attributes:
         road: the map.
         scene: now.
-        ways: row → way; who is on no lane has none.
+        ways: row → way; who is on foot or on no lane has none.
+        astray: (R,) rows of those near who have none, the target left out.
     """
 
     road: RoadMap
     scene: Scene
     ways: Mapping[int, Way]
+    astray: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @staticmethod
     def of(road: RoadMap, scene: Scene) -> SituationView:
@@ -44,8 +47,10 @@ class SituationView:
         lanes = lanes_ahead(
             road, now.xy_m[rows, -1], now.yaw_rad[rows, -1], [scene.routes[row] for row in rows.tolist()]
         )
-        pairs = zip(rows.tolist(), lanes, strict=True)
-        return SituationView(road, scene, {row: Way(lane) for row, lane in pairs if lane is not None})
+        walks = now.classes[rows] == AgentClass.PEDESTRIAN
+        pairs = zip(rows.tolist(), lanes, walks.tolist(), strict=True)
+        ways = {row: Way(lane) for row, lane, on_foot in pairs if lane is not None and not on_foot}
+        return SituationView(road, scene, ways, np.setdiff1d(rows, [*ways, scene.target]))
 
     @property
     def target(self) -> TargetWay | None:
@@ -93,11 +98,19 @@ class SituationView:
         return None if beyond is None else Way(_beside(beyond))
 
     def coasting(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return centres (R, T, 2) and headings (R, T) of *rows* that keep their speed on their ways."""
+        """Return centres (R, T, 2) and headings (R, T) of *rows* on their ways that keep their speed."""
         poses = [self.ways[r].poses(self.speed(r) * CHECK_TIMES_S, CHECK_TIMES_S) for r in rows.tolist()]
         if not poses:
             return np.zeros((0, len(CHECK_TIMES_S), 2)), np.zeros((0, len(CHECK_TIMES_S)))
         return np.stack([xy for xy, _ in poses]), np.stack([yaw for _, yaw in poses])
+
+    @cached_property
+    def straight_on(self) -> tuple[FloatArray, FloatArray]:
+        """Return centres (R, T, 2) and headings (R, T) of who is ``astray``: they keep their velocity."""
+        now, rows = self.scene.history, self.astray
+        driven = CHECK_TIMES_S[:, None] * velocities(now)[rows, None]
+        yaw = np.repeat(now.yaw_rad[rows, -1:], len(CHECK_TIMES_S), axis=1)
+        return now.xy_m[rows, -1:] + driven, yaw
 
 
 def _beside(lane: LaneAhead) -> LaneAhead:

@@ -46,15 +46,22 @@ class Braked:
     unsolved: BoolArray
 
 
-def brake_ahead(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray, steps: int) -> Braked:
+def brake_ahead(
+    futures: Futures,
+    may: BoolArray,
+    minds: BoolArray,
+    stop_m: FloatArray,
+    steps: int,
+    side_m: FloatArray | None = None,
+) -> Braked:
     """Return :func:`brake` of the first *steps* instants; who braked goes on from there at the speed it has then.
 
     What is to happen later is drawn anew before it happens: two vehicles that would meet in five seconds are no
     reason to brake today, and braking for all of them makes traffic stand still.
     """
     if steps >= futures.steps:
-        return brake(futures, may, minds, stop_m)
-    near = brake(futures.first(steps), may, minds, stop_m)
+        return brake(futures, may, minds, stop_m, side_m)
+    near = brake(futures.first(steps), may, minds, stop_m, side_m)
     made, path, dt = futures.copy(), PlannedPaths(futures), futures.dt_s
     driven = near.futures.travelled_m()
     for row in np.flatnonzero(near.rows).tolist():
@@ -68,7 +75,13 @@ def brake_ahead(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: Floa
     return Braked(made, near.rows, near.unsolved)
 
 
-def brake(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray) -> Braked:
+def brake(
+    futures: Futures,
+    may: BoolArray,
+    minds: BoolArray,
+    stop_m: FloatArray,
+    side_m: FloatArray | None = None,
+) -> Braked:
     """Return *futures* in which no two boxes meet, as far as braking can do it.
 
     Args:
@@ -76,12 +89,14 @@ def brake(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray
         may: (N,) whose speeds may be changed.
         minds: (N, N) whether the first gives way to the second at all.
         stop_m: (N,) distance along the own path that must not be passed; inf for none.
+        side_m: (N,) room that is kept to each, and by each, on its sides; None: ``SIDE_M``.
     """
+    sides = np.full(futures.agents, SIDE_M) if side_m is None else side_m
     made = futures.copy()
     path = PlannedPaths(futures)
     braked, unsolved = np.zeros(len(may), dtype=np.bool_), np.zeros(len(may), dtype=np.bool_)
     for _ in range(_ROUNDS):
-        pairs = _conflicts(made, minds & may[:, None], may)
+        pairs = _conflicts(made, minds & may[:, None], may, sides)
         late = may & (path.length_m(made) > stop_m) & ~unsolved
         rows = np.flatnonzero(pairs.any(axis=1) | late)
         if not len(rows):
@@ -89,7 +104,7 @@ def brake(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray
         changed, before = False, made.copy()
         for row in rows.tolist():
             others = np.flatnonzero(pairs[row])
-            ok, moved = _ease(made, before, path, row, others, float(stop_m[row]))
+            ok, moved = _ease(made, before, path, row, others, float(stop_m[row]), sides)
             unsolved[row] = not ok
             braked[row] |= moved
             changed |= moved
@@ -126,7 +141,7 @@ class _Boxes:
         return np.asarray(gaps.max(-1))
 
 
-def _conflicts(futures: Futures, minds: BoolArray, may: BoolArray) -> BoolArray:
+def _conflicts(futures: Futures, minds: BoolArray, may: BoolArray, side_m: FloatArray) -> BoolArray:
     """Return (N, N) whether the first has to brake for the second, of whom *may* (N,) can be asked to."""
     boxes = _Boxes.later(futures)
     reach = 0.5 * np.hypot(*futures.size_m.T) + 0.5 * GAP_M
@@ -136,7 +151,7 @@ def _conflicts(futures: Futures, minds: BoolArray, may: BoolArray) -> BoolArray:
     first, second = np.nonzero(either & (apart < reach[:, None] + reach))
     if not len(first):
         return out
-    room, inside = _room(futures, first, second)
+    room, inside = _room(futures, first, second, side_m)
     meets = boxes.rows(first).gaps(boxes.rows(second), room) < 0.0
     hit = meets.any(axis=1) & ~inside
     first, second, when = first[hit], second[hit], meets[hit].argmax(axis=1)
@@ -170,11 +185,14 @@ def _one_starts(
     brakes[second[both & ~first_goes], first[both & ~first_goes]] = False
 
 
-def _room(futures: Futures, first: IntArray, second: IntArray) -> tuple[FloatArray, BoolArray]:
+def _room(
+    futures: Futures, first: IntArray, second: IntArray, side_m: FloatArray
+) -> tuple[FloatArray, BoolArray]:
     """Return (P, 2) the room to keep in each pair, as much of it as there is now, and (P,) who overlaps now."""
     now = _Boxes.now(futures)
     mine, yours = now.rows(first), now.rows(second)
-    full = np.tile((GAP_M, SIDE_M), (len(first), 1))
+    side = np.maximum(side_m[first], side_m[second])
+    full = np.stack((np.full(len(first), GAP_M), side), axis=-1)
     room = np.zeros_like(full)
     for share in reversed(_SHARES):
         there = mine.gaps(yours, share * full) >= 0.0
@@ -183,7 +201,13 @@ def _room(futures: Futures, first: IntArray, second: IntArray) -> tuple[FloatArr
 
 
 def _ease(
-    futures: Futures, before: Futures, path: PlannedPaths, row: int, others: IntArray, stop_m: float
+    futures: Futures,
+    before: Futures,
+    path: PlannedPaths,
+    row: int,
+    others: IntArray,
+    stop_m: float,
+    side_m: FloatArray,
 ) -> tuple[bool, bool]:
     """Let *row* brake as mildly as keeps it clear of *others* as they were *before*, in place.
 
@@ -193,7 +217,7 @@ def _ease(
     clear = driven[:, -1] <= stop_m
     free = np.full(len(driven), np.inf)
     if len(others):
-        free = _clear_steps(before, path, row, others, driven)
+        free = _clear_steps(before, path, row, others, driven, side_m)
         clear &= np.isinf(free)
     best = int(clear.argmax()) if clear.any() else int(np.argmax(free + 1e-3 * np.arange(len(free))))
     if not clear.any() and not len(others):
@@ -217,7 +241,7 @@ def _ladder(futures: Futures, row: int) -> FloatArray:
 
 
 def _clear_steps(
-    futures: Futures, path: PlannedPaths, row: int, others: IntArray, driven: FloatArray
+    futures: Futures, path: PlannedPaths, row: int, others: IntArray, driven: FloatArray, side_m: FloatArray
 ) -> FloatArray:
     """Return (C,) the half step at which a ladder's rung first meets one of *others*; inf where it never does."""
     begin = np.hstack((np.zeros((len(driven), 1)), driven[:, :-1]))
@@ -225,7 +249,7 @@ def _clear_steps(
     halves[:, ::2], halves[:, 1::2] = 0.5 * (begin + driven), driven
     xy, yaw = path.at(row, halves)
     all_xy, all_yaw = futures.halves()
-    room, _ = _room(futures, np.full(len(others), row), others)
+    room, _ = _room(futures, np.full(len(others), row), others, side_m)
     half = 0.5 * futures.size_m
     meets = np.zeros(halves.shape, dtype=np.bool_)
     for other, wide in zip(others.tolist(), room, strict=True):

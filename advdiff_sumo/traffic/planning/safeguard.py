@@ -20,11 +20,12 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.traffic.planning.braking import Braked, brake, brake_ahead
+from advdiff_sumo.traffic.planning.braking import SIDE_M, Braked, brake, brake_ahead
 from advdiff_sumo.traffic.planning.futures import Futures, standing
 from advdiff_sumo.traffic.planning.lane_following import follow
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 from advdiff_sumo.traffic.planning.oncoming import drives_against
+from advdiff_sumo.traffic.planning.people import PEOPLE_SIDE_M
 from advdiff_sumo.traffic.planning.road_bound import leaves_road
 from advdiff_sumo.traffic.planning.speed_bound import bound_speeds
 
@@ -51,6 +52,7 @@ class Watched:
         attacker: (N,) who is guided against the target.
         target: row of the target.
         motor: (N,) who is a motor vehicle.
+        people: (N,) who is on foot or on a bicycle, and is given more room.
         stood: (N,) who has not moved for as long as its history goes back.
         dawdled: (N,) who has been no faster than walking pace for as long.
         over_limit: (N,) highest share of the speed limit that each may drive at.
@@ -63,6 +65,7 @@ class Watched:
     attacker: BoolArray
     target: int
     motor: BoolArray
+    people: BoolArray
     stood: BoolArray
     dawdled: BoolArray
     over_limit: FloatArray
@@ -129,22 +132,25 @@ def _blocks_junction(futures: Futures, watched: Watched) -> BoolArray:
 def _settled(futures: Futures, watched: Watched, may: BoolArray, stop_m: FloatArray) -> Braked:
     """Return *futures* braked; who is not clear then tries the plan before, then its lane."""
     minds = _minds(watched)
-    best = _braked(futures, may, minds, stop_m)
+    side = np.where(watched.people, PEOPLE_SIDE_M, SIDE_M)
+    best = _braked(futures, may, minds, stop_m, side)
     for way in (_as_before, back_to_lane):
         rows = np.flatnonzero(best.unsolved)
         if not len(rows):
             break
         other = futures.copy()
         way(other, rows, watched)
-        tried = _braked(other, may, minds, stop_m)
+        tried = _braked(other, may, minds, stop_m, side)
         if tried.unsolved.sum() < best.unsolved.sum():
             futures, best = other, tried
     return best
 
 
-def _braked(futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray) -> Braked:
+def _braked(
+    futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray, side_m: FloatArray
+) -> Braked:
     stopped = brake(futures, may, np.zeros_like(minds), stop_m)  # a stop line stays where it is, however far
-    clear = brake_ahead(stopped.futures, may, minds, stop_m, _LOOK_STEPS)
+    clear = brake_ahead(stopped.futures, may, minds, stop_m, _LOOK_STEPS, side_m)
     return Braked(clear.futures, stopped.rows | clear.rows, stopped.unsolved | clear.unsolved)
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.manoeuvres.answers import UNANSWERABLE_MPS2, needed_braking
@@ -118,3 +119,25 @@ def test_the_hardest_answerable_manoeuvre_is_chosen(motorway: RoadMap) -> None:
 def test_who_is_behind_proposes_nothing(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 90.0, 20.0), follower=(0, 50.0, 30.0))
     assert [m for kind in KINDS.values() for m in kind(view, 1)] == []
+
+
+@pytest.mark.parametrize(
+    ("beside_m", "walks_mps", "allowed"), [(2.5, 1.0, False), (2.5, 0.0, True), (12.0, 1.0, True)]
+)
+def test_a_manoeuvre_does_not_drive_into_people(
+    motorway: RoadMap, beside_m: float, walks_mps: float, allowed: bool
+) -> None:
+    """A leader that goes on at 10 m/s, and somebody on foot 20 m ahead of it who faces along the road."""
+    view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 80.0, 10.0), walker=(0, 100.0, 0.0))
+    scene, walker = view.scene, view.scene.history.index["walker"]
+    yaw = scene.history.yaw_rad[walker, 0]
+    right = np.array((np.sin(yaw), -np.cos(yaw)))
+    history = replace(
+        scene.history, classes=np.array([0, 0, AgentClass.PEDESTRIAN]), xy_m=scene.history.xy_m.copy()
+    )
+    back = 0.5 * np.arange(history.steps - 1, -1, -1)
+    history.xy_m[walker] += right * (beside_m + walks_mps * back)[:, None]
+    history.size_m[walker] = 0.6
+    crowd = SituationView.of(motorway, replace(scene, history=history))
+    assert crowd.astray.tolist() == [walker]
+    assert is_lawful(crowd, Manoeuvre("hard-stop", 1, crowd.ways[1])) == allowed

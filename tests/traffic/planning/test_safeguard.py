@@ -55,6 +55,7 @@ def watched(road: RoadMap, futures: Futures, attacks: bool = False, light: str =
         attacker=planned & attacks,
         target=0,
         motor=np.ones_like(planned),
+        people=np.zeros_like(planned),
         stood=stood,
         dawdled=planned & (futures.speed_mps[:, 0] < 2.0),
         over_limit=np.where(planned & attacks, 1.5, 1.15),

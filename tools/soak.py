@@ -105,7 +105,7 @@ def _soaked(place: Place, options: argparse.Namespace) -> Iterator[tuple[str, st
     rows = {row["episode"]: row for row in read_rows(folder, "episodes")}
     keys = {number: row["key"] for number, row in rows.items()}
     wrong: set[int] = set()
-    replays = {number for number, row in rows.items() if row["background"] == "replay" and not place.scenes}
+    replays = {number for number, row in rows.items() if row["background"] == "replay"}
     for number, sentence in _checked(place, folder, replays):
         wrong.add(number)
         yield "wrong", f"{sentence} | advdiff-sumo replay {keys.get(number, number)} --sweep {folder}"
@@ -146,14 +146,18 @@ def _driven(place: Place, folder: Path, options: argparse.Namespace) -> int:
 def _checked(place: Place, folder: Path, replays: set[int]) -> Iterator[tuple[int, str]]:
     """Yield what is wrong in the states of the place's episodes, with the number of the episode.
 
-    *replays* are episodes in which the others replay SUMO's traffic.
+    *replays* are episodes in which the others repeat what they do in the seed scene.
     """
     road = RoadMap.read(find_net(place.net))
     contacts = read_rows(folder, "collisions")
     table = pq.read_table(folder / "states.parquet")
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
     for number, rows in runs_of(columns["episode"]):
-        states = States.of({name: values[rows] for name, values in columns.items()}, replay=number in replays)
+        states = States.of(
+            {name: values[rows] for name, values in columns.items()},
+            replay=number in replays,
+            log=bool(place.scenes),
+        )
         mine = [row for row in contacts if row["episode"] == number]
         for sentence in problems(states, road, mine):
             yield number, sentence

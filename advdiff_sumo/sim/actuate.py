@@ -2,9 +2,9 @@
 
 Rules that SUMO does not state: a vehicle must have been on a lane before anything else; off the lanes, or with its
 front bumper beside the lane that SUMO holds it on, nobody sees it, and with sublanes a step can end the process, so it
-is taken out of SUMO until it comes back to a lane (our own states go on); a moved vehicle loses its route unless it is
-given the edges that it is about to drive; and its speed, as others see it, is clipped to the lane's limit times its
-speed factor.
+is taken out of SUMO until it comes back to a lane (our own states go on); removed straight after a move, a vehicle can
+end a step, too, so that it is left to SUMO for one before; a moved vehicle loses its route unless it is given the edges
+that it is about to drive; and its speed, as others see it, is clipped to the lane's limit times its speed factor.
 """
 
 from __future__ import annotations
@@ -66,12 +66,13 @@ class Actuator:
     moved: dict[int, Moved] = field(default_factory=dict)
     outside: set[int] = field(default_factory=set)
     refused: set[int] = field(default_factory=set)
+    _leaving: set[int] = field(default_factory=set)
     _entries: dict[int, int] = field(default_factory=dict)
 
     @property
     def ours(self) -> set[int]:
-        """Rows that we move, in SUMO or outside."""
-        return self.outside | self.moved.keys()
+        """Rows that we move, in SUMO or outside, and those that SUMO is about to lose."""
+        return self.outside | self.moved.keys() | self._leaving
 
     def take(self, row: int) -> None:
         """Begin to move *row*, which is on a lane."""
@@ -153,12 +154,18 @@ class Actuator:
                 self.take(row)
 
     def remove(self, row: int) -> None:
-        """Take *row* off the scene."""
+        """Take *row* off the scene; SUMO loses it after the next step."""
         self.outside.discard(row)
-        self._out_of_sumo(row)
+        self._leave(row)
 
     def leave_lanes(self) -> None:
-        """Take those out of SUMO that its last step has off the lanes, or beside the lane that it holds them on."""
+        """Take those out of SUMO that its last step has off the lanes, or beside the lane that it holds them on.
+
+        And those that it was to keep for that step only (:meth:`_leave`).
+        """
+        for row in sorted(self._leaving & self.world.in_sumo):
+            self._drop(row)
+        self._leaving.clear()
         for row in [r for r, m in self.moved.items() if m.inserted and not self._on_its_lane(r)]:
             self._out_of_sumo(row)
             self.outside.add(row)
@@ -172,12 +179,27 @@ class Actuator:
         lane = self.road.lanes.get(self.world.lane[row])
         return lane is not None and self.world.beside_m[row] <= 0.5 * lane.width_m
 
+    def _leave(self, row: int) -> None:
+        """Let SUMO drive *row* for one step, and lose it then.
+
+        After moveToXY a lane beside the vehicle's own may hold it as one that reaches into it, and keeps it so when it
+        is removed; a step of SUMO's own puts that right (docs/sumo.md).
+        """
+        state = self.moved.pop(row, None)
+        if state is not None and state.inserted:
+            self._leaving.add(row)
+        elif state is not None:
+            self._drop(row)
+
     def _out_of_sumo(self, row: int) -> None:
         if self.moved.pop(row, None) is not None:
-            name = self.world.sumo_ids[row]
-            self.api.vehicle.unsubscribe(name)  # else the next step stops at the unknown name
-            self.api.vehicle.remove(name)
-            self.world.in_sumo.discard(row)
+            self._drop(row)
+
+    def _drop(self, row: int) -> None:
+        name = self.world.sumo_ids[row]
+        self.api.vehicle.unsubscribe(name)  # else the next step stops at the unknown name
+        self.api.vehicle.remove(name)
+        self.world.in_sumo.discard(row)
 
     def holds(self, row: int, lane: str | None, d_m: float) -> bool:
         """Return whether SUMO has *row* on *lane*, *d_m* to its left: where lanes overlap it may not."""
@@ -195,7 +217,7 @@ class Actuator:
         bumper = bumper_from_centre(xy_m, yaw_rad, self.world.size_m[rows, 0])
         inside, d, along = self._lane_under(bumper, yaw_rad)
         for row in rows[~inside].tolist():
-            self._out_of_sumo(row)
+            self._leave(row)
             self.outside.add(row)
         if self.road.lefthand:
             bumper = _mirrored(bumper, d, along)

@@ -39,16 +39,25 @@ def actuator_on(s: Stage, net: Path) -> Actuator:
 
 
 def move(
-    actuator: Actuator, s: Stage, row: int, xy: tuple[float, float], yaw: float, speed: float = 0.0
+    actuator: Actuator,
+    s: Stage,
+    row: int,
+    xy: tuple[float, float],
+    yaw: float,
+    speed: float = 0.0,
+    *,
+    take_out: bool = True,
 ) -> None:
-    """Move *row* as the loop does, one step."""
+    """Move *row* as the loop does, one step, and take out whom SUMO should not have."""
     rows = np.array([row])
     at, heading = np.array([xy], dtype=np.float64), np.array([yaw])
     actuator.world.set_state(rows, at, heading, np.array([speed]), Controller.POLICY)
     actuator.move(rows, at, heading)
     s.session.step()
     actuator.settle(register(actuator.world, s.api, s.api.simulation.getDepartedIDList()))
-    read(actuator.world, s.api, np.array(sorted(actuator.moved), dtype=np.int64))
+    read(actuator.world, s.api, actuator.ours)
+    if take_out:
+        actuator.leave_lanes()
 
 
 # --- poses ---------------------------------------------------------------------------------------------------
@@ -375,7 +384,7 @@ def test_the_actuator_inserts_on_a_lane_first_and_takes_out_who_is_on_none(
             np.array([row]), np.array([[x, y]]), np.array([yaw]), np.array([5.0]), Controller.POLICY
         )
         actuator.insert(row, "car")
-        move(actuator, s, row, (x, y), yaw)
+        move(actuator, s, row, (x, y), yaw, take_out=False)
         assert actuator.moved[row].inserted
         assert s.api.vehicle.getRoadID("b") in ("WM", "MW")  # would kill the process (see above)
         for _ in range(4):
@@ -384,7 +393,29 @@ def test_the_actuator_inserts_on_a_lane_first_and_takes_out_who_is_on_none(
         assert (row in actuator.moved) == (y == -4.0)
         actuator.remove(row)
         s.session.step()
+        actuator.leave_lanes()
         assert s.api.vehicle.getIDList() == ()
+
+
+def test_sumo_drives_whom_it_loses_for_one_step(street: Path) -> None:
+    """Removed straight after a move, a vehicle may stay in the lane beside its own as one that reaches into it."""
+    with stage(street) as s:
+        actuator = actuator_on(s, street)
+        row = actuator.world.add("b", 0, LENGTH_M, WIDTH_M)
+        actuator.world.set_state(
+            np.array([row]), np.array([[150.0, -4.0]]), np.array([EAST]), np.array([5.0]), Controller.POLICY
+        )
+        actuator.insert(row, "car")
+        for _ in range(3):
+            move(actuator, s, row, (150.0, -4.0), EAST, 5.0)
+        steps: list[tuple[str, ...]] = []
+        step = s.session.step
+        s.session.step = lambda: (step(), steps.append(s.api.vehicle.getIDList()))  # type: ignore[method-assign,assignment,return-value] # looks in
+        for _ in range(2):
+            move(actuator, s, row, (150.0, -40.0), EAST, 5.0)
+        assert steps == [("b",), ()]
+        assert row in actuator.outside
+        assert actuator.world.xy_m[row].tolist() == [150.0, -40.0]
 
 
 def held_or_outside(actuator: Actuator, s: Stage, row: int, xy: tuple[float, float], yaw: float) -> None:

@@ -43,6 +43,7 @@ def two_eastbound(gap_m: float) -> States:
         SPEED_MPS * ones,
         ones.astype(bool),
         ones.astype(bool),
+        np.zeros((2, STEPS), dtype=bool),
         np.zeros(2, dtype=bool),
         STEP_S,
     )
@@ -76,6 +77,20 @@ def test_a_jump_in_position_speed_or_heading_is_named(road: RoadMap) -> None:
     yaw[1, 6:] = 0.5
     turned = replace(states, yaw_rad=yaw, by_sumo=np.zeros((2, STEPS), dtype=bool))
     assert "jump in heading of 'other' by 0.50 rad after step 5" in [*problems(turned, road, [])]
+
+
+def test_a_recording_may_leap_in_speed_as_it_does_in_way(road: RoadMap) -> None:
+    """From 10 m/s to 14 m/s at once, 0.4 m more a step and 0.2 m more in the step between: jitter of an annotation."""
+    states = two_eastbound(10.0)
+    xy, speed = states.xy_m.copy(), states.speed_mps.copy()
+    speed[1, 6:] = 14.0
+    xy[1, 6:, 0] += 0.2 + 0.4 * np.arange(STEPS - 6)
+    faster = replace(states, xy_m=xy, speed_mps=speed)
+    assert [*problems(faster, road, [])] == ["jump in speed of 'other' by 4.00 m/s after step 5"]
+    recorded = replace(faster, recorded=np.ones((2, STEPS), dtype=bool))
+    assert [*problems(recorded, road, [])] == []
+    wrong = replace(recorded, xy_m=states.xy_m)  # goes 10 m/s all the time, and says 14
+    assert [*problems(wrong, road, [])] == ["jump in speed of 'other' by 4.00 m/s after step 6"]
 
 
 def test_nan_and_a_sumo_vehicle_beside_all_lanes_are_named(road: RoadMap) -> None:

@@ -34,6 +34,7 @@ class States:
         xy_m, yaw_rad, speed_mps: (A, T, 2), (A, T), (A, T); NaN where absent.
         by_sumo: (A, T) whether SUMO drove the agent.
         sumo_course: (A, T) whether it moves as SUMO moved it, then or in the traffic that is replayed.
+        recorded: (A, T) whether it repeats a recording of real traffic, with the jitter of its annotation.
         walks: (A,) whether it is a pedestrian.
         step_s: spacing.
     """
@@ -47,17 +48,21 @@ class States:
     speed_mps: FloatArray
     by_sumo: BoolArray
     sumo_course: BoolArray
+    recorded: BoolArray
     walks: BoolArray
     step_s: float
 
     @staticmethod
-    def of(columns: Mapping[str, Any], step_s: float = 0.1, *, replay: bool = False) -> States:
+    def of(
+        columns: Mapping[str, Any], step_s: float = 0.1, *, replay: bool = False, log: bool = False
+    ) -> States:
         """Return columns of ``states.parquet`` (NumPy arrays of one episode) as arrays over agents and steps.
 
         Args:
             columns: by name.
             step_s: spacing.
-            replay: the others' courses are those of recorded SUMO traffic.
+            replay: the others do what they do in the seed scene.
+            log: the seed scene is one of a driving log, not of SUMO traffic.
         """
         ids, row = np.unique(columns["agent"].astype(str), return_inverse=True)
         shape, step = (len(ids), int(columns["step"].max()) + 1), columns["step"]
@@ -67,8 +72,12 @@ class States:
             values[row, step] = columns[name]
             return values
 
-        by_sumo = np.zeros(shape, dtype=np.bool_)
-        by_sumo[row, step] = columns["controller"] == "sumo"
+        def driven_by(controller: str) -> BoolArray:
+            steps = np.zeros(shape, dtype=np.bool_)
+            steps[row, step] = columns["controller"] == controller
+            return steps
+
+        by_sumo, repeated = driven_by("sumo"), driven_by("replayed")
         others = ~np.isin(ids, columns["agent"][columns["is_target"]].astype(str))[:, None]
         first = np.unique(row, return_index=True)[1]
         return States(
@@ -80,7 +89,8 @@ class States:
             grid("yaw_rad"),
             grid("speed_mps"),
             by_sumo,
-            by_sumo | (others & replay),
+            by_sumo | (others & (replay and not log)),
+            repeated | (others & (replay and log)),
             columns["class"][first] == "pedestrian",
             step_s,
         )
@@ -116,9 +126,13 @@ def _jumps(states: States, road: RoadMap) -> Iterator[str]:
     # the centre of a vehicle swings about its front bumper where SUMO turns it
     swing = np.where(states.by_sumo[:, 1:], 0.5 * states.length_m[:, None] * turn, 0.0)
     wheels = ~states.walks[:, None]
+    # a recording's speeds may leap as those of no car do, but must be those of its way
+    mean = 0.5 * (states.speed_mps[:, 1:] + states.speed_mps[:, :-1])
+    leap = np.abs(np.diff(states.speed_mps, axis=1))
+    leap = np.where(states.recorded[:, 1:], np.abs(np.abs(mean) - way / states.step_s), leap)
     limits = (
         ("position", way - fastest * states.step_s - swing, JUMP_M, "m"),
-        ("speed", np.abs(np.diff(states.speed_mps, axis=1)), JUMP_MPS, "m/s"),
+        ("speed", leap, JUMP_MPS, "m/s"),
         ("heading", turn, np.where(sumo | states.by_sumo[:, 1:], SUMO_JUMP_RAD, JUMP_RAD), "rad"),
     )
     for what, change, most, unit in limits:

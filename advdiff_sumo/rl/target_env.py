@@ -30,21 +30,24 @@ from advdiff_sumo.sim.sim_options import SceneOptions
 Observation = NDArray[np.float32]
 _OVER = (EndReason.HORIZON, EndReason.LOG_END)
 _TRIES = 5
+_GONE = 0.5  # share of the box off the road at which the road is left
 
 
 class TargetRewards(Options):
     """Weights of the reward, counted per step of 0.5 s.
 
     Attributes:
-        progress: a metre of way.
-        collision: a contact with anybody.
-        off_road: the share of the box off the road; 1 ends the episode.
+        progress: a metre of way; metres beyond what the lane's speed limit allows are not paid.
+        collision: a contact with anybody; it ends the episode.
+        off_road: the share of the box off the road.
+        leaving: more than half the box off the road; it ends the episode.
         effort: squared action.
     """
 
     progress: float = 0.1
     collision: float = 10.0
-    off_road: float = 5.0
+    off_road: float = 1.0
+    leaving: float = 10.0
     effort: float = 0.02
 
 
@@ -194,8 +197,9 @@ class TargetEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         except EpisodeFailure as error:
             self.close()
             return self._blank(), 0.0, False, True, {"failure": str(error), "end": "failed"}
-        terms = self._pay(loop, before, end)
-        gone = -terms["off_road"] >= self.options.reward.off_road > 0.0
+        outside = self._off_road_share(loop)
+        gone = outside > _GONE
+        terms = self._pay(loop, before, outside, end)
         terminated = end not in _OVER or gone
         truncated = not terminated and loop.steps >= loop.episode.steps
         seen = self._blank() if terminated else self._look()
@@ -205,20 +209,37 @@ class TargetEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self.close()
         return seen, float(sum(terms.values())), terminated, truncated, info
 
-    def _pay(self, loop: Loop, before_m: NDArray[np.float64], end: EndReason) -> dict[str, float]:
+    def _pay(
+        self, loop: Loop, before_m: NDArray[np.float64], off_road_share: float, end: EndReason
+    ) -> dict[str, float]:
         """Return the reward's terms of the step that has just been made."""
         weights, world, row = self.options.reward, loop.world, loop.target
-        xy, yaw = world.xy_m[row], world.yaw_rad[row]
+        xy = world.xy_m[row]
         if not np.isfinite(xy).all():  # arrived, and taken off the road
-            return {"progress": 0.0, "collision": 0.0, "off_road": 0.0, "effort": 0.0}
-        way = float(np.linalg.norm(xy - before_m)) * float(np.sign(world.speed_mps[row]))
-        outside = float(loop.road.off_road_share(corners(xy[None], yaw[None], world.size_m[row][None]))[0])
+            return dict.fromkeys(("progress", "collision", "off_road", "leaving", "effort"), 0.0)
+        way_m = float(np.linalg.norm(xy - before_m)) * float(np.sign(world.speed_mps[row]))
         return {
-            "progress": weights.progress * way,
+            "progress": weights.progress * min(way_m, self._allowed_m(loop)),
             "collision": -weights.collision * float(end is EndReason.COLLISION),
-            "off_road": -weights.off_road * outside,
+            "off_road": -weights.off_road * off_road_share,
+            "leaving": -weights.leaving * float(off_road_share > _GONE),
             "effort": -weights.effort * float(np.square(self._seat.action).sum()),
         }
+
+    def _off_road_share(self, loop: Loop) -> float:
+        """Return how much of the box is off the road, 0 to 1; 0 for a vehicle that has arrived."""
+        world, row = loop.world, loop.target
+        xy, yaw = world.xy_m[row], world.yaw_rad[row]
+        if not np.isfinite(xy).all():
+            return 0.0
+        return float(loop.road.off_road_share(corners(xy[None], yaw[None], world.size_m[row][None]))[0])
+
+    def _allowed_m(self, loop: Loop) -> float:
+        """Return the metres that the speed limit here allows in a step; off every lane they are not bounded."""
+        world, row = loop.world, loop.target
+        pose = loop.road.locate(world.xy_m[row], float(world.yaw_rad[row]))
+        speed_mps = loop.road.lanes[pose.lane_id].speed_mps if pose else np.inf
+        return float(speed_mps) * loop.sim.substeps * loop.sim.step_s
 
     @property
     def loop(self) -> Loop:

@@ -59,14 +59,19 @@ def test_controls_by_hand() -> None:
 def test_steering_off_the_road_costs_and_ends_it() -> None:
     env = TargetEnv(**{**OPTIONS, "horizon_s": 20.0})
     env.reset(seed=4)
+    terms = []
     for _ in range(40):
         _, reward, terminated, truncated, info = env.step(np.array([0.0, 0.3], dtype=np.float32))
+        terms.append(info["reward_terms"])
         if terminated or truncated:
             break
     env.close()
     assert terminated
-    assert reward < 0.0
-    assert info["end"] in ("off_road", "collision")
+    assert info["end"] == "off_road"
+    assert [step["leaving"] for step in terms] == [0.0] * (len(terms) - 1) + [-10.0]
+    assert -1.0 <= terms[-1]["off_road"] < -0.5
+    assert all(-0.5 <= step["off_road"] <= 0.0 for step in terms[:-1])
+    assert reward < -10.0
 
 
 def test_a_step_pays_a_tenth_of_a_point_a_metre() -> None:
@@ -77,6 +82,21 @@ def test_a_step_pays_a_tenth_of_a_point_a_metre() -> None:
     env.close()
     assert terms["progress"] == pytest.approx(0.1 * 0.5 * speed, rel=0.02)
     assert (terms["collision"], terms["effort"]) == (0.0, 0.0)
+
+
+def test_speeding_pays_no_more_than_the_limit() -> None:
+    env = TargetEnv(**{**OPTIONS, "horizon_s": 6.0})
+    seen, _ = env.reset(seed=4)
+    limit = 15.0 * float(seen[1])
+    paid = []
+    for _ in range(8):
+        seen, _, terminated, truncated, info = env.step(np.array([1.0, 0.0], dtype=np.float32))
+        if terminated or truncated:
+            break
+        paid.append((15.0 * float(seen[0]), info["reward_terms"]["progress"]))
+    env.close()
+    assert paid[-1][0] > limit + 2.0
+    assert paid[-1][1] == pytest.approx(0.1 * 0.5 * limit)
 
 
 def test_an_option_that_there_is_not() -> None:

@@ -4,7 +4,7 @@ BIN := .venv/bin
 PIP := $(BIN)/pip install --disable-pip-version-check --progress-bar on
 TESTS := $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 15 --quiet
 
-.PHONY: install setup demo test test-all readers check docs proto package bench soak clean
+.PHONY: install setup demo test test-all readers planners check docs proto package bench soak clean
 
 # what running needs: PyTorch, SUMO and the libraries around them
 install: .venv/.installed
@@ -53,6 +53,13 @@ build/readers/av2/.ready: PIP_FLAGS = --no-deps
 build/readers/%/.ready: tests/export/readers/%.txt
 	$(PYTHON) -m venv build/readers/$*
 	build/readers/$*/bin/pip install --quiet --disable-pip-version-check $(PIP_FLAGS) --requirement $<
+	touch $@
+
+# other people's planners that examples/ serves, in environments of their own; tests/examples drives them where they are
+planners: build/tum_planners/reactive/.ready build/tum_planners/frenetix/.ready
+
+build/tum_planners/%/.ready: examples/tum_planners/setup.sh .venv/.installed
+	PATH="$(CURDIR)/$(BIN):$$PATH" examples/tum_planners/setup.sh $* build/tum_planners/$*
 	touch $@
 
 check: setup

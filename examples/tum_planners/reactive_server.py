@@ -1,0 +1,121 @@
+"""CommonRoad's reactive planner (TU Munich, commonroad-reactive-planner 2025.1) behind the planner kit.
+
+It samples quintic and quartic curves in the Frenet frame of a reference line (Werling et al. 2010,
+doi:10.1109/ROBOT.2010.5509799), takes out those that the vehicle cannot drive or that collide, and drives the cheapest.
+Its defaults are kept (sampling, costs, vehicle, constraints), except the horizon and the processes: see ``HORIZON``.
+The adapter gives it what its authors take from a CommonRoad scenario: reference line, desired speed, the others as
+they will be, the road's edges. It knows no right of way. Where it finds no curve we stop along the line.
+"""
+
+from __future__ import annotations
+
+import logging
+
+import commonroad_dc.pycrcc as pycrcc
+import numpy as np
+from adapter import REAR_AXLE_M, STEP_S, WHEELBASE_M, Task, emergency_stop, planned, started, task_now
+from advdiff_sumo.planner_kit import serve
+from collision_check import checker_of
+from commonroad_clcs.pycrccosy import (
+    CartesianProjectionDomainError,
+    CurvilinearProjectionDomainLateralError,
+    CurvilinearProjectionDomainLongitudinalError,
+)
+from commonroad.scenario.scenario import Scenario
+from commonroad_rp.reactive_planner import ReactivePlanner
+from commonroad_rp.state import ReactivePlannerState
+from commonroad_rp.utility.config import ReactivePlannerConfiguration
+from commonroad_rp.utility.utils_coordinate_system import create_coordinate_system
+from prediction import predicted_poses
+
+HORIZON = (
+    30  # steps; its default of 60 asks for more road and four times the time, and plans are made anew after 5
+)
+OUTSIDE = (
+    CartesianProjectionDomainError,
+    CurvilinearProjectionDomainLateralError,
+    CurvilinearProjectionDomainLongitudinalError,
+)
+logging.disable(logging.WARNING)
+
+
+class Reactive:
+    """Plans 3 s at 0.1 s."""
+
+    def start(self, road, scene, rng):
+        return started(road)
+
+    def plan(self, road, scene, memory, rng):
+        task = task_now(road, scene, memory)
+        states = None if task is None else self._states(road, scene, memory, task)
+        if states is None:
+            return emergency_stop(scene, None if task is None else task.line, HORIZON), memory
+        rows = [
+            (s.orientation, s.velocity, s.acceleration, np.tan(s.steering_angle) / WHEELBASE_M)
+            for s in states
+        ]
+        return planned(task, memory, np.array([s.position for s in states]), np.array(rows))
+
+    def _states(self, road, scene, memory, task: Task):
+        """Return the states of its plan from one step ahead on, in the vehicle's frame; None where there is none."""
+        config = ReactivePlannerConfiguration()
+        config.vehicle.length, config.vehicle.width = map(float, task.size_m)
+        config.planning.time_steps_computation = HORIZON
+        config.debug.multiproc, config.debug.logging_level = False, "ERROR"
+        config.update(scenario=Scenario(dt=STEP_S), planning_problem=None)
+        poses, sizes = predicted_poses(road, memory.segments, scene, HORIZON, STEP_S)
+        planner = InTraffic(config)
+        try:
+            planner.reset(
+                config,
+                initial_state_cart=_initial(task),
+                collision_checker=checker_of(task.frame, poses, sizes, memory.boundary_m, continuous=False),
+                coordinate_system=frenet_frame(task.line_m),
+            )
+        except (ValueError, *OUTSIDE):  # the vehicle is outside of what its Frenet frame covers
+            return None
+        planner.set_desired_velocity(task.desired_mps, task.speed_mps)
+        result = planner.plan()
+        return None if result is None else result[0].state_list[1:]
+
+
+class InTraffic(ReactivePlanner):
+    """The planner with the checker that it is given: it would make one of a CommonRoad map, which there is not."""
+
+    def set_collision_checker(self, scenario=None, collision_checker=None, road_boundary_obstacle=None):
+        super().set_collision_checker(collision_checker=collision_checker or pycrcc.CollisionChecker())
+
+
+def frenet_frame(line_m: np.ndarray):
+    """Return the planner's Frenet frame of a line.
+
+    Beside a sharp bend some samples leave the frame. The planner takes those out where it gets None for a place; the
+    frame of commonroad-clcs 2025.2 raises instead, which would end the plan.
+    """
+    frame = create_coordinate_system(line_m)
+    convert = frame.convert_to_cartesian_coords
+
+    def place_or_none(s: float, d: float):
+        try:
+            return convert(s, d)
+        except OUTSIDE:
+            return None
+
+    frame.convert_to_cartesian_coords = place_or_none
+    return frame
+
+
+def _initial(task: Task) -> ReactivePlannerState:
+    return ReactivePlannerState(
+        time_step=0,
+        position=np.array([-REAR_AXLE_M, 0.0]),
+        steering_angle=float(np.arctan(WHEELBASE_M * task.curvature_per_m)),
+        velocity=task.speed_mps,
+        orientation=0.0,
+        acceleration=task.accel_mps2,
+        yaw_rate=task.curvature_per_m * task.speed_mps,
+    )
+
+
+if __name__ == "__main__":
+    serve(Reactive, version="commonroad-reactive-planner 2025.1")

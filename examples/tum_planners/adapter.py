@@ -12,6 +12,7 @@ from reference_line import ReferenceLine, reference_line
 STEP_S, REPLAN_STEPS = 0.1, 5
 REAR_AXLE_M, WHEELBASE_M = 1.4227170936, 2.5789127700  # BMW 320i, the default vehicle of both
 EMERGENCY_MPS2, LEAST_MPS = 8.0, 0.01
+LINE_M, LINE_S = 150.0, 9.0  # how far the line leads, at least; longer than the longest plan at any speed
 _TRACKED_M, _SLOWEST_MPS = 0.5, 1.0
 
 
@@ -88,10 +89,10 @@ def started(road: KitRoad) -> Memory:
 
 def task_now(road: KitRoad, scene: Scene, memory: Memory) -> Task | None:
     """Return what is to be planned, or None where the vehicle is on no lane of its route."""
-    line = reference_line(road, scene)
+    now, me = scene.history, scene.target
+    line = reference_line(road, scene, ahead_m=max(LINE_M, LINE_S * float(now.speed_mps[me, -1])))
     if line is None:
         return None
-    now, me = scene.history, scene.target
     frame = OwnFrame(now.xy_m[me, -1], float(now.yaw_rad[me, -1]))
     accel, curvature = _motion(scene, memory.expected)
     return Task(

@@ -2,7 +2,7 @@
 
 It samples quintic and quartic curves in the Frenet frame of a reference line (Werling et al. 2010,
 doi:10.1109/ROBOT.2010.5509799), takes out those that the vehicle cannot drive or that collide, and drives the cheapest.
-Its defaults are kept (sampling, costs, vehicle, constraints), except the horizon and the processes: see ``HORIZON``.
+Its defaults are kept (horizon, sampling, costs, vehicle, constraints); it plans in one process, not in six.
 The adapter gives it what its authors take from a CommonRoad scenario: reference line, desired speed, the others as
 they will be, the road's edges. It knows no right of way. Where it finds no curve we stop along the line.
 """
@@ -28,9 +28,7 @@ from commonroad_rp.utility.config import ReactivePlannerConfiguration
 from commonroad_rp.utility.utils_coordinate_system import create_coordinate_system
 from prediction import predicted_poses
 
-HORIZON = (
-    30  # steps; its default of 60 asks for more road and four times the time, and plans are made anew after 5
-)
+HORIZON = 60  # steps
 OUTSIDE = (
     CartesianProjectionDomainError,
     CurvilinearProjectionDomainLateralError,
@@ -40,7 +38,7 @@ logging.disable(logging.WARNING)
 
 
 class Reactive:
-    """Plans 3 s at 0.1 s."""
+    """Plans 6 s at 0.1 s."""
 
     def start(self, road, scene, rng):
         return started(road)

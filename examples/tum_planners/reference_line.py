@@ -47,7 +47,7 @@ class ReferenceLine:
 
 
 def reference_line(
-    road: KitRoad, scene: Scene, ahead_m: float = 150.0, behind_m: float = 30.0
+    road: KitRoad, scene: Scene, ahead_m: float, behind_m: float = 30.0
 ) -> ReferenceLine | None:
     """Return the centre lines along the route, joined and smoothed; None where no lane of the route is near.
 

@@ -92,7 +92,7 @@ def scene(*cars: tuple[float, float, float, float], letter: str = "G") -> Scene:
 
 
 def test_the_line_is_that_of_the_lane_that_leads_on(modules: Callable[[str], ModuleType]) -> None:
-    line = modules("reference_line").reference_line(street(), scene((20.0, 0.0, 0.0, 8.0)))
+    line = modules("reference_line").reference_line(street(), scene((20.0, 0.0, 0.0, 8.0)), 150.0)
     assert line.xy_m[:, 1] == pytest.approx(3.2)
     assert line.xy_m[int(line.s_m)] == pytest.approx([20.0, 3.2], abs=0.6)
     assert np.diff(line.xy_m[:, 0]) == pytest.approx(1.0)
@@ -101,7 +101,7 @@ def test_the_line_is_that_of_the_lane_that_leads_on(modules: Callable[[str], Mod
 
 
 def test_a_red_light_bounds_the_speed(modules: Callable[[str], ModuleType]) -> None:
-    line = modules("reference_line").reference_line(street(), scene((80.0, 3.2, 0.0, 8.0), letter="r"))
+    line = modules("reference_line").reference_line(street(), scene((80.0, 3.2, 0.0, 8.0), letter="r"), 150.0)
     gap = 100.0 - 80.0 - 0.5 * 4.5 - 1.0  # to a metre before the line, from the front
     assert line.desired_mps(4.5) == pytest.approx(np.sqrt(2.0 * 2.0 * gap), abs=0.15)
 
@@ -112,12 +112,14 @@ def test_a_red_light_bounds_the_speed(modules: Callable[[str], ModuleType]) -> N
 def test_a_yellow_light_holds_who_can_stop(
     modules: Callable[[str], ModuleType], letter: str, x_m: float, stops: bool
 ) -> None:
-    line = modules("reference_line").reference_line(street(), scene((x_m, 3.2, 0.0, 10.0), letter=letter))
+    line = modules("reference_line").reference_line(
+        street(), scene((x_m, 3.2, 0.0, 10.0), letter=letter), 150.0
+    )
     assert bool(np.isfinite(line.stop_s_m)) is stops
 
 
 def test_no_line_far_from_the_route(modules: Callable[[str], ModuleType]) -> None:
-    assert modules("reference_line").reference_line(street(), scene((20.0, 40.0, 0.0, 8.0))) is None
+    assert modules("reference_line").reference_line(street(), scene((20.0, 40.0, 0.0, 8.0)), 150.0) is None
 
 
 def test_a_bend_of_ten_metres_allows_the_root_of_twenty(modules: Callable[[str], ModuleType]) -> None:
@@ -155,7 +157,7 @@ def test_the_own_frame_looks_ahead(modules: Callable[[str], ModuleType]) -> None
 
 def test_an_emergency_stop_by_hand(modules: Callable[[str], ModuleType]) -> None:
     now = scene((20.0, 2.7, 0.0, 8.0))  # half a metre to the right of the line
-    line = modules("reference_line").reference_line(street(), now)
+    line = modules("reference_line").reference_line(street(), now, 150.0)
     stop = modules("adapter").emergency_stop(now, line, 15)
     assert stop.xy_m[-1] == pytest.approx([24.0, 2.7], abs=1e-6)  # 8² / (2 · 8)
     assert stop.speed_mps[:3] == pytest.approx([7.2, 6.4, 5.6])
@@ -188,7 +190,9 @@ def test_lines_of_the_shipped_downtown_stay_on_the_road(modules: Callable[[str],
         step = start.centre_xy_m[1] - start.centre_xy_m[0]
         here = scene((*(start.centre_xy_m[0] + 0.5 * step), float(np.arctan2(step[1], step[0])), 5.0))
         route = (start.edge_id, road.lanes[start.successors[0].to_lane].edge_id)
-        line = modules("reference_line").reference_line(road, replace(here, routes=(route,), signals=green))
+        line = modules("reference_line").reference_line(
+            road, replace(here, routes=(route,), signals=green), 150.0
+        )
         ahead = line.xy_m[int(line.s_m) : int(line.s_m + start.length_m) + 10]
         assert road_map.covers(ahead).all(), start.id
     assert len(lanes) > 50

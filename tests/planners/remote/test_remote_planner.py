@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 import shutil
 import subprocess
 import sys
@@ -27,6 +28,7 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
 from advdiff_sumo.planners.planner_check import same_plan
+from advdiff_sumo.planners.planner_protocol import Planner, Served
 from advdiff_sumo.planners.planner_registry import make_target
 from advdiff_sumo.planners.remote.remote_planner import RemotePlanner
 from advdiff_sumo.planners.remote.write_kit import write_kit
@@ -128,6 +130,26 @@ def test_no_process_stays_behind(served: Made, road: RoadMap, scene: Scene) -> N
         time.sleep(0.01)
     planner.close()
     assert not running("left-behind", "faulty_server")
+
+
+def test_a_defect_leaves_check_end_and_close_as_they_are(faulty: Path, road: RoadMap, scene: Scene) -> None:
+    defects = {"defects": ["late:1.0"]}
+    missing = make_target("exec:no-such-command-anywhere", defects)
+    assert isinstance(missing, Served)
+    with pytest.raises(ConfigError, match="correct the command"):
+        missing.check()
+    target = make_target(f"exec:{sys.executable} {shlex.quote(str(faulty))}", defects)
+    assert isinstance(target, Served)
+    assert isinstance(target, Planner)
+    target.check()
+    rng = np.random.default_rng(0)
+    memory = target.start(road, scene, rng)
+    _, memory = target.plan(road, scene, memory, rng)
+    target.end(memory, "collision", 1.0, "")
+    with pytest.raises(PlannerError, match="was not started here"):  # the server has forgotten the episode
+        target.plan(road, scene, memory, rng)
+    target.close()
+    assert not running(str(faulty))
 
 
 def running(*words: str) -> list[str]:

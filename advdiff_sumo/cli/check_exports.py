@@ -19,25 +19,25 @@ from advdiff_sumo.report.stored_record import stored_record
 def print_check(console: Console, folder: Path, road: RoadMap) -> None:
     """Print what background vehicles that the policy moved did in the run in *folder*."""
     states = pq.read_table(folder / "states.parquet")
-    found: list[tuple[int, Implausibility]] = []
+    findings: list[tuple[int, Implausibility]] = []
     driven = 0
     episodes = np.asarray(states["episode"].to_numpy(), dtype=np.int64)
     for number in np.unique(episodes).tolist():
         record = stored_record(states.filter(pa.array(episodes == number)))
         if record is not None:
             driven += int((record.controller == Controller.POLICY).any(axis=1).sum())
-            found += [(number, x) for x in implausibilities(record, road)]
-    if found:
-        console.print(_table(found))
-    vehicles = len({(number, x.vehicle) for number, x in found})
+            findings += [(number, x) for x in implausibilities(record, road)]
+    if findings:
+        console.print(_table(findings))
+    vehicles = len({(number, x.vehicle) for number, x in findings})
     console.print(f"check: {vehicles} of {driven} vehicles that the policy moved did something implausible")
 
 
-def _table(found: list[tuple[int, Implausibility]]) -> Table:
+def _table(findings: list[tuple[int, Implausibility]]) -> Table:
     table = Table(title="what background vehicles did that no vehicle should do", title_justify="left")
     for name in ("episode", "vehicle", "at", "what"):
         table.add_column(name, justify="right" if name in ("episode", "at") else "left")
-    for number, x in found:
+    for number, x in findings:
         whom = f" with {x.other}" if x.other else ""
         table.add_row(str(number), x.vehicle, f"{x.time_s:.1f} s", f"{x.what}{whom}: {x.value:.1f} {x.unit}")
     return table

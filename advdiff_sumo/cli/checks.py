@@ -58,22 +58,24 @@ def python() -> Iterator[Finding]:
 
     yield Finding("advdiff-sumo", State.OK, f"{__version__}, Python {platform.python_version()}")
     yield Finding("machine", State.OK, f"{platform.platform()}, {os.cpu_count()} cores")
-    found = {name: _version(name) for name in PACKAGES}
-    lacking = [name for name, number in found.items() if number is None]
+    versions = {name: _version(name) for name in PACKAGES}
+    lacking = [name for name, number in versions.items() if number is None]
     if lacking:
         yield Finding("libraries", State.PROBLEM, f"{', '.join(lacking)} not installed", _INSTALL_AGAIN)
     else:
-        yield Finding("libraries", State.OK, ", ".join(f"{name} {number}" for name, number in found.items()))
+        yield Finding(
+            "libraries", State.OK, ", ".join(f"{name} {number}" for name, number in versions.items())
+        )
 
 
 def sumo() -> Iterator[Finding]:
     """Look at SUMO's packages, which must be of one version, and its programs."""
-    found = {name: _version(name) for name in SUMO_PACKAGES}
-    text = ", ".join(f"{name} {number or 'not installed'}" for name, number in found.items())
-    if None in found.values():
+    versions = {name: _version(name) for name in SUMO_PACKAGES}
+    text = ", ".join(f"{name} {number or 'not installed'}" for name, number in versions.items())
+    if None in versions.values():
         yield Finding("SUMO", State.PROBLEM, text, _INSTALL_AGAIN)
         return
-    if len(set(found.values())) > 1:
+    if len(set(versions.values())) > 1:
         yield Finding("SUMO", State.PROBLEM, text, "install all three in one version")
     else:
         yield Finding("SUMO", State.OK, text)
@@ -139,9 +141,9 @@ def weights() -> Iterator[Finding]:
     import advdiff_sumo  # late, as above
 
     folder = Path(advdiff_sumo.__file__).resolve().parent / "weights"
-    found = sorted(path.name for path in folder.glob("*.safetensors"))
-    if found:
-        yield Finding("weights", State.OK, f"{', '.join(found)} in {folder}")
+    names = sorted(path.name for path in folder.glob("*.safetensors"))
+    if names:
+        yield Finding("weights", State.OK, f"{', '.join(names)} in {folder}")
     else:
         hint = "learned backgrounds need them: advdiff-sumo train makes your own"
         yield Finding("weights", State.NOTE, "none came with this package", hint)

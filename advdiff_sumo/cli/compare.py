@@ -42,14 +42,14 @@ def compare(
     _print(terminal(), paired(sides[0], sides[1]))
 
 
-def _print(console: Console, found: Comparison) -> None:
+def _print(console: Console, comparison: Comparison) -> None:
     from advdiff_sumo.cli.sweep_results import rate_text
 
-    title = f"{found.pairs} pairs of episodes from {found.scenes} seed scenes; rates in %"
+    title = f"{comparison.pairs} pairs of episodes from {comparison.scenes} seed scenes; rates in %"
     table = Table(title=title, title_justify="left")
     for name in ("", "A", "B", "A only", "B only", "B − A, 95 % bootstrap", "McNemar p"):
         table.add_column(name)
-    for name, change in found.rates.items():
+    for name, change in comparison.rates.items():
         gap = (change.b.share or 0.0) - (change.a.share or 0.0)
         table.add_row(
             name,
@@ -64,11 +64,11 @@ def _print(console: Console, found: Comparison) -> None:
     values = Table(title="means of the differences B − A", title_justify="left")
     for name in ("", "pairs", "mean", "95 % bootstrap"):
         values.add_column(name)
-    for name, value in found.values.items():
+    for name, value in comparison.values.items():
         values.add_row(
             name, str(value.pairs), f"{value.mean:+.3f}", f"\\[{value.low:+.3f}, {value.high:+.3f}]"
         )
-    if found.values:
+    if comparison.values:
         console.print(values)
-    if found.unpaired:
-        console.print(f"{found.unpaired} episodes have no finished counterpart")
+    if comparison.unpaired:
+        console.print(f"{comparison.unpaired} episodes have no finished counterpart")

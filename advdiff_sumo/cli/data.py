@@ -71,9 +71,9 @@ def simulate(
                 progress.console.print(f"note: {result.problem}", markup=False)
 
         results = simulated(shards, out, workers, tell)
-    made = sum(result.windows for result in results)
-    _say.print(f"{out}: {made} windows in {len(results)} files", markup=False)
-    if made < windows:
+    total = sum(result.windows for result in results)
+    _say.print(f"{out}: {total} windows in {len(results)} files", markup=False)
+    if total < windows:
         _say.print("note: traffic on small nets brought fewer windows than asked for", markup=False)
 
 
@@ -133,13 +133,13 @@ def build(
     options = BuildOptions(stride, not ego_only, split, challenge)
     with _progress(transient=True) as progress:
         task = progress.add_task("drives", total=None)
-        found = built(readers, nets, options, out, lambda *_: progress.update(task, advance=1))
-        progress.update(task, total=len(found.drives) + len(found.skipped))
-    for path, count in found.files.items():
+        counts = built(readers, nets, options, out, lambda *_: progress.update(task, advance=1))
+        progress.update(task, total=len(counts.drives) + len(counts.skipped))
+    for path, count in counts.files.items():
         _say.print(f"{path}: {count} windows", markup=False)
-    if found.skipped:
-        names = ", ".join(found.skipped[:5]) + (", …" if len(found.skipped) > 5 else "")
-        _say.print(f"note: {len(found.skipped)} drives are on none of the nets: {names}", markup=False)
+    if counts.skipped:
+        names = ", ".join(counts.skipped[:5]) + (", …" if len(counts.skipped) > 5 else "")
+        _say.print(f"note: {len(counts.skipped)} drives are on none of the nets: {names}", markup=False)
 
 
 @data.command()
@@ -154,12 +154,12 @@ def stats(
     from advdiff_sumo.data.stats import window_stats
     from advdiff_sumo.data.window_files import read_windows, window_paths  # late, as above
 
-    found = window_stats(read_windows(path) for path in window_paths(places))
+    statistics = window_stats(read_windows(path) for path in window_paths(places))
     if as_json:
-        typer.echo(json.dumps(found, indent=1))
+        typer.echo(json.dumps(statistics, indent=1))
         return
     table = Table("", "")
-    for name, value in found.items():
+    for name, value in statistics.items():
         parts = value if isinstance(value, dict) else {"": value}
         text = "  ".join(f"{key} {part:g}".strip() for key, part in parts.items())
         table.add_row(name.replace("_", " "), text)

@@ -100,13 +100,13 @@ def table(figures: dict[str, Figures]) -> Table:
     from advdiff_sumo.training.evaluation import columns
 
     names = columns(figures)
-    made = Table(box=SIMPLE, padding=(0, 1), caption="errors in metres, rates of vehicles")
-    made.add_column("", no_wrap=True)
+    printed = Table(box=SIMPLE, padding=(0, 1), caption="errors in metres, rates of vehicles")
+    printed.add_column("", no_wrap=True)
     for name in names:
-        made.add_column(_HEADS[name], justify="right", no_wrap=True)
+        printed.add_column(_HEADS[name], justify="right", no_wrap=True)
     for way, row in figures.items():
-        made.add_row(way, *(_shown(name, row.get(name)) for name in names))
-    return made
+        printed.add_row(way, *(_shown(name, row.get(name)) for name in names))
+    return printed
 
 
 def _shown(name: str, value: float | None) -> str:

@@ -28,13 +28,13 @@ def list_names(
 
     advdiff-sumo list targets
     """
-    found = _names(kind)
+    names = _names(kind)
     if as_json:
-        typer.echo(json.dumps({kind.value: found}, ensure_ascii=False))
+        typer.echo(json.dumps({kind.value: names}, ensure_ascii=False))
         return
-    wide = max(map(len, found))
+    wide = max(map(len, names))
     console = terminal(highlight=False, soft_wrap=True)
-    for name, words in found.items():
+    for name, words in names.items():
         console.print(f"{name:<{wide}}  {words}".rstrip(), markup=False)
 
 

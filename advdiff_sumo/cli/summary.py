@@ -44,10 +44,10 @@ def print_summary(
     if missing > 0:
         console.print(f"[yellow]the log held {missing} seed scenes fewer than asked for[/yellow]")
     for failure, count in _distinct(failures):
-        told = f"failed, {count} of {len(rows)}: {failure['kind']}: {failure['message']}"
+        sentence = f"failed, {count} of {len(rows)}: {failure['kind']}: {failure['message']}"
         report = f"\n  {UNEXPLAINED}" if failure["kind"] in UNEXPLAINED_KINDS else ""
         again = f"\n  again: {failure['command']}{report}"
-        console.print(told + again, style="red", markup=False, soft_wrap=True)
+        console.print(sentence + again, style="red", markup=False, soft_wrap=True)
     console.print(f"results: {folder}  ·  look at {folder / 'report.html'}", soft_wrap=True)
 
 

@@ -189,12 +189,12 @@ def _tell_estimate(console: Console, plan: Plan, todo: Todo, workers: int, limit
 
     console.print(f"{len(plan.jobs)} episodes in {len(plan.cells)} runs; {len(todo.jobs)} to do")
     with ProcessExecutor(1, limits) as executor:
-        found = estimate(plan, todo.jobs, executor)
-    if found is not None:
+        expected = estimate(plan, todo.jobs, executor)
+    if expected is not None:
         console.print(
-            f"about {duration(found.total_s(workers))} on {workers} workers with a core each: "
-            f"{found.batches} × {found.scene_s:.1f} s for seed scenes, "
-            f"{found.episodes} × {found.episode_s:.1f} s for episodes (measured just now)",
+            f"about {duration(expected.total_s(workers))} on {workers} workers with a core each: "
+            f"{expected.batches} × {expected.scene_s:.1f} s for seed scenes, "
+            f"{expected.episodes} × {expected.episode_s:.1f} s for episodes (measured just now)",
             soft_wrap=True,
         )
 

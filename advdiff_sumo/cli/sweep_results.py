@@ -58,9 +58,9 @@ def conclude(
     said = None if condition is None else _verdict(condition, overall)
     if junit is not None:
         timing = {row["episode"]: row["wall_s"] for row in read_rows(store.path, "timing")}
-        told = None if condition is None else (condition.text, said)
+        outcome = None if condition is None else (condition.text, said)
         junit.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(junit, junit_xml(episodes, failures, timing, told))
+        write_whole(junit, junit_xml(episodes, failures, timing, outcome))
     console.print(f"results: {store.path}", soft_wrap=True)
     if said is not None:
         console.print(f"[red]{said}[/red]", soft_wrap=True)
@@ -88,9 +88,9 @@ def _print(
         console.print(f"[yellow]{overall.missing} episodes have not been run[/yellow]")
     if failures:
         _print_failures(console, failures)
-    found = findings(episodes)
-    if found:
-        _print_findings(console, found)
+    clusters = findings(episodes)
+    if clusters:
+        _print_findings(console, clusters)
     if episodes:
         _print_worst(console, worst_first(episodes)[:_WORST])
         _print_coverage(console, plan, episodes)
@@ -157,12 +157,12 @@ def _print_failures(console: Console, failures: Sequence[Row]) -> None:
         console.print(f"{kind}: {UNEXPLAINED}", style="red", soft_wrap=True)
 
 
-def _print_findings(console: Console, found: Sequence[Finding]) -> None:
-    total = sum(len(finding.episodes) for finding in found)
-    valid = sum(finding.valid for finding in found)
-    title = f"{total} collisions, {valid} of them valid failures, are {len(found)} findings"
+def _print_findings(console: Console, clusters: Sequence[Finding]) -> None:
+    total = sum(len(finding.episodes) for finding in clusters)
+    valid = sum(finding.valid for finding in clusters)
+    title = f"{total} collisions, {valid} of them valid failures, are {len(clusters)} findings"
     table = _table(title, "valid", "collisions", "type", "where", "at fault", "targets", "the worst of them")
-    for finding in found[:_FINDINGS]:
+    for finding in clusters[:_FINDINGS]:
         table.add_row(
             str(finding.valid),
             str(len(finding.episodes)),
@@ -173,8 +173,8 @@ def _print_findings(console: Console, found: Sequence[Finding]) -> None:
             str(finding.worst["key"]),
         )
     console.print(table)
-    if len(found) > _FINDINGS:
-        console.print(f"… and {len(found) - _FINDINGS} more")
+    if len(clusters) > _FINDINGS:
+        console.print(f"… and {len(clusters) - _FINDINGS} more")
 
 
 def _print_worst(console: Console, rows: Sequence[Row]) -> None:

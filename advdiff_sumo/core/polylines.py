@@ -79,8 +79,8 @@ class Polyline:
 
     def segment_at(self, s_m: FloatArray | float) -> IntArray:
         """Return the index (…,) of the segment at *s_m*; at a point, the segment that begins there."""
-        found = np.searchsorted(self.s_m, np.asarray(s_m, dtype=np.float64), side="right") - 1
-        return np.asarray(np.clip(found, 0, len(self.s_m) - 2), dtype=np.int64)
+        index = np.searchsorted(self.s_m, np.asarray(s_m, dtype=np.float64), side="right") - 1
+        return np.asarray(np.clip(index, 0, len(self.s_m) - 2), dtype=np.int64)
 
     def at(
         self, s_m: FloatArray | float, d_m: FloatArray | float = 0.0, *, extrapolate: bool = False

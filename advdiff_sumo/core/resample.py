@@ -150,11 +150,11 @@ class _Curve:
 def _velocities(speed: FloatArray, yaw: FloatArray, mean: FloatArray, bridged: BoolArray) -> FloatArray:
     """Return the limited velocities (K, 2) at the keyframes."""
     along = unit(yaw)
-    seen = _central(mean, bridged)
-    forward = (seen * along).sum(-1)
-    sideways = np.abs(seen[:, 1] * along[:, 0] - seen[:, 0] * along[:, 1])
-    crabs = (sideways > np.abs(forward)) & (np.linalg.norm(seen, axis=-1) > _STILL_MPS)
-    return _limited(np.where(crabs[:, None], seen, speed[:, None] * along), mean, bridged)
+    observed = _central(mean, bridged)
+    forward = (observed * along).sum(-1)
+    sideways = np.abs(observed[:, 1] * along[:, 0] - observed[:, 0] * along[:, 1])
+    crabs = (sideways > np.abs(forward)) & (np.linalg.norm(observed, axis=-1) > _STILL_MPS)
+    return _limited(np.where(crabs[:, None], observed, speed[:, None] * along), mean, bridged)
 
 
 def _central(mean: FloatArray, bridged: BoolArray) -> FloatArray:

@@ -120,11 +120,11 @@ def read_keyframes(folder: Path, scenes: Sequence[SceneEntry]) -> list[Keyframes
         by_scene[scene].append((time_us, token))
     result = []
     for entry in scenes:
-        found = sorted(by_scene[entry.token])
-        if len(found) != entry.samples or not found:
-            problem = f"has {len(found)} of the {entry.samples} samples of {entry.name}"
+        keyframes = sorted(by_scene[entry.token])
+        if len(keyframes) != entry.samples or not keyframes:
+            problem = f"has {len(keyframes)} of the {entry.samples} samples of {entry.name}"
             raise LogError(path, problem, _REPAIR)
-        result.append(_keyframes(found))
+        result.append(_keyframes(keyframes))
     return result
 
 

@@ -149,10 +149,10 @@ _ADMITTED: dict[tuple[str, str], type] = {
 class _Restricted(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         """Return the stand-in of an admitted name; refuse all others."""
-        found = _ADMITTED.get((module, name))
-        if found is None:
+        admitted = _ADMITTED.get((module, name))
+        if admitted is None:
             raise pickle.UnpicklingError(f"it asks for {module}.{name}")
-        return type(found.__name__, (found,), {"__slots__": (), "__setstate__": _state_of(found)})
+        return type(admitted.__name__, (admitted,), {"__slots__": (), "__setstate__": _state_of(admitted)})
 
     def persistent_load(self, pid: Any) -> Any:
         """Refuse references to the outside."""

@@ -75,10 +75,10 @@ class ScenarioNetReader(SceneFiles):
 
     def files(self) -> dict[str, Path]:
         """Return name → file of every record, searched recursively."""
-        found = [self.path] if self.path.is_file() else sorted(self.path.rglob("sd_*.pkl"))
-        if not found:
+        paths = [self.path] if self.path.is_file() else sorted(self.path.rglob("sd_*.pkl"))
+        if not paths:
             raise LogError(self.path, "no such record or folder of sd_*.pkl records", "give one of these")
-        return {path.stem: path for path in found}
+        return {path.stem: path for path in paths}
 
 
 def _scene(name: str, path: Path, record: Mapping[str, Any]) -> LogScene:

@@ -74,10 +74,10 @@ def prediction_windows(root: Path) -> Mapping[str, tuple[tuple[str, str], ...]]:
         raise LogError(path, f"is not readable as JSON ({error})", _REPAIR) from None
     if not isinstance(content, dict):
         raise LogError(path, "is no table of scenes", _REPAIR)
-    found = {}
+    windows = {}
     for scene, names in content.items():
         pairs = [str(name).split("_") for name in names] if isinstance(names, list) else [[]]
         if any(len(pair) != 2 for pair in pairs):
             raise LogError(path, f"{scene} holds something other than instance_sample tokens", _REPAIR)
-        found[str(scene)] = tuple((pair[0], pair[1]) for pair in pairs)
-    return found
+        windows[str(scene)] = tuple((pair[0], pair[1]) for pair in pairs)
+    return windows

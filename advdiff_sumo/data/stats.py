@@ -122,8 +122,8 @@ def _sees_signal(windows: WindowFile) -> BoolArray:
     row = np.append(windows.map_signal, -1)[windows.near]  # near = −1 takes the appended −1
     window = np.repeat(np.arange(windows.windows), np.diff(windows.offset))
     lit = np.column_stack((windows.signals, np.zeros(windows.windows, dtype=np.uint8)))
-    seen = (lit[window[:, None], row] > 0).any(axis=1)
-    return np.asarray(np.bincount(window, weights=seen, minlength=windows.windows) > 0)
+    lit_nearby = (lit[window[:, None], row] > 0).any(axis=1)
+    return np.asarray(np.bincount(window, weights=lit_nearby, minlength=windows.windows) > 0)
 
 
 def _mean(values: BoolArray) -> float:
@@ -133,5 +133,5 @@ def _mean(values: BoolArray) -> float:
 def _spread(values: FloatArray) -> dict[str, float]:
     if len(values) == 0:
         return {}
-    found = {f"p{100 * q:g}": round(float(np.quantile(values, q)), 4) for q in QUANTILES}
-    return {"min": round(float(values.min()), 4), **found, "max": round(float(values.max()), 4)}
+    quantiles = {f"p{100 * q:g}": round(float(np.quantile(values, q)), 4) for q in QUANTILES}
+    return {"min": round(float(values.min()), 4), **quantiles, "max": round(float(values.max()), 4)}

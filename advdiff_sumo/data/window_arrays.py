@@ -73,14 +73,14 @@ def crops(xy_m: FloatArray, order: IntArray, most: int, apart: int = 10) -> Iter
         apart: the nearest agents of a crop, so many with the focal one, get no crop of their own.
     """
     taken: set[int] = set()
-    made = 0
+    count = 0
     for focal in order.tolist():
-        if made == most:
+        if count == most:
             return
         if focal not in taken:
             rows = crop(xy_m, focal)
             taken.update(rows[:apart].tolist())
-            made += 1
+            count += 1
             yield rows
 
 
@@ -161,29 +161,29 @@ class WindowFileBuilder:
 
     def build(self) -> WindowFile:
         """Return all windows in the order in which they came; the origin is the middle of the map."""
-        table, made = self.table, self.windows
+        table, windows = self.table, self.windows
         points = table.xy_m.reshape(-1, 2)
         origin = np.round(0.5 * (points.min(axis=0) + points.max(axis=0))) if len(points) else np.zeros(2)
-        names = tuple(dict.fromkeys(window.scene for window in made))
+        names = tuple(dict.fromkeys(window.scene for window in windows))
         number = {name: row for row, name in enumerate(names)}
         return WindowFile(
             map_origin=origin,
             map_xy=(table.xy_m - origin).astype(np.float32),
             map_features=table.features.astype(np.float32),
             map_signal=table.signal.astype(np.int32),
-            offset=np.cumsum([0, *(len(window.size) for window in made)], dtype=np.int64),
-            past=_states([w.past for w in made], [w.past_valid for w in made], origin, PAST),
-            past_valid=_joined([w.past_valid for w in made], (0, PAST)).astype(np.bool_),
-            future=_states([w.future for w in made], [w.future_valid for w in made], origin, FUTURE),
-            future_valid=_joined([w.future_valid for w in made], (0, FUTURE)).astype(np.bool_),
-            size=_joined([w.size for w in made], (0, 2)).astype(np.float32),
-            classes=_joined([w.classes for w in made], (0,)).astype(np.uint8),
-            parked=_joined([w.parked for w in made], (0,)).astype(np.bool_),
-            near=_joined([w.near for w in made], (0, 0)).astype(np.int32),
-            signals=np.array([w.signals for w in made], dtype=np.uint8).reshape(
-                len(made), len(table.signal_links)
+            offset=np.cumsum([0, *(len(window.size) for window in windows)], dtype=np.int64),
+            past=_states([w.past for w in windows], [w.past_valid for w in windows], origin, PAST),
+            past_valid=_joined([w.past_valid for w in windows], (0, PAST)).astype(np.bool_),
+            future=_states([w.future for w in windows], [w.future_valid for w in windows], origin, FUTURE),
+            future_valid=_joined([w.future_valid for w in windows], (0, FUTURE)).astype(np.bool_),
+            size=_joined([w.size for w in windows], (0, 2)).astype(np.float32),
+            classes=_joined([w.classes for w in windows], (0,)).astype(np.uint8),
+            parked=_joined([w.parked for w in windows], (0,)).astype(np.bool_),
+            near=_joined([w.near for w in windows], (0, 0)).astype(np.int32),
+            signals=np.array([w.signals for w in windows], dtype=np.uint8).reshape(
+                len(windows), len(table.signal_links)
             ),
-            scene=np.array([number[w.scene] for w in made], dtype=np.int32),
+            scene=np.array([number[w.scene] for w in windows], dtype=np.int32),
             scene_names=names,
             map_name=self.map_name,
             source=self.source,

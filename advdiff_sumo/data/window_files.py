@@ -176,19 +176,19 @@ def window_paths(places: list[Path]) -> list[Path]:
     Raises:
         FileError: a place does not exist, or a folder holds none.
     """
-    found: list[Path] = []
+    paths: list[Path] = []
     for place in places:
         if place.is_dir():
             inside = sorted(p for p in place.glob(f"*{SUFFIX}") if not p.name.startswith("."))
             if not inside:
                 remedy = "make some with advdiff-sumo data simulate or data build"
                 raise FileError(place, f"holds no window file (*{SUFFIX})", remedy)
-            found += inside
+            paths += inside
         elif place.is_file():
-            found.append(place)
+            paths.append(place)
         else:
             raise FileError(place, "no such file or folder", "give window files or a folder of them")
-    return found
+    return paths
 
 
 def _open(path: Path, names: list[str]) -> tuple[dict[str, str], dict[str, Any]]:

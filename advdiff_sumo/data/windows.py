@@ -80,8 +80,8 @@ def windows(
         span = tracks.window(start, start + total)
         if not span.valid[scene.ego].all():
             continue
-        seen = np.asarray(span.valid.any(axis=1))
-        cut = span.rows(seen)
+        present = np.asarray(span.valid.any(axis=1))
+        cut = span.rows(present)
         now_s = cut.t0_s + dt_s * back
         cut = cut.shifted(-now_s)
         yield Window(
@@ -90,8 +90,8 @@ def windows(
             start=start,
             history=cut.window(0, back + 1),
             future=cut.window(back + 1, total),
-            ego=int(seen[: scene.ego].sum()),
-            parked=scene.parked[seen],
+            ego=int(present[: scene.ego].sum()),
+            parked=scene.parked[present],
         )
 
 

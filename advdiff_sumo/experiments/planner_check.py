@@ -109,11 +109,11 @@ def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[
     road = RoadMap.read(find_net(extent.net))
     driven = drive(planner, name, road, extent)
     scenes = _scenes(driven.scenes)
-    found = [(where, x) for where, scene in scenes.items() for x in problems_of(planner, road, scene)]
+    problems = [(where, x) for where, scene in scenes.items() for x in problems_of(planner, road, scene)]
     if carries_over(planner, road, list(scenes.values())):
         text = "what it planned in other scenes changes its plan in the first; keep state in the memory alone"
-        found.append(("", Problem(Part.REPEATS, text)))
-    contract = [_part(part, found, len(scenes)) for part in Part]
+        problems.append(("", Problem(Part.REPEATS, text)))
+    contract = [_part(part, problems, len(scenes)) for part in Part]
     return [*contract, *_drives(driven), _in_time(driven.plans_s, extent.within_ms)]
 
 
@@ -129,10 +129,10 @@ def drive(planner: Planner, name: str, road: RoadMap, extent: Extent) -> Driven:
     )
     starts = source.batch(0)[: extent.episodes]
     watched = Watched(planner)
-    made = [_episode(k, start, road, watched, name, extent) for k, start in enumerate(starts)]
+    episodes = [_episode(k, start, road, watched, name, extent) for k, start in enumerate(starts)]
     again, _ = _episode(0, starts[0], road, planner, name, extent)
-    times = np.array([t for _, plans in made for t in plans])
-    return Driven(tuple(record for record, _ in made), again, times, tuple(watched.scenes))
+    times = np.array([t for _, plans in episodes for t in plans])
+    return Driven(tuple(record for record, _ in episodes), again, times, tuple(watched.scenes))
 
 
 def _episode(
@@ -146,18 +146,18 @@ def _episode(
     return record, timing.target_plans_s
 
 
-def _scenes(seen: Sequence[Scene]) -> dict[str, Scene]:
+def _scenes(scenes: Sequence[Scene]) -> dict[str, Scene]:
     """Return scenes out of the drives, evenly taken, and hard ones made of the first."""
-    if not seen:
+    if not scenes:
         return {}
-    picked = np.unique(np.linspace(0, len(seen) - 1, _KEPT).round().astype(np.int64)).tolist()
-    return {f"at {seen[k].time_s:.1f} s of a drive": seen[k] for k in picked} | hard_scenes(seen[0])
+    picked = np.unique(np.linspace(0, len(scenes) - 1, _KEPT).round().astype(np.int64)).tolist()
+    return {f"at {scenes[k].time_s:.1f} s of a drive": scenes[k] for k in picked} | hard_scenes(scenes[0])
 
 
-def _part(part: Part, found: Sequence[tuple[str, Problem]], scenes: int) -> Verdict:
+def _part(part: Part, problems: Sequence[tuple[str, Problem]], scenes: int) -> Verdict:
     mine = [
         f"{problem.text} ({where})" if where else problem.text
-        for where, problem in found
+        for where, problem in problems
         if problem.part is part
     ]
     if not mine:
@@ -176,8 +176,8 @@ def _drives(driven: Driven) -> list[Verdict]:
         getattr(first, part).tobytes() == getattr(again, part).tobytes()
         for part in ("xy_m", "yaw_rad", "speed_mps", "valid")
     )
-    told = "the same bytes" if same else "the same scene and seed led to another drive"
-    return [Verdict(DRIVES, not failed, words), Verdict(DRIVES_AGAIN, same, told)]
+    sentence = "the same bytes" if same else "the same scene and seed led to another drive"
+    return [Verdict(DRIVES, not failed, words), Verdict(DRIVES_AGAIN, same, sentence)]
 
 
 def _in_time(plans_s: FloatArray, within_ms: float) -> Verdict:

@@ -106,7 +106,7 @@ def solve(
     around = surroundings(tracks, episode.target, begin, steps * stride)
     view = look(road, _scene(tracks, episode.target, begin, stride))
     given = RivalOptions(weights=options.weights, device=options.device)
-    found = search(
+    outcome = search(
         prior_of(given, "the solution stage"),
         view,
         _model_steps(around, view, stride),
@@ -115,9 +115,9 @@ def solve(
         options.rounds,
         options.seed,
     )
-    driven = drive(around, found.accel_mps2, found.curvature_1pm, stride)
+    driven = drive(around, outcome.accel_mps2, outcome.curvature_1pm, stride)
     free = usable(road, around, driven)
-    return _solution(begin * tracks.dt_s, contact * tracks.dt_s, driven, free, found.effort_mps2)
+    return _solution(begin * tracks.dt_s, contact * tracks.dt_s, driven, free, outcome.effort_mps2)
 
 
 def first_contact(tracks: Tracks, target: int) -> int:

@@ -110,9 +110,9 @@ class DrivableArea:
         finite = np.isfinite(xy_m).all(axis=1)
         points = geometries(shapely.points(xy_m[finite]))
         (row, _), away = self._edges.query_nearest(points, return_distance=True, all_matches=False)
-        found = np.full(len(points), np.nan)
-        found[row] = away
-        distance[finite] = np.where(self.covers(xy_m[finite]), found, -found)
+        distance_m = np.full(len(points), np.nan)
+        distance_m[row] = away
+        distance[finite] = np.where(self.covers(xy_m[finite]), distance_m, -distance_m)
         return distance
 
 

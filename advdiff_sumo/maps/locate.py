@@ -141,15 +141,15 @@ class LaneIndex:
             allowed: (L,) lanes that may be chosen.
             on_route: (L,) lanes of the vehicle's route, or None.
         """
-        found = self.candidates(xy_m, radius_m)
-        found = found.rows(allowed[found.lane])
-        cost = candidate_cost(found, yaw_rad)
+        candidates = self.candidates(xy_m, radius_m)
+        candidates = candidates.rows(allowed[candidates.lane])
+        cost = candidate_cost(candidates, yaw_rad)
         if on_route is not None:
-            cost = cost + np.where(on_route[found.lane], 0.0, OFF_ROUTE_COST)
-        order = np.lexsort((found.lane, np.round(cost, 9), found.point))
+            cost = cost + np.where(on_route[candidates.lane], 0.0, OFF_ROUTE_COST)
+        order = np.lexsort((candidates.lane, np.round(cost, 9), candidates.point))
         first = np.ones(len(order), dtype=np.bool_)
-        first[1:] = np.diff(found.point[order]) != 0
-        return found.rows(order[first])
+        first[1:] = np.diff(candidates.point[order]) != 0
+        return candidates.rows(order[first])
 
     def route_mask(self, route: Sequence[str]) -> BoolArray:
         """Return (L,) whether each lane lies on *route*: its edges and the internal lanes between them."""
@@ -165,19 +165,23 @@ class LaneIndex:
         return mask
 
 
-def candidate_cost(found: Candidates, yaw_rad: FloatArray | None) -> FloatArray:
-    """Return the cost (C,) of *found* against the headings *yaw_rad* (N,) of the points."""
-    cost = (found.d_m / SIGMA_DISTANCE_M) ** 2
+def candidate_cost(candidates: Candidates, yaw_rad: FloatArray | None) -> FloatArray:
+    """Return the cost (C,) of *candidates* against the headings *yaw_rad* (N,) of the points."""
+    cost = (candidates.d_m / SIGMA_DISTANCE_M) ** 2
     if yaw_rad is None:
         return cost
-    error = np.nan_to_num(wrap_angle(yaw_rad[found.point] - found.yaw_rad))
+    error = np.nan_to_num(wrap_angle(yaw_rad[candidates.point] - candidates.yaw_rad))
     return cost + (error / SIGMA_YAW_RAD) ** 2
 
 
-def poses_of(index: LaneIndex, found: Candidates, yaw_rad: FloatArray | None) -> list[LanePose]:
-    """Return *found* as values; the heading error is 0 where no heading was given."""
-    error = np.zeros(len(found.lane)) if yaw_rad is None else wrap_angle(yaw_rad[found.point] - found.yaw_rad)
+def poses_of(index: LaneIndex, candidates: Candidates, yaw_rad: FloatArray | None) -> list[LanePose]:
+    """Return *candidates* as values; the heading error is 0 where no heading was given."""
+    error = (
+        np.zeros(len(candidates.lane))
+        if yaw_rad is None
+        else wrap_angle(yaw_rad[candidates.point] - candidates.yaw_rad)
+    )
     return [
         LanePose(index.lane_ids[lane], float(s), float(d), float(e))
-        for lane, s, d, e in zip(found.lane, found.s_m, found.d_m, error, strict=True)
+        for lane, s, d, e in zip(candidates.lane, candidates.s_m, candidates.d_m, error, strict=True)
     ]

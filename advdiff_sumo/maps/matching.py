@@ -75,12 +75,12 @@ class RouteMatcher:
         return self._route(max(stretches, key=lambda t: len(t.states)))
 
     def _states(self, xy_m: FloatArray, yaw_rad: FloatArray) -> list[list[_State]]:
-        found = self._index.candidates(xy_m, MAX_DISTANCE_M)
-        error = np.abs(wrap_angle(yaw_rad[found.point] - found.yaw_rad))
-        found = found.rows(self._allowed[found.lane] & (error < _MAX_YAW_ERROR_RAD))
-        cost = candidate_cost(found, yaw_rad)
+        candidates = self._index.candidates(xy_m, MAX_DISTANCE_M)
+        error = np.abs(wrap_angle(yaw_rad[candidates.point] - candidates.yaw_rad))
+        candidates = candidates.rows(self._allowed[candidates.lane] & (error < _MAX_YAW_ERROR_RAD))
+        cost = candidate_cost(candidates, yaw_rad)
         best: list[dict[str, _State]] = [{} for _ in xy_m]
-        for point, lane, s, c in zip(found.point, found.lane, found.s_m, cost, strict=True):
+        for point, lane, s, c in zip(candidates.point, candidates.lane, candidates.s_m, cost, strict=True):
             edge = self._graph.lanes[self._index.lane_ids[lane]].edge_id
             known = best[point].get(edge)
             if known is None or c < known.cost:

@@ -165,13 +165,13 @@ class PathFinder:
         number = self._route.index(lane.edge_id)
         siblings = self._edges[lane.edge_id].lane_ids
         xy = lane.line.at(start_s_m)[0]
-        found = []
+        paths_ahead = []
         for name in sorted(siblings, key=lambda x: (abs(self._lanes[x].index - lane.index), x)):
             if name in self.outlooks[number]:
                 s = float(np.clip(start_s_m, 0.0, lane.length_m)) if name == lane.id else None
                 s = float(self._lanes[name].line.project(xy)[0]) if s is None else s
-                found.append(self._walk([name], [], number, s, horizon_m))
-        return found
+                paths_ahead.append(self._walk([name], [], number, s, horizon_m))
+        return paths_ahead
 
     def _from_internal(self, lane: Lane, start_s_m: float, horizon_m: float) -> list[LanePath]:
         for number, outlook in enumerate(self.outlooks[1:], start=1):

@@ -132,9 +132,9 @@ class RoadMap:
 
         Heading errors are 0. Lanes closed to *vclass* (None: to all motor vehicles) are left out.
         """
-        found = self.index.candidates(_row(xy_m), radius_m)
-        found = found.rows(self._open_to(vclass)[found.lane])
-        return poses_of(self.index, found.rows(np.argsort(np.abs(found.d_m), kind="stable")), None)
+        candidates = self.index.candidates(_row(xy_m), radius_m)
+        candidates = candidates.rows(self._open_to(vclass)[candidates.lane])
+        return poses_of(self.index, candidates.rows(np.argsort(np.abs(candidates.d_m), kind="stable")), None)
 
     def locate(
         self,
@@ -160,8 +160,8 @@ class RoadMap:
         on_route = None if route is None else self.index.route_mask(route)
         allowed = self._open_to(vclass)
         allowed = allowed if internal else allowed & ~self.index.is_internal
-        found = self.index.best(_row(xy_m), yaw, max_distance_m, allowed, on_route)
-        poses = poses_of(self.index, found, yaw)
+        best = self.index.best(_row(xy_m), yaw, max_distance_m, allowed, on_route)
+        poses = poses_of(self.index, best, yaw)
         return poses[0] if poses else None
 
     def locate_many(
@@ -186,13 +186,13 @@ class RoadMap:
         yaw = None if yaw_rad is None else np.asarray(yaw_rad, dtype=np.float64)
         allowed = self._open_to(vclass)
         allowed = allowed if internal else allowed & ~self.index.is_internal
-        found = self.index.best(xy, yaw, max_distance_m, allowed)
+        best = self.index.best(xy, yaw, max_distance_m, allowed)
         ids: list[str | None] = [None] * len(xy)
         s, d, error = (np.full(len(xy), np.nan) for _ in range(3))
-        for point, lane in zip(found.point, found.lane, strict=True):
+        for point, lane in zip(best.point, best.lane, strict=True):
             ids[point] = self.index.lane_ids[lane]
-        s[found.point], d[found.point] = found.s_m, found.d_m
-        error[found.point] = 0.0 if yaw is None else wrap_angle(yaw[found.point] - found.yaw_rad)
+        s[best.point], d[best.point] = best.s_m, best.d_m
+        error[best.point] = 0.0 if yaw is None else wrap_angle(yaw[best.point] - best.yaw_rad)
         return ids, s, d, error
 
     def to_world(

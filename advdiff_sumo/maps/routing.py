@@ -57,7 +57,7 @@ class EdgeGraph:
         for edge, onward in self.successors.items():
             for target in onward:
                 before[target].append(edge)
-        return {edge: tuple(found) for edge, found in before.items()}
+        return {edge: tuple(edges) for edge, edges in before.items()}
 
     def fastest(self, start: str, goal: str) -> tuple[str, ...] | None:
         """Return the edges of the quickest route, both ends included; None when there is none (Dijkstra)."""

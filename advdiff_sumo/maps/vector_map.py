@@ -97,8 +97,8 @@ class PieceTable:
     def _fill(self, out: NDArray[np.int32], search: _Search, xy: FloatArray, yaw: FloatArray) -> None:
         agent, piece = search.candidates(xy)
         distance, cost = _distances(self.xy_m[piece], xy[agent], yaw[agent])
-        seen = distance <= RADIUS_M
-        agent, piece, cost = agent[seen], piece[seen], cost[seen]
+        near = distance <= RADIUS_M
+        agent, piece, cost = agent[near], piece[near], cost[near]
         order = np.lexsort((piece, cost, agent))
         agent, piece = agent[order], piece[order]
         rank = np.arange(len(agent)) - np.searchsorted(agent, agent)
@@ -129,8 +129,8 @@ class _Search:
         none = np.zeros(0, dtype=np.int64)
         if self.tree is None:
             return none, none
-        found = self.tree.query_ball_point(xy_m, RADIUS_M + self.reach_m)
-        parts = [np.asarray(rows, dtype=np.int64) for rows in found]
+        nearby = self.tree.query_ball_point(xy_m, RADIUS_M + self.reach_m)
+        parts = [np.asarray(rows, dtype=np.int64) for rows in nearby]
         counts = np.array([len(rows) for rows in parts])
         if counts.sum() == 0:
             return none, none

@@ -109,18 +109,18 @@ class VectorIndex:
     def _padded(
         self, rows: IntArray, distance: FloatArray, xy_m: FloatArray, yaw_rad: float, size: int
     ) -> MapVectors:
-        found, points = len(rows), self._xy.shape[1]
+        count, points = len(rows), self._xy.shape[1]
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
         local_from_world = np.array([[cos, -sin], [sin, cos]])  # right-multiplied: v @ R = R⁻¹ v
         xy, tangent = np.zeros((2, size, points, 2))
-        xy[:found] = (self._xy[rows] - xy_m) @ local_from_world
-        tangent[:found] = self._tangent[rows] @ local_from_world
+        xy[:count] = (self._xy[rows] - xy_m) @ local_from_world
+        tangent[:count] = self._tangent[rows] @ local_from_world
         mask = np.zeros((size, points), dtype=np.bool_)
-        mask[:found] = True
+        mask[:count] = True
         width, speed, away = np.zeros((3, size))
-        width[:found], speed[:found], away[:found] = self._width[rows], self._speed[rows], distance
+        width[:count], speed[:count], away[:count] = self._width[rows], self._speed[rows], distance
         kind = np.zeros(size, dtype=np.int64)
-        kind[:found] = self._kind[rows]
+        kind[:count] = self._kind[rows]
         return MapVectors(xy, tangent, mask, width, speed, kind, away)
 
 

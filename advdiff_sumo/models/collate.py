@@ -82,7 +82,7 @@ def collate(
     index = first[:, None] + np.arange(agents)
     present = index < last[:, None]
     index = np.where(present, index, first[:, None])
-    made = _Agents(
+    rows_of_agents = _Agents(
         past=windows.past[index].astype(np.float64),
         past_valid=windows.past_valid[index] & present[..., None],
         future=windows.future[index].astype(np.float64),
@@ -95,9 +95,9 @@ def collate(
         signals=windows.signals[rows].astype(np.int64),
     )
     if jitter is not None and rng is not None:
-        made = _displaced(made, rng, jitter)
+        rows_of_agents = _displaced(rows_of_agents, rng, jitter)
     table = _Map(windows.map_xy, windows.map_features, windows.map_signal.astype(np.int64))
-    return _assemble(made, table)
+    return _assemble(rows_of_agents, table)
 
 
 def scene_batch(
@@ -120,7 +120,7 @@ def scene_batch(
     """
     agents = history.agents
     states = np.concatenate((history.xy_m, history.yaw_rad[..., None], history.speed_mps[..., None]), axis=-1)
-    made = _Agents(
+    rows_of_agents = _Agents(
         past=states[None],
         past_valid=history.valid[None],
         future=np.zeros((1, agents, FUTURE_STEPS, 4)),
@@ -132,7 +132,7 @@ def scene_batch(
         near=near[None],
         signals=np.asarray(signal_states, dtype=np.int64)[None],
     )
-    return _assemble(made, _Map(map_xy, map_features, map_signal))
+    return _assemble(rows_of_agents, _Map(map_xy, map_features, map_signal))
 
 
 def _assemble(agents: _Agents, table: _Map) -> SceneBatch:

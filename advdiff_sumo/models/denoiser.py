@@ -55,8 +55,8 @@ class AdaGN(nn.Module):
             h: (M, D) state embeddings.
             step: (B, 64) encoded diffusion steps; scene b has M / B rows one after the other.
         """
-        made = self.step(step).repeat_interleave(len(features) // len(step), dim=0)
-        scale, shift = made[..., None].chunk(2, dim=1)
+        step_features = self.step(step).repeat_interleave(len(features) // len(step), dim=0)
+        scale, shift = step_features[..., None].chunk(2, dim=1)
         out: Tensor = self.state(h)[..., None] * (scale * self.norm(features) + shift)
         return out
 
@@ -103,8 +103,8 @@ class Coupling(nn.Module):
         """Return (B, A, D) for noisy *x* (B, A, C, L) at encoded steps *step* (B, 64)."""
         known = self.known(torch.cat((context.prior.mean, context.h), dim=-1))
         begin = torch.relu(self.sample(x.flatten(2)) + known + self.step(step)[:, None])
-        seen: Tensor = self.out(self.net(begin, context.relative, context.drawn))
-        return context.h + seen
+        coupled: Tensor = self.out(self.net(begin, context.relative, context.drawn))
+        return context.h + coupled
 
 
 class Denoiser(nn.Module):

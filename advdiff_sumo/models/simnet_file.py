@@ -82,10 +82,10 @@ def _on_encoder(path: Path, seed: int) -> SimNet:
     return simnet
 
 
-def _options(found: object, path: Path) -> ModelOptions:
-    if not isinstance(found, dict):
+def _options(header: object, path: Path) -> ModelOptions:
+    if not isinstance(header, dict):
         raise WeightsError(path, "has no options in its header", _AGAIN)
-    return ModelOptions.parse(found, f"{path}: its options")
+    return ModelOptions.parse(header, f"{path}: its options")
 
 
 def _fill(simnet: SimNet, tensors: Mapping[str, Tensor], path: Path) -> None:

@@ -132,13 +132,13 @@ def streets_block(layer: MapLayer, paths_m: Iterable[FloatArray]) -> str:
 
 def _cells(paths_m: Iterable[FloatArray]) -> set[tuple[int, int]]:
     """Return the (column, line) of all squares within ``AROUND_M`` of a path."""
-    found: set[tuple[int, int]] = set()
+    cells: set[tuple[int, int]] = set()
     reach = np.array([[i, j] for i in (-AROUND_M, 0.0, AROUND_M) for j in (-AROUND_M, 0.0, AROUND_M)])
     for path in paths_m:
         points = path[np.isfinite(path).all(axis=1)]
         places = np.floor((points[:, None] + reach) / CELL_M).astype(np.int64).reshape(-1, 2)
-        found |= {(int(a), int(b)) for a, b in np.unique(places, axis=0)}
-    return found
+        cells |= {(int(a), int(b)) for a, b in np.unique(places, axis=0)}
+    return cells
 
 
 def _polyline(points: FloatArray, corner: FloatArray) -> IntArray:

@@ -162,8 +162,8 @@ class FinishedRun:
 
 
 def _options(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    found = settings.get("sweep", settings.get("options", {}))
-    return found if isinstance(found, Mapping) else {}
+    options = settings.get("sweep", settings.get("options", {}))
+    return options if isinstance(options, Mapping) else {}
 
 
 def _with_job(row: Row, options: Mapping[str, Any]) -> Row:

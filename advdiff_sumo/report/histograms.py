@@ -103,8 +103,8 @@ def _shares(values: FloatArray, edges: FloatArray) -> FloatArray:
 
 def _words(label: str, values: FloatArray, unit: str) -> str:
     low, middle, high = np.percentile(values, [5, 50, 95])
-    told = f"median {middle:.1f} {unit}, 90 % between {low:.1f} and {high:.1f} {unit}"
-    return f"{label}: {told.replace('-', '−')}"
+    sentence = f"median {middle:.1f} {unit}, 90 % between {low:.1f} and {high:.1f} {unit}"
+    return f"{label}: {sentence.replace('-', '−')}"
 
 
 def _plain(value: float) -> str:

@@ -102,13 +102,13 @@ def _maps(run: FinishedRun, nets: Nets, sections: list[Section]) -> list[Overvie
 
 def _streets(nets: Nets, places: list[str], sections: list[Section]) -> list[tuple[str, str]]:
     """Return (id, block) of the streets of each net that an episode to be played was driven on."""
-    found = []
+    streets = []
     for number, net in enumerate(places):
         paths = [s.target_xy_m for s in sections if s.block and s.net == net]
         layer = nets.layer(net)
         if paths and layer is not None:
-            found.append((f"net-{number}", streets_block(layer, paths)))
-    return found
+            streets.append((f"net-{number}", streets_block(layer, paths)))
+    return streets
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -39,15 +39,15 @@ def plans_of(table: pa.Table) -> tuple[Planned, ...]:
         return ()
     table = table.sort_by([("agent", "ascending"), ("made_s", "ascending"), ("time_s", "ascending")])
     agents = table["agent"].to_pylist()
-    made, times, x, y = (
+    made_s, times, x, y = (
         np.asarray(table[name].to_numpy(), dtype=np.float64) for name in ("made_s", "time_s", "x_m", "y_m")
     )
     xy = np.stack((x, y), axis=-1)
-    found = []
-    for (agent, moment), rows in groupby(range(len(agents)), key=lambda k: (agents[k], made[k])):
+    plans = []
+    for (agent, moment), rows in groupby(range(len(agents)), key=lambda k: (agents[k], made_s[k])):
         own = list(rows)
-        found.append(Planned(agent, float(moment), times[own], xy[own]))
-    return tuple(found)
+        plans.append(Planned(agent, float(moment), times[own], xy[own]))
+    return tuple(plans)
 
 
 def packed_plans(
@@ -76,16 +76,16 @@ def packed_plans(
         last: tuple[int, IntArray] | None = None
         for plan in own:
             place = np.rint((plan.xy_m - origin_m) * PER_M).astype(np.int64)
-            made = round(plan.made_s / dt)
-            coded = None if last is None else _coded(plan, place, made - last[0], last[1], dt)
+            made_step = round(plan.made_s / dt)
+            coded = None if last is None else _coded(plan, place, made_step - last[0], last[1], dt)
             if coded is None:  # the first, or so far off that it needs a beginning of its own
                 x, y = place[0].tolist()
                 series.append({"r": rows[agent], "n": 0, "x": x, "y": y})
-                coded = _coded(plan, place, made, place[0], dt)
+                coded = _coded(plan, place, made_step, place[0], dt)
             if coded is not None:
                 series[-1]["n"] += 1
                 numbers.append(coded)
-                last = made, place[0]
+                last = made_step, place[0]
     every = float(np.diff(moments).min()) if len(moments) > 1 else dt
     return {"dt": round(dt, 6), "every": round(every, 6), "series": series}, numbers
 

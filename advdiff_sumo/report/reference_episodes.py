@@ -40,8 +40,8 @@ class Naturals:
 
     def of(self, row: Row) -> Tracks | None:
         """Return (A, T) natural tracks of the episode in *row*, clock 0 at its start; None when none are known."""
-        found = self._logged(row) if str(row["net"]) in self._logs else self._simulated(row)
-        return found if found is not None else self._kept(row)
+        tracks = self._logged(row) if str(row["net"]) in self._logs else self._simulated(row)
+        return tracks if tracks is not None else self._kept(row)
 
     def kept(self, row: Row) -> EpisodeStates | None:
         """Return the traffic that the seed scene of *row* was cut from, as the episode has kept it, or None."""

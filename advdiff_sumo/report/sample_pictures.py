@@ -76,14 +76,14 @@ def samples_by_background(run: FinishedRun, naturals: Naturals, labels: Labels) 
     for row in run.episodes:
         if row["end"] != "failed":
             groups.setdefault(labels.background(row), []).append(row)
-    found = {name: Samples.joined(list(_driven(run, _spaced(rows)))) for name, rows in groups.items()}
+    samples = {name: Samples.joined(list(_driven(run, _spaced(rows)))) for name, rows in groups.items()}
     logged = Samples.joined(list(_logged(naturals, _spaced(run.episodes))))
     first = {LOGGED: logged} if logged.episodes else {}
     if not first and all(row["background"] != NATURAL[0] for row in run.episodes):
         kept = Samples.joined(list(_kept(naturals, _spaced(run.episodes))))
         first = {SCENES: kept} if kept.episodes else {}
-    ordered = sorted(found, key=lambda name: (NATURAL[0] not in name.split(), name))
-    return first | {name: found[name] for name in ordered if found[name].episodes}
+    ordered = sorted(samples, key=lambda name: (NATURAL[0] not in name.split(), name))
+    return first | {name: samples[name] for name in ordered if samples[name].episodes}
 
 
 def _driven(run: FinishedRun, rows: Iterable[Row]) -> Iterable[Samples]:

@@ -158,13 +158,13 @@ def _close_up(tracks: Tracks, target: int, other: int | None, impact: FloatArray
 
 
 def _trails(tracks: Tracks, target: int, other: int | None, view: View) -> tuple[Trail, ...]:
-    found = []
+    trails = []
     for row in _drawing_order(tracks, target, other):
         for line in _stretches(tracks.xy_m[row]):
             cut = shapely.clip_by_rect(shapely.simplify(shapely.LineString(line), 0.05), *view.rectangle)
             pieces = [p for p in shapely.get_parts(cut) if p.geom_type == "LineString" and not p.is_empty]
-            found += [Trail(_role(row, target, other), shapely.get_coordinates(p)) for p in pieces]
-    return tuple(found)
+            trails += [Trail(_role(row, target, other), shapely.get_coordinates(p)) for p in pieces]
+    return tuple(trails)
 
 
 def _stretches(xy_m: FloatArray) -> list[FloatArray]:

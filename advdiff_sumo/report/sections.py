@@ -197,8 +197,12 @@ def _verdict(row: Row) -> str:
     if not row["target_collision"]:
         gap = number(row["min_clearance_m"], 2, "m")
         return f"No contact; the least gap was {gap}."
-    seen = row["attacker_visible"]
-    told = "" if seen is None else f" The target {'had' if seen else 'had not'} perceived the other vehicle."
+    visible = row["attacker_visible"]
+    perception = (
+        ""
+        if visible is None
+        else f" The target {'had' if visible else 'had not'} perceived the other vehicle."
+    )
     sentence, reason = str(row["verdict"] or ""), str(row["fault_reason"] or "")
     reason = "" if reason.rstrip(".").lower() in sentence.lower() else reason
-    return " ".join(f"{sentence} At fault: {words(row['at_fault'])}. {reason}{told}".split())
+    return " ".join(f"{sentence} At fault: {words(row['at_fault'])}. {reason}{perception}".split())

@@ -53,8 +53,8 @@ class ChosenEpisode:
         states = run.states(int(row["episode"]))
         if states is None:
             raise FileError(folder, f"holds no states of episode {row['episode']}", "choose another episode")
-        found = Naturals(run).of(row)
-        natural = None if found is None else departed(states, found)
+        natural_tracks = Naturals(run).of(row)
+        natural = None if natural_tracks is None else departed(states, natural_tracks)
         layer = Nets(run).layer(str(row["net"]))
         return ChosenEpisode(row, states, run.collisions_of(int(row["episode"])), layer, natural)
 

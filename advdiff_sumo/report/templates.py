@@ -62,8 +62,8 @@ def words(name: str | None) -> str:
 
 def breaches_of(row: Mapping[str, Any]) -> list[str]:
     """Return the rules that either side of an episode's collision broke, as the words of the table."""
-    told = f"{row['target_breaches'] or ''}, {row['other_breaches'] or ''}"
-    return sorted({word for word in told.split(", ") if word})
+    listed = f"{row['target_breaches'] or ''}, {row['other_breaches'] or ''}"
+    return sorted({word for word in listed.split(", ") if word})
 
 
 def yes_no(flag: bool | None) -> str:

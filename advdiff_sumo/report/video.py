@@ -119,9 +119,9 @@ def _frames(
 def _artists(axes: Axes, chosen: ChosenEpisode, moment_s: float) -> list[Any]:
     """Return what moves: trails, boxes, the contact and words."""
     tracks, target, attacker = chosen.states.tracks, chosen.states.target, chosen.attacker
-    found: list[Any] = []
+    artists: list[Any] = []
     if chosen.natural is not None:
-        found += [
+        artists += [
             axes.plot(*line.T, color="white", linewidth=2.5, alpha=0.7)[0] for line in chosen.natural.xy_m
         ]
     past = chosen.steps(max(0.0, moment_s - _TRAIL_S), moment_s)
@@ -134,35 +134,35 @@ def _artists(axes: Axes, chosen: ChosenEpisode, moment_s: float) -> list[Any]:
     ):
         for row in rows:
             way = np.concatenate((tracks.xy_m[row, past], xy[row][None]))
-            found.append(axes.plot(*way.T, color=COLOURS[role], linewidth=2.0, alpha=0.6)[0])
+            artists.append(axes.plot(*way.T, color=COLOURS[role], linewidth=2.0, alpha=0.6)[0])
         outlines = [corners(xy[row], yaw[row], tracks.size_m[row]) for row in rows]
         noses = [
             np.stack((xy[row], outline[:2].mean(axis=0))) for row, outline in zip(rows, outlines, strict=True)
         ]
         boxes = PolyCollection(outlines, facecolors=COLOURS[role], edgecolors="white", linewidths=1.0)
-        found.append(axes.add_collection(boxes))
-        found += [axes.plot(*nose.T, color="white", linewidth=1.2)[0] for nose in noses]
-    return found + _words(axes, chosen, moment_s)
+        artists.append(axes.add_collection(boxes))
+        artists += [axes.plot(*nose.T, color="white", linewidth=1.2)[0] for nose in noses]
+    return artists + _words(axes, chosen, moment_s)
 
 
 def _words(axes: Axes, chosen: ChosenEpisode, moment_s: float) -> list[Any]:
     tracks, row = chosen.states.tracks, chosen.row
     step = min(round(moment_s / tracks.dt_s), tracks.steps - 1)
     speed = tracks.speed_mps[chosen.states.target, step]
-    told = f"{moment_s:5.1f} s" + (f"   target {speed:.1f} m/s" if np.isfinite(speed) else "")
+    clock = f"{moment_s:5.1f} s" + (f"   target {speed:.1f} m/s" if np.isfinite(speed) else "")
     paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 4.0}
-    found: list[Any] = [
-        axes.text(0.015, 0.975, told, transform=axes.transAxes, va="top", fontsize=13, bbox=paper)
+    artists: list[Any] = [
+        axes.text(0.015, 0.975, clock, transform=axes.transAxes, va="top", fontsize=13, bbox=paper)
     ]
     if chosen.contact_s is not None and moment_s >= chosen.contact_s - 1e-6:
         verdict = f"{words(row['collision_type'])}, at fault: {words(row['at_fault'])}"
-        found.append(
+        artists.append(
             axes.text(0.015, 0.03, verdict, transform=axes.transAxes, fontsize=13, color=IMPACT, bbox=paper)
         )
         if chosen.impact_m is not None:
             cross = axes.plot(*chosen.impact_m, marker="x", color=IMPACT, markersize=14, markeredgewidth=3.5)
-            found += cross
-    return found
+            artists += cross
+    return artists
 
 
 def _write_gif(frames: Iterator[NDArray[np.uint8]], path: Path, rate: int) -> None:

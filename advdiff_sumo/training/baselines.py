@@ -68,24 +68,24 @@ def lane_ahead(pieces: Floats, length_m: float) -> Floats | None:
     current = int(distance.argmin())
     if distance[current] > _REACH_M:
         return None
-    path, seen = [pieces[current]], {current}
+    path, visited = [pieces[current]], {current}
     left = length_m - (_length(pieces[current]) - _project(pieces[current])[1])
     while left > 0.0:
-        following = _next(pieces, current, seen)
+        following = _next(pieces, current, visited)
         if following is None:
             break
         current = following
-        seen.add(current)
+        visited.add(current)
         path.append(pieces[current][1:])
         left -= _length(pieces[current])
     return np.concatenate(path)
 
 
-def _next(pieces: Floats, current: int, seen: set[int]) -> int | None:
+def _next(pieces: Floats, current: int, visited: set[int]) -> int | None:
     """Return the piece that begins where *current* ends and turns least against it."""
     end = pieces[current][-1]
     near = np.linalg.norm(pieces[:, 0] - end, axis=1) < _JOIN_M
-    near[list(seen)] = False
+    near[list(visited)] = False
     options = np.flatnonzero(near)
     if not len(options):
         return None

@@ -74,8 +74,8 @@ class TrafficStage:
         tally = {name: (float(value) * batch.scenes, float(batch.scenes)) for name, value in terms.items()}
         context = encoded.context
         for name, z in (("posterior", encoded.posterior.mean), ("prior", context.prior.mean)):
-            found = displacement(model.decoder(z, context.h, batch), batch)
-            tally[f"{name}_ade_m"], tally[f"{name}_fde_m"] = found.ade_sum(), found.fde_sum()
+            errors = displacement(model.decoder(z, context.h, batch), batch)
+            tally[f"{name}_ade_m"], tally[f"{name}_fde_m"] = errors.ade_sum(), errors.fde_sum()
         return tally
 
     def after_step(self) -> None:

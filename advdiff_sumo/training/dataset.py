@@ -74,13 +74,13 @@ def read_window_set(paths: Iterable[Path]) -> WindowSet:
     Raises:
         FileError: one is missing or no window file, or there is no window at all.
     """
-    found = sorted(set(window_paths(list(paths))))
-    files = tuple(read_windows(path) for path in found)
+    sources = sorted(set(window_paths(list(paths))))
+    files = tuple(read_windows(path) for path in sources)
     counts = [file.windows for file in files]
     if not sum(counts):
-        raise FileError(found[0], "holds no window", "build it from more driving")
+        raise FileError(sources[0], "holds no window", "build it from more driving")
     agents = np.concatenate([np.diff(file.offset) for file in files])
-    digest = hashlib.sha256("".join(sorted(_hash(path) for path in found)).encode()).hexdigest()
+    digest = hashlib.sha256("".join(sorted(_hash(path) for path in sources)).encode()).hexdigest()
     return WindowSet(
         files,
         np.repeat(np.arange(len(files)), counts),

@@ -67,12 +67,12 @@ def judge(bundle: Bundle, batch: SceneBatch, generator: torch.Generator) -> Tall
     k = spread_steps(batch, schedule)
     loss = noise_loss(bundle.denoiser, x0, context, batch, schedule, k, generator)
     drawn = diffused(bundle, context, min(_JUDGED_STEPS, schedule.steps), generator)
-    found = displacement(bundle.codec.decode(drawn, context, batch), batch)
+    tally = displacement(bundle.codec.decode(drawn, context, batch), batch)
     weight = float(batch.scenes)
     return {
         "noise": (float(loss) * weight, weight),
-        "sample_ade_m": found.ade_sum(),
-        "sample_fde_m": found.fde_sum(),
+        "sample_ade_m": tally.ade_sum(),
+        "sample_fde_m": tally.fde_sum(),
     }
 
 

@@ -71,26 +71,26 @@ Predict = Callable[[SceneBatch, Context, torch.Generator], tuple[Rollout, int]]
 
 def methods(bundle: Bundle, judging: Judging) -> dict[str, Predict]:
     """Return the ways to predict that the bundle's stages allow, with the baselines."""
-    found: dict[str, Predict] = {
+    predictors: dict[str, Predict] = {
         "constant velocity": lambda batch, *_: (constant_velocity(batch), 1),
         "lane following": lambda batch, *_: (lane_following(batch), 1),
     }
     if "traffic" in bundle.stages:
-        found["posterior"] = lambda batch, context, _: (
+        predictors["posterior"] = lambda batch, context, _: (
             bundle.traffic.decoder(bundle.traffic.posterior(batch, context.h).mean, context.h, batch),
             1,
         )
-        found["prior"] = lambda batch, context, g: (
+        predictors["prior"] = lambda batch, context, g: (
             _from_prior(bundle, batch, context, judging, g),
             judging.samples,
         )
     if "denoiser" in bundle.stages:
         name = "latent diffusion" if bundle.options.codec == "latent" else "trajectory diffusion"
-        found[name] = lambda batch, context, g: (
+        predictors[name] = lambda batch, context, g: (
             _diffused(bundle, batch, context, judging, g),
             judging.samples,
         )
-    return found
+    return predictors
 
 
 @torch.no_grad()
@@ -151,8 +151,8 @@ def _from_prior(
 ) -> Rollout:
     several = context.repeat(judging.samples)
     z = several.prior.sample(generator)
-    made: Rollout = bundle.traffic.decoder(z, several.h, batch.repeat(judging.samples))
-    return made
+    rollout: Rollout = bundle.traffic.decoder(z, several.h, batch.repeat(judging.samples))
+    return rollout
 
 
 def _diffused(
@@ -165,9 +165,9 @@ def _diffused(
 
 def _judge(sums: _Sums, rollout: Rollout, batch: SceneBatch, times: int) -> None:
     several = batch.repeat(times)
-    found = displacement(rollout, several)
+    errors = displacement(rollout, several)
     shape = (batch.scenes, times, batch.agents)
-    ade, fde, who = found.ade_m.reshape(shape), found.fde_m.reshape(shape), driving(batch)
+    ade, fde, who = errors.ade_m.reshape(shape), errors.fde_m.reshape(shape), driving(batch)
     number = who.sum(1)
     scene = torch.where(who[:, None], fde, 0.0).sum(2).amin(1) / number.clamp(min=1)
     last = _last(rollout.xy, several).reshape(*shape, 2)

@@ -154,8 +154,16 @@ def from_logs(
         context = bundle.traffic.encoder(batch)
         action = random_action(bundle, context, options, generator)
         path = decoded(bundle, action, context, batch, target)
-        made = observed(batch, _first(path, steps), target, action, options)
-        yield Experience(made.state, target, action, made.gain, made.remains, made.after, alive.to(made.gain))
+        experience = observed(batch, _first(path, steps), target, action, options)
+        yield Experience(
+            experience.state,
+            target,
+            action,
+            experience.gain,
+            experience.remains,
+            experience.after,
+            alive.to(experience.gain),
+        )
         first = payoffs(path, batch, target, options, 1)[0]
         alive = alive & ~first.contact
         batch = advance(batch, path, options.execute)

@@ -43,36 +43,38 @@ class Agreement:
 
 
 def direction_loss(
-    bundle: Bundle, made: Experience, options: RewardOptions, generator: torch.Generator
+    bundle: Bundle, experience: Experience, options: RewardOptions, generator: torch.Generator
 ) -> Tensor:
     """Return 1 − cos averaged over the vehicles that count; 1 where there is none."""
-    agreement = agreement_of(bundle, made, options, generator)
+    agreement = agreement_of(bundle, experience, options, generator)
     return 1.0 - agreement.cosine.sum() / agreement.counts.sum().clamp(min=1)
 
 
 def agreement_of(
-    bundle: Bundle, made: Experience, options: RewardOptions, generator: torch.Generator
+    bundle: Bundle, experience: Experience, options: RewardOptions, generator: torch.Generator
 ) -> Agreement:
-    """Return where Q points at the actions of *made*, some of them shifted up Q as guidance shifts them.
+    """Return where Q points at the actions of *experience*, some of them shifted up Q as guidance shifts them.
 
     Args:
         bundle: the networks; gradients go to the reward model alone.
-        made: experiences; the target's drive is the future in their states.
+        experience: experiences; the target's drive is the future in their states.
         options: how far ahead, how long the shifts.
         generator: of the shifts.
     """
     with torch.no_grad():
-        context = bundle.traffic.encoder(made.state)
-    made = replace(made, action=_pushed(bundle, made, context, options.push, generator))
+        context = bundle.traffic.encoder(experience.state)
+    experience = replace(experience, action=_pushed(bundle, experience, context, options.push, generator))
     with torch.enable_grad():
-        action = made.action.detach().requires_grad_(True)
-        cost, near = _cost(bundle, replace(made, action=action), context, options.look)
+        action = experience.action.detach().requires_grad_(True)
+        cost, near = _cost(bundle, replace(experience, action=action), context, options.look)
         wanted = -torch.autograd.grad(cost.sum(), action)[0].nan_to_num()
-        q = bundle.reward(context.h, context.prior.mean, action, made.state, made.target)
+        q = bundle.reward(context.h, context.prior.mean, action, experience.state, experience.target)
         slope = torch.autograd.grad(q.sum(), action, create_graph=True)[0]
     size = wanted.norm(dim=-1)
-    row = torch.arange(len(made.target), device=size.device)
-    known = made.state.future_valid[row, made.target, : options.look].all(-1) & (made.weight > 0.0)
+    row = torch.arange(len(experience.target), device=size.device)
+    known = experience.state.future_valid[row, experience.target, : options.look].all(-1) & (
+        experience.weight > 0.0
+    )
     counts = near & (size > _FLAT) & known[:, None]
     cosine = (slope * wanted).sum(-1) / (slope.norm(dim=-1) * size).clamp(min=1e-12)
     return Agreement(torch.where(counts, cosine, 0.0), counts)
@@ -88,24 +90,24 @@ def approach(path: Rollout, batch: SceneBatch, target: Tensor) -> tuple[Tensor, 
     return cost + ROAD_WEIGHT * over_edge(path, batch, target).sum(-1), near
 
 
-def _cost(bundle: Bundle, made: Experience, context: Context, steps: int) -> tuple[Tensor, Tensor]:
-    path = decoded(bundle, made.action, context, made.state, made.target, steps)
-    cost, near = approach(path, made.state, made.target)
-    unlikely = surprise(context.prior, bundle.codec.unscale(made.action[:, :, None])[:, :, 0])
+def _cost(bundle: Bundle, experience: Experience, context: Context, steps: int) -> tuple[Tensor, Tensor]:
+    path = decoded(bundle, experience.action, context, experience.state, experience.target, steps)
+    cost, near = approach(path, experience.state, experience.target)
+    unlikely = surprise(context.prior, bundle.codec.unscale(experience.action[:, :, None])[:, :, 0])
     return cost + PRIOR_WEIGHT * torch.where(near, unlikely, 0.0).sum(1), near
 
 
 def _pushed(
-    bundle: Bundle, made: Experience, context: Context, most: float, generator: torch.Generator
+    bundle: Bundle, experience: Experience, context: Context, most: float, generator: torch.Generator
 ) -> Tensor:
     """Return the actions (B, A, Z) with up to three vehicles near the target shifted up Q, in four of five scenes."""
-    mask = _chosen(made.state, made.target, generator).to(made.action.dtype)
-    here = made.action.device
+    mask = _chosen(experience.state, experience.target, generator).to(experience.action.dtype)
+    here = experience.action.device
     share = torch.rand((len(mask), 1, 1), generator=generator)
     some = torch.rand((len(mask), 1, 1), generator=generator) < _PUSHED
     length = (most / _TURNS * share * some).to(here)
-    state = bundle.reward.prepare(context.h, context.prior.mean, made.state, made.target)
-    out = made.action
+    state = bundle.reward.prepare(context.h, context.prior.mean, experience.state, experience.target)
+    out = experience.action
     for _ in range(_TURNS):
         out = out + length * direction(lambda a: bundle.reward.value_of(state, a), out, mask)
     return out.detach()

@@ -62,12 +62,14 @@ class WarmUp:
     def _step(self, stored: Sequence[Experience]) -> float:
         node = self.tree.child(self._steps)
         drawn = node.child("draw").generator().integers(0, len(stored), min(self.batch_size, len(stored)))
-        made = gathered([stored[i] for i in drawn])
+        experience = gathered([stored[i] for i in drawn])
         generator = torch.Generator().manual_seed(node.child("noise").integer(62))
-        total, _ = q_loss(self.bundle, self._target, made, self.options, generator)
-        loss = total / made.weight.sum().clamp(min=1.0)
+        total, _ = q_loss(self.bundle, self._target, experience, self.options, generator)
+        loss = total / experience.weight.sum().clamp(min=1.0)
         if self.options.direction > 0.0:
-            loss = loss + self.options.direction * direction_loss(self.bundle, made, self.options, generator)
+            loss = loss + self.options.direction * direction_loss(
+                self.bundle, experience, self.options, generator
+            )
         if not torch.isfinite(loss):
             raise TrainingError(f"warm-up step {self._steps}: the loss is {float(loss.detach())}")
         self._optimiser.zero_grad(set_to_none=True)

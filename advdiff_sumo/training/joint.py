@@ -139,12 +139,14 @@ class JointStage:
         done = int(torch.randint(sampling.steps, (), generator=generator))
         shape = (*context.h.shape[:2], *bundle.codec.shape)
         start = torch.randn(shape, generator=generator).to(context.h)
-        seen = foresee(noise_at(bundle.denoiser, context), start, self.schedule, sampling, generator, done)
+        foreseen = foresee(
+            noise_at(bundle.denoiser, context), start, self.schedule, sampling, generator, done
+        )
         with torch.no_grad():
-            before = noise_at(self._began, context)(seen.x, seen.k)
-        strayed = masked_mean((seen.noise - before).square().flatten(2).mean(-1), batch.moved)
+            before = noise_at(self._began, context)(foreseen.x, foreseen.k)
+        strayed = masked_mean((foreseen.noise - before).square().flatten(2).mean(-1), batch.moved)
         with _untrained(bundle.traffic.decoder):
-            return bundle.codec.decode(seen.clean, context, batch), seen.alpha, strayed
+            return bundle.codec.decode(foreseen.clean, context, batch), foreseen.alpha, strayed
 
 
 def _fixed(context: Context) -> Context:

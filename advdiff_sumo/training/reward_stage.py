@@ -49,15 +49,19 @@ class RewardStage:
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
         """Return L_Q over the experiences that the windows give, with the mean value and rate of contact."""
-        made = list(from_logs(self._bundle, batch, self.options, moment.generator))
-        terms = [q_loss(self._bundle, self._target, one, self.options, moment.generator) for one in made]
-        weight = sum(float(one.weight.sum()) for one in made)
+        experiences = list(from_logs(self._bundle, batch, self.options, moment.generator))
+        terms = [
+            q_loss(self._bundle, self._target, one, self.options, moment.generator) for one in experiences
+        ]
+        weight = sum(float(one.weight.sum()) for one in experiences)
         loss = torch.stack([term for term, _ in terms]).sum() / max(weight, 1.0)
         value = torch.stack([q for _, q in terms]).sum() / max(weight, 1.0)
         direction = loss.new_zeros(())
-        if made and self.options.direction > 0.0:
-            direction = direction_loss(self._bundle, made[0], self.options, moment.generator)
-        contact = sum(float((one.weight * (one.remains == 0.0)).sum()) for one in made) / max(weight, 1.0)
+        if experiences and self.options.direction > 0.0:
+            direction = direction_loss(self._bundle, experiences[0], self.options, moment.generator)
+        contact = sum(float((one.weight * (one.remains == 0.0)).sum()) for one in experiences) / max(
+            weight, 1.0
+        )
         return {
             "loss": loss + self.options.direction * direction,
             "td": loss,
@@ -80,12 +84,12 @@ class RewardStage:
             "regret": _sum(best - chosen, usable),
             "chance": _sum(best - worth.mean(1), usable),
         }
-        made = list(from_logs(self._bundle, batch, self.options, generator))
-        losses = [q_loss(self._bundle, self._target, one, self.options, generator)[0] for one in made]
-        weight = sum(float(one.weight.sum()) for one in made)
+        experiences = list(from_logs(self._bundle, batch, self.options, generator))
+        losses = [q_loss(self._bundle, self._target, one, self.options, generator)[0] for one in experiences]
+        weight = sum(float(one.weight.sum()) for one in experiences)
         tally |= {"td": (float(torch.stack(losses).sum()), weight)}
-        if made:
-            agreement = agreement_of(self._bundle, made[0], self.options, generator)
+        if experiences:
+            agreement = agreement_of(self._bundle, experiences[0], self.options, generator)
             tally["direction"] = (
                 float((1.0 - agreement.cosine)[agreement.counts].sum()),
                 float(agreement.counts.sum()),
@@ -119,7 +123,7 @@ class RewardStage:
 def q_loss(
     bundle: Bundle,
     target_network: RewardModel,
-    made: Experience,
+    experience: Experience,
     options: RewardOptions,
     generator: torch.Generator,
 ) -> tuple[Tensor, Tensor]:
@@ -128,24 +132,24 @@ def q_loss(
     The target is (1 − γ) Σ γⁱ rᵢ + γⁿ max Q(s', a) with the maximum over candidates a drawn from the prior.
     """
     with torch.no_grad():
-        context = bundle.traffic.encoder(made.state)
-        after = bundle.traffic.encoder(made.after)
-        future = best_value(bundle, target_network, made, after, options.candidates, generator)
-        wanted = made.gain + made.remains * future
-    q = bundle.reward(context.h, context.prior.mean, made.action, made.state, made.target)
-    return (made.weight * (q - wanted).square()).sum(), (made.weight * q.detach()).sum()
+        context = bundle.traffic.encoder(experience.state)
+        after = bundle.traffic.encoder(experience.after)
+        future = best_value(bundle, target_network, experience, after, options.candidates, generator)
+        wanted = experience.gain + experience.remains * future
+    q = bundle.reward(context.h, context.prior.mean, experience.action, experience.state, experience.target)
+    return (experience.weight * (q - wanted).square()).sum(), (experience.weight * q.detach()).sum()
 
 
 def best_value(
     bundle: Bundle,
     network: RewardModel,
-    made: Experience,
+    experience: Experience,
     after: Context,
     candidates: int,
     generator: torch.Generator,
 ) -> Tensor:
     """Return max over *candidates* latents of the prior of Q(s', ·), (B,)."""
-    state = network.prepare(after.h, after.prior.mean, made.after, made.target)
+    state = network.prepare(after.h, after.prior.mean, experience.after, experience.target)
     values = [network.value_of(state, prior_action(bundle, after, generator)) for _ in range(candidates)]
     return torch.stack(values).amax(0)
 

@@ -173,10 +173,10 @@ def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions) -> Bundle:
     if "denoiser" in begun.stages and begun.options.codec == wanted.codec:
         return begun
     options = wanted.model_copy(update={"model": begun.options.model})
-    made = new_bundle(options, SeedTree(plan.seed, ("weights",)).integer())
-    made.traffic.load_state_dict(begun.traffic.state_dict())
-    made.reward.load_state_dict(begun.reward.state_dict())
-    return replace(made, stages=tuple(name for name in begun.stages if name == "traffic"))
+    bundle = new_bundle(options, SeedTree(plan.seed, ("weights",)).integer())
+    bundle.traffic.load_state_dict(begun.traffic.state_dict())
+    bundle.reward.load_state_dict(begun.reward.state_dict())
+    return replace(bundle, stages=tuple(name for name in begun.stages if name == "traffic"))
 
 
 def weights_file(path: Path) -> Path:
@@ -194,8 +194,8 @@ def _measure(bundle: Bundle, windows: WindowSet, options: TrainOptions, device: 
     count = min(len(windows), options.scale_windows)
     chosen = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
     few = windows.subset(chosen)
-    made = (few.batch(numbers).to(device) for numbers in batches(few, 32))
-    measure_scale(bundle, made, torch.Generator().manual_seed(options.split_seed))
+    batched = (few.batch(numbers).to(device) for numbers in batches(few, 32))
+    measure_scale(bundle, batched, torch.Generator().manual_seed(options.split_seed))
 
 
 def _stage(name: StageName, bundle: Bundle, options: TrainOptions) -> BundleStage:

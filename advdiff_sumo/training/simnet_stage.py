@@ -50,13 +50,13 @@ class SimnetStage:
         """Return the error over the whole future, displacements, and how often vehicles collide or leave the road."""
         rollout: Rollout = self.simnet(batch)
         loss, scenes = float(known_mean(reconstruction(rollout, batch), batch)), float(batch.scenes)
-        found = displacement(rollout, batch)
+        tally = displacement(rollout, batch)
         there = batch.present[..., None].expand(rollout.yaw.shape)
         count = float(driving(batch).sum())
         return {
             "loss": (loss * scenes, scenes),
-            "ade_m": found.ade_sum(),
-            "fde_m": found.fde_sum(),
+            "ade_m": tally.ade_sum(),
+            "fde_m": tally.fde_sum(),
             "collision_rate": (float(realism.colliding(rollout, batch, there).sum()), count),
             "off_road_rate": (float(realism.leaving_road(rollout, batch, there).sum()), count),
         }

@@ -91,18 +91,18 @@ def run_adversarial(
         FileError: results cannot be stored.
     """
     store = run_cells(cells, folder.sweep, workers, limits, teller)
-    found = gather(cells, store, folder.path / "traces", workers, teller)
-    return adversarial_table(found, cells.scenes, folder)
+    results = gather(cells, store, folder.path / "traces", workers, teller)
+    return adversarial_table(results, cells.scenes, folder)
 
 
-def adversarial_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
+def adversarial_table(results: Gathered, scenes: SceneList, folder: Folder) -> Table:
     """Return the table of what was gathered."""
-    natural = {cell.target: seen for cell, seen in found.seen.items() if cell.row == NATURAL}
+    natural = {cell.target: episodes for cell, episodes in results.seen.items() if cell.row == NATURAL}
     rows = []
-    for cell, seen in found.seen.items():
+    for cell, episodes in results.seen.items():
         policy = policy_row(cell.row)
-        samples = collision_samples(seen) | background_samples(
-            seen, natural.get(cell.target, ()), plans=cell.background not in PLAN_NOTHING
+        samples = collision_samples(episodes) | background_samples(
+            episodes, natural.get(cell.target, ()), plans=cell.background not in PLAN_NOTHING
         )
         ours = cell.row == OURS
         rows.append(RowSamples(cell.row, cell.target, policy.title, samples, policy.reference, ours))
@@ -112,13 +112,13 @@ def adversarial_table(found: Gathered, scenes: SceneList, folder: Folder) -> Tab
         f"Adversarial traffic, closed loop: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
     )
     return Table(
-        "adversarial", title, heads, lines, gaps_of(heads, rows), notes_of(found, scenes, folder, NOTES)
+        "adversarial", title, heads, lines, gaps_of(heads, rows), notes_of(results, scenes, folder, NOTES)
     )
 
 
-def notes_of(found: Gathered, scenes: SceneList, folder: Folder, usual: tuple[str, ...]) -> tuple[str, ...]:
+def notes_of(results: Gathered, scenes: SceneList, folder: Folder, usual: tuple[str, ...]) -> tuple[str, ...]:
     """Return the notes of a closed-loop table: definitions, what failed, and what it was made of."""
-    failed = failures_told(found, found.seen)
+    failed = failures_told(results, results.seen)
     other = scenes.sumo != version("libsumo") or scenes.horizon_s != folder.request.horizon_s
     moved = (
         f"The list of seed scenes is for SUMO {scenes.sumo} and episodes of {scenes.horizon_s:g} s: these are others, "
@@ -126,7 +126,7 @@ def notes_of(found: Gathered, scenes: SceneList, folder: Folder, usual: tuple[st
         if other
         else ""
     )
-    made = (
+    scenes_note = (
         f"Seed scenes: sha256 {scenes.sha256[:16]}. Revision: {', '.join(r[:10] for r in folder.revisions)}."
     )
-    return tuple(note for note in (*usual, failed, moved, made) if note)
+    return tuple(note for note in (*usual, failed, moved, scenes_note) if note)

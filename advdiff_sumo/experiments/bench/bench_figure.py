@@ -65,11 +65,13 @@ def _panel(axes: Axes, table: Table, head: Head) -> None:
 
 
 def _dot(axes: Axes, row: int, cell: Cell, head: Head, line: Line) -> None:
-    found = cell.found
+    estimate = cell.found
     colour = _REFERENCE if line.reference else _OURS if line.key == "diffusion" else _OTHERS
-    value = head.scale * (found.value or 0.0)
-    if found.low is not None and found.high is not None:
-        axes.plot([head.scale * found.low, head.scale * found.high], [row, row], color=colour, linewidth=1.5)
+    value = head.scale * (estimate.value or 0.0)
+    if estimate.low is not None and estimate.high is not None:
+        axes.plot(
+            [head.scale * estimate.low, head.scale * estimate.high], [row, row], color=colour, linewidth=1.5
+        )
     axes.plot([value], [row], "o", color=colour, markersize=4)
     if cell.paper is not None and cell.paper < 100.0 * max(value, 1.0):
         axes.plot([cell.paper], [row], "x", color=_PAPER, markersize=5)
@@ -88,8 +90,8 @@ def _heat_map(table: Table) -> Figure:
         for column, head in enumerate(heads):
             cell = line.cells.get(head.key)
             if cell is not None:
-                told = formatting.paper_number(cell)
-                text = formatting.number(cell.found.value, head) + (f"\n({told})" if told else "")
+                paper = formatting.paper_number(cell)
+                text = formatting.number(cell.found.value, head) + (f"\n({paper})" if paper else "")
                 colour = "white" if values[row, column] > dark else "black"
                 axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
     axes.set_yticks(range(len(table.lines)), [line.title for line in table.lines], fontsize=7)
@@ -143,10 +145,10 @@ def _curves(table: Table) -> Figure:
 
 def _curve(axes: Axes, line: Line, heads: Sequence[Head]) -> None:
     steps = [int(head.key.rpartition("_")[2]) for head in heads]
-    found = [line.cells[head.key].found for head in heads]
+    estimates = [line.cells[head.key].found for head in heads]
     value, low, high = (
         [np.nan if part is None else 100.0 * part for part in parts]
-        for parts in zip(*((one.value, one.low, one.high) for one in found), strict=True)
+        for parts in zip(*((one.value, one.low, one.high) for one in estimates), strict=True)
     )
     (curve,) = axes.plot(steps, value, marker="o", markersize=4, label=line.title)
     axes.fill_between(steps, low, high, color=curve.get_color(), alpha=0.12)

@@ -84,9 +84,9 @@ def contests_of(gathered: Gathered, cells: BenchCells) -> tuple[Contest, ...]:
     contests = []
     for (background, target), by_defect in tried.items():
         sound = by_defect.pop(SOUND)
-        found = detections(sound, by_defect)
+        detected = detections(sound, by_defect)
         contests.append(
-            Contest(background, target, sound, by_defect, found, first_detection(sound, by_defect))
+            Contest(background, target, sound, by_defect, detected, first_detection(sound, by_defect))
         )
     return tuple(contests)
 
@@ -199,8 +199,9 @@ def _gaps(contests: tuple[Contest, ...]) -> tuple[Gap, ...]:
 
 def _first_note(contest: Contest) -> str:
     detected = sum(one.detected for one in contest.found)
-    told = f"{policy_row(contest.background).title} detects {detected} of {len(contest.found)} in {contest.target}"
+    sentence = f"{policy_row(contest.background).title} detects {detected} of {len(contest.found)} in {contest.target}"
     first = contest.first
     if first is None:
-        return f"{told}."
-    return f"{told}; the first, {' and '.join(first.defects)}, after {first.scenes} scenes, {first.episodes} episodes."
+        return f"{sentence}."
+    names = " and ".join(first.defects)
+    return f"{sentence}; the first, {names}, after {first.scenes} scenes, {first.episodes} episodes."

@@ -77,19 +77,19 @@ def gather(
     for key, content in in_processes(tasks, workers):
         write_checked(cache / key, content)
         teller.step()
-    found = Gathered()
+    gathered = Gathered()
     for cell, job in jobs:
         content = read_checked(cache / job.key)
-        _take(found, cell, job, store, Trace.from_bytes(content) if content else None)
-    return found
+        _take(gathered, cell, job, store, Trace.from_bytes(content) if content else None)
+    return gathered
 
 
 def gather_rows(cells: BenchCells, store: Store) -> Gathered:
     """Return all finished episodes of *cells* without traces."""
-    found = Gathered()
+    gathered = Gathered()
     for cell, job in cells.jobs():
-        _take(found, cell, job, store, UNTRACED)
-    return found
+        _take(gathered, cell, job, store, UNTRACED)
+    return gathered
 
 
 def in_processes(
@@ -119,8 +119,8 @@ def _quiet_worker() -> None:
     one_thread_for_good()
 
 
-def _take(found: Gathered, cell: BenchCell, job: Job, store: Store, trace: Trace | None) -> None:
-    seen, failed = found.seen.setdefault(cell, []), found.failed.setdefault(cell, {})
+def _take(gathered: Gathered, cell: BenchCell, job: Job, store: Store, trace: Trace | None) -> None:
+    results, failed = gathered.seen.setdefault(cell, []), gathered.failed.setdefault(cell, {})
     part = store.read(job.key)
     if part is None:
         return
@@ -133,13 +133,13 @@ def _take(found: Gathered, cell: BenchCell, job: Job, store: Store, trace: Trace
     if is_failure(row):
         return
     plan_s, cpu_s = timing["background_plan_p50_s"], timing.get("cpu_s")
-    seen.append(EpisodeResult(job.scene_key, row, trace, plan_s, cpu_s))
+    results.append(EpisodeResult(job.scene_key, row, trace, plan_s, cpu_s))
 
 
-def failures_told(found: Gathered, names: Iterable[BenchCell]) -> str:
+def failures_told(gathered: Gathered, names: Iterable[BenchCell]) -> str:
     """Return a sentence on failed episodes; empty where there are none."""
     parts = []
     for cell in names:
-        for kind, count in sorted(found.failed.get(cell, {}).items()):
+        for kind, count in sorted(gathered.failed.get(cell, {}).items()):
             parts.append(f"{count} of {cell.background} against {cell.target} ({kind})")
     return f"Episodes that failed and do not count: {'; '.join(parts)}." if parts else ""

@@ -123,12 +123,12 @@ def run_fewshot(
     return fewshot_table(gather_rows(cells, store), cells.scenes, folder)
 
 
-def fewshot_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
+def fewshot_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Table:
     """Return the table of what was gathered: a row for each guide and target, a column for each step of the ladder."""
     request = folder.request
     marks = (0, *marks_of(request.steps))
     heads = tuple(Head(f"steps_{mark}", f"{mark} steps", "%", 100.0, 1, "high") for mark in marks)
-    by_row = {cell.row: seen for cell, seen in found.seen.items()}
+    by_row = {cell.row: results for cell, results in gathered.seen.items()}
     names = tuple(dict.fromkeys(row.split("/")[1] for row in by_row))
 
     def ladder(guide: str, name: str) -> list[Pooled]:
@@ -155,7 +155,7 @@ def fewshot_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
         f"Few-shot: collision rate after warm-up, {request.seeds} warm-ups, "
         f"{len(scenes.scenes)} seed scenes, {request.horizon_s:g} s"
     )
-    return Table("fewshot", title, heads, lines, gaps, notes_of(found, scenes, folder, NOTES))
+    return Table("fewshot", title, heads, lines, gaps, notes_of(gathered, scenes, folder, NOTES))
 
 
 def _cells(heads: Sequence[Head], ladder: Sequence[Pooled]) -> dict[str, Cell]:
@@ -227,8 +227,8 @@ def averaged(parts: Sequence[Pooled]) -> Pooled:
 
 def _draws(shape: tuple[int, ...], seed: int = 0) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(seed)
-    made = [rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES).astype(np.float64) for n in shape]
-    return made[0], made[1]
+    counts = [rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES).astype(np.float64) for n in shape]
+    return counts[0], counts[1]
 
 
 def _of(name: str) -> Unseen:

@@ -51,8 +51,8 @@ def forecast(cells: BenchCells, todo: tuple[Job, ...], horizon_s: float, limits:
     with ProcessExecutor(1, limits) as executor:
         batch = cells.plan.batches[todo[0].batch]
         net = file_digest(*net_files(batch.options.net))
-        made = _do(executor, SceneTask(batch.key, batch.options, batch.number, batch.scenes, net))
-        if made.failed is not None:
+        outcome = _do(executor, SceneTask(batch.key, batch.options, batch.number, batch.scenes, net))
+        if outcome.failed is not None:
             return None
         episode_s = {}
         for name, jobs in kinds.items():
@@ -60,13 +60,16 @@ def forecast(cells: BenchCells, todo: tuple[Job, ...], horizon_s: float, limits:
                 update={"horizon_s": _TRIAL_S, "net": batch.options.net}
             )
             tries = [
-                _do(executor, EpisodeTask(f"{name}-{k}".replace("/", "_"), options, 0, made.product[0], net))
+                _do(
+                    executor,
+                    EpisodeTask(f"{name}-{k}".replace("/", "_"), options, 0, outcome.product[0], net),
+                )
                 for k in (0, 1)
             ]
             episode_s[name] = tries[-1].wall_s * horizon_s / _TRIAL_S + _TRACE_S
     batches = len({job.batch for job in todo})
     total = sum(episode_s[name] * len(jobs) for name, jobs in kinds.items())
-    return Forecast(made.wall_s * batches, total, episode_s)
+    return Forecast(outcome.wall_s * batches, total, episode_s)
 
 
 def _do(executor: ProcessExecutor, task: SceneTask | EpisodeTask) -> Outcome:

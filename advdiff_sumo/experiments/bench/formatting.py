@@ -23,9 +23,9 @@ def paper_number(cell: Cell) -> str:
     return "" if cell.paper is None else f"{cell.paper:g}"
 
 
-def change(found: Difference, head: Head) -> str:
+def change(difference: Difference, head: Head) -> str:
     """Return a difference with its sign."""
-    return NOTHING if found.value is None else f"{head.scale * found.value:+.{head.digits}f}"
+    return NOTHING if difference.value is None else f"{head.scale * difference.value:+.{head.digits}f}"
 
 
 def heading(head: Head) -> str:

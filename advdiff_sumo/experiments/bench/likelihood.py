@@ -49,8 +49,8 @@ def natural_nats(road: RoadMap, tracks: Tracks, target: int, counted: BoolArray)
         if tracks.valid[target, now]:
             rows = crop(tracks.xy_m[:, now], target)
             parked = np.zeros(tracks.agents, dtype=np.bool_)
-            made = window_arrays(tracks, now, rows, parked, road.pieces, {}, "episode")
-            windows.windows.append(made)
+            window = window_arrays(tracks, now, rows, parked, road.pieces, {}, "episode")
+            windows.windows.append(window)
             names.append(tuple(rows.tolist()))
     if not names:
         return 0.0, 0.0

@@ -63,8 +63,9 @@ def run_traffic(folder: Folder, workers: int, teller: ProgressReporter) -> Table
     source = (
         "given with --data" if request.data else f"data simulate --windows {WINDOWS} --seed {WINDOWS_SEED}"
     )
-    made = f"Windows: {source}, sha256 {windows.digest[:16]}. Revision: {', '.join(r[:10] for r in folder.revisions)}."
-    return Table("traffic", title, HEADS, lines, gaps_of(HEADS, samples), (*NOTES, made))
+    revisions = ", ".join(revision[:10] for revision in folder.revisions)
+    windows_note = f"Windows: {source}, sha256 {windows.digest[:16]}. Revision: {revisions}."
+    return Table("traffic", title, HEADS, lines, gaps_of(HEADS, samples), (*NOTES, windows_note))
 
 
 def check_traffic(request: Request, teller: ProgressReporter) -> None:
@@ -123,16 +124,16 @@ def _windows(folder: Folder, workers: int, teller: ProgressReporter) -> list[Pat
     """Return the window files: those given, or the ones that this makes in the folder."""
     if folder.request.data:
         return [Path(place) for place in folder.request.data]
-    made = folder.path / "windows"
+    default = folder.path / "windows"
     shards = plan(SimulateOptions(windows=WINDOWS, seed=WINDOWS_SEED, random_share=MADE_UP_SHARE))
-    made.mkdir(parents=True, exist_ok=True)
+    default.mkdir(parents=True, exist_ok=True)
     teller.begin("files of windows", len(shards))
 
     def tell(_: ShardResult) -> None:
         teller.step()
 
-    simulate(shards, made, workers, tell)
-    return [made]
+    simulate(shards, default, workers, tell)
+    return [default]
 
 
 def _counted(
@@ -199,11 +200,11 @@ def _joined(parts: list[Counted]) -> Counted:
 def _over_seeds(parts: list[Counted]) -> Counted:
     """Return one row of several seeds: errors as their mean, counts as their sum."""
     means = {"sfde_m", "fdd_m", "vehicles"}
-    made: dict[str, FloatArray] = {}
+    counts: dict[str, FloatArray] = {}
     for one in fields(Counted):
         stacked = np.stack([getattr(part, one.name) for part in parts])
-        made[one.name] = stacked.mean(0) if one.name in means else stacked.sum(0)
-    return Counted(**made)
+        counts[one.name] = stacked.mean(0) if one.name in means else stacked.sum(0)
+    return Counted(**counts)
 
 
 def _samples(name: str, counted: Mapping[str, Counted], scenes: tuple[str, ...]) -> RowSamples:

@@ -133,14 +133,14 @@ def _held(bundle: Bundle) -> Decode:
 
 def _fitted(decode: Decode, drawn: Tensor, context: Context, several: SceneBatch, samples: int) -> Tensor:
     """Return *drawn* made to fit together, one window at a time, so that padding costs nothing."""
-    made = drawn.clone()
+    refined = drawn.clone()
     for begin in range(0, several.scenes, samples):
         window = slice(begin, begin + samples)
         agents = int(several.present[begin].nonzero().max()) + 1
         batch = several.rows(window).rows_of(torch.arange(agents))
         known = context.rows(window).first(agents)
-        made[window, :agents] = together(drawn[window, :agents], decode, known, batch)
-    return made
+        refined[window, :agents] = together(drawn[window, :agents], decode, known, batch)
+    return refined
 
 
 MODELS: Mapping[str, Model] = {
@@ -210,13 +210,13 @@ def _histograms(rollout: Rollout, batch: SceneBatch, times: int) -> tuple[FloatA
     parts = [_array(values).reshape(rows, -1) for values in (rollout.speed, accel)]
     parts.append(seconds.reshape(rows, -1))
     bins = (realism.SPEED_BINS, realism.ACCEL_BINS)
-    made = [
+    counts = [
         np.stack([np.histogram(np.clip(v[m], b[0], b[-1]), b)[0] for v, m in zip(part, mask, strict=True)])
         for part, b in zip(parts, bins, strict=False)
     ]
     ttc = np.stack([ttc_counts(v[m]) for v, m in zip(parts[2], mask, strict=True)])
     assert ttc.shape[1] == len(TTC_BINS_S)  # noqa: S101 - one more bin than edges less one
-    return made[0].astype(np.float64), made[1].astype(np.float64), ttc
+    return counts[0].astype(np.float64), counts[1].astype(np.float64), ttc
 
 
 def ttc_of(rollout: Rollout, batch: SceneBatch) -> FloatArray:

@@ -27,41 +27,41 @@ def print_table(console: Console, table: Table) -> None:
 
 def rich_table(table: Table) -> RichTable:
     """Return the figures as a table of Rich."""
-    made = RichTable(title=escape(table.title), title_justify="left")
+    printed = RichTable(title=escape(table.title), title_justify="left")
     groups = any(line.group for line in table.lines)
     if groups:
-        made.add_column("target")
-    made.add_column("")
+        printed.add_column("target")
+    printed.add_column("")
     for head in table.heads:
-        made.add_column(escape(formatting.heading(head)), justify="right", no_wrap=True)
+        printed.add_column(escape(formatting.heading(head)), justify="right", no_wrap=True)
     before = None
     for line in table.lines:
         if before is not None and line.group != before:
-            made.add_section()
+            printed.add_section()
         label = [escape(line.group) if line.group != before else ""] if groups else []
-        made.add_row(*label, _title(line), *(_cell(line.cells.get(h.key), h) for h in table.heads))
+        printed.add_row(*label, _title(line), *(_cell(line.cells.get(h.key), h) for h in table.heads))
         before = line.group
-    return made
+    return printed
 
 
 def gap_table(table: Table) -> RichTable:
     """Return the differences to the best rival as a table of Rich."""
-    made = RichTable(title="differences, paired by seed scene", title_justify="left")
+    printed = RichTable(title="differences, paired by seed scene", title_justify="left")
     for title in ("target", "figure", "this", "less this", "difference", "95 %", "", "scenes"):
-        made.add_column(title, no_wrap=True)
+        printed.add_column(title, no_wrap=True)
     heads = {head.key: head for head in table.heads}
     for gap in table.gaps:
-        head, found = heads[gap.column], gap.found
-        between = escape(formatting.interval(found.low, found.high, head))
+        head, difference = heads[gap.column], gap.found
+        between = escape(formatting.interval(difference.low, difference.high, head))
         texts = (gap.group, formatting.heading(head), gap.ours, gap.rival)
-        made.add_row(
+        printed.add_row(
             *map(escape, texts),
-            formatting.change(found, head),
+            formatting.change(difference, head),
             between,
-            formatting.p_value(found.p),
-            str(found.scenes),
+            formatting.p_value(difference.p),
+            str(difference.scenes),
         )
-    return made
+    return printed
 
 
 def _title(line: Line) -> str:
@@ -79,9 +79,9 @@ def _cell(cell: Cell | None, head: Head) -> str:
         lines.append(escape(between))
     if cell.found.n:
         lines.append(f"[dim]n {cell.found.n}[/dim]")
-    told = formatting.paper_number(cell)
-    if told:
-        lines.append(f"[bright_black]paper {told}[/bright_black]")
+    paper = formatting.paper_number(cell)
+    if paper:
+        lines.append(f"[bright_black]paper {paper}[/bright_black]")
     return "\n".join(lines)
 
 

@@ -85,10 +85,10 @@ def _foretell(
     store = Store(folder.sweep) if (folder.sweep / SETTINGS).exists() else None
     todo = Todo.of(cells.plan, store)
     teller.say(f"{len(cells.plan.jobs)} episodes in {len(cells.cells)} cells; {len(todo.jobs)} to do")
-    found = forecast(cells, todo.jobs, folder.request.horizon_s, limits)
-    if found is not None:
-        each = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in found.by_background.items())
-        minutes = found.total_s(workers) / 60.0
+    expected = forecast(cells, todo.jobs, folder.request.horizon_s, limits)
+    if expected is not None:
+        each = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in expected.by_background.items())
+        minutes = expected.total_s(workers) / 60.0
         teller.say(
             f"about {minutes:.0f} min on {workers} workers with a core each; an episode of {each} (measured now)"
         )

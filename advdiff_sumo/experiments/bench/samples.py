@@ -44,14 +44,14 @@ class Rates:
         return Rates(tuple(self.scenes[k] for k in rows.tolist()), self.plan_s[rows])
 
 
-def collision_samples(seen: Sequence[EpisodeResult]) -> dict[str, Sample]:
+def collision_samples(results: Sequence[EpisodeResult]) -> dict[str, Sample]:
     """Return collision rate, speed at contact, comfort, and whose fault and how visible collisions were."""
-    hits = [one for one in seen if one.row["target_collision"]]
+    hits = [one for one in results if one.row["target_collision"]]
     return {
-        "collision_rate": _rate(seen, lambda row: bool(row["target_collision"])),
+        "collision_rate": _rate(results, lambda row: bool(row["target_collision"])),
         "collision_mps": _mean(hits, "relative_speed_mps"),
-        "accel_mps2": _mean(seen, "accel_max_mps2"),
-        "jerk_mps3": _mean(seen, "jerk_max_mps3"),
+        "accel_mps2": _mean(results, "accel_max_mps2"),
+        "jerk_mps3": _mean(results, "jerk_max_mps3"),
         "fault_rate": _rate(hits, lambda row: row["at_fault"] == "target"),
         "solvable_rate": _shares([(one.scene, one.trace.solvable) for one in hits]),
         "seen_rate": _rate(
@@ -62,59 +62,59 @@ def collision_samples(seen: Sequence[EpisodeResult]) -> dict[str, Sample]:
 
 
 def background_samples(
-    seen: Sequence[EpisodeResult], natural: Sequence[EpisodeResult], plans: bool = True
+    results: Sequence[EpisodeResult], natural: Sequence[EpisodeResult], plans: bool = True
 ) -> dict[str, Sample]:
     """Return how plausible the background was, and how fast it planned.
 
     Args:
-        seen: its episodes.
+        results: its episodes.
         natural: the same scenes' traffic without a policy.
         plans: whether it plans anything.
     """
-    scenes = tuple(one.scene for one in seen)
-    vehicles = np.array([one.trace.vehicles for one in seen], dtype=np.float64)
-    hit = np.array([one.trace.hit for one in seen], dtype=np.float64)
-    made: dict[str, Sample] = {"veh_rate": Ratio(scenes, hit, vehicles, rate=True)}
-    if any(one.trace.off_road is not None for one in seen):
-        off = np.array([one.trace.off_road or 0 for one in seen], dtype=np.float64)
-        moved = np.where([one.trace.off_road is not None for one in seen], vehicles, 0.0)
-        made["env_rate"] = Ratio(scenes, off, moved, rate=True)
-    nats = np.array([one.trace.nats for one in seen])
-    made["nats"] = Ratio(scenes, nats, np.array([one.trace.seconds for one in seen]))
-    if natural and natural is not seen:
-        made["jsd"] = against(seen, natural)
-    times = [(one.scene, one.plan_s) for one in seen if one.plan_s is not None and plans]
+    scenes = tuple(one.scene for one in results)
+    vehicles = np.array([one.trace.vehicles for one in results], dtype=np.float64)
+    hit = np.array([one.trace.hit for one in results], dtype=np.float64)
+    samples: dict[str, Sample] = {"veh_rate": Ratio(scenes, hit, vehicles, rate=True)}
+    if any(one.trace.off_road is not None for one in results):
+        off = np.array([one.trace.off_road or 0 for one in results], dtype=np.float64)
+        moved = np.where([one.trace.off_road is not None for one in results], vehicles, 0.0)
+        samples["env_rate"] = Ratio(scenes, off, moved, rate=True)
+    nats = np.array([one.trace.nats for one in results])
+    samples["nats"] = Ratio(scenes, nats, np.array([one.trace.seconds for one in results]))
+    if natural and natural is not results:
+        samples["jsd"] = against(results, natural)
+    times = [(one.scene, one.plan_s) for one in results if one.plan_s is not None and plans]
     if times:
-        made["hz"] = Rates(tuple(scene for scene, _ in times), np.array([s for _, s in times]))
-    return made
+        samples["hz"] = Rates(tuple(scene for scene, _ in times), np.array([s for _, s in times]))
+    return samples
 
 
-def against(seen: Sequence[EpisodeResult], natural: Sequence[EpisodeResult]) -> Divergence:
+def against(results: Sequence[EpisodeResult], natural: Sequence[EpisodeResult]) -> Divergence:
     """Return the divergence of speeds, accelerations and times to collision from those of *natural*."""
-    own, reference = aligned(_histograms(seen), _histograms(natural))
+    own, reference = aligned(_histograms(results), _histograms(natural))
     assert isinstance(own, Divergence) and isinstance(reference, Divergence)  # noqa: S101, PT018 - for mypy
     return Divergence(own.scenes, own.counts, reference.counts)
 
 
-def _histograms(seen: Sequence[EpisodeResult]) -> Divergence:
+def _histograms(results: Sequence[EpisodeResult]) -> Divergence:
     counts = tuple(
-        np.array([getattr(one.trace, name) for one in seen], dtype=np.float64) for name in _HISTOGRAMS
+        np.array([getattr(one.trace, name) for one in results], dtype=np.float64) for name in _HISTOGRAMS
     )
-    return Divergence(tuple(one.scene for one in seen), counts)
+    return Divergence(tuple(one.scene for one in results), counts)
 
 
-def _rate(seen: Sequence[EpisodeResult], happened: Callable[[Any], bool]) -> Ratio:
-    flags = np.array([happened(one.row) for one in seen], dtype=np.float64)
-    return Ratio(tuple(one.scene for one in seen), flags, np.ones(len(flags)), rate=True)
+def _rate(results: Sequence[EpisodeResult], happened: Callable[[Any], bool]) -> Ratio:
+    flags = np.array([happened(one.row) for one in results], dtype=np.float64)
+    return Ratio(tuple(one.scene for one in results), flags, np.ones(len(flags)), rate=True)
 
 
-def _shares(found: Sequence[tuple[str, bool | None]]) -> Ratio:
-    known = [(scene, flag) for scene, flag in found if flag is not None]
+def _shares(values: Sequence[tuple[str, bool | None]]) -> Ratio:
+    known = [(scene, flag) for scene, flag in values if flag is not None]
     flags = np.array([flag for _, flag in known], dtype=np.float64)
     return Ratio(tuple(scene for scene, _ in known), flags, np.ones(len(flags)), rate=True)
 
 
-def _mean(seen: Sequence[EpisodeResult], column: str) -> Ratio:
-    known = [one for one in seen if one.row[column] is not None]
+def _mean(results: Sequence[EpisodeResult], column: str) -> Ratio:
+    known = [one for one in results if one.row[column] is not None]
     values = np.array([float(one.row[column]) for one in known])
     return Ratio(tuple(one.scene for one in known), values, np.ones(len(values)))

@@ -113,14 +113,14 @@ def read_scene_list(path: Path) -> SceneList:
         raise FileError(path, f"is no JSON ({error})", "give a list of seed scenes") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise FileError(path, "is no list of seed scenes", "make one with tools/make_bench_scenes.py")
-    found = SceneList.parse(content, str(path))
-    if found.sha256 != found.content_digest:
+    scene_list = SceneList.parse(content, str(path))
+    if scene_list.sha256 != scene_list.content_digest:
         raise FileError(path, "is not what its sha256 says", "restore it, or make a list of your own")
-    _check_order(found, path)
-    for net, known in found.nets.items():
+    _check_order(scene_list, path)
+    for net, known in scene_list.nets.items():
         if file_digest(*net_files(net)) != known:
             raise FileError(path, f"was made on another net '{net}'", "restore that net, or make a new list")
-    return found
+    return scene_list
 
 
 def shipped_list(name: str = TABLE_LIST) -> Path:
@@ -176,13 +176,13 @@ def make_list(
     names = [net_name(net) for net in nets]
     scenes = tuple(ListedScene(net=n, seed=seed, number=k) for k in range(per_net) for n in names)
     digests = {net: file_digest(*net_files(net)) for net in names}
-    found = scene if scene is not None else SceneOptions()
+    scene_options = scene if scene is not None else SceneOptions()
     whole = SceneList(
         about=about,
         nets=digests,
         sumo=version("libsumo"),
         horizon_s=horizon_s,
-        scene=found,
+        scene=scene_options,
         scenes=scenes,
     )
     return whole.model_copy(update={"sha256": whole.content_digest})
@@ -200,16 +200,16 @@ def write_scene_list(path: Path, scenes: SceneList) -> None:
     write_whole(path, f'{head[:-2]},\n "scenes": [\n  {rows}\n ]\n}}\n'.encode())
 
 
-def _check_order(found: SceneList, path: Path) -> None:
+def _check_order(scenes: SceneList, path: Path) -> None:
     """Refuse a list whose scenes of a net and seed are not numbered 0, 1, 2, …; sweeps count like that."""
-    seen: Counter[tuple[str, int]] = Counter()
-    for scene in found.scenes:
-        if scene.number != seen[scene.net, scene.seed]:
+    counts: Counter[tuple[str, int]] = Counter()
+    for scene in scenes.scenes:
+        if scene.number != counts[scene.net, scene.seed]:
             raise FileError(
                 path,
                 f"scene {scene.number} of {scene.net}, seed {scene.seed} is out of order",
                 "number them from 0",
             )
-        seen[scene.net, scene.seed] += 1
-    if not found.scenes:
+        counts[scene.net, scene.seed] += 1
+    if not scenes.scenes:
         raise FileError(path, "holds no scene", "make a list with some")

@@ -144,12 +144,12 @@ def lines_of(
         rows: what the cells are computed from.
         paper: the paper's figures, by :attr:`RowSamples.name` and column.
     """
-    found = {
+    estimates = {
         row.name: {h.key: estimate(row.samples[h.key]) for h in heads if h.key in row.samples} for row in rows
     }
     best = {
         (group, head.key): _best_value(
-            head, [found[row.name] for row in rows if row.group == group and not row.reference]
+            head, [estimates[row.name] for row in rows if row.group == group and not row.reference]
         )
         for group in dict.fromkeys(row.group for row in rows)
         for head in heads
@@ -164,7 +164,7 @@ def lines_of(
             row.key,
             row.group,
             row.title,
-            {key: cell(row, key, one) for key, one in found[row.name].items()},
+            {key: cell(row, key, one) for key, one in estimates[row.name].items()},
             row.reference,
         )
         for row in rows
@@ -192,8 +192,8 @@ def gaps_of(heads: Sequence[Head], rows: Sequence[RowSamples]) -> tuple[Gap, ...
 
 
 def _gap(head: Head, ours: RowSamples, rival: RowSamples) -> Gap:
-    found = difference(ours.samples[head.key], rival.samples[head.key])
-    return Gap(ours.group, head.key, ours.title, rival.title, found)
+    change = difference(ours.samples[head.key], rival.samples[head.key])
+    return Gap(ours.group, head.key, ours.title, rival.title, change)
 
 
 def _best_row(head: Head, rivals: Sequence[RowSamples]) -> RowSamples | None:

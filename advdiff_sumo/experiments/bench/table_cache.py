@@ -75,9 +75,9 @@ def _in_order(steady: tuple[Head, ...], timed: tuple[Head, ...]) -> tuple[Head, 
 def _read(path: Path) -> Table:
     adapter: TypeAdapter[Any] = TypeAdapter(Table)
     try:
-        found: Table = adapter.validate_json(path.read_bytes())
+        table: Table = adapter.validate_json(path.read_bytes())
     except (OSError, ValidationError) as error:
         raise FileError(
             path, f"cannot be read ({str(error).splitlines()[0]})", "run the bench again"
         ) from None
-    return found
+    return table

@@ -99,17 +99,17 @@ def run_transfer(
         FileError: results cannot be stored.
     """
     store = run_cells(cells, folder.sweep, workers, limits, teller)
-    found = gather(cells, store, folder.path / "traces", workers, teller, judged=False)
-    return transfer_table(found, cells.scenes, folder)
+    gathered = gather(cells, store, folder.path / "traces", workers, teller, judged=False)
+    return transfer_table(gathered, cells.scenes, folder)
 
 
-def transfer_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
+def transfer_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Table:
     """Return the table of what was gathered: a row for each policy and source, two columns for each target."""
-    targets = tuple(dict.fromkeys(cell.target for cell in found.seen))
+    targets = tuple(dict.fromkeys(cell.target for cell in gathered.seen))
     heads = tuple(head for target in targets for head in _heads(target))
     cells: dict[str, dict[str, Sample]] = {}
-    for cell, seen in found.seen.items():
-        cells.setdefault(cell.row, {}).update(_samples(cell.target, seen))
+    for cell, results in gathered.seen.items():
+        cells.setdefault(cell.row, {}).update(_samples(cell.target, results))
     rows = []
     for key, samples in cells.items():
         name, _, source = key.partition("/")
@@ -117,7 +117,7 @@ def transfer_table(found: Gathered, scenes: SceneList, folder: Folder) -> Table:
         rows.append(RowSamples(key, "", f"{title} ← {TARGET_TITLES.get(source, source)}", samples))
     lines = lines_of(heads, rows, paper_table("transfer").rows)
     title = f"Transfer to other planners: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
-    notes = notes_of(found, scenes, folder, (*kept_shares(rows), *NOTES))
+    notes = notes_of(gathered, scenes, folder, (*kept_shares(rows), *NOTES))
     return Table("transfer", title, heads, lines, _kept(rows), notes)
 
 
@@ -129,15 +129,15 @@ def _heads(target: str) -> tuple[Head, Head]:
     )
 
 
-def _samples(target: str, seen: Sequence[EpisodeResult]) -> dict[str, Sample]:
-    background = background_samples(seen, ())
-    made: dict[str, Sample] = {f"{target}:av_rate": collision_samples(seen)["collision_rate"]}
+def _samples(target: str, results: Sequence[EpisodeResult]) -> dict[str, Sample]:
+    background = background_samples(results, ())
+    samples: dict[str, Sample] = {f"{target}:av_rate": collision_samples(results)["collision_rate"]}
     env, veh = background.get("env_rate"), background.get("veh_rate")
     if isinstance(env, Ratio) and isinstance(veh, Ratio):
-        made[f"{target}:bv_rate"] = Ratio(
+        samples[f"{target}:bv_rate"] = Ratio(
             veh.scenes, np.minimum(env.total + veh.total, veh.count), veh.count, rate=True
         )
-    return made
+    return samples
 
 
 def _warm_up(source: str, folder: Folder) -> Adaptation:
@@ -166,8 +166,8 @@ def _kept(rows: Sequence[RowSamples]) -> tuple[Gap, ...]:
         for target in SOURCES:
             own, column = by_key.get(f"{name}/{target}"), f"{target}:av_rate"
             if own is not None and target != source and column in row.samples and column in own.samples:
-                found = difference(row.samples[column], own.samples[column])
-                gaps.append(Gap(TARGET_TITLES.get(target, target), column, row.title, own.title, found))
+                change = difference(row.samples[column], own.samples[column])
+                gaps.append(Gap(TARGET_TITLES.get(target, target), column, row.title, own.title, change))
     return tuple(gaps)
 
 

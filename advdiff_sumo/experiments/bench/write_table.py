@@ -74,10 +74,12 @@ def differences_text(table: Table) -> str:
     writer.writerow(("target", "column", "unit", "ours", "rival", "difference", "low", "high", "p", "scenes"))
     heads = {head.key: head for head in table.heads}
     for gap in table.gaps:
-        head, found = heads[gap.column], gap.found
-        scaled = (_scaled(value, head) for value in (found.value, found.low, found.high))
-        p = "" if found.p is None else f"{found.p:.6g}"
-        writer.writerow((gap.group, gap.column, head.unit, gap.ours, gap.rival, *scaled, p, found.scenes))
+        head, difference = heads[gap.column], gap.found
+        scaled = (_scaled(value, head) for value in (difference.value, difference.low, difference.high))
+        p = "" if difference.p is None else f"{difference.p:.6g}"
+        writer.writerow(
+            (gap.group, gap.column, head.unit, gap.ours, gap.rival, *scaled, p, difference.scenes)
+        )
     return sink.getvalue()
 
 
@@ -141,11 +143,11 @@ def _markdown_gaps(table: Table) -> str:
     titles = "compared | difference" if several else "best rival | ours less it"
     text = f"| target | figure | {titles} | 95 % | McNemar | scenes |\n|---|---|---|---|---|---|---|\n"
     for gap in table.gaps:
-        head, found = heads[gap.column], gap.found
-        between = formatting.interval(found.low, found.high, head)
+        head, difference = heads[gap.column], gap.found
+        between = formatting.interval(difference.low, difference.high, head)
         pair = f"{gap.ours} less {gap.rival}" if several else gap.rival
-        cells = (gap.group, formatting.heading(head), pair, formatting.change(found, head), between)
-        text += f"| {' | '.join((*cells, formatting.p_value(found.p), str(found.scenes)))} |\n"
+        cells = (gap.group, formatting.heading(head), pair, formatting.change(difference, head), between)
+        text += f"| {' | '.join((*cells, formatting.p_value(difference.p), str(difference.scenes)))} |\n"
     return text
 
 
@@ -157,8 +159,8 @@ def _markdown_cell(cell: Cell | None, head: Head) -> str:
         f"**{value}**" if cell.best else value,
         formatting.interval(cell.found.low, cell.found.high, head),
     ]
-    told = formatting.paper_number(cell)
-    parts += [f"n {cell.found.n}" if cell.found.n else "", f"*paper {told}*" if told else ""]
+    paper = formatting.paper_number(cell)
+    parts += [f"n {cell.found.n}" if cell.found.n else "", f"*paper {paper}*" if paper else ""]
     return " ".join(part for part in parts if part)
 
 
@@ -170,16 +172,16 @@ def _latex_cell(cell: Cell | None, head: Head) -> str:
     between = formatting.interval(cell.found.low, cell.found.high, head)
     if between:
         parts.append(f"{{\\scriptsize {between}}}")
-    told = formatting.paper_number(cell)
-    if told:
-        parts.append(f"\\textcolor{{gray}}{{{told}}}")
+    paper = formatting.paper_number(cell)
+    if paper:
+        parts.append(f"\\textcolor{{gray}}{{{paper}}}")
     return " ".join(parts)
 
 
 def _values(cell: Cell, head: Head) -> tuple[str, ...]:
-    found = cell.found
-    scaled = (_scaled(value, head) for value in (found.value, found.low, found.high))
-    return (*scaled, str(found.n), "" if cell.paper is None else f"{cell.paper:g}")
+    estimate = cell.found
+    scaled = (_scaled(value, head) for value in (estimate.value, estimate.low, estimate.high))
+    return (*scaled, str(estimate.n), "" if cell.paper is None else f"{cell.paper:g}")
 
 
 def _scaled(value: float | None, head: Head) -> str:

@@ -26,8 +26,8 @@ def read_xml(path: Path, tag: str, what: str) -> ET.Element:
     except (ET.ParseError, DefusedXmlException, ValueError) as error:
         raise FileError(path, f"is not readable as XML ({error})", AGAIN) from None
     if root is None or root.tag != tag:
-        found = "nothing" if root is None else f"<{root.tag}>"
-        raise FileError(path, f"is not {what}: it begins with {found}, not <{tag}>")
+        root_name = "nothing" if root is None else f"<{root.tag}>"
+        raise FileError(path, f"is not {what}: it begins with {root_name}, not <{tag}>")
     return root
 
 

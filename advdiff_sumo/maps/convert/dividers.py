@@ -69,13 +69,13 @@ def _beside(delta: FloatArray, yaw: FloatArray, lane: FloatArray, along: float) 
     aside = np.cos(along) * delta[:, 1] - np.sin(along) * delta[:, 0]
     agree = np.cos(yaw - along)
     abreast = (np.abs(ahead) <= STEP_M) & (np.abs(agree) >= PARALLEL)
-    found = []
+    nearest = []
     for side in (1.0, -1.0):
         mine = np.flatnonzero(abreast & (side * aside > 0))
         if not len(mine):
             return None
-        found.append(mine[np.abs(aside[mine]).argmin()])
-    left, right = (int(index) for index in found)
+        nearest.append(mine[np.abs(aside[mine]).argmin()])
+    left, right = (int(index) for index in nearest)
     if lane[left] == lane[right] or agree[left] * agree[right] < 0:
         return None
     return (int(lane[left]), int(lane[right])) if agree[left] > 0 else (int(lane[right]), int(lane[left]))

@@ -117,10 +117,10 @@ def verdicts(figures: Mapping[str, Any]) -> list[tuple[str, str, str, bool]]:
     rows = []
     for key, name in (("source_to_net", "map to net"), ("net_to_source", "net to map")):
         error = figures["centre_line_error_m"][key]
-        found = f"{error['median']:.4f}, {error['max']:.4f}"
+        error_text = f"{error['median']:.4f}, {error['max']:.4f}"
         bar = f"{MEDIAN_BAR_M:.2f}, {LARGEST_BAR_M:.2f}"
         met = error["median"] <= MEDIAN_BAR_M and error["max"] <= LARGEST_BAR_M
-        rows.append((f"Centre lines, {name}: median, largest", found, bar, met))
+        rows.append((f"Centre lines, {name}: median, largest", error_text, bar, met))
     rows += [_none(measure, count) for measure, count in _faults(figures)]
     share = figures["lane_changes"]["share"]
     if share is not None:

@@ -32,13 +32,13 @@ def unseen_conflicts(plan: NetPlan, net: Path) -> list[tuple[Ends, Ends]]:
     for connection in plan.connections:
         inside[target[connection.origin[0]]].append(connection)
     known = _known_conflicts(net)
-    found: set[tuple[Ends, Ends]] = set()
+    conflicts: set[tuple[Ends, Ends]] = set()
     for name in sorted(inside):
         for one, other in _near(inside[name]):
             if frozenset((_key(one), _key(other))) not in known:
                 first, second = sorted((one, other), key=lambda way: (_turn(way), way.origin, way.target))
-                found.add((_ends(first), _ends(second)))
-    return sorted(pair for pair in found if pair[::-1] not in found or pair < pair[::-1])
+                conflicts.add((_ends(first), _ends(second)))
+    return sorted(pair for pair in conflicts if pair[::-1] not in conflicts or pair < pair[::-1])
 
 
 def long_conflicts(plan: NetPlan) -> set[str]:

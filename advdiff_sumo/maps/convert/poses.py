@@ -33,12 +33,12 @@ def ego_poses(dataroot: Path, location: str) -> dict[str, FloatArray]:
     scenes = {row["token"]: row["name"] for row in tables["scene"] if row["log_token"] in logs}
     scene_of = {row["token"]: scenes.get(row["scene_token"]) for row in tables["sample"]}
     poses = {row["token"]: row for row in tables["ego_pose"]}
-    found: dict[str, dict[str, tuple[float, float, float]]] = {}
+    by_scene: dict[str, dict[str, tuple[float, float, float]]] = {}
     for row in tables["sample_data"]:
         name = scene_of.get(row["sample_token"])
         if name and row["is_key_frame"]:
-            found.setdefault(name, {})[row["sample_token"]] = _pose(poses[row["ego_pose_token"]])
-    return {name: np.array(list(found[name].values())) for name in sorted(found)}
+            by_scene.setdefault(name, {})[row["sample_token"]] = _pose(poses[row["ego_pose_token"]])
+    return {name: np.array(list(by_scene[name].values())) for name in sorted(by_scene)}
 
 
 def _tables(dataroot: Path) -> dict[str, list[dict[str, Any]]]:

@@ -107,18 +107,18 @@ def _filleted(line: FloatArray) -> list[Stretch]:
     cut = np.minimum(share[:-1], share[1:])
     cut = np.minimum(cut, OFF_M / np.tan(np.maximum(np.abs(turn), STRAIGHT_RAD) / 4.0))
     before, after = np.concatenate(([0.0], cut)), np.concatenate((cut, [0.0]))
-    found: list[Stretch] = []
+    stretches: list[Stretch] = []
     for i in range(len(length)):
         yaw = math.atan2(unit[i, 1], unit[i, 0])
         x, y = line[i] + before[i] * unit[i]
         rest = float(length[i] - before[i] - after[i])
         if rest > SHORTEST_M:
-            found.append(Stretch(float(x), float(y), yaw, rest, 0.0))
+            stretches.append(Stretch(float(x), float(y), yaw, rest, 0.0))
         if i < len(turn):
             x, y = line[i + 1] - after[i] * unit[i]
             curvature = math.tan(0.5 * turn[i]) / float(after[i])
-            found.append(Stretch(float(x), float(y), yaw, float(turn[i]) / curvature, curvature))
-    return found
+            stretches.append(Stretch(float(x), float(y), yaw, float(turn[i]) / curvature, curvature))
+    return stretches
 
 
 def _merged(stretches: list[Stretch]) -> list[Stretch]:

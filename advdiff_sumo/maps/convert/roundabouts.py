@@ -35,12 +35,12 @@ def find_rings(plan: NetPlan) -> tuple[Ring, ...]:
     edges = {edge.id: edge for edge in plan.edges}
     side = -1.0 if plan.lefthand else 1.0
     inner = {name: max(own, key=lambda way: side * _turn(way)) for name, own in ways.items()}
-    rings, seen = [], set[str]()
+    rings, visited = [], set[str]()
     for edge in plan.edges:
-        loop = _loop(edge.id, inner, edges) if edge.id not in seen else None
+        loop = _loop(edge.id, inner, edges) if edge.id not in visited else None
         if loop is not None and _is_ring(loop, edges, plan, side):
             names = tuple(way.origin[0] for way in loop)
-            seen.update(names)
+            visited.update(names)
             rings.append(Ring(names, tuple(edges[name].origin for name in names)))
     return tuple(rings)
 

@@ -80,15 +80,15 @@ def _divide(layout: Layout, group: list[Piece]) -> None:
 
 def inner_parts(layout: Layout) -> list[tuple[Piece, Hashable]]:
     """Return the parts of lanes that are no edge lanes, each with an end that lies in the same junction."""
-    found: list[tuple[Piece, Hashable]] = []
+    parts: list[tuple[Piece, Hashable]] = []
     for lane, length in enumerate(layout.lengths_m):
         start, mark = 0.0, (lane, "start")
         end: Hashable = mark
         for piece in layout.pieces[lane]:
-            found.append((Piece(lane, start, piece.from_m), (piece, 0)))
+            parts.append((Piece(lane, start, piece.from_m), (piece, 0)))
             start, end = piece.to_m, (piece, 1)
-        found.append((Piece(lane, start, length), end))
-    return [(part, end) for part, end in found if part.length_m > 1e-6]
+        parts.append((Piece(lane, start, length), end))
+    return [(part, end) for part, end in parts if part.length_m > 1e-6]
 
 
 def unresolved_crossings(layout: Layout, lines_m: Sequence[FloatArray]) -> int:

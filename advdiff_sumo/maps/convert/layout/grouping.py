@@ -46,7 +46,7 @@ def group_pieces(layout: Layout, pairs: Sequence[SideBySide]) -> list[list[Piece
 
 def _matches(layout: Layout, pairs: Sequence[SideBySide]) -> list[_Match]:
     """Return pairs of pieces abreast whose ends differ by little, longest first."""
-    found = []
+    matches = []
     for pair in pairs:
         for left in layout.pieces[pair.left]:
             start, end = pair.across(pair.left, left.from_m), pair.across(pair.left, left.to_m)
@@ -56,8 +56,8 @@ def _matches(layout: Layout, pairs: Sequence[SideBySide]) -> list[_Match]:
                 shorter, longer = sorted((right.length_m, end - start))
                 alike = overlap >= 0.3 * shorter and overlap >= KEEP_SHARE * longer
                 if alike and uneven <= UNEVEN_M + 2 * CUT_M:
-                    found.append(_Match(left, right, overlap))
-    return sorted(found, key=lambda m: (-m.overlap_m, m.left, m.right))
+                    matches.append(_Match(left, right, overlap))
+    return sorted(matches, key=lambda m: (-m.overlap_m, m.left, m.right))
 
 
 def _make_room(layout: Layout, match: _Match, grouped: frozenset[Piece]) -> bool:

@@ -66,19 +66,19 @@ def _ways(layout: Layout, following: dict[int, list[int]], piece: Piece) -> list
         after = own[index + 1]
         return [Connection(piece, after, (Piece(piece.lane, piece.to_m, after.from_m),))]
     tail = _part(piece.lane, piece.to_m, layout.lengths_m[piece.lane])
-    found: list[Connection] = []
+    connections: list[Connection] = []
     stack: list[tuple[int, tuple[Piece, ...], frozenset[int]]] = [
         (lane, tail, frozenset((piece.lane,))) for lane in reversed(following[piece.lane])
     ]
     while stack:
-        lane, parts, seen = stack.pop()
+        lane, parts, visited = stack.pop()
         if layout.pieces[lane]:
             first = layout.pieces[lane][0]
-            found.append(Connection(piece, first, parts + _part(lane, 0.0, first.from_m)))
-        elif lane not in seen:
+            connections.append(Connection(piece, first, parts + _part(lane, 0.0, first.from_m)))
+        elif lane not in visited:
             through = parts + _part(lane, 0.0, layout.lengths_m[lane])
-            stack += [(after, through, seen | {lane}) for after in reversed(following[lane])]
-    return found
+            stack += [(after, through, visited | {lane}) for after in reversed(following[lane])]
+    return connections
 
 
 def _part(lane: int, from_m: float, to_m: float) -> tuple[Piece, ...]:

@@ -203,13 +203,13 @@ def _open_ends_left(layout: Layout) -> list[list[Piece]]:
 
 def _offsets(group: list[Piece], beside: dict[tuple[int, int], SideBySide], side: int) -> list[float]:
     """Return where each piece begins (side 0) or ends (1), as arc length along the rightmost lane."""
-    found = []
+    offsets = []
     for index, piece in enumerate(group):
         s = piece.to_m if side else piece.from_m
         for right, left in zip(group[index - 1 :: -1] if index else [], group[index:0:-1], strict=True):
             s = beside[(right.lane, left.lane)].across(left.lane, s)
-        found.append(s)
-    return found
+        offsets.append(s)
+    return offsets
 
 
 def _shortened(piece: Piece, at_start_m: float, at_end_m: float) -> Piece:

@@ -119,7 +119,7 @@ def _pairs(
     keys = samples.lane[left] * len(lines) + samples.lane[right]
     order = np.lexsort((samples.s[right], keys))
     keys, left, right = keys[order], left[order], right[order]
-    found = []
+    pairs = []
     for start, stop in _runs(keys):
         lane_left, lane_right = divmod(int(keys[start]), len(lines))
         s_left, s_right = _monotone(samples.s[left[start:stop]], samples.s[right[start:stop]])
@@ -127,8 +127,8 @@ def _pairs(
         shorter = min(polyline.length(lines[lane_left]), polyline.length(lines[lane_right]))
         least = KNOWN_OVERLAP_M if (lane_left, lane_right) in known else min(MIN_OVERLAP_M, 0.5 * shorter)
         if len(s_left) > 1 and _is_dense(s_right) and pair.overlap_m >= least:
-            found.append(pair)
-    return found
+            pairs.append(pair)
+    return pairs
 
 
 def _runs(keys: IntArray) -> list[tuple[int, int]]:

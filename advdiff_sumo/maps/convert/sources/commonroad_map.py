@@ -146,7 +146,7 @@ def _lane(row: Element, inside: set[str], limits: dict[str, float], faults: MapF
 
 
 def _refs(row: Element, tag: str) -> list[str]:
-    return [found.get("ref", "") for found in row.iterfind(tag)]
+    return [reference.get("ref", "") for reference in row.iterfind(tag)]
 
 
 def _same_way(row: Element, tag: str) -> str | None:

@@ -23,9 +23,9 @@ class MapFaults:
 
     def sentences(self) -> tuple[str, ...]:
         """Return the sentences of each kind, the first ones and how many more there are."""
-        told: list[str] = []
+        sentences_told: list[str] = []
         for kind, own in self._sentences.items():
-            told += own[:MOST_SENTENCES]
+            sentences_told += own[:MOST_SENTENCES]
             if len(own) > MOST_SENTENCES:
-                told.append(f"{self._file}: {kind}: {len(own) - MOST_SENTENCES} more")
-        return tuple(told)
+                sentences_told.append(f"{self._file}: {kind}: {len(own) - MOST_SENTENCES} more")
+        return tuple(sentences_told)

@@ -131,18 +131,18 @@ class _Reader(MapTables):
         return max(SMALLEST_EXTENT_M, extent) * LONGEST_EXTENTS
 
     def _lanes(self, layer: str, is_connector: bool) -> list[SourceLane]:
-        found: dict[str, SourceLane] = {}
+        lanes: dict[str, SourceLane] = {}
         for row in self.rows(layer):
             token = row.get("token")
-            if token is None or str(token) in found:
+            if token is None or str(token) in lanes:
                 self.warn(
                     f"{layer} token unusable", f"{layer} token {token!r} is null or occurs twice; left out"
                 )
                 continue
             lane = self._lane(str(token), row, is_connector)
             if lane is not None:
-                found[lane.token] = lane
-        return list(found.values())
+                lanes[lane.token] = lane
+        return list(lanes.values())
 
     def _lane(self, token: str, row: Row, is_connector: bool) -> SourceLane | None:
         pieces = self.data["arcline_path_3"].get(token)

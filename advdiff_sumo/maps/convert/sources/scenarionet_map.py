@@ -153,5 +153,5 @@ def _links(
 
 def _polygons(features: Mapping[str, Any], kind: str) -> list[Polygon]:
     rows = [row for row in features.values() if isinstance(row, Mapping) and row.get("type") == kind]
-    found = [_polygon(row.get("polygon")) for row in rows]
-    return [polygon for polygon in found if polygon is not None]
+    polygons = [_polygon(row.get("polygon")) for row in rows]
+    return [polygon for polygon in polygons if polygon is not None]

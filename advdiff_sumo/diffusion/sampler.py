@@ -45,12 +45,15 @@ class Sampling:
         family: "printed": Eq. (2) as it stands, the deterministic DDIM mean plus noise of the posterior's
             variance; "consistent": the DDIM family whose marginals match the forward process for every η.
         eta: share of the posterior's standard deviation that is drawn anew at each step; "printed" has 1.
+        begin: share of the schedule at which pure noise is taken to be: near its end the data predicted from ε is all
+            error, since it is divided by √α, and without fresh noise (η = 0) no later step makes up for it.
         clip: bound on each number of the predicted data, in deviations; 0: none.
     """
 
     steps: int = 10
     family: Family = "consistent"
     eta: float = 1.0
+    begin: float = 1.0
     clip: float = 4.0
 
 
@@ -109,7 +112,7 @@ def sample(
         guide: shifts the mean; None: natural samples.
     """
     x = start
-    ladder = schedule.ladder(sampling.steps)
+    ladder = schedule.ladder(sampling.steps, sampling.begin)
     for left, (k, to) in zip(reversed(range(sampling.steps)), pairwise(ladder), strict=True):
         mean, deviation = transition(x, noise_of(x, k), k, to, schedule, sampling)
         if guide is not None:
@@ -161,7 +164,7 @@ def foresee(
         generator: random numbers of the steps.
         done: steps taken first, 0 … ``sampling.steps`` − 1.
     """
-    x, ladder = start, schedule.ladder(sampling.steps)
+    x, ladder = start, schedule.ladder(sampling.steps, sampling.begin)
     with torch.no_grad():
         for k, to in pairwise(ladder[: done + 1]):
             x, deviation = transition(x, noise_of(x, k), k, to, schedule, sampling)

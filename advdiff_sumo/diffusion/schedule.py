@@ -49,12 +49,17 @@ class Schedule:
         alpha = self.alpha.to(x0.device)[k].to(x0.dtype).reshape(-1, *([1] * (x0.dim() - 1)))
         return alpha.sqrt() * x0 + (1.0 - alpha).sqrt() * noise
 
-    def ladder(self, count: int) -> list[int]:
-        """Return *count* + 1 steps from K down to 0, evenly spaced.
+    def ladder(self, count: int, begin: float = 1.0) -> list[int]:
+        """Return *count* + 1 steps down to 0, evenly spaced.
+
+        Args:
+            count: steps to take.
+            begin: the first is this share of K, or *count* where that is more.
 
         Raises:
             ValueError: more steps than the schedule has, or none.
         """
         if not 1 <= count <= self.steps:
             raise ValueError(f"{count} sampling steps; the schedule has {self.steps}")
-        return [round(self.steps * (count - i) / count) for i in range(count + 1)]
+        first = max(round(begin * self.steps), count)
+        return [round(first * (count - i) / count) for i in range(count + 1)]

@@ -78,6 +78,18 @@ def test_ladder_goes_down_to_zero_without_repeats(steps: int, data: st.DataObjec
     assert max(gaps) - min(gaps) <= 2
 
 
+@pytest.mark.parametrize(
+    ("count", "begin", "ladder"),
+    [
+        (5, 0.9, [90, 72, 54, 36, 18, 0]),
+        (5, 1.0, [100, 80, 60, 40, 20, 0]),
+        (2, 0.01, [2, 1, 0]),  # no fewer steps than asked for
+    ],
+)
+def test_ladder_begins_at_a_share_of_the_schedule(count: int, begin: float, ladder: list[int]) -> None:
+    assert Schedule(100).ladder(count, begin) == ladder
+
+
 @pytest.mark.parametrize("count", [0, -1, 101])
 def test_ladder_refuses(count: int) -> None:
     with pytest.raises(ValueError, match=f"{count} sampling steps; the schedule has 100"):

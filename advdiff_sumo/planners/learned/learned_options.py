@@ -46,9 +46,11 @@ class DiffusionPlannerOptions(LearnedOptions):
     Attributes:
         samples: joint futures that are drawn.
         steps: denoising steps.
+        begin: share of the noise schedule at which they begin, see ``diffusion.sampler.Sampling``.
         persistence: how much of the target's starting noise, and so of its intention, is kept from plan to plan.
     """
 
     samples: int = Field(8, ge=1, le=64)
     steps: int = Field(5, ge=1, le=1000)
+    begin: float = Field(0.9, gt=0.0, le=1.0)
     persistence: float = Field(0.9, ge=0.0, le=1.0)

@@ -127,7 +127,9 @@ class DiffusionModel:
                 f"options of target 'diffusion': steps = {options.steps}: "
                 f"the networks were trained with {self._schedule.steps}; ask for at most so many"
             )
-        self._denoiser = FastDenoiser(self._bundle.denoiser, self._schedule.ladder(options.steps)[:-1])
+        self._sampling = Sampling(steps=options.steps, eta=0.0, begin=options.begin)
+        ladder = self._schedule.ladder(options.steps, options.begin)
+        self._denoiser = FastDenoiser(self._bundle.denoiser, ladder[:-1])
 
     @torch.no_grad()
     def tell(
@@ -138,10 +140,8 @@ class DiffusionModel:
         batch = view.batch.to(self._device)
         context = self._bundle.traffic.encoder(batch).repeat(options.samples)
         start = self._start(view, noise, generator)
-        sampling = Sampling(steps=options.steps, eta=0.0)
-        x = sample(
-            self._denoiser.condition(context), start.to(self._device), self._schedule, sampling, generator
-        )
+        noise_of = self._denoiser.condition(context)
+        x = sample(noise_of, start.to(self._device), self._schedule, self._sampling, generator)
         z = self._codec.unscale(x)[:, :, 0]
         rollout = self._decoder.whole(z, context.h, batch.repeat(options.samples), steps)[0]
         kept = start[:, :, 0].numpy().astype(np.float64)

@@ -64,7 +64,8 @@ def networks_of(options: DiffusionOptions) -> Networks:
         ConfigError: no such device, or more steps than the networks were trained with.
     """
     device = device_of(options.device, "background 'diffusion'")
-    made = _networks(str(options.path), options.reward, device, options.steps, options.family, options.eta)
+    sampling = Sampling(options.steps, options.family, options.eta, options.begin)
+    made = _networks(str(options.path), options.reward, device, sampling)
     if options.guided and not isinstance(made.codec, LatentCodec):
         raise WeightsError(
             options.path,
@@ -75,25 +76,25 @@ def networks_of(options: DiffusionOptions) -> Networks:
 
 
 @lru_cache(maxsize=2)
-def _networks(path: str, reward: str, device: torch.device, steps: int, family: str, eta: float) -> Networks:
+def _networks(path: str, reward: str, device: torch.device, sampling: Sampling) -> Networks:
     bundle = load_bundle(Path(path))
     if reward:
         bundle = replace(bundle, reward=load_reward(Path(reward), bundle))
     schedule = Schedule(bundle.options.diffusion_steps, bundle.options.schedule)
-    if steps > schedule.steps:
+    if sampling.steps > schedule.steps:
         raise ConfigError(
-            f"options of background 'diffusion': steps = {steps}: "
+            f"options of background 'diffusion': steps = {sampling.steps}: "
             f"the networks were trained with {schedule.steps}; ask for at most so many"
         )
     bundle = bundle.frozen().to(device)
     return Networks(
         bundle=bundle,
         codec=bundle.codec,
-        denoiser=FastDenoiser(bundle.denoiser, schedule.ladder(steps)[:-1]),
+        denoiser=FastDenoiser(bundle.denoiser, schedule.ladder(sampling.steps, sampling.begin)[:-1]),
         decoder=FastDecoder(bundle.traffic.decoder),
         encoder=FastEncoder(bundle.traffic.encoder),
         reward=RewardWeights(bundle.reward),
         schedule=schedule,
-        sampling=Sampling(steps=steps, family="printed" if family == "printed" else "consistent", eta=eta),
+        sampling=sampling,
         device=device,
     )

@@ -53,6 +53,7 @@ class DiffusionOptions(Options):
         guide: "reward": by the reward model and the attack's own terms; "reward-only": by the reward model alone,
             as in the paper; "none": natural traffic.
         steps: denoising steps of a plan.
+        begin: share of the noise schedule at which the denoising begins, see ``diffusion.sampler.Sampling``.
         family: transition of the denoising, see ``diffusion.sampler``.
         eta: share of fresh noise in each denoising step; the family "printed" has 1.
         persistence: how much of a vehicle's starting noise, and so of its intention, is kept from plan to plan.
@@ -70,6 +71,7 @@ class DiffusionOptions(Options):
     attack: Attack = "any"
     guide: Literal["reward", "reward-only", "none"] = "reward"
     steps: int = Field(5, ge=1, le=1000)
+    begin: float = Field(0.9, gt=0.0, le=1.0)
     family: Literal["printed", "consistent"] = "consistent"
     eta: float = Field(0.0, ge=0.0, le=1.0)
     persistence: float = Field(0.9, ge=0.0, le=1.0)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def train(
     stage: Annotated[
-        str, typer.Argument(help="traffic, denoiser, joint or reward, in this order; or simnet.")
+        str, typer.Argument(help="traffic, denoiser, joint or reward, in this order; decoder; or simnet.")
     ],
     data: Annotated[
         list[Path], typer.Option(help="Window file, or a folder of them; may be given several times.")
@@ -29,7 +29,9 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint, curves and metrics.")],
     init: Annotated[
         Path | None,
-        typer.Option(help="Weights to begin with: a .safetensors file, or the --out of an earlier stage."),
+        typer.Option(
+            help="Weights to begin with: a .safetensors file, the --out of an earlier stage, or shipped."
+        ),
     ] = None,
     val: Annotated[
         list[Path] | None,

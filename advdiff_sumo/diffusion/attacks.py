@@ -15,7 +15,6 @@ from torch import Tensor
 from advdiff_sumo.diffusion.bodies import Placed, bodies_of, distance
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.guides import Objective
-from advdiff_sumo.diffusion.trace import Trace
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
@@ -23,6 +22,7 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.geometry import into_frame
 from advdiff_sumo.models.model_options import MODEL_STEP_S
+from advdiff_sumo.models.trace import Trace
 
 SOFT_M = 1.0
 TOUCHES_M = -0.5

@@ -2,7 +2,7 @@
 
 It can also roll out a few rows of a scene against the rest of an earlier rollout, which is what guidance needs:
 the gradient for one or two attackers then costs a fraction of that for the whole scene. On the CPU that is done by
-``compiled``, elsewhere by ``tensor_decoder``.
+``compiled``, elsewhere by ``tensor_decoder``. A closed-loop decoder rolls out itself, on every device.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 from torch import Tensor
 
 from advdiff_sumo.diffusion.tensor_decoder import TensorDecoder
-from advdiff_sumo.diffusion.trace import Trace
 from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
 from advdiff_sumo.models.decoder import Decoder, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
+from advdiff_sumo.models.trace import Trace
 
 if TYPE_CHECKING:
     from advdiff_sumo.diffusion.compiled.decoder_kernel import CompiledDecoder
@@ -26,13 +27,19 @@ class FastDecoder:
 
     Args:
         decoder: the trained network; its weights are read when this is made.
-        compiled: roll out by compiled loops; None: where the network is on the CPU.
+        compiled: roll out by compiled loops; None: where the network is on the CPU. There are none for a closed-loop
+            decoder.
 
     Attributes:
         compiled: the compiled form, or None where it is not used.
     """
 
     def __init__(self, decoder: Decoder, compiled: bool | None = None) -> None:
+        self.compiled: CompiledDecoder | None = None
+        self._roller: CompiledDecoder | ClosedLoopDecoder | TensorDecoder
+        if isinstance(decoder, ClosedLoopDecoder):
+            self._roller = decoder
+            return
         here = decoder.start.weight.device.type == "cpu" if compiled is None else compiled
         self.compiled = _compiled(decoder) if here else None
         self._roller = self.compiled or TensorDecoder(decoder)

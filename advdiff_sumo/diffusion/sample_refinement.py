@@ -66,12 +66,16 @@ def held_decode(codec: LatentCodec, decoder: FastDecoder) -> Decode:
 
 
 def penalty(x: Tensor, decode: Decode, context: Context, batch: SceneBatch, how: Together) -> Tensor:
-    """Return (B, A) what is wrong with the futures of samples *x*: overlap with others, and with the road's edge.
+    """Return (B, A) :func:`misfit` of the futures of samples *x*."""
+    return misfit(decode(x, context, batch), batch, how)
+
+
+def misfit(rollout: Rollout, batch: SceneBatch, how: Together) -> Tensor:
+    """Return (B, A) what is wrong with futures: overlap with others, and with the road's edge.
 
     Bodies count as a little larger than they are: what is 0 here is apart and not just touching, and discs leave out
     the corners. Others are met halfway between two instants, too, so that nobody drives through anybody unseen.
     """
-    rollout = decode(x, context, batch)
     wide = torch.where(batch.present[..., None], batch.size + batch.size.new_tensor(_WIDER_M), batch.size)
     others = _until_contact(_overlap(_finer(rollout, batch), wide, batch.present)).sum((2, 3))
     road = off_road(rollout, replace(batch, size=wide)).sum(-1)

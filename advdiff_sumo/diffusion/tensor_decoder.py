@@ -9,12 +9,12 @@ from torch import Tensor
 from torch.nn.functional import layer_norm, linear
 
 from advdiff_sumo.diffusion.decoder_weights import PLACE_SCALE, SPEED_SCALE, edge_terms
-from advdiff_sumo.diffusion.trace import Trace
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Decoder, Rollout
 from advdiff_sumo.models.interaction import ABSENT, InteractionLayer
 from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.tensor_bicycle import controls, step
+from advdiff_sumo.models.trace import Trace
 
 _Motion: TypeAlias = tuple[Tensor, Tensor, Tensor]  # xy (B, A, 2), yaw (B, A), speed (B, A)
 

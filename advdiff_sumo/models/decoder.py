@@ -111,11 +111,7 @@ class Decoder(nn.Module):
     def _act(
         self, memory: Tensor, z: Tensor, batch: SceneBatch, xy: Tensor, yaw: Tensor, speed: Tensor
     ) -> tuple[Tensor, Tensor]:
-        pose = batch.pose
-        moved = 0.05 * into_frame(xy, pose[..., :2], pose[..., 2])
-        turn = yaw - pose[..., 2]
-        columns = (torch.cos(turn), torch.sin(turn), 0.1 * speed, 0.1 * (speed - pose[..., 3]))
-        motion = torch.cat((moved, torch.stack(columns, dim=-1)), dim=-1)
+        motion = motion_features(xy, yaw, speed, batch)
         node = torch.relu(self.node(torch.cat((memory, z, motion), dim=-1)))
         mixed = self.interaction(node, relative_features(xy, yaw, speed), batch.present)
         return self.action(mixed), mixed
@@ -125,3 +121,12 @@ class Decoder(nn.Module):
         inputs = torch.cat((mixed, done), dim=-1)
         new: Tensor = self.memory(inputs.flatten(0, 1), memory.flatten(0, 1))
         return new.reshape(memory.shape)
+
+
+def motion_features(xy: Tensor, yaw: Tensor, speed: Tensor, batch: SceneBatch) -> Tensor:
+    """Return (B, A, 6) how far each agent of *batch* has come: (B, A, 2) places, (B, A) headings and speeds."""
+    pose = batch.pose
+    moved = 0.05 * into_frame(xy, pose[..., :2], pose[..., 2])
+    turn = yaw - pose[..., 2]
+    columns = (torch.cos(turn), torch.sin(turn), 0.1 * speed, 0.1 * (speed - pose[..., 3]))
+    return torch.cat((moved, torch.stack(columns, dim=-1)), dim=-1)

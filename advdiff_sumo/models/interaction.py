@@ -49,14 +49,25 @@ class InteractionLayer(nn.Module):
             edges: (B, A, A, M) what relative poses add to the messages, from :attr:`edge`.
             mask: (B, A) who takes part.
         """
-        message = torch.relu(edges + self.receiver(h)[:, :, None] + self.sender(h)[:, None])
+        return self.receive(h, edges, self.sender(h), mask) * mask[..., None]
+
+    def receive(self, h: Tensor, edges: Tensor, sent: Tensor, mask: Tensor) -> Tensor:
+        """Return new embeddings (B, R, D) of receivers, who need not be all agents.
+
+        Args:
+            h: (B, R, D) their embeddings.
+            edges: (B, R, A, M) what relative poses add to the messages, from :attr:`edge`.
+            sent: (B, A, M) what the agents add to the messages, from :attr:`sender`.
+            mask: (B, A) which agents take part.
+        """
+        message = torch.relu(edges + self.receiver(h)[:, :, None] + sent[:, None])
         score = self.score(message).masked_fill(~mask[:, None, :, None], ABSENT)
         weight = torch.softmax(score, dim=2) * mask[:, None, :, None]
         split = message.reshape(*message.shape[:-1], self.heads, -1)
         gathered = (weight[..., None] * split).sum(2).flatten(-2)
         mixed = self.norm(h + self.out(gathered))
         new: Tensor = mixed + self.mix(mixed)
-        return new * mask[..., None]
+        return new
 
 
 class InteractionNet(nn.Module):

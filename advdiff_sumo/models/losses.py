@@ -116,20 +116,32 @@ def road_edges(batch: SceneBatch) -> tuple[Tensor, Tensor, Tensor]:
 
 def clearance_in_frame(local: Tensor, batch: SceneBatch) -> Tensor:
     """Return :func:`edge_clearance` of points (B, A, M, 2) that are already in each agent's own frame now."""
-    first, last, usable = road_edges(batch)
+    return clearance_from(local, *road_edges(batch))
+
+
+def clearance_from(local: Tensor, first: Tensor, last: Tensor, usable: Tensor) -> Tensor:
+    """Return signed distances (B, A, M) of points (B, A, M, 2) to the nearest of the segments of :func:`road_edges`."""
     along = last - first
-    delta = local[:, :, :, None] - first[:, :, None]
-    squared = along.square().sum(-1).clamp(min=1e-6)[:, :, None]
-    share = ((delta * along[:, :, None]).sum(-1) / squared).clamp(0.0, 1.0)
-    away = delta - share[..., None] * along[:, :, None]
+    with torch.no_grad():  # which segment it is has no gradient, and most of the work
+        distance, aside = _to_segments(local[:, :, :, None], first[:, :, None], along[:, :, None])
+        distance = distance.masked_fill(~usable[:, :, None], FAR_M)
+        # both segments of a corner are equally near; the one that sees the point more from the side knows the side
+        which = (distance - CORNER * aside.abs()).argmin(dim=-1)
+    some = usable.gather(2, which)
+    index = which[..., None].expand(*which.shape, 2)
+    nearest, side = _to_segments(local, first.gather(2, index), along.gather(2, index))
+    return torch.where(some, torch.where(side >= 0.0, nearest, -nearest), FAR_M)
+
+
+def _to_segments(points: Tensor, first: Tensor, along: Tensor) -> tuple[Tensor, Tensor]:
+    """Return distances of *points* (…, 2) from segments, and how far they are to the left of their lines."""
+    delta = points - first
+    squared = along.square().sum(-1).clamp(min=1e-6)
+    share = ((delta * along).sum(-1) / squared).clamp(0.0, 1.0)
+    away = delta - share[..., None] * along
     distance = torch.sqrt(away.square().sum(-1) + 1e-9)
-    distance = distance.masked_fill(~usable[:, :, None], FAR_M)
-    cross = along[:, :, None, :, 0] * delta[..., 1] - along[:, :, None, :, 1] * delta[..., 0]
-    aside = cross / squared.sqrt()
-    # both segments of a corner are equally near; the one that sees the point more from the side knows the side
-    which = (distance - CORNER * aside.abs()).argmin(dim=-1, keepdim=True)
-    nearest, side = distance.gather(-1, which), aside.gather(-1, which)
-    return torch.where((side >= 0.0) | (nearest >= FAR_M), nearest, -nearest).squeeze(-1)
+    cross = along[..., 0] * delta[..., 1] - along[..., 1] * delta[..., 0]
+    return distance, cross / squared.sqrt()
 
 
 def off_road(rollout: Rollout, batch: SceneBatch) -> Tensor:

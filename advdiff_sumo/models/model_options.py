@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Literal, Self, TypeAlias
 
 from pydantic import Field, model_validator
 
@@ -22,6 +22,8 @@ GROUPS = 8
 PIECE_FEATURES = 13
 """Columns of a map piece: ten of the map table, then one-hot red, yellow, green."""
 
+DecoderName: TypeAlias = Literal["open", "closed-loop"]
+
 
 class ModelOptions(Options):
     """Sizes of every network; a checkpoint carries them.
@@ -33,6 +35,8 @@ class ModelOptions(Options):
         message: width of the messages between agents.
         heads: attention heads of the map pooling and of the interaction nets.
         interaction_layers: fully connected graph layers of encoder, posterior and reward model (two in Sec. III-B).
+        decoder: "open": it knows the map from the context alone; "closed-loop": it looks at lanes, road edge and
+            bodies again at each of its steps, see ``models.closed_loop_decoder``.
         decoder_layers: graph layers at each of the decoder's steps.
         denoiser_layers: graph layers through which vehicles see each other's noisy latents; 0: each on its own.
         channels: channels of the denoiser's U-Net at full, half and quarter length.
@@ -49,6 +53,7 @@ class ModelOptions(Options):
     message: int = Field(64, ge=4, le=1024, multiple_of=4)
     heads: int = Field(4, ge=1, le=16)
     interaction_layers: int = Field(2, ge=1, le=6)
+    decoder: DecoderName = "open"
     decoder_layers: int = Field(1, ge=1, le=6)
     denoiser_layers: int = Field(1, ge=0, le=6)
     channels: tuple[int, int, int] = (24, 32, 48)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from torch import nn
 
+from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
 from advdiff_sumo.models.context import ContextEncoder
 from advdiff_sumo.models.decoder import Decoder
 from advdiff_sumo.models.model_options import ModelOptions
@@ -25,4 +26,9 @@ class TrafficModel(nn.Module):
         self.options = options
         self.encoder = ContextEncoder(options)
         self.posterior = Posterior(options)
-        self.decoder = Decoder(options)
+        self.decoder = make_decoder(options)
+
+
+def make_decoder(options: ModelOptions) -> Decoder:
+    """Return an untrained decoder of the kind that *options* name."""
+    return ClosedLoopDecoder(options) if options.decoder == "closed-loop" else Decoder(options)

@@ -50,5 +50,11 @@ def displacement(rollout: Rollout, batch: SceneBatch) -> Displacement:
     return Displacement(ade, distance.gather(-1, last).squeeze(-1), driving(batch))
 
 
+def logged(batch: SceneBatch) -> Rollout:
+    """Return what happened as a rollout; unknown instants are 0."""
+    future, nothing = batch.future, torch.zeros_like(batch.future[..., 0])
+    return Rollout(future[..., :2], future[..., 2], future[..., 3], nothing, nothing)
+
+
 def _sum(value: Tensor, mask: Tensor) -> tuple[float, float]:
     return float(torch.where(mask, value, 0.0).sum()), float(mask.sum())

@@ -22,7 +22,7 @@ from advdiff_sumo.training import realism
 from advdiff_sumo.training.baselines import constant_velocity, lane_following
 from advdiff_sumo.training.dataset import WindowSet, batches
 from advdiff_sumo.training.denoiser_stage import diffused
-from advdiff_sumo.training.displacement import displacement, driving
+from advdiff_sumo.training.displacement import displacement, driving, logged
 from advdiff_sumo.training.stage import Tally, add, means
 
 Figures = dict[str, float]
@@ -132,12 +132,6 @@ def evaluate_bundle(
         if tell is not None:
             tell(done, count)
     return {name: _figures(one, sums["log"]) for name, one in sums.items()}
-
-
-def logged(batch: SceneBatch) -> Rollout:
-    """Return what happened as a rollout; unknown instants are 0."""
-    future, nothing = batch.future, torch.zeros_like(batch.future[..., 0])
-    return Rollout(future[..., :2], future[..., 2], future[..., 3], nothing, nothing)
 
 
 def write_figures(path: Path, figures: dict[str, Figures], judging: Judging, windows: WindowSet) -> None:

@@ -27,6 +27,7 @@ from advdiff_sumo.training.denoiser_stage import (
     random_steps,
     schedule_of,
 )
+from advdiff_sumo.training.displacement import logged
 from advdiff_sumo.training.presets import CollisionOptions, ElboOptions
 from advdiff_sumo.training.stage import Moment, Tally
 
@@ -189,13 +190,7 @@ def road_penalty(rollout: Rollout, batch: SceneBatch) -> Tensor:
     A log knows vehicles that leave the drivable area, into parking places for one: what they do is no fault.
     """
     over = off_road(rollout, batch)
-    logged = off_road(_logged(batch), batch)
+    truth = off_road(logged(batch), batch)
     known = batch.future_valid & batch.moved[..., None]
-    extra = torch.where(known, (over - logged).clamp(min=0.0), 0.0)
+    extra = torch.where(known, (over - truth).clamp(min=0.0), 0.0)
     return masked_mean(extra.sum(-1), batch.moved & ~batch.parked)
-
-
-def _logged(batch: SceneBatch) -> Rollout:
-    future = batch.future
-    nothing = torch.zeros_like(future[..., 0])
-    return Rollout(future[..., :2], future[..., 2], future[..., 3], nothing, nothing)

@@ -13,8 +13,8 @@ from advdiff_sumo.models.codec import CodecName
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.training.learning_rates import ScheduleName
 
-StageName = Literal["traffic", "denoiser", "joint", "reward", "simnet"]
-STAGES: tuple[StageName, ...] = ("traffic", "denoiser", "joint", "reward", "simnet")
+StageName = Literal["traffic", "denoiser", "joint", "reward", "decoder", "simnet"]
+STAGES: tuple[StageName, ...] = ("traffic", "denoiser", "joint", "reward", "decoder", "simnet")
 
 
 class ElboOptions(Options):
@@ -114,6 +114,29 @@ class SimnetOptions(Options):
     growth_share: float = Field(0.6, ge=0.0, le=1.0)
 
 
+class DecoderOptions(Options):
+    """The closed-loop decoder's own stage, see ``training.decoder_stage``.
+
+    Attributes:
+        vehicles: weight of the overlap between bodies in the model's own samples.
+        road: weight of the overlap with the road's edge there.
+        anchor: weight of how far a sample strays from what the decoder begun with makes of the same latent, where
+            nothing is wrong with that.
+        lane: weight of the distance from the nearest lane that points the vehicle's way.
+        following: weight of too short a headway and of having to brake too hard.
+        progress: weight of the squared relative difference of the way driven from the log's, over a batch.
+        sampling_steps: DDIM steps of the samples.
+    """
+
+    vehicles: float = Field(0.5, ge=0.0)
+    road: float = Field(1.0, ge=0.0)
+    anchor: float = Field(0.3, ge=0.0)
+    lane: float = Field(0.5, ge=0.0)
+    following: float = Field(0.5, ge=0.0)
+    progress: float = Field(50.0, ge=0.0)
+    sampling_steps: int = Field(5, ge=1, le=1000)
+
+
 class JitterOptions(Options):
     """How far vehicles are put beside their true state, see ``models.collate.Jitter``."""
 
@@ -131,6 +154,7 @@ class TrainOptions(Options):
         batch_size: windows in a step.
         learning_rate: of Adam, at its highest.
         schedule: how it changes, see ``training.learning_rates``.
+        precision: of the networks' products; "bfloat16" for GPUs (weights, states and losses stay single precision).
         gradient_clip: largest norm of the gradient.
         ema_decay: of the moving average of the weights.
         patience_epochs: epochs without progress on held-out windows after which it stops; 0: never.
@@ -151,6 +175,7 @@ class TrainOptions(Options):
     batch_size: int = Field(8, ge=1)
     learning_rate: float = Field(5e-4, gt=0.0)
     schedule: ScheduleName = "constant"
+    precision: Literal["float32", "bfloat16"] = "float32"
     gradient_clip: float = Field(5.0, gt=0.0)
     ema_decay: float = Field(0.999, ge=0.0, lt=1.0)
     patience_epochs: int = Field(20, ge=0)
@@ -168,6 +193,7 @@ class TrainOptions(Options):
     elbo: ElboOptions = ElboOptions()
     collision: CollisionOptions = CollisionOptions()
     reward: RewardOptions = RewardOptions()
+    decoder: DecoderOptions = DecoderOptions()
     simnet: SimnetOptions = SimnetOptions()
 
 
@@ -180,7 +206,14 @@ _SMALL: dict[str, Any] = {
     "ema_decay": 0.998,
     "max_agents": 16,
 }
-_EPOCHS: Mapping[StageName, int] = {"traffic": 12, "denoiser": 20, "joint": 4, "reward": 6, "simnet": 6}
+_EPOCHS: Mapping[StageName, int] = {
+    "traffic": 12,
+    "denoiser": 20,
+    "joint": 4,
+    "reward": 6,
+    "decoder": 6,
+    "simnet": 6,
+}
 _PAPER: dict[str, Any] = {"epochs": 200, "batch_size": 8, "learning_rate": 5e-4, "schedule": "constant"}
 _PAPER_REWARD: dict[str, Any] = {"epochs": 100, "learning_rate": 1e-3}
 PRESETS = ("paper", "small")
@@ -218,4 +251,6 @@ def _small(stage: StageName) -> dict[str, Any]:
         values |= {"learning_rate": 2e-4, "elbo": {"kl_anneal_share": 0.0}}
     if stage == "reward":
         values |= {"reward": {"returns": 3}}
+    if stage == "decoder":
+        values |= {"batch_size": 16, "learning_rate": 7e-4, "ema_decay": 0.995, "held_out_windows": 128}
     return values

@@ -16,10 +16,12 @@ from advdiff_sumo import __version__
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
+from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.models.simnet_file import begin_simnet, save_simnet
 from advdiff_sumo.training.checkpoint import Progress
 from advdiff_sumo.training.cvae import TrafficStage
 from advdiff_sumo.training.dataset import WindowSet, batches, read_window_set, split
+from advdiff_sumo.training.decoder_stage import DecoderStage
 from advdiff_sumo.training.denoiser_stage import DenoiserStage, measure_scale
 from advdiff_sumo.training.joint import JointStage
 from advdiff_sumo.training.presets import STAGES, StageName, TrainOptions
@@ -34,6 +36,7 @@ _NEEDS: Mapping[StageName, tuple[StageName, ...]] = {
     "denoiser": ("traffic",),
     "joint": ("traffic", "denoiser"),
     "reward": ("traffic", "denoiser"),
+    "decoder": ("traffic", "denoiser"),
     "simnet": (),
 }
 
@@ -47,7 +50,7 @@ class Plan:
         data: window files and folders of them.
         out: folder of everything that is written.
         options: hyper-parameters.
-        init: weights to begin with; None: new ones, which only the stages "traffic" and "simnet" can do.
+        init: weights to begin with, or "shipped"; None: new ones, which only the stages "traffic" and "simnet" can do.
         val: window files to judge on; none: some drives of the data are held out.
         seed: of everything that is random.
         device: "auto", "cpu" or "cuda".
@@ -76,14 +79,15 @@ def prepare(plan: Plan) -> Job:
     device = choose_device(plan.device)
     if plan.stage == "simnet":
         return _prepared_simnet(plan, device)
-    bundle = _bundle(plan)
+    begun = _begun(plan)
+    bundle = _bundle(plan, begun)
     windows = read_window_set(plan.data)
     options = plan.options.model_copy(update={"model": bundle.options.model, "codec": bundle.options.codec})
     train, held_out = _sides(plan, windows)
     bundle.to(device)
     if plan.stage == "denoiser":
         _measure(bundle, train, options, device)
-    stage = _stage(plan.stage, bundle, options)
+    stage = _stage(plan.stage, bundle, options, None if begun is None else begun.to(device))
 
     def keep(progress: Progress) -> None:
         save_bundle(stage.bundle(), plan.out / WEIGHTS, _stages(bundle, plan.stage), _card(plan, progress))
@@ -134,20 +138,18 @@ def choose_device(name: str) -> torch.device:
     return torch.device("cuda" if there and name != "cpu" else "cpu")
 
 
-def _bundle(plan: Plan) -> Bundle:
-    options = plan.options
-    wanted = BundleOptions(
-        model=options.model,
-        codec=options.codec or "latent",
-        diffusion_steps=options.diffusion_steps,
-        schedule=options.noise_schedule,
-    )
+def _begun(plan: Plan) -> Bundle | None:
+    """Return the weights to begin with; None: new ones.
+
+    Raises:
+        ConfigError: the stage needs earlier ones, which have not been trained.
+    """
     if plan.init is None:
         if _NEEDS[plan.stage]:
             raise ConfigError(
                 f"the stage '{plan.stage}' needs weights of the stage '{_NEEDS[plan.stage][-1]}': name them with --init"
             )
-        return new_bundle(wanted, SeedTree(plan.seed, ("weights",)).integer())
+        return None
     begun = load_bundle(weights_file(plan.init))
     missing = [name for name in _NEEDS[plan.stage] if name not in begun.stages]
     if missing:
@@ -155,15 +157,31 @@ def _bundle(plan: Plan) -> Bundle:
             f"{plan.init}: holds {_listed(begun.stages)}, but the stage '{plan.stage}' needs '{missing[0]}'; "
             f"train that first: advdiff-sumo train {missing[0]}"
         )
+    return begun
+
+
+def _bundle(plan: Plan, begun: Bundle | None) -> Bundle:
+    """Return what is trained: new networks, or those *begun* as far as they fit."""
+    options = plan.options
+    wanted = BundleOptions(
+        model=options.model,
+        codec=options.codec or "latent",
+        diffusion_steps=options.diffusion_steps,
+        schedule=options.noise_schedule,
+    )
+    if begun is None:
+        return new_bundle(wanted, SeedTree(plan.seed, ("weights",)).integer())
     return _fitted(plan, begun, wanted.model_copy(update={"codec": options.codec or begun.options.codec}))
 
 
 def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions) -> Bundle:
     """Return *begun*, with a new denoiser where that is to work on something else; refuse what cannot be."""
-    if plan.stage == "reward" and begun.options.codec != "latent":
+    if plan.stage in ("reward", "decoder") and begun.options.codec != "latent":
         raise ConfigError(
-            f"{plan.init}: its denoiser works on trajectories, but the reward model needs latents"
+            f"{plan.init}: its denoiser works on trajectories, but the stage '{plan.stage}' needs latents"
         )
+    if plan.stage == "decoder":
+        return with_closed_loop(begun, SeedTree(plan.seed, ("weights",)).integer())
     if plan.stage != "denoiser":
         if begun.options.codec != wanted.codec:
             raise ConfigError(
@@ -179,8 +197,26 @@ def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions) -> Bundle:
     return replace(bundle, stages=tuple(name for name in begun.stages if name == "traffic"))
 
 
+def with_closed_loop(begun: Bundle, seed: int) -> Bundle:
+    """Return *begun* with a decoder that closes the loop; a new one gives the futures of the one before at first.
+
+    Args:
+        begun: networks; left as they are.
+        seed: of weights that are new.
+    """
+    options = begun.options.model_copy(
+        update={"model": begun.options.model.model_copy(update={"decoder": "closed-loop"})}
+    )
+    made = new_bundle(options, seed)
+    for name, module in made.modules().items():
+        module.load_state_dict({**module.state_dict(), **begun.modules()[name].state_dict()})
+    return replace(made, stages=begun.stages)
+
+
 def weights_file(path: Path) -> Path:
-    """Return the weights that *path* means: itself, or those in the folder of a training."""
+    """Return the weights that *path* means: the shipped ones, itself, or those in the folder of a training."""
+    if path == Path("shipped") and not path.exists():
+        return shipped_weights()
     return path / WEIGHTS if path.is_dir() else path
 
 
@@ -198,13 +234,15 @@ def _measure(bundle: Bundle, windows: WindowSet, options: TrainOptions, device: 
     measure_scale(bundle, batched, torch.Generator().manual_seed(options.split_seed))
 
 
-def _stage(name: StageName, bundle: Bundle, options: TrainOptions) -> BundleStage:
+def _stage(name: StageName, bundle: Bundle, options: TrainOptions, begun: Bundle | None) -> BundleStage:
     if name == "traffic":
         return TrafficStage(bundle, options.elbo)
     if name == "denoiser":
         return DenoiserStage(bundle)
     if name == "joint":
         return JointStage(bundle, options.elbo, options.collision)
+    if name == "decoder":
+        return DecoderStage(bundle, None if begun is None else begun.traffic.decoder, options.decoder)
     return RewardStage(bundle, options.reward)
 
 

@@ -158,7 +158,8 @@ class Trainer:
         for group in self.optimiser.param_groups:
             group["lr"] = options.learning_rate * rate_factor(options.schedule, progress.step, self.total)
         stage.module.train()
-        terms = stage.loss(batch, moment)
+        with torch.autocast(self.job.device.type, torch.bfloat16, options.precision == "bfloat16"):
+            terms = stage.loss(batch, moment)
         self.optimiser.zero_grad(set_to_none=True)
         _finite(terms, progress)
         torch.autograd.backward(terms["loss"])

@@ -9,8 +9,8 @@ from torch import Tensor
 from advdiff_sumo.diffusion.attacks import COSTS, Encounter, Natural, encounter
 from advdiff_sumo.diffusion.guides import FLOOR, Guidance, Term, direction
 from advdiff_sumo.diffusion.sampler import Rung
-from advdiff_sumo.diffusion.trace import Trace
 from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.trace import Trace
 
 SIZE = torch.tensor([4.0, 2.0])
 NOTHING = Trace(torch.empty(0), torch.empty(0))

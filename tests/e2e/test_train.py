@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from advdiff_sumo.models.bundle import load_bundle
 from tests.e2e.commands import Outcome, advdiff, begin
 from tests.hang_guard import HANG_S
 from tests.training.straight_road import write
@@ -84,6 +85,23 @@ def test_ctrl_c_is_kept_and_goes_on(data: Path, tmp_path: Path) -> None:
     assert "--resume" in again.err  # told how to go on
 
 
+@pytest.mark.slow
+def test_the_shipped_weights_get_a_closed_loop_decoder(data: Path, tmp_path: Path) -> None:
+    """Stopped and gone on with, it ends with the same bytes; the loss that it says is that of what it has written."""
+    words = ("train", "decoder", "--data", data, "--init", "shipped", "--threads", "1", "--judge", "0")
+    tiny = ("--set", "epochs=2", "--set", "batch_size=4", "--set", "held_out=0.3")
+    whole = advdiff(*words, "--out", "whole", *tiny, cwd=tmp_path)
+    assert whole.code == 0, whole.err
+    for more in ((*tiny, "--max-minutes", "0.0"), ("--resume",)):
+        done = advdiff(*words, "--out", "parts", *more, cwd=tmp_path)
+        assert done.code == 0, done.err
+    weights = [tmp_path / name / "weights.safetensors" for name in ("whole", "parts")]
+    assert weights[0].read_bytes() == weights[1].read_bytes()
+    made = load_bundle(weights[0])
+    assert made.options.model.decoder == "closed-loop"
+    assert made.stages == ("traffic", "denoiser", "reward", "decoder")
+
+
 def _wait_for(path: Path, process: subprocess.Popen[str]) -> None:
     end = time.monotonic() + HANG_S
     while not path.exists():
@@ -110,6 +128,12 @@ def refused(done: Outcome, *words: str) -> None:
         (("denoiser", "--data", "DATA", "--init", "nothing"), ("nothing", "no such file")),
         (("joint", "--data", "DATA", "--init", "TRAFFIC"), ("needs 'denoiser'", "train denoiser")),
         (("reward", "--data", "DATA", "--init", "TRAFFIC"), ("needs 'denoiser'",)),
+        (("decoder", "--data", "DATA"), ("--init", "'denoiser'")),
+        (("decoder", "--data", "DATA", "--init", "TRAFFIC"), ("needs 'denoiser'",)),
+        (
+            ("traffic", "--data", "DATA", "--set", "model.decoder=shut"),
+            ("model.decoder", "'open' or 'closed-loop'"),
+        ),
         (("traffic", "--data", "DATA", "--codec", "polar"), ("codec", "'latent' or 'trajectory'")),
         (("traffic", "--data", "DATA", "--preset", "big"), ("preset", "paper, small")),
         (("traffic", "--data", "DATA", "--set", "epoch=3"), ("did you mean 'epochs'",)),

@@ -16,7 +16,8 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.training.dataset import read_window_set
-from advdiff_sumo.training.evaluation import Judging, evaluate_bundle, logged
+from advdiff_sumo.training.displacement import logged
+from advdiff_sumo.training.evaluation import Judging, evaluate_bundle
 from advdiff_sumo.training.realism import _overlap as overlap
 from advdiff_sumo.training.realism import (
     colliding,

@@ -21,8 +21,7 @@ from advdiff_sumo.training.denoiser_stage import (
     schedule_of,
     spread_steps,
 )
-from advdiff_sumo.training.displacement import displacement
-from advdiff_sumo.training.evaluation import logged
+from advdiff_sumo.training.displacement import displacement, logged
 from advdiff_sumo.training.joint import JointStage, road_penalty, vehicle_penalty
 from advdiff_sumo.training.presets import CollisionOptions, ElboOptions
 from advdiff_sumo.training.stage import Moment, Stage, add, means

@@ -26,8 +26,7 @@ from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.models.simnet_file import load_simnet
 from advdiff_sumo.training import realism
 from advdiff_sumo.training.denoiser_stage import diffused
-from advdiff_sumo.training.displacement import displacement, driving
-from advdiff_sumo.training.evaluation import logged
+from advdiff_sumo.training.displacement import displacement, driving, logged
 
 LATENT_STEPS, TRAJECTORY_STEPS = 5, 10
 """As many as in closed loop; with five, trajectories are rougher by half."""

@@ -17,6 +17,7 @@ from torch import Tensor
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.diffusion.adam import Adam
 from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
@@ -91,7 +92,8 @@ class Strive(Rival):
         super().__init__(StriveOptions.parse(options, "options of background 'strive'"))
         self.prior: Prior = prior_of(self.options, "background 'strive'")
         decoder = self.prior.traffic.decoder
-        self.decoder = JointDecoder(decoder) if self.prior.device.type == "cpu" else decoder
+        by_hand = self.prior.device.type == "cpu" and not isinstance(decoder, ClosedLoopDecoder)
+        self.decoder = JointDecoder(decoder) if by_hand else decoder
 
     def search(self, task: Task) -> Found:
         """Return the futures of the latents that lower the loss most within the rounds."""

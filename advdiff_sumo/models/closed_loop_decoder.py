@@ -1,0 +1,169 @@
+"""Decoder that closes the loop: at each half second every vehicle looks again at lanes, road edge and bodies.
+
+The decoder of the paper (Sec. III-B) knows the map from the context embedding alone, which was made at the place
+where the vehicle began. Here lane pieces, the clearance of the box and gaps to others are seen from where the rollout
+has led, as TrafficSim (Suo et al. 2021, doi:10.1109/CVPR46437.2021.01026) and SimNet see theirs. Every new part begins
+as nothing: with the weights of the open decoder it gives the open decoder's futures.
+
+The same network serves training and planning, on every device.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import torch
+from torch import Tensor, nn
+
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.decoder import Decoder, Forced, Rollout, motion_features
+from advdiff_sumo.models.geometry import RELATIVE_FEATURES, into_frame, relative_features
+from advdiff_sumo.models.lane_attention import LaneAttention, LanePieces
+from advdiff_sumo.models.losses import road_edges
+from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
+from advdiff_sumo.models.proximity import BOX_POINTS, PAIR_FEATURES, box_clearance, pair_features
+from advdiff_sumo.models.tensor_bicycle import controls, step
+from advdiff_sumo.models.trace import Trace
+
+_MOTION = 6
+_Motion: TypeAlias = tuple[Tensor, Tensor, Tensor]  # xy (B, A, 2), yaw (B, A), speed (B, A)
+
+
+@dataclass(frozen=True)
+class _Surroundings:
+    """What stays the same through a rollout of R rows.
+
+    Attributes:
+        batch: the scenes with all A agents.
+        own: the same with the rows alone.
+        rows: (R,) agents that are rolled out.
+        lanes: lane pieces around them.
+        edges: segments of the road's edge around them.
+    """
+
+    batch: SceneBatch
+    own: SceneBatch
+    rows: Tensor
+    lanes: LanePieces
+    edges: tuple[Tensor, Tensor, Tensor]
+
+
+class ClosedLoopDecoder(Decoder):
+    """:class:`Decoder` with eyes: attention over lanes, clearance to the road's edge, gaps between bodies."""
+
+    def __init__(self, options: ModelOptions) -> None:
+        super().__init__(options)
+        width = options.hidden
+        self.lanes = LaneAttention(options, width + _MOTION)
+        self.clearance = _from_nothing(BOX_POINTS, options.message, width)
+        self.pairs = _from_nothing(RELATIVE_FEATURES + PAIR_FEATURES, options.edge, options.message)
+
+    def forward(
+        self,
+        z: Tensor,
+        h: Tensor,
+        batch: SceneBatch,
+        steps: int = FUTURE_STEPS,
+        forced: Forced | None = None,
+    ) -> Rollout:
+        """Return the futures that latents lead to; arguments as :meth:`Decoder.forward`."""
+        everybody = torch.arange(batch.agents, device=z.device)
+        return self._roll(z, h, batch, everybody, steps, forced)[0]
+
+    @torch.no_grad()
+    def whole(
+        self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS
+    ) -> tuple[Rollout, Trace]:
+        """Return the futures of all agents, without gradients, and what :meth:`some` needs of them."""
+        return self._roll(z, h, batch, torch.arange(batch.agents, device=z.device), steps)
+
+    def some(
+        self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
+    ) -> Rollout:
+        """Return the futures (B, R, …) of agents *rows* alone, with gradients to *z* (B, R, Z).
+
+        All others move and say what they did in *trace*; the rows see them, and each other, from where they are.
+        """
+        return self._roll(z, h, batch, rows, steps, None, trace)[0]
+
+    def _roll(
+        self,
+        z: Tensor,
+        h: Tensor,
+        batch: SceneBatch,
+        rows: Tensor,
+        steps: int,
+        forced: Forced | None = None,
+        trace: Trace | None = None,
+    ) -> tuple[Rollout, Trace]:
+        own = batch if trace is None else batch.rows_of(rows)
+        around = _Surroundings(batch, own, rows, LanePieces.of(own), road_edges(own))
+        memory = torch.tanh(self.start(torch.cat((h[:, rows], z), dim=-1)))
+        pose = own.pose
+        motion: _Motion = pose[..., :2], pose[..., 2], pose[..., 3].clamp(min=0.0)
+        states, begun, said = [], [], []
+        for k in range(steps):
+            everybody = motion if trace is None else _among(trace.motion[k], rows, motion)
+            others = None if trace is None else trace.senders[k]
+            mixed, senders = self._look(memory, z, around, motion, everybody, others)
+            begun.append(torch.cat((everybody[0], everybody[1][..., None], everybody[2][..., None]), dim=-1))
+            said.append(senders)
+            accel, curvature = controls(self.action(mixed), motion[2], own.size[..., 0], self.options)
+            accel, curvature = accel * own.moved, curvature * own.moved
+            motion = step(*motion, accel, curvature, MODEL_STEP_S)
+            if forced is not None:
+                motion = forced.applied(k, *motion)
+            memory = self._remember(mixed, accel, curvature, memory)
+            states.append((*motion, accel, curvature))
+        rollout = Rollout(*(torch.stack(column, dim=2) for column in zip(*states, strict=True)))
+        return rollout, Trace(torch.stack(begun), torch.stack(said))
+
+    def _look(
+        self,
+        memory: Tensor,
+        z: Tensor,
+        around: _Surroundings,
+        motion: _Motion,
+        everybody: _Motion,
+        others: Tensor | None,
+    ) -> tuple[Tensor, Tensor]:
+        """Return the rows' embeddings (B, R, D) at one step, and what all agents send (layers, B, A, M)."""
+        own, batch, rows = around.own, around.batch, around.rows
+        place = into_frame(motion[0], own.pose[..., :2], own.pose[..., 2])
+        turn = motion[1] - own.pose[..., 2]
+        moved = motion_features(*motion, own)
+        node = self.node(torch.cat((memory, z, moved), dim=-1))
+        node = node + self.lanes(torch.cat((memory, moved), dim=-1), around.lanes.seen_from(place, turn))
+        node = node + self.clearance(box_clearance(place, turn, own.size, around.edges))
+        relative = relative_features(*everybody)[:, rows]
+        pairs = torch.cat((relative, pair_features(*everybody, batch.size, rows)), dim=-1)
+        seen, closer = self.interaction.prepare(relative), self.pairs(pairs)
+        return self._mix(torch.relu(node), [edge + closer for edge in seen], around, others)
+
+    def _mix(
+        self, h: Tensor, edges: list[Tensor], around: _Surroundings, others: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
+        said = []
+        for number, (layer, edge) in enumerate(zip(self.interaction.in_order(), edges, strict=True)):
+            sent = layer.sender(h)
+            if others is not None:
+                sent = others[number].to(sent.dtype).index_copy(1, around.rows, sent)
+            said.append(sent)
+            h = layer.receive(h, edge, sent, around.batch.present) * around.own.present[..., None]
+        return h, torch.stack(said)
+
+
+def _from_nothing(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    """Return a perceptron of one hidden layer whose output begins as 0."""
+    last = nn.Linear(hidden, outputs)
+    nn.init.zeros_(last.weight)
+    nn.init.constant_(last.bias, 0.0)
+    return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), last)
+
+
+def _among(state: Tensor, rows: Tensor, motion: _Motion) -> _Motion:
+    """Return the motion of all agents: that of *state* (B, A, 4), with the *rows*' own in its place."""
+    mine = torch.cat((motion[0], motion[1][..., None], motion[2][..., None]), dim=-1)
+    made = state.to(mine.dtype).index_copy(1, rows, mine)
+    return made[..., :2], made[..., 2], made[..., 3]

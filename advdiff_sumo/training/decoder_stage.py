@@ -1,0 +1,125 @@
+"""Stage "decoder": the closed-loop decoder alone, between encoder and denoiser that stay as they are.
+
+It learns on two kinds of latents at once. Those of the posterior shall lead to what happened. Those that the denoiser
+draws shall lead to futures that fit together: the penalties of ``diffusion.sample_refinement`` teach the network
+instead of moving a finished sample. Standing still would be the cheapest way out; an anchor to the decoder begun with
+and the way driven in the log hold against it.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import torch
+from torch import Tensor, nn
+
+from advdiff_sumo.diffusion.sample_refinement import Together, misfit
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.models.codec import LatentCodec
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.decoder import Decoder, Rollout
+from advdiff_sumo.models.losses import reconstruction
+from advdiff_sumo.training import realism
+from advdiff_sumo.training.cvae import known_mean, masked_mean
+from advdiff_sumo.training.denoiser_stage import diffused
+from advdiff_sumo.training.displacement import displacement, driving, logged
+from advdiff_sumo.training.driving_penalties import following_penalty, lane_distance, travelled_m
+from advdiff_sumo.training.presets import DecoderOptions
+from advdiff_sumo.training.stage import Moment, Tally
+
+_FAULTY = 1e-3
+
+
+class DecoderStage:
+    """Trains the decoder; encoder, posterior, codec, denoiser and reward model are frozen.
+
+    Args:
+        bundle: its decoder is trained in place.
+        began: the decoder whose futures are the anchor; None: that of the bundle as it is now.
+        options: weights of the terms.
+    """
+
+    name = "decoder"
+    monitor = "loss"
+
+    def __init__(self, bundle: Bundle, began: Decoder | None, options: DecoderOptions) -> None:
+        assert isinstance(bundle.codec, LatentCodec)  # noqa: S101 - setup refuses others for this stage
+        self._bundle, self.options = bundle, options
+        bundle.frozen()
+        decoder = bundle.traffic.decoder
+        self._began = copy.deepcopy(decoder if began is None else began).eval().requires_grad_(False)
+        self.module: nn.Module = decoder.requires_grad_(True)
+        self.beside: nn.Module = nn.Module()
+
+    def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
+        """Return the weighted sum and its terms."""
+        context, posterior, drawn, before = self._latents(batch, moment.generator)
+        known, free = self._both(posterior, drawn, context, batch)
+        return self._terms(known, free, before, batch)
+
+    @torch.no_grad()
+    def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
+        """Return the loss, displacements of posterior and sample, and how often samples touch or leave the road."""
+        context, posterior, drawn, before = self._latents(batch, generator)
+        known, free = self._both(posterior, drawn, context, batch)
+        terms, weight = self._terms(known, free, before, batch), float(batch.scenes)
+        there = batch.present[..., None].expand(free.yaw.shape)
+        who = driving(batch)
+        return {name: (float(value) * weight, weight) for name, value in terms.items()} | {
+            "posterior_ade_m": displacement(known, batch).ade_sum(),
+            "sample_ade_m": displacement(free, batch).ade_sum(),
+            "collision_rate": (float(realism.colliding(free, batch, there).sum()), float(who.sum())),
+            "off_road_rate": (float(realism.leaving_road(free, batch, there).sum()), float(who.sum())),
+            "travelled": (
+                float(travelled_m(free, batch)[who].sum()),
+                float(travelled_m(logged(batch), batch)[who].sum()),
+            ),
+        }
+
+    def after_step(self) -> None:
+        """Do nothing."""
+
+    def bundle(self) -> Bundle:
+        """Return the bundle with the trained decoder."""
+        return self._bundle
+
+    @torch.no_grad()
+    def _latents(
+        self, batch: SceneBatch, generator: torch.Generator
+    ) -> tuple[Context, Tensor, Tensor, Rollout]:
+        """Return the context, latents (B, A, Z) of posterior and denoiser, and what those led to at the beginning."""
+        traffic, codec = self._bundle.traffic, self._bundle.codec
+        context = traffic.encoder(batch)
+        posterior = traffic.posterior(batch, context.h).sample(generator)
+        scaled = diffused(self._bundle, context, self.options.sampling_steps, generator)
+        drawn = codec.unscale(scaled)[:, :, 0]
+        return context, posterior, drawn, self._began(drawn, context.h, batch)
+
+    def _both(
+        self, posterior: Tensor, drawn: Tensor, context: Context, batch: SceneBatch
+    ) -> tuple[Rollout, Rollout]:
+        """Return the futures of both kinds of latents, in one pass."""
+        latents = torch.stack((posterior, drawn), dim=1).flatten(0, 1)
+        rollout = self._bundle.traffic.decoder(latents, context.repeat(2).h, batch.repeat(2))
+        known, free = (Rollout(**{k: v[i::2] for k, v in vars(rollout).items()}) for i in (0, 1))
+        return known, free
+
+    def _terms(self, known: Rollout, free: Rollout, before: Rollout, batch: SceneBatch) -> dict[str, Tensor]:
+        options, who = self.options, batch.moved & ~batch.parked
+        how = Together(vehicles=options.vehicles, road=options.road)
+        fits = misfit(before, batch, how) < _FAULTY
+        there = batch.present[..., None].expand(before.yaw.shape)
+        same = reconstruction(free, replace(batch, future=before.states(), future_valid=there)).mean(-1)
+        way, truth = (torch.where(who, travelled_m(r, batch), 0.0).sum() for r in (free, logged(batch)))
+        ratio = way / truth.clamp(min=1.0)
+        terms = {
+            "reconstruction": known_mean(reconstruction(known, batch), batch),
+            "misfit": masked_mean(misfit(free, batch, how), who),
+            "anchor": options.anchor * masked_mean(same, who & fits),
+            "lane": options.lane * masked_mean(lane_distance(free, batch), who),
+            "following": options.following * masked_mean(following_penalty(free, batch), who),
+            "progress": options.progress * (ratio - 1.0).square(),
+        }
+        return {"loss": torch.stack(list(terms.values())).sum(), **terms}

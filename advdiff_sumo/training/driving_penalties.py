@@ -1,0 +1,88 @@
+"""What a driver avoids, as differentiable penalties of joint futures: leaving the lane, driving up too close."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.geometry import into_frame
+from advdiff_sumo.models.model_options import LANE_PIECES
+from advdiff_sumo.models.proximity import lead_gaps
+
+_ALIGNED_COS = 0.5
+_BESIDE_M, _ASTRAY_M = 1.2, 3.0
+_STANDSTILL_M, _HEADWAY_S = 0.5, 0.6
+_BRAKE_MPS2, _MOST = 4.0, 2.0
+_LEAST_M = 0.3
+_INSIDE = 0.5
+_FAR_M = 1e4
+
+
+def lane_distance(rollout: Rollout, batch: SceneBatch) -> Tensor:
+    """Return (B, A) metres beyond 1.2 m from the nearest lane's middle that points the vehicle's way, mean over time.
+
+    3 m at most at an instant: who is farther off, as behind the last lane piece that is known, learns nothing from it.
+    """
+    pose = batch.pose[:, :, None]
+    yaw = pose[..., 2].expand(rollout.yaw.shape)
+    place, turn = into_frame(rollout.xy, pose[..., :2], yaw), rollout.yaw - yaw
+    lanes = slice(0, LANE_PIECES)
+    xy = batch.map_xy[:, :, lanes]
+    first, along = xy[..., :-1, :].flatten(2, 3), (xy[..., 1:, :] - xy[..., :-1, :]).flatten(2, 3)
+    real = batch.map_valid[:, :, lanes, None].expand(*xy.shape[:3], xy.shape[3] - 1).flatten(2)
+    ahead = torch.stack((torch.cos(turn), torch.sin(turn)), dim=-1).detach()
+    length = along.norm(dim=-1).clamp(min=1e-3)
+    with torch.no_grad():
+        aligned = torch.einsum("batc,basc->bats", ahead, along / length[..., None]) > _ALIGNED_COS
+        usable = aligned & real[:, :, None]
+        which = _squared(place, first, along, length).masked_fill(~usable, _FAR_M**2).argmin(-1)
+        some = usable.gather(-1, which[..., None]).squeeze(-1)
+    index = which[..., None].expand(*which.shape, 2)
+    start, way = first.gather(2, index), along.gather(2, index)
+    share = ((place - start) * way).sum(-1) / way.square().sum(-1).clamp(min=1e-6)
+    away = place - start - share.clamp(0.0, 1.0)[..., None] * way
+    distance = torch.sqrt(away.square().sum(-1) + 1e-6)
+    beyond = torch.where(some, (distance - _BESIDE_M).clamp(0.0, _ASTRAY_M - _BESIDE_M), 0.0)
+    return beyond.mean(-1)
+
+
+def _squared(place: Tensor, first: Tensor, along: Tensor, length: Tensor) -> Tensor:
+    """Return squared distances (B, A, T, S) of points (B, A, T, 2) to segments (B, A, S, 2)."""
+    unit = along / length[..., None]
+    delta = place[:, :, :, None] - first[:, :, None]
+    forth = (delta * unit[:, :, None]).sum(-1)
+    beyond = forth - torch.minimum(forth.clamp(min=0.0), length[:, :, None])
+    aside = unit[:, :, None, :, 0] * delta[..., 1] - unit[:, :, None, :, 1] * delta[..., 0]
+    return beyond.square() + aside.square()
+
+
+def following_penalty(rollout: Rollout, batch: SceneBatch) -> Tensor:
+    """Return (B, A) what is wrong with how vehicles follow, mean over time and summed over those ahead.
+
+    The share that lacks of a gap of 0.5 m and 0.6 s, and by what share the deceleration that would avoid the contact is
+    over 4 m/s², the latter at most 2.
+    """
+    scenes, agents, steps = rollout.yaw.shape
+    xy, yaw, speed = (
+        value.transpose(1, 2).flatten(0, 1) for value in (rollout.xy, rollout.yaw, rollout.speed)
+    )
+    size = batch.size[:, None].expand(-1, steps, -1, -1).flatten(0, 1)
+    lead = lead_gaps(xy, yaw, speed, size, torch.arange(agents, device=xy.device))
+    gap, own = lead.gap_m.clamp(min=0.0), speed[:, :, None]
+    short = (1.0 - gap / (_STANDSTILL_M + _HEADWAY_S * own)).clamp(min=0.0)
+    brake = lead.closing_mps.clamp(min=0.0).square() / (2.0 * gap.clamp(min=_LEAST_M))
+    hard = (brake / _BRAKE_MPS2 - 1.0).clamp(0.0, _MOST)
+    behind = (lead.inside > _INSIDE) & (lead.gap_m > 0.0)
+    each = torch.where(behind, short + hard, 0.0).reshape(scenes, steps, agents, agents)  # (B, T, A, A)
+    there = batch.present[:, None, :, None] & batch.present[:, None, None]
+    return torch.where(there, each, 0.0).sum(-1).mean(1)
+
+
+def travelled_m(rollout: Rollout, batch: SceneBatch) -> Tensor:
+    """Return (B, A) metres that each vehicle drives over the instants that the log knows without a gap."""
+    before = torch.cat((batch.pose[:, :, None, :2], rollout.xy[:, :, :-1]), dim=2)
+    known = batch.future_valid.cumprod(-1).bool()
+    stride = torch.sqrt((rollout.xy - before).square().sum(-1) + 1e-9)
+    return torch.where(known, stride, 0.0).sum(-1)

@@ -1,0 +1,114 @@
+"""Any composition of rare but valid features is a net to drive on: episodes end, and their states are sound."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
+from advdiff_sumo.sim.natural import NaturalTraffic
+from advdiff_sumo.sim.run_store import episode_tables
+from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from tests.rare_net import FEATURES, build
+from tests.sim.scenes import episode
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+from soak_src.checks import States, problems
+
+HORIZON_S = 2.0
+SCENE = {
+    "warmup_s": 12.0,
+    "scenes_per_warmup": 1,
+    "min_neighbours": 1,
+    "min_route_m": 20.0,
+    "min_speed_mps": 0.0,
+    "density_per_km": 25.0,
+}
+#: What netconvert must have written where the feature is asked for.
+MARKS = {
+    "uncontrolled link": 'uncontrolled="1"',
+    "blinking light": 'state="o',
+    "permission change": 'allow="bus"',
+    "internal lanes of no length": ':E_0_0" index="0" speed="13.90" length="0.10"',
+    "turnarounds": 'dir="t"',
+    "reversed roundabout": '<roundabout nodes="A B D G"',
+    "bicycle lane": 'allow="bicycle"',
+    "rail": 'tl="X" linkIndex="-1"',
+    "sidewalks": 'function="walkingarea"',
+    "opposite lane": "<neigh lane=",
+    "stop offset": "<stopOffset",
+    "no keep clear": 'keepClear="0"',
+    "left hand": 'lefthand="true"',
+    "projection": "+proj=utm",
+    "non-ASCII ids": 'id="Straße-東"',
+    "bends": 'id="NC_1"',
+    "far away": 'x="3400000.00"',
+}
+FAST = settings(
+    deadline=None,
+    max_examples=3,
+    phases=(Phase.generate,),
+    derandomize=True,
+    suppress_health_check=[*HealthCheck],
+)
+THOROUGH = settings(deadline=None, max_examples=25, suppress_health_check=[*HealthCheck])
+SOME = st.sets(st.sampled_from(sorted(FEATURES)), min_size=2, max_size=8)
+
+
+def scene_on(road: RoadMap, seed: int) -> SeedScene:
+    """Return a seed scene of natural traffic."""
+    options = SceneOptions.parse(SCENE)
+    return NaturalTraffic(road, None, options, SimOptions(), HORIZON_S, SeedTree(seed)).batch(0)[0]
+
+
+def drive(names: set[str], seed: int, target: str, background: str) -> None:
+    """Drive an episode on a net with the features *names* and look at it as the soak does."""
+    with tempfile.TemporaryDirectory() as folder:
+        road = RoadMap.read(build(Path(folder), names))
+        record, timing = episode(scene_on(road, seed), road, target, background, HORIZON_S).run()
+        assert record.failure is None, record.failure
+        tables = episode_tables(record, episode_row(record, road), collision_rows(record, road), timing)
+        states = tables["states"]
+        columns = {name: states.column(name).to_numpy() for name in states.column_names}
+        assert list(problems(States.of(columns), road, tables["collisions"].to_pylist())) == []
+
+
+def test_every_feature_has_its_mark() -> None:
+    assert MARKS.keys() == FEATURES.keys()
+
+
+@pytest.mark.parametrize("name", FEATURES)
+def test_a_feature_is_in_the_net_that_is_read(tmp_path: Path, name: str) -> None:
+    (tmp_path / "plain").mkdir()
+    assert MARKS[name] in build(tmp_path, [name]).read_text(encoding="utf-8")
+    if name != "internal lanes of no length":  # some joins have such lanes anyway
+        assert MARKS[name] not in build(tmp_path / "plain", []).read_text(encoding="utf-8")
+    assert RoadMap.read(tmp_path / "rare.net.xml").edge_graph().strongly_connected()
+
+
+@pytest.mark.parametrize("background", ["sumo", "diffusion"])
+def test_all_features_at_once(background: str) -> None:
+    drive(set(FEATURES), 1, "lane_graph", background)
+
+
+@FAST
+@given(names=SOME, seed=st.integers(0, 9))
+def test_natural_traffic_on_some_nets(names: set[str], seed: int) -> None:
+    drive(names, seed, "IDM", "sumo")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("background", ["sumo", "replay", "diffusion", "scripted"])
+@pytest.mark.parametrize("target", ["IDM", "lane_graph"])
+@THOROUGH
+@given(names=SOME, seed=st.integers(0, 99))
+def test_any_traffic_on_any_net(target: str, background: str, names: set[str], seed: int) -> None:
+    drive(names, seed, target, background)

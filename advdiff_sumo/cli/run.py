@@ -77,49 +77,48 @@ def run(
     Exit code 0: some episodes came to their end; 1: every one failed; 2: something given cannot be used.
     """
     one_thread_for_good()
-    from advdiff_sumo.sim.free_folder import (  # late: --help needs neither SUMO nor plots
-        free_folder,
-        run_words,
-    )
-    from advdiff_sumo.sim.run_episodes import Run
-    from advdiff_sumo.sweep.executors import prepare_workers
-    from advdiff_sumo.sweep.run_engine import run_settings
-    from advdiff_sumo.sweep.run_folder import RunFolder
-
     if not gui:
-        prepare_workers()  # which import what they need while this process does
-    given = {
-        "net": net,
-        "target": target,
-        "background": background,
-        "episodes": episodes,
-        "horizon_s": horizon,
-        "seed": seed,
-        "demand": demand and str(demand),
-        "scenes": scenes and str(scenes),
-    }
-    policy = {
-        "licence": licence,
-        "strength": strength,
-        "attackers": attackers,
-        "attack": attack,
-        "guide": guide,
-        "weights": weights and str(weights.resolve()),
-        "reward": reward and str(reward.resolve()),
-        "device": device,
-    }
+        _start_workers()
+    where = {"net": net, "demand": demand and str(demand), "scenes": scenes and str(scenes), "seed": seed}
+    what = {"target": target, "background": background, "episodes": episodes, "horizon_s": horizon}
+    attacking = {"licence": licence, "strength": strength, "attackers": attackers, "attack": attack}
+    files = {"weights": weights and str(weights.resolve()), "reward": reward and str(reward.resolve())}
+    policy = attacking | {"guide": guide} | files | {"device": device}
     if resume:
         config = config or _begun(out)
     _check_display(gui)
-    prepared = Run.prepare(_options(config, given, policy, assign or [], defect), gui)
-    words = run_words(prepared.settings["options"]["net"], *prepared.names, prepared.options.seed)
+    prepared = _prepared(_options(config, where | what, policy, assign or [], defect), gui)
     standing = prepared.standing_starts()  # before there is a folder: a log that cannot be read leaves none
-    folder = RunFolder.create(out or free_folder(*words), run_settings(prepared), resume)
+    folder = _folder(prepared, out, resume)
     console = verb_console(quiet, as_json)
     _print_notes(console, prepared, standing)
     with ExitStack() as stack:
         count = _episodes(prepared, folder, console, limits_of(stack, math.inf, plan_timeout, memory))
     _tell_outcome(console, folder, prepared, count, check, as_json)
+
+
+def _start_workers() -> None:
+    """Let workers import what they need while this process does."""
+    from advdiff_sumo.sweep.executors import prepare_workers  # late: --help needs neither SUMO nor plots
+
+    prepare_workers()
+
+
+def _prepared(options: RunOptions, gui: bool) -> Run:
+    """Return the run of *options*, checked."""
+    from advdiff_sumo.sim.run_episodes import Run  # late, as above
+
+    return Run.prepare(options, gui)
+
+
+def _folder(prepared: Run, out: Path | None, resume: bool) -> RunFolder:
+    """Return the folder *out* of the run, or a new one named after it."""
+    from advdiff_sumo.sim.free_folder import free_folder, run_words  # late, as above
+    from advdiff_sumo.sweep.run_engine import run_settings
+    from advdiff_sumo.sweep.run_folder import RunFolder
+
+    words = run_words(prepared.settings["options"]["net"], *prepared.names, prepared.options.seed)
+    return RunFolder.create(out or free_folder(*words), run_settings(prepared), resume)
 
 
 def _tell_outcome(

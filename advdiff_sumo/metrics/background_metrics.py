@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from advdiff_sumo.core.record import Controller, EpisodeRecord
-from advdiff_sumo.metrics.collision import Collision, Touches, find_touches, overlapping_steps
+from advdiff_sumo.metrics.collision import Collision, Touches, both_walk, find_touches, overlapping_steps
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,10 @@ def compare_with_sumo(record: EpisodeRecord, touches: Touches | None = None) -> 
     """
     touches = touches if touches is not None else find_touches(record.tracks)
     ids = record.tracks.ids
-    ours = {(k, *sorted((ids[i], ids[j]))) for k, i, j in overlapping_steps(touches)}
+    ours = {
+        (k, *sorted((ids[i], ids[j])))
+        for k, i, j in overlapping_steps(touches)
+        if not both_walk(record, i, j, k)
+    }
     listed = {(c.step, *sorted((c.collider, c.victim))) for c in record.sumo_collisions}
     return SumoComparison(len(listed), len(listed - ours), len(ours - listed))

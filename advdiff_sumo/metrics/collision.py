@@ -10,8 +10,8 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps
-from advdiff_sumo.core.record import EpisodeRecord
-from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.core.record import Controller, EpisodeRecord
+from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.metrics.contact import SEPARATED_M, contact_of
 from advdiff_sumo.metrics.continuous_collision import TOUCH_M, Sweep, first_contact, may_touch
 from advdiff_sumo.metrics.kinematics import unbroken
@@ -94,8 +94,17 @@ def collisions(record: EpisodeRecord, touches: Touches | None = None) -> list[Co
 
     A lasting contact counts once until the boxes are ``SEPARATED_M`` apart. Steps that an agent jumps over
     or is absent from are not swept; the next step starts anew. *touches* saves the search where it was made.
+    People whom SUMO lets walk pass through each other; that is no collision.
     """
-    return tracks_collisions(record.tracks, record.target, touches)
+    contacts = tracks_collisions(record.tracks, record.target, touches)
+    return [c for c in contacts if not both_walk(record, c.rows[0], c.rows[1], c.step)]
+
+
+def both_walk(record: EpisodeRecord, i: int, j: int, step: int) -> bool:
+    """Return whether rows *i* and *j* are people on foot whom SUMO moves at instant *step*."""
+    pair = [i, j]
+    on_foot = (record.tracks.classes[pair] == AgentClass.PEDESTRIAN).all()
+    return bool(on_foot and (record.controller[pair, step] == Controller.SUMO).all())
 
 
 def tracks_collisions(tracks: Tracks, target: int, touches: Touches | None = None) -> list[Collision]:

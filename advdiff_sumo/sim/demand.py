@@ -12,6 +12,7 @@ import numpy as np
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.people import person_types, walks
 from advdiff_sumo.sim.sim_options import SceneOptions
 
 _HEADWAY_S, _ACCEL_MPS2, _DECEL_MPS2, _SPEED_FACTOR, _MIN_GAP_M = (
@@ -47,16 +48,25 @@ def write_demand(road: RoadMap, options: SceneOptions, duration_s: float, seed: 
         path: the ``.rou.xml`` to write.
 
     Raises:
-        NetError: the net has no route that a car could drive.
+        NetError: the net has no route that a car could drive, or no sidewalks for the people wanted.
     """
     rng = seed.generator()
     root = Element("routes")
     for attributes in vehicle_types(rng):
         SubElement(root, "vType", attributes)
     trips = sorted(_trips(road, options, duration_s, rng), key=lambda trip: trip.depart_s)
+    departures = []
     for number, trip in enumerate(trips):
-        vehicle = SubElement(root, "vehicle", _vehicle(number, trip))
+        vehicle = Element("vehicle", _vehicle(number, trip))
         SubElement(vehicle, "route", edges=" ".join(trip.route))
+        departures.append((trip.depart_s, vehicle))
+    if options.pedestrians_per_km > 0.0:
+        for attributes in person_types():
+            SubElement(root, "vType", attributes)
+        people = seed.child("people").generator()
+        departures += walks(road.path, options.pedestrians_per_km, duration_s, people)
+        departures.sort(key=lambda row: row[0])
+    root.extend(row for _, row in departures)
     indent(root)
     ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
     return path

@@ -11,7 +11,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.errors import NotInsertedError
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, Failure
-from advdiff_sumo.core.scene import AgentClass, Scene
+from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.metrics.contact import standing_overlaps, target_contact
 from advdiff_sumo.planners.planner_protocol import SumoDriver
 from advdiff_sumo.sim.actuate import Actuator
@@ -23,7 +23,7 @@ from advdiff_sumo.sim.natural import remaining_route
 from advdiff_sumo.sim.perceive import read_signals, watch_signals
 from advdiff_sumo.sim.planned import natural_course
 from advdiff_sumo.sim.recorder import Recorder
-from advdiff_sumo.sim.seed_scene import PlacedTraffic, SavedTraffic
+from advdiff_sumo.sim.seed_scene import PlacedTraffic, SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session
 from advdiff_sumo.sim.start import TARGET_TYPE
 from advdiff_sumo.sim.target import PlannerDrive, SumoDrive
@@ -47,7 +47,7 @@ class Loop:
             policy=episode.policy,
             road=self.road,
             world=self.world,
-            log=episode.scene.log,
+            log=_to_follow(episode.scene),
             rng=episode.seed.child("background").generator(),
             step_s=self.sim.step_s,
             name=episode.names[1],
@@ -149,6 +149,7 @@ class Loop:
 
     def _plan_background(self, scene: Scene, period: int) -> Motion:
         planned = self.background.replan(scene, period)
+        planned = planned.keep(~np.isin(planned.rows, list(self.world.on_foot)))
         logged = self.context.motion(scene, period)
         self.replayed = np.setdiff1d(logged.rows, planned.rows)
         motion = Motion.join(planned, logged)
@@ -282,7 +283,7 @@ class Loop:
         )
 
     def _movable(self, rows: IntArray, gap_m: FloatArray) -> BoolArray:
-        others: BoolArray = rows != self.target
+        others: BoolArray = (rows != self.target) & ~np.isin(rows, list(self.world.on_foot))
         if self.everywhere:
             return others
         ours = self.actuator.ours
@@ -297,6 +298,8 @@ class Loop:
             return self.drive.route_ahead()
         if row in self.actuator.ours:
             return self.handover.route(row, self.episode.scene.routes)
+        if row in self.world.on_foot:
+            return ()
         return remaining_route(self.api, self.world.sumo_ids[row])
 
     @property
@@ -337,6 +340,13 @@ class Loop:
         """Return the wall-clock of every plan of target and policy."""
         drive = getattr(self, "drive", None)
         return tuple(drive.planning_s) if drive else (), tuple(self.background.planning_s)
+
+
+def _to_follow(scene: SeedScene) -> Tracks:
+    """Return the log that the policy may follow; in SUMO's traffic people walk by SUMO's own model."""
+    if isinstance(scene.start, PlacedTraffic):
+        return scene.log
+    return scene.log.rows(scene.log.classes != AgentClass.PEDESTRIAN)
 
 
 def _padded(frame: Frame, n: int) -> tuple[FloatArray, FloatArray]:

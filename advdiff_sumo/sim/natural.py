@@ -208,7 +208,8 @@ def _choose(
     rows = np.flatnonzero(
         there & (world.classes[: len(there)] == AgentClass.CAR) & (frame.speed_mps > scene.min_speed_mps)
     )
-    gaps = np.linalg.norm(frame.xy_m[rows, None] - frame.xy_m[None, frame.present], axis=-1)
+    vehicles = frame.present & (world.classes[: len(there)] != AgentClass.PEDESTRIAN)
+    gaps = np.linalg.norm(frame.xy_m[rows, None] - frame.xy_m[None, vehicles], axis=-1)
     crowded = rows[(gaps < _NEIGHBOUR_RADIUS_M).sum(-1) - 1 >= scene.min_neighbours]
     api = stretch.session.api
     usable = [

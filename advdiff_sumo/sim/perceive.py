@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
+from advdiff_sumo.sim.world import PERSON
+
 _TLS_STATE = 0x20  # libsumo.constants.TL_RED_YELLOW_GREEN_STATE
 _LOOK_AHEAD_M = 100.0
+_JUNCTIONS = 2  # ahead, whose crossings are looked at
+_CROSSING = re.compile(r":.*_c\d+_0$")  # SUMO's name of the lane of a pedestrian crossing
 _NEIGHBOURS = (0b00, 0b01, 0b10, 0b11)  # left and right, followers and leaders
 
 
 def visible_ids(api: Any, name: str) -> frozenset[str]:
-    """Return the vehicles that the models of SUMO-driven *name* see now: leader, neighbours, junction foes."""
+    """Return whom the models of SUMO-driven *name* see now: leader, neighbours, junction foes, people on crossings."""
     vehicle = api.vehicle
     seen = {other for other, _ in _pairs(vehicle.getLeader(name, _LOOK_AHEAD_M))}
     for mode in _NEIGHBOURS:
         seen.update(other for other, _ in vehicle.getNeighbors(name, mode))
-    seen |= _foes(api, name)
+    seen |= _foes(api, name) | _on_crossings(api, name)
     return frozenset(seen - {"", name})
 
 
@@ -32,6 +37,18 @@ def _foes(api: Any, name: str) -> set[str]:
             if other not in found and any(foe[0] == name for foe in foes_of(other, _LOOK_AHEAD_M)):
                 found.add(other)
     return found
+
+
+def _on_crossings(api: Any, name: str) -> set[str]:
+    """Return the people on crossings over the ways ahead of *name*."""
+    if not api.person.getIDCount():
+        return set()
+    ways = [link[4] for link in api.vehicle.getNextLinks(name)[:_JUNCTIONS]]
+    here = api.vehicle.getLaneID(name)
+    ways += [here] if here.startswith(":") else []
+    lanes = {lane for way in ways if way for lane in api.lane.getInternalFoes(way)}
+    crossings = {lane.rpartition("_")[0] for lane in lanes if _CROSSING.match(lane)}
+    return {PERSON + person for edge in crossings for person in api.edge.getLastStepPersonIDs(edge)}
 
 
 def _pairs(leader: Any) -> list[tuple[str, float]]:

@@ -13,7 +13,7 @@ from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, MadeP
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.sim.planned import made_plans
 from advdiff_sumo.sim.sim_options import SimOptions
-from advdiff_sumo.sim.world import Frame, World, stack
+from advdiff_sumo.sim.world import PERSON, Frame, World, stack
 
 
 class Recorder:
@@ -62,6 +62,7 @@ class Recorder:
 
     def _name(self, sumo_id: str) -> str:
         row = self.world.row_of(sumo_id)
+        row = self.world.row_of(PERSON + sumo_id) if row is None else row
         return sumo_id if row is None else self.world.ids[row]
 
     def history(self, rows: IntArray, now_s: float) -> Tracks:

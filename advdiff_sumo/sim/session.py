@@ -62,6 +62,7 @@ class SessionOptions:
             "--xml-validation": "never",
             "--save-state.rng": "true",
             "--save-state.precision": 9,
+            "--save-state.transportables": "true",
             "--ignore-route-errors": "true",
         }
         if self.lateral_resolution_m > 0.0:

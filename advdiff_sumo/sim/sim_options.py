@@ -70,6 +70,7 @@ class SceneOptions(Options):
         density_per_km: vehicles per kilometre of lane in generated demand.
         max_vehicles: bound of generated demand, for large nets.
         trucks_share: share of trucks and buses in generated demand.
+        pedestrians_per_km: people on foot per kilometre of sidewalk in generated demand; the net needs crossings.
         min_neighbours: vehicles that must be within 50 m of the target at the start.
         min_route_m: route that the target must have ahead.
         min_speed_mps: the target must move at least so fast at the start.
@@ -83,6 +84,7 @@ class SceneOptions(Options):
     density_per_km: float = Field(5.0, gt=0.0, le=80.0)
     max_vehicles: int = Field(160, ge=2)
     trucks_share: float = Field(0.08, ge=0.0, le=1.0)
+    pedestrians_per_km: float = Field(0.0, ge=0.0, le=500.0)
     min_neighbours: int = Field(3, ge=0)
     min_route_m: float = Field(120.0, ge=0.0)
     min_speed_mps: float = Field(1.0, ge=0.0)

@@ -14,6 +14,8 @@ from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import AgentClass, Tracks
 
 _POSITION, _ANGLE, _SPEED, _LANE, _LATERAL = 0x42, 0x43, 0x40, 0x51, 0xB8  # libsumo.constants.VAR_*
+_VEHICLE = 0xC3  # the vehicle that a person rides in
+PERSON = "person."  # before SUMO's name of somebody on foot, who may be called as a vehicle is
 _NOWHERE = -1e9  # SUMO's INVALID_DOUBLE_VALUE is −2³⁰
 VARIABLES = (_POSITION, _ANGLE, _SPEED, _LANE, _LATERAL)
 
@@ -64,6 +66,7 @@ class World:
         index: row of each of SUMO's names.
         in_sumo: rows that SUMO has.
         had_in_sumo: rows that SUMO has or had.
+        on_foot: rows of people whom SUMO lets walk; nobody else moves them, and they are in none of the above.
         lane: SUMO's lane of each row at the last read; "" off the road.
         beside_m: how far SUMO had the front bumper of each row beside that lane's centre line, without sign.
         xy_m, yaw_rad, speed_mps: present states, (capacity, …); NaN where absent.
@@ -76,6 +79,7 @@ class World:
         self.index: dict[str, int] = {}
         self.in_sumo: set[int] = set()
         self.had_in_sumo: set[int] = set()
+        self.on_foot: set[int] = set()
         self.lane: list[str] = []
         self.beside_m: list[float] = []
         self.classes = np.zeros(capacity, dtype=np.int64)
@@ -168,7 +172,7 @@ def register(world: World, api: Any, names: Iterable[str]) -> list[int]:
 
 
 def read(world: World, api: Any, ours: Collection[int]) -> IntArray:
-    """Take every vehicle's state from SUMO in one subscription read.
+    """Take the state of every vehicle and of everybody on foot from SUMO.
 
     Args:
         world: updated in place.
@@ -196,7 +200,35 @@ def read(world: World, api: Any, ours: Collection[int]) -> IntArray:
         _take_states(world, np.array(rows), np.array(states))
     before = world.in_sumo
     world.in_sumo = {world.index[name] for name in results}
+    lost += _read_people(world, api)
     return np.array(sorted((before - world.in_sumo).union(lost)), dtype=np.int64)
+
+
+def _read_people(world: World, api: Any) -> list[int]:
+    """Take the states of people on foot from SUMO, who rides in a vehicle left out; return who was there before."""
+    names = api.person.getIDList()
+    if not names and not world.on_foot:
+        return []
+    rows, states = [], []
+    for name in names:
+        row = world.row_of(PERSON + name)
+        if row is None or row not in world.on_foot:
+            row = _add_person(world, api, name)
+        values = api.person.getSubscriptionResults(name)
+        if not values[_VEHICLE] and values[_POSITION][0] > _NOWHERE:
+            rows.append(row)
+            states.append((*values[_POSITION][:2], values[_ANGLE], values[_SPEED]))
+    gone = sorted(world.on_foot.difference(rows))
+    world.on_foot = set(rows)
+    if rows:
+        _take_states(world, np.array(rows), np.array(states))
+    return gone
+
+
+def _add_person(world: World, api: Any, name: str) -> int:
+    api.person.subscribe(name, (_POSITION, _ANGLE, _SPEED, _VEHICLE))
+    size_m = api.person.getLength(name), api.person.getWidth(name)
+    return world.add(PERSON + name, AgentClass.PEDESTRIAN, *size_m)
 
 
 def _take_states(world: World, rows: IntArray, states: FloatArray) -> None:

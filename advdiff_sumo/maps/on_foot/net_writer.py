@@ -18,6 +18,7 @@ from advdiff_sumo.maps.on_foot.crossing_lines import CrossingLine
 from advdiff_sumo.maps.on_foot.kerbs import SIDEWALK_M, Sidewalk, WalkingArea, outline
 from advdiff_sumo.maps.on_foot.signal_phases import SignalledCrossing, add_crossings
 
+REPEAT_M = 0.05
 WALK_SPEED = "2.78"  # m/s, netconvert's limit on sidewalks
 
 
@@ -152,6 +153,7 @@ class NetWriter:
                 link.set("state", "m")
 
     def _lane(self, edge: ET.Element, line: FloatArray, width_m: float) -> None:
+        line = _without_repeats(line)
         length = float(np.hypot(*np.diff(line, axis=0).T).sum())
         ET.SubElement(
             edge,
@@ -240,3 +242,13 @@ class NetWriter:
 
 def _shape(line: FloatArray) -> str:
     return " ".join(f"{x:.2f},{y:.2f}" for x, y in line)
+
+
+def _without_repeats(line: FloatArray) -> FloatArray:
+    """Return *line* without points that are one once written: on them SUMO's walkers get places that are no number."""
+    keep = np.concatenate(([True], np.hypot(*np.diff(line, axis=0).T) > REPEAT_M))
+    if keep.sum() == 1:
+        return line[[0, -1]]
+    if not keep[-1]:  # the end counts, the point before it does not
+        keep[np.flatnonzero(keep)[-1]], keep[-1] = keep.sum() == 1, True
+    return np.asarray(line[keep])

@@ -1,0 +1,70 @@
+"""Where people walk on a net: sidewalks, and which of them hang together over crossings and walking areas."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.maps.read_net import read_root, return_ids, shape_of
+
+
+@dataclass(frozen=True, eq=False)
+class Footways:
+    """The sidewalks of a net, those alone that lead to another one; S of them.
+
+    Attributes:
+        edges: (S,) names of edges with a lane for people on foot.
+        length_m: (S,) their lengths.
+        middle_m: (S, 2) their middles.
+        part: (S,) number of the connected part that each belongs to.
+    """
+
+    edges: tuple[str, ...]
+    length_m: FloatArray
+    middle_m: FloatArray
+    part: IntArray
+
+
+def read_footways(net: Path) -> Footways:
+    """Return the footways of the net at *net*; without crossings and walking areas there are none."""
+    root = read_root(net, "net", "a SUMO net")
+    beyond = return_ids(root)
+    lines: dict[str, FloatArray] = {}
+    foot_lanes: set[tuple[str, str]] = set()
+    for edge in root.iterfind("edge"):
+        name = edge.get("id", "")
+        for lane in edge.iterfind("lane"):
+            if name not in beyond and "pedestrian" in lane.get("allow", "").split():
+                foot_lanes.add((name, lane.get("index", "0")))
+                if not edge.get("function") and len(shape_of(lane)) > 1:
+                    lines[name] = shape_of(lane)
+    parent: dict[str, str] = {name: name for name, _ in foot_lanes}
+    for row in root.iterfind("connection"):
+        ends = [(row.get(key, ""), row.get(f"{key}Lane", "")) for key in ("from", "to")]
+        if all(end in foot_lanes for end in ends):
+            parent[_root_of(parent, ends[0][0])] = _root_of(parent, ends[1][0])
+    members: dict[str, list[str]] = defaultdict(list)
+    for name in sorted(lines):
+        members[_root_of(parent, name)].append(name)
+    parts = [own for own in members.values() if len(own) > 1]
+    edges = [name for own in parts for name in own]
+    return Footways(
+        tuple(edges),
+        np.array([_length(lines[name]) for name in edges]),
+        np.array([lines[name][[0, -1]].mean(axis=0) for name in edges]).reshape(-1, 2),
+        np.array([number for number, own in enumerate(parts) for _ in own], dtype=np.int64),
+    )
+
+
+def _root_of(parent: dict[str, str], name: str) -> str:
+    while parent[name] != name:
+        parent[name] = name = parent[parent[name]]
+    return name
+
+
+def _length(line: FloatArray) -> float:
+    return float(np.hypot(*np.diff(line, axis=0).T).sum())

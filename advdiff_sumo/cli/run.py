@@ -158,6 +158,7 @@ def _print_notes(console: Console, prepared: Run, standing: int) -> None:
 def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits) -> int:
     """Run what *folder* lacks behind a bar, write the report whatever happens, and return how many there are."""
     from advdiff_sumo.report import write_report
+    from advdiff_sumo.report.attack_words import out_of_position
     from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
     from advdiff_sumo.sweep.run_engine import run_into
 
@@ -174,6 +175,9 @@ def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits
                 failed += failure is not None
                 words = f"episodes · {hits} collisions" + (f" · {failed} failed" if failed else "")
                 progress.update(task, advance=1, description=words)
+                lacking = out_of_position(row or {})
+                if row and lacking is not None:
+                    console.print(f"episode {row['episode']}: no one was in a position to {lacking}")
 
             def hear(said: str) -> None:
                 sys.stderr.write(f"{said}\n")  # above the bar, which minds it

@@ -45,6 +45,19 @@ Plan: TypeAlias = Trajectory | Controls
 
 
 @dataclass(frozen=True)
+class AttackState:
+    """What a policy that attacks the target was asked for, and who can do it now.
+
+    Attributes:
+        kind: of attack; "any": whichever.
+        in_position: ids of the vehicles that are in a position for it.
+    """
+
+    kind: str
+    in_position: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class JointPlan:
     """Futures of the background vehicles that a policy moves.
 
@@ -52,7 +65,9 @@ class JointPlan:
         tracks: (A, T) states, first instant one ``dt_s`` after now. A vehicle not in the scene yet is
             inserted when it becomes valid; one that becomes invalid leaves.
         exact: poses are applied as they are (logs); otherwise through the bicycle model.
+        attack: who can attack; None where the policy attacks nobody, or has not looked anew.
     """
 
     tracks: Tracks
     exact: bool = False
+    attack: AttackState | None = None

@@ -104,6 +104,8 @@ class EpisodeRecord:
         rough_handovers: vehicles that SUMO got back although they stood askew in their lane.
         skipped_agents: agents of a log left to SUMO, which had them out of reach of where the log goes on.
         refused_insertions: moved vehicles that SUMO would not take in; they leave the scene once nobody moves them.
+        attack: kind of attack that the background was asked for; None where it attacks nobody.
+        in_position: whether somebody was in a position for that attack at some time; None without one.
         plans: what was planned, in the order of time; of a SUMO-driven vehicle nothing is known.
         natural: what everybody near did from the same start without attack, at the model step; None when it
             was not to be kept.
@@ -125,6 +127,8 @@ class EpisodeRecord:
     rough_handovers: int = 0
     skipped_agents: int = 0
     refused_insertions: int = 0
+    attack: str | None = None
+    in_position: bool | None = None
     plans: tuple[MadePlans, ...] = ()
     natural: Tracks | None = None
     failure: Failure | None = field(default=None)

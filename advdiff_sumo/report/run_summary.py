@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 from advdiff_sumo.metrics.severity import is_valid_failure
 from advdiff_sumo.metrics.statistics import wilson
+from advdiff_sumo.report.attack_words import out_of_position, position_lines
 
 Rows: TypeAlias = Sequence[dict[str, Any]]
 
@@ -30,6 +31,7 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
         ("failed episodes", _rate(len(rows) - len(finished), len(rows))),
         ("median of minimum TTC", _median(finished, "min_ttc_s", "s")),
         ("median of minimum clearance", _median(finished, "min_clearance_m", "m")),
+        *position_lines(finished),
         ("real-time factor (median)", _median(timing, "real_time_factor", "×")),
     ]
     for who in ("target", "background"):
@@ -52,6 +54,7 @@ def summary_figures(rows: Rows) -> dict[str, Any]:
         "collisions": len(hits),
         "at_fault": sum(row["at_fault"] == "target" for row in hits),
         "routes_completed": sum(bool(row["route_completed"]) for row in finished),
+        "out_of_position": sum(out_of_position(row) is not None for row in finished),
         "failed": {kind: sum(row["failure_kind"] == kind for row in rows) for kind in kinds},
         "median_min_ttc_s": _middle(finished, "min_ttc_s"),
         "median_min_clearance_m": _middle(finished, "min_clearance_m"),

@@ -89,6 +89,8 @@ class Background:
         planning_s: wall-clock seconds of each plan.
         skipped: ids that a log would have moved but that SUMO has elsewhere by now.
         planned: the last plan that was not refused.
+        attack: kind of attack that the policy was asked for; None where it attacks nobody.
+        in_position: whether somebody was in a position for it at some time.
     """
 
     policy: TrafficPolicy
@@ -103,6 +105,8 @@ class Background:
     planning_s: list[float] = field(default_factory=list)
     skipped: set[str] = field(default_factory=set)
     planned: JointPlan | None = None
+    attack: str | None = None
+    in_position: bool = False
     _memory: Any = None
 
     def start(self, scene: Scene) -> None:
@@ -133,6 +137,9 @@ class Background:
         plan, self._memory = made
         motion = self.motion(plan, scene.target_id, steps)
         self.planned = plan
+        if plan.attack is not None:
+            self.attack = plan.attack.kind
+            self.in_position |= bool(plan.attack.in_position)
         return motion
 
     def motion(self, plan: JointPlan, target_id: str, steps: int) -> Motion:

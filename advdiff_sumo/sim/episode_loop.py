@@ -324,6 +324,8 @@ class Loop:
             rough_handovers=len(self.handover.rough),
             skipped_agents=len(self.background.skipped),
             refused_insertions=len(self.actuator.refused),
+            attack=self.background.attack,
+            in_position=self.background.in_position if self.background.attack is not None else None,
             failure=failure,
             natural=natural_course(episode.scene.log, self.sim.model_step_s)
             if self.sim.record_natural

@@ -24,3 +24,26 @@ def test_a_licence_that_does_not_exist_is_refused(tmp_path: Path) -> None:
     assert outcome.code == 2
     assert "licence = 'legal'" in outcome.err
     assert "lawful" in outcome.err
+
+
+def test_a_run_says_where_nobody_was_in_a_position_for_the_attack(tmp_path: Path) -> None:
+    """Nobody can cross the target's way on a motorway."""
+    words = (
+        "run",
+        "--net",
+        "motorway",
+        "--background",
+        "scripted",
+        "--attack",
+        "crossing",
+        "--episodes",
+        "2",
+    )
+    outcome = advdiff(*words, *TINY, "--out", "run", cwd=tmp_path)
+    assert outcome.code == 0, outcome.err
+    said = " ".join(outcome.out.split())
+    assert "episode 0: no one was in a position to cross its way" in said
+    assert "episode 1: no one was in a position to cross its way" in said
+    assert "in 2 of 2 episodes" in said
+    rows = pq.read_table(tmp_path / "run" / "episodes.parquet").to_pylist()
+    assert [(row["attack"], row["in_position"]) for row in rows] == [("crossing", False)] * 2

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
-from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.decoder import Forced, Rollout
@@ -134,7 +134,7 @@ class Rival(ABC):
         seed = int(rng.integers(2**62))
         if not view.moved.any():
             empty = Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=scene.time_s + MODEL_STEP_S)
-            return JointPlan(empty), replace(memory, plan=None)
+            return JointPlan(empty, attack=AttackState("any")), replace(memory, plan=None)
         found = self.search(Task(road, view, memory, seed))
         if self.listener is not None:
             self.listener(view, found.drawn)
@@ -143,7 +143,8 @@ class Rival(ABC):
         attack = licensed_attack(road, view, futures, names, options.licence, None, options.attackers)
         guarded = apply_safeguard(road, view, found.drawn, lanes, (memory.plan, memory.driven), attack)
         tracks = tracks_of(view, guarded.futures)
-        return JointPlan(tracks), replace(found.memory, plan=tracks, driven=1)
+        state = AttackState("any", tuple(found.drawn.attackers))
+        return JointPlan(tracks, attack=state), replace(found.memory, plan=tracks, driven=1)
 
     def ask(self, task: Task) -> Answer | None:
         """Return what the surrogate does now; None where the traffic model's prediction stands for the target."""

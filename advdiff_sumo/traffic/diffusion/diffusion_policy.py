@@ -10,7 +10,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.frames import unit
-from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import MOTOR_CLASSES, Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.model_options import MODEL_STEP_S
@@ -116,14 +116,25 @@ class DiffusionTraffic:
         seed = int(rng.integers(2**62))
         if not view.moved.any():
             empty = Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=scene.time_s + MODEL_STEP_S)
-            return JointPlan(empty), replace(memory, plan=None)
+            return JointPlan(empty, attack=self._state((), None)), replace(memory, plan=None)
         drawn = draw_plan(self.networks, self.options, view, memory.noise, memory.shifts, seed)
         if self.listener is not None:
             self.listener(view, drawn)
         attack = self._attack(road, view, drawn, memory)
         guarded = apply_safeguard(road, view, drawn, lanes, (memory.plan, memory.driven), attack)
         tracks = tracks_of(view, guarded.futures)
-        return JointPlan(tracks), Memory(drawn.noise, drawn.shifts, tracks, 1, attack.commitments)
+        state = self._state(drawn.attackers, attack.commitments)
+        plan = JointPlan(tracks, attack=state)
+        return plan, Memory(drawn.noise, drawn.shifts, tracks, 1, attack.commitments)
+
+    def _state(self, guided: Sequence[str], commitments: Commitments | None) -> AttackState | None:
+        """Return who is in a position for the attack: who is guided to it, or drives a manoeuvre of its kind."""
+        if not self.options.guided:
+            return None
+        asked, term = self.options.attack, self.options.attack_term
+        aimed = guided if asked == "any" or term != "any" else ()  # the guide has no term of this kind
+        driving = () if commitments is None else commitments.attacking
+        return AttackState(asked, tuple(dict.fromkeys((*aimed, *driving))))
 
     def _attack(self, road: RoadMap, view: View, drawn: Drawn, memory: Memory) -> LicensedAttack:
         """Return what the licence makes of the plan *drawn*."""

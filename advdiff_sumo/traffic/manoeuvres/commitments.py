@@ -54,6 +54,11 @@ class Commitments:
     active: Mapping[str, Commitment] = field(default_factory=dict)
     rested_s: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def attacking(self) -> tuple[str, ...]:
+        """Ids of those in a manoeuvre that are past getting into position for it."""
+        return tuple(name for name, under_way in self.active.items() if not under_way.sets_up)
+
     @staticmethod
     def start(attack: str, rng: np.random.Generator) -> Commitments:
         """Return none, with preferences drawn for *attack*, a kind or "any", so that episodes differ."""

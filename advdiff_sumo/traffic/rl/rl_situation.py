@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
-from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
@@ -95,14 +95,14 @@ def joint_plan(
     """
     if now.natural is None:
         t0 = now.view.scene.time_s + MODEL_STEP_S
-        return JointPlan(Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=t0))
+        return JointPlan(Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=t0), attack=AttackState("any"))
     rows = torch.from_numpy(now.rows)
     made = steered(now.natural, now.view.batch, rows, torch.from_numpy(residuals), prior.options)
     drawn = Drawn(made, {}, now.attackers, torch.zeros(len(now.view.ids), 0))
     futures = futures_of(now.view.now, made)
     attack = licensed_attack(road, now.view, futures, now.attackers, licence, None, len(now.rows))
     guarded = apply_safeguard(road, now.view, drawn, now.lanes, (before, 1), attack)
-    return JointPlan(tracks_of(now.view, guarded.futures))
+    return JointPlan(tracks_of(now.view, guarded.futures), attack=AttackState("any", now.attackers))
 
 
 def _actions(natural: Rollout, row: int) -> tuple[float, float]:

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from advdiff_sumo.config import Options
-from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName, licence_of
@@ -68,7 +68,8 @@ class ScriptedTraffic:
         options = self.options
         licence = licence_of(options.licence)
         driven, memory = advance(view, memory, options.attackers, options.pause_s, licence)
-        return JointPlan(tracks_of_manoeuvres(view, driven)), memory
+        state = AttackState(options.attack, memory.attacking)
+        return JointPlan(tracks_of_manoeuvres(view, driven), attack=state), memory
 
 
 def tracks_of_manoeuvres(view: SituationView, manoeuvres: Sequence[Manoeuvre]) -> Tracks:

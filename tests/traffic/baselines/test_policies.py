@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from advdiff_sumo.core.errors import ConfigError, UnknownNameError, WeightsError
+from advdiff_sumo.core.plan import AttackState
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
@@ -120,7 +121,20 @@ def test_nobody_to_move(name: str, made: Callable[..., Rival], downtown: RoadMap
     scene = replace(street(PLACES, SPEEDS), movable=np.zeros(4, dtype=np.bool_))
     policy = made(name)
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
-    assert policy.plan(downtown, scene, memory, np.random.default_rng(1))[0].tracks.agents == 0
+    plan = policy.plan(downtown, scene, memory, np.random.default_rng(1))[0]
+    assert plan.tracks.agents == 0
+    assert plan.attack == AttackState("any")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_plan_tells_who_attacks(
+    name: str, made: Callable[..., Rival], downtown: RoadMap, street: Street
+) -> None:
+    scene, policy = street(PLACES, SPEEDS), made(name, attackers=1)
+    memory = policy.start(downtown, scene, None, np.random.default_rng(0))
+    plan, memory = policy.plan(downtown, scene, memory, np.random.default_rng(1))
+    assert plan.attack == AttackState("any", memory.attackers)
+    assert len(memory.attackers) == 1
 
 
 @pytest.mark.parametrize("name", NAMES)

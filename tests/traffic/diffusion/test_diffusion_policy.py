@@ -336,3 +336,35 @@ def test_another_spacing_of_histories(weights: str, downtown: RoadMap, street: S
     coarse = replace(scene, history=replace(scene.history, dt_s=1.0))
     with pytest.raises(SceneError, match=r"sim\.model_step_s"):
         planned(DiffusionTraffic(weights=weights), downtown, coarse)
+
+
+@pytest.mark.parametrize(
+    ("attack", "in_position"), [("brake", {"v1", "v3"}), ("rear-end", {"v2", "v4"}), ("head-on", set())]
+)
+def test_a_plan_tells_who_is_in_a_position_for_the_attack(
+    attack: str, in_position: set[str], weights: str, downtown: RoadMap, street: Street
+) -> None:
+    """Two ahead of the target in its lane, two behind, nobody towards it."""
+    policy = DiffusionTraffic(weights=weights, licence="reckless", attack=attack)
+    scene = street(PLACES, SPEEDS)
+    plan, _ = policy.plan(downtown, scene, Memory(), np.random.default_rng(3))
+    assert plan.attack is not None
+    assert plan.attack.kind == attack
+    assert set(plan.attack.in_position) == in_position
+
+
+def test_natural_traffic_asks_for_no_attack(weights: str, downtown: RoadMap, street: Street) -> None:
+    policy = DiffusionTraffic(weights=weights, guide="none")
+    plan, _ = policy.plan(downtown, street(PLACES, SPEEDS), Memory(), np.random.default_rng(3))
+    assert plan.attack is None
+
+
+def test_the_guide_has_no_term_for_a_cut_out(weights: str, downtown: RoadMap, street: Street) -> None:
+    """It is lawful alone: whom the guide pulls to the target is not in a position for it yet."""
+    policy = DiffusionTraffic(weights=weights, licence="lawful", attack="cut-out")
+    scene = street(PLACES, SPEEDS)
+    memory = policy.start(downtown, scene, None, np.random.default_rng(0))
+    plan, memory = policy.plan(downtown, scene, memory, np.random.default_rng(3))
+    assert memory.shifts
+    assert plan.attack is not None
+    assert plan.attack.in_position == ()

@@ -1,0 +1,40 @@
+"""Episodes in which nobody could do what the background was asked for, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+_DOES: Mapping[str, str] = {
+    "any": "attack",
+    "cut-in": "cut in",
+    "cut-out": "cut out",
+    "rear-end": "run into its rear",
+    "head-on": "meet it head-on",
+    "junction": "cross its way",
+    "crossing": "cross its way",
+    "brake": "brake before it",
+    "hard-stop": "stop hard before it",
+    "blocked-lane": "block its lane",
+    "stop-and-go": "slow down before it",
+}
+
+
+def out_of_position(row: Mapping[str, Any]) -> str | None:
+    """Return what nobody was in a position to do in the episode of *row*; None where somebody was, or none attacks."""
+    if row.get("attack") is None or row.get("in_position") is not False:
+        return None
+    return _DOES.get(str(row["attack"]), f"attack as '{row['attack']}'")
+
+
+def position_lines(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """Return (what, in how many episodes) for each kind of attack that lacked somebody in position in some *rows*."""
+    lines = []
+    for kind in dict.fromkeys(row.get("attack") for row in rows):
+        asked = [row for row in rows if row.get("attack") == kind]
+        lacking = [words for row in asked if (words := out_of_position(row)) is not None]
+        if lacking:
+            lines.append(
+                (f"no one was in a position to {lacking[0]}", f"in {len(lacking)} of {len(asked)} episodes")
+            )
+    return lines

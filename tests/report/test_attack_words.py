@@ -1,0 +1,31 @@
+"""In how many episodes nobody could do what was asked for, counted by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from advdiff_sumo.report.attack_words import out_of_position, position_lines
+
+
+def row(attack: str | None, in_position: bool | None) -> dict[str, Any]:
+    return {"attack": attack, "in_position": in_position}
+
+
+def test_episodes_are_counted_by_the_kind_asked_for() -> None:
+    cut_ins = [row("cut-in", False), row("cut-in", True), row("cut-in", False)]
+    rows = [*cut_ins, row("any", True), row(None, None)]
+    assert position_lines(rows) == [("no one was in a position to cut in", "in 2 of 3 episodes")]
+
+
+def test_every_kind_has_its_line_and_an_unknown_one_its_name() -> None:
+    rows = [row("head-on", False), row("swarm", False), row("any", False)]
+    assert [words for words, _ in position_lines(rows)] == [
+        "no one was in a position to meet it head-on",
+        "no one was in a position to attack as 'swarm'",
+        "no one was in a position to attack",
+    ]
+
+
+def test_nothing_is_said_without_an_attack_or_in_folders_of_earlier_versions() -> None:
+    assert position_lines([row(None, None), {"episode": 0}]) == []
+    assert out_of_position(row("brake", True)) is None

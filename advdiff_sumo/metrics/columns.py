@@ -130,9 +130,10 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "refused_insertions": _later_count(
         "moved vehicles that SUMO would not take in; they leave the scene unless moved"
     ),
-    "attack": _text("kind of attack that the background was asked for; empty where it attacks nobody"),
+    "attack_kind": _text("kind of attack that the background was asked for; empty where it attacks nobody"),
     "in_position": _flag(
-        "some vehicle was in a position for that attack at some time; empty where attack is", nullable=True
+        "some vehicle was in a position for that attack at some time; empty where attack_kind is",
+        nullable=True,
     ),
     "min_ttc_s": _real("s", "least time to collision of boxes at constant velocity, up to 10 s"),
     "min_ttc_partner": _text("the vehicle it was with"),
@@ -196,6 +197,6 @@ COLLISION_COLUMNS: Mapping[str, Column] = {
 
 _LATER_COUNTS = ("refused_insertions", "replayed_collisions", "replayed")
 LATER_COLUMNS = frozenset(
-    ("route", "attack", "in_position", *_LATER_COUNTS, *VERDICT_COLUMNS, *CRITICAL_COLUMNS)
+    ("route", "attack_kind", "in_position", *_LATER_COUNTS, *VERDICT_COLUMNS, *CRITICAL_COLUMNS)
 )
 """Columns that folders of earlier versions lack; ``advdiff-sumo verdict`` adds those of the verdict."""

@@ -52,7 +52,7 @@ def episode_row(
         "rough_handovers": record.rough_handovers,
         "skipped_agents": record.skipped_agents,
         "refused_insertions": record.refused_insertions,
-        "attack": record.attack,
+        "attack_kind": record.attack,
         "in_position": record.in_position,
         **_criticality_values(record, m.criticality),
         **vars(m.comfort),

@@ -22,16 +22,16 @@ _DOES: Mapping[str, str] = {
 
 def out_of_position(row: Mapping[str, Any]) -> str | None:
     """Return what nobody was in a position to do in the episode of *row*; None where somebody was, or none attacks."""
-    if row.get("attack") is None or row.get("in_position") is not False:
+    if row.get("attack_kind") is None or row.get("in_position") is not False:
         return None
-    return _DOES.get(str(row["attack"]), f"attack as '{row['attack']}'")
+    return _DOES.get(str(row["attack_kind"]), f"attack as '{row['attack_kind']}'")
 
 
 def position_lines(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
     """Return (what, in how many episodes) for each kind of attack that lacked somebody in position in some *rows*."""
     lines = []
-    for kind in dict.fromkeys(row.get("attack") for row in rows):
-        asked = [row for row in rows if row.get("attack") == kind]
+    for kind in dict.fromkeys(row.get("attack_kind") for row in rows):
+        asked = [row for row in rows if row.get("attack_kind") == kind]
         lacking = [words for row in asked if (words := out_of_position(row)) is not None]
         if lacking:
             lines.append(

@@ -46,4 +46,4 @@ def test_a_run_says_where_nobody_was_in_a_position_for_the_attack(tmp_path: Path
     assert "episode 1: no one was in a position to cross its way" in said
     assert "in 2 of 2 episodes" in said
     rows = pq.read_table(tmp_path / "run" / "episodes.parquet").to_pylist()
-    assert [(row["attack"], row["in_position"]) for row in rows] == [("crossing", False)] * 2
+    assert [(row["attack_kind"], row["in_position"]) for row in rows] == [("crossing", False)] * 2

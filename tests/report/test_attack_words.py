@@ -8,7 +8,7 @@ from advdiff_sumo.report.attack_words import out_of_position, position_lines
 
 
 def row(attack: str | None, in_position: bool | None) -> dict[str, Any]:
-    return {"attack": attack, "in_position": in_position}
+    return {"attack_kind": attack, "in_position": in_position}
 
 
 def test_episodes_are_counted_by_the_kind_asked_for() -> None:

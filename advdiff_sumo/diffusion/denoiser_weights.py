@@ -33,8 +33,8 @@ def modulation(norms: Iterable[AdaGN], k: int, device: torch.device) -> tuple[Te
     """Return k_s and k_b (ΣC,) of all *norms* at step *k*."""
     code = sinusoidal(torch.tensor([k], device=device), STEP_WIDTH)
     with torch.no_grad():
-        made = [norm.step(code)[0].chunk(2) for norm in norms]
-    scale, shift = (torch.cat(part) for part in zip(*made, strict=True))
+        chunks = [norm.step(code)[0].chunk(2) for norm in norms]
+    scale, shift = (torch.cat(part) for part in zip(*chunks, strict=True))
     return scale, shift
 
 

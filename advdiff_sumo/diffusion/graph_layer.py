@@ -64,8 +64,8 @@ class GraphLayer:
 
     def ends(self, h: Tensor) -> tuple[Tensor, Tensor]:
         """Return what agents *h* (G, D) add to messages as receivers and as senders, each (G, M)."""
-        made = torch.addmm(self._ends_bias, h, self._ends_t)
-        return made[:, : self.width], made[:, self.width :]
+        projected = torch.addmm(self._ends_bias, h, self._ends_t)
+        return projected[:, : self.width], projected[:, self.width :]
 
     def forward(self, h: Tensor, message: Tensor, blocked: Tensor | None) -> tuple[Tensor, Heard]:
         """Return new embeddings (G, D), and what :meth:`back` needs.

@@ -128,12 +128,12 @@ def together(
         how: weights and steps.
     """
     how = how or Together()
-    made, x, origin, adam = drawn.clone(), drawn, drawn, Adam(how.rate)
+    refined, x, origin, adam = drawn.clone(), drawn, drawn, Adam(how.rate)
     rows = torch.arange(batch.scenes, device=drawn.device)
     for step in range(1, how.steps + 1):
         wrong, gradient = _slope(x, origin, decode, context, batch, how)
         x = torch.where(wrong[:, None, None, None], adam.step(x, gradient), x)
-        made[rows] = x
+        refined[rows] = x
         if step % _ROUND:
             continue
         left = torch.nonzero(wrong).ravel()
@@ -143,7 +143,7 @@ def together(
             rows, x, origin = rows[left], x[left], origin[left]
             batch, context = batch.rows(left), context.rows(left)
             adam.keep(left)
-    return made
+    return refined
 
 
 def _slope(

@@ -177,5 +177,5 @@ def foresee(
 
 def draw(like: Tensor, generator: torch.Generator) -> Tensor:
     """Return standard normal noise of the shape and on the device of *like*."""
-    made = torch.randn(like.shape, generator=generator, dtype=like.dtype, device=generator.device)
-    return made.to(like.device)
+    noise = torch.randn(like.shape, generator=generator, dtype=like.dtype, device=generator.device)
+    return noise.to(like.device)

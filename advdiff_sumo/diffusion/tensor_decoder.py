@@ -58,7 +58,7 @@ class TensorDecoder:
             None if bool(batch.present.all()) else torch.where(batch.present, 0.0, ABSENT)[:, None, :, None]
         )
         motion: _Motion = pose[..., :2], pose[..., 2], pose[..., 3].clamp(min=0.0)
-        states, seen, senders = [], [], []
+        states, edge_features, senders = [], [], []
         given_edges = None if trace is None else self._of_trace(trace, rows, steps)
         for k in range(steps):
             edges = self._edge.of(motion) if given_edges is None else given_edges[k]
@@ -67,13 +67,13 @@ class TensorDecoder:
             mixed, said = self._mix(node, edges, rows, others, blocked)
             accel, curvature = controls(net.action(mixed), motion[2], length, net.options)
             accel, curvature = accel * moved, curvature * moved
-            seen.append(torch.cat((motion[0], motion[1][..., None], motion[2][..., None]), dim=-1))
+            edge_features.append(torch.cat((motion[0], motion[1][..., None], motion[2][..., None]), dim=-1))
             senders.append(said)
             motion = step(*motion, accel, curvature, MODEL_STEP_S)
             memory = self._remember(mixed, accel, curvature, memory)
             states.append((*motion, accel, curvature))
         rollout = Rollout(*(torch.stack(column, dim=2) for column in zip(*states, strict=True)))
-        return rollout, Trace(torch.stack(seen), torch.stack(senders))
+        return rollout, Trace(torch.stack(edge_features), torch.stack(senders))
 
     def _of_trace(self, trace: Trace, rows: Tensor, steps: int) -> list[tuple[Tensor, ...]]:
         """Return for each step and layer what *rows* see, (B, R, A, M)."""

@@ -75,8 +75,8 @@ class TensorDenoiser:
             scale, shift = self._steps[k]
             state = state_of(x, k)
             y = _convolve(into, _across(x.flatten(0, 1))) + about
-            made = self._unet(y, state * scale, state * shift)
-            return _across(made).reshape(scenes, agents, *x.shape[2:])
+            predicted = self._unet(y, state * scale, state * shift)
+            return _across(predicted).reshape(scenes, agents, *x.shape[2:])
 
         return noise
 

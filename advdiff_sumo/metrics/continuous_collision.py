@@ -79,17 +79,17 @@ def first_contact(a: Sweep, b: Sweep) -> FloatArray:
     ``LEAST_ADVANCE`` of the step may be missed; nothing longer is. Rows that hold NaN give NaN.
     """
     fraction = np.zeros(len(a.yaw_rad))
-    found = np.zeros(len(a.yaw_rad), dtype=np.bool_)
+    hit = np.zeros(len(a.yaw_rad), dtype=np.bool_)
     active = np.flatnonzero(may_touch(a, b))
     while active.size:
         gap, advance = _advance(a.rows(active), b.rows(active), fraction[active])
         touching = gap <= TOUCH_M
-        found[active[touching]] = True
+        hit[active[touching]] = True
         later = fraction[active] + np.maximum(advance, LEAST_ADVANCE)
         going = ~touching & (later < 1.0)
         active = active[going]
         fraction[active] = later[going]
-    return np.where(found, fraction, np.nan)
+    return np.where(hit, fraction, np.nan)
 
 
 def _advance(a: Sweep, b: Sweep, fraction: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -44,8 +44,8 @@ def post_encroachment(tracks: Tracks, target: int) -> Extreme | None:
         batch = order[start : start + _BATCH]
         if best is not None and (wait[batch[0]] - 1) * tracks.dt_s >= best[0]:
             break
-        found = _finest(tracks, target, own[batch], other[batch], row[batch])
-        best = min((x for x in (best, found) if x is not None), default=None)
+        finest = _finest(tracks, target, own[batch], other[batch], row[batch])
+        best = min((x for x in (best, finest) if x is not None), default=None)
     return None if best is None else Extreme(best[0], best[1], best[2])
 
 

@@ -83,7 +83,7 @@ def _located(
 
 def _distances_ahead(road: RoadMap, lane_id: str, route: Sequence[str]) -> dict[str, float]:
     """Return the distance from the start of *lane_id* to the start of it and of each lane it leads to."""
-    found = {lane_id: 0.0}
+    distances = {lane_id: 0.0}
     here, end = road.lanes[lane_id], road.lanes[lane_id].length_m
     onward = dict(pairwise(route))
     first = end
@@ -92,9 +92,9 @@ def _distances_ahead(road: RoadMap, lane_id: str, route: Sequence[str]) -> dict[
         fitting = [x for x in here.successors if road.lanes[x.to_lane].edge_id == wanted]
         link = (fitting or list(here.successors))[0]
         for name in (*link.via, link.to_lane):
-            if name in found:
-                return found
-            found[name] = end
+            if name in distances:
+                return distances
+            distances[name] = end
             end += road.lanes[name].length_m
         here = road.lanes[link.to_lane]
-    return found
+    return distances

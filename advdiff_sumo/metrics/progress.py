@@ -100,7 +100,7 @@ def _positions(record: EpisodeRecord, road: RoadMap) -> list[float]:
     placed = place(road, record.tracks, record.target, 0, record.tracks.steps)
     every = max(1, round(_EVERY_S / record.tracks.dt_s))
     driven = _driven_m(record)
-    found: list[tuple[float, float]] = []  # position along the route, metres driven until there
+    positions: list[tuple[float, float]] = []  # position along the route, metres driven until there
     passed = 0
     for k in sorted({*range(0, record.tracks.steps, every), record.tracks.steps - 1}):
         edge = _route_edge(road, placed.lane[k], record.route, passed)
@@ -109,11 +109,11 @@ def _positions(record: EpisodeRecord, road: RoadMap) -> list[float]:
         at = starts[edge[0]] + _along_edge(
             road, record.route[edge[0]], str(placed.lane[k]), float(placed.s_m[k])
         )
-        if found and at - found[-1][0] > _STRETCH * (driven[k] - found[-1][1]) + _SLACK_M:
+        if positions and at - positions[-1][0] > _STRETCH * (driven[k] - positions[-1][1]) + _SLACK_M:
             continue  # a later edge of the route that lies close by
         passed = edge[0]
-        found.append((at, float(driven[k])))
-    return [at for at, _ in found]
+        positions.append((at, float(driven[k])))
+    return [at for at, _ in positions]
 
 
 def _driven_m(record: EpisodeRecord) -> FloatArray:

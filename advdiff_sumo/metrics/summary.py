@@ -124,8 +124,8 @@ def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None
             :func:`~advdiff_sumo.metrics.verdict.judge`.
     """
     touches = find_touches(record.tracks)
-    found = collisions(record, touches)
-    struck, left_road = target_collision(record, found), target_leaves_road(record, road)
+    contacts = collisions(record, touches)
+    struck, left_road = target_collision(record, contacts), target_leaves_road(record, road)
     if struck is not None and left_road is not None:
         if struck.time_s <= left_road.time_s:
             left_road = None
@@ -135,7 +135,7 @@ def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None
     criticality = _criticality(record, road, before, struck)
     collided = struck is not None or left_road is not None or record.failure is not None
     return EpisodeMetrics(
-        found=tuple(found),
+        found=tuple(contacts),
         struck=None if struck is None else judged(record, road, struck, solvable),
         left_road=left_road,
         near_miss=None if collided else near_miss(record, road, criticality.ttc),
@@ -143,8 +143,8 @@ def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None
         criticality=criticality,
         comfort=comfort(before, record.target),
         progress=progress(record, road),
-        background=tuple(background_collisions(record, found)),
-        replayed=tuple(replayed_collisions(record, found)),
+        background=tuple(background_collisions(record, contacts)),
+        replayed=tuple(replayed_collisions(record, contacts)),
         background_off_road=background_off_road(record, road),
     )
 

@@ -21,4 +21,4 @@ def attacker_visible(record: EpisodeRecord, collision: Collision) -> bool | None
     name = record.tracks.ids[collision.rows[1]]
     count = round(SEEN_WITHIN_S / record.tracks.dt_s)
     first = max(0, collision.step + 1 - count)
-    return any(name in seen for seen in record.visible[first : collision.step + 1])
+    return any(name in names for names in record.visible[first : collision.step + 1])

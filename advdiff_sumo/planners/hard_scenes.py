@@ -19,7 +19,7 @@ def hard_scenes(scene: Scene) -> dict[str, Scene]:
     Args:
         scene: an ordinary instant with others around the target.
     """
-    made = {
+    variants = {
         "nobody else is there": _alone(scene),
         "it stands": _standing(scene),
         "no route is known": replace(scene, routes=tuple(() for _ in scene.routes)),
@@ -27,7 +27,7 @@ def hard_scenes(scene: Scene) -> dict[str, Scene]:
         "it is off the road": _aside(scene),
     }
     blocked = _blocked(scene)
-    return made if blocked is None else {**made, "somebody stands right before it": blocked}
+    return variants if blocked is None else {**variants, "somebody stands right before it": blocked}
 
 
 def _alone(scene: Scene) -> Scene:

@@ -130,14 +130,14 @@ def _begin(planner: Planner, road: RoadMap, scene: Scene) -> tuple[Plan, Any]:
     return _unpacked(planner.plan(road, scene, memory, np.random.default_rng(_SEED)))
 
 
-def _unpacked(made: object) -> tuple[Plan, Any]:
-    if not (isinstance(made, tuple) and len(made) == 2):
-        raise _BrokenContractError(f"plan() returned {type(made).__name__}, not (plan, memory)")
-    if not isinstance(made[0], Trajectory | Controls):
+def _unpacked(answer: object) -> tuple[Plan, Any]:
+    if not (isinstance(answer, tuple) and len(answer) == 2):
+        raise _BrokenContractError(f"plan() returned {type(answer).__name__}, not (plan, memory)")
+    if not isinstance(answer[0], Trajectory | Controls):
         raise _BrokenContractError(
-            f"plan() returned a {type(made[0]).__name__}, not a Trajectory or Controls"
+            f"plan() returned a {type(answer[0]).__name__}, not a Trajectory or Controls"
         )
-    return made
+    return answer
 
 
 def plan_problems(plan: Plan, scene: Scene) -> list[str]:
@@ -160,8 +160,8 @@ def _of_plan(plan: Plan, scene: Scene) -> list[Problem]:
             return [Problem(Part.FORM, f"{name} is {array.dtype}, not float64")]
         if not np.isfinite(array).all():
             return [Problem(Part.NUMBERS, f"{name} holds values that are not finite")]
-    found = _control_problems(plan) if isinstance(plan, Controls) else _trajectory_problems(plan, scene)
-    return [Problem(Part.MOTION, text) for text in found]
+    faults = _control_problems(plan) if isinstance(plan, Controls) else _trajectory_problems(plan, scene)
+    return [Problem(Part.MOTION, text) for text in faults]
 
 
 def _control_problems(plan: Controls) -> list[str]:
@@ -185,7 +185,7 @@ def _trajectory_problems(plan: Trajectory, scene: Scene) -> list[str]:
     fastest = np.maximum(speed[1:], speed[:-1]) * plan.dt_s + _SLACK_M
     gain = np.diff(speed) / plan.dt_s
     slack = _SLACK_MPS / plan.dt_s
-    found = [
+    faults = [
         (stride > fastest, "moves farther than its speeds allow"),
         (gain > limits.accel_mps2 + slack, f"accelerates by more than {limits.accel_mps2:g} m/s²"),
         (gain < -limits.brake_mps2 - slack, f"brakes by more than {limits.brake_mps2:g} m/s²"),
@@ -194,7 +194,7 @@ def _trajectory_problems(plan: Trajectory, scene: Scene) -> list[str]:
             f"turns faster than {_MAX_YAW_RATE_RADPS:g} rad/s",
         ),
     ]
-    return [f"step {int(np.argmax(bad))} {words}" for bad, words in found if bad.any()]
+    return [f"step {int(np.argmax(bad))} {words}" for bad, words in faults if bad.any()]
 
 
 def same_plan(one: Plan, other: Plan) -> bool:

@@ -61,12 +61,12 @@ def _sound(name: str, options: Mapping[str, Any]) -> Target:
     canonical = TARGETS.canonical(name)
     if canonical in CAR_FOLLOWING:
         return sumo_driver(canonical, options)
-    made = _call(canonical, TARGETS.load(canonical), options)
-    if isinstance(made, SumoDriver | Planner):
-        return made
-    missing = [method for method in ("start", "plan") if not callable(getattr(made, method, None))]
+    target = _call(canonical, TARGETS.load(canonical), options)
+    if isinstance(target, SumoDriver | Planner):
+        return target
+    missing = [method for method in ("start", "plan") if not callable(getattr(target, method, None))]
     raise ConfigError(
-        f"target '{canonical}' is no planner: {type(made).__name__} lacks {' and '.join(missing)}"
+        f"target '{canonical}' is no planner: {type(target).__name__} lacks {' and '.join(missing)}"
     )
 
 

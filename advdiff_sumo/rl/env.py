@@ -163,10 +163,10 @@ class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         info: dict[str, Any] = {"reward_terms": terms}
         if terminated or truncated:
             info["episode_summary"] = self._summary(end, terms)
-        seen = self._blank() if terminated else self._look(loop)
+        observation = self._blank() if terminated else self._look(loop)
         if terminated or truncated:
             self._leave()
-        return seen, reward, terminated, truncated, info
+        return observation, reward, terminated, truncated, info
 
     @property
     def loop(self) -> Loop:
@@ -200,9 +200,9 @@ class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         names = now.attackers if now is not None else ()
         attacker = loop.world.row_of(names[0]) if names else None
         frames = loop.recorder.frames
-        made = min(loop.sim.substeps, len(frames) - 1)
+        done_steps = min(loop.sim.substeps, len(frames) - 1)
         half = Half(
-            frames=frames[-made - 1 :],
+            frames=frames[-done_steps - 1 :],
             size_m=loop.world.size_m[: len(loop.world)],
             attacker=attacker,
             target=loop.target,

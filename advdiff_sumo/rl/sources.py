@@ -67,8 +67,8 @@ class Sources:
         number = int(rng.integers(self._options.scenes))
         seed = SeedTree(int(rng.integers(2**31))).child("adversary")
         scene = self._scene(net, number)
-        made = run.episode(number, scene)
-        return replace(made, policy=policy, names=(made.names[0], "adv-rl"), seed=seed)
+        episode = run.episode(number, scene)
+        return replace(episode, policy=policy, names=(episode.names[0], "adv-rl"), seed=seed)
 
     def _scene(self, net: int, number: int) -> SeedScene:
         batch, place = divmod(number, self._options.scene.scenes_per_warmup)

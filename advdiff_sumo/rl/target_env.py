@@ -202,12 +202,12 @@ class TargetEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         terms = self._pay(loop, before, outside, end)
         terminated = end not in _OVER or gone
         truncated = not terminated and loop.steps >= loop.episode.steps
-        seen = self._blank() if terminated else self._look()
+        view = self._blank() if terminated else self._look()
         info: dict[str, Any] = {"reward_terms": terms}
         if terminated or truncated:
             info["end"] = "off_road" if gone and end in _OVER else str(end)
             self.close()
-        return seen, float(sum(terms.values())), terminated, truncated, info
+        return view, float(sum(terms.values())), terminated, truncated, info
 
     def _pay(
         self, loop: Loop, before_m: NDArray[np.float64], off_road_share: float, end: EndReason

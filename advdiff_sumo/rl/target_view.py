@@ -33,18 +33,18 @@ def observation(road: RoadMap, scene: Scene) -> FloatArray:
 
 
 def _lane(road: RoadMap, scene: Scene, xy_m: FloatArray, yaw_rad: float, speed_mps: float) -> FloatArray:
-    seen = np.zeros(_OWN + 2 * len(AHEAD_M))
-    seen[0] = speed_mps / 15.0
+    features = np.zeros(_OWN + 2 * len(AHEAD_M))
+    features[0] = speed_mps / 15.0
     route = scene.routes[scene.target]
     pose = road.locate(xy_m, yaw_rad, route=route or None)
     paths = road.lane_path(route, pose.lane_id, 60.0, start_s_m=pose.s_m) if pose and route else []
     if pose is None or not paths:
-        return seen
+        return features
     error = wrap_angle(pose.yaw_error_rad)
-    seen[1:5] = road.lanes[pose.lane_id].speed_mps / 15.0, pose.d_m / 2.0, np.sin(error), np.cos(error)
+    features[1:5] = road.lanes[pose.lane_id].speed_mps / 15.0, pose.d_m / 2.0, np.sin(error), np.cos(error)
     points = paths[0].line.at(np.array(AHEAD_M), extrapolate=True)[0]
-    seen[5:] = local_from_world(points, xy_m, yaw_rad).ravel() / AHEAD_M[-1]
-    return seen
+    features[5:] = local_from_world(points, xy_m, yaw_rad).ravel() / AHEAD_M[-1]
+    return features
 
 
 def _others(scene: Scene, xy_m: FloatArray, yaw_rad: float, speed_mps: float) -> FloatArray:
@@ -54,15 +54,15 @@ def _others(scene: Scene, xy_m: FloatArray, yaw_rad: float, speed_mps: float) ->
     rows = np.flatnonzero(there)
     gap = np.linalg.norm(now.xy_m[rows, -1] - xy_m, axis=-1)
     rows = rows[np.argsort(gap, kind="stable")][:OTHERS]
-    seen = np.zeros((OTHERS, _OTHER))
+    features = np.zeros((OTHERS, _OTHER))
     place = local_from_world(now.xy_m[rows, -1], xy_m, yaw_rad)
     heading = unit(now.yaw_rad[rows, -1] - yaw_rad)
     velocity = now.speed_mps[rows, -1][:, None] * heading - np.array([speed_mps, 0.0])
-    seen[: len(rows), 0] = 1.0
-    seen[: len(rows), 1:3] = place / np.array([50.0, 20.0])
-    seen[: len(rows), 3:5] = velocity / 15.0
-    seen[: len(rows), 5:7] = now.size_m[rows] / np.array([10.0, 3.0])
-    return seen.ravel()
+    features[: len(rows), 0] = 1.0
+    features[: len(rows), 1:3] = place / np.array([50.0, 20.0])
+    features[: len(rows), 3:5] = velocity / 15.0
+    features[: len(rows), 5:7] = now.size_m[rows] / np.array([10.0, 3.0])
+    return features.ravel()
 
 
 def controls_of(action: FloatArray) -> Controls:

@@ -79,16 +79,16 @@ def net_of_configuration(path: Path) -> Path:
 
 
 def _of_configuration(path: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
-    found: dict[str, tuple[Path, ...]] = {}
+    files: dict[str, tuple[Path, ...]] = {}
     for element in _elements(path):
         if element.tag in {"route-files", "additional-files"}:
             names = element.get("value", "").replace(",", " ").split()
-            found[element.tag] = tuple(path.parent / name for name in names)
-    if not found.get("route-files"):
+            files[element.tag] = tuple(path.parent / name for name in names)
+    if not files.get("route-files"):
         raise FileError(path, "names no route-files", "give a .rou.xml or a configuration that has them")
-    for name in (name for names in found.values() for name in names):
+    for name in (name for names in files.values() for name in names):
         _must_be_file(name, f"{path.name} names it: put it there or correct the name")
-    return found["route-files"], found.get("additional-files", ())
+    return files["route-files"], files.get("additional-files", ())
 
 
 def opened(path: Path) -> gzip.GzipFile | BufferedReader:

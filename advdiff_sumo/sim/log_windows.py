@@ -142,10 +142,10 @@ def build(
             builder.windows += log_windows(drive, road, options, focal)
             built.drives[drive.name] = len(builder.windows) - before
             tell(drive.name, built.drives[drive.name])
-    made = {b.map_name: b.build() for b in builders.values() if b.windows}
-    if not made:
+    window_files = {b.map_name: b.build() for b in builders.values() if b.windows}
+    if not window_files:
         raise SceneError(_nothing(logs, nets, built))
-    for path, windows in _placed(out, made):
+    for path, windows in _placed(out, window_files):
         write_windows(path, windows)
         built.files[path] = windows.windows
     return built
@@ -271,18 +271,18 @@ def _convert(source: Path, net: Path) -> None:
         convert_source(read_map(source), net)
 
 
-def _placed(out: Path, made: Mapping[str, WindowFile]) -> Iterator[tuple[Path, WindowFile]]:
+def _placed(out: Path, placed: Mapping[str, WindowFile]) -> Iterator[tuple[Path, WindowFile]]:
     if out.suffix == SUFFIX:
-        if len(made) > 1:
+        if len(placed) > 1:
             raise ConfigError(
-                f"--out {out}: the drives are on {len(made)} nets ({', '.join(sorted(made))}) and a file holds "
+                f"--out {out}: the drives are on {len(placed)} nets ({', '.join(sorted(placed))}) and a file holds "
                 "one; name a folder"
             )
         out.parent.mkdir(parents=True, exist_ok=True)
-        yield out, next(iter(made.values()))
+        yield out, next(iter(placed.values()))
         return
     out.mkdir(parents=True, exist_ok=True)
-    yield from ((out / f"{name}{SUFFIX}", made[name]) for name in sorted(made))
+    yield from ((out / f"{name}{SUFFIX}", placed[name]) for name in sorted(placed))
 
 
 def _nothing(logs: Sequence[tuple[Path, LogReader]], nets: Nets, built: Built) -> str:

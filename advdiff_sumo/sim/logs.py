@@ -63,9 +63,9 @@ class LoggedTraffic:
         for turn in range(max(len(s) for s in starts)):
             for drive, instants in zip(drives, starts, strict=True):
                 if turn < len(instants):
-                    made = self._scene(drive, instants[turn])
-                    if made is not None:
-                        yield made
+                    scene = self._scene(drive, instants[turn])
+                    if scene is not None:
+                        yield scene
 
     def standing_starts(self) -> int:
         """Return how many starts are passed over because the ego stands there, or nearly (``min_speed_mps``)."""

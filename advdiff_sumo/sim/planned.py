@@ -26,13 +26,13 @@ def made_plans(scene: Scene, own: Plan | None, joint: JointPlan | None, sim: Sim
         joint: the background's.
         sim: spacing, and how many vehicles are kept; the nearest ones, in the order of their distance.
     """
-    found: dict[str, FloatArray] = {}
+    planned: dict[str, FloatArray] = {}
     if sim.record_plans and own is not None:
-        found[scene.target_id] = _at_model_step(_own_tracks(scene, own, sim), scene.time_s, sim)[0]
+        planned[scene.target_id] = _at_model_step(_own_tracks(scene, own, sim), scene.time_s, sim)[0]
     if sim.record_plans and joint is not None and joint.tracks.agents:
         near = _nearest(scene, joint.tracks, sim.record_plans)
-        found |= zip(near.ids, _at_model_step(near, scene.time_s, sim), strict=True)
-    known = {name: xy for name, xy in found.items() if np.isfinite(xy).any()}
+        planned |= zip(near.ids, _at_model_step(near, scene.time_s, sim), strict=True)
+    known = {name: xy for name, xy in planned.items() if np.isfinite(xy).any()}
     if not known:
         return None
     return MadePlans(scene.time_s, sim.model_step_s, tuple(known), np.stack(list(known.values())))

@@ -149,10 +149,10 @@ def plans_table(record: EpisodeRecord) -> pa.Table:
     times = [plans.made_s + plans.dt_s * (step + 1) for plans, (_, step) in pairs]
     places = [plans.xy_m[where] for plans, where in pairs]
     xy = np.round(np.concatenate([np.zeros((0, 2)), *places]), 2) + 0.0  # no −0
-    made = [np.full(count, plans.made_s) for plans, count in zip(record.plans, counts, strict=True)]
+    made_s = [np.full(count, plans.made_s) for plans, count in zip(record.plans, counts, strict=True)]
     columns: dict[str, Any] = {
         "episode": np.full(sum(counts), record.episode),
-        "made_s": np.round(np.concatenate([np.zeros(0), *made]), 6),
+        "made_s": np.round(np.concatenate([np.zeros(0), *made_s]), 6),
         "agent": [plans.ids[row] for plans, (agent, _) in pairs for row in agent.tolist()],
         "time_s": np.round(np.concatenate([np.zeros(0), *times]), 6),
         "x_m": xy[:, 0],

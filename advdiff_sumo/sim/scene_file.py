@@ -74,8 +74,8 @@ def _start(meta: Mapping[str, Any], arrays: Mapping[str, Any]) -> SavedTraffic |
 
 def _tracks(prefix: str, meta: Mapping[str, Any], arrays: Mapping[str, Any]) -> Tracks:
     plain = meta[prefix]
-    made = {name: arrays[f"{prefix}.{name}"] for name in _ARRAYS}
-    return Tracks(ids=tuple(plain["ids"]), **made, t0_s=plain["t0_s"], dt_s=plain["dt_s"])
+    fields = {name: arrays[f"{prefix}.{name}"] for name in _ARRAYS}
+    return Tracks(ids=tuple(plain["ids"]), **fields, t0_s=plain["t0_s"], dt_s=plain["dt_s"])
 
 
 def _bytes(content: bytes) -> Any:

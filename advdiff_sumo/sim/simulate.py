@@ -174,11 +174,11 @@ def make_shard(shard: Shard, out: Path) -> int:
     share = min(RUN_WINDOWS, -(-shard.windows // 2))
     for run in range(_MOST_RUNS):
         seed = shard.seed.child("run", run)
-        found = list(cut(record(road, seed), road, seed, f"{shard.name}-{run}"))
+        windows = list(cut(record(road, seed), road, seed, f"{shard.name}-{run}"))
         wanted = min(share, shard.windows - len(builder.windows))
         rng = seed.child("choice").generator()
-        picked = sorted(rng.permutation(len(found))[:wanted].tolist())
-        builder.windows += [found[k] for k in picked]
+        picked = sorted(rng.permutation(len(windows))[:wanted].tolist())
+        builder.windows += [windows[k] for k in picked]
         if len(builder.windows) == shard.windows:
             break
     if not builder.windows:
@@ -214,7 +214,7 @@ def _complete(shard: Shard, out: Path) -> int:
     path = out / f"{shard.name}{SUFFIX}"
     if not path.exists():
         return 0
-    found = read_windows(path)
-    if found.extra.get("recipe") != shard.recipe:
+    window_file = read_windows(path)
+    if window_file.extra.get("recipe") != shard.recipe:
         raise FileError(path, "was made with other options", "choose another --out, or delete it")
-    return found.windows
+    return window_file.windows

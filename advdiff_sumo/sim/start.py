@@ -156,5 +156,5 @@ def _forget_advices(vehicle: Element) -> None:
 
 def _mean(factor: float | str) -> float:
     """Return a speed factor's number, or the mean of SUMO's "normc(mean,…)"."""
-    found = re.search(r"[\d.]+", str(factor))
-    return float(found.group()) if found else 1.0
+    match = re.search(r"[\d.]+", str(factor))
+    return float(match.group()) if match else 1.0

@@ -53,8 +53,8 @@ class SumoDrive:
         """Return what its models see; names as in the record."""
         if self.world.controller[self.row] == Controller.ABSENT:
             return frozenset()
-        seen = visible_ids(self.api, self.world.sumo_ids[self.row])
-        return frozenset(self.world.ids[self.world.index[name]] for name in seen if name in self.world.index)
+        names = visible_ids(self.api, self.world.sumo_ids[self.row])
+        return frozenset(self.world.ids[self.world.index[name]] for name in names if name in self.world.index)
 
     def arrived(self) -> bool:
         """SUMO takes an arrived vehicle off the net, which the loop notices."""
@@ -113,12 +113,14 @@ class PlannerDrive:
 
     def _plan(self, view: Scene) -> Plan:
         begun = time.perf_counter()
-        made: Any = self.planner.plan(self.road, view, self._memory, self.rng)
+        answer: Any = self.planner.plan(self.road, view, self._memory, self.rng)
         self.planning_s.append(time.perf_counter() - begun)
-        if not (isinstance(made, tuple) and len(made) == 2):
-            raise PlanRefusedError(f"target '{self.name}' returned {type(made).__name__}, not (plan, memory)")
-        plan: Plan = made[0]
-        self._memory = made[1]
+        if not (isinstance(answer, tuple) and len(answer) == 2):
+            raise PlanRefusedError(
+                f"target '{self.name}' returned {type(answer).__name__}, not (plan, memory)"
+            )
+        plan: Plan = answer[0]
+        self._memory = answer[1]
         check_plan(plan, self.world.xy_m[self.row], self.sim.model_step_s, f"target '{self.name}'")
         return plan
 

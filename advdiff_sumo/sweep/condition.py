@@ -112,10 +112,10 @@ def _value(node: Any, figures: Mapping[str, float | None]) -> Any:
         return _ARITHMETIC[type(node.op)](_value(node.left, figures), _value(node.right, figures))
     if isinstance(node, ast.Constant):
         return node.value
-    found = figures[node.id]
-    if found is None:
+    figure = figures[node.id]
+    if figure is None:
         raise Undefined(node.id)
-    return found
+    return figure
 
 
 def _refused(text: str, problem: str) -> ConfigError:

@@ -83,9 +83,9 @@ def _rows(part: Part, job: Job, plan: Plan, folder: Path) -> dict[str, pa.Table]
     own = job_row(job, plan.options(job))
     tables: dict[str, pa.Table] = {}
     for name, table in part.tables.items():
-        told = table.drop_columns(["episode"])
+        columns = table.drop_columns(["episode"])
         leading = own if name == "episodes" else {"episode": job.index}
-        tables[name] = _led(told, leading, SWEEP_TABLES[name])
+        tables[name] = _led(columns, leading, SWEEP_TABLES[name])
     if part.failed is not None:
         command = f"advdiff-sumo replay {job.key} --sweep {folder}"
         row = {**own, **vars(part.failed), "command": command}

@@ -41,9 +41,9 @@ class Part:
     def from_bytes(content: bytes) -> Part:
         """Return the part of :meth:`to_bytes`."""
         entries = unpack(content)
-        told = entries.pop(_FAILURE, None)
+        failure = entries.pop(_FAILURE, None)
         tables = {name.removesuffix(".parquet"): pq.read_table(io.BytesIO(e)) for name, e in entries.items()}
-        return Part(tables, None if told is None else Failed(**json.loads(told)))
+        return Part(tables, None if failure is None else Failed(**json.loads(failure)))
 
     @staticmethod
     def glance(content: bytes) -> tuple[dict[str, Any] | None, Failed | None]:

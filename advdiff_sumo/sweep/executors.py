@@ -147,7 +147,7 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         slot, task = self._running.pop(future)
         limits = self.limits
         try:
-            made: Outcome = future.result()
+            outcome: Outcome = future.result()
         except FutureTimeoutError:
             return lost(task, limits, None, "")
         except ProcessExpired as error:
@@ -160,7 +160,7 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
             self._discard(slot)
             return lost(task, limits, None, "was killed while it took the task")
         self._overdue.pop(task.key, None)
-        return made
+        return outcome
 
     def _end_overdue(self) -> None:
         """End workers that have been at one plan, or one step of SUMO, for too long."""

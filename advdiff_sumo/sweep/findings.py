@@ -59,8 +59,10 @@ def findings(episodes: Sequence[Row]) -> list[Finding]:
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in worst_first(row for row in episodes if row["target_collision"]):
         groups.setdefault((str(row["collision_type"]), str(row["junction_type"])), []).append(row)
-    found = [_finding(kind, members) for kind in sorted(groups) for members in _clusters(groups[kind])]
-    return sorted(found, key=lambda f: (-f.valid, -len(f.episodes), f.type, f.junction_type, f.episodes[0]))
+    clusters = [_finding(kind, members) for kind in sorted(groups) for members in _clusters(groups[kind])]
+    return sorted(
+        clusters, key=lambda f: (-f.valid, -len(f.episodes), f.type, f.junction_type, f.episodes[0])
+    )
 
 
 def _finding(kind: tuple[str, str], members: list[Row]) -> Finding:

@@ -99,11 +99,11 @@ class Plan:
         Raises:
             ConfigError: there is none, or more than one.
         """
-        found = [job for job in self.jobs if job.key.startswith(key)]
-        if len(found) != 1:
-            problem = "belongs to no episode" if not found else f"is the beginning of {len(found)} keys"
+        jobs = [job for job in self.jobs if job.key.startswith(key)]
+        if len(jobs) != 1:
+            problem = "belongs to no episode" if not jobs else f"is the beginning of {len(jobs)} keys"
             raise ConfigError(f"'{key}' {problem} of this sweep; take a key from its episodes.parquet")
-        return found[0]
+        return jobs[0]
 
 
 def plan_sweep(spec: SweepSpec) -> Plan:
@@ -116,16 +116,16 @@ def plan_sweep(spec: SweepSpec) -> Plan:
     cells = tuple(check.cell(options) for options in spec.cells())
     jobs: list[Job] = []
     batches: dict[str, Batch] = {}
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for cell, options in enumerate(cells):
         source = source_digest(options, check.demand(options))
         own = cell_digest(options, source)
-        if own in seen:
+        if own in counts:
             raise ConfigError(
                 f"two entries of the sweep are the same: {options.target} with {options.background} on "
                 f"{options.net}, seed {options.seed}; leave one out"
             )
-        seen[own] = cell
+        counts[own] = cell
         for number in range(options.episodes):
             batch, place = _batch(options, source, number, batches)
             scene_key = digest([source, "scene", number])
@@ -183,8 +183,8 @@ def _batch(options: RunOptions, source: str, number: int, batches: dict[str, Bat
 
 def car_junctions(roads: Iterable[RoadMap]) -> tuple[str, ...]:
     """Return the kinds of junction that a car can meet on *roads*."""
-    found = (junction.type for road in roads for junction in road.junctions.values())
-    return tuple(sorted(set(found) - {"dead_end", "internal"}))
+    kinds = (junction.type for road in roads for junction in road.junctions.values())
+    return tuple(sorted(set(kinds) - {"dead_end", "internal"}))
 
 
 class _Check:
@@ -234,8 +234,8 @@ class _Check:
     def _once(self, what: list[Any], make: Callable[[RunOptions], Any], options: RunOptions) -> Any:
         key = digest(what)
         if key not in self._known:
-            made = make(options)
-            self._known[key] = made if what[0] == "target" else None
+            driver = make(options)
+            self._known[key] = driver if what[0] == "target" else None
         return self._known[key]
 
 

@@ -93,12 +93,12 @@ class RayExecutor(AbstractContextManager["RayExecutor"]):
         (reference,), _ = self._ray.wait(list(self._running), num_returns=1)
         task = self._running.pop(reference)
         try:
-            made: Outcome = self._ray.get(reference)
+            outcome: Outcome = self._ray.get(reference)
         except self._ray.exceptions.RayTaskError as error:
             return Outcome(task.key, (), Failed("error", _first_line(error), str(error)))
         except self._ray.exceptions.RayError as error:  # the worker or its whole machine is gone
             return lost(task, self.limits, None, f"was lost ({type(error).__name__})")
-        return made
+        return outcome
 
 
 def on_worker(task: Task, limits: Limits, assets: Mapping[str, bytes]) -> Outcome:

@@ -202,7 +202,7 @@ def _values(pairs: Sequence[tuple[Row, Row]], draw: _Draws) -> dict[str, ValueCh
     for column in _VALUES:
         chosen = [k for k, (a, b) in enumerate(pairs) if a[column] is not None and b[column] is not None]
         if chosen:
-            found = np.array([float(pairs[k][1][column]) - float(pairs[k][0][column]) for k in chosen])
-            low, high = draw.interval(found, chosen)
-            changes[column] = ValueChange(len(chosen), float(found.mean()), low, high)
+            differences = np.array([float(pairs[k][1][column]) - float(pairs[k][0][column]) for k in chosen])
+            low, high = draw.interval(differences, chosen)
+            changes[column] = ValueChange(len(chosen), float(differences.mean()), low, high)
     return changes

@@ -59,8 +59,8 @@ def sweep_with(key: str, folder: Path | None, among: Path) -> tuple[Store, Plan,
         plan = plan_sweep(store.spec())
         store.must_match(plan.keys)
         return store, plan, plan.find(key)
-    for found in sorted(among.glob(f"*/{SETTINGS}")):
-        store = Store(found.parent)
+    for settings_path in sorted(among.glob(f"*/{SETTINGS}")):
+        store = Store(settings_path.parent)
         plan = plan_sweep(store.spec())
         if any(job.key.startswith(key) for job in plan.jobs):
             return store, plan, plan.find(key)
@@ -122,10 +122,10 @@ def _scene(store: Store, run: Run, job: Job) -> SeedScene:
         return scene_from_bytes(kept[job.place], run.road.path)
     if run.log is None:
         return run.scene_batch(job.number // run.options.scene.scenes_per_warmup)[job.place]
-    made = next(islice(run.seed_scenes(), job.place, None), None)
-    if made is None:
+    scene = next(islice(run.seed_scenes(), job.place, None), None)
+    if scene is None:
         raise SceneError(f"{run.options.scenes}: has no seed scene number {job.place + 1}")
-    return made
+    return scene
 
 
 def _same(stored: Part | None, again: Part) -> bool | None:

@@ -60,8 +60,8 @@ class RunFolder:
             ConfigError: it is of a run with other options.
         """
         begun = (path / SETTINGS).exists()
-        made = tuple(folder for folder in (path, *path.parents) if not folder.exists())
-        folder = RunFolder(path, made, fresh=not begun)
+        new_folders = tuple(folder for folder in (path, *path.parents) if not folder.exists())
+        folder = RunFolder(path, new_folders, fresh=not begun)
         if begun:
             folder._must_continue(settings, resume)
         elif path.is_dir() and any(child.name != _PARTS for child in path.iterdir()):

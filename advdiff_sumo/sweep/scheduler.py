@@ -182,8 +182,8 @@ class Conductor:
         self._refuse(failed)
         message = f"no seed scene: {failed.message}"
         for job in self._waiting.pop(task.key, ()):
-            told = Failed(failed.kind, message, failed.log_tail, self._attempts[task.key])
-            self._record(job, Outcome(job.key, (), told))
+            final = Failed(failed.kind, message, failed.log_tail, self._attempts[task.key])
+            self._record(job, Outcome(job.key, (), final))
 
     def _record_short(self) -> None:
         """Record the episodes for which a driving log has no scene."""

@@ -198,8 +198,8 @@ class SweepSpec(Options):
 
 def _absolute(place: _Place) -> _Place:
     files = {name: getattr(place, name) for name in ("demand", "scenes")}
-    found = {name: str(Path(file).resolve()) for name, file in files.items() if file}
-    return place.model_copy(update={"net": net_name(place.net), **found})
+    resolved = {name: str(Path(file).resolve()) for name, file in files.items() if file}
+    return place.model_copy(update={"net": net_name(place.net), **resolved})
 
 
 def _all(choices: Sequence[Choice], where: str) -> Iterator[tuple[str, dict[str, Any]]]:

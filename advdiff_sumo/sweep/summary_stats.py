@@ -54,7 +54,7 @@ class Figures:
         rates = {name: _rate(finished, test, _NEEDS.get(name)) for name, test in _RATES.items()}
         rates["failure_rate"] = Rate.of(len(failures), total)
         values = {c: [row[c] for row in finished if row[c] is not None] for c in _MEDIANS}
-        medians = {name: float(median(found)) if found else None for name, found in values.items()}
+        medians = {name: float(median(known)) if known else None for name, known in values.items()}
         return Figures(total, rates, medians, missing)
 
     def named(self) -> dict[str, float | None]:

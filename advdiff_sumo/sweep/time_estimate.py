@@ -51,19 +51,19 @@ def estimate(plan: Plan, jobs: Sequence[Job], executor: Executor) -> Estimate | 
     probes = _spread(list({_kind(plan, job): job for job in reversed(jobs)}.values()))
     scene_s: list[float] = []
     episode_s: list[float] = []
-    made: dict[str, tuple[bytes, ...]] = {}
+    scenes: dict[str, tuple[bytes, ...]] = {}
     for job in probes:
         options = plan.options(job)
         net = file_digest(*net_files(options.net))
-        if job.batch not in made:
+        if job.batch not in scenes:
             batch: Batch = plan.batches[job.batch]
             outcome = _do(executor, SceneTask(batch.key, batch.options, batch.number, batch.scenes, net))
             if outcome.failed is not None:
                 raise ConfigError(f"{options.net}: {outcome.failed.message}")
-            made[job.batch] = outcome.product
+            scenes[job.batch] = outcome.product
             scene_s.append(outcome.wall_s)
-        if job.place < len(made[job.batch]):
-            task = EpisodeTask(job.key, options, job.number, made[job.batch][job.place], net)
+        if job.place < len(scenes[job.batch]):
+            task = EpisodeTask(job.key, options, job.number, scenes[job.batch][job.place], net)
             outcome = _do(executor, task)
             episode_s.append(outcome.wall_s)
     batches = len({job.batch for job in jobs})

@@ -113,8 +113,8 @@ def _scenes(task: SceneTask) -> tuple[bytes, ...]:
     road = _road(task.options.net, task.net_digest)
     plain = task.options.model_copy(update={"target": "IDM", "target_options": {}})
     run = Run(plain, road, target_of(plain), _policy("sumo", _Plain(plain, {})), ("IDM", "sumo"))
-    made = islice(run.seed_scenes(), task.scenes) if plain.scenes else iter(run.scene_batch(task.number))
-    return tuple(scene_to_bytes(scene) for scene in made)
+    scenes = islice(run.seed_scenes(), task.scenes) if plain.scenes else iter(run.scene_batch(task.number))
+    return tuple(scene_to_bytes(scene) for scene in scenes)
 
 
 def _episode(task: EpisodeTask, heartbeat: Heartbeat, run: Run | None) -> bytes:

@@ -57,11 +57,11 @@ def conduct_breaches(view: TrafficView, row: int, start: int, stop: int) -> tupl
 
     Speeding, reversing and leaving the road: what concerns nobody else and can be said of a plan by itself.
     """
-    found = (rule(view, row, start, stop) for rule in (drove_too_fast, drove_backwards, drove_off_road))
-    return tuple(x for x in found if x is not None)
+    breaches = (rule(view, row, start, stop) for rule in (drove_too_fast, drove_backwards, drove_off_road))
+    return tuple(x for x in breaches if x is not None)
 
 
 def _presence(view: TrafficView, met: Encounter, which: int) -> tuple[Breach, ...]:
     """Return the breaches that put the party where the contact was."""
-    found = (rule(view, met, which) for rule in _PRESENCE_RULES)
-    return tuple(x for x in found if x is not None)
+    breaches = (rule(view, met, which) for rule in _PRESENCE_RULES)
+    return tuple(x for x in breaches if x is not None)

@@ -206,14 +206,14 @@ class ReferenceDrivers:
         s, _ = self._way.line.project(tracks.xy_m[row, :span])
         speed = tracks.speed_mps[row, :span]
         accel = np.diff(speed, prepend=speed[:1]) / tracks.dt_s
-        found = []
+        contacts = []
         for k in range(span):
             ego = float(s[k]), float(speed[k]), float(accel[k])
             met = meeting(self._corridor, k, ego, self._length_m)
             place = float(self._along_route_m[k])
             bound = self._stop_demand(self._route_way, place, float(speed[k]), k, met, False) > 0.0
-            found.append((met, bound))
-        return found
+            contacts.append((met, bound))
+        return contacts
 
     @cached_property
     def _along_route_m(self) -> FloatArray:

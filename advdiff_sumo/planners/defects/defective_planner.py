@@ -71,10 +71,10 @@ class DefectivePlanner:
             held = fault.held_plan(scene, acted)
             if held is not None:
                 return held, memory
-        made: Any = self.planner.plan(road, scenes[-1], memory.planner, rng)
-        if not (isinstance(made, tuple) and len(made) == 2):
-            return made  # type: ignore[no-any-return] # no plan: the episode refuses it and says so
-        plan, own = made
+        planned: Any = self.planner.plan(road, scenes[-1], memory.planner, rng)
+        if not (isinstance(planned, tuple) and len(planned) == 2):
+            return planned  # type: ignore[no-any-return] # no plan: the episode refuses it and says so
+        plan, own = planned
         acted_now = list(memory.acted)
         for k in reversed(range(len(self.faults))):
             plan, acted_now[k] = self.faults[k].act(plan, scenes[k], memory.acted[k])

@@ -70,13 +70,13 @@ def _onward(
 
 def _sideways(road: RoadMap, lane: str, lanes: Sequence[str]) -> list[tuple[str, int]]:
     """Return every lane that can be reached sideways with its signed number of changes, left positive."""
-    found = [(lane, 0)]
+    reached = [(lane, 0)]
     for sign in (1, -1):
         at, count = lane, 0
         while (beside := road.lanes[at].left_id if sign > 0 else road.lanes[at].right_id) in lanes:
             at, count = str(beside), count + 1
-            found.append((at, sign * count))
-    return found
+            reached.append((at, sign * count))
+    return reached
 
 
 def _links_to(road: RoadMap, lane: str, edge: str) -> list[Link]:

@@ -80,15 +80,16 @@ def duties(
             continue
         rule = rule_at(geometry.road, link, scene.signals)
         at_line = distance > (-_PASSED_M if state.speed_mps < 1.0 else -0.3)
-        found = _foes(geometry, scene, link, line, rule, ways, others)
+        junction_foes = _foes(geometry, scene, link, line, rule, ways, others)
         if (
-            at_line and _must_stop(link, rule, distance, state, found, scene, others, ways, memory, options)
+            at_line
+            and _must_stop(link, rule, distance, state, junction_foes, scene, others, ways, memory, options)
         ) or (at_line and _exit_blocked(geometry, link, line, beyond, state, variant, others)):
             stop = min(stop, line)
         if not rule.in_turn:
-            foes += found
-            if found:
-                yields.append(_waiting_place(geometry, link, line, front, found))
+            foes += junction_foes
+            if junction_foes:
+                yields.append(_waiting_place(geometry, link, line, front, junction_foes))
         if at_line:
             passing.append((link, line))
     return Duties(stop, tuple(yields[:2]), tuple(foes), tuple(passing))
@@ -159,7 +160,7 @@ def _foes(
 ) -> list[Foe]:
     if not rule.yields_to:
         return []
-    found = []
+    foes = []
     for n, way in enumerate(ways):
         ahead = way.next_link(0.5 * float(others.size_m[way.other, 0]), 0.0)
         if ahead is None:
@@ -171,8 +172,8 @@ def _foes(
             continue
         zone = conflict_zone(geometry, link, theirs)
         if zone is not None:
-            found.append(Foe(n, to_stop, zone, line_m, link))
-    return found
+            foes.append(Foe(n, to_stop, zone, line_m, link))
+    return foes
 
 
 def _waiting_place(

@@ -115,13 +115,13 @@ def ways_of(geometry: Geometry, scene: Scene, others: Others) -> list[Way]:
         lane, reach = lanes[i], float(others.speed_mps[i]) * _LOOK_S + _LOOK_M
         along = lane is not None and abs(d[i]) < _MAX_LANE_OFFSET_M and abs(error[i]) < _MAX_YAW_ERROR_RAD
         if lane is None or not along or scene.history.classes[row] == AgentClass.PEDESTRIAN:
-            found = [straight_path(others.xy_m[i], float(others.yaw_rad[i]), reach)]
+            ways = [straight_path(others.xy_m[i], float(others.yaw_rad[i]), reach)]
         else:
-            found = [
+            ways = [
                 geometry.path(c.lanes, c.links) for c in _chains(geometry, lane, scene.routes[row], reach)
             ]
-        owner += [i] * len(found)
-        paths += found
+        owner += [i] * len(ways)
+        paths += ways
     return _placed(np.array(owner), paths, others)
 
 

@@ -84,8 +84,8 @@ class LanePath:
 
     def lane_at(self, s_m: float) -> int:
         """Return the index in :attr:`lanes` of the lane at *s_m*."""
-        found = int(np.searchsorted(self.lane_start_m, s_m, side="right")) - 1
-        return min(max(found, 0), len(self.lanes) - 1)
+        lane = int(np.searchsorted(self.lane_start_m, s_m, side="right")) - 1
+        return min(max(lane, 0), len(self.lanes) - 1)
 
     def _cell(self, s_m: FloatArray) -> tuple[IntArray, FloatArray]:
         scaled = np.asarray(s_m, dtype=np.float64) / SPACING_M

@@ -113,10 +113,10 @@ def _poses(
 def _stop_m(road: RoadMap, scene: Scene, others: Others, way: Way, ego: Ego) -> float:
     """Return how far the road user may drive until it must have stopped; inf for no end."""
     front = 0.5 * float(others.size_m[way.other, 0])
-    found = way.next_link(front, 0.0)
-    if found is None or found[1] < -1.0:
+    next_link = way.next_link(front, 0.0)
+    if next_link is None or next_link[1] < -1.0:
         return np.inf
-    link, distance = found
+    link, distance = next_link
     rule = rule_at(road, link, scene.signals)
     speed = float(others.speed_mps[way.other])
     brake = speed**2 / (2.0 * max(distance - 0.5, 0.1))

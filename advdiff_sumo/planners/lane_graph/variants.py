@@ -175,13 +175,13 @@ def variants(
     road, lane = geometry.road, geometry.road.lanes[place.lane_id]
     reach = state.speed_mps * (options.horizon_s + 4.0) + 60.0
     keep = _with_back(_chain(road, place.lane_id, place, reach), place, memory)
-    found = [_variant(geometry, state, keep, 0, target, options) for target in (0.0, *_NUDGES_M)]
+    kept = [_variant(geometry, state, keep, 0, target, options) for target in (0.0, *_NUDGES_M)]
     if place.over is None:
         for side, beside in ((1, lane.left_id), (-1, lane.right_id)):
             if beside is not None and road.lanes[beside].permits("passenger"):
                 chain = _chain(road, beside, place, reach)
-                found.append(_variant(geometry, state, chain, side, 0.0, options))
-    return found
+                kept.append(_variant(geometry, state, chain, side, 0.0, options))
+    return kept
 
 
 def _chain(road: RoadMap, lane: str, place: Place, reach_m: float) -> Chain:

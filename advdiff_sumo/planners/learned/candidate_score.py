@@ -58,30 +58,37 @@ def followers(xy_m: FloatArray, yaw_rad: FloatArray, own: tuple[FloatArray, floa
 
 
 def cost(
-    made: Candidates, around: Around, road: RoadMap, guide: Guide | None, size_m: FloatArray, dt_s: float
+    candidates: Candidates,
+    around: Around,
+    road: RoadMap,
+    guide: Guide | None,
+    size_m: FloatArray,
+    dt_s: float,
 ) -> FloatArray:
     """Return (C,) what each candidate costs.
 
     Args:
-        made: the candidates.
+        candidates: the candidates.
         around: the others in the samples.
         road: the map.
         guide: the route, where there is any.
         size_m: (2,) length and width of the target.
         dt_s: spacing.
     """
-    total = _COLLISION * risk(made, around, size_m, dt_s) + _OFF_ROAD * off_road(made, road, size_m)
-    total += np.where(made.line == RAW, 0.0, _ON_LINE)
-    braking = np.flatnonzero(made.line == BRAKE)
+    total = _COLLISION * risk(candidates, around, size_m, dt_s) + _OFF_ROAD * off_road(
+        candidates, road, size_m
+    )
+    total += np.where(candidates.line == RAW, 0.0, _ON_LINE)
+    braking = np.flatnonzero(candidates.line == BRAKE)
     total[braking] += np.array(_BRAKING)[: len(braking)] * (len(braking) == len(BRAKES_MPS2))
     if guide is not None:
-        total += _route_cost(made, guide, dt_s)
+        total += _route_cost(candidates, guide, dt_s)
     return np.asarray(total)
 
 
-def risk(made: Candidates, around: Around, size_m: FloatArray, dt_s: float) -> FloatArray:
+def risk(candidates: Candidates, around: Around, size_m: FloatArray, dt_s: float) -> FloatArray:
     """Return (C,) the share of samples in which a candidate meets somebody, sooner counting more."""
-    xy, yaw = _halves(made.xy_m, made.yaw_rad)
+    xy, yaw = _halves(candidates.xy_m, candidates.yaw_rad)
     theirs, turned = _halves(around.xy_m, around.yaw_rad)
     samples, count = theirs.shape[:2]
     hit = np.zeros((len(xy), samples))
@@ -99,34 +106,36 @@ def risk(made: Candidates, around: Around, size_m: FloatArray, dt_s: float) -> F
     return np.asarray(hit.mean(1))
 
 
-def off_road(made: Candidates, road: RoadMap, size_m: FloatArray) -> FloatArray:
+def off_road(candidates: Candidates, road: RoadMap, size_m: FloatArray) -> FloatArray:
     """Return (C,) the largest share of the box off the drivable area, beyond what is common."""
-    boxes = corners(made.xy_m, made.yaw_rad, np.broadcast_to(size_m, (*made.yaw_rad.shape, 2)))
-    out = np.zeros(made.yaw_rad.shape)
+    boxes = corners(
+        candidates.xy_m, candidates.yaw_rad, np.broadcast_to(size_m, (*candidates.yaw_rad.shape, 2))
+    )
+    out = np.zeros(candidates.yaw_rad.shape)
     outside = ~road.covers(boxes).all(-1)
     if outside.any():
         out[outside] = road.off_road_share(boxes[outside])
     return np.asarray(np.maximum(out.max(1) - _OFF_FREE, 0.0))
 
 
-def _route_cost(made: Candidates, guide: Guide, dt_s: float) -> FloatArray:
+def _route_cost(candidates: Candidates, guide: Guide, dt_s: float) -> FloatArray:
     lines = guide.lines
-    which = np.maximum(made.line, 0)
-    s, aside, across = (np.empty(made.yaw_rad.shape) for _ in range(3))
-    s[:], d = lines[0].path.project(made.xy_m)
-    aside[:], across[:] = np.abs(d), np.abs(wrap_angle(made.yaw_rad - lines[0].path.at(s)[1]))
+    which = np.maximum(candidates.line, 0)
+    s, aside, across = (np.empty(candidates.yaw_rad.shape) for _ in range(3))
+    s[:], d = lines[0].path.project(candidates.xy_m)
+    aside[:], across[:] = np.abs(d), np.abs(wrap_angle(candidates.yaw_rad - lines[0].path.at(s)[1]))
     for line in lines[1:]:
-        beside_s, beside = line.path.project(made.xy_m)
+        beside_s, beside = line.path.project(candidates.xy_m)
         nearer = np.abs(beside) < aside
         aside[nearer] = np.abs(beside)[nearer]
-        across[nearer] = np.abs(wrap_angle(made.yaw_rad - line.path.at(beside_s)[1]))[nearer]
+        across[nearer] = np.abs(wrap_angle(candidates.yaw_rad - line.path.at(beside_s)[1]))[nearer]
     end_aside = np.clip(aside[:, -1] - _ASIDE_FREE_M, 0.0, _ASIDE_MOST_M)
     total = _ASIDE * end_aside + _ACROSS * np.maximum(across[:, -1] - _ACROSS_FREE_RAD, 0.0)
     state, keep = guide.state, lines[0]
     over = s.max(1) + state.front_m - guide.stop_m
     total += _RED * np.clip(over, 0.0, 1.0)
     limit = float(keep.path.limit_mps[min(max(int(keep.s_m), 0), len(keep.path.limit_mps) - 1)])
-    wanted = max(limit * dt_s * made.yaw_rad.shape[1], 5.0)
+    wanted = max(limit * dt_s * candidates.yaw_rad.shape[1], 5.0)
     total -= _PROGRESS * np.minimum((s[:, -1] - keep.s_m) / wanted, 1.0)
     if len(lines) > 1:
         left = keep.path.length_m - keep.s_m - state.front_m

@@ -63,13 +63,15 @@ def candidates(
     parts = [(xy_m, yaw_rad, speed_mps, RAW, np.arange(count))]
     if guide is not None and route:
         for number, line in enumerate(guide.lines):
-            made = _along(line, speed_mps, now[2], dt_s)
-            parts.append((*made, number, np.arange(count)))
+            braked = _along(line, speed_mps, now[2], dt_s)
+            parts.append((*braked, number, np.arange(count)))
     if brakes:
         steps = dt_s * np.arange(1, speed_mps.shape[1] + 1)
         slowed = np.maximum(now[2] - np.array(BRAKES_MPS2)[:, None] * steps, 0.0)
-        made = _straight(now, slowed, dt_s) if guide is None else _along(guide.lines[0], slowed, now[2], dt_s)
-        parts.append((*made, BRAKE, np.zeros(len(slowed), dtype=np.int64)))
+        braked = (
+            _straight(now, slowed, dt_s) if guide is None else _along(guide.lines[0], slowed, now[2], dt_s)
+        )
+        parts.append((*braked, BRAKE, np.zeros(len(slowed), dtype=np.int64)))
     return Candidates(
         np.concatenate([p[0] for p in parts]),
         np.concatenate([p[1] for p in parts]),

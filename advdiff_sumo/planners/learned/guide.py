@@ -46,10 +46,10 @@ def guide_of(road: RoadMap, scene: Scene, memory: LaneMemory) -> tuple[Guide | N
     place = locate(geometry, state, scene.routes[scene.target], memory, 0.0)
     if place is None:
         return None, memory
-    found = variants(geometry, state, place, memory, LaneGraphOptions())
-    keep = found[0]
+    options = variants(geometry, state, place, memory, LaneGraphOptions())
+    keep = options[0]
     wanted = np.sign(keep.chain.changes)
-    lines = (keep, *(v for v in found if v.side == wanted and wanted != 0))
+    lines = (keep, *(v for v in options if v.side == wanted and wanted != 0))
     memory = replace(memory, lanes=keep.chain.lanes, links=keep.chain.links, route=place.route)
     return Guide(lines, _signal_line(road, scene, state, keep), state), memory
 

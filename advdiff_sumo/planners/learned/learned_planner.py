@@ -102,13 +102,13 @@ class LearnedPlanner(ABC):
         generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
         # 1. what will happen, says the model
         view = look(road, scene, np.ones(scene.history.agents, dtype=np.bool_), self.options.agents)
-        told = self.model.tell(view, memory.noise, generator, HORIZON_STEPS)
+        prediction = self.model.tell(view, memory.noise, generator, HORIZON_STEPS)
         # 2. where does the route lead
         guide, lanes = guide_of(road, scene, memory.lanes)
         # 3. what may I do, and what is best
-        xy, yaw, speed = _world(view, told.rollout)
+        xy, yaw, speed = _world(view, prediction.rollout)
         own = view.now.xy_m[0, -1], float(view.now.yaw_rad[0, -1]), max(float(view.now.speed_mps[0, -1]), 0.0)
-        made = candidates(
+        offered = candidates(
             xy[:, 0],
             yaw[:, 0],
             speed[:, 0],
@@ -120,10 +120,10 @@ class LearnedPlanner(ABC):
         )
         around = _around(view, xy, yaw)
         known = guide if self.options.route else None
-        best = int(np.argmin(cost(made, around, road, known, view.now.size_m[0], MODEL_STEP_S)))
+        best = int(np.argmin(cost(offered, around, road, known, view.now.size_m[0], MODEL_STEP_S)))
         # 4. drive it
-        noise = told.noise[int(made.sample[best])] if told.noise else {}
-        return _driven(made, best, guide, view), Memory(lanes, noise)
+        noise = prediction.noise[int(offered.sample[best])] if prediction.noise else {}
+        return _driven(offered, best, guide, view), Memory(lanes, noise)
 
 
 class SimNetPlanner(LearnedPlanner):
@@ -176,11 +176,13 @@ def _around(view: View, xy_m: FloatArray, yaw_rad: FloatArray) -> Around:
     return Around(xy_m[:, 1:], yaw_rad[:, 1:], now.size_m[1:], behind)
 
 
-def _driven(made: Candidates, best: int, guide: Guide | None, view: View) -> Trajectory:
+def _driven(offered: Candidates, best: int, guide: Guide | None, view: View) -> Trajectory:
     """Return the chosen candidate; one along a line as a bicycle follows it, a sample is a bicycle's already."""
-    if made.line[best] == RAW or guide is None:
-        return Trajectory(made.xy_m[best], wrap_angle(made.yaw_rad[best]), made.speed_mps[best], MODEL_STEP_S)
-    return _followed(guide.lines[max(int(made.line[best]), 0)], made.speed_mps[best], view)
+    if offered.line[best] == RAW or guide is None:
+        return Trajectory(
+            offered.xy_m[best], wrap_angle(offered.yaw_rad[best]), offered.speed_mps[best], MODEL_STEP_S
+        )
+    return _followed(guide.lines[max(int(offered.line[best]), 0)], offered.speed_mps[best], view)
 
 
 def _followed(line: Variant, speed_mps: FloatArray, view: View) -> Trajectory:

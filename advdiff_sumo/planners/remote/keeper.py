@@ -70,8 +70,8 @@ def end_descendants() -> None:
 def _children() -> list[int]:
     """Return the children that have not ended; what a child leaves behind becomes one itself."""
     own = str(os.getpid())
-    found = (_state_and_parent(folder) for folder in Path("/proc").glob("[0-9]*"))
-    return [pid for pid, state, parent in found if parent == own and state != "Z"]
+    processes = (_state_and_parent(folder) for folder in Path("/proc").glob("[0-9]*"))
+    return [pid for pid, state, parent in processes if parent == own and state != "Z"]
 
 
 def _state_and_parent(folder: Path) -> tuple[int, str, str]:

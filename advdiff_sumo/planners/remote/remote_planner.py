@@ -184,13 +184,13 @@ class RemotePlanner:
     def _describe(self, connection: Connection, wait: bool) -> None:
         request = messages.DescribeRequest(protocol_version=messages.VERSION)
         timeout_s = self.options.start_timeout_s if self._process is not None else _REACH_S
-        told = self._call(connection, "Describe", request, timeout_s, wait)
-        if told.protocol_version < messages.VERSION:
+        description = self._call(connection, "Describe", request, timeout_s, wait)
+        if description.protocol_version < messages.VERSION:
             raise PlannerCrashedError(
-                f"{self._who} speaks version {told.protocol_version} of the protocol, advdiff-sumo {__version__} "
-                f"needs {messages.VERSION}"
+                f"{self._who} speaks version {description.protocol_version} of the protocol, "
+                f"advdiff-sumo {__version__} needs {messages.VERSION}"
             )
-        self._wants_osi = told.wants_osi
+        self._wants_osi = description.wants_osi
 
     def _scene(self, scene: Scene, episode: RemoteEpisode) -> Any:
         if not episode.wants_osi:

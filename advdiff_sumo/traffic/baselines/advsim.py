@@ -124,8 +124,8 @@ class AdvSim(Rival):
             if case is None:
                 return self._natural(task, batch, rollout)
             best, losses = self._rounds(case)
-            made = self._with(case, best.changes)
-        return self._found(case, made, best, losses)
+            planned = self._with(case, best.changes)
+        return self._found(case, planned, best, losses)
 
     def _case(self, task: Task, batch: SceneBatch, rollout: Rollout) -> _Case | None:
         """Return who shall attack and how they would drive; None where nobody can."""
@@ -147,10 +147,10 @@ class AdvSim(Rival):
         ground, losses, done = best.ground, list[float](), 0
         while done < self.options.rounds:
             block = min(self.options.refresh, self.options.rounds - done)
-            found, costs = self._block(case, optimiser, ground, block)
+            best_of_block, costs = self._block(case, optimiser, ground, block)
             losses += costs
             done += block
-            judged = self._judged(case, found, best.ground.allowed)
+            judged = self._judged(case, best_of_block, best.ground.allowed)
             ground = judged.ground
             best = self._better(best, judged)
         return best, tuple(losses)
@@ -179,14 +179,14 @@ class AdvSim(Rival):
             changes: to be judged.
             allowed: violation of the constraints that the first sequence has; None: this is the first one.
         """
-        made = self._with(case, changes)
-        forced = self.react(case.task, case.answer, made)
-        seen = with_target(made, forced)
-        ground = ground_of(seen, case.batch, case.rows, HORIZON_STEPS)
-        own = cut(Rollout(*(part[:, case.rows] for part in parts(made))), HORIZON_STEPS)
+        planned = self._with(case, changes)
+        forced = self.react(case.task, case.answer, planned)
+        answered = with_target(planned, forced)
+        ground = ground_of(answered, case.batch, case.rows, HORIZON_STEPS)
+        own = cut(Rollout(*(part[:, case.rows] for part in parts(planned))), HORIZON_STEPS)
         over = float(violation(own, ground))
         ground = replace(ground, allowed=over if allowed is None else allowed)
-        states = torch.cat((case.batch.pose[0, :1], seen.states()[0, 0, :HORIZON_STEPS]))
+        states = torch.cat((case.batch.pose[0, :1], answered.states()[0, 0, :HORIZON_STEPS]))
         cost = float(attack_cost(own, ground)) - self.options.comfort * discomfort(states)
         return _Best(changes, cost, ground, keeps(over, ground))
 
@@ -226,7 +226,7 @@ class AdvSim(Rival):
         memory = replace(task.memory, found={}, attackers=())
         return Found(Drawn(rollout, {}, (), self._latents(batch)), memory, ())
 
-    def _found(self, case: _Case, made: Rollout, best: _Best, losses: tuple[float, ...]) -> Found:
+    def _found(self, case: _Case, best_plan: Rollout, best: _Best, losses: tuple[float, ...]) -> Found:
         names = tuple(case.task.view.ids[row] for row in case.rows.tolist())
         kept: list[FloatArray] = [x.cpu().numpy().astype(np.float64).ravel() for x in best.changes]
         memory = replace(
@@ -235,7 +235,7 @@ class AdvSim(Rival):
             attackers=names,
             surrogate=case.task.memory.surrogate if case.answer is None else case.answer.memory,
         )
-        return Found(Drawn(made, {}, names, self._latents(case.batch)), memory, losses)
+        return Found(Drawn(best_plan, {}, names, self._latents(case.batch)), memory, losses)
 
     def _latents(self, batch: SceneBatch) -> Tensor:
         """Return (A, Z) the prior's mean, scaled: actions have no latents, and listeners want some."""

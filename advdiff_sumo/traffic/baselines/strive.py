@@ -98,21 +98,21 @@ class Strive(Rival):
     def search(self, task: Task) -> Found:
         """Return the futures of the latents that lower the loss most within the rounds."""
         start = self._start(task)
-        made = self._rounds(task, start) if self.options.rounds else _nothing(start, task.memory)
+        result = self._rounds(task, start) if self.options.rounds else _nothing(start, task.memory)
         with torch.no_grad():
-            rollout = self._decode(start, made.epsilon, made.forced)
-        attackers = self._attackers(task, rollout, made.share)
-        latents = self._latents(start, made.epsilon)
+            rollout = self._decode(start, result.epsilon, result.forced)
+        attackers = self._attackers(task, rollout, result.share)
+        latents = self._latents(start, result.epsilon)
         scaled = self.prior.codec.scale(latents[:, None])[:, 0]
         drawn = Drawn(rollout, _by_name(task, start.natural), attackers, scaled)
         memory = replace(
             task.memory,
-            found=_by_name(task, made.epsilon),
+            found=_by_name(task, result.epsilon),
             natural=_by_name(task, start.natural),
             attackers=attackers,
-            surrogate=made.surrogate,
+            surrogate=result.surrogate,
         )
-        return Found(drawn, memory, made.losses)
+        return Found(drawn, memory, result.losses)
 
     def loss(self, start: _Start, epsilon: Tensor, forced: Forced | None) -> Terms:
         """Return the loss of standardised latents (A, Z) while the target drives *forced*."""
@@ -129,8 +129,8 @@ class Strive(Rival):
         old, known = _stacked(task, task.memory.natural, noise)
         mixed = share * old + (1.0 - share**2) ** 0.5 * noise
         natural = torch.where(known[:, None], mixed, noise).to(self.prior.device)
-        found, known = _stacked(task, task.memory.found, noise)
-        gained = torch.where(known[:, None], share * (found - old), 0.0).to(self.prior.device)
+        shifts, known = _stacked(task, task.memory.found, noise)
+        gained = torch.where(known[:, None], share * (shifts - old), 0.0).to(self.prior.device)
         moved = torch.from_numpy(task.view.moved).to(self.prior.device)
         return _Start(batch, context, moved, natural, natural + gained)
 
@@ -142,8 +142,8 @@ class Strive(Rival):
         for number in range(options.rounds):
             if number % options.refresh == 0:
                 with torch.no_grad():
-                    seen = self._decode(start, epsilon, forced, HORIZON_STEPS)
-                forced = self.react(task, answer, seen)
+                    decoded = self._decode(start, epsilon, forced, HORIZON_STEPS)
+                forced = self.react(task, answer, decoded)
             epsilon = epsilon.detach().requires_grad_(True)
             terms = self.loss(start, epsilon, forced)
             (gradient,) = torch.autograd.grad(terms.total, epsilon)

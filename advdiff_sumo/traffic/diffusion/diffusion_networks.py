@@ -65,14 +65,14 @@ def networks_of(options: DiffusionOptions) -> Networks:
     """
     device = device_of(options.device, "background 'diffusion'")
     sampling = Sampling(options.steps, options.family, options.eta, options.begin)
-    made = _networks(str(options.path), options.reward, device, sampling)
-    if options.guided and not isinstance(made.codec, LatentCodec):
+    networks = _networks(str(options.path), options.reward, device, sampling)
+    if options.guided and not isinstance(networks.codec, LatentCodec):
         raise WeightsError(
             options.path,
             "diffuses trajectories, which nothing guides",
             "give weights of codec latent, or --guide none",
         )
-    return made
+    return networks
 
 
 @lru_cache(maxsize=2)

@@ -50,8 +50,8 @@ def observe(
         _target(now, natural, row),
         _others(natural, row),
     )
-    seen = np.nan_to_num(np.concatenate(parts), nan=0.0, posinf=LIMIT, neginf=-LIMIT)
-    return np.asarray(np.clip(seen, -LIMIT, LIMIT), dtype=np.float64)
+    observation = np.nan_to_num(np.concatenate(parts), nan=0.0, posinf=LIMIT, neginf=-LIMIT)
+    return np.asarray(np.clip(observation, -LIMIT, LIMIT), dtype=np.float64)
 
 
 def _own(now: Tracks, row: int, action: tuple[float, float]) -> FloatArray:
@@ -127,9 +127,9 @@ def _relative(natural: Futures, row: int, other: int) -> FloatArray:
     place = local_from_world(natural.xy_m[other, 0], natural.xy_m[row, 0], yaw)
     moves = natural.speed_mps[other, 0] * unit(natural.yaw_rad[other, 0])
     moves = moves - natural.speed_mps[row, 0] * unit(yaw)
-    seen = local_from_world(moves, np.zeros(2), yaw)
+    local = local_from_world(moves, np.zeros(2), yaw)
     turned = natural.yaw_rad[other, 0] - yaw
-    return np.array([*(0.05 * place), np.cos(turned), np.sin(turned), *(0.1 * seen), 1.0])
+    return np.array([*(0.05 * place), np.cos(turned), np.sin(turned), *(0.1 * local), 1.0])
 
 
 def _others(natural: Futures, row: int) -> FloatArray:

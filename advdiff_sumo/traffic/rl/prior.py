@@ -46,8 +46,8 @@ class SimNetPrior:
     def rollout(self, batch: SceneBatch) -> Rollout:
         """Return what SimNet would do."""
         with torch.no_grad():
-            made: Rollout = self._net(batch, PLAN_STEPS)
-        return made
+            rolled: Rollout = self._net(batch, PLAN_STEPS)
+        return rolled
 
 
 class TrafficPrior:

@@ -43,10 +43,10 @@ class Cell:
             )
         )
 
-    def keep(self, told: Array, memory: Array) -> tuple[Array, Kept]:
-        """Return the memory (A, D) after being *told* (A, D + 2), and what :meth:`keep_back` needs."""
+    def keep(self, inputs: Array, memory: Array) -> tuple[Array, Kept]:
+        """Return the memory (A, D) after *inputs* (A, D + 2), and what :meth:`keep_back` needs."""
         wide = memory.shape[1]
-        mine, held = self._told(told), self._held(memory)
+        mine, held = self._told(inputs), self._held(memory)
         gates = logistic(mine[:, : 2 * wide] + held[:, : 2 * wide])
         reset, update, last = gates[:, :wide], gates[:, wide:], held[:, 2 * wide :]
         new = np.tanh(mine[:, 2 * wide :] + reset * last)
@@ -57,6 +57,6 @@ class Cell:
         by_new = grad * (1.0 - kept.update) * (1.0 - kept.new**2)
         by_reset = by_new * kept.held * kept.reset * (1.0 - kept.reset)
         by_update = grad * (kept.before - kept.new) * kept.update * (1.0 - kept.update)
-        told = np.concatenate((by_reset, by_update, by_new), axis=1)
+        gradient = np.concatenate((by_reset, by_update, by_new), axis=1)
         held = np.concatenate((by_reset, by_update, by_new * kept.reset), axis=1)
-        return told @ self._told.back, grad * kept.update + held @ self._held.back
+        return gradient @ self._told.back, grad * kept.update + held @ self._held.back

@@ -59,13 +59,13 @@ class Edges:
         far = np.sqrt(ahead * ahead + left * left + _SOFT_M2)
         same, across = mine * cos + my * sin, mine * sin - my * cos
         pace, near = _SPEED * motion[:, 3], np.exp(-_NEAR * far)
-        seen = np.empty((*far.shape, RELATIVE_FEATURES), motion.dtype)
-        seen[..., 0], seen[..., 1], seen[..., 2] = _PLACE * ahead, _PLACE * left, near
-        seen[..., 3], seen[..., 4] = same, across
-        seen[..., 5], seen[..., 6] = pace * same, pace * across
-        seen[..., 8] = pace[:, None]
-        seen[..., 7] = seen[..., 5] - seen[..., 8]
-        hidden = relu(self._first(seen.reshape(-1, RELATIVE_FEATURES)))
+        features = np.empty((*far.shape, RELATIVE_FEATURES), motion.dtype)
+        features[..., 0], features[..., 1], features[..., 2] = _PLACE * ahead, _PLACE * left, near
+        features[..., 3], features[..., 4] = same, across
+        features[..., 5], features[..., 6] = pace * same, pace * across
+        features[..., 8] = pace[:, None]
+        features[..., 7] = features[..., 5] - features[..., 8]
+        hidden = relu(self._first(features.reshape(-1, RELATIVE_FEATURES)))
         embedded = relu(self._second(hidden)).reshape(*far.shape, -1)
         return Looks(mine, my, ahead, left, far, same, across, pace, near, hidden, embedded)
 
@@ -73,18 +73,18 @@ class Edges:
         """Return the gradient (A, 4) of the motion for *grad* (A, A, E) of what is embedded."""
         by = (grad * (looks.embedded > 0.0)).reshape(-1, grad.shape[-1]) @ self._second.back
         by = (by * (looks.hidden > 0.0)) @ self._first.back
-        seen = by.reshape(*looks.far.shape, RELATIVE_FEATURES)
-        nearer = -_NEAR * seen[..., 2] * looks.near / looks.far
-        ahead = _PLACE * seen[..., 0] + nearer * looks.ahead
-        left = _PLACE * seen[..., 1] + nearer * looks.left
+        gradient = by.reshape(*looks.far.shape, RELATIVE_FEATURES)
+        nearer = -_NEAR * gradient[..., 2] * looks.near / looks.far
+        ahead = _PLACE * gradient[..., 0] + nearer * looks.ahead
+        left = _PLACE * gradient[..., 1] + nearer * looks.left
         east, north = looks.cos * ahead - looks.sin * left, looks.sin * ahead + looks.cos * left
-        along = seen[..., 5] + seen[..., 7]
-        same, across = seen[..., 3] + looks.pace * along, seen[..., 4] + looks.pace * seen[..., 6]
+        along = gradient[..., 5] + gradient[..., 7]
+        same, across = gradient[..., 3] + looks.pace * along, gradient[..., 4] + looks.pace * gradient[..., 6]
         turn = looks.same * across - looks.across * same
-        theirs = looks.same * along + looks.across * seen[..., 6]
+        theirs = looks.same * along + looks.across * gradient[..., 6]
         out = np.empty((len(looks.far), 4), grad.dtype)
         out[:, 0] = east.sum(0) - east.sum(1)
         out[:, 1] = north.sum(0) - north.sum(1)
         out[:, 2] = turn.sum(0) - turn.sum(1) + (ahead * looks.left - left * looks.ahead).sum(1)
-        out[:, 3] = _SPEED * (theirs.sum(0) + (seen[..., 8] - seen[..., 7]).sum(1))
+        out[:, 3] = _SPEED * (theirs.sum(0) + (gradient[..., 8] - gradient[..., 7]).sum(1))
         return out

@@ -41,8 +41,8 @@ class Linear:
 
     def __call__(self, x: Array) -> Array:
         """Return *x* (…, in) mapped, (…, out)."""
-        made: Array = x @ self.forth + self.bias
-        return made
+        product: Array = x @ self.forth + self.bias
+        return product
 
 
 def array_of(tensor: Tensor) -> Array:
@@ -52,11 +52,11 @@ def array_of(tensor: Tensor) -> Array:
 
 def relu(x: Array) -> Array:
     """Return *x* without what is below 0."""
-    made: Array = np.maximum(x, 0.0)
-    return made
+    value: Array = np.maximum(x, 0.0)
+    return value
 
 
 def logistic(x: Array) -> Array:
     """Return 1 / (1 + exp(−x))."""
-    made: Array = 0.5 * (1.0 + np.tanh(0.5 * x))
-    return made
+    value: Array = 0.5 * (1.0 + np.tanh(0.5 * x))
+    return value

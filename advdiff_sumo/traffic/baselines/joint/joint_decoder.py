@@ -82,8 +82,8 @@ class JointDecoder:
         forced: Forced | None = None,
     ) -> Rollout:
         """Return the futures (1, A, T) of latents *z* (1, A, Z), with gradients to them; see ``Decoder.forward``."""
-        made: tuple[Tensor, ...] = _Function.apply(z, self, self._given(h, batch, steps, forced))  # type: ignore[no-untyped-call] # PyTorch's
-        return Rollout(*made)
+        outputs: tuple[Tensor, ...] = _Function.apply(z, self, self._given(h, batch, steps, forced))  # type: ignore[no-untyped-call] # PyTorch's
+        return Rollout(*outputs)
 
     def _given(self, h: Tensor, batch: SceneBatch, steps: int, forced: Forced | None) -> Given:
         pose, agents = array_of(batch.pose[0]), batch.agents
@@ -100,7 +100,7 @@ class JointDecoder:
         latent = self._node_z(z) + self._node_bias
         motion = given.cars.begin.copy()
         motion[:, 3] = np.maximum(motion[:, 3], 0.0)
-        made, steps = np.empty((*given.known.shape, 6), z.dtype), []
+        trajectory, steps = np.empty((*given.known.shape, 6), z.dtype), []
         for k in range(given.known.shape[1]):
             before, own = motion, own_motion(given.cars.begin, motion)
             node = mixed = relu(memory @ self._node_memory.forth + latent + own @ self._node_own.forth)
@@ -112,11 +112,11 @@ class JointDecoder:
             motion, driven = drive(given.cars, self._act(hidden), motion)
             motion = np.where(given.known[:, k, None], given.states[:, k], motion)
             done = np.stack((driven.accel, driven.curvature), axis=-1)
-            made[:, k, :4], made[:, k, 4:] = motion, done
-            told = np.concatenate((mixed, np.multiply(done, _CONTROL_SCALE, dtype=done.dtype)), axis=1)
-            memory, kept = self._cell.keep(told, memory)
+            trajectory[:, k, :4], trajectory[:, k, 4:] = motion, done
+            cell_inputs = np.concatenate((mixed, np.multiply(done, _CONTROL_SCALE, dtype=done.dtype)), axis=1)
+            memory, kept = self._cell.keep(cell_inputs, memory)
             steps.append(_Step(before, node, looks, heard, hidden, driven, kept))
-        return made, first, steps
+        return trajectory, first, steps
 
     def roll_back(self, given: Given, first: Array, steps: list[_Step], grad: Array) -> Array:
         """Return the gradient (A, Z) of the latents for *grad* (A, T, 6) of what :meth:`roll` made."""
@@ -124,22 +124,22 @@ class JointDecoder:
         motion = np.zeros((len(first), 4), first.dtype)
         for k in range(len(steps) - 1, -1, -1):
             step = steps[k]
-            told, memory = self._cell.keep_back(step.kept, memory)
-            mixed, done = told[:, :-2], told[:, -2:] * np.array(_CONTROL_SCALE, first.dtype)
+            cell_gradient, memory = self._cell.keep_back(step.kept, memory)
+            mixed, done = cell_gradient[:, :-2], cell_gradient[:, -2:] * np.array(_CONTROL_SCALE, first.dtype)
             motion = np.where(given.known[:, k, None], 0.0, motion + grad[:, k, :4])
             raw, motion = drive_back(given.cars, step.driven, motion, done + grad[:, k, 4:])
             mixed = mixed + ((raw @ self._act.back) * (step.hidden > 0.0)) @ self._hidden.back
             looks = np.zeros_like(step.looks.embedded)
             for layer, heard in zip(reversed(self._layers), reversed(step.heard), strict=True):
-                mixed, seen = layer.hear_back(heard, mixed)
-                looks = looks + seen
+                mixed, edge_gradient = layer.hear_back(heard, mixed)
+                looks = looks + edge_gradient
             node = mixed * (step.node > 0.0)
             own = own_motion_back(given.cars.begin, step.motion, node @ self._node_own.back)
             motion = motion + self._edges.look_back(step.looks, looks) + own
             memory, latent = memory + node @ self._node_memory.back, latent + node
         memory = memory * (1.0 - first * first)
-        made: Array = memory @ self._start_z.back + latent @ self._node_z.back
-        return made
+        latent_gradient: Array = memory @ self._start_z.back + latent @ self._node_z.back
+        return latent_gradient
 
 
 class _Function(torch.autograd.Function):
@@ -147,9 +147,9 @@ class _Function(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, z: Tensor, decoder: JointDecoder, given: Given) -> tuple[Tensor, ...]:
-        made, first, steps = decoder.roll(array_of(z[0]), given)
+        trajectory, first, steps = decoder.roll(array_of(z[0]), given)
         ctx.back = lambda grad: decoder.roll_back(given, first, steps, grad)
-        whole = torch.from_numpy(made)[None]
+        whole = torch.from_numpy(trajectory)[None]
         return whole[..., :2], whole[..., 2], whole[..., 3], whole[..., 4], whole[..., 5]
 
     @staticmethod

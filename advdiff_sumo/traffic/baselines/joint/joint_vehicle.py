@@ -129,5 +129,5 @@ def _arc(done: Driven) -> tuple[Array, Array, Array]:
 def _sinc_slope(x: Array, share: Array) -> Array:
     small = np.abs(x) < _SERIES
     series = -x / 3.0 * (1.0 - 0.1 * x * x)
-    made: Array = np.where(small, series, (np.cos(x) - share) / np.where(small, 1.0, x))
-    return made
+    value: Array = np.where(small, series, (np.cos(x) - share) / np.where(small, 1.0, x))
+    return value

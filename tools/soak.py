@@ -3,7 +3,7 @@
 A place (net, demand or log) is a sweep of its own in OUT/NAME; called again, finished episodes stay, the rest is run.
 Then the states are checked from outside: NaN, jumps, vehicles that SUMO drives off all lanes, and the contacts of the
 target with shapely. Every failure is a line with the command that repeats its episode, on the terminal and in
-OUT/failures.txt. The exit code is 1 where there is one.
+OUT/failures.txt. The exit code is 1 where there is one, and 130 after Ctrl-C: called again, it goes on.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from soak_src.checks import States, problems, runs_of
 from soak_src.places import Place, places
 
-from advdiff_sumo.core.errors import UNEXPLAINED_KINDS, AdvdiffError
+from advdiff_sumo.core.errors import INTERRUPTED, KEPT, UNEXPLAINED_KINDS, AdvdiffError
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net
@@ -184,4 +184,8 @@ def _options() -> argparse.Namespace:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        print(f"{KEPT}; the same command goes on", file=sys.stderr)
+        sys.exit(INTERRUPTED)

@@ -78,7 +78,14 @@ def drive(names: set[str], seed: int, target: str, background: str) -> None:
         tables = episode_tables(record, episode_row(record, road), collision_rows(record, road), timing)
         states = tables["states"]
         columns = {name: states.column(name).to_numpy() for name in states.column_names}
-        assert list(problems(States.of(columns), road, tables["collisions"].to_pylist())) == []
+        assert (
+            list(
+                problems(
+                    States.of(columns, replay=background == "replay"), road, tables["collisions"].to_pylist()
+                )
+            )
+            == []
+        )
 
 
 def test_every_feature_has_its_mark() -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ TOOLS = Path(__file__).parents[2] / "tools"
 sys.path.insert(0, str(TOOLS))
 from soak_src.checks import States, problems  # noqa: E402 - the tools are no package
 from soak_src.lane_seams import carried_m  # noqa: E402
+from soak_src.osm_maps import OSM_MAPS, write_osm_net  # noqa: E402
 
 STEPS, STEP_S, SPEED_MPS = 11, 0.1, 10.0
 
@@ -165,6 +168,43 @@ def test_contacts_must_be_those_of_the_boxes(road: RoadMap) -> None:
     assert [*problems(two_eastbound(3.0), road, [contact(0.5)])] == [
         "contact of target and 'other' is recorded at step 5, where the boxes are apart"
     ]
+
+
+@pytest.mark.parametrize("name", OSM_MAPS)
+def test_a_map_of_openstreetmaps_form_becomes_a_net(tmp_path: Path, name: str) -> None:
+    write_osm_net(name, tmp_path / f"{name}.net.xml")
+    road = RoadMap.read(tmp_path / f"{name}.net.xml")
+    assert road.edge_graph().strongly_connected()
+    west, south, east, north = road.bounds
+    assert 250.0 < max(east - west, north - south) < 1100.0
+    lights = any(junction.type == "traffic_light" for junction in road.junctions.values())
+    assert lights == (name == "osm-signals")
+    closed = {lane.allows for lane in road.lanes.values() if not lane.permits("passenger")}
+    assert any("bicycle" in allows for allows in closed) == (name == "osm-cycleways")
+    assert any("rail" in allows for allows in closed) == (name == "osm-rail")
+
+
+@pytest.mark.slow
+def test_a_soak_that_is_interrupted_goes_on(tmp_path: Path) -> None:
+    """Ctrl-C in the first place; the second time the rest is driven."""
+    words = [sys.executable, str(TOOLS / "soak.py"), str(tmp_path), "--episodes", "1", "--horizon", "1"]
+    words += ["--seeds", "0", "--workers", "1", "--places", "osm-roundabout", "osm-signals"]
+    words += ["--backgrounds", "sumo"]
+    heard = signal.signal(signal.SIGINT, signal.default_int_handler)
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    signal.signal(signal.SIGINT, heard)
+    finished = "osm-*/episodes/??/" + 24 * "[0-9a-f]"
+    while not list(tmp_path.glob(finished)) and process.poll() is None:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=HANG_S)
+    assert (process.returncode, "the same command goes on" in said) == (130, True), said
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.glob(finished)}
+    assert before
+    again = subprocess.run(words, capture_output=True, text=True, timeout=HANG_S, check=False)
+    assert again.returncode == 0, again.stdout + again.stderr
+    assert "total: 2 places, 6 sound" in again.stdout
+    assert before == {path: path.stat().st_mtime_ns for path in before}
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Nets, demand and logs for the soak: shipped, found in a data folder, converted and generated ones."""
+"""Nets, demand and logs for the soak: shipped, out of OpenStreetMap files, in a data folder, converted, generated."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from advdiff_sumo.core.errors import AdvdiffError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS
 from advdiff_sumo.sim.simulate_nets import write_random_net
+from soak_src.osm_maps import OSM_MAPS, write_osm_net
 
 KINDS = ("grid", "spider", "rand")
 SIDES = ("righthand", "lefthand")
@@ -50,6 +51,8 @@ def places(folder: Path, data: Path | None, seeds: int) -> Iterator[Place]:
     folder.mkdir(parents=True, exist_ok=True)
     for name in SHIPPED_NETS:
         yield Place(name, name)
+    for name in OSM_MAPS:
+        yield _osm(folder, name)
     if data is not None:
         yield from _of_data(folder, data)
     for seed, kind in product(range(seeds), KINDS):
@@ -86,6 +89,16 @@ def _converted(folder: Path, source: Path, lights: str, side: str) -> Place:
     )
     problem = "" if done.returncode == 0 else " ".join((done.stderr or done.stdout).split())[-300:]
     return Place(name, str(net), problem=problem)
+
+
+def _osm(folder: Path, name: str) -> Place:
+    net = folder / f"{name}.net.xml"
+    try:
+        if not net.exists():
+            write_osm_net(name, net)
+    except subprocess.CalledProcessError as error:
+        return Place(name, str(net), problem=" ".join(error.stderr.split())[-300:])
+    return Place(name, str(net))
 
 
 def _generated(folder: Path, kind: str, seed: int) -> Place:

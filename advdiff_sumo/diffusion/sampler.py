@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.schedule import Schedule
+from advdiff_sumo.diffusion.noise_schedule import Schedule
 
 Family: TypeAlias = Literal["printed", "consistent"]
 Noise: TypeAlias = Callable[[Tensor, int], Tensor]

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor, nn
 
+from advdiff_sumo.diffusion.noise_schedule import Schedule
 from advdiff_sumo.diffusion.sampler import Noise, Sampling, sample
-from advdiff_sumo.diffusion.schedule import Schedule
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context

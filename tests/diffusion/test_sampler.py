@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from advdiff_sumo.diffusion.noise_schedule import Schedule
 from advdiff_sumo.diffusion.sampler import Family, Noise, Rung, Sampling, draw, foresee, sample, transition
-from advdiff_sumo.diffusion.schedule import Schedule
 
 SCHEDULE = Schedule(100)
 FAMILIES: tuple[Family, ...] = ("printed", "consistent")

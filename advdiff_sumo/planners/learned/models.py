@@ -16,8 +16,8 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, WeightsError
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
+from advdiff_sumo.diffusion.noise_schedule import Schedule
 from advdiff_sumo.diffusion.sampler import Sampling, draw, sample
-from advdiff_sumo.diffusion.schedule import Schedule
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.decoder import Rollout

@@ -14,8 +14,8 @@ from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
 from advdiff_sumo.diffusion.fast_encoder import FastEncoder
 from advdiff_sumo.diffusion.fast_reward import RewardWeights
+from advdiff_sumo.diffusion.noise_schedule import Schedule
 from advdiff_sumo.diffusion.sampler import Sampling
-from advdiff_sumo.diffusion.schedule import Schedule
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec, TrajectoryCodec
 from advdiff_sumo.models.reward import RewardModel

@@ -11,7 +11,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from advdiff_sumo.diffusion.schedule import Schedule
+from advdiff_sumo.diffusion.noise_schedule import Schedule
 
 KINDS: tuple[Literal["cosine", "linear"], ...] = ("cosine", "linear")
 

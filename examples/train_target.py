@@ -82,8 +82,8 @@ def train(
     model = PPO(
         "MlpPolicy",
         envs,
-        n_steps=ROLLOUT // workers,
-        batch_size=64,
+        n_steps=min(ROLLOUT, steps) // workers,
+        batch_size=min(64, steps),
         learning_rate=5e-4,
         gamma=0.97,
         policy_kwargs={"log_std_init": -1.0},

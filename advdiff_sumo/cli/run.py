@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -88,10 +88,10 @@ def run(
         config = config or _begun(out)
     _check_display(gui)
     prepared = _prepared(_options(config, where | what, policy, assign or [], defect), gui)
-    standing = prepared.standing_starts()  # before there is a folder: a log that cannot be read leaves none
+    notes = prepared.left_out()  # before there is a folder: a log that cannot be read leaves none
     folder = _folder(prepared, out, resume)
     console = verb_console(quiet, as_json)
-    _print_notes(console, prepared, standing)
+    print_notes(console, notes)
     with ExitStack() as stack:
         count = _episodes(prepared, folder, console, limits_of(stack, math.inf, plan_timeout, memory))
     _tell_outcome(console, folder, prepared, count, check, as_json)
@@ -144,15 +144,10 @@ def _check_display(gui: bool) -> None:
         raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
 
 
-def _print_notes(console: Console, prepared: Run, standing: int) -> None:
-    """Say what of the log, such as its *standing* starts, and of the demand is left out."""
-    if standing:
-        least = prepared.options.scene.min_speed_mps
-        console.print(
-            f"note: {standing} starts of the log passed over, its ego is slower than {least:g} m/s there"
-        )
-    for file in prepared.demand.ignored if prepared.demand else ():
-        console.print(f"note: {file} holds detectors and outputs only, and is left out", markup=False)
+def print_notes(console: Console, notes: Iterable[str]) -> None:
+    """Say what of the logs and of the demand is left out."""
+    for note in notes:
+        console.print(f"note: {note}", markup=False, soft_wrap=True)
 
 
 def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits) -> int:

@@ -92,10 +92,12 @@ def sweep(
     a power cut lose the episodes in flight: advdiff-sumo sweep --resume DIR runs what is missing.
     """
     one_thread_for_good()
+    from advdiff_sumo.cli.run import print_notes
     from advdiff_sumo.cli.summary import run_object  # late: --help needs no simulator
     from advdiff_sumo.cli.sweep_results import conclude, condition_of
     from advdiff_sumo.sim.free_folder import free_folder
     from advdiff_sumo.sweep.job_plan import plan_sweep
+    from advdiff_sumo.sweep.notes import sweep_notes
     from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
 
     signal.signal(signal.SIGTERM, _as_ctrl_c)
@@ -104,6 +106,7 @@ def sweep(
     store = _begun(resume)
     spec = _spec(file, store)
     plan = plan_sweep(spec)
+    print_notes(console, sweep_notes(plan))
     slots = workers or _cores()
     with ExitStack() as stack:
         limits = limits_of(stack, timeout, plan_timeout, memory)

@@ -128,13 +128,9 @@ class Run:
         """The driving log that scenes come from, if any."""
         return open_log(Path(self.options.scenes)) if self.options.scenes else None
 
-    def standing_starts(self) -> int:
-        """Return how many starts of the driving log are passed over because its ego stands there."""
-        if self.log is None:
-            return 0
-        options = self.options
-        seed = SeedTree(options.seed)
-        return LoggedTraffic(self.road, self.log, options.scene, options.sim, seed).standing_starts()
+    def left_out(self) -> list[str]:
+        """Return sentences on what of the driving log and of the demand is left out."""
+        return left_out(self.options, self.road, self.demand, self.log)
 
     def seed_scenes(self) -> Iterator[SeedScene]:
         """Yield seed scenes in their order; a log's end, SUMO traffic goes on for ever.
@@ -187,6 +183,32 @@ class Run:
             if dumped[key]:
                 dumped[key] = str(Path(dumped[key]).resolve())
         return {"run": versions(), "options": dumped}
+
+
+def left_out(
+    options: RunOptions, road: RoadMap, demand: DemandFiles | None, log: LogReader | None
+) -> list[str]:
+    """Return sentences on what of the driving log and of the demand is left out.
+
+    Args:
+        options: of the run.
+        road: its net.
+        demand: what ``options.demand`` names, if anything.
+        log: what ``options.scenes`` names, if anything.
+
+    Raises:
+        InputError: the log cannot be read.
+    """
+    ignored = demand.ignored if demand is not None else ()
+    sentences = [f"{file} holds detectors and outputs only, and is left out" for file in ignored]
+    if log is None:
+        return sentences
+    logged = LoggedTraffic(road, log, options.scene, options.sim, SeedTree(options.seed))
+    standing, least = logged.standing_starts(), options.scene.min_speed_mps
+    if standing:
+        where = f"its ego is slower than {least:g} m/s there"
+        sentences.append(f"{standing} starts of the log passed over, {where} ({options.scenes})")
+    return sentences
 
 
 def target_of(options: RunOptions) -> Target:

@@ -59,6 +59,7 @@ def test_a_configuration_brings_gzipped_routes_types_and_stops_and_names_what_is
     assert not list(place.rglob("loops.out.xml"))
 
 
+@pytest.mark.slow
 def test_gzipped_routes_by_themselves_are_demand(place: Path) -> None:
     routes = ROUTES.replace("<routes>", f'<routes><vType id="mine" length="{LENGTH_M}"/><!-- no stop -->')
     routes = routes[: routes.index('<flow id="stops"')] + "</routes>"
@@ -70,3 +71,14 @@ def test_gzipped_routes_by_themselves_are_demand(place: Path) -> None:
     assert row["failure_kind"] is None
     assert lengths_m(place / "run") == {LENGTH_M}
     assert "left out" not in done.out
+
+
+@pytest.mark.slow
+def test_a_sweep_says_once_what_it_leaves_out(place: Path) -> None:
+    net = '{ net = "grid.net.xml.gz", demand = "grid.sumocfg" }'
+    grid = f'[grid]\nnets = [{net}]\ntargets = ["IDM", "Krauss"]\nbackgrounds = ["sumo"]\n'
+    scene = "[scene]\nwarmup_s = 12.0\nmin_neighbours = 0\n"
+    (place / "two.toml").write_text(f"episodes = 1\nhorizon_s = 1.0\n{scene}{grid}")
+    done = advdiff("sweep", "two.toml", "--workers", 1, "--no-report", "--out", "s", cwd=place)
+    assert done.code == 0, done.out + done.err
+    assert done.out.count("loops.add.xml holds detectors and outputs only, and is left out") == 1

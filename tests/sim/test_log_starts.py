@@ -14,6 +14,7 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.log_reader import LogScene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.logs import LoggedTraffic
+from advdiff_sumo.sim.run_episodes import RunOptions, left_out
 from advdiff_sumo.sim.seed_scene import PlacedTraffic
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 
@@ -59,6 +60,16 @@ def test_starts_at_which_the_ego_stands_are_passed_over_and_counted(street: Path
     logged = source(street, SPEED_MPS)
     assert [scene.name for scene in logged.scenes()] == ["drive-020", "drive-024", "drive-028"]
     assert logged.standing_starts() == 4
+
+
+def test_what_a_run_or_sweep_says_of_standing_starts(street: Path) -> None:
+    options = RunOptions.parse(
+        {"net": str(street), "scenes": "drives", "scene": {"stride_s": 2.0, "min_speed_mps": 0.5}}
+    )
+    assert left_out(options, RoadMap.read(street), None, OneDrive(SPEED_MPS)) == [
+        "4 starts of the log passed over, its ego is slower than 0.5 m/s there (drives)"
+    ]
+    assert left_out(options, RoadMap.read(street), None, None) == []
 
 
 def test_standing_is_a_start_where_it_is_asked_for(street: Path) -> None:

@@ -1,0 +1,26 @@
+"""What a sweep leaves out of its logs and its demand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from advdiff_sumo.data import open_log
+from advdiff_sumo.sim.demand_files import read_demand
+from advdiff_sumo.sim.run_episodes import left_out, read_road
+from advdiff_sumo.sweep.job_plan import Plan
+
+
+def sweep_notes(plan: Plan) -> Iterator[str]:
+    """Yield sentences on what of logs and demand is left out, once for each net with its log or demand.
+
+    Raises:
+        InputError: a log cannot be read.
+    """
+    sources = {
+        (cell.net, cell.demand, cell.scenes): cell for cell in plan.cells if cell.demand or cell.scenes
+    }
+    for (net, demand, scenes), options in sources.items():
+        road = read_road(net)
+        files = read_demand(Path(demand), road) if demand else None
+        yield from left_out(options, road, files, open_log(Path(scenes)) if scenes else None)

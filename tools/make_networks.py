@@ -11,19 +11,23 @@ from pathlib import Path
 from networks_src import downtown, downtown_left, motorway, netconvert, sidecar
 from networks_src.plain import Plan
 
+from advdiff_sumo.maps.on_foot import add_foot_paths
+
 
 @dataclass(frozen=True)
 class Recipe:
-    """A layout and the width of the footways along its kerbs, 0 for none."""
+    """A layout, the width of the footways along its kerbs, 0 for none, and whether people walk and cross there."""
 
     plan: Callable[[], Plan]
     footway_m: float = 2.5
+    crossings: bool = False
 
 
 RECIPES: dict[str, Recipe] = {
     "downtown": Recipe(downtown.plan),
     "downtown-left": Recipe(downtown_left.plan),
     "motorway": Recipe(motorway.plan, footway_m=0.0),
+    "downtown-people": Recipe(downtown.plan, crossings=True),
 }
 
 
@@ -34,6 +38,8 @@ def make(name: str, folder: Path) -> str:
     warnings = netconvert.build(recipe.plan(), net_file)
     poly_file = folder / f"{name}.poly.xml"
     sidecar.write(net_file, poly_file, name, recipe.footway_m)
+    if recipe.crossings:  # after the side-car, whose areas are those of the same net without
+        add_foot_paths(net_file, [], guess=True)
     return warnings
 
 

@@ -122,18 +122,18 @@ def gpu() -> Iterator[Finding]:
 def nets() -> Iterator[Finding]:
     """Look for the shipped nets."""
     from advdiff_sumo.core.errors import FileError  # late, as above
-    from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, shipped_networks
+    from advdiff_sumo.maps.shipped_nets import NETS_BY_NAME, shipped_networks
 
     try:
         folder = shipped_networks()
     except FileError as error:
         yield Finding("nets", State.PROBLEM, str(error), _INSTALL_AGAIN)
         return
-    lacking = [name for name in SHIPPED_NETS if not (folder / f"{name}.net.xml").is_file()]
+    lacking = [name for name in NETS_BY_NAME if not (folder / f"{name}.net.xml").is_file()]
     if lacking:
         yield Finding("nets", State.PROBLEM, f"{folder} lacks {', '.join(lacking)}", _INSTALL_AGAIN)
     else:
-        yield Finding("nets", State.OK, f"{', '.join(SHIPPED_NETS)} in {folder}")
+        yield Finding("nets", State.OK, f"{', '.join(NETS_BY_NAME)} in {folder}")
 
 
 def weights() -> Iterator[Finding]:

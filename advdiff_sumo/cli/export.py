@@ -88,9 +88,9 @@ def scene_of(folder: Path, episode: int | None) -> ExportScene:
 
 def _net_file(folder: Path, named: str) -> Path:
     """Return the net's file: as it is named, or beside the run's tables, or a shipped one."""
-    from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, find_net  # late, as above
+    from advdiff_sumo.maps.shipped_nets import NETS_BY_NAME, find_net  # late, as above
 
-    if named in SHIPPED_NETS:
+    if named in NETS_BY_NAME:
         return find_net(named)
     for path in (Path(named), folder / Path(named).name):
         if path.is_file():

@@ -41,9 +41,9 @@ def list_names(
 def _names(kind: Kind) -> dict[str, str]:
     """Return the names of *kind*, each with what it is."""
     if kind is Kind.nets:
-        from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, find_net
+        from advdiff_sumo.maps.shipped_nets import NETS_BY_NAME, find_net
 
-        return {name: str(find_net(name)) for name in SHIPPED_NETS}
+        return {name: str(find_net(name)) for name in NETS_BY_NAME}
     if kind is Kind.defects:
         from advdiff_sumo.planners.defects import DEFECTS
 

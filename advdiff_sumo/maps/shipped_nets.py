@@ -7,6 +7,9 @@ from pathlib import Path
 from advdiff_sumo.core.errors import FileError, NetError
 
 SHIPPED_NETS = ("downtown", "downtown-left", "motorway")
+"""What benches, training windows and sweeps take where no net is named."""
+NETS_BY_NAME = (*SHIPPED_NETS, "downtown-people")
+"""All nets that ship with the package; ``downtown-people`` is the downtown with crossings and sidewalks."""
 
 
 def find_net(net: str) -> Path:
@@ -15,11 +18,11 @@ def find_net(net: str) -> Path:
     Raises:
         NetError: there is no such file.
     """
-    if net in SHIPPED_NETS:
+    if net in NETS_BY_NAME:
         return shipped_networks() / f"{net}.net.xml"
     path = Path(net)
     if not path.exists():
-        raise NetError(path, "no such net", f"give a .net.xml file or one of {', '.join(SHIPPED_NETS)}")
+        raise NetError(path, "no such net", f"give a .net.xml file or one of {', '.join(NETS_BY_NAME)}")
     if not path.is_file():
         raise NetError(path, "is no file", "give a .net.xml file")
     return path.resolve()
@@ -27,7 +30,7 @@ def find_net(net: str) -> Path:
 
 def net_name(net: str) -> str:
     """Return *net* as it is written down: a shipped net by name, another one by its full path."""
-    return net if net in SHIPPED_NETS else str(Path(net).resolve())
+    return net if net in NETS_BY_NAME else str(Path(net).resolve())
 
 
 def shipped_networks() -> Path:

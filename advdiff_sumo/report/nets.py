@@ -6,7 +6,7 @@ from pathlib import Path
 
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, find_net
+from advdiff_sumo.maps.shipped_nets import NETS_BY_NAME, find_net
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.layer import MapLayer
 
@@ -42,7 +42,7 @@ class Nets:
 
 def net_path(name: str, folder: Path) -> Path | None:
     """Return where the net *name* of a folder is: as named, beside the tables, among the shipped ones; or None."""
-    shipped = (find_net(name),) if name in SHIPPED_NETS else ()
+    shipped = (find_net(name),) if name in NETS_BY_NAME else ()
     return next((p for p in (Path(name), folder / Path(name).name, *shipped) if p.is_file()), None)
 
 

@@ -60,7 +60,7 @@ def test_no_bar_and_no_colour_in_a_pipe(here: Callable[..., Outcome], workplace:
     [
         ("targets", {*TARGETS.names(), "exec:COMMAND"}),
         ("backgrounds", {"sumo", "replay", "diffusion"}),
-        ("nets", {"downtown", "downtown-left", "motorway"}),
+        ("nets", {"downtown", "downtown-left", "downtown-people", "motorway"}),
         ("defects", set(DEFECTS)),
     ],
 )

@@ -18,7 +18,10 @@ import sumolib
 from defusedxml import ElementTree
 from shapely import LineString, Polygon
 
+from advdiff_sumo.maps.on_foot.footways import read_footways
+
 NAMES = ("downtown", "downtown-left", "motorway")
+PEOPLE = "downtown-people"  # the downtown with crossings and sidewalks
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 
 
@@ -230,9 +233,31 @@ def test_side_car_covers_every_lane(name: str, net: Any, networks: Path) -> None
 def test_generator_reproduces_the_committed_files(tmp_path: Path, networks: Path) -> None:
     command = [sys.executable, str(TOOLS / "make_networks.py"), "--out", str(tmp_path)]
     subprocess.run(command, check=True, capture_output=True)
-    for stem, kind in itertools.product(NAMES, ("net", "poly")):
+    for stem, kind in itertools.product((*NAMES, PEOPLE), ("net", "poly")):
         made, kept = tmp_path / f"{stem}.{kind}.xml", networks / f"{stem}.{kind}.xml"
         assert made.read_bytes() == kept.read_bytes(), f"{kept.name} differs from what its generator makes"
+
+
+def _for_vehicles(path: Path) -> list[tuple[str | None, ...]]:
+    root: Any = ElementTree.parse(path).getroot()
+    lanes = [lane for lane in root.iter("lane") if lane.get("allow") != "pedestrian"]
+    rows = [row for row in root.iter("connection") if row.get("via")]
+    return [
+        *(tuple(lane.get(key) for key in ("id", "shape", "length", "speed", "width")) for lane in lanes),
+        *(tuple(row.get(key) for key in ("from", "to", "fromLane", "toLane", "via", "tl")) for row in rows),
+    ]
+
+
+def test_the_downtown_with_people_is_the_same_for_vehicles(networks: Path) -> None:
+    plain, walked = (networks / f"{name}.net.xml" for name in ("downtown", PEOPLE))
+    assert _for_vehicles(walked) == _for_vehicles(plain)
+    ways = read_footways(walked)
+    assert set(ways.part.tolist()) == {0}  # one can walk from any sidewalk to any other
+    root: Any = ElementTree.parse(walked).getroot()
+    crossings = [edge for edge in root.iter("edge") if edge.get("function") == "crossing"]
+    assert len(crossings) == 171  # over 161 arms, some in two parts with an island between
+    lights = {row.get("tl") for row in root.iter("connection") if row.get("to", "").startswith(":")} - {None}
+    assert len(lights) == 14
 
 
 OPTIONS = (

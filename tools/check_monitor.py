@@ -1,0 +1,158 @@
+"""Compare safe distances and speed limits with CommonRoad's rule monitor on exported scenes.
+
+python tools/check_monitor.py FOLDER --python ENV/bin/python [--net motorway] [--scenes 50] [--keep DIR]
+
+ENV is an environment with commonroad-stl-monitor 2025.1.1, commonroad-io 2024.3 and antlr4-python3-runtime 4.7.2, which
+pin what this project cannot live with. Episodes of FOLDER are exported as CommonRoad scenarios, and at every instant
+the monitor's predicates of R_G1 (safe distance of the target, with our response and brakes; entries into the lane are
+not excused) and R_G3 (speed limit of the lane, everybody) are compared with ours. R_G2, unnecessary braking, is no
+breach here. --keep keeps what the monitor said, and goes on from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.cli.export import scene_of
+from advdiff_sumo.core.errors import InputError
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.experiments.judge_folder import open_folder
+from advdiff_sumo.export import make_exporter
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.following import following
+from advdiff_sumo.metrics.safe_gap import safe_gap_m
+from advdiff_sumo.metrics.traffic_view import TrafficView
+from advdiff_sumo.report.stored_record import stored_record
+
+RULES = Path(__file__).with_name("commonroad_rules.py")
+Answers = dict[str, Any]
+
+
+def main() -> int:
+    """Print a table a rule; return the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, help="finished run or sweep")
+    parser.add_argument("--python", required=True, help="interpreter of the monitor's environment")
+    parser.add_argument("--net", default="", help="only episodes on nets whose file's name begins so")
+    parser.add_argument("--scenes", type=int, default=50, help="how many episodes")
+    parser.add_argument("--keep", type=Path, help="folder for the exported scenes and the monitor's answers")
+    given = parser.parse_args()
+    try:
+        with tempfile.TemporaryDirectory() as scratch:
+            keep = given.keep or Path(scratch)
+            keep.mkdir(parents=True, exist_ok=True)
+            counts, failed = compared(given, keep)
+    except (InputError, OSError) as error:
+        print(f"check_monitor: {error}", file=sys.stderr)
+        return 2
+    for reason in failed:
+        print(f"left out: {reason}")
+    for rule in ("safe distance", "speed limit"):
+        both, ours, theirs, neither = (
+            counts[rule, a, b] for a, b in ((True, True), (True, False), (False, True), (False, False))
+        )
+        total = both + ours + theirs + neither
+        print(f"{rule}: {total} instants, {(both + neither) / max(total, 1):.2%} agree")
+        print(f"    broken by both {both}, by ours alone {ours}, by the monitor's alone {theirs}")
+    return 0
+
+
+def compared(given: argparse.Namespace, keep: Path) -> tuple[Counter[tuple[str, bool, bool]], list[str]]:
+    """Return how often (ours, theirs) say a rule is broken, and what was left out."""
+    scenes = []
+    for _, stored in open_folder(given.folder).episodes():
+        if len(scenes) < given.scenes and stored.net.name.startswith(given.net):
+            record = stored_record(stored.states, stored.row, stored.signals)
+            if record is not None and record.tracks.steps > 1:
+                scenes.append((record, stored.net))
+    paths = [exported(given.folder, record, keep) for record, _ in scenes]
+    answers = monitored(given.python, paths, keep)
+    counts: Counter[tuple[str, bool, bool]] = Counter()
+    failed = []
+    for (record, net), path in zip(scenes, paths, strict=True):
+        told = answers.get(str(path), {"failed": "no answer"})
+        if "failed" in told:
+            failed.append(f"{path.name}: {told['failed']}")
+        else:
+            count(counts, record, RoadMap.read(net), told, obstacles(path))
+    return counts, failed
+
+
+def exported(folder: Path, record: EpisodeRecord, keep: Path) -> Path:
+    """Return the CommonRoad file of an episode."""
+    (path,) = make_exporter("commonroad").write(scene_of(folder, record.episode), keep)
+    return Path(path)
+
+
+def obstacles(path: Path) -> dict[str, str]:
+    """Return number → name of the obstacles, the target's as "target"."""
+    pattern = r'<dynamicObstacle id="(\d+)">\s*<!--\s*(target|agent): (.*?)\s*-->'
+    found = re.findall(pattern, path.read_text(encoding="utf-8"))
+    return {number: "target" if role == "target" else name for number, role, name in found}
+
+
+def monitored(python: str, paths: list[Path], keep: Path) -> dict[str, Answers]:
+    """Return the monitor's answers by file; those in *keep* are not asked for again."""
+    store = keep / "answers.jsonl"
+    known = [json.loads(line) for line in store.read_text().splitlines()] if store.exists() else []
+    answers = {told["path"]: told for told in known}
+    asked = [path for path in paths if str(path) not in answers]
+    pairs = [text for path in asked for text in (str(path), target_number(path))]
+    with store.open("a") as lines:
+        command = [python, str(RULES), *pairs]
+        started = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        for line in started.stdout or ():
+            if line.startswith("{"):
+                told = json.loads(line)
+                answers[told["path"]] = told
+                lines.write(line)
+                lines.flush()
+        started.wait()
+    return answers
+
+
+def target_number(path: Path) -> str:
+    """Return the number of the obstacle that was tested."""
+    return next(number for number, name in obstacles(path).items() if name == "target")
+
+
+def count(
+    counts: Counter[tuple[str, bool, bool]],
+    record: EpisodeRecord,
+    road: RoadMap,
+    told: Answers,
+    names: dict[str, str],
+) -> None:
+    """Add the instants of one scene to *counts*."""
+    tracks, target = record.tracks, record.target
+    view = TrafficView.of_record(record, road)
+    ahead = following(tracks, target, road, record.route)
+    speed = tracks.speed_mps[target]
+    with np.errstate(invalid="ignore"):
+        near = (ahead.gap_m < safe_gap_m(speed + 0.0 * ahead.gap_m, speed - ahead.closing_mps)).any(axis=0)
+    theirs = set(told["unsafe"])
+    for step in told["steps"]:
+        counts["safe distance", bool(near[step]), step in theirs] += 1
+    for number, steps in told["too_fast"].items():
+        row = target if names[number] == "target" else tracks.index[names[number]]
+        limits, over = road.legal_limits_mps, set(steps)
+        for step in np.flatnonzero(tracks.valid[row]).tolist():
+            lane = view.place(row, step, step + 1).lane[0]
+            fast = lane is not None and tracks.speed_mps[row, step] > limits[lane]
+            counts["speed limit", bool(fast), step in over] += 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

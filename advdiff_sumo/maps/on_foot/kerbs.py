@@ -192,12 +192,12 @@ def _islands(areas: Sequence[WalkingArea], crossings: Sequence[CrossingLine]) ->
 def _outwards(
     number: int, area: WalkingArea, crossings: Sequence[CrossingLine], road: Carriageway
 ) -> Sidewalk | None:
-    """Return a sidewalk straight on from the crossing; None where the carriageway is in the way."""
+    """Return a sidewalk straight on from the crossing; None where a lane is in the way."""
     crossing, side = crossings[area.ends[0][0]], area.ends[0][1]
     end, other = crossing.ends_m[side], crossing.ends_m[1 - side]
     out = (end - other) / crossing.length_m
     line = np.stack((end + CLEARANCE_M * out, end + (CLEARANCE_M + _AWAY_M) * out))
-    return None if LineString(line).intersects(road.area) else Sidewalk(number, None, line)
+    return None if LineString(line).intersects(road.lanes_area) else Sidewalk(number, None, line)
 
 
 def outline(area: WalkingArea, crossings: Sequence[CrossingLine], begins: Sequence[FloatArray]) -> Polygon:

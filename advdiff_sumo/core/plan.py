@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from advdiff_sumo.core.arrays import FloatArray
@@ -66,8 +67,10 @@ class JointPlan:
             inserted when it becomes valid; one that becomes invalid leaves.
         exact: poses are applied as they are (logs); otherwise through the bicycle model.
         attack: who can attack; None where the policy attacks nobody, or has not looked anew.
+        routes: id → edges that a vehicle which is inserted is going to drive; without it they are guessed.
     """
 
     tracks: Tracks
     exact: bool = False
     attack: AttackState | None = None
+    routes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)

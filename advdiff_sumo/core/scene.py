@@ -124,6 +124,16 @@ class Tracks:
         """Return the same tracks with their clock moved by *seconds*."""
         return replace(self, t0_s=self.t0_s + seconds)
 
+    def joined(self, other: Tracks) -> Tracks:
+        """Return these agents and those of *other*, which has the same instants."""
+        if (self.steps, self.dt_s, self.t0_s) != (other.steps, other.dt_s, other.t0_s):
+            raise ValueError("Tracks of different instants cannot be joined")
+        parts = {
+            name: np.concatenate((getattr(self, name), getattr(other, name)))
+            for name in ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
+        }
+        return Tracks(ids=(*self.ids, *other.ids), t0_s=self.t0_s, dt_s=self.dt_s, **parts)
+
     @staticmethod
     def empty(steps: int = 0, dt_s: float = 0.5, t0_s: float = 0.0) -> Tracks:
         """Return tracks of no agents."""

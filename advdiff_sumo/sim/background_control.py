@@ -17,6 +17,7 @@ from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.core.tracking import State, densify, track
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.entries import completed, presence
 from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
 from advdiff_sumo.sim.plan_validation import check_joint_form, check_joint_plan
 from advdiff_sumo.sim.plug_in_guard import PlugInGuard
@@ -123,6 +124,11 @@ class Background:
         return self._guard.call(lambda: self._plan(scene, steps))
 
     @property
+    def routes(self) -> Mapping[str, tuple[str, ...]]:
+        """Id → edges of the vehicles that the last plan inserts."""
+        return self.planned.routes if self.planned is not None else {}
+
+    @property
     def _guard(self) -> PlugInGuard:
         return PlugInGuard(self.policy, f"background '{self.name}'", Phase.BACKGROUND, self.heartbeat)
 
@@ -186,14 +192,13 @@ class Background:
                 f"background '{self.name}' planned {tracks.steps} × {tracks.dt_s:g} s, too short"
             )
         world = self.world
-        state: State = world.xy_m[rows], world.yaw_rad[rows], world.speed_mps[rows]
-        dense: State = tracks.xy_m, tracks.yaw_rad, tracks.speed_mps
+        now: State = world.xy_m[rows], world.yaw_rad[rows], world.speed_mps[rows]
+        state, dense = completed(tracks, now)
         if abs(tracks.dt_s - self.step_s) > 1e-9:
             dense = densify(state, dense, tracks.dt_s, self.step_s, steps)
         reference: State = dense[0][:, :steps], dense[1][:, :steps], dense[2][:, :steps]
         driven = track(state, reference, world.size_m[rows, 0], self.step_s, self.limits)
-        valid = np.repeat(np.isfinite(driven[1]).all(axis=1, keepdims=True), steps, axis=1)
-        return *driven, valid
+        return *driven, presence(tracks, np.isnan(now[1]), self.step_s, steps)
 
 
 def planned_ends(motion: Motion) -> Mapping[int, tuple[FloatArray, float]]:

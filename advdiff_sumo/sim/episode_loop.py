@@ -150,6 +150,7 @@ class Loop:
     def _plan_background(self, scene: Scene, period: int) -> Motion:
         planned = self.background.replan(scene, period)
         planned = planned.keep(~np.isin(planned.rows, list(self.world.on_foot)))
+        self.handover.note_routes(self.background.routes)
         logged = self.context.motion(scene, period)
         self.replayed = np.setdiff1d(logged.rows, planned.rows)
         motion = Motion.join(planned, logged)
@@ -218,7 +219,9 @@ class Loop:
     def _let_in(self, motion: Motion) -> None:
         """Note which of the vehicles outside SUMO get onto a lane during *motion*, and which SUMO will bring."""
         if isinstance(self.episode.scene.start, SavedTraffic):
-            self.demand_brings = set(motion.rows.tolist()) - self.world.had_in_sumo
+            of_demand = self.episode.scene.log.index
+            waited = set(motion.rows.tolist()) - self.world.had_in_sumo
+            self.demand_brings = {row for row in waited if self.world.ids[row] in of_demand}
         waiting = ~np.isin(motion.rows, [*self.actuator.moved, *self.actuator.refused]) & motion.valid.any(
             axis=1
         )

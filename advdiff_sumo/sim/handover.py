@@ -159,6 +159,13 @@ class Handover:
         angle = float(wrap_angle(np.arctan2(delta[1], delta[0]) - yaw_rad))
         return float(2.0 * np.sin(angle) / max(float(np.hypot(*delta)), 1.0))
 
+    def note_routes(self, routes: Mapping[str, tuple[str, ...]]) -> None:
+        """Note which edges vehicles that a policy inserts, by id, are going to drive."""
+        for name, route in routes.items():
+            row = self.world.row_of(name)
+            if row is not None and row not in self._routes:
+                self._routes[row] = route
+
     def route(self, row: int, routes: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
         """Return the edges that *row*, which we move, is expected to drive from its present one on."""
         return self._routes.get(row) or routes.get(self.world.ids[row], ())

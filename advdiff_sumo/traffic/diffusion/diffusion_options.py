@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from advdiff_sumo.config import Options
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
+from advdiff_sumo.traffic.manoeuvres.staging import STAGED
 
 Attack: TypeAlias = Literal[
     "any",
@@ -50,6 +51,7 @@ class DiffusionOptions(Options):
         strength: how hard attackers are guided against the target; 0 is natural traffic exactly.
         attackers: most vehicles that are guided at a time.
         attack: what they shall do; "any": whatever gets them close.
+        staged: most vehicles that come in during an episode where a lawful manoeuvre lacks them; 0: nobody.
         guide: "reward": by the reward model and the attack's own terms; "reward-only": by the reward model alone,
             as in the paper; "none": natural traffic.
         steps: denoising steps of a plan.
@@ -69,6 +71,7 @@ class DiffusionOptions(Options):
     strength: float = Field(1.0, ge=0.0, le=1.0)
     attackers: int = Field(2, ge=1, le=8)
     attack: Attack = "any"
+    staged: int = Field(STAGED, ge=0, le=20)
     guide: Literal["reward", "reward-only", "none"] = "reward"
     steps: int = Field(5, ge=1, le=1000)
     begin: float = Field(0.9, gt=0.0, le=1.0)

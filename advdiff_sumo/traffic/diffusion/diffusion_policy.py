@@ -20,6 +20,8 @@ from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions, T
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.licence import NATURAL_OVER_LIMIT
 from advdiff_sumo.traffic.manoeuvres.licensed_attack import RECKLESS, LicensedAttack, licensed_attack
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.staging import Stage, come_in, plan_with
 from advdiff_sumo.traffic.planning.draw import Drawn, draw_plan
 from advdiff_sumo.traffic.planning.futures import Futures, coasting, futures_of, join
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
@@ -86,7 +88,7 @@ class DiffusionTraffic:
         _ = road.pieces
         memory = Memory()
         if self.options.licence != "reckless" and self.options.guided:
-            memory = Memory(commitments=Commitments.start(self.options.manoeuvre, rng))
+            memory = Memory(commitments=Commitments.start(self.options.manoeuvre, rng, self.options.staged))
         if not self._rehearsed:
             self._rehearse(road, scene, memory)
         return memory
@@ -115,8 +117,7 @@ class DiffusionTraffic:
         view = look(road, scene, leaving(scene, lanes))
         seed = int(rng.integers(2**62))
         if not view.moved.any():
-            empty = Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=scene.time_s + MODEL_STEP_S)
-            return JointPlan(empty, attack=self._state((), None)), replace(memory, plan=None)
+            return self._alone(road, scene, memory)
         drawn = draw_plan(self.networks, self.options, view, memory.noise, memory.shifts, seed)
         if self.listener is not None:
             self.listener(view, drawn)
@@ -124,8 +125,9 @@ class DiffusionTraffic:
         guarded = apply_safeguard(road, view, drawn, lanes, (memory.plan, memory.driven), attack)
         tracks = tracks_of(view, guarded.futures)
         state = self._state(drawn.attackers, attack.commitments)
-        plan = JointPlan(tracks, attack=state)
-        return plan, Memory(drawn.noise, drawn.shifts, tracks, 1, attack.commitments)
+        memory = Memory(drawn.noise, drawn.shifts, tracks, 1, attack.commitments)
+        stage = attack.commitments.stage if attack.commitments is not None else Stage()
+        return plan_with(tracks, attack.newcomers, stage, state), memory
 
     def _state(self, guided: Sequence[str], commitments: Commitments | None) -> AttackState | None:
         """Return who is in a position for the attack: who is guided to it, or drives a manoeuvre of its kind."""
@@ -135,6 +137,17 @@ class DiffusionTraffic:
         aimed = guided if asked == "any" or term != "any" else ()  # the guide has no term of this kind
         driving = () if commitments is None else commitments.attacking
         return AttackState(asked, tuple(dict.fromkeys((*aimed, *driving))))
+
+    def _alone(self, road: RoadMap, scene: Scene, memory: Memory) -> tuple[JointPlan, Memory]:
+        """Return the plan where nobody may be moved: of who comes in, if anybody."""
+        empty = Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=scene.time_s + MODEL_STEP_S)
+        kept = memory.commitments
+        if kept is None:
+            return JointPlan(empty, attack=self._state((), None)), replace(memory, plan=None)
+        newcomers, stage = come_in(SituationView.of(road, scene), kept.stage, kept.wanted(scene.time_s))
+        kept = replace(kept, stage=stage)
+        state = self._state((), None)
+        return plan_with(empty, newcomers, stage, state), replace(memory, plan=None, commitments=kept)
 
     def _attack(self, road: RoadMap, view: View, drawn: Drawn, memory: Memory) -> LicensedAttack:
         """Return what the licence makes of the plan *drawn*."""

@@ -14,7 +14,7 @@ from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
-HARD_WORTH: Mapping[float, float] = {2.0: 0.1, 3.0: 0.3, 4.0: 0.5, 5.0: 0.8, 6.0: 1.0, 7.0: 1.0}
+HARD_WORTH: Mapping[float, float] = {2.0: 0.05, 3.0: 0.4, 4.0: 0.7, 5.0: 0.9, 6.0: 1.0, 7.0: 0.8}
 """Worth of an encounter by the braking that it needs; none where it needs little or more than a driver has."""
 SEEN_WORTH: Mapping[float, float] = {1.0: 0.5, 2.0: 0.7, 3.0: 0.8, 4.0: 0.8, 5.0: 0.8, 6.0: 0.8}
 """Worth where what counts is whether the target sees the other and gives way at all."""
@@ -32,12 +32,14 @@ class Chosen:
         futures: of it alone, C = 1.
         needed_mps2: braking of the target that it needs.
         worth: how well it serves.
+        merit: the same, however much its kind is wanted.
     """
 
     manoeuvre: Manoeuvre
     futures: ManoeuvreFutures
     needed_mps2: float
     worth: float
+    merit: float = 1.0
 
 
 def rank(
@@ -63,21 +65,24 @@ def rank(
     now = view.scene.history.xy_m[:, -1]
     perceived = np.array([m.enters_s(now[m.row]) for m in proposals])
     needed = needed_braking(target, futures.xy_m, futures.yaw_rad, size, perceived)
-    worth = np.array([_worth(m, n, weights) for m, n in zip(proposals, needed.tolist(), strict=True)])
+    merit = np.array([_merit(m, n) for m, n in zip(proposals, needed.tolist(), strict=True)])
+    worth = merit * np.array([weights.get(m.kind, 0.0) for m in proposals])
     useful = np.flatnonzero(worth > 0.0)
     kept = useful[lawful(view, [proposals[k] for k in useful.tolist()], _rows(futures, useful), licence)]
     order = kept[np.argsort(-worth[kept], kind="stable")].tolist()
     return [
-        Chosen(proposals[k], _rows(futures, np.array([k])), float(needed[k]), float(worth[k])) for k in order
+        Chosen(
+            proposals[k], _rows(futures, np.array([k])), float(needed[k]), float(worth[k]), float(merit[k])
+        )
+        for k in order
     ]
 
 
-def _worth(manoeuvre: Manoeuvre, needed_mps2: float, weights: Mapping[str, float]) -> float:
-    weight = weights.get(manoeuvre.kind, 0.0)
+def _merit(manoeuvre: Manoeuvre, needed_mps2: float) -> float:
     if manoeuvre.sets_up:
-        return SETTING_UP * weight if needed_mps2 <= 1.0 else 0.0
+        return SETTING_UP if needed_mps2 <= 1.0 else 0.0
     table = SEEN_WORTH if manoeuvre.kind in SEEN_KINDS else HARD_WORTH
-    return table.get(needed_mps2, 0.0) * weight
+    return table.get(needed_mps2, 0.0)
 
 
 def _rows(futures: ManoeuvreFutures, rows: FloatArray | np.ndarray) -> ManoeuvreFutures:

@@ -15,10 +15,16 @@ from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_b
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.staging import Stage
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 _LONGEST_S: Mapping[str, float] = {"blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
 _LONGEST_DEFAULT_S = 7.0
+_LORRIES = 0.5
+"""Share of episodes in which who comes in ahead is a lorry."""
+_OPENINGS = ("hard-stop", "cut-in", "crossing")
+_PATIENT_S, _WORTH_IT = 7.0, 0.4
+"""For so long an episode is for what it begins with, and less merit than this waits for a better moment."""
 _TRIED = 4
 """Manoeuvres that are checked in full, best first."""
 
@@ -48,11 +54,20 @@ class Commitments:
         weights: kind → how much it is wanted in this episode.
         active: id → its manoeuvre.
         rested_s: id → when it may take part again.
+        stage: who has come in for an encounter, and may.
+        first: the kind that an episode of "any" begins with; "" for all.
     """
 
     weights: Mapping[str, float]
     active: Mapping[str, Commitment] = field(default_factory=dict)
     rested_s: Mapping[str, float] = field(default_factory=dict)
+    stage: Stage = field(default_factory=Stage)
+    first: str = ""
+
+    def wanted(self, now_s: float) -> tuple[str, ...]:
+        """Return the kinds that may begin now: the episode's first one and crossing, later all."""
+        early = (self.first, "crossing") if self.first and now_s < _PATIENT_S else tuple(self.weights)
+        return tuple(kind for kind in self.weights if kind in early)
 
     @property
     def attacking(self) -> tuple[str, ...]:
@@ -60,10 +75,19 @@ class Commitments:
         return tuple(name for name, under_way in self.active.items() if not under_way.sets_up)
 
     @staticmethod
-    def start(attack: str, rng: np.random.Generator) -> Commitments:
-        """Return none, with preferences drawn for *attack*, a kind or "any", so that episodes differ."""
+    def start(attack: str, rng: np.random.Generator, staged: int = 0) -> Commitments:
+        """Return none, with preferences drawn for *attack*, a kind or "any", so that episodes differ.
+
+        Args:
+            attack: the kind.
+            rng: for the draws.
+            staged: most vehicles that may come in.
+        """
         kinds = list(KINDS) if attack == "any" else [attack]
-        return Commitments(dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True)))
+        weights = dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True))
+        stage = Stage(staged, lorry=bool(rng.random() < _LORRIES))
+        first = str(rng.choice(_OPENINGS)) if attack == "any" else ""
+        return Commitments(weights, stage=stage, first=first)
 
 
 def advance(
@@ -92,9 +116,12 @@ def _begin(
     """Return the best new manoeuvres, one a vehicle, at most *room*."""
     names, now = view.scene.history.ids, view.scene.time_s
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
-    proposals = [m for row in free for kind in kept.weights for m in KINDS[kind](view, row)]
+    proposals = [m for row in free for kind in kept.wanted(now) for m in KINDS[kind](view, row)]
     out: list[Manoeuvre] = []
-    for chosen in rank(view, proposals, kept.weights, licence)[:_TRIED]:
+    least = _WORTH_IT if now < _PATIENT_S else 0.0
+    ranked = rank(view, proposals, kept.weights, licence)
+    worthy = [one for one in ranked if one.manoeuvre.sets_up or one.merit >= least]
+    for chosen in worthy[:_TRIED]:
         fits = all(chosen.manoeuvre.row != other.row for other in out)
         if len(out) < room and fits and _passes(view, chosen, licence):
             out.append(chosen.manoeuvre)

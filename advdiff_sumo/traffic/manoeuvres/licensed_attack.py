@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.manoeuvre import futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, come_in
 from advdiff_sumo.traffic.planning.futures import Futures
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ class LicensedAttack:
         driven: row → positions (T, 2), headings (T,) and speeds (T,) of a lawful manoeuvre.
         commitments: manoeuvres under way, for the next plan.
         over_limit: highest share of the speed limit at which guided vehicles may drive.
+        newcomers: who comes in.
     """
 
     exempt: bool = True
@@ -49,6 +51,7 @@ class LicensedAttack:
     driven: Mapping[int, tuple[FloatArray, FloatArray, FloatArray]] = field(default_factory=dict)
     commitments: Commitments | None = None
     over_limit: float = RECKLESS_OVER_LIMIT
+    newcomers: tuple[Newcomer, ...] = ()
 
 
 RECKLESS = LicensedAttack()
@@ -80,6 +83,7 @@ def licensed_attack(
         return RECKLESS
     situation = SituationView.of(road, view.scene)
     driven: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
+    newcomers: tuple[Newcomer, ...] = ()
     if kept is not None:
         manoeuvres, kept = advance(situation, kept, most, PAUSE_S, licence)
         speed = np.array([situation.speed(m.row) for m in manoeuvres])
@@ -88,9 +92,11 @@ def licensed_attack(
         for k, manoeuvre in enumerate(manoeuvres):
             if manoeuvre.row in row_of:
                 driven[row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]
+        newcomers, stage = come_in(situation, kept.stage, kept.wanted(view.scene.time_s))
+        kept = replace(kept, stage=stage)
     guided = [row for row in map(view.ids.index, attackers) if row not in driven]
     refused = _refused(situation, view, futures, guided, licence)
-    return LicensedAttack(False, refused, driven, kept, licence.over_limit)
+    return LicensedAttack(False, refused, driven, kept, licence.over_limit, newcomers)
 
 
 def _refused(

@@ -11,6 +11,9 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 
 from advdiff_sumo.maps.lanes import Link
+from advdiff_sumo.metrics.safe_gap import safe_gap_m
+from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
+from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import LATERAL_MPS, Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -20,7 +23,7 @@ HARD_BRAKING_MPS2 = (4.5, 6.0, 7.5, 8.5)
 """A leader that brakes for something it alone sees."""
 GENTLE_BRAKING_MPS2 = (2.0, 3.0)
 """A vehicle that stops in its lane as at a kerb."""
-AFTER_CUT_IN_MPS2 = (2.0, 3.5, 5.0, 6.5)
+AFTER_CUT_IN_MPS2 = (2.0, 3.5, 5.0, 6.5, 8.0)
 """How somebody slows who has just changed lanes and finds the queue."""
 TIMING_MPS2 = (-2.0, -1.0, 0.0, 1.0, 2.0)
 """How somebody with priority chooses when to arrive."""
@@ -29,11 +32,21 @@ _IN_LANE_M, _BESIDE_M = 1.2, 5.5
 _AHEAD_M, _CROSSING_M = 55.0, 60.0
 _SLOWEST_MPS = 2.0
 _STOPS_FROM_MPS = 5.0
+_CROSSES_SHARE = 0.45
+"""Share of the limit below which nobody slows who has priority."""
+_SPARE_M, _CLOSES_PER_S, _SETTLES_S = 0.5, 0.4, 1.0
+_CLOSES_UP_SHARE, _GENTLY_MPS2 = 0.75, 1.0
+"""Share of the limit at which a leader lets the target close up, and how it gets to that speed."""
 
 
 def hard_stop(view: SituationView, row: int) -> Iterator[Manoeuvre]:
-    """The target's leader brakes hard to a stop."""
+    """The target's leader brakes hard to a stop, or lets it close up first."""
     yield from _stops(view, row, "hard-stop", HARD_BRAKING_MPS2)
+    if _leads(view, row):
+        slow = max(_CLOSES_UP_SHARE * view.ways[row].lane.speed_mps, _STOPS_FROM_MPS + 1.0)
+        drives = view.speed(row)
+        closing = SpeedProfile(_GENTLY_MPS2 * np.sign(slow - drives), abs(slow - drives), lowest_mps=slow)
+        yield Manoeuvre("hard-stop", row, view.ways[row], closing, sets_up=True)
 
 
 def blocked_lane(view: SituationView, row: int) -> Iterator[Manoeuvre]:
@@ -62,9 +75,19 @@ def cut_in(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     for brake in AFTER_CUT_IN_MPS2:
         after = SpeedProfile(0.0, 0.6 * lateral, -brake, 0.3 * target.speed_mps, limit)
         yield Manoeuvre("cut-in", row, way, after, goal)
-    for accel in (1.5, -1.0):
-        approach = SpeedProfile(accel, 2.0, 0.0, _SLOWEST_MPS, limit)
-        yield Manoeuvre("cut-in", row, way, approach, sets_up=True)
+    yield Manoeuvre("cut-in", row, way, _into_position(view, target, row), sets_up=True)
+
+
+def _into_position(view: SituationView, target: TargetWay, row: int) -> SpeedProfile:
+    """Return the speed that brings *row* to where it may just enter the target's lane."""
+    limit, drives = view.ways[row].lane.speed_mps, view.speed(row)
+    safe = safe_gap_m(target.speed_mps + 0.5, drives)
+    wanted = LAWFUL.gap_share * safe + LAWFUL.spare_m + _SPARE_M
+    between = 0.5 * float(view.size(row)[0] + target.size_m[0])
+    lacks = wanted - (view.place_on(target.way, row)[0] - between)
+    aims = float(np.clip(target.speed_mps + _CLOSES_PER_S * lacks, 0.6 * target.speed_mps, limit))
+    accel = float(np.clip((aims - drives) / _SETTLES_S, -2.0, 2.0))
+    return SpeedProfile(accel, _SETTLES_S, 0.0, _SLOWEST_MPS, limit)
 
 
 def crossing(view: SituationView, row: int) -> Iterator[Manoeuvre]:
@@ -74,7 +97,8 @@ def crossing(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     way = view.ways[row]
     for accel in TIMING_MPS2:
         for until_s in _TIMING_S if accel else _TIMING_S[:1]:
-            timed = SpeedProfile(accel, until_s, 0.0, _SLOWEST_MPS, way.lane.speed_mps)
+            slowest = _CROSSES_SHARE * way.lane.speed_mps
+            timed = SpeedProfile(accel, until_s, 0.0, slowest, way.lane.speed_mps)
             yield Manoeuvre("crossing", row, way, timed)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
@@ -16,6 +17,7 @@ from advdiff_sumo.traffic.manoeuvres.licence import LicenceName, licence_of
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.staging import STAGED, come_in, plan_with
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
@@ -31,12 +33,14 @@ class ScriptedOptions(Options):
         licence: what they may do: "lawful", "careless" or "reckless".
         attackers: most vehicles that are in a manoeuvre at a time.
         pause_s: rest of a vehicle after a manoeuvre.
+        staged: most vehicles that come in during an episode where an encounter lacks them; 0: nobody.
     """
 
     attack: Kind = "any"
     licence: LicenceName = "lawful"
     attackers: int = Field(2, ge=1, le=8)
     pause_s: float = Field(8.0, ge=0.0, le=600.0)
+    staged: int = Field(STAGED, ge=0, le=20)
 
 
 class ScriptedTraffic:
@@ -54,7 +58,7 @@ class ScriptedTraffic:
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Commitments:  # noqa: ARG002 - the contract
         """Return which kinds this episode prefers, so that episodes differ."""
-        return Commitments.start(self.options.attack, rng)
+        return Commitments.start(self.options.attack, rng, self.options.staged)
 
     def plan(
         self,
@@ -69,7 +73,9 @@ class ScriptedTraffic:
         licence = licence_of(options.licence)
         driven, memory = advance(view, memory, options.attackers, options.pause_s, licence)
         state = AttackState(options.attack, memory.attacking)
-        return JointPlan(tracks_of_manoeuvres(view, driven), attack=state), memory
+        newcomers, stage = come_in(view, memory.stage, memory.wanted(scene.time_s))
+        plan = plan_with(tracks_of_manoeuvres(view, driven), newcomers, stage, state)
+        return plan, replace(memory, stage=stage)
 
 
 def tracks_of_manoeuvres(view: SituationView, manoeuvres: Sequence[Manoeuvre]) -> Tracks:

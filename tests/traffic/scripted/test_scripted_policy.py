@@ -36,7 +36,7 @@ def test_the_leader_stops_and_goes_on_stopping(motorway: RoadMap) -> None:
 
 def test_nobody_is_moved_where_nothing_serves(motorway: RoadMap) -> None:
     lane = long_lane(motorway)
-    policy = ScriptedTraffic()
+    policy = ScriptedTraffic(staged=0)
     rng = np.random.default_rng(0)
     scene = scene_on({"target": (lane, 90.0, 20.0), "follower": (lane, 50.0, 20.0)})
     plan, _ = policy.plan(motorway, scene, policy.start(motorway, scene, None, rng), rng)

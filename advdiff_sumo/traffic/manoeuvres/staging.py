@@ -1,0 +1,227 @@
+"""Staging: vehicles that come in where an encounter lacks them, as traffic that arrives from further away.
+
+At the first plan of an episode, before anybody has seen anybody, they may stand nearer than later on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.plan import AttackState, JointPlan
+from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.maps.lanes import Link
+from advdiff_sumo.metrics.safe_gap import safe_gap_m
+from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL
+from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.ways import Way
+from advdiff_sumo.traffic.planning.lanes_ahead import lanes_ahead
+
+SIZE_M = {AgentClass.CAR: (4.6, 1.8), AgentClass.TRUCK: (9.0, 2.4)}
+"""Length and width of who comes in."""
+STAGED = 6
+"""Most vehicles that come in during an episode, if nobody says otherwise."""
+_STEPS = 12
+_AGAIN_S = 2.0
+_SLOWEST_MPS, _CROSSES_MPS = 3.0, 12.0
+_AHEAD_M, _FARTHEST_M = 55.0, 58.0
+_HEADWAY_S, _LEAST_AHEAD_M = 2.0, 22.0
+_APART_M, _APART_S, _FROM_TARGET_M = 9.0, 0.6, 18.0
+_IN_LANE_M, _BESIDE_M = 2.0, 6.0
+_JUNCTION_M = (18.0, 80.0)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What staging remembers.
+
+    Attributes:
+        most: vehicles that may come in during an episode.
+        lorry: whether the target's leader is a lorry in this episode.
+        count: of those that have come in.
+        again_s: when it looks again.
+    """
+
+    most: int = 0
+    lorry: bool = False
+    count: int = 0
+    again_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Newcomer:
+    """Somebody who comes in.
+
+    Attributes:
+        way: begins where it is now.
+        speed_mps: its speed.
+        agent_class: what it is.
+    """
+
+    way: Way
+    speed_mps: float
+    agent_class: AgentClass = AgentClass.CAR
+
+    @property
+    def xy_m(self) -> FloatArray:
+        """Its (2,) centre now."""
+        return self.way.line.at(self.way.lane.s_m)[0]
+
+    @property
+    def route(self) -> tuple[str, ...]:
+        """The edges of its way."""
+        return tuple(dict.fromkeys(lane.edge_id for lane in self.way.lane.lanes if not lane.is_internal))
+
+
+def come_in(view: SituationView, stage: Stage, kinds: Container[str]) -> tuple[tuple[Newcomer, ...], Stage]:
+    """Return who comes in now, for manoeuvres of *kinds*, and what is remembered."""
+    now = view.scene.time_s
+    if view.target is None or stage.count >= stage.most or now < stage.again_s:
+        return (), stage
+    taken: list[Newcomer] = []
+    roles = {"hard-stop": _leader(view, stage), "cut-in": _beside(view), "crossing": _with_priority(view)}
+    for candidates in (made for kind, made in roles.items() if kind in kinds):
+        room = min(1, stage.most - stage.count - len(taken))
+        taken += islice((one for one in candidates if _is_free(view, one, taken)), room)
+    return tuple(taken), replace(stage, count=stage.count + len(taken), again_s=now + _AGAIN_S)
+
+
+def plan_with(
+    tracks: Tracks, newcomers: Sequence[Newcomer], stage: Stage, attack: AttackState | None = None
+) -> JointPlan:
+    """Return the plan of *tracks* and of *newcomers*, who go on along their ways.
+
+    Args:
+        tracks: at ``PLAN_DT_S``, or empty.
+        newcomers: who comes in.
+        stage: after they did, for their names.
+        attack: who can attack.
+    """
+    if not newcomers:
+        return JointPlan(tracks, attack=attack)
+    first = stage.count - len(newcomers)
+    names = tuple(f"staged-{first + k}" for k in range(len(newcomers)))
+    driven = PLAN_DT_S * np.arange(1.0, _STEPS + 1.0)
+    poses = [one.way.poses(one.speed_mps * driven, driven) for one in newcomers]
+    more = Tracks(
+        ids=names,
+        classes=np.array([int(one.agent_class) for one in newcomers]),
+        size_m=np.array([SIZE_M[one.agent_class] for one in newcomers]),
+        xy_m=np.stack([xy for xy, _ in poses]),
+        yaw_rad=np.stack([yaw for _, yaw in poses]),
+        speed_mps=np.repeat([[one.speed_mps] for one in newcomers], _STEPS, axis=1),
+        valid=np.ones((len(newcomers), _STEPS), dtype=np.bool_),
+        t0_s=tracks.t0_s,
+        dt_s=PLAN_DT_S,
+    )
+    routes = {name: one.route for name, one in zip(names, newcomers, strict=True)}
+    joined = tracks.joined(more) if tracks.agents else more
+    return JointPlan(joined, attack=attack, routes=routes)
+
+
+def _leader(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
+    """Somebody ahead in the target's lane, where nobody is."""
+    target = view.target
+    if target is None or target.speed_mps < _SLOWEST_MPS or _anybody(view, target.way, 0.0, _AHEAD_M):
+        return
+    begins = view.scene.time_s < PLAN_DT_S
+    gap = max(_HEADWAY_S * target.speed_mps + 8.0, _LEAST_AHEAD_M) if begins else _FARTHEST_M
+    agent_class = AgentClass.TRUCK if stage.lorry else AgentClass.CAR
+    yield from _on_way(view, target.way, gap, target.speed_mps, agent_class)
+
+
+def _beside(view: SituationView) -> Iterator[Newcomer]:
+    """Somebody on the next lane, ahead of the target by what a lane change has to leave."""
+    target = view.target
+    if target is None or target.speed_mps < _SLOWEST_MPS:
+        return
+    speed = target.speed_mps
+    gap = LAWFUL.gap_share * safe_gap_m(speed + 0.5, speed) + LAWFUL.spare_m + SIZE_M[AgentClass.CAR][0] + 3.0
+    for side in ("left", "right"):
+        way = view.neighbour(view.scene.target, side)
+        if way is not None and not _anybody(view, way, 0.0, _AHEAD_M):
+            yield from _on_way(view, way, max(gap, _LEAST_AHEAD_M), speed, AgentClass.CAR)
+
+
+def _with_priority(view: SituationView) -> Iterator[Newcomer]:
+    """Somebody whom the target has to let pass at its next junction, there when the target is."""
+    target = view.target
+    if target is None:
+        return
+    for reach, link in target.way.links[:2]:
+        if not _JUNCTION_M[0] < reach < _JUNCTION_M[1] or view.signal(link) in ("r", "u"):
+            continue
+        meets_s = reach / max(target.speed_mps, _SLOWEST_MPS)
+        for other in sorted(_first_in_line(view, link), key=lambda one: one.direction != "s"):
+            lane = view.road.lanes[other.from_lane]
+            to = view.road.lanes[other.to_lane].edge_id
+            for arrives_s in (meets_s, meets_s + 1.0, meets_s - 1.0):
+                speed = min(lane.speed_mps, _CROSSES_MPS)
+                away = min(speed * arrives_s, lane.length_m - 1.0)
+                way = _way(view, lane.line.at(lane.length_m - away), (lane.edge_id, to))
+                if away > _APART_M and way is not None and other in (x for _, x in way.links):
+                    yield Newcomer(way, max(min(speed, away / arrives_s), _SLOWEST_MPS))
+
+
+def _first_in_line(view: SituationView, link: Link) -> list[Link]:
+    """Return the links to which *link* has to give way and that may be driven now."""
+    junction = view.road.junctions[link.junction_id]
+    above = junction.response.get(link.request_index, frozenset())
+    lanes = (view.road.lanes[name] for name in junction.incoming_lanes)
+    return [
+        other
+        for lane in lanes
+        if lane.is_drivable and not lane.is_internal
+        for other in lane.successors
+        if other.junction_id == junction.id
+        and other.request_index in above
+        and link.request_index not in junction.response.get(other.request_index, frozenset())
+        and (view.signal(other) == "G" or (not view.signal(other) and not other.yields))
+    ]
+
+
+def _on_way(
+    view: SituationView, way: Way, ahead_m: float, speed_mps: float, agent_class: AgentClass
+) -> Iterator[Newcomer]:
+    """Somebody *ahead_m* further along *way*, on no junction, before no red light and not at the road's end."""
+    if ahead_m + 40.0 > way.lane.end_m:
+        return
+    if any(reach < ahead_m + 10.0 and view.signal(link) in ("r", "u", "y") for reach, link in way.links):
+        return
+    pose = way.line.at(way.lane.s_m + ahead_m)
+    edges = tuple(lane.edge_id for lane in way.lane.lanes if not lane.is_internal)
+    there = _way(view, pose, (*edges, *view.scene.routes[view.scene.target]))
+    if there is not None and not there.present_lane.is_internal:
+        yield Newcomer(there, min(speed_mps, there.lane.speed_mps), agent_class)
+
+
+def _way(view: SituationView, pose: tuple[FloatArray, FloatArray], route: Sequence[str]) -> Way | None:
+    ahead = lanes_ahead(view.road, pose[0][None], np.array([float(pose[1])]), [route])[0]
+    return None if ahead is None else Way(replace(ahead, offset_m=0.0))
+
+
+def _anybody(view: SituationView, way: Way, behind_m: float, ahead_m: float) -> bool:
+    """Return whether somebody but the target is on *way* between *behind_m* and *ahead_m* from where it begins."""
+    places = (view.place_on(way, row) for row in view.ways if row != view.scene.target)
+    return any(behind_m < s < ahead_m and abs(left) < 2.0 for s, left in places)
+
+
+def _is_free(view: SituationView, one: Newcomer, taken: Sequence[Newcomer]) -> bool:
+    """Return whether there is room around *one*."""
+    now, target = view.scene.history, view.scene.target
+    there = np.flatnonzero(now.valid[:, -1])
+    apart = np.linalg.norm(now.xy_m[there, -1] - one.xy_m, axis=-1)
+    s, left = one.way.line.project(now.xy_m[there, -1])
+    room = _APART_M + _APART_S * one.speed_mps
+    same_lane = (np.abs(left) < _IN_LANE_M) & (np.abs(s - one.way.lane.s_m) < room)
+    clear = bool((apart > np.where(same_lane, room, _BESIDE_M)).all())
+    from_target = float(apart[there == target].min(initial=np.inf))
+    others = [float(np.linalg.norm(one.xy_m - other.xy_m)) for other in taken]
+    return (
+        clear and _FROM_TARGET_M < from_target < _FARTHEST_M + 20.0 and min(others, default=np.inf) > _APART_M
+    )

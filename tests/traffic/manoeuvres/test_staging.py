@@ -1,0 +1,101 @@
+"""Who comes in for an encounter, and where, on a straight lane of the motorway and at junctions of the downtown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.lanes import Link
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.staging import SIZE_M, Stage, come_in, plan_with
+from tests.traffic.manoeuvres.scenes import scene_on, view_of
+
+
+@pytest.fixture(scope="module")
+def motorway(networks: object) -> RoadMap:
+    return RoadMap.read(f"{networks}/motorway.net.xml")
+
+
+@pytest.fixture(scope="module")
+def downtown(networks: object) -> RoadMap:
+    return RoadMap.read(f"{networks}/downtown.net.xml")
+
+
+def test_a_leader_comes_in_where_there_is_none(motorway: RoadMap) -> None:
+    """At 10 m/s, 2 s and 8 m ahead: 28 m."""
+    view = view_of(motorway, target=(0, 50.0, 10.0))
+    (leader,), stage = come_in(view, Stage(most=3, lorry=True), ("hard-stop",))
+    assert leader.agent_class is AgentClass.TRUCK
+    assert leader.speed_mps == 10.0
+    assert view.target is not None
+    ahead, left = view.target.way.line.project(leader.xy_m)
+    assert float(ahead) - view.target.way.lane.s_m == pytest.approx(28.0, abs=0.1)
+    assert abs(float(left)) < 0.1
+    assert stage.count == 1
+
+
+@pytest.mark.parametrize(
+    ("cars", "stage"),
+    [
+        ({"leader": (0, 90.0, 10.0)}, Stage(most=3)),
+        ({"beside": (1, 80.0, 10.0)}, Stage(most=0)),
+        ({}, Stage(most=3, count=3)),
+        ({}, Stage(most=3, again_s=1.0)),
+    ],
+)
+def test_nobody_comes_in(motorway: RoadMap, cars: dict[str, tuple[int, float, float]], stage: Stage) -> None:
+    """There is a leader; nobody may; all that may have; it is not the time."""
+    view = view_of(motorway, target=(0, 50.0, 10.0), **cars)
+    assert come_in(view, stage, ("hard-stop",))[0] == ()
+
+
+def test_who_comes_in_beside_leaves_the_safe_gap(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 20.0))
+    (other,), _ = come_in(view, Stage(most=3), ("cut-in",))
+    assert view.target is not None
+    ahead, left = view.target.way.line.project(other.xy_m)
+    assert 2.5 < abs(float(left)) < 4.5
+    assert float(ahead) - view.target.way.lane.s_m > 1.1 * 20.0 + SIZE_M[AgentClass.CAR][0]
+
+
+def test_a_plan_names_who_comes_in_and_where_it_goes(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 10.0))
+    newcomers, stage = come_in(view, Stage(most=3, count=1), ("hard-stop",))
+    plan = plan_with(Tracks.empty(steps=1, dt_s=0.5, t0_s=0.5), newcomers, stage)
+    assert plan.tracks.ids == ("staged-1",)
+    assert plan.routes["staged-1"][0] == view.scene.routes[0][0]
+    driven = np.linalg.norm(np.diff(plan.tracks.xy_m[0], axis=0), axis=-1)
+    assert driven == pytest.approx(np.full(11, 5.0), abs=0.05)
+
+
+def minor_links(road: RoadMap) -> Iterator[Link]:
+    for lane in road.lanes.values():
+        for link in lane.successors:
+            if not lane.is_internal and link.tls_id is None and link.state == "m" and lane.length_m > 60.0:
+                yield link
+
+
+def test_somebody_with_priority_comes_in_at_a_minor_approach(downtown: RoadMap) -> None:
+    """It is on an edge to which the target gives way, and arrives within a second and a half of the target."""
+    links = list(minor_links(downtown))
+    assert links
+    for link in links:
+        lane = downtown.lanes[link.from_lane]
+        to = downtown.lanes[link.to_lane].edge_id
+        scene = scene_on({"target": (lane, lane.length_m - 40.0, 8.0)})
+        view = SituationView.of(downtown, replace(scene, routes=((lane.edge_id, to),)))
+        newcomers, _ = come_in(view, Stage(most=3), ("crossing",))
+        for one in newcomers:
+            crosses = [(reach, x) for reach, x in one.way.links if x.junction_id == link.junction_id]
+            response = downtown.junctions[link.junction_id].response[link.request_index]
+            assert crosses[0][1].request_index in response
+            assert one.route[0] != lane.edge_id
+            assert abs(crosses[0][0] / one.speed_mps - 5.0) < 1.6
+        if newcomers:
+            return
+    pytest.fail("no minor approach of the downtown gets anybody")

@@ -43,6 +43,11 @@ class Link:
         """Whether the sign says to give way (minor road, stop, all-way stop, equal roads)."""
         return self.state in "mws="
 
+    @property
+    def must_wait(self) -> bool:
+        """Whether the sign says to give way whoever comes, not only to some by the rule of the junction."""
+        return self.yields and self.state != "="
+
     def signal(self, signals: Mapping[str, str]) -> str:
         """Return the letter of its light in *signals* (traffic light → states); "" without one or when unknown."""
         states = signals.get(self.tls_id, "") if self.tls_id is not None else ""

@@ -10,7 +10,7 @@ import numpy as np
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
-from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import ENTERS_SHARE, Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
@@ -22,6 +22,7 @@ _LONGEST_S: Mapping[str, float] = {"blocked-lane": 14.0, "hard-stop": 9.0, "stop
 _LONGEST_DEFAULT_S = 7.0
 _LORRIES = 0.5
 """Share of episodes in which who comes in ahead is a lorry."""
+_SOON_M, _SPACE_M = 110.0, 70.0
 _OPENINGS = ("hard-stop", "cut-in", "crossing")
 _PATIENT_S, _WORTH_IT = 7.0, 0.4
 """For so long an episode is for what it begins with, and less merit than this waits for a better moment."""
@@ -102,12 +103,29 @@ def advance(
         pause_s: rest of a vehicle after a manoeuvre.
         licence: what they may do; None: anything.
     """
+    if kept.first and view.scene.time_s <= 0.0:
+        kept = replace(kept, first=_opening(view, kept.first))
     going, kept = _carry_on(view, kept, pause_s, licence)
     room = attackers - len(going)
     fresh = _begin(view, kept, {m.row for m in going}, room, licence) if room > 0 else []
     names, now = view.scene.history.ids, view.scene.time_s
     begun = {names[m.row]: Commitment(m.kind, m.profile, now, m.sets_up) for m in fresh}
     return [*going, *fresh], replace(kept, active={**kept.active, **begun})
+
+
+def _opening(view: SituationView, first: str) -> str:
+    """Return what an episode that should begin with *first* can begin with."""
+    target = view.target
+    if first == "cut-in":
+        beside = any(target and view.neighbour(view.scene.target, side) for side in ("left", "right"))
+        return first if beside and view.is_first(_SPACE_M) else "hard-stop"
+    junctions = view.road.junctions
+    links = target.way.links if target is not None else ()
+    gives_way = any(
+        reach < _SOON_M and junctions[link.junction_id].response.get(link.request_index)
+        for reach, link in links
+    )
+    return "hard-stop" if first == "crossing" and not gives_way else first
 
 
 def _begin(
@@ -181,5 +199,13 @@ def _goal(view: SituationView, row: int, kind: str) -> Way | None:
 
 
 def _still_lawful(view: SituationView, manoeuvre: Manoeuvre, licence: Licence | None) -> bool:
+    """Return whether *manoeuvre* goes on: with the gap that the rule asks for, and none once it is over the line."""
     futures = futures_of_manoeuvres([manoeuvre], np.array([view.speed(manoeuvre.row)]))
+    if licence is not None:
+        licence = replace(licence, gap_share=min(licence.gap_share, 1.0), spare_m=0.0)
+    goal = manoeuvre.goal
+    if goal is not None:
+        across = abs(float(goal.line.project(view.scene.history.xy_m[manoeuvre.row, -1])[1]))
+        if across < (1.0 - ENTERS_SHARE) * goal.present_lane.width_m:
+            manoeuvre = replace(manoeuvre, goal=None)
     return bool(lawful(view, [manoeuvre], futures, licence)[0])

@@ -23,6 +23,7 @@ from advdiff_sumo.traffic.planning.people import PEOPLE_SIDE_M
 
 _RED, _STOPS_AT, _YIELDS_ON_GREEN = "ru", "ruy", "g"
 _ROOM_M, _PEOPLE_ROOM_M = np.array([0.5, 0.15]), np.array([0.5, PEOPLE_SIDE_M])
+_SOON_STEPS = 10
 _STOPS = ("hard-stop", "blocked-lane")
 
 
@@ -87,7 +88,7 @@ def _has_priority(view: SituationView, row: int) -> bool:
         return view.signal(own) in ("G", "g")
     yields = own.request_index in response.get(targets.request_index, frozenset())
     bound = targets.request_index in response.get(own.request_index, frozenset())
-    return yields and not bound and not (own.yields and not view.signal(own))
+    return yields and not bound and not (own.must_wait and not view.signal(own))
 
 
 def _stopped_by_signal(view: SituationView, link: Link) -> bool:
@@ -159,13 +160,16 @@ def _clear_of(
     room_m: FloatArray,
 ) -> bool:
     """Return whether future *k* keeps *room_m* (2,) to *rows* (R,), which will be at (R, T, 2), (R, T)."""
-    near = np.linalg.norm(xy_m - futures.xy_m[k], axis=-1).min(axis=1, initial=np.inf) < 12.0
+    soon = slice(0, _SOON_STEPS if manoeuvre.kind == "crossing" else None)  # beyond, others have given way
+    xy_m, yaw_rad = xy_m[:, soon], yaw_rad[:, soon]
+    own_xy, own_yaw = futures.xy_m[k, soon], futures.yaw_rad[k, soon]
+    near = np.linalg.norm(xy_m - own_xy, axis=-1).min(axis=1, initial=np.inf) < 12.0
     if not near.any():
         return True
     half = 0.5 * view.scene.history.size_m
     gaps = axis_gaps(
-        xy_m[near] - futures.xy_m[k],
-        np.broadcast_to(futures.yaw_rad[k], yaw_rad[near].shape),
+        xy_m[near] - own_xy,
+        np.broadcast_to(own_yaw, yaw_rad[near].shape),
         half[manoeuvre.row] + room_m,
         yaw_rad[near],
         half[rows[near]][:, None],

@@ -34,7 +34,7 @@ _SLOWEST_MPS = 2.0
 _STOPS_FROM_MPS = 5.0
 _CROSSES_SHARE = 0.45
 """Share of the limit below which nobody slows who has priority."""
-_SPARE_M, _CLOSES_PER_S, _SETTLES_S = 0.5, 0.4, 1.0
+_SPARE_M, _CLOSES_PER_S, _SETTLES_S = 2.0, 0.6, 0.8
 _CLOSES_UP_SHARE, _GENTLY_MPS2 = 0.75, 1.0
 """Share of the limit at which a leader lets the target close up, and how it gets to that speed."""
 
@@ -65,7 +65,7 @@ def stop_and_go(view: SituationView, row: int) -> Iterator[Manoeuvre]:
 def cut_in(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     """Somebody ahead on the next lane changes into the target's and slows, or gets into position for it."""
     target = view.target
-    if target is None or not _beside(view, row):
+    if target is None or not _beside(view, row) or view.speed(row) < _SLOWEST_MPS:
         return
     goal = _lane_of_target(view, row)
     if goal is None:
@@ -92,8 +92,12 @@ def _into_position(view: SituationView, target: TargetWay, row: int) -> SpeedPro
 
 def crossing(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     """Somebody with priority crosses the target's way when it gets there."""
-    if crossing_links(view, row) is None:
+    links = crossing_links(view, row)
+    target = view.target
+    if links is None or target is None:
         return
+    if not view.is_first(next(reach for reach, link in target.way.links if link is links[1])):
+        return  # it waits behind somebody
     way = view.ways[row]
     for accel in TIMING_MPS2:
         for until_s in _TIMING_S if accel else _TIMING_S[:1]:

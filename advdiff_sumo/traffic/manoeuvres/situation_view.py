@@ -20,6 +20,7 @@ from advdiff_sumo.traffic.planning.people import velocities
 
 NEAR_M = 70.0
 """Vehicles farther from the target than this do not matter to it."""
+_IN_LANE_M = 1.5
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,14 @@ class SituationView:
     def gap_m(self, ahead_m: float, first: int, second: int) -> float:
         """Return the bumper gap of two boxes whose centres are *ahead_m* apart on one way."""
         return abs(ahead_m) - 0.5 * float(self.size(first)[0] + self.size(second)[0])
+
+    def is_first(self, reach_m: float) -> bool:
+        """Return whether nobody is between the target and a place *reach_m* ahead on its way."""
+        target = self.target
+        if target is None:
+            return False
+        places = (self.place_on(target.way, row) for row in self.ways if row != self.scene.target)
+        return not any(0.0 < ahead < reach_m and abs(left) < _IN_LANE_M for ahead, left in places)
 
     def signal(self, link: Link) -> str:
         """Return SUMO's letter of the light of *link*; "" where none controls it."""

@@ -29,11 +29,11 @@ STAGED = 6
 _STEPS = 12
 _AGAIN_S = 2.0
 _SLOWEST_MPS, _CROSSES_MPS = 3.0, 12.0
-_AHEAD_M, _FARTHEST_M = 55.0, 58.0
+_AHEAD_M, _LATER_M, _FARTHEST_M = 55.0, 48.0, 78.0
 _HEADWAY_S, _LEAST_AHEAD_M = 2.0, 22.0
 _APART_M, _APART_S, _FROM_TARGET_M = 9.0, 0.6, 18.0
 _IN_LANE_M, _BESIDE_M = 2.0, 6.0
-_JUNCTION_M = (18.0, 80.0)
+_JUNCTION_M, _SOON_S = (10.0, 80.0), 7.0
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def _leader(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
     if target is None or target.speed_mps < _SLOWEST_MPS or _anybody(view, target.way, 0.0, _AHEAD_M):
         return
     begins = view.scene.time_s < PLAN_DT_S
-    gap = max(_HEADWAY_S * target.speed_mps + 8.0, _LEAST_AHEAD_M) if begins else _FARTHEST_M
+    gap = max(_HEADWAY_S * target.speed_mps + 8.0, _LEAST_AHEAD_M) if begins else _LATER_M
     agent_class = AgentClass.TRUCK if stage.lorry else AgentClass.CAR
     yield from _on_way(view, target.way, gap, target.speed_mps, agent_class)
 
@@ -138,7 +138,7 @@ def _leader(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
 def _beside(view: SituationView) -> Iterator[Newcomer]:
     """Somebody on the next lane, ahead of the target by what a lane change has to leave."""
     target = view.target
-    if target is None or target.speed_mps < _SLOWEST_MPS:
+    if target is None or target.speed_mps < _SLOWEST_MPS or not view.is_first(_AHEAD_M):
         return
     speed = target.speed_mps
     gap = LAWFUL.gap_share * safe_gap_m(speed + 0.5, speed) + LAWFUL.spare_m + SIZE_M[AgentClass.CAR][0] + 3.0
@@ -156,13 +156,17 @@ def _with_priority(view: SituationView) -> Iterator[Newcomer]:
     for reach, link in target.way.links[:2]:
         if not _JUNCTION_M[0] < reach < _JUNCTION_M[1] or view.signal(link) in ("r", "u"):
             continue
+        if not view.is_first(reach):
+            return
         meets_s = reach / max(target.speed_mps, _SLOWEST_MPS)
+        if meets_s > _SOON_S:
+            continue
         for other in sorted(_first_in_line(view, link), key=lambda one: one.direction != "s"):
             lane = view.road.lanes[other.from_lane]
             to = view.road.lanes[other.to_lane].edge_id
             for arrives_s in (meets_s, meets_s + 1.0, meets_s - 1.0):
                 speed = min(lane.speed_mps, _CROSSES_MPS)
-                away = min(speed * arrives_s, lane.length_m - 1.0)
+                away = min(speed * arrives_s, lane.length_m - 1.0, _FARTHEST_M)
                 way = _way(view, lane.line.at(lane.length_m - away), (lane.edge_id, to))
                 if away > _APART_M and way is not None and other in (x for _, x in way.links):
                     yield Newcomer(way, max(min(speed, away / arrives_s), _SLOWEST_MPS))
@@ -181,7 +185,7 @@ def _first_in_line(view: SituationView, link: Link) -> list[Link]:
         if other.junction_id == junction.id
         and other.request_index in above
         and link.request_index not in junction.response.get(other.request_index, frozenset())
-        and (view.signal(other) == "G" or (not view.signal(other) and not other.yields))
+        and (view.signal(other) == "G" or (not view.signal(other) and not other.must_wait))
     ]
 
 
@@ -222,6 +226,4 @@ def _is_free(view: SituationView, one: Newcomer, taken: Sequence[Newcomer]) -> b
     clear = bool((apart > np.where(same_lane, room, _BESIDE_M)).all())
     from_target = float(apart[there == target].min(initial=np.inf))
     others = [float(np.linalg.norm(one.xy_m - other.xy_m)) for other in taken]
-    return (
-        clear and _FROM_TARGET_M < from_target < _FARTHEST_M + 20.0 and min(others, default=np.inf) > _APART_M
-    )
+    return clear and _FROM_TARGET_M < from_target < _FARTHEST_M and min(others, default=np.inf) > _APART_M

@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pyarrow.parquet as pq
+import pytest
 
 from tests.e2e.commands import TINY, advdiff, bytes_of
 
 
+@pytest.mark.slow
 def test_a_lawful_run_and_the_same_again(tmp_path: Path) -> None:
     words = ("run", "--background", "scripted", "--licence", "lawful", "--episodes", "2", *TINY)
     first = advdiff(*words, "--out", "first", cwd=tmp_path)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow.parquet as pq
+import pytest
 
 from tests.e2e.commands import TINY, Outcome, advdiff, begin, bytes_of
 from tests.e2e.conftest import sentence
@@ -88,6 +89,7 @@ def test_a_run_that_is_killed_leaves_no_server(workplace: Path) -> None:
     assert gone(workplace)
 
 
+@pytest.mark.slow
 def test_a_server_at_an_address(here: Callable[..., Outcome], workplace: Path) -> None:
     (workplace / "our_server.py").write_text(SERVER)
     address = f"unix:{workplace}/socket"

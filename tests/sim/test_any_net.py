@@ -101,7 +101,7 @@ def test_a_feature_is_in_the_net_that_is_read(tmp_path: Path, name: str) -> None
     assert RoadMap.read(tmp_path / "rare.net.xml").edge_graph().strongly_connected()
 
 
-@pytest.mark.parametrize("background", ["sumo", "diffusion"])
+@pytest.mark.parametrize("background", ["sumo", pytest.param("diffusion", marks=pytest.mark.slow)])
 def test_all_features_at_once(background: str) -> None:
     drive(set(FEATURES), 1, "lane_graph", background)
 

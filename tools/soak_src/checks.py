@@ -34,7 +34,8 @@ class States:
         xy_m, yaw_rad, speed_mps: (A, T, 2), (A, T), (A, T); NaN where absent.
         by_sumo: (A, T) whether SUMO drove the agent.
         sumo_course: (A, T) whether it moves as SUMO moved it, then or in the traffic that is replayed.
-        recorded: (A, T) whether it repeats a recording of real traffic, with the jitter of its annotation.
+        recorded: (A, T) whether it repeats a recording, of SUMO (which turns vehicles round on the spot) or of real
+            traffic (with the jitter of its annotation).
         walks: (A,) whether it is a pedestrian.
         step_s: spacing.
     """
@@ -90,7 +91,7 @@ class States:
             grid("speed_mps"),
             by_sumo,
             by_sumo | (others & (replay and not log)),
-            repeated | (others & (replay and log)),
+            repeated | (others & replay),
             columns["class"][first] == "pedestrian",
             step_s,
         )

@@ -75,6 +75,8 @@ def _check_values(verb: str, values: dict[str, Any]) -> None:
         AdvdiffError: a target, background, exporter or net is unknown, or a setting is refused.
     """
     for key, registry in (("target", TARGETS), ("background", POLICIES), ("formats", EXPORTERS)):
+        if (verb, key) == ("verdict", "target"):
+            continue  # there it is a road user of the file
         for name in _listed(values.get(key)):
             if name != "all" and ":" not in name:
                 registry.canonical(name)

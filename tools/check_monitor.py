@@ -2,7 +2,7 @@
 
 python tools/check_monitor.py FOLDER --python ENV/bin/python [--net motorway] [--scenes 50] [--keep DIR]
 
-ENV is an environment with commonroad-stl-monitor 2025.1.1, commonroad-io 2024.3 and antlr4-python3-runtime 4.7.2, which
+ENV is an environment with commonroad-stl-monitor 2025.1.1, commonroad-io 2024.3 and antlr4-python3-runtime 4.9.3, which
 pin what this project cannot live with. Episodes of FOLDER are exported as CommonRoad scenarios, and at every instant
 the monitor's predicates of R_G1 (safe distance of the target, with our response and brakes; entries into the lane are
 not excused) and R_G3 (speed limit of the lane, everybody) are compared with ours. R_G2, unnecessary braking, is no

@@ -1,7 +1,7 @@
 """Print what CommonRoad's rule monitor says of one road user at every instant, as JSON; started by check_monitor.py.
 
 Runs in an environment of its own with commonroad-stl-monitor 2025.1.1, commonroad-io 2024.3 and
-antlr4-python3-runtime 4.7.2, and imports nothing of this project.
+antlr4-python3-runtime 4.9.3, and imports nothing of this project.
 """
 
 import contextlib

@@ -22,6 +22,7 @@ from advdiff_sumo.cli.evaluate import evaluate
 from advdiff_sumo.cli.export import export
 from advdiff_sumo.cli.figure import figure
 from advdiff_sumo.cli.list_names import list_names
+from advdiff_sumo.cli.margin import margin
 from advdiff_sumo.cli.planner_kit import planner_kit
 from advdiff_sumo.cli.replay import replay
 from advdiff_sumo.cli.report import report
@@ -62,6 +63,7 @@ app.command("evaluate")(evaluate)
 app.command("warmup")(warmup)
 app.command("export")(export)
 app.command("check-planner")(check_planner)
+app.command("margin")(margin)
 app.command("list")(list_names)
 app.command("defects")(defects)
 app.command("planner-kit")(planner_kit)

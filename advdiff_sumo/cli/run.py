@@ -87,7 +87,7 @@ def run(
     if resume:
         config = config or _begun(out)
     _check_display(gui)
-    prepared = _prepared(_options(config, where | what, policy, assign or [], defect), gui)
+    prepared = _prepared(options_given(config, where | what, policy, assign or [], defect), gui)
     notes = prepared.left_out()  # before there is a folder: a log that cannot be read leaves none
     folder = _folder(prepared, out, resume)
     console = verb_console(quiet, as_json)
@@ -203,7 +203,7 @@ def progress_bar(console: Console) -> Progress:
     )
 
 
-def _options(
+def options_given(
     config: Path | None,
     given: Mapping[str, Any],
     policy: Mapping[str, Any],

@@ -26,6 +26,8 @@ _SOON_M, _SPACE_M = 110.0, 70.0
 _OPENINGS = ("hard-stop", "cut-in", "crossing")
 _PATIENT_S, _WORTH_IT = 7.0, 0.4
 """For so long an episode is for what it begins with, and less merit than this waits for a better moment."""
+HARDEST_MPS2 = 9.0
+"""Nobody brakes harder."""
 _TRIED = 4
 """Manoeuvres that are checked in full, best first."""
 
@@ -57,6 +59,7 @@ class Commitments:
         rested_s: id → when it may take part again.
         stage: who has come in for an encounter, and may.
         first: the kind that an episode of "any" begins with; "" for all.
+        hardest_mps2: strongest braking with which a manoeuvre is driven, however hard the one was that was chosen.
     """
 
     weights: Mapping[str, float]
@@ -64,6 +67,7 @@ class Commitments:
     rested_s: Mapping[str, float] = field(default_factory=dict)
     stage: Stage = field(default_factory=Stage)
     first: str = ""
+    hardest_mps2: float = HARDEST_MPS2
 
     def wanted(self, now_s: float) -> tuple[str, ...]:
         """Return the kinds that may begin now: the episode's first one and crossing, later all."""
@@ -142,8 +146,14 @@ def _begin(
     for chosen in worthy[:_TRIED]:
         fits = all(chosen.manoeuvre.row != other.row for other in out)
         if len(out) < room and fits and _passes(view, chosen, licence):
-            out.append(chosen.manoeuvre)
+            out.append(softened(chosen.manoeuvre, kept.hardest_mps2))
     return out
+
+
+def softened(manoeuvre: Manoeuvre, hardest_mps2: float) -> Manoeuvre:
+    """Return *manoeuvre* with braking of at most *hardest_mps2*."""
+    first, then = (max(a, -hardest_mps2) for a in (manoeuvre.profile.first_mps2, manoeuvre.profile.then_mps2))
+    return replace(manoeuvre, profile=replace(manoeuvre.profile, first_mps2=first, then_mps2=then))
 
 
 def _passes(view: SituationView, chosen: Chosen, licence: Licence | None) -> bool:

@@ -12,7 +12,7 @@ from pydantic import Field
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance
+from advdiff_sumo.traffic.manoeuvres.commitments import HARDEST_MPS2, Commitments, advance
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName, licence_of
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
@@ -33,6 +33,7 @@ class ScriptedOptions(Options):
         licence: what they may do: "lawful", "careless" or "reckless".
         attackers: most vehicles that are in a manoeuvre at a time.
         pause_s: rest of a vehicle after a manoeuvre.
+        hardest_mps2: strongest braking of who attacks; it attacks where and when it would brake as hard as it can.
         staged: most vehicles that come in during an episode where an encounter lacks them; 0: nobody.
     """
 
@@ -40,6 +41,7 @@ class ScriptedOptions(Options):
     licence: LicenceName = "lawful"
     attackers: int = Field(2, ge=1, le=8)
     pause_s: float = Field(8.0, ge=0.0, le=600.0)
+    hardest_mps2: float = Field(HARDEST_MPS2, ge=0.5, le=HARDEST_MPS2)
     staged: int = Field(STAGED, ge=0, le=20)
 
 
@@ -58,7 +60,9 @@ class ScriptedTraffic:
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Commitments:  # noqa: ARG002 - the contract
         """Return which kinds this episode prefers, so that episodes differ."""
-        return Commitments.start(self.options.attack, rng, self.options.staged)
+        options = self.options
+        begun = Commitments.start(options.attack, rng, options.staged)
+        return replace(begun, hardest_mps2=options.hardest_mps2)
 
     def plan(
         self,

@@ -7,12 +7,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from advdiff_sumo.core.polylines import Polyline
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.lane_graph.chains import detour, plausible_chains, required_changes, route_chain
 from advdiff_sumo.planners.lane_graph.conflicts import conflict_zone
-from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath, PathStack
+from advdiff_sumo.planners.lane_graph.memory import Memory
+from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath, PathStack, _smoothed
 from advdiff_sumo.planners.lane_graph.rules import Duty, may_go, rule_at
-from advdiff_sumo.planners.lane_graph.variants import Variant
+from advdiff_sumo.planners.lane_graph.variants import State, Variant, locate
 
 Maker = Callable[..., RoadMap]
 
@@ -158,3 +160,29 @@ def test_a_blend_starts_where_the_target_is_and_ends_on_its_aim(crossing: Maker)
     assert (d[1] - d[0]) / 0.1 == pytest.approx(0.05, abs=1e-3)
     assert d[3:] == pytest.approx([0.0, 0.0], abs=1e-12)
     assert slope[3:] == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+def test_a_corner_that_no_car_can_follow_is_cut_to_its_inside() -> None:
+    raw = Polyline.of(np.array([[0.0, 0.0], [40.0, 0.0], [40.0, -40.0]]))
+    xy, yaw, curvature = _smoothed(raw, 81)
+    assert np.abs(curvature).max() <= 0.17
+    assert yaw[-1] == pytest.approx(-np.pi / 2)
+    gap = np.hypot(*(xy - [40.0, 0.0]).T).min()
+    assert 1.5 < gap < 3.5  # a circle of 6 m between the legs passes the corner at 6 (√2 − 1) = 2.5 m
+    np.testing.assert_allclose(xy[:20, 1], 0.0, atol=1e-9)  # far from the corner nothing moves
+
+
+def test_who_swung_wide_comes_back_to_the_path_chosen_last(crossing: Maker) -> None:
+    road = crossing()
+    route = ("south_in", "east_out")
+    chain = route_chain(road, "south_in_0", route, required_changes(road, route), 300.0)
+    memory = Memory(Geometry.of(road), chain.lanes, chain.links, route)
+    link = chain.links[0]
+    wide = road.lanes[link.to_lane].line.at(np.asarray(2.0))[0] + [0.0, 8.0]  # on a lane of the oncoming
+    state = State(wide, 0.5 * np.pi, 4.0, 0.0, 0.0, 5.0, 1.8)
+    place = locate(memory.geometry, state, route, memory, 0.0)
+    assert place is not None
+    assert road.lanes[place.lane_id].edge_id == "east_out"
+    fresh = locate(memory.geometry, state, route, Memory(memory.geometry), 0.0)
+    assert fresh is not None
+    assert road.lanes[fresh.lane_id].edge_id != "east_out"  # by the lanes alone it would go elsewhere

@@ -22,7 +22,7 @@ from advdiff_sumo.sweep.sweep_files import write_whole
 FORMAT: Literal["advdiff-scenes-1"] = "advdiff-scenes-1"
 TABLE_LIST, TUNING_LIST, DEFECTS_LIST = "scenes-300", "scenes-tuning", "scenes-defects"
 TABLE_SEED, TUNING_SEED, DEFECTS_SEED = 3001, 7001, 9101
-_LATER, _ALWAYS = {"situation": "any"}, object()
+_LATER, _ALWAYS = {"situation": "any", "pedestrians_per_km": 0.0}, object()
 HORIZON_S, DEFECTS_HORIZON_S = 10.0, 30.0
 
 

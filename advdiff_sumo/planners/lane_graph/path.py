@@ -15,6 +15,8 @@ from advdiff_sumo.maps import Link, RoadMap
 SPACING_M = 1.0
 _SMOOTH = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0
 _LEAD = 4
+_TIGHTEST_1PM = 0.17  # a car of 5 m can turn at 0.23; the rest is for steering back
+_ROUNDINGS = 100
 _FAR_AWAY_M = 1e7
 
 
@@ -212,15 +214,31 @@ def _build(road: RoadMap, lanes: tuple[str, ...], links: tuple[Link, ...]) -> La
 
 
 def _smoothed(raw: Polyline, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return *count* points of *raw*, corners rounded over two metres each way, with heading and curvature."""
+    """Return *count* points of *raw*, corners rounded over two metres each way, with heading and curvature.
+
+    Corners that are too tight for a car are rounded further: it cuts them, as it could not follow.
+    """
     s = SPACING_M * np.arange(-_LEAD, count + _LEAD, dtype=np.float64)
     xy = raw.at(s, extrapolate=True)[0]
     xy = np.stack([np.convolve(xy[:, i], _SMOOTH, mode="valid") for i in (0, 1)], -1)
-    along = np.gradient(xy, axis=0)
-    yaw = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
-    curvature = np.gradient(yaw, SPACING_M)
+    yaw, curvature = _bends(xy)
+    for _ in range(_ROUNDINGS):
+        tight = np.convolve(np.abs(curvature) > _TIGHTEST_1PM, np.ones(9), mode="same") > 0
+        if not tight[2:-2].any():
+            break
+        rounded = np.stack([np.convolve(xy[:, i], _SMOOTH, mode="same") for i in (0, 1)], -1)
+        tight[:2] = tight[-2:] = False
+        xy = np.where(tight[:, None], rounded, xy)
+        yaw, curvature = _bends(xy)
     trim = slice(_LEAD - len(_SMOOTH) // 2, _LEAD - len(_SMOOTH) // 2 + count)
     return xy[trim], yaw[trim], curvature[trim]
+
+
+def _bends(xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return heading and curvature (P,) of points (P, 2), ``SPACING_M`` apart."""
+    along = np.gradient(xy_m, axis=0)
+    yaw = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
+    return yaw, np.gradient(yaw, SPACING_M)
 
 
 def _link_lanes(lanes: Sequence[str], links: Sequence[Link]) -> tuple[list[int], list[int]]:

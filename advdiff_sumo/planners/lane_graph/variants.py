@@ -25,7 +25,8 @@ from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath
 _EDGES_AHEAD = 8
 _BACK_M = 20.0
 _MIN_BLEND_M = 10.0
-_MAX_TRACKED_OFFSET_M = 4.5
+_NEAR = (4.5, 1.0)  # m beside the path chosen last, rad across it: still on it
+_SWUNG_WIDE = (10.0, 2.0)  # … after a bend too tight for it, and on its way back
 _STUCK_S = 6.0
 _NUDGES_M = (0.6, -0.6)
 
@@ -124,15 +125,15 @@ class Variant:
 def locate(
     geometry: Geometry, state: State, route: Sequence[str], memory: Memory, waited_s: float
 ) -> Place | None:
-    """Return where the target is: on the path chosen last, if it is still near, else on the likeliest lane."""
-    lane = _tracked(geometry, state, memory)
+    """Return where the target is: on the path chosen last, if it is still near, else on the likeliest lane.
+
+    Who has swung wide in a bend comes back to the path chosen last rather than go on where the route does not lead.
+    """
+    lane = _tracked(geometry, state, memory, *_NEAR)
     if lane is None:
-        known = list(route) if route else None
-        pose = geometry.road.locate(state.xy_m, state.yaw_rad, vclass="passenger", route=known)
-        pose = pose or geometry.road.locate(state.xy_m, state.yaw_rad, max_distance_m=50.0)
-        if pose is None:
-            return None
-        lane = pose.lane_id
+        lane = _likeliest(geometry, state, route, memory)
+    if lane is None:
+        return None
     ahead = _edges_ahead(geometry.road, lane, tuple(route) or memory.route, memory, waited_s)[:_EDGES_AHEAD]
     return Place(lane, ahead, required_changes(geometry.road, ahead), geometry.link_of.get(lane))
 
@@ -149,13 +150,34 @@ def _edges_ahead(
     return ahead
 
 
-def _tracked(geometry: Geometry, state: State, memory: Memory) -> str | None:
+def _likeliest(geometry: Geometry, state: State, route: Sequence[str], memory: Memory) -> str | None:
+    road = geometry.road
+    known = list(route) if route else None
+    pose = road.locate(state.xy_m, state.yaw_rad, vclass="passenger", route=known)
+    if pose is None or (route and not _serves(geometry, pose.lane_id, route)):
+        path = _tracked(geometry, state, memory, *_SWUNG_WIDE)
+        if path is not None:
+            return path
+    pose = pose or road.locate(state.xy_m, state.yaw_rad, max_distance_m=50.0)
+    return None if pose is None else pose.lane_id
+
+
+def _serves(geometry: Geometry, lane: str, route: Sequence[str]) -> bool:
+    link = geometry.link_of.get(lane)
+    beyond = lane if link is None else link.to_lane
+    return geometry.road.lanes[beyond].edge_id in route
+
+
+def _tracked(
+    geometry: Geometry, state: State, memory: Memory, offset_m: float, across_rad: float
+) -> str | None:
+    """Return the lane on or beside the path chosen last, if the target is near enough to it."""
     if not memory.lanes:
         return None
     path = geometry.path(memory.lanes, memory.links)
     s, d = (float(x) for x in path.project(state.xy_m))
     error = abs(float(wrap_angle(state.yaw_rad - float(path.at(np.asarray(s))[1]))))
-    if abs(d) > _MAX_TRACKED_OFFSET_M or error > 1.0 or s > path.length_m + 1.0:
+    if abs(d) > offset_m or error > across_rad or s > path.length_m + 1.0:
         return None
     lane = geometry.road.lanes[path.lanes[path.lane_at(s)]]
     while abs(d) > 0.5 * lane.width_m:

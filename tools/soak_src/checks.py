@@ -124,17 +124,23 @@ def _jumps(states: States, road: RoadMap) -> Iterator[str]:
     fastest = np.fmax(np.abs(states.speed_mps[:, :-1]), np.abs(states.speed_mps[:, 1:]))
     sumo = states.by_sumo[:, 1:] & states.by_sumo[:, :-1]
     turn = np.abs(wrap_angle(np.diff(states.yaw_rad, axis=1)))
-    # the centre of a vehicle swings about its front bumper where SUMO turns it
-    swing = np.where(states.by_sumo[:, 1:], 0.5 * states.length_m[:, None] * turn, 0.0)
-    wheels = ~states.walks[:, None]
+    # the centre of a vehicle swings about its front bumper where SUMO turns it, or did when it was recorded
+    drawn = states.by_sumo[:, 1:] | states.recorded[:, 1:]
+    swing = np.where(drawn, 0.5 * states.length_m[:, None] * turn, 0.0)
+    # what is replayed out of SUMO moves as SUMO drew it, and is where it was recorded as soon as it is replayed
+    replayed = states.sumo_course[:, 1:] & states.recorded[:, 1:] & ~states.by_sumo[:, 1:]
+    wheels = ~states.walks[:, None] & ~replayed
     # a recording's speeds may leap as those of no car do, but must be those of its way
     mean = 0.5 * (states.speed_mps[:, 1:] + states.speed_mps[:, :-1])
     leap = np.abs(np.diff(states.speed_mps, axis=1))
-    leap = np.where(states.recorded[:, 1:], np.abs(np.abs(mean) - way / states.step_s), leap)
+    off_its_way = np.maximum(np.abs(np.abs(mean) - way / states.step_s) - swing / states.step_s, 0.0)
+    leap = np.where(states.recorded[:, 1:], off_its_way, leap)
+    most_rad = np.where(drawn, SUMO_JUMP_RAD, JUMP_RAD)
+    most_rad[sumo] = np.pi  # SUMO turns round within a step where its lanes do
     limits = (
         ("position", way - fastest * states.step_s - swing, JUMP_M, "m"),
         ("speed", leap, JUMP_MPS, "m/s"),
-        ("heading", turn, np.where(sumo | states.by_sumo[:, 1:], SUMO_JUMP_RAD, JUMP_RAD), "rad"),
+        ("heading", turn, most_rad, "rad"),
     )
     for what, change, most, unit in limits:
         wrong = np.argwhere((change > most) & wheels)  # NaN compares as False

@@ -49,14 +49,14 @@ def train_rl(
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in --out.")] = False,
 ) -> None:
-    """Train the attacker of background adv-rl by PPO in closed loop with SUMO.
+    r"""Train the attacker of background adv-rl by PPO in closed loop with SUMO.
 
     advdiff-sumo train-rl --net downtown --target lane_graph --out runs/attacker
 
     Then: advdiff-sumo run --background adv-rl --weights runs/attacker/actor.safetensors
 
     --out gets actor.safetensors, checkpoint.safetensors (for --resume), metrics.jsonl, curves.png and events for
-    TensorBoard. Ctrl-C leaves with the last update. Needs: pip install 'advdiff-sumo[rl]'.
+    TensorBoard. Ctrl-C leaves with the last update. Needs: pip install 'advdiff-sumo\[rl]'.
     """
     import advdiff_sumo.rl  # noqa: F401 - first: it says which extra is missing
     from advdiff_sumo.rl.sources import check

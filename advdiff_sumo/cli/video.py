@@ -24,11 +24,11 @@ def video(
         float | None, typer.Option(help="Last moment, in seconds.", show_default="the episode's end")
     ] = None,
 ) -> None:
-    """Film an episode from above.
+    r"""Film an episode from above.
 
     advdiff-sumo video runs/first --episode 3 episode.mp4
 
-    GIF needs nothing more; MP4 needs pip install 'advdiff-sumo[video]'. The same run gives the same bytes.
+    GIF needs nothing more; MP4 needs pip install 'advdiff-sumo\[video]'. The same run gives the same bytes.
     """
     from advdiff_sumo.report import video as film  # late: --help needs no plots
 

@@ -389,7 +389,7 @@ def test_the_actuator_inserts_on_a_lane_first_and_takes_out_who_is_on_none(
         assert s.api.vehicle.getRoadID("b") in ("WM", "MW")  # would kill the process (see above)
         for _ in range(4):
             move(actuator, s, row, (x, y), yaw)
-        held_or_outside(actuator, s, row, (x, y), yaw)
+        assert faults_of_place(actuator, s, row, (x, y), yaw) == []
         assert (row in actuator.moved) == (y == -4.0)
         actuator.remove(row)
         s.session.step()
@@ -418,16 +418,22 @@ def test_sumo_drives_whom_it_loses_for_one_step(street: Path) -> None:
         assert actuator.world.xy_m[row].tolist() == [150.0, -40.0]
 
 
-def held_or_outside(actuator: Actuator, s: Stage, row: int, xy: tuple[float, float], yaw: float) -> None:
-    """Assert that SUMO has *row* exactly there, or not at all, while our own state goes on."""
+def faults_of_place(actuator: Actuator, s: Stage, row: int, xy: tuple[float, float], yaw: float) -> list[str]:
+    """Return what is wrong: SUMO is to have *row* exactly there, or not at all, while our own state goes on."""
+    faults = []
     if row in actuator.moved:
         at, heading = s.pose("b")
     else:
-        assert row in actuator.outside
-        assert "b" not in s.api.vehicle.getIDList()
+        if row not in actuator.outside:
+            faults.append("neither moved nor outside")
+        if "b" in s.api.vehicle.getIDList():
+            faults.append("outside, and SUMO has it")
         at, heading = actuator.world.xy_m[row], float(actuator.world.yaw_rad[row])
-    np.testing.assert_allclose(at, xy, atol=1e-6)
-    assert abs(wrap_angle(heading - yaw)) < 1e-6
+    if not np.allclose(at, xy, rtol=1e-7, atol=1e-6):
+        faults.append(f"at {at}, not {xy}")
+    if not abs(wrap_angle(heading - yaw)) < 1e-6:
+        faults.append(f"heads {heading}, not {yaw}")
+    return faults
 
 
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -447,4 +453,4 @@ def test_any_place_can_be_inserted_at(street: Path, x: float, y: float, yaw: flo
         actuator.insert(row, "car")
         for _ in range(3):
             move(actuator, s, row, (x, y), yaw, speed)
-        held_or_outside(actuator, s, row, (x, y), yaw)
+        assert faults_of_place(actuator, s, row, (x, y), yaw) == []

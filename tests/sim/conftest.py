@@ -1,4 +1,4 @@
-"""The tiny nets, made once."""
+"""The tiny nets, and a scene on the shipped downtown, made once."""
 
 from __future__ import annotations
 
@@ -6,7 +6,25 @@ from pathlib import Path
 
 import pytest
 
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.natural import NaturalTraffic
+from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from tests.sim import nets
+
+
+@pytest.fixture(scope="session")
+def road(networks: Path) -> RoadMap:
+    """The shipped downtown."""
+    return RoadMap.read(networks / "downtown.net.xml")
+
+
+@pytest.fixture(scope="session")
+def scene(road: RoadMap) -> SeedScene:
+    """Traffic of SUMO on the downtown, for episodes of up to 8 s."""
+    options = SceneOptions.parse({"warmup_s": 15.0, "scenes_per_warmup": 1})
+    return NaturalTraffic(road, None, options, SimOptions.parse({}), 8.0, SeedTree(3)).batch(0)[0]
 
 
 @pytest.fixture(scope="session")

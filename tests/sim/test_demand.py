@@ -23,11 +23,6 @@ from tests.sim import nets
 SHIPPED = ("downtown", "downtown-left", "motorway")
 
 
-@pytest.fixture(scope="module")
-def road(networks: Path) -> RoadMap:
-    return RoadMap.read(networks / "downtown.net.xml")
-
-
 def vehicles(path: Path) -> list[Element]:
     return parse(path).getroot().findall("vehicle")  # noqa: S314 - we wrote it a moment ago
 

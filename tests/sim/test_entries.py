@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +10,9 @@ import pytest
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import Scene, Tracks
-from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.entries import completed, presence
-from advdiff_sumo.sim.natural import NaturalTraffic
 from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from tests.sim.scenes import episode
 
 
@@ -37,17 +33,6 @@ def tracks_at(valid: list[bool], x_m: list[float]) -> Tracks:
         t0_s=0.5,
         dt_s=0.5,
     )
-
-
-@pytest.fixture(scope="module")
-def road(networks: Path) -> RoadMap:
-    return RoadMap.read(networks / "downtown.net.xml")
-
-
-@pytest.fixture(scope="module")
-def scene(road: RoadMap) -> SeedScene:
-    options = SceneOptions.parse({"warmup_s": 15.0, "scenes_per_warmup": 1})
-    return NaturalTraffic(road, None, options, SimOptions.parse({}), 8.0, SeedTree(3)).batch(0)[0]
 
 
 NOWHERE = np.full((1, 2), np.nan), np.full(1, np.nan), np.full(1, np.nan)

@@ -23,17 +23,6 @@ from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from tests.sim.scenes import StraightOn, episode, running
 
 
-@pytest.fixture(scope="module")
-def road(networks: Path) -> RoadMap:
-    return RoadMap.read(networks / "downtown.net.xml")
-
-
-@pytest.fixture(scope="module")
-def scene(road: RoadMap) -> SeedScene:
-    options = SceneOptions.parse({"warmup_s": 15.0, "scenes_per_warmup": 1})
-    return NaturalTraffic(road, None, options, SimOptions.parse({}), 8.0, SeedTree(3)).batch(0)[0]
-
-
 def continuous(record: EpisodeRecord, slack_m: float = 0.6, slack_rad: float = 0.35) -> None:
     """Nobody jumps: not while driven by SUMO, not while moved, and not when handed over."""
     tracks = record.tracks

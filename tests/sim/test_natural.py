@@ -25,11 +25,6 @@ def source(road: RoadMap, **options: float) -> NaturalTraffic:
 
 
 @pytest.fixture(scope="module")
-def road(networks: Path) -> RoadMap:
-    return RoadMap.read(networks / "downtown.net.xml")
-
-
-@pytest.fixture(scope="module")
 def scenes(road: RoadMap) -> list[SeedScene]:
     return source(road).batch(0)
 

@@ -17,11 +17,11 @@ from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.view import View, look
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks, networks_of
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions, Traj2TrajOptions
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, let_in
 from advdiff_sumo.traffic.manoeuvres.licence import NATURAL_OVER_LIMIT
 from advdiff_sumo.traffic.manoeuvres.licensed_attack import RECKLESS, LicensedAttack, licensed_attack
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.staging import Stage, come_in, plan_with
+from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, plan_with
 from advdiff_sumo.traffic.planning.draw import Drawn, draw_plan
 from advdiff_sumo.traffic.planning.futures import Futures, coasting, futures_of, join
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
@@ -126,8 +126,7 @@ class DiffusionTraffic:
         tracks = tracks_of(view, guarded.futures)
         state = self._state(drawn.attackers, attack.commitments)
         memory = Memory(drawn.noise, drawn.shifts, tracks, 1, attack.commitments)
-        stage = attack.commitments.stage if attack.commitments is not None else Stage()
-        return plan_with(tracks, attack.newcomers, stage, state), memory
+        return plan_with(tracks, attack.newcomers, state), memory
 
     def _state(self, guided: Sequence[str], commitments: Commitments | None) -> AttackState | None:
         """Return who is in a position for the attack: who is guided to it, or drives a manoeuvre of its kind."""
@@ -141,13 +140,11 @@ class DiffusionTraffic:
     def _alone(self, road: RoadMap, scene: Scene, memory: Memory) -> tuple[JointPlan, Memory]:
         """Return the plan where nobody may be moved: of who comes in, if anybody."""
         empty = Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=scene.time_s + MODEL_STEP_S)
-        kept = memory.commitments
-        if kept is None:
-            return JointPlan(empty, attack=self._state((), None)), replace(memory, plan=None)
-        newcomers, stage = come_in(SituationView.of(road, scene), kept.stage, kept.wanted(scene.time_s))
-        kept = replace(kept, stage=stage)
-        state = self._state((), None)
-        return plan_with(empty, newcomers, stage, state), replace(memory, plan=None, commitments=kept)
+        kept, newcomers = memory.commitments, tuple[Newcomer, ...]()
+        if kept is not None:
+            newcomers, kept = let_in(SituationView.of(road, scene), kept)
+        plan = plan_with(empty, newcomers, self._state((), None))
+        return plan, replace(memory, plan=None, commitments=kept)
 
     def _attack(self, road: RoadMap, view: View, drawn: Drawn, memory: Memory) -> LicensedAttack:
         """Return what the licence makes of the plan *drawn*."""

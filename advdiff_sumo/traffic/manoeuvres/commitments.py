@@ -15,7 +15,7 @@ from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_b
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.staging import Stage
+from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, Stage, come_in
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 _LONGEST_S: Mapping[str, float] = {"blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
@@ -115,6 +115,12 @@ def advance(
     names, now = view.scene.history.ids, view.scene.time_s
     begun = {names[m.row]: Commitment(m.kind, m.profile, now, m.sets_up) for m in fresh}
     return [*going, *fresh], replace(kept, active={**kept.active, **begun})
+
+
+def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:
+    """Return who comes in now, for the manoeuvres that may begin, and what is remembered of them."""
+    newcomers, stage = come_in(view, kept.stage, kept.wanted(view.scene.time_s))
+    return newcomers, replace(kept, stage=stage)
 
 
 def _opening(view: SituationView, first: str) -> str:

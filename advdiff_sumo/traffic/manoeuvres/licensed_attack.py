@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance, let_in
 from advdiff_sumo.traffic.manoeuvres.licence import (
     LAWFUL,
     RECKLESS_OVER_LIMIT,
@@ -23,7 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.manoeuvre import futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, come_in
+from advdiff_sumo.traffic.manoeuvres.staging import Newcomer
 from advdiff_sumo.traffic.planning.futures import Futures
 
 if TYPE_CHECKING:
@@ -92,8 +92,7 @@ def licensed_attack(
         for k, manoeuvre in enumerate(manoeuvres):
             if manoeuvre.row in row_of:
                 driven[row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]
-        newcomers, stage = come_in(situation, kept.stage, kept.wanted(view.scene.time_s))
-        kept = replace(kept, stage=stage)
+        newcomers, kept = let_in(situation, kept)
     guided = [row for row in map(view.ids.index, attackers) if row not in driven]
     refused = _refused(situation, view, futures, guided, licence)
     return LicensedAttack(False, refused, driven, kept, licence.over_limit, newcomers)

@@ -85,10 +85,12 @@ class SituationView:
     def is_first(self, reach_m: float) -> bool:
         """Return whether nobody is between the target and a place *reach_m* ahead on its way."""
         target = self.target
-        if target is None:
-            return False
-        places = (self.place_on(target.way, row) for row in self.ways if row != self.scene.target)
-        return not any(0.0 < ahead < reach_m and abs(left) < _IN_LANE_M for ahead, left in places)
+        return target is not None and not self.anybody_on(target.way, reach_m, _IN_LANE_M)
+
+    def anybody_on(self, way: Way, reach_m: float, aside_m: float) -> bool:
+        """Return whether anybody but the target is ahead on *way*, within *reach_m*, and within *aside_m* of it."""
+        places = (self.place_on(way, row) for row in self.ways if row != self.scene.target)
+        return any(0.0 < ahead < reach_m and abs(left) < aside_m for ahead, left in places)
 
     def signal(self, link: Link) -> str:
         """Return SUMO's letter of the light of *link*; "" where none controls it."""

@@ -61,11 +61,13 @@ class Newcomer:
         way: begins where it is now.
         speed_mps: its speed.
         agent_class: what it is.
+        name: its id, once it is sure to come in.
     """
 
     way: Way
     speed_mps: float
     agent_class: AgentClass = AgentClass.CAR
+    name: str = ""
 
     @property
     def xy_m(self) -> FloatArray:
@@ -88,28 +90,24 @@ def come_in(view: SituationView, stage: Stage, kinds: Container[str]) -> tuple[t
     for candidates in (made for kind, made in roles.items() if kind in kinds):
         room = min(1, stage.most - stage.count - len(taken))
         taken += islice((one for one in candidates if _is_free(view, one, taken)), room)
-    return tuple(taken), replace(stage, count=stage.count + len(taken), again_s=now + _AGAIN_S)
+    named = tuple(replace(one, name=f"staged-{stage.count + k}") for k, one in enumerate(taken))
+    return named, replace(stage, count=stage.count + len(taken), again_s=now + _AGAIN_S)
 
 
-def plan_with(
-    tracks: Tracks, newcomers: Sequence[Newcomer], stage: Stage, attack: AttackState | None = None
-) -> JointPlan:
+def plan_with(tracks: Tracks, newcomers: Sequence[Newcomer], attack: AttackState | None = None) -> JointPlan:
     """Return the plan of *tracks* and of *newcomers*, who go on along their ways.
 
     Args:
         tracks: at ``PLAN_DT_S``, or empty.
         newcomers: who comes in.
-        stage: after they did, for their names.
         attack: who can attack.
     """
     if not newcomers:
         return JointPlan(tracks, attack=attack)
-    first = stage.count - len(newcomers)
-    names = tuple(f"staged-{first + k}" for k in range(len(newcomers)))
     driven = PLAN_DT_S * np.arange(1.0, _STEPS + 1.0)
     poses = [one.way.poses(one.speed_mps * driven, driven) for one in newcomers]
     more = Tracks(
-        ids=names,
+        ids=tuple(one.name for one in newcomers),
         classes=np.array([int(one.agent_class) for one in newcomers]),
         size_m=np.array([SIZE_M[one.agent_class] for one in newcomers]),
         xy_m=np.stack([xy for xy, _ in poses]),
@@ -119,15 +117,14 @@ def plan_with(
         t0_s=tracks.t0_s,
         dt_s=PLAN_DT_S,
     )
-    routes = {name: one.route for name, one in zip(names, newcomers, strict=True)}
     joined = tracks.joined(more) if tracks.agents else more
-    return JointPlan(joined, attack=attack, routes=routes)
+    return JointPlan(joined, attack=attack, routes={one.name: one.route for one in newcomers})
 
 
 def _leader(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
     """Somebody ahead in the target's lane, where nobody is."""
     target = view.target
-    if target is None or target.speed_mps < _SLOWEST_MPS or _anybody(view, target.way, 0.0, _AHEAD_M):
+    if target is None or target.speed_mps < _SLOWEST_MPS or view.anybody_on(target.way, _AHEAD_M, _IN_LANE_M):
         return
     begins = view.scene.time_s < PLAN_DT_S
     gap = max(_HEADWAY_S * target.speed_mps + 8.0, _LEAST_AHEAD_M) if begins else _LATER_M
@@ -144,7 +141,7 @@ def _beside(view: SituationView) -> Iterator[Newcomer]:
     gap = LAWFUL.gap_share * safe_gap_m(speed + 0.5, speed) + LAWFUL.spare_m + SIZE_M[AgentClass.CAR][0] + 3.0
     for side in ("left", "right"):
         way = view.neighbour(view.scene.target, side)
-        if way is not None and not _anybody(view, way, 0.0, _AHEAD_M):
+        if way is not None and not view.anybody_on(way, _AHEAD_M, _IN_LANE_M):
             yield from _on_way(view, way, max(gap, _LEAST_AHEAD_M), speed, AgentClass.CAR)
 
 
@@ -207,12 +204,6 @@ def _on_way(
 def _way(view: SituationView, pose: tuple[FloatArray, FloatArray], route: Sequence[str]) -> Way | None:
     ahead = lanes_ahead(view.road, pose[0][None], np.array([float(pose[1])]), [route])[0]
     return None if ahead is None else Way(replace(ahead, offset_m=0.0))
-
-
-def _anybody(view: SituationView, way: Way, behind_m: float, ahead_m: float) -> bool:
-    """Return whether somebody but the target is on *way* between *behind_m* and *ahead_m* from where it begins."""
-    places = (view.place_on(way, row) for row in view.ways if row != view.scene.target)
-    return any(behind_m < s < ahead_m and abs(left) < 2.0 for s, left in places)
 
 
 def _is_free(view: SituationView, one: Newcomer, taken: Sequence[Newcomer]) -> bool:

@@ -12,12 +12,12 @@ from pydantic import Field
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
-from advdiff_sumo.traffic.manoeuvres.commitments import HARDEST_MPS2, Commitments, advance
+from advdiff_sumo.traffic.manoeuvres.commitments import HARDEST_MPS2, Commitments, advance, let_in
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName, licence_of
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.staging import STAGED, come_in, plan_with
+from advdiff_sumo.traffic.manoeuvres.staging import STAGED, plan_with
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
@@ -77,9 +77,8 @@ class ScriptedTraffic:
         licence = licence_of(options.licence)
         driven, memory = advance(view, memory, options.attackers, options.pause_s, licence)
         state = AttackState(options.attack, memory.attacking)
-        newcomers, stage = come_in(view, memory.stage, memory.wanted(scene.time_s))
-        plan = plan_with(tracks_of_manoeuvres(view, driven), newcomers, stage, state)
-        return plan, replace(memory, stage=stage)
+        newcomers, memory = let_in(view, memory)
+        return plan_with(tracks_of_manoeuvres(view, driven), newcomers, state), memory
 
 
 def tracks_of_manoeuvres(view: SituationView, manoeuvres: Sequence[Manoeuvre]) -> Tracks:

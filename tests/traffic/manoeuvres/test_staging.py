@@ -65,8 +65,8 @@ def test_who_comes_in_beside_leaves_the_safe_gap(motorway: RoadMap) -> None:
 
 def test_a_plan_names_who_comes_in_and_where_it_goes(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 10.0))
-    newcomers, stage = come_in(view, Stage(most=3, count=1), ("hard-stop",))
-    plan = plan_with(Tracks.empty(steps=1, dt_s=0.5, t0_s=0.5), newcomers, stage)
+    newcomers, _ = come_in(view, Stage(most=3, count=1), ("hard-stop",))
+    plan = plan_with(Tracks.empty(steps=1, dt_s=0.5, t0_s=0.5), newcomers)
     assert plan.tracks.ids == ("staged-1",)
     assert plan.routes["staged-1"][0] == view.scene.routes[0][0]
     driven = np.linalg.norm(np.diff(plan.tracks.xy_m[0], axis=0), axis=-1)

@@ -81,14 +81,11 @@ def _has_priority(view: SituationView, row: int) -> bool:
     if links is None:
         return False
     own, targets = links
-    response = view.road.junctions[own.junction_id].response
     if own.request_index < 0 or targets.request_index < 0:
         return False
     if _stopped_by_signal(view, targets):
         return view.signal(own) in ("G", "g")
-    yields = own.request_index in response.get(targets.request_index, frozenset())
-    bound = targets.request_index in response.get(own.request_index, frozenset())
-    return yields and not bound and not (own.must_wait and not view.signal(own))
+    return view.gives_way(targets, own) and not (own.must_wait and not view.signal(own))
 
 
 def _stopped_by_signal(view: SituationView, link: Link) -> bool:

@@ -96,6 +96,12 @@ class SituationView:
         """Return SUMO's letter of the light of *link*; "" where none controls it."""
         return link.signal(self.scene.signals)
 
+    def gives_way(self, link: Link, other: Link) -> bool:
+        """Return whether *link* has to give way to *other* of the same junction, and not the other way round."""
+        response = self.road.junctions[link.junction_id].response
+        yields = other.request_index in response.get(link.request_index, frozenset())
+        return yields and link.request_index not in response.get(other.request_index, frozenset())
+
     def neighbour(self, row: int, side: str) -> Way | None:
         """Return the way that *row* would follow on the lane to its "left" or "right"; None without one."""
         way = self.ways[row]

@@ -172,7 +172,6 @@ def _with_priority(view: SituationView) -> Iterator[Newcomer]:
 def _first_in_line(view: SituationView, link: Link) -> list[Link]:
     """Return the links to which *link* has to give way and that may be driven now."""
     junction = view.road.junctions[link.junction_id]
-    above = junction.response.get(link.request_index, frozenset())
     lanes = (view.road.lanes[name] for name in junction.incoming_lanes)
     return [
         other
@@ -180,8 +179,7 @@ def _first_in_line(view: SituationView, link: Link) -> list[Link]:
         if lane.is_drivable and not lane.is_internal
         for other in lane.successors
         if other.junction_id == junction.id
-        and other.request_index in above
-        and link.request_index not in junction.response.get(other.request_index, frozenset())
+        and view.gives_way(link, other)
         and (view.signal(other) == "G" or (not view.signal(other) and not other.must_wait))
     ]
 

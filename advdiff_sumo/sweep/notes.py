@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 from advdiff_sumo.data import open_log
@@ -20,7 +21,8 @@ def sweep_notes(plan: Plan) -> Iterator[str]:
     sources = {
         (cell.net, cell.demand, cell.scenes): cell for cell in plan.cells if cell.demand or cell.scenes
     }
+    road_of = cache(read_road)  # a net may have several logs and demands
     for (net, demand, scenes), options in sources.items():
-        road = read_road(net)
+        road = road_of(net)
         files = read_demand(Path(demand), road) if demand else None
         yield from left_out(options, road, files, open_log(Path(scenes)) if scenes else None)

@@ -27,6 +27,8 @@ def way_out(road: RoadMap, xy_m: FloatArray, yaw_rad: float) -> LaneAhead | None
     """
     inner = [road.lanes[pose.lane_id] for pose in road.near(xy_m, _ON_LANE_M)]
     junctions = {road.edges[lane.edge_id].from_junction for lane in inner if lane.is_internal}
+    if not junctions:
+        return None
     exits = [
         road.lanes[name]
         for edge in road.edges.values()

@@ -167,7 +167,8 @@ class Actuator:
             self._drop(row)
         self._leaving.clear()
         for row in [r for r, m in self.moved.items() if m.inserted and not self._on_its_lane(r)]:
-            self._out_of_sumo(row)
+            del self.moved[row]
+            self._drop(row)
             self.outside.add(row)
 
     def _on_its_lane(self, row: int) -> bool:
@@ -189,10 +190,6 @@ class Actuator:
         if state is not None and state.inserted:
             self._leaving.add(row)
         elif state is not None:
-            self._drop(row)
-
-    def _out_of_sumo(self, row: int) -> None:
-        if self.moved.pop(row, None) is not None:
             self._drop(row)
 
     def _drop(self, row: int) -> None:

@@ -102,10 +102,11 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     off |= drives_against(road, made, watched.planned & ~watched.attacker & ~nowhere)
     far = np.linalg.norm(made.xy_m[:, 0] - made.xy_m[watched.target, 0], axis=-1) > FAR_M
     followed = off | (far & watched.planned & ~watched.attacker) | _blocks_junction(made, watched)
-    back_to_lane(made, np.flatnonzero(followed & ~nowhere), watched)
+    followed &= ~nowhere
+    back_to_lane(made, np.flatnonzero(followed), watched)
     rows = np.flatnonzero(watched.planned)
     bound_speeds(made, rows, watched.lanes, road.legal_limits_mps, watched.over_limit)
-    wide = leaves_road(road, made, followed & ~nowhere, watched.motor)  # too fast for its lane
+    wide = leaves_road(road, made, followed, watched.motor)  # too fast for its lane
     moved = made.travelled_m()
     held = watched.planned & (made.speed_mps[:, 0] < _STANDS_MPS)
     held &= moved[:, min(_NOWHERE_STEPS, made.steps)] < _NOWHERE_M

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import shapely
@@ -53,7 +54,7 @@ class CrossingLine:
         """Its centre line."""
         return LineString(self.ends_m)
 
-    @property
+    @cached_property
     def band(self) -> Polygon:
         """Its area."""
         return self.line.buffer(0.5 * self.width_m, cap_style="flat")

@@ -41,6 +41,7 @@ class NetWriter:
         self.root, self.road = root, road
         self.crossings, self.places, self.walks = crossings, places, walks
         self.junctions = {j.get("id", ""): j for j in root.iterfind("junction")}
+        self.lights = self._lights()
         self.place_of = {end: number for number, place in enumerate(places) for end in place.ends}
         self.inner: list[ET.Element] = []
         self.edges: list[ET.Element] = []
@@ -78,7 +79,8 @@ class NetWriter:
         rows = junction.findall("request")
         first, size = len(rows), len(rows) + len(numbers)
         signalled = []
-        programs = [p for p in self.root.iterfind("tlLogic") if p.get("id") == self._light(name)]
+        light = self.lights.get(name, "")
+        programs = [p for p in self.root.iterfind("tlLogic") if p.get("id") == light]
         links = self._light_size(programs)
         for k, number in enumerate(numbers):
             crossing = self.crossings[number]
@@ -87,9 +89,11 @@ class NetWriter:
                 self._yield(rows[link], first + k, size)
             bits = "".join("1" if n in foes else "0" for n in reversed(range(size)))
             ET.SubElement(junction, "request", index=str(first + k), response="0" * size, foes=bits, cont="0")
+            row = self._crossing(name, k, number)
             if programs:
+                row.set("tl", light)
+                row.set("linkIndex", str(links + k))
                 signalled.append(self._signalled(name, crossing, links + k))
-            self._crossing(name, k, number, signalled[-1].index if programs else None)
         for row in rows:
             row.set("response", row.get("response", "").rjust(size, "0"))
             row.set("foes", row.get("foes", "").rjust(size, "0"))
@@ -101,10 +105,14 @@ class NetWriter:
         for program in programs:
             add_crossings(program, signalled)
 
-    def _light(self, junction: str) -> str | None:
-        """Return the signal that controls *junction*."""
-        lights = {row.get("tl") for (name, _), row in self.road.links.items() if name == junction}
-        return next((light for light in sorted(filter(None, lights))), None)
+    def _lights(self) -> dict[str, str]:
+        """Return the signal that controls each junction, the first by name."""
+        lights: dict[str, str] = {}
+        for (junction, _), row in self.road.links.items():
+            light = row.get("tl")
+            if light:
+                lights[junction] = min(light, lights.get(junction, light))
+        return lights
 
     def _light_size(self, programs: Sequence[ET.Element]) -> int:
         states = [phase.get("state", "") for program in programs for phase in program.iterfind("phase")]
@@ -133,7 +141,8 @@ class NetWriter:
                 if inside is not None:
                     inside.set("intLanes", " ".join((*lanes_of(inside), lane)))
 
-    def _crossing(self, junction: str, k: int, number: int, light_index: int | None) -> None:
+    def _crossing(self, junction: str, k: int, number: int) -> ET.Element:
+        """Add crossing *number*, and return the connection that leads on to it."""
         crossing = self.crossings[number]
         name = f":{junction}_c{k}"
         over = [self.road.links[junction, way.link] for way in crossing.ways]
@@ -143,14 +152,12 @@ class NetWriter:
         self.inner.append(edge)
         before, after = (self.area_names[self.place_of[number, side]] for side in (0, 1))
         row = self._connect(before, name)
-        if light_index is not None:
-            row.set("tl", str(self._light(junction)))
-            row.set("linkIndex", str(light_index))
         self._connect(name, after)
         for way in crossing.ways:
             link = self.road.links[junction, way.link]
             if link.get("state") == "M":
                 link.set("state", "m")
+        return row
 
     def _lane(self, edge: ET.Element, line: FloatArray, width_m: float) -> None:
         line = _without_repeats(line)

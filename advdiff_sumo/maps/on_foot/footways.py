@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.cluster.hierarchy import DisjointSet
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.maps.read_net import read_root, return_ids, shape_of
@@ -42,14 +43,14 @@ def read_footways(net: Path) -> Footways:
                 foot_lanes.add((name, lane.get("index", "0")))
                 if not edge.get("function") and len(shape_of(lane)) > 1:
                     lines[name] = shape_of(lane)
-    parent: dict[str, str] = {name: name for name, _ in foot_lanes}
+    sets = DisjointSet({name for name, _ in foot_lanes})
     for row in root.iterfind("connection"):
         ends = [(row.get(key, ""), row.get(f"{key}Lane", "")) for key in ("from", "to")]
         if all(end in foot_lanes for end in ends):
-            parent[_root_of(parent, ends[0][0])] = _root_of(parent, ends[1][0])
+            sets.merge(ends[0][0], ends[1][0])
     members: dict[str, list[str]] = defaultdict(list)
     for name in sorted(lines):
-        members[_root_of(parent, name)].append(name)
+        members[sets[name]].append(name)
     parts = [own for own in members.values() if len(own) > 1]
     edges = [name for own in parts for name in own]
     return Footways(
@@ -58,12 +59,6 @@ def read_footways(net: Path) -> Footways:
         np.array([lines[name][[0, -1]].mean(axis=0) for name in edges]).reshape(-1, 2),
         np.array([number for number, own in enumerate(parts) for _ in own], dtype=np.int64),
     )
-
-
-def _root_of(parent: dict[str, str], name: str) -> str:
-    while parent[name] != name:
-        parent[name] = name = parent[parent[name]]
-    return name
 
 
 def _length(line: FloatArray) -> float:

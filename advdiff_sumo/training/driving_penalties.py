@@ -8,7 +8,7 @@ from torch import Tensor
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.geometry import into_frame
-from advdiff_sumo.models.model_options import LANE_PIECES
+from advdiff_sumo.models.lane_attention import LanePieces
 from advdiff_sumo.models.proximity import lead_gaps
 
 _ALIGNED_COS = 0.5
@@ -28,10 +28,10 @@ def lane_distance(rollout: Rollout, batch: SceneBatch) -> Tensor:
     pose = batch.pose[:, :, None]
     yaw = pose[..., 2].expand(rollout.yaw.shape)
     place, turn = into_frame(rollout.xy, pose[..., :2], yaw), rollout.yaw - yaw
-    lanes = slice(0, LANE_PIECES)
-    xy = batch.map_xy[:, :, lanes]
+    lanes = LanePieces.of(batch)
+    xy = lanes.xy
     first, along = xy[..., :-1, :].flatten(2, 3), (xy[..., 1:, :] - xy[..., :-1, :]).flatten(2, 3)
-    real = batch.map_valid[:, :, lanes, None].expand(*xy.shape[:3], xy.shape[3] - 1).flatten(2)
+    real = lanes.valid[..., None].expand(*xy.shape[:3], xy.shape[3] - 1).flatten(2)
     ahead = torch.stack((torch.cos(turn), torch.sin(turn)), dim=-1).detach()
     length = along.norm(dim=-1).clamp(min=1e-3)
     with torch.no_grad():

@@ -12,10 +12,10 @@ import shapely
 from shapely.geometry import LineString, Point
 from shapely.geometry.base import BaseGeometry
 
+from advdiff_sumo.maps.build_graph import DEFAULT_LANE_WIDTH_M
 from advdiff_sumo.maps.read_net import return_ids, shape_of
 
 NARROW_M = 1.2  # a gap between lanes narrower than this is no island to stand on
-_DEFAULT_WIDTH_M = 3.2  # of lanes that state none, as SUMO has it
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +154,7 @@ def _links(root: ET.Element) -> dict[tuple[str, int], ET.Element]:
 
 
 def _strip(lane: ET.Element, junction: str = "", link: int = -1, straight: bool = False) -> Strip:
-    width_m = float(lane.get("width", _DEFAULT_WIDTH_M))
+    width_m = float(lane.get("width", DEFAULT_LANE_WIDTH_M))
     line = LineString(shape_of(lane))
     return Strip(lane.get("id", ""), line, width_m, float(lane.get("speed", 13.9)), junction, link, straight)
 

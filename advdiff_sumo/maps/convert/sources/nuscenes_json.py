@@ -191,13 +191,13 @@ class _Reader(MapTables):
 
     def _areas(self, layer: str, wanted: Any = lambda _row: True) -> list[Polygon]:
         polygons = []
-        for row in self.rows(layer):
-            if wanted(row) and not row.get("polygon_token"):
+        for row in filter(wanted, self.rows(layer)):
+            if row.get("polygon_token"):
+                polygons.append(self.polygon(row["polygon_token"]))
+            else:
                 self.warn(
                     f"{layer} without polygon", f"{layer} {row.get('token')!r} has no polygon and is left out"
                 )
-            elif wanted(row):
-                polygons.append(self.polygon(row["polygon_token"]))
         return [polygon for polygon in polygons if polygon is not None]
 
     def _drivable(self) -> MultiPolygon:

@@ -11,23 +11,28 @@ The same network serves training and planning, on every device.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.decoder import Decoder, Forced, Rollout, motion_features
+from advdiff_sumo.models.decoder import (
+    Decoder,
+    Forced,
+    Motion,
+    Rollout,
+    motion_features,
+    motion_now,
+    rollout_of,
+)
 from advdiff_sumo.models.geometry import RELATIVE_FEATURES, into_frame, relative_features
 from advdiff_sumo.models.lane_attention import LaneAttention, LanePieces
 from advdiff_sumo.models.losses import road_edges
-from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
+from advdiff_sumo.models.model_options import FUTURE_STEPS, ModelOptions
 from advdiff_sumo.models.proximity import BOX_POINTS, PAIR_FEATURES, box_clearance, pair_features
-from advdiff_sumo.models.tensor_bicycle import controls, step
 from advdiff_sumo.models.trace import Trace
 
 _MOTION = 6
-_Motion: TypeAlias = tuple[Tensor, Tensor, Tensor]  # xy (B, A, 2), yaw (B, A), speed (B, A)
 
 
 @dataclass(frozen=True)
@@ -100,8 +105,7 @@ class ClosedLoopDecoder(Decoder):
         own = batch if trace is None else batch.rows_of(rows)
         around = _Surroundings(batch, own, rows, LanePieces.of(own), road_edges(own))
         memory = torch.tanh(self.start(torch.cat((h[:, rows], z), dim=-1)))
-        pose = own.pose
-        motion: _Motion = pose[..., :2], pose[..., 2], pose[..., 3].clamp(min=0.0)
+        motion = motion_now(own)
         states, begun, said = [], [], []
         for k in range(steps):
             everybody = motion if trace is None else _among(trace.motion[k], rows, motion)
@@ -109,23 +113,18 @@ class ClosedLoopDecoder(Decoder):
             mixed, senders = self._look(memory, z, around, motion, everybody, others)
             begun.append(torch.cat((everybody[0], everybody[1][..., None], everybody[2][..., None]), dim=-1))
             said.append(senders)
-            accel, curvature = controls(self.action(mixed), motion[2], own.size[..., 0], self.options)
-            accel, curvature = accel * own.moved, curvature * own.moved
-            motion = step(*motion, accel, curvature, MODEL_STEP_S)
-            if forced is not None:
-                motion = forced.applied(k, *motion)
-            memory = self._remember(mixed, accel, curvature, memory)
-            states.append((*motion, accel, curvature))
-        rollout = Rollout(*(torch.stack(column, dim=2) for column in zip(*states, strict=True)))
-        return rollout, Trace(torch.stack(begun), torch.stack(said))
+            state, memory = self._drive(k, mixed, memory, motion, own, forced)
+            motion = state[:3]
+            states.append(state)
+        return rollout_of(states), Trace(torch.stack(begun), torch.stack(said))
 
     def _look(
         self,
         memory: Tensor,
         z: Tensor,
         around: _Surroundings,
-        motion: _Motion,
-        everybody: _Motion,
+        motion: Motion,
+        everybody: Motion,
         others: Tensor | None,
     ) -> tuple[Tensor, Tensor]:
         """Return the rows' embeddings (B, R, D) at one step, and what all agents send (layers, B, A, M)."""
@@ -162,7 +161,7 @@ def _from_nothing(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), last)
 
 
-def _among(state: Tensor, rows: Tensor, motion: _Motion) -> _Motion:
+def _among(state: Tensor, rows: Tensor, motion: Motion) -> Motion:
     """Return the motion of all agents: that of *state* (B, A, 4), with the *rows*' own in its place."""
     mine = torch.cat((motion[0], motion[1][..., None], motion[2][..., None]), dim=-1)
     made = state.to(mine.dtype).index_copy(1, rows, mine)

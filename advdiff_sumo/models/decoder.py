@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import torch
 from torch import Tensor, nn
@@ -13,6 +15,10 @@ from advdiff_sumo.models.interaction import InteractionNet
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
 from advdiff_sumo.models.tensor_bicycle import controls, step
 
+Motion: TypeAlias = tuple[Tensor, Tensor, Tensor]
+"""xy (B, A, 2), yaw (B, A) and speed (B, A)."""
+State: TypeAlias = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
+"""A motion, with the acceleration (B, A) and curvature (B, A) that led there."""
 _MOTION = 6
 
 
@@ -94,33 +100,44 @@ class Decoder(nn.Module):
             forced: agents whose future is given.
         """
         memory = torch.tanh(self.start(torch.cat((h, z), dim=-1)))
-        pose = batch.pose
-        xy, yaw, speed = pose[..., :2], pose[..., 2], pose[..., 3].clamp(min=0.0)
+        motion = motion_now(batch)
         states = []
         for k in range(steps):
-            raw, mixed = self._act(memory, z, batch, xy, yaw, speed)
-            accel, curvature = controls(raw, speed, batch.size[..., 0], self.options)
-            accel, curvature = accel * batch.moved, curvature * batch.moved
-            xy, yaw, speed = step(xy, yaw, speed, accel, curvature, MODEL_STEP_S)
-            if forced is not None:
-                xy, yaw, speed = forced.applied(k, xy, yaw, speed)
-            memory = self._remember(mixed, accel, curvature, memory)
-            states.append((xy, yaw, speed, accel, curvature))
-        return Rollout(*(torch.stack(column, dim=2) for column in zip(*states, strict=True)))
+            moved = motion_features(*motion, batch)
+            node = torch.relu(self.node(torch.cat((memory, z, moved), dim=-1)))
+            mixed = self.interaction(node, relative_features(*motion), batch.present)
+            state, memory = self._drive(k, mixed, memory, motion, batch, forced)
+            motion = state[:3]
+            states.append(state)
+        return rollout_of(states)
 
-    def _act(
-        self, memory: Tensor, z: Tensor, batch: SceneBatch, xy: Tensor, yaw: Tensor, speed: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        motion = motion_features(xy, yaw, speed, batch)
-        node = torch.relu(self.node(torch.cat((memory, z, motion), dim=-1)))
-        mixed = self.interaction(node, relative_features(xy, yaw, speed), batch.present)
-        return self.action(mixed), mixed
+    def _drive(
+        self, k: int, mixed: Tensor, memory: Tensor, motion: Motion, batch: SceneBatch, forced: Forced | None
+    ) -> tuple[State, Tensor]:
+        """Return where agents who see *mixed* (B, A, D) get to in step *k*, and their memory of it."""
+        accel, curvature = controls(self.action(mixed), motion[2], batch.size[..., 0], self.options)
+        accel, curvature = accel * batch.moved, curvature * batch.moved
+        motion = step(*motion, accel, curvature, MODEL_STEP_S)
+        if forced is not None:
+            motion = forced.applied(k, *motion)
+        return (*motion, accel, curvature), self._remember(mixed, accel, curvature, memory)
 
     def _remember(self, mixed: Tensor, accel: Tensor, curvature: Tensor, memory: Tensor) -> Tensor:
         done = torch.stack((0.25 * accel, 10.0 * curvature), dim=-1)
         inputs = torch.cat((mixed, done), dim=-1)
         new: Tensor = self.memory(inputs.flatten(0, 1), memory.flatten(0, 1))
         return new.reshape(memory.shape)
+
+
+def motion_now(batch: SceneBatch) -> Motion:
+    """Return where the agents of *batch* begin."""
+    pose = batch.pose
+    return pose[..., :2], pose[..., 2], pose[..., 3].clamp(min=0.0)
+
+
+def rollout_of(states: Sequence[State]) -> Rollout:
+    """Return the instants *states* as one roll-out."""
+    return Rollout(*(torch.stack(column, dim=2) for column in zip(*states, strict=True)))
 
 
 def motion_features(xy: Tensor, yaw: Tensor, speed: Tensor, batch: SceneBatch) -> Tensor:

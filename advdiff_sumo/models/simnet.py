@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from advdiff_sumo.models.advance import advance
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import ContextEncoder
-from advdiff_sumo.models.decoder import Forced, Rollout
+from advdiff_sumo.models.decoder import Forced, Rollout, rollout_of
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
 from advdiff_sumo.models.tensor_bicycle import controls, step
 
@@ -75,7 +75,7 @@ class SimNet(nn.Module):
             if k + 1 < steps:
                 now = Rollout(*(column[:, :, None] for column in states[-1]))
                 batch = advance(batch, now, 1)
-        return Rollout(*(torch.stack(column, dim=2) for column in zip(*states, strict=True)))
+        return rollout_of(states)
 
     def controls(self, batch: SceneBatch, steps: int = FUTURE_STEPS) -> tuple[Tensor, Tensor]:
         """Return accelerations in m/s² and curvatures in 1/m, (B, A, T) each, that :meth:`forward` drives."""

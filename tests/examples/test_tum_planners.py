@@ -11,7 +11,6 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,7 +20,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.planner_kit.kit_road import KitLane, KitLink, KitRoad, road_of
 from advdiff_sumo.planners.remote.map_message import map_message
-from tests.e2e.commands import advdiff, bytes_of
+from tests.examples.driven_twice import driven_twice
 
 REPOSITORY = Path(__file__).parents[2]
 FOLDER = REPOSITORY / "examples/tum_planners"
@@ -209,25 +208,9 @@ def installed(name: str) -> Path:
 @pytest.mark.parametrize("name", ["frenetix", "reactive"])
 def test_the_planners_drive_and_repeat_themselves(name: str, tmp_path: Path) -> None:
     target = f"exec:{installed(name)} {FOLDER / name}_server.py"
-    words = (
-        "run",
-        "--target",
-        target,
-        "--episodes",
-        2,
-        "--horizon",
-        6,
-        "--set",
-        "target_options.plan_timeout_s=60",
-    )
-    for out in ("one", "two"):
-        done = advdiff(*words, "--out", out, cwd=tmp_path)
-        assert done.code == 0, done.err
-    assert bytes_of(tmp_path / "one") == bytes_of(tmp_path / "two")
-    for row in pq.read_table(tmp_path / "one/episodes.parquet").to_pylist():
-        assert row["end"] != "failed", row["failure_message"]
-        assert row["collision_type"] != "off_road"
-        assert row["route_progress_m"] > 5.0
+    driven = driven_twice(target, 6, "--set", "target_options.plan_timeout_s=60", folder=tmp_path)
+    assert driven.first == driven.again
+    assert driven.unsound(5.0) == []
 
 
 def test_setup_says_which_planners_there_are() -> None:

@@ -136,6 +136,26 @@ def planned(task: Task, memory: Memory, axle_m: np.ndarray, states: np.ndarray) 
     return Trajectory(xy, yaw + task.frame.yaw_rad, states[:, 1], STEP_S), replace(memory, expected=expected)
 
 
+class Adapter:
+    """What the planner kit asks of both: a plan where they find a way, else a stop along the line."""
+
+    steps: int
+
+    def start(self, road, scene, rng):
+        return started(road)
+
+    def plan(self, road, scene, memory, rng):
+        task = task_now(road, scene, memory)
+        way = None if task is None else self.way(road, scene, memory, task)
+        if way is None:
+            return emergency_stop(scene, None if task is None else task.line, self.steps), memory
+        return planned(task, memory, *way)
+
+    def way(self, road, scene, memory, task: Task) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return places of the rear axle and states, as :func:`planned` takes them; None where there is no way."""
+        raise NotImplementedError
+
+
 def emergency_stop(scene: Scene, line: ReferenceLine | None, steps: int) -> Trajectory:
     """Return a stop at ``EMERGENCY_MPS2`` beside the line, as far to its side as now; straight on without a line."""
     now, me = scene.history, scene.target

@@ -14,7 +14,7 @@ import frenetix
 import frenetix.trajectory_functions.cost_functions as cf
 import frenetix.trajectory_functions.feasability_functions as ff
 import numpy as np
-from adapter import REAR_AXLE_M, STEP_S, WHEELBASE_M, Task, emergency_stop, planned, started, task_now
+from adapter import REAR_AXLE_M, STEP_S, WHEELBASE_M, Adapter, Task
 from advdiff_sumo.planner_kit import serve
 from collision_check import checker_of, own_box
 from frenetix.trajectory_functions import FillCoordinates
@@ -30,20 +30,18 @@ SPEED_WEIGHT, COLLISION_WEIGHT, VARIANCE_M2, SPEED_STEP_MPS = 1.0, 200.0, 0.1, 5
 _TIME, _SPEED, _SIDE = 1, 5, 10  # columns of a sampling matrix
 
 
-class Frenetix:
+class Frenetix(Adapter):
     """Plans 3 s at 0.1 s."""
 
-    def start(self, road, scene, rng):
-        return started(road)
+    steps = STEPS
 
-    def plan(self, road, scene, memory, rng):
-        task = task_now(road, scene, memory)
-        sample = None if task is None else self._sample(road, scene, memory, task)
+    def way(self, road, scene, memory, task: Task):
+        sample = self._sample(road, scene, memory, task)
         if sample is None:
-            return emergency_stop(scene, None if task is None else task.line, STEPS), memory
+            return None
         way = sample.cartesian
         axle = np.column_stack((way.x, way.y))[1:]
-        return planned(task, memory, axle, np.column_stack((way.theta, way.v, way.a, way.kappa))[1:])
+        return axle, np.column_stack((way.theta, way.v, way.a, way.kappa))[1:]
 
     def _sample(self, road, scene, memory, task: Task):
         """Return the cheapest curve without collision, else the one that stops soonest, else None."""

@@ -13,7 +13,7 @@ import logging
 
 import commonroad_dc.pycrcc as pycrcc
 import numpy as np
-from adapter import REAR_AXLE_M, STEP_S, WHEELBASE_M, Task, emergency_stop, planned, started, task_now
+from adapter import REAR_AXLE_M, STEP_S, WHEELBASE_M, Adapter, Task
 from advdiff_sumo.planner_kit import serve
 from collision_check import checker_of
 from commonroad_clcs.pycrccosy import (
@@ -37,22 +37,20 @@ OUTSIDE = (
 logging.disable(logging.WARNING)
 
 
-class Reactive:
+class Reactive(Adapter):
     """Plans 6 s at 0.1 s."""
 
-    def start(self, road, scene, rng):
-        return started(road)
+    steps = HORIZON
 
-    def plan(self, road, scene, memory, rng):
-        task = task_now(road, scene, memory)
-        states = None if task is None else self._states(road, scene, memory, task)
+    def way(self, road, scene, memory, task: Task):
+        states = self._states(road, scene, memory, task)
         if states is None:
-            return emergency_stop(scene, None if task is None else task.line, HORIZON), memory
+            return None
         rows = [
             (s.orientation, s.velocity, s.acceleration, np.tan(s.steering_angle) / WHEELBASE_M)
             for s in states
         ]
-        return planned(task, memory, np.array([s.position for s in states]), np.array(rows))
+        return np.array([s.position for s in states]), np.array(rows)
 
     def _states(self, road, scene, memory, task: Task):
         """Return the states of its plan from one step ahead on, in the vehicle's frame; None where there is none."""

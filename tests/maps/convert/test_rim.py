@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import libsumo
@@ -19,6 +17,7 @@ from advdiff_sumo.maps.convert.fidelity import measure
 from advdiff_sumo.maps.convert.rim import LENGTH_M, WAY_M
 from advdiff_sumo.maps.convert.sources.read_map import read_map
 from advdiff_sumo.maps.read_net import RETURN_TYPE
+from tests.e2e.commands import advdiff
 
 MAPS = {"two lanes": two_lane_road, "crossing": crossroads}
 
@@ -76,18 +75,8 @@ def test_a_car_drives_round_and_is_on_the_map_or_straight_beyond_its_rim(tmp_pat
 
 def test_command(tmp_path: Path) -> None:
     path = two_lane_road().write(tmp_path / "m.json")
-    command = [
-        sys.executable,
-        "-m",
-        "advdiff_sumo",
-        "convert",
-        str(path),
-        "-o",
-        str(tmp_path / "n"),
-        "--close-rim",
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    done = advdiff("convert", path, "-o", tmp_path / "n", "--close-rim", cwd=tmp_path)
+    assert done.code == 0, done.err
     figures = json.loads((tmp_path / "n.fidelity.json").read_text("utf-8"))
     assert figures["mended_and_cut"]["return edges beyond the rim"] == 1
     assert figures["routability"]["dead_ends"] == []

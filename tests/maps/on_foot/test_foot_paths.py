@@ -5,8 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -26,6 +24,7 @@ from advdiff_sumo.maps.convert import convert_map, convert_source
 from advdiff_sumo.maps.convert.fidelity import measure
 from advdiff_sumo.maps.convert.sources.read_map import read_map
 from advdiff_sumo.maps.on_foot import add_foot_paths
+from tests.e2e.commands import Outcome, advdiff
 
 EAST = [(104.0, 96.0), (107.0, 96.0), (107.0, 104.0), (104.0, 104.0)]  # over the way "west-east", 8 m by 3 m
 VEHICLE_FREE = {"crossing", "walkingarea"}
@@ -262,33 +261,24 @@ def test_any_crossing_leaves_vehicles_alone_and_a_net_that_sumo_reads(
         libsumo.close()
 
 
-def convert(path: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    command = [
-        sys.executable,
-        "-m",
-        "advdiff_sumo",
-        "convert",
-        str(path),
-        "-o",
-        str(path.parent / "o.net.xml"),
-    ]
-    return subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+def convert(path: Path, *options: str) -> Outcome:
+    return advdiff("convert", path, "-o", path.parent / "o.net.xml", *options, cwd=path.parent)
 
 
 @pytest.mark.slow
 def test_command(tmp_path: Path) -> None:
     path = with_crossing(EAST, AWAY).write(tmp_path / "m.json")
     done = convert(path)
-    assert done.returncode == 0, done.stderr
-    assert "1 of 2 crossings are in the net" in done.stdout
-    assert "note: 1 of the crossings left out: no lane leads over it" in done.stdout
+    assert done.code == 0, done.err
+    assert "1 of 2 crossings are in the net" in done.out
+    assert "note: 1 of the crossings left out: no lane leads over it" in done.out
     figures = json.loads((tmp_path / "o.fidelity.json").read_text())["crossings"]
     assert figures["left_out"] == {"no lane leads over it": [[206.5, 100.0]]}
-    assert convert(path, "--crossings", "none").returncode == 0
+    assert convert(path, "--crossings", "none").code == 0
     assert not edges_of(tmp_path / "o.net.xml", "crossing")
     wrong = convert(path, "--crossings", "some")
-    assert wrong.returncode == 2
-    assert "--crossings some: known are 'map', 'guess' and 'none'" in " ".join(wrong.stderr.split())
+    assert wrong.code == 2
+    assert "--crossings some: known are 'map', 'guess' and 'none'" in " ".join(wrong.err.split())
 
 
 @pytest.mark.slow
@@ -297,12 +287,12 @@ def test_a_malformed_crossing_is_one_sentence(tmp_path: Path) -> None:
     road.data["ped_crossing"][1]["polygon_token"] = "nowhere"  # noqa: S105 - the name of an area
     del road.data["ped_crossing"][2]["polygon_token"]
     done = convert(road.write(tmp_path / "m.json"))
-    assert done.returncode == 0
-    notes = [line for line in done.stdout.splitlines() if line.startswith("note:")]
-    assert len(notes) == 2, done.stdout
+    assert done.code == 0
+    notes = [line for line in done.out.splitlines() if line.startswith("note:")]
+    assert len(notes) == 2, done.out
     assert "polygon 'nowhere' does not exist" in notes[0]
     assert "ped_crossing 'ped_crossing2' has no polygon and is left out" in notes[1]
-    assert "1 of 1 crossings are in the net" in done.stdout
+    assert "1 of 1 crossings are in the net" in done.out
 
 
 @pytest.mark.data

@@ -33,19 +33,40 @@ def test_the_page_of_columns_is_up_to_date(
     assert tool("write_outputs_doc").main() == 0, capsys.readouterr().out
 
 
-def test_a_stale_page_is_noticed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("name", "right", "wrong", "complaint", "options"),
+    [
+        ("write_outputs_doc", "| `step` |", "| `instant` |", "is behind the code", ()),
+        (
+            "write_results",
+            "6.60 [6.13, 7.08]",
+            "6.06 [6.13, 7.08]",
+            "is behind the benches",
+            ("--from", "."),
+        ),
+    ],
+)
+def test_a_stale_page_is_noticed_and_mended(
+    name: str,
+    right: str,
+    wrong: str,
+    complaint: str,
+    options: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    module = tool("write_outputs_doc")
-    page = tmp_path / "outputs.md"
-    page.write_text(module.PAGE.read_text().replace("| `step` |", "| `instant` |"))
+    module = tool(name)
+    kept, page = module.PAGE.read_text(), tmp_path / module.PAGE.name
+    page.write_text(kept.replace(right, wrong))
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(module, "PAGE", page)
-    monkeypatch.setattr(sys, "argv", ["write_outputs_doc.py", "--check"])
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", "--check", *options])
     assert module.main() == 1
-    assert "is behind the code" in capsys.readouterr().out
-    monkeypatch.setattr(sys, "argv", ["write_outputs_doc.py"])
+    assert complaint in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", *options])
     assert module.main() == 0
-    assert page.read_text() == (ROOT / "docs" / "outputs.md").read_text()
+    assert page.read_text() == kept
 
 
 def test_a_page_without_a_place_for_a_table_is_refused() -> None:
@@ -88,21 +109,6 @@ def test_the_results_show_the_figures_of_the_tables(
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["write_results.py", "--check", "--from", str(tmp_path)])
     assert tool("write_results").main() == 0, capsys.readouterr().out
-
-
-def test_a_stale_figure_in_the_results_is_noticed_and_mended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    module = tool("write_results")
-    page = tmp_path / "results.md"
-    page.write_text(module.PAGE.read_text().replace("6.60 [6.13, 7.08]", "6.06 [6.13, 7.08]"))
-    monkeypatch.setattr(module, "PAGE", page)
-    monkeypatch.setattr(sys, "argv", ["write_results.py", "--check", "--from", str(tmp_path)])
-    assert module.main() == 1
-    assert "is behind the benches" in capsys.readouterr().out
-    monkeypatch.setattr(sys, "argv", ["write_results.py", "--from", str(tmp_path)])
-    assert module.main() == 0
-    assert page.read_text() == (ROOT / "docs" / "results.md").read_text()
 
 
 def test_the_results_stay_short() -> None:

@@ -29,6 +29,11 @@ ARRAYS = ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
 numbers = st.floats(allow_nan=True, allow_infinity=True, width=64)
 
 
+def sent_and_read(plan: Plan) -> Plan:
+    """Return what a reader makes of the bytes of *plan*."""
+    return plan_of(messages.Plan.FromString(plan_message(plan).SerializeToString()))
+
+
 def test_the_compiled_description_is_that_of_the_proto_file(tmp_path: Path) -> None:
     compiled = tmp_path / "now.binpb"
     command = [sys.executable, "-m", "grpc_tools.protoc", f"-I{KIT}", f"--descriptor_set_out={compiled}"]
@@ -53,17 +58,15 @@ def test_a_scene_comes_back_to_the_bit(scene: Scene) -> None:
 @given(st.lists(st.tuples(numbers, numbers), min_size=1, max_size=8), st.floats(0.01, 1.0))
 def test_controls_come_back_to_the_bit(pairs: list[tuple[float, float]], dt_s: float) -> None:
     accel, steer = np.array(pairs).T
-    returns(Controls(accel, steer, dt_s))
+    plan = Controls(accel, steer, dt_s)
+    assert same_plan(sent_and_read(plan), plan)
 
 
 @given(st.lists(st.tuples(*[numbers] * 4), min_size=1, max_size=8), st.floats(0.01, 1.0))
 def test_trajectories_come_back_to_the_bit(rows: list[tuple[float, ...]], dt_s: float) -> None:
     x, y, yaw, speed = np.array(rows).T
-    returns(Trajectory(np.stack((x, y), axis=-1), yaw, speed, dt_s))
-
-
-def returns(plan: Plan) -> None:
-    assert same_plan(plan_of(messages.Plan.FromString(plan_message(plan).SerializeToString())), plan)
+    plan = Trajectory(np.stack((x, y), axis=-1), yaw, speed, dt_s)
+    assert same_plan(sent_and_read(plan), plan)
 
 
 @pytest.mark.parametrize(

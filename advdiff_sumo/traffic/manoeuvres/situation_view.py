@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,7 +15,7 @@ from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.ways import Way
-from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
+from advdiff_sumo.traffic.planning.lanes_ahead import lanes_ahead
 from advdiff_sumo.traffic.planning.people import velocities
 
 NEAR_M = 70.0
@@ -110,9 +110,13 @@ class SituationView:
         if name is None or lane.is_internal or not self.road.lanes[name].is_drivable:
             return None
         there = self.road.lanes[name]
-        at, yaw = there.line.at(min(way.lane.s_m, there.length_m))
-        beyond = lanes_ahead(self.road, at[None], np.array([float(yaw)]), [self.scene.routes[row]])[0]
-        return None if beyond is None else Way(_beside(beyond))
+        return self.way_from(there.line.at(min(way.lane.s_m, there.length_m)), self.scene.routes[row])
+
+    def way_from(self, pose: tuple[FloatArray, FloatArray], route: Sequence[str]) -> Way | None:
+        """Return the way along *route* from *pose*, a place on a lane's centre line; None where no lane is driven."""
+        xy_m, yaw_rad = pose
+        ahead = lanes_ahead(self.road, xy_m[None], np.array([float(yaw_rad)]), [route])[0]
+        return None if ahead is None else Way(replace(ahead, offset_m=0.0))
 
     def coasting(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return centres (R, T, 2) and headings (R, T) of *rows* on their ways that keep their speed."""
@@ -128,7 +132,3 @@ class SituationView:
         driven = CHECK_TIMES_S[:, None] * velocities(now)[rows, None]
         yaw = np.repeat(now.yaw_rad[rows, -1:], len(CHECK_TIMES_S), axis=1)
         return now.xy_m[rows, -1:] + driven, yaw
-
-
-def _beside(lane: LaneAhead) -> LaneAhead:
-    return LaneAhead(lane.s_m, lane.lanes, lane.speed_mps, lane.stops, lane.end_m, 0.0)

@@ -20,7 +20,6 @@ from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
-from advdiff_sumo.traffic.planning.lanes_ahead import lanes_ahead
 
 SIZE_M = {AgentClass.CAR: (4.6, 1.8), AgentClass.TRUCK: (9.0, 2.4)}
 """Length and width of who comes in."""
@@ -164,7 +163,7 @@ def _with_priority(view: SituationView) -> Iterator[Newcomer]:
             for arrives_s in (meets_s, meets_s + 1.0, meets_s - 1.0):
                 speed = min(lane.speed_mps, _CROSSES_MPS)
                 away = min(speed * arrives_s, lane.length_m - 1.0, _FARTHEST_M)
-                way = _way(view, lane.line.at(lane.length_m - away), (lane.edge_id, to))
+                way = view.way_from(lane.line.at(lane.length_m - away), (lane.edge_id, to))
                 if away > _APART_M and way is not None and other in (x for _, x in way.links):
                     yield Newcomer(way, max(min(speed, away / arrives_s), _SLOWEST_MPS))
 
@@ -194,14 +193,9 @@ def _on_way(
         return
     pose = way.line.at(way.lane.s_m + ahead_m)
     edges = tuple(lane.edge_id for lane in way.lane.lanes if not lane.is_internal)
-    there = _way(view, pose, (*edges, *view.scene.routes[view.scene.target]))
+    there = view.way_from(pose, (*edges, *view.scene.routes[view.scene.target]))
     if there is not None and not there.present_lane.is_internal:
         yield Newcomer(there, min(speed_mps, there.lane.speed_mps), agent_class)
-
-
-def _way(view: SituationView, pose: tuple[FloatArray, FloatArray], route: Sequence[str]) -> Way | None:
-    ahead = lanes_ahead(view.road, pose[0][None], np.array([float(pose[1])]), [route])[0]
-    return None if ahead is None else Way(replace(ahead, offset_m=0.0))
 
 
 def _is_free(view: SituationView, one: Newcomer, taken: Sequence[Newcomer]) -> bool:

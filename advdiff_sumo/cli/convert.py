@@ -72,36 +72,33 @@ def convert(
 
     Example: advdiff-sumo convert boston-seaport.json -o networks/boston-seaport.net.xml --report
     """
-    from advdiff_sumo.maps.convert.convert import Crossings  # late, too
-    from advdiff_sumo.maps.convert.fidelity import measure  # late: --help needs neither SUMO nor plots
-    from advdiff_sumo.maps.convert.fidelity_report import fidelity_path, write_figures, write_page
-    from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
-    from advdiff_sumo.sim.driving_test import driving_test
+    from advdiff_sumo.maps.convert.fidelity_report import (  # late: --help needs neither SUMO nor plots
+        fidelity_path,
+        write_figures,
+        write_page,
+    )
 
     if tls not in ("guess", "map"):
         raise ConfigError(f"--tls {tls}: known are 'guess' and 'map'")
-    if crossings not in get_args(Crossings):
-        raise ConfigError(f"--crossings {crossings}: known are 'map', 'guess' and 'none'")
+    people = _crossings(crossings)
     for source, net in _jobs(map_file, output, all_of):
-        result = convert_file(
-            source, net, lefthand, tls == "guess", opendrive, close_rim, cast("Crossings", crossings)
-        )
-        figures: dict[str, Any] = measure(result).as_dict()
-        root = dataroot or all_of
-        if root is not None:
-            poses = ego_poses(root, result.source.location)
-            figures["logged_poses"] = compare_poses(
-                result, np.vstack(list(poses.values())) if poses else np.empty((0, 3))
-            )
+        result = convert_file(source, net, lefthand, tls == "guess", opendrive, close_rim, people)
+        figures = _measured(result, dataroot or all_of)
         write_figures(figures, fidelity_path(net))  # kept where the driving test finds no trip
-        for number, at_once in ((drive, False), (drive_at_once, True)):
-            if number:
-                name = "driving_test_at_once" if at_once else "driving_test_in_the_hour"
-                figures[name] = driving_test(result.net, vehicles=number, at_once=at_once, seed=seed)
+        figures |= _driven(result.net, drive, drive_at_once, seed)
         write_figures(figures, fidelity_path(net))
         if report:
             write_page(result, figures, fidelity_path(net, "html"))
         _say(result, figures)
+
+
+def _crossings(name: str) -> Crossings:
+    """Return what ``--crossings`` says, checked."""
+    from advdiff_sumo.maps.convert.convert import Crossings  # late, as above
+
+    if name not in get_args(Crossings):
+        raise ConfigError(f"--crossings {name}: known are 'map', 'guess' and 'none'")
+    return cast("Crossings", name)
 
 
 def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> list[tuple[Path, Path]]:
@@ -148,6 +145,32 @@ def convert_file(
         close_rim=close_rim,
         crossings=crossings,
     )
+
+
+def _measured(result: ConversionResult, dataroot: Path | None) -> dict[str, Any]:
+    """Return how exact the net is, also by the poses that are logged in *dataroot*."""
+    from advdiff_sumo.maps.convert.fidelity import measure  # late, as above
+    from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
+
+    figures: dict[str, Any] = measure(result).as_dict()
+    if dataroot is not None:
+        poses = ego_poses(dataroot, result.source.location)
+        figures["logged_poses"] = compare_poses(
+            result, np.vstack(list(poses.values())) if poses else np.empty((0, 3))
+        )
+    return figures
+
+
+def _driven(net: Path, in_the_hour: int, at_once: int, seed: int) -> dict[str, Any]:
+    """Return what came of the driving tests that are asked for with a number of vehicles."""
+    from advdiff_sumo.sim.driving_test import driving_test  # late, as above
+
+    figures: dict[str, Any] = {}
+    if in_the_hour:
+        figures["driving_test_in_the_hour"] = driving_test(net, vehicles=in_the_hour, seed=seed)
+    if at_once:
+        figures["driving_test_at_once"] = driving_test(net, vehicles=at_once, at_once=True, seed=seed)
+    return figures
 
 
 def _say(result: ConversionResult, figures: dict[str, Any]) -> None:

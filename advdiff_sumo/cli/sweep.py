@@ -26,6 +26,7 @@ from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
+    from advdiff_sumo.sweep.condition import Condition
     from advdiff_sumo.sweep.executors import Executor
     from advdiff_sumo.sweep.job_plan import Plan
     from advdiff_sumo.sweep.sweep_runner import Todo
@@ -92,38 +93,27 @@ def sweep(
     a power cut lose the episodes in flight: advdiff-sumo sweep --resume DIR runs what is missing.
     """
     one_thread_for_good()
-    from advdiff_sumo.cli.run import print_notes
-    from advdiff_sumo.cli.summary import run_object  # late: --help needs no simulator
-    from advdiff_sumo.cli.sweep_results import conclude, condition_of
-    from advdiff_sumo.sim.free_folder import free_folder
-    from advdiff_sumo.sweep.job_plan import plan_sweep
-    from advdiff_sumo.sweep.notes import sweep_notes
-    from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+    from advdiff_sumo.cli.sweep_results import condition_of  # late: --help needs no simulator
+    from advdiff_sumo.sweep.sweep_runner import Todo, open_store
 
     signal.signal(signal.SIGTERM, _as_ctrl_c)
     condition = condition_of(fail_if)
     console = verb_console(quiet, as_json)
-    store = _begun(resume)
-    spec = _spec(file, store)
-    plan = plan_sweep(spec)
-    print_notes(console, sweep_notes(plan))
+    begun = _begun(resume)
+    plan = _plan(console, file, begun)
     slots = workers or _cores()
     with ExitStack() as stack:
         limits = limits_of(stack, timeout, plan_timeout, memory)
         if dry_run:
-            _tell_estimate(console, plan, Todo.of(plan, store, limit, retry_failed), slots, limits)
+            _tell_estimate(console, plan, Todo.of(plan, begun, limit, retry_failed), slots, limits)
             return
         done_by = _executor(executor, workers if ray_address else slots, ray_address, plan, limits)
-        path = resume or out or free_folder(file.stem if file is not None else "sweep")
-        store = open_store(path, plan, done_by.slots, resume is not None)
+        store = open_store(resume or out or _new_folder(file), plan, done_by.slots, resume is not None)
         todo = Todo.of(plan, store, limit, retry_failed)
-        with _Progress(console, todo) as progress:
-            missing = run_sweep(plan, store, todo, done_by, retries, progress.tell)
+        missing = _episodes(console, plan, store, todo, done_by, retries)
     if report:
         _draw(console, store.path)
-    if as_json:
-        print_json({**run_object(store.path), "missing": missing})
-    conclude(console, store, plan, missing, condition, junit)
+    _tell_outcome(console, store, plan, missing, condition, junit, as_json)
 
 
 def _draw(console: Console, folder: Path) -> None:
@@ -168,6 +158,23 @@ def _spec(file: Path | None, store: Store | None) -> Any:
     return spec
 
 
+def _plan(console: Console, file: Path | None, begun: Store | None) -> Plan:
+    """Return all episodes that are asked for; say what of the logs is left out."""
+    from advdiff_sumo.cli.run import print_notes
+    from advdiff_sumo.sweep.job_plan import plan_sweep
+    from advdiff_sumo.sweep.notes import sweep_notes
+
+    plan = plan_sweep(_spec(file, begun))
+    print_notes(console, sweep_notes(plan))
+    return plan
+
+
+def _new_folder(file: Path | None) -> Path:
+    from advdiff_sumo.sim.free_folder import free_folder
+
+    return free_folder(file.stem if file is not None else "sweep")
+
+
 def _executor(
     name: ExecutorName, workers: int | None, address: str | None, plan: Plan, limits: Limits
 ) -> Executor:
@@ -183,6 +190,34 @@ def _executor(
     from advdiff_sumo.sweep.on_ray import RayExecutor
 
     return RayExecutor(address, workers, limits, needed_nets(plan))
+
+
+def _episodes(
+    console: Console, plan: Plan, store: Store, todo: Todo, executor: Executor, retries: int
+) -> int:
+    """Run what is *todo* behind a bar and return how many episodes are missing then."""
+    from advdiff_sumo.sweep.sweep_runner import run_sweep
+
+    with _Progress(console, todo) as progress:
+        return run_sweep(plan, store, todo, executor, retries, progress.tell)
+
+
+def _tell_outcome(
+    console: Console,
+    store: Store,
+    plan: Plan,
+    missing: int,
+    condition: Condition | None,
+    junit: Path | None,
+    as_json: bool,
+) -> None:
+    """Print what the sweep came to; leave with 1 where the *condition* says so."""
+    from advdiff_sumo.cli.summary import run_object
+    from advdiff_sumo.cli.sweep_results import conclude
+
+    if as_json:
+        print_json({**run_object(store.path), "missing": missing})
+    conclude(console, store, plan, missing, condition, junit)
 
 
 def _tell_estimate(console: Console, plan: Plan, todo: Todo, workers: int, limits: Limits) -> None:

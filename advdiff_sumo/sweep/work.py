@@ -21,6 +21,7 @@ from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.columns import Column
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
+from advdiff_sumo.metrics.summary import summarise
 from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.sim.episode import Timing
 from advdiff_sumo.sim.heartbeat import Heartbeat
@@ -90,8 +91,9 @@ def run_of(options: RunOptions, net_digest: str) -> Run:
 
 def part_of(run: Run, record: EpisodeRecord, timing: Timing) -> Part:
     """Return what is kept of an episode of *run*."""
-    row = episode_row(record, run.road)
-    tables = episode_tables(record, row, collision_rows(record, run.road), timing)
+    metrics = summarise(record, run.road)
+    row = episode_row(record, run.road, metrics)
+    tables = episode_tables(record, row, collision_rows(record, run.road, metrics), timing)
     episodes = _beside(tables["episodes"], [situation(record, row, run.road)], SITUATION_COLUMNS)
     failure = record.failure
     failed = None if failure is None else Failed(failure.kind, failure.message, failure.trace)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from itertools import starmap
 from pathlib import Path
 from typing import ClassVar
 
@@ -57,13 +58,15 @@ class SceneFiles(ABC):
         files = self.files()
         if name not in files:
             raise UnknownNameError(self.kind, name, files)
-        path = files[name]
+        return self._read(name, files[name])
+
+    def scenes(self) -> Iterator[LogScene]:
+        """Yield all scenes, sorted by name."""
+        return starmap(self._read, sorted(self.files().items()))
+
+    def _read(self, name: str, path: Path) -> LogScene:
         try:
             return self.read_file(name, path)
         except (KeyError, TypeError, ValueError, IndexError) as error:
             problem = f"cannot be used ({type(error).__name__}: {error})"
             raise LogError(path, problem, self.remedy) from None
-
-    def scenes(self) -> Iterator[LogScene]:
-        """Yield all scenes."""
-        return map(self.read, self.names())

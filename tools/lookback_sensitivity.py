@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from advdiff_sumo.core.errors import InputError
@@ -23,7 +23,6 @@ from advdiff_sumo.metrics.encounter import encounter
 from advdiff_sumo.metrics.reference import MODELS, drive_all
 from advdiff_sumo.metrics.traffic_view import TrafficView
 from advdiff_sumo.metrics.verdict import avoids
-from advdiff_sumo.report.stored_record import stored_record
 
 
 def main() -> int:
@@ -40,8 +39,7 @@ def main() -> int:
         for folder in given.folders:
             for record, road, struck in struck_targets(folder):
                 total += 1
-                for lookback_s in given.lookback:
-                    counts.update((lookback_s, model) for model in avoiding(record, road, struck, lookback_s))
+                counts.update(avoiding(record, road, struck, given.lookback))
     except InputError as error:
         print(f"lookback_sensitivity: {error}", file=sys.stderr)
         return 2
@@ -54,24 +52,25 @@ def main() -> int:
 
 def struck_targets(folder: Path) -> Iterator[tuple[EpisodeRecord, RoadMap, Collision]]:
     """Yield the records of *folder* in which the target collides with another after the first instant."""
-    roads: dict[Path, RoadMap] = {}
     for _, stored in open_folder(folder).episodes():
         if not stored.row["collision_partner"]:
             continue
-        record = stored_record(stored.states, stored.row, stored.signals)
+        record = stored.record()
         struck = None if record is None else target_collision(record, collisions(record))
         if record is not None and struck is not None and struck.step > 0:
-            if stored.net not in roads:
-                roads[stored.net] = RoadMap.read(stored.net)
-            yield record, roads[stored.net], struck
+            yield record, stored.road(), struck
 
 
-def avoiding(record: EpisodeRecord, road: RoadMap, struck: Collision, lookback_s: float) -> list[str]:
-    """Return the models that avoid the collision, as the verdict says it."""
+def avoiding(
+    record: EpisodeRecord, road: RoadMap, struck: Collision, lookbacks_s: Sequence[float]
+) -> Iterator[tuple[float, str]]:
+    """Yield each look-back with each model that avoids the collision then, as the verdict says it."""
     view = TrafficView.of_record(record, road)
     pusher = pushed_by(view, encounter(view, struck), 0)
-    drives = drive_all(record, road, struck, lookback_s=lookback_s)
-    return [model for model, drive in drives.items() if avoids(record, struck, drive, pusher)]
+    for lookback_s in lookbacks_s:
+        for model, drive in drive_all(record, road, struck, lookback_s=lookback_s).items():
+            if avoids(record, struck, drive, pusher):
+                yield lookback_s, model
 
 
 if __name__ == "__main__":

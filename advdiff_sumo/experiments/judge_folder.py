@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 
 from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
@@ -63,6 +64,18 @@ class EpisodeTables:
     states: pa.Table
     collisions: Sequence[Mapping[str, Any]]
     signals: pa.Table | None
+
+    def record(self) -> EpisodeRecord | None:
+        """Return the record of the episode; None without a target."""
+        return stored_record(self.states, self.row, self.signals)
+
+    def road(self) -> RoadMap:
+        """Return the net, which is read once for many episodes.
+
+        Raises:
+            NetError: it cannot be read.
+        """
+        return _road(self.net)
 
 
 @dataclass(frozen=True)
@@ -203,11 +216,11 @@ def judge_episode(stored: EpisodeTables, search: bool = False) -> JudgedRows:
         NetError: the net cannot be read.
         WeightsError: the search has no weights.
     """
-    record = stored_record(stored.states, stored.row, stored.signals)
+    record = stored.record()
     row, collisions = dict(stored.row), [dict(x) for x in stored.collisions]
     if record is None or record.tracks.steps < 2:
         return JudgedRows(row, collisions)
-    road = _road(stored.net)
+    road = stored.road()
     metrics = summarise(record, road, solvable(record, road) if search else row.get("solvable"))
     judged = episode_row(record, road, metrics)
     if bool(judged["target_collision"]) == bool(row["target_collision"]):

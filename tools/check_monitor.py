@@ -18,21 +18,22 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from advdiff_sumo.cli.export import scene_of
+from advdiff_sumo.cli.export import stem_of
 from advdiff_sumo.core.errors import InputError
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.experiments.judge_folder import open_folder
-from advdiff_sumo.export import make_exporter
+from advdiff_sumo.export import ExportScene, make_exporter
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.following import following
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.metrics.traffic_view import TrafficView
-from advdiff_sumo.report.stored_record import stored_record
 
 RULES = Path(__file__).with_name("commonroad_rules.py")
 Answers = dict[str, Any]
@@ -71,29 +72,30 @@ def main() -> int:
 
 def compared(given: argparse.Namespace, keep: Path) -> tuple[Counter[tuple[str, bool, bool]], list[str]]:
     """Return how often (ours, theirs) say a rule is broken, and what was left out."""
-    scenes = []
-    for _, stored in open_folder(given.folder).episodes():
-        if len(scenes) < given.scenes and stored.net.name.startswith(given.net):
-            record = stored_record(stored.states, stored.row, stored.signals)
-            if record is not None and record.tracks.steps > 1:
-                scenes.append((record, stored.net))
-    paths = [exported(given.folder, record, keep) for record, _ in scenes]
+    scenes = list(islice(moving(given.folder, given.net), given.scenes))
+    exporter, stem = make_exporter("commonroad"), stem_of(given.folder)
+    paths = []
+    for key, record, road in scenes:
+        scene = ExportScene(f"{stem}-{key}", record.tracks, record.target, road)
+        paths += exporter.write(scene, keep)
     answers = monitored(given.python, paths, keep)
     counts: Counter[tuple[str, bool, bool]] = Counter()
     failed = []
-    for (record, net), path in zip(scenes, paths, strict=True):
+    for (_, record, road), path in zip(scenes, paths, strict=True):
         told = answers.get(str(path), {"failed": "no answer"})
         if "failed" in told:
             failed.append(f"{path.name}: {told['failed']}")
         else:
-            count(counts, record, RoadMap.read(net), told, obstacles(path))
+            count(counts, record, road, told, obstacles(path))
     return counts, failed
 
 
-def exported(folder: Path, record: EpisodeRecord, keep: Path) -> Path:
-    """Return the CommonRoad file of an episode."""
-    (path,) = make_exporter("commonroad").write(scene_of(folder, record.episode), keep)
-    return Path(path)
+def moving(folder: Path, net: str) -> Iterator[tuple[str, EpisodeRecord, RoadMap]]:
+    """Yield key, record and map of the episodes of *folder* on nets whose file's name begins with *net*."""
+    for key, stored in open_folder(folder).episodes():
+        record = stored.record() if stored.net.name.startswith(net) else None
+        if record is not None and record.tracks.steps > 1:
+            yield key, record, stored.road()
 
 
 def obstacles(path: Path) -> dict[str, str]:

@@ -81,9 +81,13 @@ def scene_of(folder: Path, episode: int | None) -> ExportScene:
     if states is None:
         raise FileError(folder, f"episode {episode} failed before its first instant", "choose another one")
     net = str(row.get("net") or finished.options.get("net", ""))
-    name = re.sub(r"[^\w.-]+|^[^A-Za-z0-9]+", "-", folder.resolve().name).lstrip("-._") or "run"
     road = RoadMap.read(_net_file(folder, net))
-    return ExportScene(f"{name}-{episode:04d}", states.tracks, states.target, road)
+    return ExportScene(f"{stem_of(folder)}-{episode:04d}", states.tracks, states.target, road)
+
+
+def stem_of(folder: Path) -> str:
+    """Return with what the names of the files begin that are exported out of *folder*."""
+    return re.sub(r"[^\w.-]+|^[^A-Za-z0-9]+", "-", folder.resolve().name).lstrip("-._") or "run"
 
 
 def _net_file(folder: Path, named: str) -> Path:

@@ -23,9 +23,8 @@ from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import AdvdiffError, InputError
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.experiments.closed_loop import ClosedLoop, Driver, close_loop
+from advdiff_sumo.experiments.judge_folder import EpisodeTables, open_folder
 from advdiff_sumo.metrics.statistics import cohens_kappa
-from advdiff_sumo.report.stored_record import stored_record
-from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.job_plan import Job, Plan, plan_sweep
 from advdiff_sumo.sweep.repeat import episode_again, run_with
 from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
@@ -39,7 +38,7 @@ class Candidate:
     store: Store
     plan: Plan
     job: Job
-    part: Part
+    stored: EpisodeTables
 
 
 def main() -> int:
@@ -81,14 +80,14 @@ def collided(folder: Path) -> Iterator[Candidate]:
         store = Store.open(folder)
         plan = plan_sweep(store.spec())
         store.must_match(plan.keys)
-        parts = ((job, store.read(job.key)) for job in plan.jobs)
+        jobs = {job.key: job for job in plan.jobs}
     else:
         run, plan, _ = run_with("0", folder)
         store = run.store
-        parts = ((job, run.part(job.number)) for job in plan.jobs)
-    for job, part in parts:
-        if part is not None and part.tables["episodes"]["collision_partner"][0].is_valid:
-            yield Candidate(folder, store, plan, job, part)
+        jobs = {str(job.number): job for job in plan.jobs}
+    for key, stored in open_folder(folder).episodes():
+        if stored.row["collision_partner"]:
+            yield Candidate(folder, store, plan, jobs[key], stored)
 
 
 def draw(candidates: list[Candidate], count: int, seed: int) -> list[Candidate]:
@@ -120,9 +119,7 @@ def run_again(drawn: list[Candidate], driver: Driver) -> tuple[list[tuple[Candid
 def again(one: Candidate, driver: Driver) -> ClosedLoop | None:
     """Run one collision again."""
     _, episode = episode_again(one.store, one.plan, one.job)
-    tables = one.part.tables
-    (row,) = tables["episodes"].to_pylist()
-    record = stored_record(tables["states"], row, tables.get("signals"))
+    record = one.stored.record()
     return None if record is None else close_loop(episode, record, driver)
 
 

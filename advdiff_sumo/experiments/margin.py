@@ -11,7 +11,6 @@ import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.experiments.bench.cells import open_bench_store
@@ -19,7 +18,7 @@ from advdiff_sumo.metrics.severity import is_valid_failure
 from advdiff_sumo.sim.run_episodes import RunOptions
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.executors import ProcessExecutor
-from advdiff_sumo.sweep.job_plan import Job, Plan, plan_sweep
+from advdiff_sumo.sweep.job_plan import Plan, plan_sweep
 from advdiff_sumo.sweep.spec import Case, SweepSpec
 from advdiff_sumo.sweep.sweep_files import write_whole
 from advdiff_sumo.sweep.sweep_runner import Todo, run_sweep
@@ -105,12 +104,11 @@ class MarginTrials:
             InputError: a name is unknown, or there is no seed scene.
         """
         plan = self._plan((braking_mps2,))
-        store = self._run(plan)
-        (job,) = plan.jobs
-        row = _row(store, job)
-        if row is None or row["end"] == "failed":
-            why = "" if row is None else row["failure_message"] or ""
+        part = self._run(plan).read(plan.jobs[0].key)
+        if part is None or part.failed is not None:
+            why = "" if part is None or part.failed is None else part.failed.message
             raise ConfigError(f"the episode with {braking_mps2:g} m/s² failed: {why}; see {self.folder}")
+        (row,) = part.tables["episodes"].to_pylist()
         return is_valid_failure(row)
 
     def keep(self, margin: Margin) -> None:
@@ -157,11 +155,3 @@ def trials_text(margin: Margin) -> str:
     writer.writerow(("braking_mps2", "valid_failure"))
     writer.writerows((f"{one:g}", str(failed).lower()) for one, failed in sorted(margin.tried.items()))
     return sink.getvalue()
-
-
-def _row(store: Store, job: Job) -> Mapping[str, Any] | None:
-    part = store.read(job.key)
-    if part is None or "episodes" not in part.tables:
-        return None
-    rows = part.tables["episodes"].to_pylist()
-    return rows[0] if rows else None

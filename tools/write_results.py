@@ -55,16 +55,17 @@ def filled(page: str, files: dict[str, str]) -> str:
     def text(name: str) -> str:
         return files[name] if name in files else (TABLES / name).read_text(encoding="utf-8")
 
+    provenance = json.loads(text(PROVENANCE))
+
     def place(match: re.Match[str]) -> str:
         name = match[2]
         lines = list(csv.DictReader(text(f"{name}.csv").splitlines()))
-        origin = json.loads(text(PROVENANCE))[name]
         pairs = (
             f", [pairs](tables/{name}-differences.csv)"
             if (TABLES / f"{name}-differences.csv").is_file()
             else ""
         )
-        source = f"[CSV](tables/{name}.csv){pairs}, `{origin['command']}`"
+        source = f"[CSV](tables/{name}.csv){pairs}, `{provenance[name]['command']}`"
         return f"{match[1]}{picked(lines, selection[name])}\n{source}\n{match[3]}"
 
     return _PLACE.sub(place, page)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.cluster.hierarchy import DisjointSet
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.maps.read_net import read_root, return_ids, shape_of
@@ -43,14 +44,18 @@ def read_footways(net: Path) -> Footways:
                 foot_lanes.add((name, lane.get("index", "0")))
                 if not edge.get("function") and len(shape_of(lane)) > 1:
                     lines[name] = shape_of(lane)
-    sets = DisjointSet({name for name, _ in foot_lanes})
+    number = {name: row for row, name in enumerate(sorted({name for name, _ in foot_lanes}))}
+    steps: list[tuple[int, int]] = []
     for row in root.iterfind("connection"):
         ends = [(row.get(key, ""), row.get(f"{key}Lane", "")) for key in ("from", "to")]
         if all(end in foot_lanes for end in ends):
-            sets.merge(ends[0][0], ends[1][0])
-    members: dict[str, list[str]] = defaultdict(list)
+            steps.append((number[ends[0][0]], number[ends[1][0]]))
+    origin, target = np.array(steps, dtype=np.int64).reshape(-1, 2).T
+    graph = coo_array((np.ones(len(steps)), (origin, target)), shape=(len(number), len(number)))
+    label = connected_components(graph, directed=False)[1]
+    members: dict[int, list[str]] = defaultdict(list)
     for name in sorted(lines):
-        members[sets[name]].append(name)
+        members[int(label[number[name]])].append(name)
     parts = [own for own in members.values() if len(own) > 1]
     edges = [name for own in parts for name in own]
     return Footways(

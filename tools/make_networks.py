@@ -11,7 +11,7 @@ from pathlib import Path
 from networks_src import downtown, downtown_left, motorway, netconvert, sidecar
 from networks_src.plain import Plan
 
-from advdiff_sumo.maps.on_foot import add_foot_paths
+from advdiff_sumo.maps.on_foot.add_paths import add_foot_paths
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.sources.read_map import read_map
-from advdiff_sumo.maps.on_foot import add_foot_paths
+from advdiff_sumo.maps.on_foot.add_paths import add_foot_paths
 from advdiff_sumo.maps.on_foot.footways import read_footways
 from advdiff_sumo.maps.read_net import shape_of
 from advdiff_sumo.metrics.background_metrics import compare_with_sumo

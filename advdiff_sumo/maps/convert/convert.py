@@ -36,7 +36,7 @@ from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 from advdiff_sumo.maps.convert.stop_lines import waiting_turns
 from advdiff_sumo.maps.convert.widths import width_between, width_profile
 from advdiff_sumo.maps.convert.write_sidecar import sidecar_path, write_sidecar
-from advdiff_sumo.maps.on_foot import FootPaths, add_foot_paths
+from advdiff_sumo.maps.on_foot.add_paths import FootPaths, add_foot_paths
 
 SPEED_MPS = {True: 13.89, False: 11.18}  # by driving on the left: 50 km/h in Singapore, 25 mph in Boston
 Crossings: TypeAlias = Literal["map", "guess", "none"]

@@ -21,7 +21,7 @@ from advdiff_sumo.maps.convert.netconvert import EXPLAINED
 from advdiff_sumo.maps.convert.netread import WrittenNet, read_net
 from advdiff_sumo.maps.convert.routability import routability
 from advdiff_sumo.maps.convert.widths import width_between
-from advdiff_sumo.maps.on_foot import FootPaths
+from advdiff_sumo.maps.on_foot.add_paths import FootPaths
 
 STEP_M = 0.5
 

@@ -23,7 +23,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.convert import convert_map, convert_source
 from advdiff_sumo.maps.convert.fidelity import measure
 from advdiff_sumo.maps.convert.sources.read_map import read_map
-from advdiff_sumo.maps.on_foot import add_foot_paths
+from advdiff_sumo.maps.on_foot.add_paths import add_foot_paths
 from tests.e2e.commands import Outcome, advdiff
 
 EAST = [(104.0, 96.0), (107.0, 96.0), (107.0, 104.0), (104.0, 104.0)]  # over the way "west-east", 8 m by 3 m

@@ -155,11 +155,13 @@ def _part(line: LineString, ends_m: FloatArray, width_m: float, road: Carriagewa
 
 def overlaps(lines: Sequence[CrossingLine], others: Sequence[CrossingLine]) -> bool:
     """Return whether one of *lines* lies over one of *others* for more than a quarter; at corners they may meet."""
-    return any(
-        one.band.intersection(other.band).area > MOST_OVERLAP * min(one.band.area, other.band.area)
-        for one in lines
-        for other in others
-    )
+    bands = np.array([other.band for other in others], dtype=object)
+    size = shapely.area(bands)
+    for one in lines:
+        shared = shapely.area(shapely.intersection(one.band, bands))
+        if (shared > MOST_OVERLAP * np.minimum(one.band.area, size)).any():
+            return True
+    return False
 
 
 def _heading(line: LineString, shape: Polygon | LineString) -> FloatArray | None:

@@ -37,19 +37,20 @@ class DecoderStage:
 
     Args:
         bundle: its decoder is trained in place.
-        began: the decoder whose futures are the anchor; None: that of the bundle as it is now.
+        began: the decoder whose futures are the anchor; left as it is.
         options: weights of the terms.
     """
 
     name = "decoder"
     monitor = "loss"
 
-    def __init__(self, bundle: Bundle, began: Decoder | None, options: DecoderOptions) -> None:
+    def __init__(self, bundle: Bundle, began: Decoder, options: DecoderOptions) -> None:
         assert isinstance(bundle.codec, LatentCodec)  # noqa: S101 - setup refuses others for this stage
         self._bundle, self.options = bundle, options
         bundle.frozen()
         decoder = bundle.traffic.decoder
-        self._began = copy.deepcopy(decoder if began is None else began).eval().requires_grad_(False)
+        here = decoder.start.weight.device
+        self._began = copy.deepcopy(began).eval().requires_grad_(False).to(here)
         self.module: nn.Module = decoder.requires_grad_(True)
         self.beside: nn.Module = nn.Module()
 

@@ -87,7 +87,7 @@ def prepare(plan: Plan) -> Job:
     bundle.to(device)
     if plan.stage == "denoiser":
         _measure(bundle, train, options, device)
-    stage = _stage(plan.stage, bundle, options, None if begun is None else begun.to(device))
+    stage = _stage(plan.stage, bundle, options, begun)
 
     def keep(progress: Progress) -> None:
         save_bundle(stage.bundle(), plan.out / WEIGHTS, _stages(bundle, plan.stage), _card(plan, progress))
@@ -242,7 +242,8 @@ def _stage(name: StageName, bundle: Bundle, options: TrainOptions, begun: Bundle
     if name == "joint":
         return JointStage(bundle, options.elbo, options.collision)
     if name == "decoder":
-        return DecoderStage(bundle, None if begun is None else begun.traffic.decoder, options.decoder)
+        assert begun is not None  # noqa: S101 - the stage needs earlier ones
+        return DecoderStage(bundle, begun.traffic.decoder, options.decoder)
     return RewardStage(bundle, options.reward)
 
 

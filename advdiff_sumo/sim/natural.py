@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from advdiff_sumo.sim.situations import in_situation
 from advdiff_sumo.sim.world import Frame, World, read, register, stack
 
 _NEIGHBOUR_RADIUS_M = 50.0
+_GENERATORS, _DRAWS = re.compile(rb"<rngState [^>]*>"), re.compile(rb'([\w.]+)="(\d+)"')
 _PATIENCE = 40  # looks at the traffic without a usable target before giving up
 
 
@@ -93,8 +95,8 @@ class NaturalTraffic:
             begin_s=files.begin_s,
         )
         with Session(options) as session:
-            stretch = _Stretch(session, self.sim)
-            found = list(self._look(stretch, seed.child("target").generator(), folder))
+            stretch = _Stretch(session, self.sim, folder)
+            found = list(self._look(stretch, seed.child("target").generator()))
             stretch.advance(self.horizon_s)
         routes, extra = ([_content(f) for f in group] for group in (files.routes, files.additional))
         return [
@@ -104,7 +106,7 @@ class NaturalTraffic:
             for k, f in enumerate(found)
         ]
 
-    def _look(self, stretch: _Stretch, rng: np.random.Generator, folder: Path) -> Iterator[_Found]:
+    def _look(self, stretch: _Stretch, rng: np.random.Generator) -> Iterator[_Found]:
         stretch.skip(max(self.scene.warmup_s - self.sim.history_s, 0.0))
         stretch.advance(self.sim.history_s)
         found = tries = 0
@@ -121,7 +123,7 @@ class NaturalTraffic:
                     )
             else:
                 found, tries = found + 1, 0
-                yield stretch.save(target, folder / "state.xml")
+                yield stretch.save(target)
             stretch.advance(self.scene.spacing_s)
 
     def _scene(self, number: int, k: int, stretch: _Stretch, found: _Found, start: SavedTraffic) -> SeedScene:
@@ -151,10 +153,12 @@ class NaturalTraffic:
 class _Stretch:
     """Natural traffic that is being recorded."""
 
-    def __init__(self, session: Session, sim: SimOptions) -> None:
+    def __init__(self, session: Session, sim: SimOptions, folder: Path) -> None:
         self.session, self.sim = session, sim
         self.world = World(256)
         self.frames: list[Frame] = []
+        self._file = folder / "state.xml"
+        self._begin_xml = self._state_xml()
 
     def skip(self, seconds: float) -> None:
         """Let traffic run unrecorded."""
@@ -170,16 +174,40 @@ class _Stretch:
             register(self.world, self.session.api, self.session.api.simulation.getDepartedIDList())
             self._record()
 
-    def save(self, target: int, path: Path) -> _Found:
+    def save(self, target: int) -> _Found:
         """Save SUMO's state now."""
         api = self.session.api
-        api.simulation.saveState(str(path))
+        state_xml = with_draws_since(self._state_xml(), self._begin_xml)
         routes = {name: remaining_route(api, name) for name in api.vehicle.getIDList()}
-        return _Found(len(self.frames) - 1, self.session.time_s, target, routes, path.read_bytes())
+        return _Found(len(self.frames) - 1, self.session.time_s, target, routes, state_xml)
+
+    def _state_xml(self) -> bytes:
+        self.session.api.simulation.saveState(str(self._file))
+        return self._file.read_bytes()
 
     def _record(self) -> None:
         self.world.remove(read(self.world, self.session.api, ()))
         self.frames.append(self.world.frame())
+
+
+def with_draws_since(state_xml: bytes, begin_xml: bytes) -> bytes:
+    """Return a saved state that counts the random numbers drawn since *begin_xml* was saved.
+
+    SUMO seeds its generators when a simulation begins, but counts their draws on from the one before in the same
+    process, and skips that many when it loads the state: what follows would depend on what the process did before.
+    """
+    before = {name: int(count) for name, count in _draws(begin_xml)}
+
+    def counted(attribute: re.Match[bytes]) -> bytes:
+        name, count = attribute[1], int(attribute[2])
+        return b'%s="%d"' % (name, count - before.get(name, 0))
+
+    return _GENERATORS.sub(lambda element: _DRAWS.sub(counted, element[0]), state_xml, count=1)
+
+
+def _draws(state_xml: bytes) -> list[tuple[bytes, bytes]]:
+    element = _GENERATORS.search(state_xml)
+    return [] if element is None else _DRAWS.findall(element[0])
 
 
 def _content(path: Path) -> bytes:

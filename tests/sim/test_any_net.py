@@ -59,7 +59,7 @@ FAST = settings(
     derandomize=True,
     suppress_health_check=[*HealthCheck],
 )
-THOROUGH = settings(deadline=None, max_examples=12, suppress_health_check=[*HealthCheck])
+THOROUGH = settings(deadline=None, max_examples=25, suppress_health_check=[*HealthCheck])
 SOME = st.sets(st.sampled_from(sorted(FEATURES)), min_size=2, max_size=8)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,9 +12,10 @@ import pytest
 from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.natural import NaturalTraffic, _turns_round
+from advdiff_sumo.sim.natural import NaturalTraffic, _turns_round, with_draws_since
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from tests import rare_net
 from tests.sim import nets
 
 OPTIONS = {"warmup_s": 15.0, "scenes_per_warmup": 2, "spacing_s": 5.0}
@@ -63,6 +65,25 @@ def test_the_same_seed_gives_the_same_scenes(scenes: list[SeedScene], road: Road
         assert isinstance(first.start, SavedTraffic)
         assert isinstance(second.start, SavedTraffic)
         assert first.start.time_s == second.start.time_s
+
+
+def test_draws_of_earlier_simulations_of_the_process_do_not_count() -> None:
+    now = b'<snapshot time="12"><rngState default="5536" device.toc="3"><rngLane id="7" default="9"/></snapshot>'
+    begin = b'<rngState default="3158" device.toc="0">'
+    assert with_draws_since(now, begin) == now.replace(b"5536", b"2378")
+    assert with_draws_since(now, b"") == now
+
+
+def test_a_scene_does_not_depend_on_what_the_process_did_before(tmp_path: Path) -> None:
+    road = RoadMap.read(rare_net.build(tmp_path, ["bends", "bicycle lane", "blinking light", "turnarounds"]))
+    options = {"scenes_per_warmup": 1, "min_neighbours": 1, "min_route_m": 20.0, "min_speed_mps": 0.0}
+    draws = []
+    for _ in range(2):
+        scene = source(road, **options, density_per_km=25.0).batch(0)[0]
+        assert isinstance(scene.start, SavedTraffic)
+        draws.append(re.findall(rb"<rngState.*?>", scene.start.state_xml))
+    assert draws[0] == draws[1]
+    assert b'default="0"' not in draws[0][0]  # something was drawn
 
 
 def test_another_batch_is_other_traffic(scenes: list[SeedScene], road: RoadMap) -> None:

@@ -127,9 +127,7 @@ def _jumps(states: States, road: RoadMap) -> Iterator[str]:
     # the centre of a vehicle swings about its front bumper where SUMO turns it, or did when it was recorded
     drawn = states.by_sumo[:, 1:] | states.recorded[:, 1:]
     swing = np.where(drawn, 0.5 * states.length_m[:, None] * turn, 0.0)
-    # what is replayed out of SUMO moves as SUMO drew it, and is where it was recorded as soon as it is replayed
-    replayed = states.sumo_course[:, 1:] & states.recorded[:, 1:] & ~states.by_sumo[:, 1:]
-    wheels = ~states.walks[:, None] & ~replayed
+    wheels = ~states.walks[:, None]
     # a recording's speeds may leap as those of no car do, but must be those of its way
     mean = 0.5 * (states.speed_mps[:, 1:] + states.speed_mps[:, :-1])
     leap = np.abs(np.diff(states.speed_mps, axis=1))

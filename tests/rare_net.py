@@ -83,7 +83,6 @@ def _permission_change(net: PlainNet) -> None:
 def _no_internal_length(net: PlainNet) -> None:
     """Internal lanes of (almost) no length: two edges that meet end to end with their lanes cut nowhere."""
     net.nodes["E"]["radius"] = "0"
-    net.after.append(lambda text: re.sub(r'(<lane id=":E_\d+_0"[^>]* length=)"[\d.]+"', r'\1"0.10"', text))
 
 
 def _turnarounds(net: PlainNet) -> None:

@@ -148,7 +148,7 @@ class Junction:
         shape_xy_m: (K, 2) outline; empty for dead ends without one.
         foes: request index → requests whose paths cross or merge.
         response: request index → requests that it must yield to.
-        incoming_lanes: lanes that end here.
+        incoming_lanes: lanes that end here, and walking areas before a crossing, which `LaneGraph.lanes` has not.
         internal_lanes: internal lanes in the order of the request index.
     """
 

@@ -50,6 +50,7 @@ def test_the_planner_that_was_given_drives(results: ads.Results) -> None:
     assert f'target = "{__name__}:Accelerates"' in (results.folder / "run.toml").read_text()
 
 
+@pytest.mark.slow
 def test_a_name_gives_the_bytes_of_the_command(tmp_path: Path) -> None:
     ads.run(target="lane_graph", episodes=1, horizon_s=3.0, scene=SCENE, out=tmp_path / "api")
     words = ["run", "--target", "lane_graph", "--episodes", "1", "--horizon", "3", "--out", "cli"]

@@ -73,6 +73,7 @@ def _run(program: str, **variables: str) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.slow
 def test_what_was_compiled_is_kept_and_found_again(tmp_path: Path) -> None:
     places = {"NUMBA_CACHE_DIR": str(tmp_path / "code"), IGNORE_SHIPPED: "1"}
     assert _run(_ONCE, **places) == "10.0 0 1"

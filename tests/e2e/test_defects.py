@@ -146,6 +146,7 @@ def _detections(folder: Path) -> dict[str, dict[str, str]]:
     return {row["defect"]: row for row in rows}
 
 
+@pytest.mark.slow
 def test_a_sweep_varies_defects_and_refuses_those_it_does_not_know(tmp_path: Path) -> None:
     text = (
         "episodes = 1\nhorizon_s = 3\n[scene]\nwarmup_s = 10\nscenes_per_warmup = 1\nmin_neighbours = 1\n[sim]\n"

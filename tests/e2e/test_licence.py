@@ -28,6 +28,7 @@ def test_a_licence_that_does_not_exist_is_refused(tmp_path: Path) -> None:
     assert "lawful" in outcome.err
 
 
+@pytest.mark.slow
 def test_a_run_says_where_nobody_was_in_a_position_for_the_attack(tmp_path: Path) -> None:
     """Nobody can cross the target's way on a motorway."""
     words = (

@@ -53,6 +53,7 @@ def gone(folder: Path) -> bool:
     return True
 
 
+@pytest.mark.slow
 def test_a_command_is_started_for_the_run_and_ended_with_it(workplace: Path) -> None:
     (workplace / "our_server.py").write_text(SERVER)
     for out in ("one", "two"):

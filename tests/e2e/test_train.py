@@ -118,28 +118,32 @@ def refused(done: Outcome, *words: str) -> None:
         assert word in done.err
 
 
+REFUSED = [
+    (("traffic", "--data", "nowhere"), ("nowhere", "no such file or folder")),
+    (("traffic", "--data", "text.safetensors"), ("text.safetensors", "no safetensors file")),
+    (("trafic", "--data", "DATA"), ("did you mean 'traffic'",)),
+    (("denoiser", "--data", "DATA"), ("--init", "'traffic'")),
+    (("denoiser", "--data", "DATA", "--init", "nothing"), ("nothing", "no such file")),
+    (("joint", "--data", "DATA", "--init", "TRAFFIC"), ("needs 'denoiser'", "train denoiser")),
+    (("reward", "--data", "DATA", "--init", "TRAFFIC"), ("needs 'denoiser'",)),
+    (("decoder", "--data", "DATA"), ("--init", "'denoiser'")),
+    (("decoder", "--data", "DATA", "--init", "TRAFFIC"), ("needs 'denoiser'",)),
+    (
+        ("traffic", "--data", "DATA", "--set", "model.decoder=shut"),
+        ("model.decoder", "'open' or 'closed-loop'"),
+    ),
+    (("traffic", "--data", "DATA", "--codec", "polar"), ("codec", "'latent' or 'trajectory'")),
+    (("traffic", "--data", "DATA", "--preset", "big"), ("preset", "paper, small")),
+    (("traffic", "--data", "DATA", "--set", "epoch=3"), ("did you mean 'epochs'",)),
+    (("traffic", "--data", "DATA", "--set", "epochs=0"), ("epochs = 0",)),
+    (("traffic", "--data", "DATA", "--resume"), ("checkpoint", "without --resume")),
+]
+"""Options of ``train`` and what its sentence must say; each takes a start of PyTorch."""
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
-    [
-        (("traffic", "--data", "nowhere"), ("nowhere", "no such file or folder")),
-        (("traffic", "--data", "text.safetensors"), ("text.safetensors", "no safetensors file")),
-        (("trafic", "--data", "DATA"), ("did you mean 'traffic'",)),
-        (("denoiser", "--data", "DATA"), ("--init", "'traffic'")),
-        (("denoiser", "--data", "DATA", "--init", "nothing"), ("nothing", "no such file")),
-        (("joint", "--data", "DATA", "--init", "TRAFFIC"), ("needs 'denoiser'", "train denoiser")),
-        (("reward", "--data", "DATA", "--init", "TRAFFIC"), ("needs 'denoiser'",)),
-        (("decoder", "--data", "DATA"), ("--init", "'denoiser'")),
-        (("decoder", "--data", "DATA", "--init", "TRAFFIC"), ("needs 'denoiser'",)),
-        (
-            ("traffic", "--data", "DATA", "--set", "model.decoder=shut"),
-            ("model.decoder", "'open' or 'closed-loop'"),
-        ),
-        (("traffic", "--data", "DATA", "--codec", "polar"), ("codec", "'latent' or 'trajectory'")),
-        (("traffic", "--data", "DATA", "--preset", "big"), ("preset", "paper, small")),
-        (("traffic", "--data", "DATA", "--set", "epoch=3"), ("did you mean 'epochs'",)),
-        (("traffic", "--data", "DATA", "--set", "epochs=0"), ("epochs = 0",)),
-        (("traffic", "--data", "DATA", "--resume"), ("checkpoint", "without --resume")),
-    ],
+    [*REFUSED[:3], *(pytest.param(*case, marks=pytest.mark.slow) for case in REFUSED[3:])],
 )
 def test_what_cannot_be_used_is_one_sentence(
     options: tuple[str, ...], words: tuple[str, ...], data: Path, traffic: Path, tmp_path: Path

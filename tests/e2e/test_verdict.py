@@ -40,6 +40,7 @@ def make_older(folder: Path, *, signals: bool) -> None:
         (folder / "signals.parquet").unlink()
 
 
+@pytest.mark.slow
 def test_the_same_verdicts_again(collided: Path, here: Callable[..., Outcome]) -> None:
     before = table(collided), table(collided, "collisions")
     assert [row["valid_failure"] for row in before[0]] == [True, False, False]

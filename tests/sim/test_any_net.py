@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
 from advdiff_sumo.core.seeds import SeedTree
@@ -112,5 +112,6 @@ def test_natural_traffic_on_some_nets(names: set[str], seed: int) -> None:
 @pytest.mark.parametrize("target", ["IDM", "lane_graph"])
 @THOROUGH
 @given(names=SOME, seed=st.integers(0, 99))
+@example(names={"bends", "left hand", "reversed roundabout", "sidewalks"}, seed=7)
 def test_any_traffic_on_any_net(target: str, background: str, names: set[str], seed: int) -> None:
     assert drive(names, seed, target, background) == []

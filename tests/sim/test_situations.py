@@ -50,6 +50,7 @@ def test_who_turns_has_a_turn_ahead(networks: Path) -> None:
         assert {link.direction.lower() for link in links} <= {"l", "r"}
 
 
+@pytest.mark.slow
 def test_a_situation_that_never_comes_is_said(networks: Path) -> None:
     road = RoadMap.read(networks / "motorway.net.xml")
     options = OPTIONS.model_copy(update={"situation": "turning", "min_speed_mps": 60.0})

@@ -146,7 +146,7 @@ def test_a_lane_change_between_lanes_of_unequal_length_is_sumos_own_jump(tmp_pat
     jumped = replace(states, xy_m=xy)
     excess = float(np.hypot(*(xy[1, 5] - xy[1, 4]))) - 1.0
     assert excess > 5.0
-    most = carried_m(lengths, xy[1, 4] + (2.5, 0.0), 1.0)
+    most = carried_m(lengths, xy[1, 4] + (2.5, 0.0), 1.0)[1]
     # the same change of lane backwards: on by 1 m, not back by 1 m
     assert most == pytest.approx(excess + 2.0, abs=0.5)
     assert [*problems(jumped, lengths, [])] == []

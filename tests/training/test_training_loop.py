@@ -71,6 +71,7 @@ def test_an_interrupted_training_ends_with_the_bytes_of_an_undisturbed_one(
     assert (tmp_path / "parts" / "curves.png").read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.slow
 def test_the_later_stages_resume_to_the_same_bytes_too(window_folder: Path, tmp_path: Path) -> None:
     init = tmp_path / "traffic"
     run(job(window_folder, init, "traffic", None, "epochs=1"))

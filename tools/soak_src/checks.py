@@ -142,21 +142,27 @@ def _jumps(states: States, road: RoadMap) -> Iterator[str]:
     )
     for what, change, most, unit in limits:
         wrong = np.argwhere((change > most) & wheels)  # NaN compares as False
-        if what == "position":
-            wrong = np.array([spot for spot in wrong.tolist() if not _carried(states, road, *spot, change)])
+        if what != "heading":
+            slack_m = most if what == "position" else most * states.step_s
+            wrong = np.array(
+                [spot for spot in wrong.tolist() if not _carried(states, road, *spot, way, slack_m)]
+            )
         if len(wrong):
             row, step = wrong[0].tolist()
             yield f"jump in {what} of '{states.ids[row]}' by {change[row, step]:.2f} {unit} after step {step}"
 
 
-def _carried(states: States, road: RoadMap, row: int, step: int, excess_m: FloatArray) -> bool:
-    """Return whether SUMO's lanes explain that *row* is *excess_m* (A, T − 1) farther than it drove after *step*."""
+def _carried(states: States, road: RoadMap, row: int, step: int, way_m: FloatArray, slack_m: float) -> bool:
+    """Return whether SUMO's lanes explain, but for *slack_m*, that *row* comes *way_m* (A, T − 1) far after *step*."""
     if not states.sumo_course[row, step : step + 2].all():
         return False
-    yaw = states.yaw_rad[row, step]
-    bumper = bumper_from_centre(states.xy_m[row, step], yaw, states.length_m[row])
-    way_m = float(np.abs(states.speed_mps[row, step : step + 2]).max()) * states.step_s
-    return bool(excess_m[row, step] <= carried_m(road, bumper, way_m) + JUMP_M)
+    speeds_mps = np.abs(states.speed_mps[row, step : step + 2])
+    if np.ptp(speeds_mps) > JUMP_MPS:
+        return False
+    bumper = bumper_from_centre(states.xy_m[row, step], states.yaw_rad[row, step], states.length_m[row])
+    slowest_m, fastest_m = float(speeds_mps.min()) * states.step_s, float(speeds_mps.max()) * states.step_s
+    least, most = carried_m(road, bumper, slowest_m)[0], carried_m(road, bumper, fastest_m)[1]
+    return bool(slowest_m + least - slack_m <= way_m[row, step] <= fastest_m + most + slack_m)
 
 
 def _off_lanes(states: States, road: RoadMap) -> Iterator[str]:

@@ -19,20 +19,22 @@ from advdiff_sumo.maps.lanes import Lane
 _BESIDE_M = 0.3
 
 
-def carried_m(road: RoadMap, bumper_xy_m: FloatArray, way_m: float) -> float:
+def carried_m(road: RoadMap, bumper_xy_m: FloatArray, way_m: float) -> tuple[float, float]:
     """Return how much farther than *way_m* a vehicle of SUMO's may come in one step from its front bumper (2,).
 
-    The farthest of all lanes that it may be on, and of all on which it may be after the step; 0 beside all lanes.
+    The least (0 or below: lanes that are drawn shorter than they are) and the most over all lanes that it may be on,
+    and all on which it may be after the step; zeros beside all lanes.
     """
     near = road.near(bumper_xy_m, 0.5 * float(road.index.width_m.max()) + _BESIDE_M)
-    farthest = 0.0
+    least, most = 0.0, 0.0
     for pose in near:
         lane = road.lanes[pose.lane_id]
         if abs(pose.d_m) > 0.5 * lane.width_m + _BESIDE_M:
             continue
         for place in _after(road, lane, pose.s_m, pose.d_m, way_m):
-            farthest = max(farthest, float(np.hypot(*(place - bumper_xy_m))) - way_m)
-    return farthest
+            excess_m = float(np.hypot(*(place - bumper_xy_m))) - way_m
+            least, most = min(least, excess_m), max(most, excess_m)
+    return least, most
 
 
 def _after(road: RoadMap, lane: Lane, s_m: float, d_m: float, way_m: float) -> Iterator[FloatArray]:

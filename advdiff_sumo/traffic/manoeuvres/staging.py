@@ -171,11 +171,11 @@ def _with_priority(view: SituationView) -> Iterator[Newcomer]:
 def _first_in_line(view: SituationView, link: Link) -> list[Link]:
     """Return the links to which *link* has to give way and that may be driven now."""
     junction = view.road.junctions[link.junction_id]
-    lanes = (view.road.lanes[name] for name in junction.incoming_lanes)
+    lanes = (view.road.lanes.get(name) for name in junction.incoming_lanes)
     return [
         other
         for lane in lanes
-        if lane.is_drivable and not lane.is_internal
+        if lane is not None and lane.is_drivable and not lane.is_internal
         for other in lane.successors
         if other.junction_id == junction.id
         and view.gives_way(link, other)

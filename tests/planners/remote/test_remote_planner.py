@@ -98,7 +98,9 @@ def test_our_own_planner_plans_the_same_in_a_process_of_its_own(road: RoadMap, s
         ("eats", OutOfMemoryFailure, "ran out of memory: out of memory too much", "in eats"),
         ("segfaults", PlannerCrashedError, "its server was ended by SIGSEGV", ""),
         ("exits", PlannerCrashedError, "its server ended with exit code 3", ""),
-        ("hangs", PlannerTimeoutError, "did not answer MakePlan within", "thinking"),
+        pytest.param(
+            "hangs", PlannerTimeoutError, "did not answer MakePlan within", "thinking", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_each_fault_is_a_typed_failure_and_the_next_episode_begins(

@@ -13,15 +13,35 @@ from advdiff_sumo.sim.run_store import TABLES
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "outputs.md"
 _PLACE = re.compile(r"(<!-- columns of (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_FEWEST_SHARED = 4
+"""As many columns of a table above, one after the other, become one row."""
 
 
-def table(columns: Mapping[str, Column]) -> str:
-    """Return *columns* as a Markdown table."""
-    lines = ["| column | type | unit | empty? | meaning |", "|---|---|---|---|---|"]
-    for name, column in columns.items():
-        empty = "may be" if column.nullable else "never"
-        lines.append(f"| `{name}` | {column.dtype} | {column.unit} | {empty} | {column.description} |")
+def table(columns: Mapping[str, Column], above: Mapping[str, Mapping[str, Column]]) -> str:
+    """Return *columns* as a Markdown table; a run of columns of a table *above* is one row that refers to it."""
+    lines = ["| column | type | meaning |", "|---|---|---|"]
+    names = list(columns)
+    while names:
+        run, where = max(
+            ((_shared(names, columns, other), at) for at, other in above.items()), default=([], "")
+        )
+        if len(run) >= _FEWEST_SHARED:
+            lines.append(f"| `{run[0]}` to `{run[-1]}` | | the {len(run)} columns as in `{where}` |")
+        else:
+            run = names[:1]
+            column = columns[run[0]]
+            lines.append(f"| `{run[0]}` | {column.dtype}{'?' * column.nullable} | {column.description} |")
+        names = names[len(run) :]
     return "\n".join(lines) + "\n"
+
+
+def _shared(names: list[str], columns: Mapping[str, Column], above: Mapping[str, Column]) -> list[str]:
+    """Return the first of *names* up to where they no longer are the same columns of *above*, one after the other."""
+    first = list(above)[list(above).index(names[0]) :] if names[0] in above else []
+    same = [
+        name == other and columns[name] == above[other] for name, other in zip(names, first, strict=False)
+    ]
+    return names[: [*same, False].index(False)]
 
 
 def filled(page: str) -> str:
@@ -33,7 +53,11 @@ def filled(page: str) -> str:
     places = [name for _, name, _ in _PLACE.findall(page)]
     if sorted(places) != sorted(TABLES):
         raise ValueError(f"the page has places for {places}, the tables are {list(TABLES)}")
-    return _PLACE.sub(lambda found: found[1] + table(TABLES[found[2]]) + found[3], page)
+    tables = {
+        name: table(TABLES[name], {other: TABLES[other] for other in places[:i]})
+        for i, name in enumerate(places)
+    }
+    return _PLACE.sub(lambda place: place[1] + tables[place[2]] + place[3], page)
 
 
 def main() -> int:

@@ -46,28 +46,20 @@ def _flag(description: str, *, nullable: bool = False) -> Column:
 
 VERDICT_COLUMNS: Mapping[str, Column] = {
     "valid_failure": _flag(
-        "the collision counts: the other broke no rule and it was preventable, or the target is at fault; "
-        "false without a collision, empty where there is no verdict yet",
+        "the collision counts (verdict.md); false without one, empty where there is no verdict yet",
         nullable=True,
     ),
-    "preventable": _flag(
-        "the careful and competent driver (CC_human_driver) would not have collided", nullable=True
-    ),
-    "preventable_by": _text("reference drivers that would not have: CC_human_driver, Reg157, RSS, FSM"),
+    "preventable": _flag("CC_human_driver would not have collided", nullable=True),
+    "preventable_by": _text("which of CC_human_driver, Reg157, RSS, FSM would not have"),
     "lawful": _flag("the other broke no rule that led to it", nullable=True),
-    "target_breaches": _text("rules that the target broke and that led to it, as words; see verdict.md"),
+    "target_breaches": _text("rules that the target broke and that led to it (verdict.md)"),
     "other_breaches": _text("the same of the other"),
-    "spare_m": _real("m", "by how much the careful driver clears the other; empty where it does not"),
-    "spare_s": _real("s", "the least time in which it would have met anybody, at most 5 s"),
-    "impact_left_mps": _real("m/s", "closing speed at which the careful driver still collides"),
-    "solvable": _flag(
-        "the clairvoyant search found a drive that avoids it; empty unless verdict --search asked it",
-        nullable=True,
-    ),
+    "spare_m": _real("m", "distance by which CC_human_driver clears the other; empty where it collides"),
+    "spare_s": _real("s", "least time in which it would have met anybody, at most 5 s"),
+    "impact_left_mps": _real("m/s", "closing speed at which it still collides"),
+    "solvable": _flag("the clairvoyant search avoids it; empty unless verdict --search asked", nullable=True),
     "unavoidable": _flag(
-        "no reference driver and no drive of the clairvoyant search avoids it; "
-        "empty where no driver does and the search was not asked",
-        nullable=True,
+        "no reference driver and no search avoids it; empty where only the search could tell", nullable=True
     ),
     "verdict": _text("all of it as a sentence"),
 }
@@ -75,12 +67,11 @@ VERDICT_COLUMNS: Mapping[str, Column] = {
 
 CRITICAL_COLUMNS: Mapping[str, Column] = {
     "critical": _flag(
-        "a near miss for which a reference driver would have had to brake at more than 4 m/s²; "
-        "empty where there is no verdict yet",
+        "near miss that asks a reference driver for over 4 m/s²; empty where there is no verdict yet",
         nullable=True,
     ),
-    "critical_brake_mps2": _real("m/s²", "how hard it would have had to brake, at most 9"),
-    "resolved_by": _text("who kept the near miss from becoming a collision: target, other or both"),
+    "critical_brake_mps2": _real("m/s²", "what it asks for, at most 9"),
+    "resolved_by": _text("who kept it from becoming a collision: target, other or both"),
 }
 
 EPISODE_COLUMNS: Mapping[str, Column] = {
@@ -89,10 +80,10 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "seed": _count("the episode's seed"),
     "end": _text("why it ended: horizon, collision, arrived, log_end, failed", nullable=False),
     "duration_s": _real("s", "simulated time", nullable=False),
-    "route": _text("edges of the target's route from its start on, apart by blanks; empty where it had none"),
-    "agents": _count("agents that were ever there, the target included"),
+    "route": _text("edges of the target's route, apart by blanks"),
+    "agents": _count("agents ever there, the target included"),
     "target_collision": _flag(
-        "the target hit something, or left the road; overlaps from the start do not count"
+        "the target hit something or left the road; overlaps at the start do not count"
     ),
     "collision_time_s": _real("s", "first contact, since the episode's start"),
     "collision_partner": _text("id of the other vehicle; empty when the target left the road"),
@@ -104,63 +95,53 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     **VERDICT_COLUMNS,
     **CRITICAL_COLUMNS,
     "attacker_visible": _flag(
-        "a SUMO-driven target perceived the partner in the second before; empty for Python planners",
-        nullable=True,
+        "a SUMO-driven target perceived the partner in the second before", nullable=True
     ),
-    "relative_speed_mps": _real("m/s", "length of the difference of the velocities at contact"),
+    "relative_speed_mps": _real("m/s", "length of the difference of the velocities"),
     "closing_speed_mps": _real("m/s", "relative speed along the contact normal"),
     "target_speed_mps": _real("m/s", "target's speed at contact"),
     "partner_speed_mps": _real("m/s", "partner's speed at contact"),
     "impact_x_m": _real("m", "impact point, x of the net"),
     "impact_y_m": _real("m", "impact point, y of the net"),
-    "impact_ahead_m": _real("m", "impact point ahead of the centre of the target's box"),
-    "impact_left_m": _real("m", "impact point to the left of the centre of the target's box"),
-    "initial_overlaps": _count(
-        "pairs that overlapped when they were first there together (logs, insertions)"
-    ),
+    "impact_ahead_m": _real("m", "impact point, ahead of the target's centre"),
+    "impact_left_m": _real("m", "impact point, to the left of it"),
+    "initial_overlaps": _count("pairs that overlapped when first there together (logs, insertions)"),
     "sumo_collisions": _count("SUMO's own collision list: pairs at an instant"),
     "sumo_only": _count("of these, those whose boxes do not touch"),
-    "ours_only": _count("pairs at an instant whose boxes overlap and that SUMO does not list"),
+    "ours_only": _count("pairs at an instant that overlap and that SUMO does not list"),
     "sumo_disagreements": _count("sumo_only plus ours_only"),
     "teleports": _count("vehicles that SUMO teleported"),
-    "rough_handovers": _count("times SUMO got a vehicle back askew, as it could not be aligned within 8 s"),
-    "skipped_agents": _count(
-        "agents of a log left to SUMO, as SUMO had them out of reach of where the log goes on"
-    ),
+    "rough_handovers": _count("times SUMO got a vehicle back askew, not aligned within 8 s"),
+    "skipped_agents": _count("agents left to SUMO, out of reach of where their log goes on"),
     "refused_insertions": _later_count(
         "moved vehicles that SUMO would not take in; they leave the scene unless moved"
     ),
-    "attack_kind": _text("kind of attack that the background was asked for; empty where it attacks nobody"),
-    "in_position": _flag(
-        "some vehicle was in a position for that attack at some time; empty where attack_kind is",
-        nullable=True,
-    ),
+    "attack_kind": _text("kind of attack asked for; empty where the background attacks nobody"),
+    "in_position": _flag("some vehicle was ever in a position for it; empty as attack_kind", nullable=True),
     "min_ttc_s": _real("s", "least time to collision of boxes at constant velocity, up to 10 s"),
     "min_ttc_partner": _text("the vehicle it was with"),
-    "min_lane_ttc_s": _real("s", "least time to collision with the vehicle ahead in the lane, up to 10 s"),
-    "min_pet_s": _real("s", "least post-encroachment time where paths cross, up to 10 s"),
-    "max_drac_mps2": _real("m/s²", "greatest deceleration that was needed not to hit the vehicle ahead"),
-    "min_clearance_m": _real("m", "least distance between the target's box and another; 0 in a collision"),
+    "min_lane_ttc_s": _real("s", "the same with the vehicle ahead in the lane"),
+    "min_pet_s": _real("s", "least post-encroachment time, up to 10 s"),
+    "max_drac_mps2": _real("m/s²", "greatest deceleration needed not to hit the vehicle ahead"),
+    "min_clearance_m": _real("m", "least distance of boxes; 0 in a collision"),
     "min_clearance_partner": _text("the vehicle it was to"),
     "min_clearance_time_s": _real("s", "when, since the episode's start"),
-    "accel_mean_mps2": _real("m/s²", "mean absolute longitudinal acceleration of the target"),
-    "accel_max_mps2": _real("m/s²", "greatest absolute longitudinal acceleration"),
+    "accel_mean_mps2": _real("m/s²", "mean absolute longitudinal acceleration"),
+    "accel_max_mps2": _real("m/s²", "greatest such"),
     "brake_max_mps2": _real("m/s²", "strongest braking, positive"),
     "lateral_mean_mps2": _real("m/s²", "mean absolute lateral acceleration"),
-    "lateral_max_mps2": _real("m/s²", "greatest absolute lateral acceleration"),
+    "lateral_max_mps2": _real("m/s²", "greatest such"),
     "jerk_mean_mps3": _real("m/s³", "mean absolute longitudinal jerk"),
-    "jerk_max_mps3": _real("m/s³", "greatest absolute longitudinal jerk"),
+    "jerk_max_mps3": _real("m/s³", "greatest such"),
     "yaw_rate_mean_radps": _real("rad/s", "mean absolute yaw rate"),
-    "yaw_rate_max_radps": _real("rad/s", "greatest absolute yaw rate"),
-    "bv_collisions": _count("collisions of background vehicles among themselves, replayed pairs left out"),
-    "replayed_collisions": _later_count("collisions of two that both follow their log: the log's own"),
-    "bv_offroad_share": _real(
-        "", "mean share of moved background boxes off the road, beyond that at their start"
-    ),
+    "yaw_rate_max_radps": _real("rad/s", "greatest such"),
+    "bv_collisions": _count("collisions of background vehicles with each other, but for replayed pairs"),
+    "replayed_collisions": _later_count("collisions of two that follow their log"),
+    "bv_offroad_share": _real("", "mean share of moved boxes off the road, beyond that at their start"),
     "bv_offroad_max_share": _real("", "greatest such share"),
-    "bv_offroad_vehicles": _count("moved background vehicles of which over half came to be off the road"),
+    "bv_offroad_vehicles": _count("moved vehicles of which over half came to be off the road"),
     "route_progress_m": _real("m", "how far the target came along its route"),
-    "route_share": _real("", "the same as a share of the route ahead at the start"),
+    "route_share": _real("", "the same as a share of its route"),
     "route_completed": _flag("the target reached the end of its route"),
     "distance_m": _real("m", "length of the target's driven path", nullable=False),
     "speed_mean_mps": _real("m/s", "mean speed of the target"),
@@ -172,13 +153,13 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
 COLLISION_COLUMNS: Mapping[str, Column] = {
     "episode": _count("number of the episode in its run"),
     "time_s": _real("s", "first contact, since the episode's start", nullable=False),
-    "first": _text("id of one vehicle; the target's where it takes part", nullable=False),
+    "first": _text("id of one; the target where it takes part", nullable=False),
     "second": _text("id of the other; empty when the target left the road"),
     "with_target": _flag("the target takes part"),
-    "initial": _flag("the boxes overlapped when the two were first there together"),
+    "initial": _flag("the boxes overlapped when first there together"),
     "replayed": _flag("both follow their log", nullable=True),
-    "type": _text("as collision_type in the episodes; empty without the target or when initial"),
-    "at_fault": _text("who caused it: target, other or unclear; empty as type"),
+    "type": _text("as collision_type; empty without the target or when initial"),
+    "at_fault": _text("as in the episodes; empty as type"),
     "fault_reason": _text("the rule that says so, as a sentence"),
     **VERDICT_COLUMNS,
     "attacker_visible": _flag("as in the episodes", nullable=True),
@@ -188,8 +169,8 @@ COLLISION_COLUMNS: Mapping[str, Column] = {
     "second_speed_mps": _real("m/s", "speed of the second vehicle"),
     "impact_x_m": _real("m", "impact point, x of the net", nullable=False),
     "impact_y_m": _real("m", "impact point, y of the net", nullable=False),
-    "impact_ahead_m": _real("m", "impact point ahead of the centre of the first box"),
-    "impact_left_m": _real("m", "impact point to the left of the centre of the first box"),
+    "impact_ahead_m": _real("m", "impact point, ahead of the first's centre"),
+    "impact_left_m": _real("m", "impact point, to the left of it"),
     "first_face": _text("what of the first box was hit: front, rear, left or right"),
     "second_face": _text("what of the second box was hit"),
     "penetration_m": _real("m", "deepest overlap within the step of the contact"),

@@ -17,29 +17,29 @@ _ARROW = {"str": pa.string(), "int64": pa.int64(), "float64": pa.float64(), "boo
 
 STATE_COLUMNS: Mapping[str, Column] = {
     "episode": Column("int64", "", "number of the episode in its run", nullable=False),
-    "step": Column("int64", "", "SUMO step since the episode's start; 0 is the seed scene", nullable=False),
-    "time_s": Column("float64", "s", "time since the episode's start", nullable=False),
+    "step": Column("int64", "", "SUMO step since the start; 0 is the seed scene", nullable=False),
+    "time_s": Column("float64", "s", "since the episode's start", nullable=False),
     "agent": Column("str", "", "name of the road user", nullable=False),
     "class": Column("str", "", "car, truck, bus, motorcycle, bicycle or pedestrian", nullable=False),
     "length_m": Column("float64", "m", "length of the box", nullable=False),
     "width_m": Column("float64", "m", "width of the box", nullable=False),
-    "x_m": Column("float64", "m", "east, centre of the box, the net's frame", nullable=False),
-    "y_m": Column("float64", "m", "north, centre of the box, the net's frame", nullable=False),
+    "x_m": Column("float64", "m", "east, centre of the box", nullable=False),
+    "y_m": Column("float64", "m", "north, centre of the box", nullable=False),
     "yaw_rad": Column("float64", "rad", "heading, counter-clockwise from east", nullable=False),
     "speed_mps": Column("float64", "m/s", "speed along the heading", nullable=False),
     "controller": Column(
         "str",
         "",
-        "who moved it in this step: sumo, policy, planner, or replayed: its log, as nobody drives it",
+        "who moved it in this step: sumo, policy, planner, or replayed (its log)",
         nullable=False,
     ),
     "is_target": Column("bool", "", "whether it is the tested vehicle", nullable=False),
 }
 PLAN_COLUMNS: Mapping[str, Column] = {
     "episode": Column("int64", "", "number of the episode in its run", nullable=False),
-    "made_s": Column("float64", "s", "when the plan was made, since the episode's start", nullable=False),
+    "made_s": Column("float64", "s", "when the plan was made", nullable=False),
     "agent": Column("str", "", "whose plan: the target, or a vehicle that the policy moves", nullable=False),
-    "time_s": Column("float64", "s", "when it would be there, since the episode's start", nullable=False),
+    "time_s": Column("float64", "s", "when it would be there", nullable=False),
     "x_m": Column("float64", "m", "east, planned centre of the box, to 1 cm", nullable=False),
     "y_m": Column("float64", "m", "north, planned centre of the box, to 1 cm", nullable=False),
 }
@@ -48,16 +48,16 @@ NATURAL_COLUMNS: Mapping[str, Column] = {
 } | {"step": Column("int64", "", "number of the instant, `sim.model_step_s` apart", nullable=False)}
 SIGNAL_COLUMNS: Mapping[str, Column] = {
     "episode": Column("int64", "", "number of the episode in its run", nullable=False),
-    "step": Column("int64", "", "SUMO step from which on it shows this; 0 is the seed scene", nullable=False),
+    "step": Column("int64", "", "first SUMO step at which it shows this", nullable=False),
     "traffic_light": Column("str", "", "SUMO's id of the traffic light", nullable=False),
     "state": Column("str", "", "SUMO's letters, one a connection: r, y, g, G, u, o, O, s", nullable=False),
 }
 TIMING_COLUMNS: Mapping[str, Column] = {
     "episode": Column("int64", "", "number of the episode in its run", nullable=False),
     "simulated_s": Column("float64", "s", "simulated time", nullable=False),
-    "wall_s": Column("float64", "s", "wall-clock of the episode, SUMO's start included", nullable=False),
+    "wall_s": Column("float64", "s", "wall-clock, SUMO's start included", nullable=False),
     "real_time_factor": Column("float64", "", "simulated_s / wall_s", nullable=False),
-    "cpu_s": Column("float64", "s", "processor time of the episode, SUMO's included"),
+    "cpu_s": Column("float64", "s", "processor time, SUMO's included"),
     "target_plan_p50_s": Column("float64", "s", "median time of a plan of a Python target"),
     "target_plan_p99_s": Column("float64", "s", "99th percentile of the same"),
     "background_plan_p50_s": Column("float64", "s", "median time of a plan of the policy"),

@@ -9,6 +9,7 @@ import math
 import os
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -38,11 +39,15 @@ _TASKS = count()  # of this process
 
 
 def prepare_worker(limits: Limits) -> None:
-    """Set a new worker up: Ctrl-C is the parent's business, memory is bounded, no parent means no worker."""
+    """Set a new worker up: Ctrl-C is the parent's business, memory is bounded, no parent means no worker.
+
+    Its temporary files, and those of the programs that it starts, lie where the parent removes them if it is killed.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):  # blocked since the server of workers was started
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     bound_memory(limits.memory_mb)
+    tempfile.tempdir = os.environ["TMPDIR"] = str(limits.logs)
     if limits.log_level < logging.WARNING:
         logging.basicConfig(format="%(name)s: %(message)s")
         logging.getLogger("advdiff_sumo").setLevel(limits.log_level)

@@ -4,7 +4,8 @@ It samples quintic and quartic curves in the Frenet frame of a reference line (W
 doi:10.1109/ROBOT.2010.5509799), takes out those that the vehicle cannot drive or that collide, and drives the cheapest.
 Its defaults are kept (horizon, sampling, costs, vehicle, constraints); it plans in one process, not in six.
 The adapter gives it what its authors take from a CommonRoad scenario: reference line, desired speed, the others as
-they will be, the road's edges. It knows no right of way. Where it finds no curve we stop along the line.
+they will be, the road's edges. It knows no right of way. Where it finds no curve we stop along the line, or stand: so does
+it, but version 2025.1 raises then, as its log line formats a cost that such a plan does not have.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from commonroad_rp.utility.utils_coordinate_system import create_coordinate_syst
 from prediction import predicted_poses
 
 HORIZON = 60  # steps
+STANDS_MPS = 0.05  # up to which the planner may plan to stand still
 OUTSIDE = (
     CartesianProjectionDomainError,
     CurvilinearProjectionDomainLateralError,
@@ -71,7 +73,12 @@ class Reactive(Adapter):
         except (ValueError, *OUTSIDE):  # the vehicle is outside of what its Frenet frame covers
             return None
         planner.set_desired_velocity(task.desired_mps, task.speed_mps)
-        result = planner.plan()
+        try:
+            result = planner.plan()
+        except TypeError:
+            if task.speed_mps > STANDS_MPS:
+                raise
+            return None  # it plans to stand still, and the line that it logs about that raises
         return None if result is None else result[0].state_list[1:]
 
 

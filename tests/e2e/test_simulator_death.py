@@ -42,8 +42,12 @@ def dead(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
     """A run whose only episode libsumo did not survive, and its folder's parent."""
     place = tmp_path_factory.mktemp("dead")
     (place / "meddler.py").write_text(PLANNER)
+    (place / "tmp").mkdir()
     words = ("run", "--target", "meddler:Meddler", "--background", "replay", "--episodes", 1)
-    return place, advdiff(*words, *TINY, "--set", "sim.model_step_s=0.1", "--out", "run", cwd=place)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TMPDIR", str(place / "tmp"))
+        done = advdiff(*words, *TINY, "--set", "sim.model_step_s=0.1", "--out", "run", cwd=place)
+    return place, done
 
 
 def test_the_death_of_libsumo_is_a_failure_with_its_steps_and_command(dead: tuple[Path, Outcome]) -> None:
@@ -63,6 +67,11 @@ def test_the_death_of_libsumo_is_a_failure_with_its_steps_and_command(dead: tupl
         f"failed, 1 of 1: simulator_crashed: {told}\n  again: advdiff-sumo replay 0 --run run\n" in done.out
     )
     assert "neither a plug-in nor the input explains this: please report it" in done.out
+
+
+def test_it_leaves_no_temporary_files(dead: tuple[Path, Outcome]) -> None:
+    place, _ = dead
+    assert list((place / "tmp").iterdir()) == []
 
 
 @pytest.mark.slow

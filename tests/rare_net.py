@@ -74,6 +74,11 @@ def _blinking_light(net: PlainNet) -> None:
     net.after.append(lambda text: re.sub(r'state="[Gg]', 'state="o', text))
 
 
+def _spaced_id(net: PlainNet) -> None:
+    """Spaces in the id of a light; those of edges, lanes and junctions may not have any."""
+    net.nodes["E"] |= {"type": "traffic_light", "tl": "the light of E"}
+
+
 def _permission_change(net: PlainNet) -> None:
     """A lane that ends for cars in the middle of the way: a bus lane begins where the edge is split."""
     net.edges["WC"]["numLanes"] = "2"
@@ -194,6 +199,7 @@ def _bends(net: PlainNet) -> None:
 FEATURES: dict[str, Callable[[PlainNet], None]] = {
     "uncontrolled link": _uncontrolled_link,
     "blinking light": _blinking_light,
+    "spaces in an id": _spaced_id,
     "permission change": _permission_change,
     "internal lanes of no length": _no_internal_length,
     "turnarounds": _turnarounds,

@@ -13,8 +13,9 @@ from rich.table import Table
 
 from advdiff_sumo.cli.summary import UNEXPLAINED
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
-from advdiff_sumo.metrics.severity import is_valid_failure, worst_first
+from advdiff_sumo.metrics.severity import is_failure, is_valid_failure, worst_first
 from advdiff_sumo.metrics.statistics import Rate
+from advdiff_sumo.report.attack_words import position_lines
 from advdiff_sumo.sweep.condition import Condition, Undefined
 from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.coverage import bands, coverage
@@ -84,6 +85,8 @@ def _print(
     console: Console, plan: Plan, episodes: Sequence[Row], failures: Sequence[Row], overall: Figures
 ) -> None:
     _print_rates(console, episodes, failures, overall)
+    for what, where in position_lines([row for row in episodes if not is_failure(row)]):
+        console.print(f"{what} {where}", soft_wrap=True)
     if overall.missing:
         console.print(f"[yellow]{overall.missing} episodes have not been run[/yellow]")
     if failures:

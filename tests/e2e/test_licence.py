@@ -50,3 +50,12 @@ def test_a_run_says_where_nobody_was_in_a_position_for_the_attack(tmp_path: Path
     assert "in 2 of 2 episodes" in said
     rows = pq.read_table(tmp_path / "run" / "episodes.parquet").to_pylist()
     assert [(row["attack_kind"], row["in_position"]) for row in rows] == [("crossing", False)] * 2
+
+
+@pytest.mark.slow
+def test_a_sweep_says_it_too(tmp_path: Path) -> None:
+    grid = '[grid]\nnets = ["motorway"]\ntargets = ["IDM"]\nbackgrounds = [{name = "scripted", options = {attack = "crossing"}}]\n'
+    (tmp_path / "one.toml").write_text("episodes = 1\nhorizon_s = 1.0\n[scene]\nwarmup_s = 5.0\n" + grid)
+    outcome = advdiff("sweep", "one.toml", "--workers", 1, "--out", "sweep", cwd=tmp_path)
+    assert outcome.code == 0, outcome.err
+    assert "no one was in a position to cross its way in 1 of 1 episodes" in outcome.out

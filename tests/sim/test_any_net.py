@@ -37,6 +37,7 @@ MARKS = {
     "uncontrolled link": 'uncontrolled="1"',
     "blinking light": 'state="o',
     "permission change": 'allow="bus"',
+    "spaces in an id": 'tl="the light of E"',
     "internal lanes of no length": ':E_0_0" index="0" speed="13.90" length="0.10"',
     "turnarounds": 'dir="t"',
     "reversed roundabout": '<roundabout nodes="A B D G"',

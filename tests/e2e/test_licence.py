@@ -54,8 +54,15 @@ def test_a_run_says_where_nobody_was_in_a_position_for_the_attack(tmp_path: Path
 
 @pytest.mark.slow
 def test_a_sweep_says_it_too(tmp_path: Path) -> None:
-    grid = '[grid]\nnets = ["motorway"]\ntargets = ["IDM"]\nbackgrounds = [{name = "scripted", options = {attack = "crossing"}}]\n'
-    (tmp_path / "one.toml").write_text("episodes = 1\nhorizon_s = 1.0\n[scene]\nwarmup_s = 5.0\n" + grid)
+    lines = (
+        "episodes = 1",
+        "horizon_s = 1.0",
+        "scene.warmup_s = 5.0",
+        'grid.nets = ["motorway"]',
+        'grid.targets = ["IDM"]',
+        'grid.backgrounds = [{name = "scripted", options = {attack = "crossing"}}]',
+    )
+    (tmp_path / "one.toml").write_text("\n".join(lines))
     outcome = advdiff("sweep", "one.toml", "--workers", 1, "--out", "sweep", cwd=tmp_path)
     assert outcome.code == 0, outcome.err
     assert "no one was in a position to cross its way in 1 of 1 episodes" in outcome.out

@@ -4,8 +4,8 @@ It samples quintic and quartic curves in the Frenet frame of a reference line (W
 doi:10.1109/ROBOT.2010.5509799), takes out those that the vehicle cannot drive or that collide, and drives the cheapest.
 Its defaults are kept (horizon, sampling, costs, vehicle, constraints); it plans in one process, not in six.
 The adapter gives it what its authors take from a CommonRoad scenario: reference line, desired speed, the others as
-they will be, the road's edges. It knows no right of way. Where it finds no curve we stop along the line, or stand: so does
-it, but version 2025.1 raises then, as its log line formats a cost that such a plan does not have.
+they will be, the road's edges. It knows no right of way. Where it finds no curve we stop along the line, or stand: so
+does it, but version 2025.1 raises then, as its log line formats a cost that such a plan does not have.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ def _priority(share: float) -> SumoParams:
 _KINDS = (
     DefectKind(
         "late",
-        "latency from sensor to planner: a slow detector, a full queue, clocks that differ",
+        "latency from sensor to planner",
         "age of what is known of the others and of the signals",
         "s",
         (0.5, 1.0, 2.0),
@@ -62,7 +62,7 @@ _KINDS = (
     ),
     DefectKind(
         "range",
-        "short sight: fog, dirt on the lens, a detector trained on near objects",
+        "short sight: fog, dirt on the lens",
         "distance beyond which nobody is seen",
         "m",
         (30.0, 20.0, 12.0),
@@ -72,8 +72,8 @@ _KINDS = (
     ),
     DefectKind(
         "flicker",
-        "detections that come and go, with a tracker that does not bridge the gaps",
-        "share of the plans for which each of the others is missed, each time anew",
+        "detections that come and go, and no tracker to bridge the gaps",
+        "share of the plans for which each other is missed",
         "",
         (0.3, 0.6, 0.9),
         (0.0, 1.0),
@@ -82,8 +82,8 @@ _KINDS = (
     ),
     DefectKind(
         "dropout",
-        "lost tracks: occlusion, association errors, a sensor that restarts",
-        f"time in every {sensing.DROPOUT_PERIOD_S:g} s for which each of the others is lost",
+        "lost tracks: occlusion, a sensor that restarts",
+        f"time in every {sensing.DROPOUT_PERIOD_S:g} s for which each other is lost",
         "s",
         (1.0, 2.0, 4.0),
         (0.0, sensing.DROPOUT_PERIOD_S),
@@ -92,7 +92,7 @@ _KINDS = (
     ),
     DefectKind(
         "tunnel",
-        "a front camera alone: no sensors, or none that work, to the sides and behind",
+        "no sensors to the sides and behind",
         "field of view",
         "deg",
         (120.0, 60.0, 20.0),
@@ -102,8 +102,8 @@ _KINDS = (
     ),
     DefectKind(
         "blind-crossing",
-        "a radar that reports no crossing motion, a tracker that drops it, no detection of vehicles from the side",
-        "half width of the headings around a right angle that are not seen",
+        "a radar or tracker that drops crossing motion",
+        "headings around a right angle that are not seen (half width)",
         "deg",
         (10.0, 25.0, 60.0),
         (0.0, 90.0),
@@ -112,8 +112,8 @@ _KINDS = (
     ),
     DefectKind(
         "blind-oncoming",
-        "oncoming traffic filtered out as if it were in its own carriageway for ever",
-        "half width of the headings around the opposite one that are not seen",
+        "oncoming traffic filtered out",
+        "headings around the opposite one that are not seen (half width)",
         "deg",
         (10.0, 25.0, 60.0),
         (0.0, 90.0),
@@ -132,7 +132,7 @@ _KINDS = (
     ),
     DefectKind(
         "blind-heavy",
-        "lorries and buses not recognised: rare in the training data, or taken for sky and wall",
+        "lorries and buses not recognised: rare in the training data",
         "distance beyond which trucks and buses are not seen",
         "m",
         (20.0, 10.0, 0.0),
@@ -142,7 +142,7 @@ _KINDS = (
     ),
     DefectKind(
         "blind-unprotected",
-        "motorcycles, bicycles and pedestrians not recognised: small, rare, of many shapes",
+        "motorcycles, bicycles and pedestrians not recognised",
         "distance beyond which they are not seen",
         "m",
         (12.0, 6.0, 0.0),
@@ -162,7 +162,7 @@ _KINDS = (
     ),
     DefectKind(
         "constant-velocity",
-        "prediction by constant velocity from a track that is updated late: braking and turning come as a surprise",
+        "prediction by constant velocity from a track that is updated late",
         "time for which the others' last known velocity is believed",
         "s",
         (1.0, 2.0, 3.0),
@@ -172,7 +172,7 @@ _KINDS = (
     ),
     DefectKind(
         "speed-bias",
-        "speeds measured too high: a Doppler bias, a wrong time base of the tracker",
+        "speeds measured too high: a Doppler bias",
         "how much faster the others seem",
         "m/s",
         (1.0, 3.0, 6.0),
@@ -182,7 +182,7 @@ _KINDS = (
     ),
     DefectKind(
         "position-bias",
-        "a sensor that was mounted askew or calibrated wrongly",
+        "a sensor mounted askew or calibrated wrongly",
         "how much farther to the left the others seem",
         "m",
         (0.5, 1.5, 3.0),
@@ -192,7 +192,7 @@ _KINDS = (
     ),
     DefectKind(
         "localisation",
-        "a wrong place on the map: GNSS in a street canyon, a map that is out of date",
+        "a wrong place on the map: GNSS in a street canyon",
         "how far to the left of its place the target believes to be",
         "m",
         (0.5, 1.0, 2.0),
@@ -203,7 +203,7 @@ _KINDS = (
     ),
     DefectKind(
         "weak-brakes",
-        "worn or wet brakes, a heavy load, a bound in the controller that was never lifted",
+        "worn or wet brakes, a heavy load",
         "strongest braking",
         "m/s²",
         (4.0, 2.5, 1.5),
@@ -214,7 +214,7 @@ _KINDS = (
     ),
     DefectKind(
         "slow-brakes",
-        "brakes that build up slowly: a filter, a comfort limit on jerk, a brake-by-wire that lags",
+        "brakes that build up slowly: a filter, a limit on jerk",
         "time to full braking (9 m/s²)",
         "s",
         (1.0, 2.0, 4.0),
@@ -224,7 +224,7 @@ _KINDS = (
     ),
     DefectKind(
         "headway",
-        "following too close: a gap that was tuned for comfort, a range measured too long",
+        "following too close: a gap tuned for comfort",
         "time headway that is lacking",
         "s",
         (0.4, 0.8, 1.2),
@@ -235,7 +235,7 @@ _KINDS = (
     ),
     DefectKind(
         "signals",
-        "red lights taken for green: a wrong light, sun, a bulb of another make, signal data that come late",
+        "red lights taken for green: a wrong light, low sun",
         "time for which a red light on the own way is taken for green (yellow always is)",
         "s",
         (1.0, 4.0, 60.0),
@@ -246,7 +246,7 @@ _KINDS = (
     ),
     DefectKind(
         "priority",
-        "the right of way misread: a sign that is missing in the map, a wrong lane of the other",
+        "the right of way misread: a sign missing in the map",
         "share of those with the right of way that are not seen on their way over the junction",
         "",
         (0.25, 0.5, 1.0),
@@ -257,7 +257,7 @@ _KINDS = (
     ),
     DefectKind(
         "cut-in",
-        "others assigned to a lane and kept there: intent is not predicted, the lane is filtered over time",
+        "others kept on their lane: intent is not predicted",
         "time after which a change of lanes is noticed; before it is complete it never is",
         "s",
         (0.5, 1.5, 3.0),
@@ -282,14 +282,14 @@ DEFECTS: Mapping[str, DefectKind] = {kind.name: kind for kind in _KINDS}
 
 
 def catalogue_table() -> str:
-    """Return the catalogue as a Markdown table, for the page, which gives the common reason for *none* once."""
+    """Return the catalogue as a Markdown table, for the page, which gives the common reason for *–* once."""
     lines = [
-        "| defect | stands for | parameter | unit | weak | middle | strong | SUMO's driver models |",
-        "|---|---|---|---|---|---|---|---|",
+        "| defect | stands for | parameter | weak, middle, strong | SUMO's driver models |",
+        "|---|---|---|---|---|",
     ]
     for kind in DEFECTS.values():
-        values = (f"{value:g}" for value in kind.values)
-        sumo = "none" if kind.sumo_note.startswith(f"none: {_MODELS_SEE}") else kind.sumo_note
-        cells = (f"`{kind.name}`", kind.stands_for, kind.parameter, kind.unit, *values, sumo)
+        values = ", ".join(f"{value:g}" for value in kind.values)
+        sumo = "–" if kind.sumo_note.startswith(f"none: {_MODELS_SEE}") else kind.sumo_note
+        cells = (f"`{kind.name}`", kind.stands_for, kind.parameter, f"{values} {kind.unit}".strip(), sumo)
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"

@@ -9,10 +9,9 @@ import shapely
 from shapely.geometry import Polygon
 
 from advdiff_sumo.maps.convert.approaches import Approaches
-from advdiff_sumo.maps.convert.narrow import long_conflicts
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.roundabouts import find_rings
-from advdiff_sumo.maps.convert.sources.source_map import SourceMap
+from advdiff_sumo.maps.convert.sources.source_map import Lamp, SourceMap
 from advdiff_sumo.maps.convert.stop_lines import with_stop_offsets
 
 GUESS_APPROACHES, GUESS_LANES = 3, 4  # junctions at least so large get guessed signals
@@ -23,6 +22,7 @@ MAJOR, MINOR = 10, 1  # edge priorities: without and with a stop or yield sign
 class Control:
     """Approaches of each kind, by edge; *idle* are the lights that stop nobody.
 
+    *lamps* are those of the lights, where the source tells them.
     *lines* are the areas of their stop lines; those before a crossing on foot say where to stop, not who yields.
     """
 
@@ -31,6 +31,7 @@ class Control:
     yields: frozenset[str]
     idle: tuple[str, ...]
     lines: dict[str, list[Polygon]]
+    lamps: dict[str, frozenset[Lamp]]
 
 
 def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPlan:
@@ -38,8 +39,8 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
 
     A junction with a light on one of its approaches is signalled. Stop signs on all approaches make an all-way
     stop, on some of them (and yield signs) those approaches yield. With *guess_signals* junctions of at least
-    three approaches with four lanes, whose ways cross, are signalled too, but for those of roundabouts. Signals serve
-    opposite approaches together unless ways of theirs run along each other. Vehicles stop where the stop lines lie.
+    three approaches with four lanes, whose ways cross, are signalled too, but for those of roundabouts. Vehicles stop
+    where the stop lines lie.
     """
     control = _read(plan, source)
     approaches: dict[str, list[EdgePlan]] = defaultdict(list)
@@ -54,7 +55,6 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
         for name, edges in approaches.items()
     }
     minor = control.stops | control.yields
-    long = long_conflicts(plan)
     return replace(
         plan,
         edges=with_stop_offsets(
@@ -62,11 +62,11 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
             control.lines,
         ),
         junctions=tuple(
-            replace(j, kind=kinds.get(j.id) or j.kind, one_by_one=j.id in long) if j.kind == "priority" else j
-            for j in plan.junctions
+            replace(j, kind=kinds.get(j.id) or j.kind) if j.kind == "priority" else j for j in plan.junctions
         ),
         rings=rings,
         idle_signals=control.idle,
+        lamps=control.lamps,
     )
 
 
@@ -76,11 +76,14 @@ def _read(plan: NetPlan, source: SourceMap) -> Control:
     number = {lane.token: index for index, lane in enumerate(source.lanes)}
     edges: dict[str, set[str]] = {"light": set(), "stop": set(), "yield": set(), "crossing": set()}
     idle = []
+    lamps: dict[str, frozenset[Lamp]] = {}
     for signal in source.signals:
         lanes = [number[token] for token in signal.lanes if token in number]
         stopped = approaches.stopped_by(signal.at, signal.block, lanes)
         edges["light"] |= stopped
         idle += [] if stopped else [signal.token]
+        for name in stopped if signal.lamps else ():
+            lamps[name] = lamps.get(name, frozenset()) | signal.lamps
     lines: dict[str, list[Polygon]] = {}
     for line in source.stop_lines:
         kind = _sign(line.kind)
@@ -88,7 +91,7 @@ def _read(plan: NetPlan, source: SourceMap) -> Control:
             edges[str(kind)].add(name)
             lines.setdefault(name, []).append(line.area)
     lights, stops, yields = (frozenset(edges[kind]) for kind in ("light", "stop", "yield"))
-    return Control(lights, stops, yields, tuple(idle), lines)
+    return Control(lights, stops, yields, tuple(idle), lines, lamps)
 
 
 def _sign(kind: str) -> str | None:

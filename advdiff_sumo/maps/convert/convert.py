@@ -31,6 +31,7 @@ from advdiff_sumo.maps.convert.projection import drives_left, projection_of
 from advdiff_sumo.maps.convert.repair import repair
 from advdiff_sumo.maps.convert.restore import restore_shapes
 from advdiff_sumo.maps.convert.rim import ReturnEdge, put_aside, return_edges
+from advdiff_sumo.maps.convert.signals.programs import write_programs
 from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 from advdiff_sumo.maps.convert.stop_lines import waiting_turns
@@ -147,6 +148,7 @@ def convert_source(
     if returns:
         put_aside(out_net, plan, returns)
     annotate_net(out_net, plan)
+    write_programs(out_net, plan)
     foot_paths = _foot_paths(out_net, source, crossings)
     write_sidecar(source, sidecar_path(out_net))
     counts = source.notes + layout.counts

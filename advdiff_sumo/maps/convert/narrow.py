@@ -41,8 +41,8 @@ def unseen_conflicts(plan: NetPlan, net: Path) -> list[tuple[Ends, Ends]]:
     return sorted(pair for pair in conflicts if pair[::-1] not in conflicts or pair < pair[::-1])
 
 
-def long_conflicts(plan: NetPlan) -> set[str]:
-    """Return the junctions with ways of different edges that run close to each other, bodies touching, for long.
+def long_conflicts(plan: NetPlan) -> set[frozenset[Ends]]:
+    """Return the pairs of ways of different edges that run close to each other, bodies touching, for long.
 
     SUMO takes a conflict of two ways for a spot where they cross; two opposite turns that meet at a flat angle over
     many metres must not be green together. Ways into one edge merge and are left aside.
@@ -52,11 +52,10 @@ def long_conflicts(plan: NetPlan) -> set[str]:
     for connection in plan.connections:
         inside[target[connection.origin[0]]].append(connection)
     return {
-        name
-        for name, ways in inside.items()
-        if any(
-            one.target[0] != other.target[0] and _shared_m(one, other) > LONG_M for one, other in _near(ways)
-        )
+        frozenset((_ends(one), _ends(other)))
+        for ways in inside.values()
+        for one, other in _near(ways)
+        if one.target[0] != other.target[0] and _shared_m(one, other) > LONG_M
     }
 
 

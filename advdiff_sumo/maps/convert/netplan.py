@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -20,7 +20,7 @@ from advdiff_sumo.maps.convert.layout.joints import Joints
 from advdiff_sumo.maps.convert.layout.lane_paths import Connection
 from advdiff_sumo.maps.convert.layout.lane_segments import Piece
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
-from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceLane
+from advdiff_sumo.maps.convert.sources.source_map import Lamp, LaneUse, SourceLane
 from advdiff_sumo.maps.convert.widths import width_between
 
 LATERAL_MPS2 = 2.5  # comfortable sideways acceleration, which limits the speed in a turn
@@ -114,13 +114,12 @@ class ConnectionPlan:
 
 @dataclass(frozen=True, eq=False)
 class JunctionPlan:
-    """A junction; *one_by_one* lets a signal there serve one approach at a time."""
+    """A junction."""
 
     id: str
     xy_m: tuple[float, float]
     shape: Polygon
     kind: str
-    one_by_one: bool = False
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,14 @@ class Ring:
 
 @dataclass(frozen=True, eq=False)
 class NetPlan:
-    """All parts of a net, ready to be written as plain XML; *idle_signals* are lights that stop nobody."""
+    """All parts of a net, ready to be written as plain XML.
+
+    Attributes:
+        lane_of: the edge and lane that each piece of a source lane became.
+        rings: roundabouts.
+        idle_signals: lights that stop nobody.
+        lamps: of the lights at the end of an edge, where the source tells them.
+    """
 
     edges: tuple[EdgePlan, ...]
     junctions: tuple[JunctionPlan, ...]
@@ -142,6 +148,7 @@ class NetPlan:
     lane_of: dict[Piece, tuple[str, int]] = field(default_factory=dict)
     rings: tuple[Ring, ...] = ()
     idle_signals: tuple[str, ...] = ()
+    lamps: Mapping[str, frozenset[Lamp]] = field(default_factory=dict)
 
     @cached_property
     def way_of(self) -> dict[tuple[str, int, str, int], ConnectionPlan]:

@@ -73,7 +73,7 @@ def _location(plan: NetPlan, projection: str) -> ET.Element:
 
 def _node(junction: JunctionPlan) -> ET.Element:
     x, y = junction.xy_m
-    row = ET.Element(
+    return ET.Element(
         "node",
         id=junction.id,
         x=f"{x:.4f}",
@@ -81,9 +81,6 @@ def _node(junction: JunctionPlan) -> ET.Element:
         type=junction.kind,
         shape=shape_text(np.asarray(junction.shape.exterior.coords)[:-1]),
     )
-    if junction.one_by_one:
-        row.set("tlLayout", "incoming")
-    return row
 
 
 def _edge(edge: EdgePlan, location: str) -> ET.Element:

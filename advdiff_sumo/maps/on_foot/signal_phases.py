@@ -43,9 +43,10 @@ def add_crossings(program: ET.Element, crossings: Sequence[SignalledCrossing]) -
     size = max(crossing.index for crossing in crossings) + 1
     phases = program.findall("phase")
     states = [list(phase.get("state", "").ljust(size, "r")) for phase in phases]
-    for state in states:
+    clearing = [_is_clearing(states[number - 1], state) for number, state in enumerate(states)]
+    for state, waits in zip(states, clearing, strict=True):
         for crossing in crossings:
-            state[crossing.index] = "G" if _may_walk(state, crossing) else "r"
+            state[crossing.index] = "G" if not waits and _may_walk(state, crossing) else "r"
         for crossing in crossings:
             if state[crossing.index] == "G":
                 for link in crossing.turning:
@@ -54,6 +55,12 @@ def add_crossings(program: ET.Element, crossings: Sequence[SignalledCrossing]) -
         phase.set("state", "".join(state))
     _serve_the_rest(program, crossings)
     _clear(program, crossings)
+
+
+def _is_clearing(before: Sequence[str], state: Sequence[str]) -> bool:
+    """Return whether the vehicles that had yellow get clear in a phase, in which nobody new has green."""
+    greens = [{index for index, light in enumerate(part) if light in "Gg"} for part in (before, state)]
+    return bool(set(before) & set("yY")) and greens[1] <= greens[0]
 
 
 def _may_walk(state: Sequence[str], crossing: SignalledCrossing) -> bool:
@@ -79,6 +86,15 @@ def _serve_the_rest(program: ET.Element, crossings: Sequence[SignalledCrossing])
     ET.SubElement(program, "phase", duration=str(WALK_S), state="".join(walk))
 
 
+def _change_s(phases: Sequence[ET.Element], number: int) -> float:
+    """Return the seconds of yellow in phase *number*, 0 without, and of clearing in the next."""
+    now, after = phases[number % len(phases)], phases[(number + 1) % len(phases)]
+    if not set(now.get("state", "")) & set("yY"):
+        return 0.0
+    clearing = _is_clearing(now.get("state", ""), after.get("state", ""))
+    return sum(float(phase.get("duration", "0")) for phase in ((now, after) if clearing else (now,)))
+
+
 def _clear(program: ET.Element, crossings: Sequence[SignalledCrossing]) -> None:
     """Put a phase before each end of people's green in which they have red and the vehicles what they had."""
     phases = program.findall("phase")
@@ -88,8 +104,7 @@ def _clear(program: ET.Element, crossings: Sequence[SignalledCrossing]) -> None:
         ending = [c for c in crossings if state[c.index] == "G" and following[c.index] != "G"]
         if not ending:
             continue
-        yellow_s = round(float(after.get("duration", "0"))) if set(following) & set("yY") else 0
-        clearance_s = max(c.clearance_s for c in ending) - yellow_s
+        clearance_s = math.ceil(max(c.clearance_s for c in ending) - _change_s(phases, number + 1))
         if clearance_s > 0:
             clear = deepcopy(phase)
             clear.attrib.pop("minDur", None)

@@ -32,6 +32,21 @@ def test_green_while_those_straight_over_it_are_red() -> None:
     ]
 
 
+def test_nobody_sets_out_while_vehicles_get_clear() -> None:
+    """9 m take 8 s, of which the yellow is 4 and the all-red 2."""
+    root = program((30, "Gr"), (4, "yr"), (2, "rr"), (30, "rG"), (4, "ry"), (2, "rr"))
+    add_crossings(root, [SignalledCrossing(2, frozenset({0}), frozenset(), 9.0)])
+    assert [(seconds, state) for seconds, state, _ in phases(root)] == [
+        (30, "Grr"),
+        (4, "yrr"),
+        (2, "rrr"),
+        (30, "rGG"),
+        (2, "rGr"),
+        (4, "ryr"),
+        (2, "rrr"),
+    ]
+
+
 def test_a_short_crossing_is_clear_when_the_yellow_ends() -> None:
     root = program((30, "Gr"), (3, "yr"), (30, "rG"), (3, "ry"))
     add_crossings(root, [SignalledCrossing(2, frozenset({0}), frozenset(), 3.6)])

@@ -23,6 +23,9 @@ from advdiff_sumo.maps.convert.sources.bounded_lanes import (
 )
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.source_map import (
+    CIRCULAR,
+    Direction,
+    Lamp,
     LaneUse,
     Signal,
     SourceLane,
@@ -36,6 +39,14 @@ USES = {"busLane": LaneUse.BUS, "bicycleLane": LaneUse.BICYCLE}
 ON_FOOT = {"crosswalk", "sidewalk"}
 SPEED_SIGNS = {"274", "R2-1", "274.1", "302_vienna"}  # speed limits; their values are in m/s
 STOP_SIGNS, YIELD_SIGNS = {"206", "R1-1"}, {"205", "R1-2"}
+ARROWS = {
+    "left": frozenset({Direction.LEFT}),
+    "straight": frozenset({Direction.STRAIGHT}),
+    "right": frozenset({Direction.RIGHT}),
+    "leftStraight": frozenset({Direction.LEFT, Direction.STRAIGHT}),
+    "straightRight": frozenset({Direction.STRAIGHT, Direction.RIGHT}),
+    "leftRight": frozenset({Direction.LEFT, Direction.RIGHT}),
+}
 LINE_M = 0.25  # half the depth of a painted stop line
 
 
@@ -216,4 +227,12 @@ def _signals(root: Element) -> Iterator[Signal]:
             lanes.setdefault(ref, []).append(row.get("id", ""))
     for light in root.iterfind("trafficLight"):
         name = light.get("id", "")
-        yield Signal(name, None, lanes=tuple(lanes.get(name, ())))
+        yield Signal(name, None, lanes=tuple(lanes.get(name, ())), lamps=_lamps(light.findtext("direction")))
+
+
+def _lamps(direction: str | None) -> frozenset[Lamp]:
+    """Return the lamp of a light by what it says it governs; none where it says nothing known."""
+    name = (direction or "").strip()
+    if name == "all":
+        return frozenset({CIRCULAR})
+    return frozenset({Lamp(ARROWS[name], protected=True, exclusive=True)}) if name in ARROWS else frozenset()

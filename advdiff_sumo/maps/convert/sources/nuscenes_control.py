@@ -6,7 +6,14 @@ from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.maps.convert.sources.map_tables import MapTables, Row
-from advdiff_sumo.maps.convert.sources.source_map import Signal, StopLine
+from advdiff_sumo.maps.convert.sources.source_map import CIRCULAR, Direction, Lamp, Signal, StopLine
+
+ARROWS = {
+    "LEFT": Direction.LEFT,
+    "RIGHT": Direction.RIGHT,
+    "UP": Direction.STRAIGHT,
+    "STRAIGHT": Direction.STRAIGHT,
+}
 
 
 def stop_lines_of(tables: MapTables) -> list[StopLine]:
@@ -40,8 +47,26 @@ def signals_of(tables: MapTables) -> list[Signal]:
         block = _block(tables, blocks, row.get("from_road_block_token"))
         if block is None and stop is not None:
             block = _block(tables, blocks, stop.get("road_block_token"))
-        signals.append(Signal(str(row.get("token")), _place(tables, row, stop), block))
+        signals.append(
+            Signal(str(row.get("token")), _place(tables, row, stop), block, lamps=_lamps(row.get("items")))
+        )
     return signals
+
+
+def _lamps(items: object) -> frozenset[Lamp]:
+    """Return the green lamps of a light: arrows by their shape, else circular; none where it lists no lamp."""
+    rows = [row for row in items if isinstance(row, dict)] if isinstance(items, list) else []
+    lamps = [(str(row.get("color", "")).upper(), _directions(str(row.get("shape", "")))) for row in rows]
+    red = frozenset[Direction]().union(*(arrow for colour, arrow in lamps if colour == "RED"))
+    return frozenset(
+        Lamp(arrow, protected=True, exclusive=arrow <= red) if arrow else CIRCULAR
+        for colour, arrow in lamps
+        if colour == "GREEN"
+    )
+
+
+def _directions(shape: str) -> frozenset[Direction]:
+    return frozenset(direction for word, direction in ARROWS.items() if word in shape.upper())
 
 
 def _block(tables: MapTables, blocks: dict[str, Row], token: object) -> Polygon | None:

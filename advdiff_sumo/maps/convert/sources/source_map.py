@@ -67,6 +67,33 @@ class StopLine:
     block: Polygon | None = None
 
 
+class Direction(StrEnum):
+    """Where a way through a junction leads."""
+
+    LEFT = "left"
+    STRAIGHT = "straight"
+    RIGHT = "right"
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """What a green lamp of a traffic light lets go.
+
+    Attributes:
+        directions: those that it governs.
+        protected: whether nobody in their way has green with them, as under an arrow. Under a circular lamp those
+            that turn yield to oncoming traffic.
+        exclusive: whether a red arrow holds these directions while other lamps are green.
+    """
+
+    directions: frozenset[Direction]
+    protected: bool
+    exclusive: bool = False
+
+
+CIRCULAR = Lamp(frozenset(Direction), protected=False)
+
+
 @dataclass(frozen=True, eq=False)
 class Signal:
     """A traffic light.
@@ -76,12 +103,14 @@ class Signal:
         at: the stop line that lists it, else its own line or place; None where neither is known.
         block: the carriageway that it stops, where the source names one.
         lanes: tokens of the lanes that it stops, where the source names them.
+        lamps: its green lamps, where the source tells them.
     """
 
     token: str
     at: BaseGeometry | None
     block: Polygon | None = None
     lanes: tuple[str, ...] = ()
+    lamps: frozenset[Lamp] = frozenset()
 
 
 @dataclass(frozen=True)

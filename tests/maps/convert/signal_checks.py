@@ -1,0 +1,83 @@
+"""What any program of a written net must keep, read from its XML alone."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from defusedxml.ElementTree import parse
+
+
+@dataclass(frozen=True)
+class WrittenSignal:
+    """A signal: its phases as (seconds, state), and for each link its foes and those it yields to."""
+
+    name: str
+    phases: list[tuple[float, str]]
+    foes: dict[int, set[int]]
+    yields_to: dict[int, set[int]]
+    on_foot: set[int]
+
+
+def written_signals(net: Path) -> list[WrittenSignal]:
+    root: Any = parse(net).getroot()
+    lane_of: dict[str, dict[int, str]] = defaultdict(dict)
+    for row in root.iterfind("connection"):
+        if row.get("tl") and row.get("via", row.get("to")):
+            lane_of[row.get("tl")][int(row.get("linkIndex"))] = row.get("via") or f"{row.get('to')}_0"
+    lanes = {j.get("id"): j.get("intLanes", "").split() for j in root.iterfind("junction")}
+    rows = {
+        lanes[j.get("id")][int(row.get("index"))]: (row, lanes[j.get("id")])
+        for j in root.iterfind("junction")
+        for row in j.iterfind("request")
+    }
+    signals = []
+    for program in root.iterfind("tlLogic"):
+        index_of = {lane: index for index, lane in lane_of[program.get("id")].items()}
+        bits = {
+            key: {index: _set_bits(*rows[lane], key, index_of) for lane, index in index_of.items()}
+            for key in ("foes", "response")
+        }
+        phases = [(float(row.get("duration")), row.get("state")) for row in program.iterfind("phase")]
+        on_foot = {index for lane, index in index_of.items() if "_c" in lane}
+        signals.append(WrittenSignal(program.get("id"), phases, bits["foes"], bits["response"], on_foot))
+    return signals
+
+
+def _set_bits(row: Any, lanes: list[str], key: str, index_of: dict[str, int]) -> set[int]:
+    marked = [lane for lane, bit in zip(lanes, reversed(row.get(key)), strict=True) if bit == "1"]
+    return {index_of[lane] for lane in marked if lane in index_of}
+
+
+def check_signals(net: Path) -> int:
+    """Hold all programs of *net* to what keeps a crossing safe; return how many there are."""
+    signals = written_signals(net)
+    for signal in signals:
+        check_greens(signal)
+        check_changes(signal)
+    return len(signals)
+
+
+def check_greens(signal: WrittenSignal) -> None:
+    """No two foes have ``G`` together; of two with green the one with ``g`` yields; each link is served."""
+    for _, state in signal.phases:
+        green = {index for index in signal.foes if state[index] in "Gg"}
+        for index in green:
+            for foe in (signal.foes[index] & green) - {index}:
+                assert state[index] + state[foe] != "GG", f"{signal.name}: {index} and {foe} in {state}"
+                if state[foe] == "G":
+                    assert foe in signal.yields_to[index], f"{signal.name}: {index} does not yield to {foe}"
+    assert all(any(state[index] in "Gg" for _, state in signal.phases) for index in signal.foes)
+
+
+def check_changes(signal: WrittenSignal) -> None:
+    """Vehicles get 3 to 6 s of yellow after each green, and nothing but red after yellow."""
+    follows = [*signal.phases[1:], signal.phases[0]]
+    for index in set(signal.foes) - signal.on_foot:
+        for (seconds, now), (_, later) in zip(signal.phases, follows, strict=True):
+            assert now[index] not in "Gg" or later[index] in "Ggy", f"{signal.name}: {index}"
+            if now[index] == "y":
+                assert 3.0 <= seconds <= 6.0
+                assert later[index] == "r"

@@ -1,0 +1,175 @@
+"""Programs of signals: who has green together, yellow and all-red, worked by hand and on real maps."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sumolib
+from signal_checks import check_signals, written_signals
+from small_maps import crossroads
+
+from advdiff_sumo.maps.convert import convert_map, convert_source
+from advdiff_sumo.maps.convert.signals.change_intervals import all_red_s, yellow_s
+from advdiff_sumo.maps.convert.signals.signal_links import SignalLink
+from advdiff_sumo.maps.convert.signals.stages import stages, state_of
+from advdiff_sumo.maps.convert.sources.read_map import read_map
+from advdiff_sumo.maps.convert.sources.source_map import CIRCULAR, Direction, Lamp
+
+EAST, WEST, NORTH = (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)
+LEFT_ARROW = Lamp(frozenset({Direction.LEFT}), protected=True)
+LEFT_ARROWS = Lamp(frozenset({Direction.LEFT}), protected=True, exclusive=True)  # green and red ones
+
+
+def link(
+    index: int,
+    edge: str,
+    heading: tuple[float, float] = EAST,
+    direction: Direction = Direction.STRAIGHT,
+    *,
+    target: str = "",
+    lane: int = 0,
+    foes: set[int] | None = None,
+    yields_to: set[int] | None = None,
+    approach_mps: float = 10.0,
+    way_mps: float = 5.0,
+    stop_offset_m: float = 0.0,
+) -> SignalLink:
+    """Return a link of 20 m through the origin."""
+    line_m = np.outer([-10.0, 10.0], heading)
+    return SignalLink(
+        index=index,
+        origin=(edge, lane),
+        target=target or f"to{index}",
+        direction=direction,
+        line_m=line_m,
+        approach_m=3.0 * line_m,
+        approach_mps=approach_mps,
+        way_mps=way_mps,
+        stop_offset_m=stop_offset_m,
+        foes=frozenset(foes or ()),
+        yields_to=frozenset(yields_to or ()),
+    )
+
+
+@pytest.mark.parametrize(("speed_mps", "seconds"), [(8.0, 3.0), (13.89, 3.5), (25.0, 5.5), (40.0, 6.0)])
+def test_yellow(speed_mps: float, seconds: float) -> None:
+    """1 s + v / (2 · 3.048 m/s²) is 2.31, 3.28, 5.10 and 7.56 s; the slower of two links does not count."""
+    assert yellow_s([link(0, "a", approach_mps=speed_mps), link(1, "b", approach_mps=5.0)]) == seconds
+
+
+@pytest.mark.parametrize(
+    ("direction", "stop_offset_m", "seconds"),
+    [
+        (Direction.STRAIGHT, 0.0, 2.0),
+        (Direction.STRAIGHT, 3.0, 2.5),
+        (Direction.LEFT, 0.0, 4.0),
+        (Direction.LEFT, 30.0, 6.0),
+    ],
+)
+def test_all_red(direction: Direction, stop_offset_m: float, seconds: float) -> None:
+    """10 m to the way of the foe, 2.2 m across it and 6.1 m of vehicle: 18.3 m at 10 m/s, or at 5 in a turn."""
+    ending = link(0, "a", EAST, direction, foes={1}, stop_offset_m=stop_offset_m)
+    assert all_red_s([ending], [link(1, "b", NORTH, foes={0})]) == seconds
+
+
+def test_no_all_red_for_those_who_do_not_cross() -> None:
+    assert all_red_s([link(0, "a", EAST)], [link(1, "b", NORTH)]) == 0.0
+
+
+def crossing_with_a_left_turn(*, own_lane: bool = False) -> list[SignalLink]:
+    """Links 0 and 1 go on and left from "a", 2 comes towards them, 3 crosses all."""
+    lane = 1 if own_lane else 0
+    return [
+        link(0, "a", EAST, foes={3}),
+        link(1, "a", EAST, Direction.LEFT, lane=lane, foes={2, 3}, yields_to={2, 3}),
+        link(2, "b", WEST, foes={1, 3}),
+        link(3, "c", NORTH, foes={0, 1, 2}, yields_to={0, 2}),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("lamps", "states"),
+    [
+        ({CIRCULAR}, ["GgGr", "rrrG"]),  # permitted
+        ({CIRCULAR, LEFT_ARROW}, ["GgGr", "GGrr", "rrrG"]),  # permitted and protected
+        ({CIRCULAR, LEFT_ARROWS}, ["GrGr", "GGrr", "rrrG"]),  # protected
+        (set(), ["GgGr", "rrrG"]),  # as with a circular lamp
+    ],
+)
+def test_lamps_decide_on_left_turns(lamps: set[Lamp], states: list[str]) -> None:
+    links = crossing_with_a_left_turn()
+    cycle = stages(links, {"a": lamps}, (), lefthand=False)
+    assert [state_of(stage, links, 4) for stage in cycle] == states
+
+
+def test_a_turn_with_a_lane_of_its_own_gets_an_arrow_where_the_map_tells_nothing() -> None:
+    links = crossing_with_a_left_turn(own_lane=True)
+    for lefthand, count in ((False, 3), (True, 2)):
+        assert len(stages(links, {}, (), lefthand)) == count
+
+
+def test_ways_that_run_along_each_other_never_go_together() -> None:
+    links = crossing_with_a_left_turn()
+    apart = {frozenset({("a", "to1"), ("b", "to2")})}
+    cycle = stages(links, {}, apart, lefthand=False)
+    assert [state_of(stage, links, 4) for stage in cycle] == ["GGrr", "rrGr", "rrrG"]
+
+
+def test_links_that_no_lamp_governs_are_served() -> None:
+    links = crossing_with_a_left_turn()
+    cycle = stages(links, {"a": {LEFT_ARROWS}}, (), lefthand=False)
+    assert frozenset[int]().union(*cycle) == {0, 1, 2, 3}
+
+
+@pytest.mark.parametrize(
+    ("shapes", "letters"),
+    [(("CIRCLE",), {"g"}), (("CIRCLE", "LEFT"), {"g", "G"}), (("CIRCLE", "LEFT", "RED LEFT"), {"G"})],
+)
+def test_arrows_of_a_map_file(shapes: tuple[str, ...], letters: set[str], tmp_path: Path) -> None:
+    """The left turn of the crossroads, with a road that comes towards it."""
+    road = crossroads()
+    end = road.straight("oncoming", (160.0, 104.0, math.pi), 50.0)
+    road.straight("oncoming-on", end, 20.0, connector=True)
+    road.straight("west-out", (90.0, 104.0, math.pi), 50.0)
+    road.link("oncoming", "oncoming-on", "west-out")
+    items = [
+        {"color": "RED" if shape.startswith("RED") else "GREEN", "shape": shape.split()[-1]}
+        for shape in shapes
+    ]
+    nodes = [road.node(90.0, y) for y in (98.0, 102.0)]
+    road.data["line"].append({"token": "line", "node_tokens": nodes})
+    road.data["traffic_light"].append({"token": "light", "line_token": "line", "items": items})
+    result = convert_map(road.write(tmp_path / "m.json"), tmp_path / "m.net.xml")
+    assert check_signals(result.net) == 1
+    (turn,) = [
+        row.linkIndex
+        for row in sumolib.xml.parse(str(result.net), "connection")
+        if row.tl and row.param and row.param[0].value.startswith("west-north")
+    ]
+    (signal,) = written_signals(result.net)
+    assert {state[int(turn)] for _, state in signal.phases} - {"r", "y"} == letters
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize("crossings", ["none", "guess"])
+@pytest.mark.parametrize(
+    ("name", "least"),
+    [
+        ("nuscenes-mini/maps/expansion/singapore-onenorth.json", 7),
+        ("nuscenes-mini/maps/expansion/singapore-queenstown.json", 14),
+        ("nuscenes-mini/maps/expansion/singapore-hollandvillage.json", 19),
+        ("nuscenes-mini/maps/expansion/boston-seaport.json", 58),
+        ("argoverse2/log_map_archive_0a1e6f0a-1817-4a98-b02e-db8c9327d151.json", 1),
+        ("commonroad/USA_Lanker-1_3_T-1.xml.gz", 2),
+        ("commonroad/DEU_Moabit-4_1_T-1.xml.gz", 0),
+        ("commonroad/HRV_Pula-27_3_T-1.xml.gz", 0),
+    ],
+)
+def test_real_maps(name: str, least: int, crossings: str, adv_data: Path, tmp_path: Path) -> None:
+    source = read_map(adv_data / name)
+    result = convert_source(source, tmp_path / "n.net.xml", guess_signals=True, crossings=crossings)  # type: ignore[arg-type]  # one of the three
+    assert check_signals(result.net) >= least

@@ -161,6 +161,10 @@ class Junction:
     incoming_lanes: tuple[str, ...]
     internal_lanes: tuple[str, ...]
 
+    def yields_to(self, link: Link) -> frozenset[int]:
+        """Return the requests that who takes *link* must yield to by the net's rows; signals may say otherwise."""
+        return self.response.get(link.request_index, frozenset())
+
 
 @dataclass(frozen=True)
 class LanePose:

@@ -223,6 +223,15 @@ class RoadMap:
             self._edge_graphs[vclass] = EdgeGraph.of(self._graph, vclass)
         return self._edge_graphs[vclass]
 
+    def yields_to(self, link: Link) -> frozenset[int]:
+        """Return the requests that who takes *link* must yield to by the net's rows; signals may say otherwise."""
+        junction = self.junctions.get(link.junction_id)
+        return frozenset() if junction is None else junction.yields_to(link)
+
+    def must_yield(self, link: Link, other: Link) -> bool:
+        """Return whether who takes *link* must yield to who takes *other*; of other junctions nobody does."""
+        return link.junction_id == other.junction_id and other.request_index in self.yields_to(link)
+
     def route(self, from_edge: str, to_edge: str, vclass: str = "passenger") -> tuple[str, ...] | None:
         """Return the quickest route by speed limits, both edges included; None when there is none."""
         return self.edge_graph(vclass).fastest(from_edge, to_edge)

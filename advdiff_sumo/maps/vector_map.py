@@ -232,7 +232,7 @@ class _Marks:
         junction = self.junctions.get(link.junction_id)
         if link.tls_id is None or junction is None:
             return link.yields
-        return bool(junction.response.get(link.request_index))  # a turn that goes with the opposite green
+        return bool(junction.yields_to(link))  # a turn that goes with the opposite green
 
 
 def _shown(lanes: Mapping[str, Lane]) -> Iterator[Lane]:

@@ -53,9 +53,7 @@ def _merging(road: RoadMap, world: World, frame: Frame, row: int, route: Sequenc
 
 def _yielding(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:
     link = _next_link(road, world, frame, row, route)
-    if link is None:
-        return False
-    return bool(road.junctions[link.junction_id].response.get(link.request_index))
+    return link is not None and bool(road.yields_to(link))
 
 
 def _turning(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:

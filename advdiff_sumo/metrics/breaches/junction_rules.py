@@ -83,12 +83,9 @@ def later_by_s(view: TrafficView, met: Encounter) -> float | None:
 
 def must_yield(view: TrafficView, party: Party, to: Party) -> bool:
     """Return whether the net has *party* give way to *to*; who enters on a protected green never does."""
-    if party.link is None or to.link is None or party.link.junction_id != to.link.junction_id:
+    if party.link is None or to.link is None or signals_at_entry(view, party)[-1:] == ["G"]:
         return False
-    if signals_at_entry(view, party)[-1:] == ["G"]:
-        return False
-    response = view.road.junctions[party.link.junction_id].response
-    return to.link.request_index in response.get(party.link.request_index, frozenset())
+    return view.road.must_yield(party.link, to.link)
 
 
 def _lately(view: TrafficView, met: Encounter, party: Party) -> bool:

@@ -20,16 +20,9 @@ _RED, _YELLOW, _FREE = "ru", "yY", "G"
 
 def yields_to(road: RoadMap, link: Link, signals: Mapping[str, str], theirs: tuple[Link, ...]) -> bool:
     """Return whether who takes *link* must give way to who takes one of *theirs*, as signs and signals stand."""
-    junction = road.junctions.get(link.junction_id)
-    if junction is None or link.signal(signals) == _FREE:
+    if link.signal(signals) == _FREE:
         return False
-    response = junction.response.get(link.request_index, frozenset())
-    return any(
-        x.junction_id == link.junction_id
-        and x.request_index in response
-        and x.signal(signals) not in tuple(_RED)
-        for x in theirs
-    )
+    return any(road.must_yield(link, x) and x.signal(signals) not in tuple(_RED) for x in theirs)
 
 
 def stop_demand(

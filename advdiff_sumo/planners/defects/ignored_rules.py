@@ -50,11 +50,7 @@ class IgnoredPriority(Fault):
         before: set[tuple[str, int]] = set()
         ahead = own_links(road, scene)
         for link in (x for x in ahead if x.junction_id == ahead[0].junction_id):
-            junction = road.junctions.get(link.junction_id)
-            requests = (
-                junction.response.get(link.request_index, frozenset()) if junction else frozenset[int]()
-            )
-            before |= {(link.junction_id, request) for request in requests}
+            before |= {(link.junction_id, request) for request in road.yields_to(link)}
         if not before:
             return scene, memory
         history = scene.history

@@ -43,14 +43,14 @@ def signal_state(link: Link, signals: Mapping[str, str]) -> str:
 
 def rule_at(road: RoadMap, link: Link, signals: Mapping[str, str]) -> Rule:
     """Return what a vehicle that takes *link* must do under *signals*."""
-    junction = road.junctions.get(link.junction_id)
-    response = junction.response.get(link.request_index, frozenset()) if junction else frozenset[int]()
+    response = road.yields_to(link)
     letter = signal_state(link, signals)
     if letter:
         return _signalled(letter, response)
     if link.state == "s":
         return Rule(Duty.STOP_THEN_YIELD, response)
     if link.state == "w":
+        junction = road.junctions.get(link.junction_id)
         foes = junction.foes.get(link.request_index, frozenset()) if junction else frozenset[int]()
         return Rule(Duty.STOP_THEN_YIELD, foes, in_turn=True)
     return Rule(Duty.YIELD if response else Duty.GO, response)

@@ -129,12 +129,8 @@ def _opening(view: SituationView, first: str) -> str:
     if first == "cut-in":
         beside = any(target and view.neighbour(view.scene.target, side) for side in ("left", "right"))
         return first if beside and view.is_first(_SPACE_M) else "hard-stop"
-    junctions = view.road.junctions
     links = target.way.links if target is not None else ()
-    gives_way = any(
-        reach < _SOON_M and junctions[link.junction_id].response.get(link.request_index)
-        for reach, link in links
-    )
+    gives_way = any(reach < _SOON_M and view.road.yields_to(link) for reach, link in links)
     return "hard-stop" if first == "crossing" and not gives_way else first
 
 

@@ -98,9 +98,7 @@ class SituationView:
 
     def gives_way(self, link: Link, other: Link) -> bool:
         """Return whether *link* has to give way to *other* of the same junction, and not the other way round."""
-        response = self.road.junctions[link.junction_id].response
-        yields = other.request_index in response.get(link.request_index, frozenset())
-        return yields and link.request_index not in response.get(other.request_index, frozenset())
+        return self.road.must_yield(link, other) and not self.road.must_yield(other, link)
 
     def neighbour(self, row: int, side: str) -> Way | None:
         """Return the way that *row* would follow on the lane to its "left" or "right"; None without one."""

@@ -53,3 +53,15 @@ def relative_features(xy: Tensor, yaw: Tensor, speed: Tensor) -> Tensor:
     near = torch.exp(-0.1 * torch.sqrt(dx * dx + dy * dy + 1e-6))
     columns = (0.05 * dx, 0.05 * dy, near, turn_cos, turn_sin, vx, vy, vx - vi, vi)
     return torch.stack(columns, dim=-1)
+
+
+def from_segments(points: Tensor, first: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return how *points* lie to segments that begin at *first* and go *along*, (…, 2) each.
+
+    Returns:
+        The vectors (…, 2) from the nearest points of the segments and from their beginnings, and squared lengths (…).
+    """
+    delta = points - first
+    squared = along.square().sum(-1).clamp(min=1e-6)
+    share = ((delta * along).sum(-1) / squared).clamp(0.0, 1.0)
+    return delta - share[..., None] * along, delta, squared

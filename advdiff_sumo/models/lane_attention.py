@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.geometry import into_frame
+from advdiff_sumo.models.geometry import from_segments, into_frame
 from advdiff_sumo.models.model_options import LANE_PIECES, PIECE_FEATURES, PIECE_POINTS, ModelOptions
 
 NEAREST = 9
@@ -77,10 +77,8 @@ def closest(xy: Tensor) -> Tensor:
     The offset is to the left of the line's nearest segment; both lengths are in units of 5 m, at most 1.
     """
     first, along = xy[..., :-1, :], xy[..., 1:, :] - xy[..., :-1, :]
-    squared = along.square().sum(-1).clamp(min=1e-6)
-    share = (-(first * along).sum(-1) / squared).clamp(0.0, 1.0)
-    foot = first + share[..., None] * along
-    distance = torch.sqrt(foot.square().sum(-1) + 1e-6)
+    away, _, squared = from_segments(first.new_zeros(2), first, along)
+    distance = torch.sqrt(away.square().sum(-1) + 1e-6)
     which = distance.argmin(-1, keepdim=True)
     unit = along / squared.sqrt()[..., None]
     left = (unit[..., 1] * first[..., 0] - unit[..., 0] * first[..., 1]).gather(-1, which)

@@ -12,7 +12,7 @@ from torch.nn.functional import smooth_l1_loss
 
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.geometry import into_frame, wrap_angle
+from advdiff_sumo.models.geometry import from_segments, into_frame, wrap_angle
 
 DISCS = 5
 _ROAD_EDGE = 4
@@ -135,10 +135,7 @@ def clearance_from(local: Tensor, first: Tensor, last: Tensor, usable: Tensor) -
 
 def _to_segments(points: Tensor, first: Tensor, along: Tensor) -> tuple[Tensor, Tensor]:
     """Return distances of *points* (…, 2) from segments, and how far they are to the left of their lines."""
-    delta = points - first
-    squared = along.square().sum(-1).clamp(min=1e-6)
-    share = ((delta * along).sum(-1) / squared).clamp(0.0, 1.0)
-    away = delta - share[..., None] * along
+    away, delta, squared = from_segments(points, first, along)
     distance = torch.sqrt(away.square().sum(-1) + 1e-9)
     cross = along[..., 0] * delta[..., 1] - along[..., 1] * delta[..., 0]
     return distance, cross / squared.sqrt()

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.geometry import into_frame
+from advdiff_sumo.models.geometry import from_segments, into_frame
 from advdiff_sumo.models.lane_attention import LanePieces
 from advdiff_sumo.models.proximity import lead_gaps
 
@@ -37,25 +37,14 @@ def lane_distance(rollout: Rollout, batch: SceneBatch) -> Tensor:
     with torch.no_grad():
         aligned = torch.einsum("batc,basc->bats", ahead, along / length[..., None]) > _ALIGNED_COS
         usable = aligned & real[:, :, None]
-        which = _squared(place, first, along, length).masked_fill(~usable, _FAR_M**2).argmin(-1)
+        apart, *_ = from_segments(place[:, :, :, None], first[:, :, None], along[:, :, None])
+        which = apart.square().sum(-1).masked_fill(~usable, _FAR_M**2).argmin(-1)
         some = usable.gather(-1, which[..., None]).squeeze(-1)
     index = which[..., None].expand(*which.shape, 2)
-    start, way = first.gather(2, index), along.gather(2, index)
-    share = ((place - start) * way).sum(-1) / way.square().sum(-1).clamp(min=1e-6)
-    away = place - start - share.clamp(0.0, 1.0)[..., None] * way
+    away, *_ = from_segments(place, first.gather(2, index), along.gather(2, index))
     distance = torch.sqrt(away.square().sum(-1) + 1e-6)
     beyond = torch.where(some, (distance - _BESIDE_M).clamp(0.0, _ASTRAY_M - _BESIDE_M), 0.0)
     return beyond.mean(-1)
-
-
-def _squared(place: Tensor, first: Tensor, along: Tensor, length: Tensor) -> Tensor:
-    """Return squared distances (B, A, T, S) of points (B, A, T, 2) to segments (B, A, S, 2)."""
-    unit = along / length[..., None]
-    delta = place[:, :, :, None] - first[:, :, None]
-    forth = (delta * unit[:, :, None]).sum(-1)
-    beyond = forth - torch.minimum(forth.clamp(min=0.0), length[:, :, None])
-    aside = unit[:, :, None, :, 0] * delta[..., 1] - unit[:, :, None, :, 1] * delta[..., 0]
-    return beyond.square() + aside.square()
 
 
 def following_penalty(rollout: Rollout, batch: SceneBatch) -> Tensor:

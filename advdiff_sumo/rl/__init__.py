@@ -15,7 +15,7 @@ except ImportError:
 
 ENVIRONMENT = "advdiff_sumo/Adversary-v0"
 if ENVIRONMENT not in registry:
-    register(id=ENVIRONMENT, entry_point="advdiff_sumo.rl.env:AdversaryEnv")
+    register(id=ENVIRONMENT, entry_point="advdiff_sumo.rl.adversary_env:AdversaryEnv")
 TARGET_ENVIRONMENT = "advdiff_sumo/Target-v0"
 if TARGET_ENVIRONMENT not in registry:
     register(id=TARGET_ENVIRONMENT, entry_point="advdiff_sumo.rl.target_env:TargetEnv")

@@ -30,6 +30,26 @@ def check(options: AdversaryOptions) -> None:
     load_prior(options.prior, options.prior_weights)
 
 
+class StretchCache:
+    """Seed scenes of *run* by number; a stretch of traffic is simulated when one of its scenes is first asked for."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._stretches: dict[int, list[SeedScene]] = {}
+
+    def scene(self, number: int) -> SeedScene:
+        """Return scene *number*.
+
+        Raises:
+            SceneError: the traffic never has a usable target.
+        """
+        stretch, place = divmod(number, self._run.options.scene.scenes_per_warmup)
+        if stretch not in self._stretches:
+            self._stretches[stretch] = self._run.scene_batch(stretch)
+        scenes = self._stretches[stretch]
+        return scenes[place % len(scenes)]
+
+
 class Sources:
     """Every net and target of an environment; nets are read at once, scenes when they are drawn.
 
@@ -40,7 +60,7 @@ class Sources:
     def __init__(self, options: AdversaryOptions) -> None:
         self._options = options
         self._runs = [[self._prepared(net, target) for target in options.targets] for net in options.nets]
-        self._scenes: dict[tuple[int, int], list[SeedScene]] = {}
+        self._scenes = [StretchCache(runs[0]) for runs in self._runs]
 
     def _prepared(self, net: str, target: str) -> Run:
         options = self._options
@@ -66,13 +86,6 @@ class Sources:
         run = self._runs[net][int(rng.integers(len(self._runs[net])))]
         number = int(rng.integers(self._options.scenes))
         seed = SeedTree(int(rng.integers(2**31))).child("adversary")
-        scene = self._scene(net, number)
+        scene = self._scenes[net].scene(number)
         episode = run.episode(number, scene)
         return replace(episode, policy=policy, names=(episode.names[0], "adv-rl"), seed=seed)
-
-    def _scene(self, net: int, number: int) -> SeedScene:
-        batch, place = divmod(number, self._options.scene.scenes_per_warmup)
-        if (net, batch) not in self._scenes:
-            self._scenes[net, batch] = self._runs[net][0].scene_batch(batch)
-        scenes = self._scenes[net, batch]
-        return scenes[place % len(scenes)]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any, Literal
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -20,16 +18,14 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.rl.episode_env import OVER, EpisodeEnv, Observation
+from advdiff_sumo.rl.sources import StretchCache
 from advdiff_sumo.rl.target_view import LIMIT, OBSERVED, POINTS, observation, plan_of_action
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.episode_loop import Loop
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
-from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions
 
-Observation = NDArray[np.float32]
-_OVER = (EndReason.HORIZON, EndReason.LOG_END)
-_TRIES = 5
 _GONE = 0.5  # share of the box off the road at which the road is left
 
 
@@ -101,14 +97,11 @@ class TargetSeat:
         return plan_of_action(self.action, scene), None
 
 
-class TargetEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+class TargetEnv(EpisodeEnv):
     """The tested vehicle against the background; a step is one model step of 0.5 s of the real episode loop.
 
     An episode terminates at a collision, off the road and at the route's end, and is truncated at the horizon. ``info``
     of its last step has ``end``, of every step ``reward_terms``.
-
-    libsumo holds one simulation in a process: vectorise over processes (``gymnasium.vector.AsyncVectorEnv``,
-    ``SubprocVecEnv``), and close an environment before another one of the same process is reset.
 
     Args:
         options: fields of :class:`TargetOptions`.
@@ -117,16 +110,12 @@ class TargetEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         InputError: an option, a net or a background cannot be used.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
-
     @one_thread()
     def __init__(self, **options: Any) -> None:
         self.options = TargetOptions.parse(options, "options of the environment")
         asked = self.options
         size = 2 if asked.action == "controls" else 2 * POINTS
-        self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (OBSERVED,), np.float32)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32)
-        self.render_mode = None
+        super().__init__(OBSERVED, LIMIT, size)
         self._run = Run.prepare(
             RunOptions(
                 net=asked.net,
@@ -138,9 +127,7 @@ class TargetEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             )
         )
         self._seat = TargetSeat(size)
-        self._batches: dict[int, list[SeedScene]] = {}
-        self._open = ExitStack()
-        self._loop: Loop | None = None
+        self._scenes = StretchCache(self._run)
 
     @one_thread()
     def reset(
@@ -156,26 +143,12 @@ class TargetEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             EpisodeFailure: SUMO starts none of several scenes.
         """
         super().reset(seed=seed)
-        self.close()
-        for left in reversed(range(_TRIES)):
-            try:
-                loop = self._open.enter_context(self._draw().opened())
-                loop.start()
-            except EpisodeFailure:
-                self.close()
-                if not left:
-                    raise
-            else:
-                self._loop = loop
-                break
-        return self._look(), {"scene": self.loop.episode.scene.name}
+        loop = self._begin()
+        return self._look(), {"scene": loop.episode.scene.name}
 
     def _draw(self) -> Episode:
         number = int(self.np_random.integers(self.options.scenes))
-        batch, place = divmod(number, self.options.scene.scenes_per_warmup)
-        if batch not in self._batches:
-            self._batches[batch] = self._run.scene_batch(batch)
-        scene = self._batches[batch][place % len(self._batches[batch])]
+        scene = self._scenes.scene(number)
         seed = SeedTree(int(self.np_random.integers(2**31))).child("target")
         episode = self._run.episode(number, scene)
         return replace(episode, target=self._seat, names=("Target-v0", episode.names[1]), seed=seed)
@@ -193,19 +166,19 @@ class TargetEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._seat.action = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
         before = loop.world.xy_m[loop.target].copy()
         try:
-            end = loop.run(min(loop.steps + loop.sim.substeps, loop.episode.steps))
+            end = self._advance()
         except EpisodeFailure as error:
             self.close()
             return self._blank(), 0.0, False, True, {"failure": str(error), "end": "failed"}
         outside = self._off_road_share(loop)
         gone = outside > _GONE
         terms = self._pay(loop, before, outside, end)
-        terminated = end not in _OVER or gone
+        terminated = end not in OVER or gone
         truncated = not terminated and loop.steps >= loop.episode.steps
         view = self._blank() if terminated else self._look()
         info: dict[str, Any] = {"reward_terms": terms}
         if terminated or truncated:
-            info["end"] = "off_road" if gone and end in _OVER else str(end)
+            info["end"] = "off_road" if gone and end in OVER else str(end)
             self.close()
         return view, float(sum(terms.values())), terminated, truncated, info
 
@@ -241,24 +214,5 @@ class TargetEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         speed_mps = loop.road.lanes[pose.lane_id].speed_mps if pose else np.inf
         return float(speed_mps) * loop.sim.substeps * loop.sim.step_s
 
-    @property
-    def loop(self) -> Loop:
-        """The episode that is running.
-
-        Raises:
-            RuntimeError: there is none.
-        """
-        if self._loop is None:
-            raise RuntimeError("reset the environment before its first step and after an episode's end")
-        return self._loop
-
-    def close(self) -> None:
-        """End the simulation; allowed at any time."""
-        self._open.close()
-        self._loop = None
-
     def _look(self) -> Observation:
         return observation(self.loop.road, self.loop.scene_now()).astype(np.float32)
-
-    def _blank(self) -> Observation:
-        return np.zeros(OBSERVED, dtype=np.float32)

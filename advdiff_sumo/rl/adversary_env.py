@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from typing import Any
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,17 +15,15 @@ from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.rl.adversary_reward import Half, mean_accel, reward_terms
+from advdiff_sumo.rl.episode_env import OVER, EpisodeEnv, Observation
 from advdiff_sumo.rl.rl_options import adversary_options
 from advdiff_sumo.rl.sources import Sources
+from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.episode_loop import Loop
 from advdiff_sumo.traffic.rl.actor import ACTIONS
 from advdiff_sumo.traffic.rl.features import FEATURES, LIMIT
 from advdiff_sumo.traffic.rl.prior import Prior, load_prior
 from advdiff_sumo.traffic.rl.rl_situation import Situation, joint_plan, situation
-
-Observation = NDArray[np.float32]
-_OVER = (EndReason.HORIZON, EndReason.LOG_END)
-_TRIES = 5
 
 
 class Seat:
@@ -71,7 +67,7 @@ class Seat:
         return plan, None
 
 
-class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+class AdversaryEnv(EpisodeEnv):
     """One background vehicle against the target; a step is one model step of 0.5 s of the real episode loop.
 
     The attacker is chosen as for background ``diffusion`` and may change from step to step; where nobody can reach
@@ -80,8 +76,6 @@ class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     safeguard of all learned policies. An episode terminates at the target's collision and at its arrival, and is
     truncated at the horizon; ``info`` of the last step has an ``episode_summary``.
 
-    libsumo holds one simulation in a process: close an environment before another one of the same process is reset.
-
     Args:
         options: fields of :class:`~advdiff_sumo.rl.rl_options.AdversaryOptions`.
 
@@ -89,18 +83,12 @@ class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         InputError: an option, a net or a target cannot be used.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
-
     @one_thread()
     def __init__(self, **options: Any) -> None:
+        super().__init__(FEATURES, LIMIT, ACTIONS)
         self.options = adversary_options(options)
-        self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (FEATURES,), np.float32)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTIONS,), np.float32)
-        self.render_mode = None
         self._sources = Sources(self.options)
         self._seat = Seat(load_prior(self.options.prior, self.options.prior_weights))
-        self._open = ExitStack()
-        self._loop: Loop | None = None
         self._accel_mps2, self._paid, self._done = 0.0, 0.0, 0
 
     @one_thread()
@@ -117,27 +105,12 @@ class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             SimulationError: another simulation is running in this process.
         """
         super().reset(seed=seed)
-        self._leave()
-        loop = self._begun()
-        self._loop = loop
+        loop = self._begin()
         self._accel_mps2, self._paid, self._done = 0.0, 0.0, 0
         return self._look(loop), {"scene": loop.episode.scene.name, "target": loop.episode.names[0]}
 
-    def _begun(self) -> Loop:
-        """Return the loop of an episode that SUMO could start; a few that it could not are passed over."""
-        tries = 0
-        while True:
-            tries += 1
-            episode = self._sources.draw(self._seat, self.np_random)
-            try:
-                loop = self._open.enter_context(episode.opened())
-                loop.start()
-            except EpisodeFailure:
-                self._leave()
-                if tries == _TRIES:
-                    raise
-            else:
-                return loop
+    def _draw(self) -> Episode:
+        return self._sources.draw(self._seat, self.np_random)
 
     @one_thread()
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -150,49 +123,26 @@ class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         loop = self.loop
         self._seat.residual = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
-        longest = loop.episode.steps
         try:
-            end = loop.run(min(loop.steps + loop.sim.substeps, longest))
+            end = self._advance()
         except EpisodeFailure as error:
             return self._failed(error)
         terms = self._pay(loop, end)
         reward = sum(terms.values())
         self._paid, self._done = self._paid + reward, self._done + 1
-        truncated = end in _OVER and loop.steps >= longest
-        terminated = end not in _OVER
+        truncated = end in OVER and loop.steps >= loop.episode.steps
+        terminated = end not in OVER
         info: dict[str, Any] = {"reward_terms": terms}
         if terminated or truncated:
             info["episode_summary"] = self._summary(end, terms)
         observation = self._blank() if terminated else self._look(loop)
         if terminated or truncated:
-            self._leave()
+            self.close()
         return observation, reward, terminated, truncated, info
-
-    @property
-    def loop(self) -> Loop:
-        """The episode that is running.
-
-        Raises:
-            RuntimeError: there is none.
-        """
-        if self._loop is None:
-            raise RuntimeError("reset the environment before its first step and after an episode's end")
-        return self._loop
-
-    def close(self) -> None:
-        """End the simulation; allowed at any time."""
-        self._leave()
-
-    def _leave(self) -> None:
-        self._open.close()
-        self._loop = None
 
     def _look(self, loop: Loop) -> Observation:
         now = self._seat.observe(loop.road, loop.scene_now())
         return now.observations[0].astype(np.float32) if len(now.rows) else self._blank()
-
-    def _blank(self) -> Observation:
-        return np.zeros(FEATURES, dtype=np.float32)
 
     def _pay(self, loop: Loop, end: EndReason) -> dict[str, float]:
         """Return the reward's terms of the step that has just been made."""
@@ -233,5 +183,5 @@ class AdversaryEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "collision": 0.0,
             "by_attacker": 0.0,
         }
-        self._leave()
+        self.close()
         return self._blank(), 0.0, False, True, {"failure": str(error), "episode_summary": summary}

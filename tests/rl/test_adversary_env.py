@@ -17,7 +17,7 @@ from stable_baselines3.common.env_checker import check_env as check_for_training
 from advdiff_sumo.core.errors import AdvdiffError, ConfigError, NetError, UnknownNameError
 from advdiff_sumo.core.record import EndReason
 from advdiff_sumo.rl import ENVIRONMENT
-from advdiff_sumo.rl.env import AdversaryEnv
+from advdiff_sumo.rl.adversary_env import AdversaryEnv
 from advdiff_sumo.traffic.rl.actor import save_actor
 from advdiff_sumo.traffic.rl.adv_rl_policy import AdvRl
 from tests.traffic.rl.conftest import actor

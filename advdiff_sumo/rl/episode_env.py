@@ -1,0 +1,84 @@
+"""What the environments of both seats share: spaces, the episode that is running, its beginning and its end."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from advdiff_sumo.core.errors import EpisodeFailure
+from advdiff_sumo.core.record import EndReason
+from advdiff_sumo.sim.episode import Episode
+from advdiff_sumo.sim.episode_loop import Loop
+
+Observation = NDArray[np.float32]
+OVER = (EndReason.HORIZON, EndReason.LOG_END)
+"""Ends at which the time is up: an episode is truncated there."""
+_TRIES = 5
+
+
+class EpisodeEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """One episode at a time as a Gymnasium environment; a step is one model step of 0.5 s of the real episode loop.
+
+    libsumo holds one simulation in a process: vectorise over processes (``gymnasium.vector.AsyncVectorEnv``,
+    ``SubprocVecEnv``), and close an environment before another one of the same process is reset.
+
+    Args:
+        observed: numbers of an observation, each within ± *limit*.
+        limit: the largest of them.
+        actions: numbers of an action, each within ± 1.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
+
+    def __init__(self, observed: int, limit: float, actions: int) -> None:
+        self.observation_space = gymnasium.spaces.Box(-limit, limit, (observed,), np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (actions,), np.float32)
+        self.render_mode = None
+        self._open = ExitStack()
+        self._loop: Loop | None = None
+
+    def _draw(self) -> Episode:
+        """Return the next episode."""
+        raise NotImplementedError
+
+    def _begin(self) -> Loop:
+        """Return the loop of an episode that SUMO could start; a few that it could not are passed over."""
+        self.close()
+        for left in reversed(range(_TRIES)):
+            try:
+                self._loop = self._open.enter_context(self._draw().opened())
+                self._loop.start()
+                break
+            except EpisodeFailure:
+                self.close()
+                if not left:
+                    raise
+        return self.loop
+
+    def _advance(self) -> EndReason:
+        """Let half a second pass, and return why the episode is over, or the horizon's word where it is not."""
+        loop = self.loop
+        return loop.run(min(loop.steps + loop.sim.substeps, loop.episode.steps))
+
+    @property
+    def loop(self) -> Loop:
+        """The episode that is running.
+
+        Raises:
+            RuntimeError: there is none.
+        """
+        if self._loop is None:
+            raise RuntimeError("reset the environment before its first step and after an episode's end")
+        return self._loop
+
+    def close(self) -> None:
+        """End the simulation; allowed at any time."""
+        self._open.close()
+        self._loop = None
+
+    def _blank(self) -> Observation:
+        return np.zeros(self.observation_space.shape or (), dtype=np.float32)

@@ -48,6 +48,14 @@ def convert(
     tls: Annotated[
         str, typer.Option(help="'guess': signals at large junctions; 'map': only where the map has them.")
     ] = "map",
+    tls_cycle: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Fixed signal times, by SUMO's tlsCycleAdaptation, for N random vehicles an hour; 0: actuated.",
+        ),
+    ] = 0,
     crossings: Annotated[
         str,
         typer.Option(
@@ -82,7 +90,7 @@ def convert(
         raise ConfigError(f"--tls {tls}: known are 'guess' and 'map'")
     people = _crossings(crossings)
     for source, net in _jobs(map_file, output, all_of):
-        result = convert_file(source, net, lefthand, tls == "guess", opendrive, close_rim, people)
+        result = convert_file(source, net, lefthand, tls == "guess", opendrive, close_rim, people, tls_cycle)
         figures = _measured(result, dataroot or all_of)
         write_figures(figures, fidelity_path(net))  # kept where the driving test finds no trip
         figures |= _driven(result.net, drive, drive_at_once, seed)
@@ -128,6 +136,7 @@ def convert_file(
     opendrive: bool,
     close_rim: bool = False,
     crossings: Crossings = "map",
+    cycle_for: int = 0,
 ) -> ConversionResult:
     """Convert a map of any kind that the verb takes."""
     from advdiff_sumo.data.pickles import load_plain  # late, as above
@@ -144,6 +153,7 @@ def convert_file(
         opendrive=opendrive,
         close_rim=close_rim,
         crossings=crossings,
+        cycle_for=cycle_for,
     )
 
 

@@ -31,6 +31,7 @@ from advdiff_sumo.maps.convert.projection import drives_left, projection_of
 from advdiff_sumo.maps.convert.repair import repair
 from advdiff_sumo.maps.convert.restore import restore_shapes
 from advdiff_sumo.maps.convert.rim import ReturnEdge, put_aside, return_edges
+from advdiff_sumo.maps.convert.signals.fixed_times import set_fixed_times
 from advdiff_sumo.maps.convert.signals.programs import write_programs
 from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
@@ -118,10 +119,12 @@ def convert_source(
     opendrive: bool = False,
     close_rim: bool = False,
     crossings: Crossings = "map",
+    cycle_for: int = 0,
 ) -> ConversionResult:
     """Convert a map already read; see :func:`convert_map`.
 
-    With *close_rim*, return edges beside the map lead from where it ends to where it begins (:mod:`.rim`).
+    With *close_rim*, return edges beside the map lead from where it ends to where it begins (:mod:`.rim`). With
+    *cycle_for*, signals have fixed times for so many vehicles in the hour (:mod:`.signals.fixed_times`).
     """
     left = drives_left(source.location) if lefthand is None else lefthand
     given, source = source, repair(check_geometry(source))
@@ -149,6 +152,8 @@ def convert_source(
         put_aside(out_net, plan, returns)
     annotate_net(out_net, plan)
     write_programs(out_net, plan)
+    if cycle_for:
+        layout.counts["signals timed for traffic"] = set_fixed_times(out_net, cycle_for)
     foot_paths = _foot_paths(out_net, source, crossings)
     write_sidecar(source, sidecar_path(out_net))
     counts = source.notes + layout.counts

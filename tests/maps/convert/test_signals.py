@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +13,10 @@ import sumolib
 from signal_checks import check_signals, written_signals
 from small_maps import crossroads
 
+from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.maps.convert import convert_map, convert_source
 from advdiff_sumo.maps.convert.signals.change_intervals import all_red_s, yellow_s
+from advdiff_sumo.maps.convert.signals.fixed_times import set_fixed_times
 from advdiff_sumo.maps.convert.signals.signal_links import SignalLink
 from advdiff_sumo.maps.convert.signals.stages import stages, state_of
 from advdiff_sumo.maps.convert.sources.read_map import read_map
@@ -151,6 +155,45 @@ def test_arrows_of_a_map_file(shapes: tuple[str, ...], letters: set[str], tmp_pa
     ]
     (signal,) = written_signals(result.net)
     assert {state[int(turn)] for _, state in signal.phases} - {"r", "y"} == letters
+
+
+@pytest.mark.slow
+def test_fixed_times_for_the_traffic_of_an_hour(tmp_path: Path) -> None:
+    """Webster: greens follow the traffic, changes stay, and a map without signals is left as it is."""
+    road = crossroads()
+    nodes = [road.node(90.0, y) for y in (98.0, 102.0)]
+    road.data["line"].append({"token": "line", "node_tokens": nodes})
+    road.data["traffic_light"].append({"token": "light", "line_token": "line"})
+    states, greens = [], []
+    for vehicles in ("0", "300", "1500"):
+        net = tmp_path / f"{vehicles}.net.xml"
+        command = [sys.executable, "-m", "advdiff_sumo", "convert", str(road.write(tmp_path / "m.json"))]
+        done = subprocess.run(
+            [*command, "-o", str(net), "--tls-cycle", vehicles], capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+        assert check_signals(net) == 1
+        (program,) = sumolib.xml.parse(str(net), "tlLogic")
+        assert program.type == ("actuated" if vehicles == "0" else "static")
+        (signal,) = written_signals(net)
+        states.append([state for _, state in signal.phases])
+        greens.append([seconds for seconds, state in signal.phases if set(state) & set("gG")])
+    assert states[0] == states[1] == states[2]
+    assert sum(greens[1]) < sum(greens[2]), "more traffic, longer cycle"
+    plain = convert_source(read_map(crossroads().write(tmp_path / "p.json")), tmp_path / "p.net.xml")
+    timed = convert_source(read_map(tmp_path / "p.json"), tmp_path / "t.net.xml", cycle_for=300)
+    assert timed.net.read_bytes() == plain.net.read_bytes()
+
+
+@pytest.mark.slow
+def test_a_net_that_the_tools_refuse_is_one_sentence(tmp_path: Path) -> None:
+    net = tmp_path / "none.net.xml"
+    net.write_text(
+        '<net><tlLogic id="j"><phase duration="30" state="G" minDur="5" maxDur="50"/></tlLogic></net>',
+        "utf-8",
+    )
+    with pytest.raises(NetError, match=r"none.net.xml.*randomTrips.py failed"):
+        set_fixed_times(net, 300)
 
 
 @pytest.mark.data

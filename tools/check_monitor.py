@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from advdiff_sumo.cli.export import stem_of
+from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import InputError
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.experiments.judge_folder import open_folder
@@ -37,6 +38,10 @@ from advdiff_sumo.metrics.traffic_view import TrafficView
 
 RULES = Path(__file__).with_name("commonroad_rules.py")
 Answers = dict[str, Any]
+CLOSE_M = 0.5
+ACROSS = "its box reaches into the lane, its centre is in another one"
+CLOSE = f"within {CLOSE_M} m of the safe gap"
+OTHER = "something else"
 
 
 def main() -> int:
@@ -67,6 +72,11 @@ def main() -> int:
         total = both + ours + theirs + neither
         print(f"{rule}: {total} instants, {(both + neither) / max(total, 1):.2%} agree")
         print(f"    broken by both {both}, by ours alone {ours}, by the monitor's alone {theirs}")
+    print("where they differ on the safe distance:")
+    for reason in (ACROSS, CLOSE, OTHER):
+        print(
+            f"    {reason}: ours alone {counts[reason, True, False]}, the monitor's {counts[reason, False, True]}"
+        )
     return 0
 
 
@@ -142,11 +152,14 @@ def count(
     view = TrafficView.of_record(record, road)
     ahead = following(tracks, target, road, record.route)
     speed = tracks.speed_mps[target]
-    with np.errstate(invalid="ignore"):
-        near = (ahead.gap_m < safe_gap_m(speed + 0.0 * ahead.gap_m, speed - ahead.closing_mps)).any(axis=0)
-    theirs = set(told["unsafe"])
+    spare_m = ahead.gap_m - safe_gap_m(speed + 0.0 * ahead.gap_m, speed - ahead.closing_mps)
     for step in told["steps"]:
-        counts["safe distance", bool(near[step]), step in theirs] += 1
+        ours = {tracks.ids[row] for row in np.flatnonzero(spare_m[:, step] < 0.0).tolist()}  # NaN: not ahead
+        theirs = {names[str(number)] for number in told["unsafe"].get(str(step), ())}
+        counts["safe distance", bool(ours), bool(theirs)] += 1
+        if bool(ours) != bool(theirs):
+            rows = [tracks.index[name] for name in ours | theirs]
+            counts[why_apart(spare_m[rows, step]), bool(ours), bool(theirs)] += 1
     for number, steps in told["too_fast"].items():
         row = target if names[number] == "target" else tracks.index[names[number]]
         limits, over = road.legal_limits_mps, set(steps)
@@ -154,6 +167,17 @@ def count(
             lane = view.place(row, step, step + 1).lane[0]
             fast = lane is not None and tracks.speed_mps[row, step] > limits[lane]
             counts["speed limit", bool(fast), step in over] += 1
+
+
+def why_apart(spare_m: FloatArray) -> str:
+    """Return why the two disagree on the safe distance.
+
+    Args:
+        spare_m: gap less safe gap to those that either objects to; NaN where they are not ahead in the lane for us.
+    """
+    if np.isnan(spare_m).all():
+        return ACROSS
+    return CLOSE if np.nanmin(np.abs(spare_m)) < CLOSE_M else OTHER
 
 
 if __name__ == "__main__":

@@ -47,19 +47,17 @@ def holds(predicate, world, step, ids):
 
 
 def unsafe(world, step, own):
-    """Return whether the safe distance to anybody ahead in the lane is not kept (R_G1 without its cut-ins)."""
+    """Return to whom ahead in the lane the safe distance is not kept (R_G1 without its cut-ins)."""
     ahead, same, safe = PredInFrontOf(), PredInSameLane(), PredSafeDistPrec()
-    for other in world.vehicles:
-        if other.id == own or not other.is_valid(step):
-            continue
-        pair = own, other.id
-        if (
-            holds(ahead, world, step, pair)
-            and holds(same, world, step, pair)
-            and holds(safe, world, step, pair) is False
-        ):
-            return True
-    return False
+    return [
+        other.id
+        for other in world.vehicles
+        if other.id != own
+        and other.is_valid(step)
+        and holds(ahead, world, step, (own, other.id))
+        and holds(same, world, step, (own, other.id))
+        and holds(safe, world, step, (own, other.id)) is False
+    ]
 
 
 def judged(path, own):
@@ -79,7 +77,7 @@ def judged(path, own):
     return {
         "path": path,
         "steps": list(steps),
-        "unsafe": [step for step in steps if unsafe(world, step, own)],
+        "unsafe": {step: others for step in steps if (others := unsafe(world, step, own))},
         "too_fast": too_fast,
     }
 

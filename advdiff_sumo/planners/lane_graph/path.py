@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -15,7 +16,9 @@ from advdiff_sumo.maps import Link, RoadMap
 SPACING_M = 1.0
 _SMOOTH = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0
 _LEAD = 4
-_TIGHTEST_1PM = 0.17  # a car of 5 m can turn at 0.23; the rest is for steering back
+_TIGHTEST_1PM = 0.2  # a car of 5 m can turn at 0.23; the rest is for steering back
+_SWINGS_FROM_M, _SWING = 0.4, 0.7
+_WIDE = np.exp(-0.5 * (np.arange(-15, 16) / 7.0) ** 2)
 _ROUNDINGS = 100
 _FAR_AWAY_M = 1e7
 
@@ -216,22 +219,38 @@ def _build(road: RoadMap, lanes: tuple[str, ...], links: tuple[Link, ...]) -> La
 def _smoothed(raw: Polyline, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return *count* points of *raw*, corners rounded over two metres each way, with heading and curvature.
 
-    Corners that are too tight for a car are rounded further: it cuts them, as it could not follow.
+    Corners that are too tight for a car are rounded further. Where that would cut them by more than _SWINGS_FROM_M, the
+    line swings out before and after them, as drivers do, and so cuts less.
     """
     s = SPACING_M * np.arange(-_LEAD, count + _LEAD, dtype=np.float64)
-    xy = raw.at(s, extrapolate=True)[0]
-    xy = np.stack([np.convolve(xy[:, i], _SMOOTH, mode="valid") for i in (0, 1)], -1)
-    yaw, curvature = _bends(xy)
+    xy = _convolved(raw.at(s, extrapolate=True)[0], _SMOOTH, "valid")
+    rounded = _rounded(xy)
+    cut = rounded - xy
+    deepest_m = float(np.hypot(*cut.T).max())
+    if deepest_m > _SWINGS_FROM_M:
+        margin = len(_WIDE) // 2
+        wide = _convolved(np.pad(cut, ((margin, margin), (0, 0)), mode="edge"), _WIDE, "valid")
+        rounded = _rounded(xy - _SWING * deepest_m / float(np.hypot(*wide.T).max()) * wide)
+    trim = slice(_LEAD - len(_SMOOTH) // 2, _LEAD - len(_SMOOTH) // 2 + count)
+    yaw, curvature = _bends(rounded)
+    return rounded[trim], yaw[trim], curvature[trim]
+
+
+def _rounded(xy_m: FloatArray) -> FloatArray:
+    """Return points (P, 2), ``SPACING_M`` apart, smoothed where they bend by more than a car can."""
+    xy = xy_m
     for _ in range(_ROUNDINGS):
-        tight = np.convolve(np.abs(curvature) > _TIGHTEST_1PM, np.ones(9), mode="same") > 0
+        tight = np.convolve(np.abs(_bends(xy)[1]) > _TIGHTEST_1PM, np.ones(9), mode="same") > 0
         if not tight[2:-2].any():
             break
-        rounded = np.stack([np.convolve(xy[:, i], _SMOOTH, mode="same") for i in (0, 1)], -1)
         tight[:2] = tight[-2:] = False
-        xy = np.where(tight[:, None], rounded, xy)
-        yaw, curvature = _bends(xy)
-    trim = slice(_LEAD - len(_SMOOTH) // 2, _LEAD - len(_SMOOTH) // 2 + count)
-    return xy[trim], yaw[trim], curvature[trim]
+        xy = np.where(tight[:, None], _convolved(xy, _SMOOTH, "same"), xy)
+    return xy
+
+
+def _convolved(xy_m: FloatArray, kernel: FloatArray, mode: Literal["same", "valid"]) -> FloatArray:
+    """Return points (P, 2) convolved with *kernel*."""
+    return np.stack([np.convolve(xy_m[:, axis], kernel, mode=mode) for axis in (0, 1)], axis=-1)
 
 
 def _bends(xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:

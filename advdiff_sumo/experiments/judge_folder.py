@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_completed, wait
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import pairwise
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +17,7 @@ from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.whole_file import whole_file
+from advdiff_sumo.core.worker_pool import futures_of
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import BreachKind
@@ -43,7 +41,6 @@ _JUDGED = (
     *("critical", "critical_brake_mps2", "resolved_by"),
 )
 _ON_RED = "entered the junction on red."
-_AHEAD = 4
 _OF_COLLISIONS = ("type", "at_fault", "fault_reason", *VERDICT_COLUMNS)
 
 
@@ -257,20 +254,12 @@ def _judged(
         for key, one in episodes:
             yield key, judge(one)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
-        waiting: dict[Future[JudgedRows], str] = {}
-        for key, one in episodes:
-            waiting[pool.submit(judge, one)] = key
-            if len(waiting) >= _AHEAD * workers:
-                done, _ = wait(waiting, return_when=FIRST_COMPLETED)
-                yield from ((waiting.pop(future), future.result()) for future in done)
-        for future in as_completed(list(waiting)):
-            yield waiting[future], future.result()
+    tasks = ((key, (judge, one)) for key, one in episodes)
+    yield from ((key, done.result()) for key, done in futures_of(tasks, workers, _one_arrow_thread))
 
 
-def _one_thread() -> None:
+def _one_arrow_thread() -> None:
     pa.set_cpu_count(1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the leading process hears Ctrl-C
 
 
 @lru_cache(maxsize=4)

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from pebble import ProcessExpired, ProcessPool
+from pebble import ProcessExpired
 from pydantic import Field
 
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import AdvdiffError, FileError, NetError, SimulationError
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.core.worker_pool import futures_of
 from advdiff_sumo.data.window_arrays import WindowFileBuilder
 from advdiff_sumo.data.window_files import SUFFIX, read_windows, write_windows
 from advdiff_sumo.maps import RoadMap
@@ -138,26 +136,11 @@ def simulate(
 
 
 def _made(shards: list[Shard], out: Path, workers: int) -> Iterator[ShardResult]:
-    if not shards:
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPool(min(workers, len(shards)), initializer=_ignore_interrupts, context=context) as pool:
-        futures = {pool.schedule(make_shard, args=(shard, out)): shard for shard in shards}
+    for shard, done in futures_of(((shard, (make_shard, shard, out)) for shard in shards), workers):
         try:
-            for future in as_completed(futures):
-                shard = futures[future]  # type: ignore[index] # as_completed gives back what it was given
-                try:
-                    yield ShardResult(shard, future.result())
-                except (AdvdiffError, ProcessExpired) as error:
-                    yield ShardResult(shard, 0, f"{shard.name}: {error}")
-        except BaseException:
-            pool.stop()  # type: ignore[no-untyped-call] # pebble leaves it without types
-            raise
-
-
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent, which stops its workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+            yield ShardResult(shard, done.result())
+        except (AdvdiffError, ProcessExpired) as error:
+            yield ShardResult(shard, 0, f"{shard.name}: {error}")
 
 
 def make_shard(shard: Shard, out: Path) -> int:

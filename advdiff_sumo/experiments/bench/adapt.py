@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from advdiff_sumo.experiments.bench.episode_results import in_processes
+from advdiff_sumo.core.worker_pool import Task, in_processes
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import TUNING_SEED
 from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS
@@ -58,9 +58,7 @@ def adapt(wanted: Sequence[Adaptation], folder: Path, workers: int, teller: Prog
     folder.mkdir(parents=True, exist_ok=True)
     lacking = {one.path(folder, one.marks[-1]): one for one in wanted if one.missing(folder)}
     teller.begin("warm-ups", len(wanted), len(wanted) - len(lacking))
-    tasks: dict[Path, tuple[Callable[..., Any], *tuple[Any, ...]]] = {
-        path: (_warm_up, one, folder) for path, one in lacking.items()
-    }
+    tasks: dict[Path, Task] = {path: (_warm_up, one, folder) for path, one in lacking.items()}
     for _ in in_processes(tasks, workers):
         teller.step()
 

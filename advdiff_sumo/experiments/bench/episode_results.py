@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from advdiff_sumo.core.threads import one_thread_for_good
+from advdiff_sumo.core.worker_pool import in_processes
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.traces import UNTRACED, Trace, trace_of
@@ -18,8 +15,6 @@ from advdiff_sumo.metrics.severity import is_failure
 from advdiff_sumo.sweep.job_plan import Job
 from advdiff_sumo.sweep.sweep_files import read_checked, write_checked
 from advdiff_sumo.sweep.sweep_store import Store
-
-_Key = TypeVar("_Key")
 
 
 @dataclass(frozen=True)
@@ -90,33 +85,6 @@ def gather_rows(cells: BenchCells, store: Store) -> Gathered:
     for cell, job in cells.jobs():
         _take(gathered, cell, job, store, UNTRACED)
     return gathered
-
-
-def in_processes(
-    tasks: Mapping[_Key, tuple[Callable[..., Any], *tuple[Any, ...]]], workers: int
-) -> Iterator[tuple[_Key, Any]]:
-    """Yield the keys of *tasks* with what their functions return, as they finish; Ctrl-C ends the workers."""
-    if not tasks:
-        return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(workers, len(tasks)), context, initializer=_quiet_worker)
-    try:
-        futures: dict[Future[Any], _Key] = {
-            pool.submit(task[0], *task[1:]): key for key, task in tasks.items()
-        }
-        for done in as_completed(futures):
-            yield futures[done], done.result()
-    except BaseException:
-        for process in list((pool._processes or {}).values()):
-            process.terminate()
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-    pool.shutdown()
-
-
-def _quiet_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
-    one_thread_for_good()
 
 
 def _take(gathered: Gathered, cell: BenchCell, job: Job, store: Store, trace: Trace | None) -> None:

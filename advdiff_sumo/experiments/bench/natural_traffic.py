@@ -12,8 +12,8 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.errors import ConfigError, did_you_mean
+from advdiff_sumo.core.worker_pool import in_processes
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request
-from advdiff_sumo.experiments.bench.episode_results import in_processes
 from advdiff_sumo.experiments.bench.open_loop import MODELS, Counted, count
 from advdiff_sumo.experiments.bench.paper import paper_table
 from advdiff_sumo.experiments.bench.progress import ProgressReporter

@@ -20,13 +20,13 @@ from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.core.worker_pool import futures_of
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.arrow_tables import schema_of, table_of
 from advdiff_sumo.metrics.breaches import BreachKind
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, VERDICT_COLUMNS, Column
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.metrics.summary import summarise
 from advdiff_sumo.report.nets import net_path
 from advdiff_sumo.report.stored_record import stored_record
-from advdiff_sumo.sim.run_store import schema_of, table_of
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.job_plan import Plan, plan_sweep

@@ -12,7 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, LATER_COLUMNS
+from advdiff_sumo.metrics.arrow_tables import upgraded
+from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, LATER_COLUMNS, Column
 from advdiff_sumo.report.plans import PLAN_COLUMNS, Planned, plans_of
 from advdiff_sumo.report.states import EpisodeStates, states_of
 
@@ -184,7 +185,7 @@ def _settings(path: Path) -> Mapping[str, Any]:
         raise FileError(path, f"cannot be read ({_first_line(error)})", _REMEDY) from None
 
 
-def _table(path: Path, columns: Iterable[str], welcome: Iterable[str] = ()) -> pa.Table:
+def _table(path: Path, columns: Mapping[str, Column], welcome: Iterable[str] = ()) -> pa.Table:
     """Return *columns* of a table, and those of *welcome* that it has.
 
     What older versions did not write yet is empty.
@@ -196,10 +197,7 @@ def _table(path: Path, columns: Iterable[str], welcome: Iterable[str] = ()) -> p
         table = pq.read_table(path, columns=[*there, *(name for name in welcome if name in present)])
     except (OSError, pa.ArrowException) as error:
         raise FileError(path, f"is damaged ({_first_line(error)})", _REMEDY) from None
-    for name in wanted:
-        if name not in present:
-            table = table.append_column(name, pa.nulls(table.num_rows))
-    return table
+    return upgraded(table, columns)
 
 
 def _require(path: Path, columns: Iterable[str]) -> set[str]:

@@ -10,10 +10,9 @@ import pyarrow as pa
 
 from advdiff_sumo.core.record import Controller, EpisodeRecord
 from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.metrics.arrow_tables import schema_of, table_of
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, Column
 from advdiff_sumo.sim.episode import Timing
-
-_ARROW = {"str": pa.string(), "int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_()}
 
 STATE_COLUMNS: Mapping[str, Column] = {
     "episode": Column("int64", "", "number of the episode in its run", nullable=False),
@@ -179,13 +178,3 @@ def timing_row(record: EpisodeRecord, timing: Timing) -> dict[str, Any]:
 
 def _percentile(values: tuple[float, ...], share: float) -> float | None:
     return float(np.percentile(values, share)) if values else None
-
-
-def schema_of(columns: Mapping[str, Column]) -> pa.Schema:
-    """Return the Arrow schema of *columns*."""
-    return pa.schema([pa.field(name, _ARROW[column.dtype]) for name, column in columns.items()])
-
-
-def table_of(rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> pa.Table:
-    """Return *rows* as a table of *columns*."""
-    return pa.Table.from_pylist(rows, schema=schema_of(columns))

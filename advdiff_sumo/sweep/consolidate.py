@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.metrics.columns import LATER_COLUMNS, Column
-from advdiff_sumo.sim.run_store import schema_of, table_of
+from advdiff_sumo.metrics.arrow_tables import schema_of, table_of, upgraded
+from advdiff_sumo.metrics.columns import Column
 from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.job_plan import Job, Plan
 from advdiff_sumo.sweep.sweep_columns import FAILURE_COLUMNS, SWEEP_TABLES, job_row
@@ -108,7 +108,4 @@ def _led(table: pa.Table, leading: Mapping[str, Any], columns: Mapping[str, Colu
     front = pa.table(arrays, names=list(leading))
     for name in table.column_names:
         front = front.append_column(name, table[name])
-    for name in schema.names:
-        if name in LATER_COLUMNS and name not in front.column_names:
-            front = front.append_column(name, pa.nulls(n))  # of an earlier version
-    return front.select(schema.names).cast(schema)
+    return upgraded(front, columns).select(schema.names).cast(schema)

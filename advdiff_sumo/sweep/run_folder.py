@@ -17,7 +17,8 @@ import tomli_w
 
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.whole_file import ASIDE
-from advdiff_sumo.sim.run_store import LATER_TABLES, TABLES, schema_of, table_of
+from advdiff_sumo.metrics.arrow_tables import schema_of, table_of
+from advdiff_sumo.sim.run_store import LATER_TABLES, TABLES
 from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.job_plan import run_key
 from advdiff_sumo.sweep.sweep_columns import RUN_FAILURE_COLUMNS

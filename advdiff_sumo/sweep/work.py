@@ -19,6 +19,7 @@ from advdiff_sumo.core.errors import AdvdiffError, NetError, SceneError
 from advdiff_sumo.core.process_end import hears_ctrl_c
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.arrow_tables import table_of
 from advdiff_sumo.metrics.columns import Column
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.metrics.summary import summarise
@@ -26,7 +27,7 @@ from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.sim.episode import Timing
 from advdiff_sumo.sim.heartbeat import Heartbeat
 from advdiff_sumo.sim.run_episodes import Run, RunOptions, policy_of, read_road, target_of
-from advdiff_sumo.sim.run_store import episode_tables, table_of
+from advdiff_sumo.sim.run_store import episode_tables
 from advdiff_sumo.sim.scene_file import scene_from_bytes, scene_to_bytes
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sweep.episode_result import Part

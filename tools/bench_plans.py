@@ -29,9 +29,8 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.view import look
-from advdiff_sumo.traffic.diffusion import diffusion_policy
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
-from advdiff_sumo.traffic.planning import draw
+from advdiff_sumo.traffic.planning import background_plan, draw
 
 APART_M = 8.0
 STAGES = ("view", "encoder", "denoiser", "guide", "decoder", "safeguard")
@@ -108,14 +107,14 @@ def main() -> None:
     arguments = parser.parse_args()
     road = RoadMap.read(arguments.net)
     watch = Stopwatch(CLOCKS[arguments.clock])
-    watch.wrap(diffusion_policy, "look", "view")
-    watch.wrap(DiffusionTraffic, "_lanes", "view")
+    watch.wrap(background_plan, "look", "view")
+    watch.wrap(background_plan, "lanes_of", "view")
     watch.wrap(draw, "encode", "encoder")
     watch.wrap(draw, "guidance", "guide")
     watch.wrap(guides.Guidance, "__call__", "guide")
     watch.wrap(draw, "sample", "denoiser", minus="guide")
     watch.wrap(draw, "decode", "decoder")
-    watch.wrap(diffusion_policy, "apply_safeguard", "safeguard")
+    watch.wrap(background_plan, "apply_safeguard", "safeguard")
     console = Console(width=120)
     for guide in arguments.guide:
         made = DiffusionTraffic(weights=arguments.weights, guide=guide, licence=arguments.licence)

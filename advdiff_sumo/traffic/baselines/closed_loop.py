@@ -16,20 +16,13 @@ from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.decoder import Forced, Rollout
-from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
-from advdiff_sumo.models.view import View, look
+from advdiff_sumo.models.model_options import FUTURE_STEPS
+from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.baselines.baseline_options import RivalOptions
 from advdiff_sumo.traffic.baselines.surrogate import Answer, Surrogate, ask, imagine, make_surrogate
-from advdiff_sumo.traffic.diffusion.diffusion_policy import (
-    Listener,
-    apply_safeguard,
-    lanes_of,
-    leaving,
-    rest_of,
-    tracks_of,
-)
+from advdiff_sumo.traffic.diffusion.diffusion_policy import Listener
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
-from advdiff_sumo.traffic.manoeuvres.licensed_attack import licensed_attack
+from advdiff_sumo.traffic.planning.background_plan import Rules, nobody, outlook, plausible_plan, rest_of
 from advdiff_sumo.traffic.planning.draw import Drawn
 from advdiff_sumo.traffic.planning.futures import futures_of
 
@@ -129,20 +122,15 @@ class Rival(ABC):
         kept = rest_of(memory.plan, memory.driven, scene, self.options.replan)
         if kept is not None:
             return JointPlan(kept), replace(memory, driven=memory.driven + 1)
-        lanes = lanes_of(road, scene)
-        view = look(road, scene, leaving(scene, lanes))
+        view, lanes = outlook(road, scene)
         seed = int(rng.integers(2**62))
         if not view.moved.any():
-            empty = Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=scene.time_s + MODEL_STEP_S)
-            return JointPlan(empty, attack=AttackState("any")), replace(memory, plan=None)
+            return JointPlan(nobody(scene), attack=AttackState("any")), replace(memory, plan=None)
         found = self.search(Task(road, view, memory, seed))
         if self.listener is not None:
             self.listener(view, found.drawn)
-        futures, names = futures_of(view.now, found.drawn.rollout), found.drawn.attackers
-        options = self.options
-        attack = licensed_attack(road, view, futures, names, options.licence, None, options.attackers)
-        guarded = apply_safeguard(road, view, found.drawn, lanes, (memory.plan, memory.driven), attack)
-        tracks = tracks_of(view, guarded.futures)
+        rules = Rules(self.options.licence, self.options.attackers)
+        tracks, _ = plausible_plan(road, view, lanes, found.drawn, (memory.plan, memory.driven), rules)
         state = AttackState("any", tuple(found.drawn.attackers))
         return JointPlan(tracks, attack=state), replace(found.memory, plan=tracks, driven=1)
 

@@ -13,12 +13,10 @@ from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.model_options import MODEL_STEP_S
-from advdiff_sumo.models.view import View, look
-from advdiff_sumo.traffic.diffusion.diffusion_policy import apply_safeguard, lanes_of, leaving, tracks_of
+from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
-from advdiff_sumo.traffic.manoeuvres.licensed_attack import licensed_attack
 from advdiff_sumo.traffic.planning.attackers import choose
+from advdiff_sumo.traffic.planning.background_plan import Rules, nobody, outlook, plausible_plan
 from advdiff_sumo.traffic.planning.draw import Drawn
 from advdiff_sumo.traffic.planning.futures import futures_of
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
@@ -61,18 +59,17 @@ def situation(road: RoadMap, scene: Scene, prior: Prior, count: int, before: tup
         count: most attackers.
         before: who attacked last; they stay where they still can do something.
     """
-    lanes = lanes_of(road, scene)
-    view = look(road, scene, leaving(scene, lanes))
+    view, lanes = outlook(road, scene)
     if not view.moved.any():
         return Situation(view, lanes, None, np.zeros(0, dtype=np.int64), np.zeros((0, FEATURES)))
     natural = prior.rollout(view.batch)
     futures = futures_of(view.now, natural)
     rows = choose(futures, view.moved, "any", count, np.isin(view.ids, before))
-    seen = [
+    observations = [
         observe(road, view.now, futures, row, lanes.get(int(view.rows[row])), _actions(natural, row))
         for row in rows.tolist()
     ]
-    return Situation(view, lanes, natural, rows, np.array(seen).reshape(len(rows), FEATURES))
+    return Situation(view, lanes, natural, rows, np.array(observations).reshape(len(rows), FEATURES))
 
 
 def joint_plan(
@@ -94,15 +91,12 @@ def joint_plan(
         licence: what attackers may do.
     """
     if now.natural is None:
-        t0 = now.view.scene.time_s + MODEL_STEP_S
-        return JointPlan(Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=t0), attack=AttackState("any"))
+        return JointPlan(nobody(now.view.scene), attack=AttackState("any"))
     rows = torch.from_numpy(now.rows)
-    made = steered(now.natural, now.view.batch, rows, torch.from_numpy(residuals), prior.options)
-    drawn = Drawn(made, {}, now.attackers, torch.zeros(len(now.view.ids), 0))
-    futures = futures_of(now.view.now, made)
-    attack = licensed_attack(road, now.view, futures, now.attackers, licence, None, len(now.rows))
-    guarded = apply_safeguard(road, now.view, drawn, now.lanes, (before, 1), attack)
-    return JointPlan(tracks_of(now.view, guarded.futures), attack=AttackState("any", now.attackers))
+    rollout = steered(now.natural, now.view.batch, rows, torch.from_numpy(residuals), prior.options)
+    drawn = Drawn(rollout, {}, now.attackers, torch.zeros(len(now.view.ids), 0))
+    tracks, _ = plausible_plan(road, now.view, now.lanes, drawn, (before, 1), Rules(licence, len(now.rows)))
+    return JointPlan(tracks, attack=AttackState("any", now.attackers))
 
 
 def _actions(natural: Rollout, row: int) -> tuple[float, float]:

@@ -17,10 +17,9 @@ from advdiff_sumo.core.errors import ConfigError, WeightsError
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.stored import write_stored
-from advdiff_sumo.traffic.diffusion.diffusion_policy import apply_safeguard
+from advdiff_sumo.traffic.planning import background_plan
 from advdiff_sumo.traffic.policy_check import check_policy
 from advdiff_sumo.traffic.policy_registry import make_policy
-from advdiff_sumo.traffic.rl import rl_situation
 from advdiff_sumo.traffic.rl.actor import load_actor, save_actor
 from advdiff_sumo.traffic.rl.adv_rl_policy import AdvRl
 from advdiff_sumo.traffic.rl.features import FEATURES
@@ -90,12 +89,13 @@ def test_the_safeguard_knows_the_plan_before(
     scene, rng = street(PLACES, SPEEDS), np.random.default_rng(0)
     made = policy(actor_file, "", 0.4)
     given: list[tuple[Tracks | None, int]] = []
+    apply_safeguard = background_plan.apply_safeguard
 
     def spy(*arguments: Any) -> Any:
         given.append(arguments[4])
         return apply_safeguard(*arguments)
 
-    monkeypatch.setattr(rl_situation, "apply_safeguard", spy)
+    monkeypatch.setattr(background_plan, "apply_safeguard", spy)
     first, memory = made.plan(downtown, scene, made.start(downtown, scene, None, rng), rng)
     made.plan(downtown, scene, memory, rng)
     assert given[0] == (None, 1)

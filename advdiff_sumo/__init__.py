@@ -4,8 +4,8 @@
 
     import advdiff_sumo as ads
 
-    found = ads.run(net="downtown", target=MyPlanner(), background="diffusion", episodes=20)
-    found.summary()
+    results = ads.run(net="downtown", target=MyPlanner(), background="diffusion", episodes=20)
+    results.summary()
 """
 
 from __future__ import annotations

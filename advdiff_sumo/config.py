@@ -89,12 +89,12 @@ def _group(model: type[BaseModel], path: tuple[int | str, ...]) -> type[BaseMode
 
 def _groups(model: type[BaseModel]) -> dict[str, type[BaseModel]]:
     """Return the fields of *model* that hold a group of options, or several of one kind."""
-    found = {}
+    kinds = {}
     for name, info in model.model_fields.items():
         for kind in (info.annotation, *get_args(info.annotation)):
             if isinstance(kind, type) and issubclass(kind, BaseModel):
-                found[name] = kind
-    return found
+                kinds[name] = kind
+    return kinds
 
 
 def _known(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:

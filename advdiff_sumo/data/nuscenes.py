@@ -108,18 +108,18 @@ class NuScenesReader:
             LogError: there is none, or several and no version was given.
         """
         if self.version is not None:
-            found = [self.root / self.version]
+            folders = [self.root / self.version]
         elif (self.root / "scene.json").is_file():
-            found = [self.root]
+            folders = [self.root]
         else:
-            found = sorted(p.parent for p in self.root.glob("v1.0-*/scene.json"))
-        if not found or not found[0].is_dir():
+            folders = sorted(p.parent for p in self.root.glob("v1.0-*/scene.json"))
+        if not folders or not folders[0].is_dir():
             named = self.version or "v1.0-* folder with a scene.json"
             raise LogError(self.root, f"holds no {named}", "give the root of a nuScenes dataset")
-        if len(found) > 1:
-            versions = ", ".join(p.name for p in found)
+        if len(folders) > 1:
+            versions = ", ".join(p.name for p in folders)
             raise LogError(self.root, f"holds several versions ({versions})", "give one of these folders")
-        return found[0]
+        return folders[0]
 
     @cached_property
     def _entries(self) -> list[SceneEntry]:

@@ -225,8 +225,8 @@ def judge_episode(stored: EpisodeTables, search: bool = False) -> JudgedRows:
     by_pair = {_pair(x): x for x in collision_rows(record, road, metrics)}
     for one in collisions:
         if _pair(one) in by_pair:
-            found = {name: by_pair[_pair(one)][name] for name in _OF_COLLISIONS}
-            one |= _told(one, found, stored.signals)
+            verdict = {name: by_pair[_pair(one)][name] for name in _OF_COLLISIONS}
+            one |= _told(one, verdict, stored.signals)
     return JudgedRows(row, collisions)
 
 
@@ -238,11 +238,11 @@ def _told(before: Mapping[str, Any], judged: dict[str, Any], signals: pa.Table |
     by_target = reason.startswith("The target")
     side = "target_breaches" if by_target else "other_breaches"
     breaches = [x for x in str(judged[side] or "").split(", ") if x and x != BreachKind.RIGHT_OF_WAY]
-    told = {name: before[name] for name in ("at_fault", "fault_reason")}
-    told[side] = ", ".join([str(BreachKind.RED_LIGHT), *breaches])
-    told["lawful"] = judged["lawful"] if by_target else False
-    told["valid_failure"] = by_target
-    return {**judged, **told, "verdict": f"{judged['verdict']} {reason}"}
+    corrected = {name: before[name] for name in ("at_fault", "fault_reason")}
+    corrected[side] = ", ".join([str(BreachKind.RED_LIGHT), *breaches])
+    corrected["lawful"] = judged["lawful"] if by_target else False
+    corrected["valid_failure"] = by_target
+    return {**judged, **corrected, "verdict": f"{judged['verdict']} {reason}"}
 
 
 def _judged(

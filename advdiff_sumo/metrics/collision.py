@@ -117,9 +117,9 @@ def tracks_collisions(tracks: Tracks, target: int, touches: Touches | None = Non
     return sorted(contacts, key=lambda c: (c.time_s, c.rows))
 
 
-def target_collision(record: EpisodeRecord, found: list[Collision]) -> Collision | None:
+def target_collision(record: EpisodeRecord, collisions: list[Collision]) -> Collision | None:
     """Return the target's first collision among *found* that was not there from the beginning."""
-    return next((c for c in found if c.rows[0] == record.target and not c.initial), None)
+    return next((c for c in collisions if c.rows[0] == record.target and not c.initial), None)
 
 
 def overlapping_steps(touches: Touches) -> set[tuple[int, int, int]]:
@@ -131,13 +131,13 @@ def overlapping_steps(touches: Touches) -> set[tuple[int, int, int]]:
     first, second, step = touches.first, touches.second, touches.step
     fresh = touches.fraction > 0.0
     end = fresh | (touches.end_gap_m < -TOUCH_M)
-    found = zip(
+    pairs = zip(
         np.concatenate((step[~fresh], step[end] + 1)).tolist(),
         np.concatenate((first[~fresh], first[end])).tolist(),
         np.concatenate((second[~fresh], second[end])).tolist(),
         strict=True,
     )
-    return {pair for pair in found if pair[0] > 0}
+    return {pair for pair in pairs if pair[0] > 0}
 
 
 def find_touches(tracks: Tracks) -> Touches:

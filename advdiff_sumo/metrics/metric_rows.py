@@ -99,8 +99,8 @@ def _collision_values(record: EpisodeRecord, road: RoadMap, m: EpisodeMetrics) -
     names |= {"first_speed_mps": "target_speed_mps", "second_speed_mps": "partner_speed_mps"}
     same = ("at_fault", "fault_reason", "attacker_visible", "relative_speed_mps", "closing_speed_mps")
     names |= {name: name for name in (*same, "impact_x_m", "impact_y_m", "impact_ahead_m", "impact_left_m")}
-    told = {name: row.get(name, no_verdict[name]) for name in VERDICT_COLUMNS}
-    return {"target_collision": m.target_collision, **{names[k]: row.get(k) for k in names}, **told}
+    verdict = {name: row.get(name, no_verdict[name]) for name in VERDICT_COLUMNS}
+    return {"target_collision": m.target_collision, **{names[k]: row.get(k) for k in names}, **verdict}
 
 
 def critical_values(m: EpisodeMetrics) -> dict[str, Value]:

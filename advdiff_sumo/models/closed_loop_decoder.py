@@ -137,8 +137,8 @@ class ClosedLoopDecoder(Decoder):
         node = node + self.clearance(box_clearance(place, turn, own.size, around.edges))
         relative = relative_features(*everybody)[:, rows]
         pairs = torch.cat((relative, pair_features(*everybody, batch.size, rows)), dim=-1)
-        seen, closer = self.interaction.prepare(relative), self.pairs(pairs)
-        return self._mix(torch.relu(node), [edge + closer for edge in seen], around, others)
+        edges, closer = self.interaction.prepare(relative), self.pairs(pairs)
+        return self._mix(torch.relu(node), [edge + closer for edge in edges], around, others)
 
     def _mix(
         self, h: Tensor, edges: list[Tensor], around: _Surroundings, others: Tensor | None
@@ -164,5 +164,5 @@ def _from_nothing(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
 def _among(state: Tensor, rows: Tensor, motion: Motion) -> Motion:
     """Return the motion of all agents: that of *state* (B, A, 4), with the *rows*' own in its place."""
     mine = torch.cat((motion[0], motion[1][..., None], motion[2][..., None]), dim=-1)
-    made = state.to(mine.dtype).index_copy(1, rows, mine)
-    return made[..., :2], made[..., 2], made[..., 3]
+    advanced = state.to(mine.dtype).index_copy(1, rows, mine)
+    return advanced[..., :2], advanced[..., 2], advanced[..., 3]

@@ -91,13 +91,15 @@ class PlannerServer:
         running = self._episodes.get(request.episode_id)
         if running is None:
             raise RuntimeError("this episode was not started here; was the server restarted?")
-        made = self.planner.plan(running.road, _scene(request.scene), running.memory, running.rng)
-        if not (isinstance(made, tuple) and len(made) == 2 and isinstance(made[0], (Trajectory, Controls))):
-            first = made[0] if isinstance(made, tuple) and len(made) == 2 else made
+        answer = self.planner.plan(running.road, _scene(request.scene), running.memory, running.rng)
+        if not (
+            isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], (Trajectory, Controls))
+        ):
+            first = answer[0] if isinstance(answer, tuple) and len(answer) == 2 else answer
             raise _NoPlanError(
                 f"plan() returned {type(first).__name__}, not (Trajectory or Controls, memory)"
             )
-        plan, running.memory = made
+        plan, running.memory = answer
         return plan_message(plan)
 
     def EndEpisode(self, request: Any) -> Any:  # noqa: N802 - the call's name
@@ -143,9 +145,9 @@ def serve(
     Raises:
         RuntimeError: the address is taken.
     """
-    made = planner() if isinstance(planner, type) else planner
+    served = planner() if isinstance(planner, type) else planner
     place = address or os.environ.get(ADDRESS_VARIABLE) or DEFAULT_ADDRESS
-    answers = PlannerServer(made, name or type(made).__name__, version, wants_osi, read_road)
+    answers = PlannerServer(served, name or type(served).__name__, version, wants_osi, read_road)
     with ThreadPoolExecutor(max_workers=1) as one_at_a_time:
         server = grpc.server(one_at_a_time, options=(*messages.CHANNEL_OPTIONS, ("grpc.so_reuseport", 0)))
         server.add_generic_rpc_handlers((answers.handlers(),))

@@ -97,8 +97,8 @@ def plan_of(message: Any) -> Plan:
     arrays = [np.array(getattr(body, name), dtype=np.float64) for name in names]
     lengths = [len(array) for array in arrays]
     if len(set(lengths)) > 1:
-        told = ", ".join(f"{name} {length}" for name, length in zip(names, lengths, strict=True))
-        raise ValueError(f"answered with arrays of different lengths ({told})")
+        sizes = ", ".join(f"{name} {length}" for name, length in zip(names, lengths, strict=True))
+        raise ValueError(f"answered with arrays of different lengths ({sizes})")
     if not lengths[0] or not body.dt_s > 0.0 or not np.isfinite(body.dt_s):
         raise ValueError(f"answered with a plan of {lengths[0]} steps of {body.dt_s:g} s")
     if kind == "controls":

@@ -134,13 +134,13 @@ class Background:
 
     def _plan(self, scene: Scene, steps: int) -> Motion:
         begun = time.perf_counter()
-        made: Any = self.policy.plan(self.road, scene, self._memory, self.rng)
+        answer: Any = self.policy.plan(self.road, scene, self._memory, self.rng)
         self.planning_s.append(time.perf_counter() - begun)
-        if not (isinstance(made, tuple) and len(made) == 2 and isinstance(made[0], JointPlan)):
+        if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], JointPlan)):
             raise PlanRefusedError(
-                f"background '{self.name}' returned {type(made).__name__}, not (JointPlan, memory)"
+                f"background '{self.name}' returned {type(answer).__name__}, not (JointPlan, memory)"
             )
-        plan, self._memory = made
+        plan, self._memory = answer
         motion = self.motion(plan, scene.target_id, steps)
         self.planned = plan
         if plan.attack is not None:

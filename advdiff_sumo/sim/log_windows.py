@@ -82,7 +82,7 @@ class Nets:
 
     given: tuple[RoadMap, ...]
     converted: Path | None
-    made: dict[Path, RoadMap] = field(default_factory=dict)
+    roads: dict[Path, RoadMap] = field(default_factory=dict)
 
     def of(self, drive: LogScene, reader: LogReader) -> RoadMap | None:
         """Return the net that *drive* was driven on, or None."""
@@ -102,9 +102,9 @@ class Nets:
         return road if fits(road, drive) else None
 
     def _read(self, net: Path) -> RoadMap:
-        if net not in self.made:
-            self.made[net] = RoadMap.read(net)
-        return self.made[net]
+        if net not in self.roads:
+            self.roads[net] = RoadMap.read(net)
+        return self.roads[net]
 
 
 def build(

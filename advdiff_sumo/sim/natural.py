@@ -96,21 +96,21 @@ class NaturalTraffic:
         )
         with Session(options) as session:
             stretch = _Stretch(session, self.sim, folder)
-            found = list(self._look(stretch, seed.child("target").generator()))
+            candidates = list(self._look(stretch, seed.child("target").generator()))
             stretch.advance(self.horizon_s)
         routes, extra = ([_content(f) for f in group] for group in (files.routes, files.additional))
         return [
             self._scene(
                 number, k, stretch, f, SavedTraffic(f.state_xml, f.time_s, tuple(routes), tuple(extra))
             )
-            for k, f in enumerate(found)
+            for k, f in enumerate(candidates)
         ]
 
     def _look(self, stretch: _Stretch, rng: np.random.Generator) -> Iterator[_Found]:
         stretch.skip(max(self.scene.warmup_s - self.sim.history_s, 0.0))
         stretch.advance(self.sim.history_s)
-        found = tries = 0
-        while found < self.scene.scenes_per_warmup:
+        count = tries = 0
+        while count < self.scene.scenes_per_warmup:
             target = _choose(stretch, self.road, self.scene, self.sim, rng)
             if target is None:
                 tries += 1
@@ -122,16 +122,18 @@ class NaturalTraffic:
                         "scene.min_neighbours or scene.min_speed_mps"
                     )
             else:
-                found, tries = found + 1, 0
+                count, tries = count + 1, 0
                 yield stretch.save(target)
             stretch.advance(self.scene.spacing_s)
 
-    def _scene(self, number: int, k: int, stretch: _Stretch, found: _Found, start: SavedTraffic) -> SeedScene:
-        sub, last = self.sim.substeps, found.frame
+    def _scene(
+        self, number: int, k: int, stretch: _Stretch, choice: _Found, start: SavedTraffic
+    ) -> SeedScene:
+        sub, last = self.sim.substeps, choice.frame
         first = last - sub * (self.sim.history_steps - 1)
         stop = last + round(self.horizon_s / self.sim.step_s) + 1
         frames = stretch.frames
-        rows = _near(frames[last:stop], found.target, self.sim.record_radius_m)
+        rows = _near(frames[last:stop], choice.target, self.sim.record_radius_m)
         now = rows[np.flatnonzero(frames[last].present[rows[rows < len(frames[last].controller)]])]
         history, _ = stack(
             stretch.world, frames[first : last + 1 : sub], now, -self.sim.history_s, self.sim.model_step_s
@@ -142,8 +144,8 @@ class NaturalTraffic:
             net=self.road.path,
             seed=stretch.session.options.seed,
             history=history,
-            target=stretch.world.ids[found.target],
-            routes=found.routes,
+            target=stretch.world.ids[choice.target],
+            routes=choice.routes,
             log=log,
             start=start,
             horizon_s=self.horizon_s,

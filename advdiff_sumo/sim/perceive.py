@@ -18,25 +18,25 @@ _NEIGHBOURS = (0b00, 0b01, 0b10, 0b11)  # left and right, followers and leaders
 def visible_ids(api: Any, name: str) -> frozenset[str]:
     """Return whom the models of SUMO-driven *name* see now: leader, neighbours, junction foes, people on crossings."""
     vehicle = api.vehicle
-    seen = {other for other, _ in _pairs(vehicle.getLeader(name, _LOOK_AHEAD_M))}
+    visible = {other for other, _ in _pairs(vehicle.getLeader(name, _LOOK_AHEAD_M))}
     for mode in _NEIGHBOURS:
-        seen.update(other for other, _ in vehicle.getNeighbors(name, mode))
-    seen |= _foes(api, name) | _on_crossings(api, name)
-    return frozenset(seen - {"", name})
+        visible.update(other for other, _ in vehicle.getNeighbors(name, mode))
+    visible |= _foes(api, name) | _on_crossings(api, name)
+    return frozenset(visible - {"", name})
 
 
 def _foes(api: Any, name: str) -> set[str]:
     """Return who is in conflict with *name* at the next junctions; SUMO names some pairs on one side only."""
     foes_of = api.vehicle.getJunctionFoes
-    found = {foe[0] for foe in foes_of(name, _LOOK_AHEAD_M)}
+    foes = {foe[0] for foe in foes_of(name, _LOOK_AHEAD_M)}
     edge = api.vehicle.getRoadID(name)
     if not edge:
-        return found
+        return foes
     for incoming in api.junction.getIncomingEdges(api.edge.getToJunction(edge)):
         for other in api.edge.getLastStepVehicleIDs(incoming):
-            if other not in found and any(foe[0] == name for foe in foes_of(other, _LOOK_AHEAD_M)):
-                found.add(other)
-    return found
+            if other not in foes and any(foe[0] == name for foe in foes_of(other, _LOOK_AHEAD_M)):
+                foes.add(other)
+    return foes
 
 
 def _on_crossings(api: Any, name: str) -> set[str]:

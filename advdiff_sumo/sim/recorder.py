@@ -47,9 +47,9 @@ class Recorder:
 
     def add_plans(self, scene: Scene, own: Plan | None, joint: JointPlan | None) -> None:
         """Record what target and background plan in *scene*."""
-        made = made_plans(scene, own, joint, self.sim)
-        if made is not None:
-            self.plans.append(made)
+        plans = made_plans(scene, own, joint, self.sim)
+        if plans is not None:
+            self.plans.append(plans)
 
     def note(self, api: Any) -> None:
         """Record what SUMO itself reports about the step that it has just done."""

@@ -39,12 +39,12 @@ class RunFolder:
 
     Attributes:
         path: the folder.
-        made: folders that this run made, innermost first.
+        created: folders that this run made, innermost first.
         fresh: there was no run in it before.
     """
 
     path: Path
-    made: tuple[Path, ...] = ()
+    created: tuple[Path, ...] = ()
     fresh: bool = False
 
     @staticmethod
@@ -90,7 +90,7 @@ class RunFolder:
         for file in (self.path / SETTINGS, *self.path.glob(f"{SETTINGS}*{ASIDE}")):
             with contextlib.suppress(OSError):
                 file.unlink()
-        for folder in self.made:
+        for folder in self.created:
             with contextlib.suppress(OSError):  # somebody else put something there
                 folder.rmdir()
 

@@ -207,10 +207,10 @@ def with_closed_loop(begun: Bundle, seed: int) -> Bundle:
     options = begun.options.model_copy(
         update={"model": begun.options.model.model_copy(update={"decoder": "closed-loop"})}
     )
-    made = new_bundle(options, seed)
-    for name, module in made.modules().items():
+    fresh = new_bundle(options, seed)
+    for name, module in fresh.modules().items():
         module.load_state_dict({**module.state_dict(), **begun.modules()[name].state_dict()})
-    return replace(made, stages=begun.stages)
+    return replace(fresh, stages=begun.stages)
 
 
 def weights_file(path: Path) -> Path:

@@ -126,13 +126,13 @@ class Rival(ABC):
         seed = int(rng.integers(2**62))
         if not view.moved.any():
             return JointPlan(nobody(scene), attack=AttackState("any")), replace(memory, plan=None)
-        found = self.search(Task(road, view, memory, seed))
+        proposal = self.search(Task(road, view, memory, seed))
         if self.listener is not None:
-            self.listener(view, found.drawn)
+            self.listener(view, proposal.drawn)
         rules = Rules(self.options.licence, self.options.attackers)
-        tracks, _ = plausible_plan(road, view, lanes, found.drawn, (memory.plan, memory.driven), rules)
-        state = AttackState("any", tuple(found.drawn.attackers))
-        return JointPlan(tracks, attack=state), replace(found.memory, plan=tracks, driven=1)
+        tracks, _ = plausible_plan(road, view, lanes, proposal.drawn, (memory.plan, memory.driven), rules)
+        state = AttackState("any", tuple(proposal.drawn.attackers))
+        return JointPlan(tracks, attack=state), replace(proposal.memory, plan=tracks, driven=1)
 
     def ask(self, task: Task) -> Answer | None:
         """Return what the surrogate does now; None where the traffic model's prediction stands for the target."""

@@ -62,7 +62,7 @@ def brake_ahead(
     if steps >= futures.steps:
         return brake(futures, may, minds, stop_m, side_m)
     near = brake(futures.first(steps), may, minds, stop_m, side_m)
-    made, path, dt = futures.copy(), PlannedPaths(futures), futures.dt_s
+    slowed, path, dt = futures.copy(), PlannedPaths(futures), futures.dt_s
     driven = near.futures.travelled_m()
     for row in np.flatnonzero(near.rows).tolist():
         speed = near.futures.speed_mps[row, -1]
@@ -71,8 +71,8 @@ def brake_ahead(
         stride = np.diff(np.minimum(further, path.s_m[row, -1]), prepend=driven[row, -1])
         tail = xy, yaw, np.maximum(stride, 0.0) / dt
         head = near.futures.xy_m[row, 1:], near.futures.yaw_rad[row, 1:], near.futures.speed_mps[row, 1:]
-        made.put(row, *(np.concatenate(pair) for pair in zip(head, tail, strict=True)))
-    return Braked(made, near.rows, near.unsolved)
+        slowed.put(row, *(np.concatenate(pair) for pair in zip(head, tail, strict=True)))
+    return Braked(slowed, near.rows, near.unsolved)
 
 
 def brake(
@@ -92,25 +92,25 @@ def brake(
         side_m: (N,) room that is kept to each, and by each, on its sides; None: ``SIDE_M``.
     """
     sides = np.full(futures.agents, SIDE_M) if side_m is None else side_m
-    made = futures.copy()
+    eased = futures.copy()
     path = PlannedPaths(futures)
     braked, unsolved = np.zeros(len(may), dtype=np.bool_), np.zeros(len(may), dtype=np.bool_)
     for _ in range(_ROUNDS):
-        pairs = _conflicts(made, minds & may[:, None], may, sides)
-        late = may & (path.length_m(made) > stop_m) & ~unsolved
+        pairs = _conflicts(eased, minds & may[:, None], may, sides)
+        late = may & (path.length_m(eased) > stop_m) & ~unsolved
         rows = np.flatnonzero(pairs.any(axis=1) | late)
         if not len(rows):
             break
-        changed, before = False, made.copy()
+        changed, before = False, eased.copy()
         for row in rows.tolist():
             others = np.flatnonzero(pairs[row])
-            ok, moved = _ease(made, before, path, row, others, float(stop_m[row]), sides)
+            ok, moved = _ease(eased, before, path, row, others, float(stop_m[row]), sides)
             unsolved[row] = not ok
             braked[row] |= moved
             changed |= moved
         if not changed:
             break
-    return Braked(made, braked, unsolved & braked)
+    return Braked(eased, braked, unsolved & braked)
 
 
 @dataclass(frozen=True)

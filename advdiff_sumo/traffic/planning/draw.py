@@ -140,8 +140,8 @@ def _shifts(
 ) -> dict[str, FloatArray]:
     if guide is None or guide.made is None:
         return {}
-    made = guide.made[best].cpu().numpy().astype(np.float64)
-    return {name: made[view.ids.index(name)] for name in attackers}
+    shift = guide.made[best].cpu().numpy().astype(np.float64)
+    return {name: shift[view.ids.index(name)] for name in attackers}
 
 
 def _most_plausible(rollout: Rollout, batch: SceneBatch) -> int:

@@ -23,14 +23,14 @@ def over_line_m(road: RoadMap, xy_m: FloatArray, yaw_rad: FloatArray) -> FloatAr
     Lanes of junctions do not count, as they cross each other, nor do places that a lane along the heading shares.
     """
     index = road.index
-    found = index.candidates(xy_m, _REACH_M)
-    depth = 0.5 * index.width_m[found.lane] - np.abs(found.d_m)
-    turned = np.abs(wrap_angle(yaw_rad[found.point] - found.yaw_rad))
-    inside = (depth > 0.0) & (index.is_drivable & ~index.is_internal)[found.lane]
+    near = index.candidates(xy_m, _REACH_M)
+    depth = 0.5 * index.width_m[near.lane] - np.abs(near.d_m)
+    turned = np.abs(wrap_angle(yaw_rad[near.point] - near.yaw_rad))
+    inside = (depth > 0.0) & (index.is_drivable & ~index.is_internal)[near.lane]
     out = np.zeros(len(xy_m))
     against = inside & (turned > _AGAINST_RAD)
-    np.maximum.at(out, found.point[against], depth[against])
-    out[found.point[inside & (turned < _ALONG_RAD)]] = 0.0
+    np.maximum.at(out, near.point[against], depth[against])
+    out[near.point[inside & (turned < _ALONG_RAD)]] = 0.0
     return out
 
 

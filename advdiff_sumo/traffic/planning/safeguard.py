@@ -95,31 +95,31 @@ class Guarded:
 
 def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     """Return plausible plans near *futures*."""
-    made = futures.copy()
+    plans = futures.copy()
     nowhere = np.array([lane is None for lane in watched.lanes], dtype=np.bool_)
-    off = leaves_road(road, made, watched.planned, watched.motor)
+    off = leaves_road(road, plans, watched.planned, watched.motor)
     lost = off & nowhere
-    off |= drives_against(road, made, watched.planned & ~watched.attacker & ~nowhere)
-    far = np.linalg.norm(made.xy_m[:, 0] - made.xy_m[watched.target, 0], axis=-1) > FAR_M
-    followed = off | (far & watched.planned & ~watched.attacker) | _blocks_junction(made, watched)
+    off |= drives_against(road, plans, watched.planned & ~watched.attacker & ~nowhere)
+    far = np.linalg.norm(plans.xy_m[:, 0] - plans.xy_m[watched.target, 0], axis=-1) > FAR_M
+    followed = off | (far & watched.planned & ~watched.attacker) | _blocks_junction(plans, watched)
     followed &= ~nowhere
-    back_to_lane(made, np.flatnonzero(followed), watched)
+    back_to_lane(plans, np.flatnonzero(followed), watched)
     rows = np.flatnonzero(watched.planned)
-    bound_speeds(made, rows, watched.lanes, road.legal_limits_mps, watched.over_limit)
-    wide = leaves_road(road, made, followed, watched.motor)  # too fast for its lane
-    moved = made.travelled_m()
-    held = watched.planned & (made.speed_mps[:, 0] < _STANDS_MPS)
-    held &= moved[:, min(_NOWHERE_STEPS, made.steps)] < _NOWHERE_M
+    bound_speeds(plans, rows, watched.lanes, road.legal_limits_mps, watched.over_limit)
+    wide = leaves_road(road, plans, followed, watched.motor)  # too fast for its lane
+    moved = plans.travelled_m()
+    held = watched.planned & (plans.speed_mps[:, 0] < _STANDS_MPS)
+    held &= moved[:, min(_NOWHERE_STEPS, plans.steps)] < _NOWHERE_M
     starts = held & watched.stood & (moved[:, -1] > _LEAVES_M)
     for row in np.flatnonzero(starts).tolist():
-        _start_now(made, row)
+        _start_now(plans, row)
     held &= ~starts
-    standing(made, held)
+    standing(plans, held)
     may = watched.planned & ~held
-    stop = stop_distances(made, watched, may)
+    stop = stop_distances(plans, watched, may)
     slows = lost | wide
-    stop[slows] = np.minimum(stop[slows], 0.5 * made.speed_mps[slows, 0] ** 2 / _LOST_BRAKE_MPS2)
-    clear = _settled(made, watched, may, stop)
+    stop[slows] = np.minimum(stop[slows], 0.5 * plans.speed_mps[slows, 0] ** 2 / _LOST_BRAKE_MPS2)
+    clear = _settled(plans, watched, may, stop)
     return Guarded(clear.futures, off & ~lost, held, clear.rows, clear.unsolved)
 
 

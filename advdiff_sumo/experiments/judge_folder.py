@@ -221,16 +221,18 @@ def judge_episode(stored: EpisodeTables, search: bool = False) -> JudgedRows:
     metrics = summarise(record, road, solvable(record, road) if search else row.get("solvable"))
     judged = episode_row(record, road, metrics)
     if bool(judged["target_collision"]) == bool(row["target_collision"]):
-        row |= _told(row, {name: judged[name] for name in _JUDGED}, stored.signals)
+        row |= _with_red_light(row, {name: judged[name] for name in _JUDGED}, stored.signals)
     by_pair = {_pair(x): x for x in collision_rows(record, road, metrics)}
     for one in collisions:
         if _pair(one) in by_pair:
             verdict = {name: by_pair[_pair(one)][name] for name in _OF_COLLISIONS}
-            one |= _told(one, verdict, stored.signals)
+            one |= _with_red_light(one, verdict, stored.signals)
     return JudgedRows(row, collisions)
 
 
-def _told(before: Mapping[str, Any], judged: dict[str, Any], signals: pa.Table | None) -> dict[str, Any]:
+def _with_red_light(
+    before: Mapping[str, Any], judged: dict[str, Any], signals: pa.Table | None
+) -> dict[str, Any]:
     """Return what was *judged*, with the red light that the run saw where its signals were not kept."""
     reason = str(before.get("fault_reason") or "")
     if signals is not None or not reason.endswith(_ON_RED):

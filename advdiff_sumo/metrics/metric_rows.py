@@ -43,7 +43,7 @@ def episode_row(
         "agents": int(tracks.valid.any(axis=1).sum()),
         **_collision_values(record, road, m),
         **critical_values(m),
-        "initial_overlaps": sum(c.initial for c in m.found),
+        "initial_overlaps": sum(c.initial for c in m.contacts),
         "sumo_collisions": m.sumo.listed,
         "sumo_only": m.sumo.sumo_only,
         "ours_only": m.sumo.ours_only,
@@ -81,7 +81,7 @@ def collision_rows(
     Arguments as in :func:`episode_row`. The target leaving the road is a row without a second vehicle.
     """
     m = metrics if metrics is not None else summarise(record, road)
-    rows = [_pair_row(record, road, m, c) for c in m.found]
+    rows = [_pair_row(record, road, m, c) for c in m.contacts]
     if m.left_road is not None:
         rows.append(_off_road_row(record, road, m.left_road))
     rows.sort(key=lambda row: float(row["time_s"] or 0.0))

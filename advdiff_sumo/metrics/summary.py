@@ -83,7 +83,7 @@ class EpisodeMetrics:
     """Everything measured in one episode.
 
     Attributes:
-        found: every collision of two agents, initial overlaps included.
+        contacts: every collision of two agents, initial overlaps included.
         struck: the target's first collision with another agent, unless it left the road before.
         left_road: when the target left the road, unless it was hit before.
         near_miss: how near it came in an episode without a collision of the target; None where it did not.
@@ -96,7 +96,7 @@ class EpisodeMetrics:
         background_off_road: how they left the road.
     """
 
-    found: tuple[Collision, ...]
+    contacts: tuple[Collision, ...]
     struck: Judged | None
     left_road: OffRoad | None
     near_miss: NearMiss | None
@@ -135,7 +135,7 @@ def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None
     criticality = _criticality(record, road, before, struck)
     collided = struck is not None or left_road is not None or record.failure is not None
     return EpisodeMetrics(
-        found=tuple(contacts),
+        contacts=tuple(contacts),
         struck=None if struck is None else judged(record, road, struck, solvable),
         left_road=left_road,
         near_miss=None if collided else near_miss(record, road, criticality.ttc),

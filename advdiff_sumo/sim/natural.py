@@ -31,7 +31,7 @@ _PATIENCE = 40  # looks at the traffic without a usable target before giving up
 
 
 @dataclass(frozen=True)
-class _Found:
+class _SceneChoice:
     """A moment at which an episode may start."""
 
     frame: int
@@ -106,7 +106,7 @@ class NaturalTraffic:
             for k, f in enumerate(candidates)
         ]
 
-    def _look(self, stretch: _Stretch, rng: np.random.Generator) -> Iterator[_Found]:
+    def _look(self, stretch: _Stretch, rng: np.random.Generator) -> Iterator[_SceneChoice]:
         stretch.skip(max(self.scene.warmup_s - self.sim.history_s, 0.0))
         stretch.advance(self.sim.history_s)
         count = tries = 0
@@ -127,7 +127,7 @@ class NaturalTraffic:
             stretch.advance(self.scene.spacing_s)
 
     def _scene(
-        self, number: int, k: int, stretch: _Stretch, choice: _Found, start: SavedTraffic
+        self, number: int, k: int, stretch: _Stretch, choice: _SceneChoice, start: SavedTraffic
     ) -> SeedScene:
         sub, last = self.sim.substeps, choice.frame
         first = last - sub * (self.sim.history_steps - 1)
@@ -176,12 +176,12 @@ class _Stretch:
             register(self.world, self.session.api, self.session.api.simulation.getDepartedIDList())
             self._record()
 
-    def save(self, target: int) -> _Found:
+    def save(self, target: int) -> _SceneChoice:
         """Save SUMO's state now."""
         api = self.session.api
         state_xml = with_draws_since(self._state_xml(), self._begin_xml)
         routes = {name: remaining_route(api, name) for name in api.vehicle.getIDList()}
-        return _Found(len(self.frames) - 1, self.session.time_s, target, routes, state_xml)
+        return _SceneChoice(len(self.frames) - 1, self.session.time_s, target, routes, state_xml)
 
     def _state_xml(self) -> bytes:
         self.session.api.simulation.saveState(str(self._file))

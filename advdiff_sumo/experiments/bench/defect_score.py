@@ -47,7 +47,7 @@ class Contest:
         target: as registered.
         sound: what the sound target came to.
         defective: the same with each defect, by its name.
-        found: what is detected.
+        detections: what is detected.
         first: after how much; None where nothing is.
     """
 
@@ -55,7 +55,7 @@ class Contest:
     target: str
     sound: Tried
     defective: Mapping[str, Tried]
-    found: tuple[Detection, ...]
+    detections: tuple[Detection, ...]
     first: FirstDetection | None
 
 
@@ -126,7 +126,7 @@ def detections_text(contests: tuple[Contest, ...]) -> str:
     counts = ("scenes", "failures", "sound_failures", "only_defect", "only_sound")
     writer.writerow(("background", "target", "defect", *counts, "p", "p_holm", "detected"))
     for contest in contests:
-        for one in contest.found:
+        for one in contest.detections:
             numbers = (getattr(one, name) for name in counts)
             tested = (f"{one.p:.6g}", f"{one.adjusted:.6g}", str(one.detected).lower())
             writer.writerow((contest.background, contest.target, one.defect, *numbers, *tested))
@@ -143,14 +143,14 @@ def first_text(contests: tuple[Contest, ...]) -> str:
     for contest in contests:
         if not contest.defective:
             continue
-        detected = sum(one.detected for one in contest.found)
+        detected = sum(one.detected for one in contest.detections)
         every = sum(one.cpu_s for x in (contest.sound, *contest.defective.values()) for one in x.values())
         first = contest.first
         cost = ("", "", "", "")
         if first is not None:
             cost = (" ".join(first.defects), str(first.scenes), str(first.episodes), f"{first.cpu_s:.1f}")
         writer.writerow(
-            (contest.background, contest.target, detected, len(contest.found), *cost, f"{every:.1f}")
+            (contest.background, contest.target, detected, len(contest.detections), *cost, f"{every:.1f}")
         )
     return sink.getvalue()
 
@@ -173,7 +173,7 @@ def _defect_line(target: str, defect: str, here: Mapping[str, Contest]) -> Line:
     cells = {}
     for name, contest in here.items():
         if defect in contest.defective:
-            detected = any(one.detected for one in contest.found if one.defect == defect)
+            detected = any(one.detected for one in contest.detections if one.defect == defect)
             cells[name] = Cell(estimate(_rate(contest.defective[defect])), best=detected)
     return Line(defect, target, defect, cells)
 
@@ -181,15 +181,15 @@ def _defect_line(target: str, defect: str, here: Mapping[str, Contest]) -> Line:
 def _score_line(target: str, here: Mapping[str, Contest]) -> Line:
     cells = {}
     for name, contest in here.items():
-        share = sum(one.detected for one in contest.found) / len(contest.found)
-        cells[name] = Cell(Estimate(share, n=len(contest.found)))
+        share = sum(one.detected for one in contest.detections) / len(contest.detections)
+        cells[name] = Cell(Estimate(share, n=len(contest.detections)))
     return Line("score", target, SCORE, cells)
 
 
 def _gaps(contests: tuple[Contest, ...]) -> tuple[Gap, ...]:
     gaps = []
     for contest in contests:
-        for one in contest.found:
+        for one in contest.detections:
             if one.only_defect or one.only_sound:
                 change = difference(_rate(contest.defective[one.defect]), _rate(contest.sound))
                 change = replace(change, p=one.adjusted)
@@ -198,8 +198,9 @@ def _gaps(contests: tuple[Contest, ...]) -> tuple[Gap, ...]:
 
 
 def _first_note(contest: Contest) -> str:
-    detected = sum(one.detected for one in contest.found)
-    sentence = f"{policy_row(contest.background).title} detects {detected} of {len(contest.found)} in {contest.target}"
+    detected = sum(one.detected for one in contest.detections)
+    title, planted = policy_row(contest.background).title, len(contest.detections)
+    sentence = f"{title} detects {detected} of {planted} in {contest.target}"
     first = contest.first
     if first is None:
         return f"{sentence}."

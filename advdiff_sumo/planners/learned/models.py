@@ -29,7 +29,7 @@ from advdiff_sumo.planners.learned.learned_options import DiffusionPlannerOption
 
 
 @dataclass(frozen=True)
-class Told:
+class ModelFutures:
     """What a model tells.
 
     Attributes:
@@ -46,7 +46,7 @@ class Model(Protocol):
 
     def tell(
         self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator, steps: int
-    ) -> Told:
+    ) -> ModelFutures:
         """Return joint futures of *steps* model steps, going on from the last plan's *noise* where that is used."""
         ...
 
@@ -66,11 +66,11 @@ class SimNetModel:
     @torch.no_grad()
     def tell(
         self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator, steps: int
-    ) -> Told:
+    ) -> ModelFutures:
         """Return the one future."""
         del noise, generator
         rollout: Rollout = self._simnet(view.batch.to(self._device), steps)
-        return Told(rollout)
+        return ModelFutures(rollout)
 
 
 class TrafficSimModel:
@@ -89,14 +89,14 @@ class TrafficSimModel:
     @torch.no_grad()
     def tell(
         self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator, steps: int
-    ) -> Told:
+    ) -> ModelFutures:
         """Return the future of the prior's mean, then those of the draws."""
         del noise
         batch = view.batch.to(self._device)
         context = self._bundle.traffic.encoder(batch)
         z = [context.prior.mean, *(context.prior.sample(generator) for _ in range(self._draws))]
         h = context.h.expand(len(z), -1, -1)
-        return Told(self._decoder.whole(torch.cat(z), h, batch.repeat(len(z)), steps)[0])
+        return ModelFutures(self._decoder.whole(torch.cat(z), h, batch.repeat(len(z)), steps)[0])
 
 
 class DiffusionModel:
@@ -134,7 +134,7 @@ class DiffusionModel:
     @torch.no_grad()
     def tell(
         self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator, steps: int
-    ) -> Told:
+    ) -> ModelFutures:
         """Return the futures of all samples; the first goes on from the last plan's noise."""
         options = self._options
         batch = view.batch.to(self._device)
@@ -145,7 +145,7 @@ class DiffusionModel:
         z = self._codec.unscale(x)[:, :, 0]
         rollout = self._decoder.whole(z, context.h, batch.repeat(options.samples), steps)[0]
         kept = start[:, :, 0].numpy().astype(np.float64)
-        return Told(rollout, tuple(dict(zip(view.ids, rows, strict=True)) for rows in kept))
+        return ModelFutures(rollout, tuple(dict(zip(view.ids, rows, strict=True)) for rows in kept))
 
     def _start(self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator) -> Tensor:
         """Return standard normal noise (S, A, 1, Z)."""

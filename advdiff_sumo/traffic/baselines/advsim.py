@@ -37,8 +37,8 @@ from advdiff_sumo.traffic.baselines.advsim_cost import (
 from advdiff_sumo.traffic.baselines.baseline_networks import prior_of
 from advdiff_sumo.traffic.baselines.baseline_options import AdvSimOptions
 from advdiff_sumo.traffic.baselines.closed_loop import (
-    Found,
     Rival,
+    SearchResult,
     Task,
     cut,
     parts,
@@ -115,7 +115,7 @@ class AdvSim(Rival):
         self.model: ModelOptions = self.prior.traffic.options
         self.driver: Driver = self._simnet() if self.options.initial == "simnet" else self._decoder
 
-    def search(self, task: Task) -> Found:
+    def search(self, task: Task) -> SearchResult:
         """Return SimNet's future with the attackers' actions replaced by those that were found."""
         batch = task.view.batch.to(self.prior.device)
         with torch.no_grad():
@@ -125,7 +125,7 @@ class AdvSim(Rival):
                 return self._natural(task, batch, rollout)
             best, losses = self._rounds(case)
             planned = self._with(case, best.changes)
-        return self._found(case, planned, best, losses)
+        return self._result(case, planned, best, losses)
 
     def _case(self, task: Task, batch: SceneBatch, rollout: Rollout) -> _Case | None:
         """Return who shall attack and how they would drive; None where nobody can."""
@@ -207,7 +207,7 @@ class AdvSim(Rival):
         """Return what the last plan had found, one step on, (R, H, 2)."""
         out = np.zeros((len(case.rows), HORIZON_STEPS, 2))
         for number, row in enumerate(case.rows.tolist()):
-            old = case.task.memory.found.get(case.task.view.ids[row])
+            old = case.task.memory.searched.get(case.task.view.ids[row])
             if old is not None:
                 out[number, :-1] = old.reshape(HORIZON_STEPS, 2)[1:]
         return torch.from_numpy(out).to(case.rollout.xy)
@@ -222,20 +222,22 @@ class AdvSim(Rival):
         """Return the attackers' futures (P, R, H) of *changes* (P, R, H, 2)."""
         return driven(changes, case.initial, self.options, self.model, HORIZON_STEPS)
 
-    def _natural(self, task: Task, batch: SceneBatch, rollout: Rollout) -> Found:
-        memory = replace(task.memory, found={}, attackers=())
-        return Found(Drawn(rollout, {}, (), self._latents(batch)), memory, ())
+    def _natural(self, task: Task, batch: SceneBatch, rollout: Rollout) -> SearchResult:
+        memory = replace(task.memory, searched={}, attackers=())
+        return SearchResult(Drawn(rollout, {}, (), self._latents(batch)), memory, ())
 
-    def _found(self, case: _Case, best_plan: Rollout, best: _Best, losses: tuple[float, ...]) -> Found:
+    def _result(
+        self, case: _Case, best_plan: Rollout, best: _Best, losses: tuple[float, ...]
+    ) -> SearchResult:
         names = tuple(case.task.view.ids[row] for row in case.rows.tolist())
         kept: list[FloatArray] = [x.cpu().numpy().astype(np.float64).ravel() for x in best.changes]
         memory = replace(
             case.task.memory,
-            found=dict(zip(names, kept, strict=True)),
+            searched=dict(zip(names, kept, strict=True)),
             attackers=names,
             surrogate=case.task.memory.surrogate if case.answer is None else case.answer.memory,
         )
-        return Found(Drawn(best_plan, {}, names, self._latents(case.batch)), memory, losses)
+        return SearchResult(Drawn(best_plan, {}, names, self._latents(case.batch)), memory, losses)
 
     def _latents(self, batch: SceneBatch) -> Tensor:
         """Return (A, Z) the prior's mean, scaled: actions have no latents, and listeners want some."""

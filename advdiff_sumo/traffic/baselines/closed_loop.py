@@ -35,7 +35,7 @@ class Memory:
     """What a rival remembers from plan to plan.
 
     Attributes:
-        found: id → what the last search found for the vehicle.
+        searched: id → what the last search found for the vehicle.
         natural: id → the standardised latent that its search started from.
         attackers: ids that attacked last.
         surrogate: memory of the surrogate.
@@ -43,7 +43,7 @@ class Memory:
         driven: model steps of it that have been driven when the next plan is asked for.
     """
 
-    found: Mapping[str, FloatArray] = field(default_factory=dict)
+    searched: Mapping[str, FloatArray] = field(default_factory=dict)
     natural: Mapping[str, FloatArray] = field(default_factory=dict)
     attackers: tuple[str, ...] = ()
     surrogate: Any = None
@@ -73,7 +73,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """What a search came to.
 
     Attributes:
@@ -103,7 +103,7 @@ class Rival(ABC):
         self.listener: Listener | None = None
 
     @abstractmethod
-    def search(self, task: Task) -> Found:
+    def search(self, task: Task) -> SearchResult:
         """Return the plan that was found for the view of *task*."""
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Memory:  # noqa: ARG002 - the contract

@@ -23,7 +23,7 @@ from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
 from advdiff_sumo.traffic.baselines.baseline_networks import Prior, prior_of
 from advdiff_sumo.traffic.baselines.baseline_options import StriveOptions
-from advdiff_sumo.traffic.baselines.closed_loop import Found, Memory, Rival, Task, with_target
+from advdiff_sumo.traffic.baselines.closed_loop import Memory, Rival, SearchResult, Task, with_target
 from advdiff_sumo.traffic.baselines.joint.joint_decoder import JointDecoder
 from advdiff_sumo.traffic.baselines.strive_loss import Terms, strive_loss
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
@@ -95,7 +95,7 @@ class Strive(Rival):
         by_hand = self.prior.device.type == "cpu" and not isinstance(decoder, ClosedLoopDecoder)
         self.decoder = JointDecoder(decoder) if by_hand else decoder
 
-    def search(self, task: Task) -> Found:
+    def search(self, task: Task) -> SearchResult:
         """Return the futures of the latents that lower the loss most within the rounds."""
         start = self._start(task)
         result = self._rounds(task, start) if self.options.rounds else _nothing(start, task.memory)
@@ -107,12 +107,12 @@ class Strive(Rival):
         drawn = Drawn(rollout, _by_name(task, start.natural), attackers, scaled)
         memory = replace(
             task.memory,
-            found=_by_name(task, result.epsilon),
+            searched=_by_name(task, result.epsilon),
             natural=_by_name(task, start.natural),
             attackers=attackers,
             surrogate=result.surrogate,
         )
-        return Found(drawn, memory, result.losses)
+        return SearchResult(drawn, memory, result.losses)
 
     def loss(self, start: _Start, epsilon: Tensor, forced: Forced | None) -> Terms:
         """Return the loss of standardised latents (A, Z) while the target drives *forced*."""
@@ -129,7 +129,7 @@ class Strive(Rival):
         old, known = _stacked(task, task.memory.natural, noise)
         mixed = share * old + (1.0 - share**2) ** 0.5 * noise
         natural = torch.where(known[:, None], mixed, noise).to(self.prior.device)
-        shifts, known = _stacked(task, task.memory.found, noise)
+        shifts, known = _stacked(task, task.memory.searched, noise)
         gained = torch.where(known[:, None], share * (shifts - old), 0.0).to(self.prior.device)
         moved = torch.from_numpy(task.view.moved).to(self.prior.device)
         return _Start(batch, context, moved, natural, natural + gained)

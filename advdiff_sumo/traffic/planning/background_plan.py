@@ -23,7 +23,7 @@ from advdiff_sumo.traffic.planning.draw import Drawn
 from advdiff_sumo.traffic.planning.futures import Futures, coasting, futures_of, join
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.planning.people import PEOPLE, go_straight, velocities
-from advdiff_sumo.traffic.planning.safeguard import Guarded, Plan, Watched, back_to_lane, safeguard
+from advdiff_sumo.traffic.planning.safeguard import Plan, SafeguardedPlans, Watched, back_to_lane, safeguard
 from advdiff_sumo.traffic.planning.way_out import way_out
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def apply_safeguard(
     lanes: Mapping[int, LaneAhead | None],
     before: tuple[Tracks | None, int] = (None, 0),
     attack: LicensedAttack = RECKLESS,
-) -> Guarded:
+) -> SafeguardedPlans:
     """Return the plans *drawn* for *view* made plausible, among everybody else's predictions.
 
     Args:

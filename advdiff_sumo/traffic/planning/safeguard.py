@@ -75,7 +75,7 @@ class Watched:
 
 
 @dataclass(frozen=True)
-class Guarded:
+class SafeguardedPlans:
     """Plans after the safeguard and what it did, each (N,).
 
     Attributes:
@@ -93,7 +93,7 @@ class Guarded:
     unsolved: BoolArray
 
 
-def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
+def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> SafeguardedPlans:
     """Return plausible plans near *futures*."""
     plans = futures.copy()
     nowhere = np.array([lane is None for lane in watched.lanes], dtype=np.bool_)
@@ -120,7 +120,7 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> Guarded:
     slows = lost | wide
     stop[slows] = np.minimum(stop[slows], 0.5 * plans.speed_mps[slows, 0] ** 2 / _LOST_BRAKE_MPS2)
     clear = _settled(plans, watched, may, stop)
-    return Guarded(clear.futures, off & ~lost, held, clear.rows, clear.unsolved)
+    return SafeguardedPlans(clear.futures, off & ~lost, held, clear.rows, clear.unsolved)
 
 
 def _blocks_junction(futures: Futures, watched: Watched) -> BoolArray:

@@ -151,7 +151,7 @@ def test_the_next_search_starts_one_step_on(weights: str, downtown: RoadMap, str
     view = look(downtown, scene)
     first = policy.search(Task(downtown, view, memory, 3)).memory
     (name,) = first.attackers
-    old = first.found[name].reshape(8, 2)
+    old = first.searched[name].reshape(8, 2)
     assert old.any()
     with torch.no_grad():
         rollout = policy.driver(view.batch)

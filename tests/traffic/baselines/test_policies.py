@@ -18,7 +18,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.baselines.advsim import AdvSim
-from advdiff_sumo.traffic.baselines.closed_loop import Found, Memory, Rival, Task
+from advdiff_sumo.traffic.baselines.closed_loop import Memory, Rival, SearchResult, Task
 from advdiff_sumo.traffic.baselines.strive import Strive
 from advdiff_sumo.traffic.policy_check import check_policy
 from advdiff_sumo.traffic.policy_registry import make_policy
@@ -42,7 +42,7 @@ def made(weights: str, simnet: str) -> Callable[..., Rival]:
     return make
 
 
-def searched(policy: Rival, road: RoadMap, scene: Scene, memory: Memory | None = None) -> Found:
+def searched(policy: Rival, road: RoadMap, scene: Scene, memory: Memory | None = None) -> SearchResult:
     begun = memory or policy.start(road, scene, None, np.random.default_rng(0))
     return policy.search(Task(road, look(road, scene), begun, 7))
 

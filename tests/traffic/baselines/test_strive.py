@@ -100,7 +100,7 @@ def test_the_loss_goes_down_and_the_start_is_beaten(
     start = policy._start(task)
     with torch.no_grad():
         forced = policy.react(task, policy.ask(task), policy._decode(start, start.warm, None))
-        moved = found.memory.found
+        moved = found.memory.searched
         epsilon = torch.from_numpy(np.stack([moved[name] for name in task.view.ids])).float()
         before, after = (policy.loss(start, e, forced) for e in (start.natural, epsilon))
     assert float(after.total) < float(before.total)
@@ -112,7 +112,7 @@ def test_latents_of_who_may_not_be_moved_stay(weights: str, downtown: RoadMap, s
     scene = Scene(scene.history, 0, np.array([False, True, False, True]), scene.routes, scene.signals)
     policy = Strive(weights=weights, rounds=3)
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
-    found = policy.search(Task(downtown, look(downtown, scene), memory, 1)).memory.found
+    found = policy.search(Task(downtown, look(downtown, scene), memory, 1)).memory.searched
     assert {name for name, value in found.items() if value.any()} == {"v1", "v3"}
 
 
@@ -125,7 +125,7 @@ def test_the_next_search_starts_where_the_last_one_ended(
     view = look(downtown, scene)
     first = policy.search(Task(downtown, view, memory, 1)).memory
     begun = policy._start(Task(downtown, view, first, 2))
-    wanted = np.stack([0.5 * first.found[name] for name in view.ids])
+    wanted = np.stack([0.5 * first.searched[name] for name in view.ids])
     np.testing.assert_allclose(begun.warm.numpy(), wanted, atol=1e-6)
     assert not begun.natural.any()
 

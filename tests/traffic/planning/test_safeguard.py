@@ -13,7 +13,7 @@ from advdiff_sumo.maps.lanes import Lane
 from advdiff_sumo.traffic.planning.futures import Futures, coasting
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.planning.road_bound import leaves_road
-from advdiff_sumo.traffic.planning.safeguard import Guarded, Watched, safeguard, stop_distances
+from advdiff_sumo.traffic.planning.safeguard import SafeguardedPlans, Watched, safeguard, stop_distances
 
 T, DT = 12, 0.5
 BOTH, SECOND = np.ones(2, dtype=np.bool_), np.array([False, True])
@@ -64,7 +64,7 @@ def watched(road: RoadMap, futures: Futures, attacks: bool = False, light: str =
     )
 
 
-def guarded(road: RoadMap, futures: Futures, **how: object) -> Guarded:
+def guarded(road: RoadMap, futures: Futures, **how: object) -> SafeguardedPlans:
     return safeguard(road, futures, watched(road, futures, **how))  # type: ignore[arg-type] # see above
 
 

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli import run_flags as flags
+from advdiff_sumo.cli.terminal import print_json, terminal, verb_console
 from advdiff_sumo.core.errors import ConfigError
 
 
@@ -34,6 +35,7 @@ def verdict(
             help="Who of a scenario is judged.", show_default="the exported target, or the log's ego"
         ),
     ] = "",
+    as_json: flags.Json = False,
 ) -> None:
     """Judge the collisions of a finished run or sweep: which of them count, and why.
 
@@ -47,16 +49,17 @@ def verdict(
     Says what a road user of a CommonRoad scenario, another driving log or an exported file came to, and writes nothing.
     """
     if net:
-        _scenarios(folder, net, target, search)
+        _scenarios(folder, net, target, search, as_json)
         return
     if target:
         raise ConfigError("--target is for scenarios, which need --net, too; a run knows its target")
     from advdiff_sumo.cli.run import progress_bar  # late: --help is quick
+    from advdiff_sumo.cli.summary import run_object
     from advdiff_sumo.experiments.judge_folder import open_folder
     from advdiff_sumo.metrics.severity import is_valid_failure
     from advdiff_sumo.report import write_report
 
-    console = terminal()
+    console = verb_console(False, as_json)
     judging = open_folder(folder)
     with progress_bar(console) as bar:
         task = bar.add_task("episodes judged", total=judging.count)
@@ -69,16 +72,22 @@ def verdict(
         console.print(f"{sum(bool(row['unavoidable']) for row in hits)} unavoidable")
     if (folder / "report.html").exists():
         console.print(f"look at {write_report(folder)}", soft_wrap=True)
+    if as_json:
+        print_json(run_object(folder))
 
 
-def _scenarios(path: Path, net: str, target: str, search: bool) -> None:
+def _scenarios(path: Path, net: str, target: str, search: bool, as_json: bool) -> None:
     """Say what came of each scenario in *path*."""
     from advdiff_sumo.experiments.judge_scenario import judge_scenario, outcome, read_scenarios  # as above
     from advdiff_sumo.maps import RoadMap
     from advdiff_sumo.maps.shipped_nets import find_net
 
-    console = terminal(highlight=False, soft_wrap=True)
+    console = terminal(highlight=False, soft_wrap=True, quiet=as_json)
     road = RoadMap.read(find_net(net))
+    judged = []
     for scenario in read_scenarios(path, target or None):
-        metrics = judge_scenario(scenario, road, search)
-        console.print(f"{scenario.name}, {scenario.target_id}: {outcome(metrics)}", markup=False)
+        judgement = judge_scenario(scenario, road, search)
+        console.print(f"{scenario.name}, {scenario.target_id}: {outcome(judgement.metrics)}", markup=False)
+        judged.append({"scenario": scenario.name, "target": scenario.target_id, **judgement.summary()})
+    if as_json:
+        print_json({"scenarios": judged})

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,11 +16,19 @@ from advdiff_sumo.data import open_log
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.export import ImportedScene, import_scene
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.columns import CRITICAL_COLUMNS, VERDICT_COLUMNS
+from advdiff_sumo.metrics.metric_rows import episode_row
 from advdiff_sumo.metrics.summary import EpisodeMetrics, summarise
 from advdiff_sumo.report.states import EpisodeStates
 from advdiff_sumo.report.stored_record import record_of_states
 
 COARSEST_STEP_S = 0.2
+#: What is said of a scenario in JSON.
+JSON_COLUMNS = (
+    *("target_collision", "collision_time_s", "collision_partner", "collision_type", "at_fault"),
+    *VERDICT_COLUMNS,
+    *CRITICAL_COLUMNS,
+)
 _EXPORTED = (".xosc", ".cr.xml", ".pkl", ".fcd.xml", ".csv")
 
 
@@ -63,7 +72,24 @@ def read_scenarios(path: Path, target: str | None = None) -> Iterator[Scenario]:
         yield _scenario(scene.name, scene.source, scene.tracks, scene.ego, target)
 
 
-def judge_scenario(scenario: Scenario, road: RoadMap, search: bool = False) -> EpisodeMetrics:
+@dataclass(frozen=True)
+class Judgement:
+    """What a scenario came to.
+
+    Attributes:
+        metrics: of the target.
+        row: the same by the names of the columns of ``episodes.parquet``.
+    """
+
+    metrics: EpisodeMetrics
+    row: Mapping[str, Any]
+
+    def summary(self) -> dict[str, Any]:
+        """Return the figures of ``JSON_COLUMNS``."""
+        return {name: self.row[name] for name in JSON_COLUMNS}
+
+
+def judge_scenario(scenario: Scenario, road: RoadMap, search: bool = False) -> Judgement:
     """Return what came of the target of *scenario* on *road*; without signals and routes, which scenarios lack.
 
     Args:
@@ -88,7 +114,8 @@ def judge_scenario(scenario: Scenario, road: RoadMap, search: bool = False) -> E
     at = np.flatnonzero(there)
     present = tracks.window(int(at[0]), int(at[-1]) + 1)
     record = record_of_states(EpisodeStates(present, row), {}, None)
-    return summarise(record, road, solvable(record, road) if search else None)
+    metrics = summarise(record, road, solvable(record, road) if search else None)
+    return Judgement(metrics, episode_row(record, road, metrics))
 
 
 def outcome(metrics: EpisodeMetrics) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -49,6 +50,8 @@ def test_the_same_verdicts_again(collided: Path, here: Callable[..., Outcome]) -
     assert done.code == 0, done.err
     assert "2 collisions of the target: 1 valid failures" in done.out
     assert (table(collided), table(collided, "collisions")) == before
+    told = json.loads(here("verdict", collided, "--workers", "1", "--json").out)
+    assert (told["episodes"], told["valid_failures"], told["collisions"]) == (3, 1, 2)
 
 
 @pytest.mark.slow
@@ -156,6 +159,9 @@ def test_an_exported_scenario_and_one_of_others(collided: Path, here: Callable[.
         assert done.out.startswith("run-0000, ego: rear_end_striking at ")
         assert "valid failure. A careful and competent driver" in done.out
         assert "the target ran into the rear of 'lead'" in done.out
+    (told,) = json.loads(here("verdict", commonroad, "--net", net, "--json").out)["scenarios"]
+    assert (told["scenario"], told["target"], told["collision_partner"]) == ("run-0000", "ego", "lead")
+    assert (told["valid_failure"], told["target_breaches"]) == (True, "ran_into")
     nameless = out / "others.xml"
     nameless.write_text(re.sub("<!--.*?-->", "", commonroad.read_text()))
     done = here("verdict", nameless, "--net", net)

@@ -28,7 +28,9 @@ import numpy as np
 from advdiff_sumo.cli.export import stem_of
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import InputError
+from advdiff_sumo.core.frames import bumper_from_centre
 from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.experiments.judge_folder import open_folder
 from advdiff_sumo.export import ExportScene, make_exporter
 from advdiff_sumo.maps import RoadMap
@@ -38,9 +40,10 @@ from advdiff_sumo.metrics.traffic_view import TrafficView
 
 RULES = Path(__file__).with_name("commonroad_rules.py")
 Answers = dict[str, Any]
-CLOSE_M = 0.5
+CLOSE_M, TOUCHING_M = 0.5, 0.2
 ACROSS = "its box reaches into the lane, its centre is in another one"
 CLOSE = f"within {CLOSE_M} m of the safe gap"
+TOUCHING = "they touch: the monitor calls nobody ahead then"
 OTHER = "something else"
 
 
@@ -72,8 +75,10 @@ def main() -> int:
         total = both + ours + theirs + neither
         print(f"{rule}: {total} instants, {(both + neither) / max(total, 1):.2%} agree")
         print(f"    broken by both {both}, by ours alone {ours}, by the monitor's alone {theirs}")
+    on, off = counts["on a junction", True, True], counts["on a junction", False, True]
+    print(f"    of the monitor's alone: a bumper on a lane of a junction {on}, not so {off}")
     print("where they differ on the safe distance:")
-    for reason in (ACROSS, CLOSE, OTHER):
+    for reason in (ACROSS, CLOSE, TOUCHING, OTHER):
         print(
             f"    {reason}: ours alone {counts[reason, True, False]}, the monitor's {counts[reason, False, True]}"
         )
@@ -159,7 +164,7 @@ def count(
         counts["safe distance", bool(ours), bool(theirs)] += 1
         if bool(ours) != bool(theirs):
             rows = [tracks.index[name] for name in ours | theirs]
-            counts[why_apart(spare_m[rows, step]), bool(ours), bool(theirs)] += 1
+            counts[why_apart(spare_m[rows, step], ahead.gap_m[rows, step]), bool(ours), bool(theirs)] += 1
     for number, steps in told["too_fast"].items():
         row = target if names[number] == "target" else tracks.index[names[number]]
         limits, over = road.legal_limits_mps, set(steps)
@@ -167,16 +172,30 @@ def count(
             lane = view.place(row, step, step + 1).lane[0]
             fast = lane is not None and tracks.speed_mps[row, step] > limits[lane]
             counts["speed limit", bool(fast), step in over] += 1
+            if step in over and not fast:
+                counts["on a junction", on_junction(tracks, row, step, road), True] += 1
 
 
-def why_apart(spare_m: FloatArray) -> str:
-    """Return why the two disagree on the safe distance.
+def on_junction(tracks: Tracks, row: int, step: int, road: RoadMap) -> bool:
+    """Return whether a bumper of agent *row* is on a lane of a junction."""
+    yaw, length_m = tracks.yaw_rad[row, step], tracks.size_m[row, 0]
+    front = bumper_from_centre(tracks.xy_m[row, step], yaw, length_m)
+    rear = bumper_from_centre(tracks.xy_m[row, step], yaw, -length_m)
+    poses = [road.locate(place, yaw) for place in (front, rear)]
+    return any(pose is not None and road.lanes[pose.lane_id].is_internal for pose in poses)
+
+
+def why_apart(spare_m: FloatArray, gap_m: FloatArray) -> str:
+    """Return why the two disagree on the safe distance to those that either objects to.
 
     Args:
-        spare_m: gap less safe gap to those that either objects to; NaN where they are not ahead in the lane for us.
+        spare_m: gaps less safe gaps; NaN where they are not ahead in the lane for us.
+        gap_m: gaps, NaN as before.
     """
     if np.isnan(spare_m).all():
         return ACROSS
+    if np.nanmin(gap_m) < TOUCHING_M:
+        return TOUCHING
     return CLOSE if np.nanmin(np.abs(spare_m)) < CLOSE_M else OTHER
 
 

@@ -10,7 +10,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from check_monitor import ACROSS, CLOSE, OTHER, TOUCHING, why_apart  # noqa: E402 - a tool, not part of the package
+from check_monitor import ACROSS, CLOSE, OTHER, TOUCHING, why_apart
 
 
 @pytest.mark.parametrize(

@@ -19,18 +19,18 @@ _FEWEST_SHARED = 4
 
 def table(columns: Mapping[str, Column], above: Mapping[str, Mapping[str, Column]]) -> str:
     """Return *columns* as a Markdown table; a run of columns of a table *above* is one row that refers to it."""
-    lines = ["| column | type | meaning |", "|---|---|---|"]
+    lines = ["| column | meaning |", "|---|---|"]
     names = list(columns)
     while names:
         run, where = max(
             ((_shared(names, columns, other), at) for at, other in above.items()), default=([], "")
         )
         if len(run) >= _FEWEST_SHARED:
-            lines.append(f"| `{run[0]}` to `{run[-1]}` | | the {len(run)} columns as in `{where}` |")
+            lines.append(f"| `{run[0]}` to `{run[-1]}` | the {len(run)} columns as in `{where}` |")
         else:
             run = names[:1]
             column = columns[run[0]]
-            lines.append(f"| `{run[0]}` | {column.dtype}{'?' * column.nullable} | {column.description} |")
+            lines.append(f"| `{run[0]}`{'?' * column.nullable} | {column.description} |")
         names = names[len(run) :]
     return "\n".join(lines) + "\n"
 

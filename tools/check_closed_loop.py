@@ -18,8 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from advdiff_sumo.cli.run import progress_bar
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.core.errors import AdvdiffError, InputError
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.experiments.closed_loop import ClosedLoop, Driver, close_loop

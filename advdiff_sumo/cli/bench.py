@@ -268,7 +268,7 @@ class _Bars:
     """One bar after the other."""
 
     def __init__(self, console: Console) -> None:
-        from advdiff_sumo.cli.run import progress_bar
+        from advdiff_sumo.cli.terminal import progress_bar
 
         self._bar: Progress = progress_bar(console)
         self._task: TaskID | None = None

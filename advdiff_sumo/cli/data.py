@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -62,7 +61,7 @@ def simulate(
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out} is a file; name a folder")
     shards = plan(options)
-    with _progress() as progress:
+    with progress_bar(terminal(stderr=True)) as progress:
         task = progress.add_task("windows", total=windows)
 
         def tell(result: ShardResult) -> None:
@@ -131,7 +130,7 @@ def build(
     converted = (out.parent if is_file else out) / "nets" if convert else None
     nets = Nets(tuple(RoadMap.read(find_net(name)) for name in net or ()), converted)
     options = BuildOptions(stride, not ego_only, split, challenge)
-    with _progress(transient=True) as progress:
+    with progress_bar(terminal(stderr=True), transient=True) as progress:
         task = progress.add_task("drives", total=None)
         counts = built(readers, nets, options, out, lambda *_: progress.update(task, advance=1))
         progress.update(task, total=len(counts.drives) + len(counts.skipped))
@@ -164,14 +163,3 @@ def stats(
         text = "  ".join(f"{key} {part:g}".strip() for key, part in parts.items())
         table.add_row(name.replace("_", " "), text)
     terminal().print(table)
-
-
-def _progress(transient: bool = False) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=terminal(stderr=True),
-        transient=transient,
-    )

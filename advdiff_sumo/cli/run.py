@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from advdiff_sumo.cli import run_flags as flags
-from advdiff_sumo.cli.terminal import print_json, verb_console
+from advdiff_sumo.cli.terminal import print_json, progress_bar, verb_console
 from advdiff_sumo.cli.worker_flags import (
     MEMORY_MB,
     PLAN_TIMEOUT_S,
@@ -189,18 +188,6 @@ def _begun(out: Path | None) -> Path | None:
         raise ConfigError("--resume does not say which run; add its folder with --out")
     settings = out / "run.toml"
     return settings if settings.exists() else None
-
-
-def progress_bar(console: Console) -> Progress:
-    """Return the bar of a run or a sweep."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-    )
 
 
 def options_given(

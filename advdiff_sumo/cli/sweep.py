@@ -241,7 +241,7 @@ class _Progress:
     """The bar; counts collisions and failures."""
 
     def __init__(self, console: Console, todo: Todo) -> None:
-        from advdiff_sumo.cli.run import progress_bar
+        from advdiff_sumo.cli.terminal import progress_bar
 
         self._bar = progress_bar(console)
         self._todo = todo

@@ -6,9 +6,12 @@ import json
 import os
 import sys
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 #: Width in characters of what is not a terminal; wider than any of our tables, which take no more than they need.
 PIPED_WIDTH = 1000
@@ -24,6 +27,27 @@ def terminal(**options: Any) -> Console:
     if not console.is_terminal and "COLUMNS" not in os.environ and "width" not in options:
         console.width = PIPED_WIDTH
     return console
+
+
+def progress_bar(console: Console, transient: bool = False) -> Progress:
+    """Return a bar with counts and the time left, shown where a person looks; *transient*: it vanishes at the end."""
+    from rich.progress import (  # late: --help
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+        transient=transient,
+    )
 
 
 def verb_console(quiet: bool, as_json: bool) -> Console:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import Progress
 
 from advdiff_sumo.cli.evaluate import judge_and_show
+from advdiff_sumo.cli.terminal import progress_bar
 from advdiff_sumo.core.errors import FileError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -135,23 +136,13 @@ def _train(job: Job, resume: bool, console: Console) -> bool:
     events = history.open_events(job.out / "events", 0)
     if events is None:
         console.print("no TensorBoard events: pip install 'advdiff-sumo[train]' adds them", style="yellow")
-    with _bar(console) as bar:
+    with progress_bar(console) as bar:
         trainer = Trainer(job, events or history.NoEvents(), _teller(bar, job))
         if resume:
             trainer.resume()
         progress = trainer.run()
     _say(console, job, progress)
     return progress.done
-
-
-def _bar(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-    )
 
 
 def _teller(bar: Progress, job: Job) -> Tell:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from advdiff_sumo.cli.run import progress_bar
+from advdiff_sumo.cli.terminal import progress_bar
 from advdiff_sumo.cli.train import claim
 from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.errors import ConfigError

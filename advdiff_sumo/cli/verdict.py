@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from advdiff_sumo.cli import run_flags as flags
-from advdiff_sumo.cli.terminal import print_json, terminal, verb_console
+from advdiff_sumo.cli.terminal import print_json, progress_bar, terminal, verb_console
 from advdiff_sumo.core.errors import ConfigError
 
 
@@ -53,7 +53,6 @@ def verdict(
         return
     if target:
         raise ConfigError("--target is for scenarios, which need --net, too; a run knows its target")
-    from advdiff_sumo.cli.run import progress_bar  # late: --help is quick
     from advdiff_sumo.cli.summary import run_object
     from advdiff_sumo.experiments.judge_folder import open_folder
     from advdiff_sumo.metrics.severity import is_valid_failure

@@ -36,7 +36,7 @@ def warmup(
     Then: advdiff-sumo run --target lane_graph --background diffusion --reward q.safetensors
     """
     one_thread_for_good()
-    from advdiff_sumo.cli.run import progress_bar  # late: --help needs neither SUMO nor PyTorch
+    from advdiff_sumo.cli.terminal import progress_bar
     from advdiff_sumo.experiments.warmup_run import description, warm_up
     from advdiff_sumo.models.reward_file import save_reward
     from advdiff_sumo.sim.run_episodes import RunOptions

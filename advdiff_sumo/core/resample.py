@@ -190,3 +190,13 @@ def _hermite(
     shift = move * (3 * s2 - 2 * s3) + span * (v0 * (share - 2 * s2 + s3) + v1 * (s3 - s2))
     rate = move / span * 6 * (share - s2) + v0 * (1 - 4 * share + 3 * s2) + v1 * (3 * s2 - 2 * share)
     return shift, rate
+
+
+def with_middles(xy_m: FloatArray, yaw_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return positions (…, T, 2) and headings (…, T) with the middles put in: (…, 2 T − 1, 2), (…, 2 T − 1)."""
+    *agents, steps = yaw_rad.shape
+    xy, yaw = np.empty((*agents, 2 * steps - 1, 2)), np.empty((*agents, 2 * steps - 1))
+    xy[..., ::2, :], yaw[..., ::2] = xy_m, yaw_rad
+    xy[..., 1::2, :] = 0.5 * (xy_m[..., 1:, :] + xy_m[..., :-1, :])
+    yaw[..., 1::2] = yaw_rad[..., :-1] + 0.5 * wrap_angle(np.diff(yaw_rad, axis=-1))
+    return xy, yaw

@@ -9,6 +9,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.boxes import corners, separation
 from advdiff_sumo.core.frames import unit, wrap_angle
+from advdiff_sumo.core.resample import with_middles
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.learned.candidates import BRAKE, BRAKES_MPS2, RAW, Candidates
 from advdiff_sumo.planners.learned.guide import Guide
@@ -88,8 +89,8 @@ def cost(
 
 def risk(candidates: Candidates, around: Around, size_m: FloatArray, dt_s: float) -> FloatArray:
     """Return (C,) the share of samples in which a candidate meets somebody, sooner counting more."""
-    xy, yaw = _halves(candidates.xy_m, candidates.yaw_rad)
-    theirs, turned = _halves(around.xy_m, around.yaw_rad)
+    xy, yaw = with_middles(candidates.xy_m, candidates.yaw_rad)
+    theirs, turned = with_middles(around.xy_m, around.yaw_rad)
     samples, count = theirs.shape[:2]
     hit = np.zeros((len(xy), samples))
     if not count:
@@ -142,16 +143,3 @@ def _route_cost(candidates: Candidates, guide: Guide, dt_s: float) -> FloatArray
         urgent = np.clip(1.0 - (left - _NEAR_M) / (_FAR_M - _NEAR_M), 0.0, 1.0)
         total += np.where(which == 1, _CHANGE, _NEEDED * urgent)
     return np.asarray(total)
-
-
-def _halves(xy_m: FloatArray, yaw_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return positions (…, 2 T − 1, 2) and headings (…, 2 T − 1) with the middles put in."""
-    steps = yaw_rad.shape[-1]
-    xy, yaw = (
-        np.empty((*yaw_rad.shape[:-1], 2 * steps - 1, 2)),
-        np.empty((*yaw_rad.shape[:-1], 2 * steps - 1)),
-    )
-    xy[..., ::2, :], yaw[..., ::2] = xy_m, yaw_rad
-    xy[..., 1::2, :] = 0.5 * (xy_m[..., 1:, :] + xy_m[..., :-1, :])
-    yaw[..., 1::2] = yaw_rad[..., :-1] + 0.5 * wrap_angle(np.diff(yaw_rad, axis=-1))
-    return xy, yaw

@@ -23,7 +23,13 @@ from advdiff_sumo.traffic.planning.draw import Drawn
 from advdiff_sumo.traffic.planning.futures import Futures, coasting, futures_of, join
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.planning.people import PEOPLE, go_straight, velocities
-from advdiff_sumo.traffic.planning.safeguard import Plan, SafeguardedPlans, Watched, back_to_lane, safeguard
+from advdiff_sumo.traffic.planning.safeguard import (
+    SafeguardedPlans,
+    VehiclePlan,
+    Watched,
+    back_to_lane,
+    safeguard,
+)
 from advdiff_sumo.traffic.planning.way_out import way_out
 
 if TYPE_CHECKING:
@@ -201,7 +207,7 @@ def _with_rest(mask: BoolArray, rest: IntArray) -> BoolArray:
     return np.concatenate((mask, np.zeros(len(rest), dtype=np.bool_)))
 
 
-def _rests(plan: Tracks | None, driven: int, view: View, steps: int) -> dict[int, Plan]:
+def _rests(plan: Tracks | None, driven: int, view: View, steps: int) -> dict[int, VehiclePlan]:
     """Return by row of *view* what is left of the last plan, gone on with at its last speed, for *steps* instants.
 
     Who is not where its plan had it by now is left out.
@@ -211,7 +217,7 @@ def _rests(plan: Tracks | None, driven: int, view: View, steps: int) -> dict[int
     rest = {name: row for row, name in enumerate(plan.ids)}
     ahead = np.arange(driven, driven + steps)
     index, beyond = np.minimum(ahead, plan.steps - 1), plan.dt_s * np.maximum(ahead - plan.steps + 1, 0)
-    out: dict[int, Plan] = {}
+    out: dict[int, VehiclePlan] = {}
     for row in np.flatnonzero(view.moved).tolist():
         mine = rest.get(view.ids[row])
         if mine is None:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
-from advdiff_sumo.core.frames import unit, wrap_angle
+from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.resample import with_middles
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import MODEL_STEP_S
@@ -73,12 +74,8 @@ class Futures:
 
     def halves(self) -> tuple[FloatArray, FloatArray]:
         """Return positions (N, 2 T, 2) and headings (N, 2 T) at every half step from now on, now left out."""
-        xy = np.empty((self.agents, 2 * self.steps, 2))
-        yaw = np.empty(xy.shape[:2])
-        xy[:, 1::2], yaw[:, 1::2] = self.xy_m[:, 1:], self.yaw_rad[:, 1:]
-        xy[:, ::2] = 0.5 * (self.xy_m[:, 1:] + self.xy_m[:, :-1])
-        yaw[:, ::2] = self.yaw_rad[:, :-1] + 0.5 * wrap_angle(np.diff(self.yaw_rad, axis=1))
-        return xy, yaw
+        xy, yaw = with_middles(self.xy_m, self.yaw_rad)
+        return xy[:, 1:].copy(), yaw[:, 1:].copy()
 
     def travelled_m(self) -> FloatArray:
         """Return the distance driven (N, T + 1) since now."""

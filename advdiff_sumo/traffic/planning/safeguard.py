@@ -39,7 +39,7 @@ _BEFORE_LINE_M = 1.0
 _LOOK_STEPS = 6
 """Instants of a plan that have to be clear: 3 s, from 14 m/s a stop at less than 5 m/s²."""
 
-Plan: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+VehiclePlan: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 """Positions (T, 2), headings (T,) and speeds (T,) of one vehicle."""
 
 
@@ -71,7 +71,7 @@ class Watched:
     over_limit: FloatArray
     lanes: Sequence[LaneAhead | None]
     signals: Mapping[str, str]
-    before: Mapping[int, Plan] = field(default_factory=dict)
+    before: Mapping[int, VehiclePlan] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

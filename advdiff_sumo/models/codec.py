@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, Protocol, TypeAlias
+from typing import Literal, TypeAlias
 
 import torch
 from torch import Tensor, nn
@@ -17,20 +17,6 @@ from advdiff_sumo.models.traffic import TrafficModel
 
 CodecName: TypeAlias = Literal["latent", "trajectory"]
 _FLOOR = 0.05
-
-
-class Codec(Protocol):
-    """Turns futures into what the denoiser learns, and back."""
-
-    shape: tuple[int, int]
-
-    def raw(self, batch: SceneBatch, context: Context, generator: torch.Generator | None) -> Tensor:
-        """Return (B, A, C, L) of the known futures, before scaling."""
-        ...
-
-    def decode(self, x: Tensor, context: Context, batch: SceneBatch) -> Rollout:
-        """Return the joint futures of scaled *x* (B, A, C, L)."""
-        ...
 
 
 class _Scaled(nn.Module):

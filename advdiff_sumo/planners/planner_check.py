@@ -140,16 +140,6 @@ def _unpacked(answer: object) -> tuple[Plan, Any]:
     return answer
 
 
-def plan_problems(plan: Plan, scene: Scene) -> list[str]:
-    """Return what is wrong with *plan* by itself: shapes, values, length, and whether a vehicle could drive it.
-
-    Args:
-        plan: for the target, from now on.
-        scene: now.
-    """
-    return [problem.text for problem in _of_plan(plan, scene)]
-
-
 def _of_plan(plan: Plan, scene: Scene) -> list[Problem]:
     problem = form_problem(plan, scene.history.dt_s)
     if problem:

@@ -32,7 +32,6 @@ from advdiff_sumo.report.selection import ChosenEpisode, poses_at
 
 #: Length of a strip where no start is asked for, and spacing of its circles: the model's step.
 STRIP_S, CIRCLES_S = 6.0, 0.5
-MOST_PANELS = 8
 _PANEL_IN, _ASPECT, _LEGEND_IN = 3.1, 1.0, 0.34
 _PALE = "#ffffff"
 

@@ -13,7 +13,6 @@ from advdiff_sumo.core.plan_form import form_problem, interval_problem
 from advdiff_sumo.core.scene import AgentClass, Tracks
 
 MAX_SPEED_MPS = 90.0
-MAX_YAW_RATE_RADPS = 12.0  # a car that spins; logs of pedestrians turn on the spot
 SLACK_M = 0.5  # annotation noise of logs
 _MAX_CONTROL = 50.0
 

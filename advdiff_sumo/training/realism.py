@@ -82,8 +82,3 @@ def _overlap(xy: Tensor, yaw: Tensor, size: Tensor) -> Tensor:
 def _counts(values: Tensor, bins: NDArray[np.float64]) -> NDArray[np.float64]:
     inside = np.clip(values.double().cpu().numpy(), bins[0], bins[-1])
     return np.histogram(inside, bins)[0].astype(np.float64)
-
-
-def _kl(p: NDArray[np.float64], q: NDArray[np.float64]) -> float:
-    some = p > 0.0
-    return float((p[some] * np.log2(p[some] / q[some])).sum())

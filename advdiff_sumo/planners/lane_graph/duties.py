@@ -20,7 +20,6 @@ from advdiff_sumo.planners.lane_graph.variants import State, Variant
 _SIGNAL_BRAKE_MPS2, _YELLOW_BRAKE_MPS2 = 6.0, 3.0
 _PASSED_M = 1.5
 _LOOK_M, _LOOK_S = 15.0, 7.0
-_STOPPED_MPS = 0.5
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ def in_situation(
 
     Args:
         situation: "following": somebody ahead in its lane, nearer than 3.5 s of its speed; "merging": somebody on a
-            lane beside it, within 20 m; "yielding": it has to give way at a junction within 60 m; "turning": its
-            route turns there; "any": always.
+            lane beside it, within 20 m; "yielding": it is the next one at a junction within 60 m, and has to give
+            way there; "turning": its route turns there; "any": always.
         road: the net.
         world: names and lanes of the rows.
         frame: the states.
@@ -53,7 +53,9 @@ def _merging(road: RoadMap, world: World, frame: Frame, row: int, route: Sequenc
 
 def _yielding(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:
     link = _next_link(road, world, frame, row, route)
-    return link is not None and bool(road.yields_to(link))
+    if link is None or max(_others_along(road, world, frame, row, world.lane[row]), default=0.0) > 0.0:
+        return False
+    return bool(road.yields_to(link))
 
 
 def _turning(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -100,7 +100,13 @@ class Encounter:
     others: tuple[Scripted, ...]
     horizon_s: float = 15.0
 
-    def drive(self, defects: Sequence[str] = (), target: str = "lane_graph") -> dict[str, Any]:
+    def drive(
+        self,
+        defects: Sequence[str] = (),
+        target: str = "lane_graph",
+        background: str = "replay",
+        background_options: Mapping[str, Any] | None = None,
+    ) -> dict[str, Any]:
         """Return the episode's row with *defects* planted in *target*."""
         made = make_target(target, {"defects": list(defects)})
         sim = SimOptions(record_natural=False, record_plans=0, observe_radius_m=200.0, record_radius_m=300.0)
@@ -109,8 +115,8 @@ class Encounter:
             self.scene(),
             self.road,
             made,
-            make_policy("replay", {}),
-            (target, "replay"),
+            make_policy(background, background_options or {}),
+            (target, background),
             sim,
             self.horizon_s,
             SeedTree(3),

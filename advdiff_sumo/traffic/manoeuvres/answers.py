@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.boxes import axis_gaps
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, SpeedProfile, drive_profiles
+from advdiff_sumo.traffic.manoeuvres.pace import FINE_DT_S, FINE_TIMES_S, speeds_along
+from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, FINE
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 REACTION_S = 0.75
@@ -17,8 +20,9 @@ BRAKING_MPS2 = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
 """Decelerations that are tried, mildest first."""
 UNANSWERABLE_MPS2 = 99.0
 """Stands for an encounter that none of them avoids."""
-_GOES_ON_MPS2 = 0.5
 _ROOM_M = 0.3
+LATE_S = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)
+"""By how much the target may be early or late."""
 
 
 @dataclass(frozen=True)
@@ -35,20 +39,43 @@ class TargetWay:
     speed_mps: float
     size_m: FloatArray
 
+    @cached_property
+    def goes_on_mps(self) -> FloatArray:
+        """Its (121,) speeds at ``FINE_TIMES_S`` if it sees nobody."""
+        return speeds_along(self.way, self.speed_mps)
+
+    @cached_property
+    def goes_on_m(self) -> FloatArray:
+        """The (121,) distances driven meanwhile."""
+        return _driven(self.goes_on_mps)
+
+    def reaches_s(self, ahead_m: float) -> float:
+        """Return when its centre is *ahead_m* further on if it sees nobody; inf where that is not within 6 s."""
+        at = int(np.searchsorted(self.goes_on_m, ahead_m))
+        return float(FINE_TIMES_S[at]) if at < len(FINE_TIMES_S) else np.inf
+
+    def brakes(self, braking_mps2: Sequence[float], from_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return distances driven and speeds (P, T), at ``CHECK_TIMES_S``, with each braking *from_s* on; 0: none."""
+        then = float(np.interp(from_s, FINE_TIMES_S, self.goes_on_mps))
+        braked = then - np.array(braking_mps2)[:, None] * (FINE_TIMES_S - from_s)
+        bound = np.where((from_s >= FINE_TIMES_S) | (np.array(braking_mps2)[:, None] <= 0.0), np.inf, braked)
+        speed = np.minimum(self.goes_on_mps, np.maximum(bound, 0.0))
+        at = slice(FINE, None, FINE)
+        return _driven(speed)[:, at], speed[:, at]
+
     def answers(self, perceived_s: float) -> tuple[FloatArray, FloatArray]:
         """Return centres (P, T, 2) and headings (P, T) of the target for every entry of ``BRAKING_MPS2``.
 
         It goes on until ``REACTION_S`` after it can perceive the other's intention, which is *perceived_s* from
-        now; the first entry goes on for ever, towards the limit.
+        now; the first entry goes on for ever.
         """
-        limit = max(self.way.lane.speed_mps, self.speed_mps)
-        brakes_s = perceived_s + REACTION_S
-        profiles = [
-            SpeedProfile(_GOES_ON_MPS2, brakes_s if brake else np.inf, -brake, highest_mps=limit)
-            for brake in BRAKING_MPS2
-        ]
-        driven, _ = drive_profiles(np.full(len(profiles), self.speed_mps), profiles)
-        return self.way.poses(driven, CHECK_TIMES_S)
+        return self.way.poses(self.brakes(BRAKING_MPS2, perceived_s + REACTION_S)[0], CHECK_TIMES_S)
+
+
+def _driven(speed_mps: FloatArray) -> FloatArray:
+    """Return the distances (…, 121) of speeds at ``FINE_TIMES_S``."""
+    stride = 0.5 * FINE_DT_S * (speed_mps[..., 1:] + speed_mps[..., :-1])
+    return np.concatenate((np.zeros_like(speed_mps[..., :1]), np.cumsum(stride, axis=-1)), axis=-1)
 
 
 def needed_braking(
@@ -73,6 +100,18 @@ def needed_braking(
         mildest = np.array(BRAKING_MPS2)[clear.argmax(axis=1)]
         out[rows] = np.where(clear.any(axis=1), mildest, UNANSWERABLE_MPS2)
     return out
+
+
+def contact_share(target: TargetWay, xy_m: FloatArray, yaw_rad: FloatArray, size_m: FloatArray) -> FloatArray:
+    """Return (C,) in which share of ``LATE_S`` a target that goes on would touch each future, were it so late there.
+
+    A contact that needs no timing survives that the target drives a little otherwise than expected; arguments as in
+    :func:`needed_braking`.
+    """
+    times = FINE_TIMES_S[:, None] + np.array(LATE_S)
+    driven = np.interp(np.maximum(times, 0.0), FINE_TIMES_S, target.goes_on_m).T[:, FINE::FINE]
+    clear = _clear(target, target.way.poses(driven, CHECK_TIMES_S), xy_m, yaw_rad, size_m)
+    return np.asarray(1.0 - clear.mean(axis=1))
 
 
 def _clear(

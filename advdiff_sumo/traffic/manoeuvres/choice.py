@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.traffic.manoeuvres.answers import needed_braking
+from advdiff_sumo.traffic.manoeuvres.answers import contact_share, needed_braking
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
@@ -16,9 +16,13 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 HARD_WORTH: Mapping[float, float] = {2.0: 0.05, 3.0: 0.4, 4.0: 0.7, 5.0: 0.9, 6.0: 1.0, 7.0: 0.8}
 """Worth of an encounter by the braking that it needs; none where it needs little or more than a driver has."""
-SEEN_WORTH: Mapping[float, float] = {1.0: 0.5, 2.0: 0.7, 3.0: 0.8, 4.0: 0.8, 5.0: 0.8, 6.0: 0.8}
+SEEN_WORTH: Mapping[float, float] = {1.0: 0.6, 2.0: 0.8, 3.0: 0.8, 4.0: 0.7, 5.0: 0.5, 6.0: 0.3}
 """Worth where what counts is whether the target sees the other and gives way at all."""
+CUT_IN_WORTH: Mapping[float, float] = {2.0: 0.4, 3.0: 0.6, 4.0: 0.8, 5.0: 0.9, 6.0: 1.0, 7.0: 0.7}
+"""Worth where both count."""
 SEEN_KINDS = ("blocked-lane", "crossing", "cut-out")
+_UNCERTAIN = 0.2
+"""Share of its worth that somebody keeps who would meet the target at the very instant alone."""
 SETTING_UP = 0.05
 """Worth of getting into position."""
 
@@ -66,6 +70,10 @@ def rank(
     perceived = np.array([m.enters_s(now[m.row]) for m in proposals])
     needed = needed_braking(target, futures.xy_m, futures.yaw_rad, size, perceived)
     merit = np.array([_merit(m, n) for m, n in zip(proposals, needed.tolist(), strict=True)])
+    timed = np.array([m.kind == "crossing" and not m.sets_up for m in proposals])
+    if timed.any():
+        certain = contact_share(target, futures.xy_m[timed], futures.yaw_rad[timed], size[timed])
+        merit[timed] *= _UNCERTAIN + (1.0 - _UNCERTAIN) * certain
     worth = merit * np.array([weights.get(m.kind, 0.0) for m in proposals])
     useful = np.flatnonzero(worth > 0.0)
     kept = useful[lawful(view, [proposals[k] for k in useful.tolist()], _rows(futures, useful), licence)]
@@ -81,6 +89,8 @@ def rank(
 def _merit(manoeuvre: Manoeuvre, needed_mps2: float) -> float:
     if manoeuvre.sets_up:
         return SETTING_UP if needed_mps2 <= 1.0 else 0.0
+    if manoeuvre.kind == "cut-in":
+        return CUT_IN_WORTH.get(needed_mps2, 0.0)
     table = SEEN_WORTH if manoeuvre.kind in SEEN_KINDS else HARD_WORTH
     return table.get(needed_mps2, 0.0)
 

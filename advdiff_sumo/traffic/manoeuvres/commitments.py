@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
-from advdiff_sumo.traffic.manoeuvres.manoeuvre import ENTERS_SHARE, Manoeuvre, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
@@ -20,12 +21,11 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 _LONGEST_S: Mapping[str, float] = {"blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
 _LONGEST_DEFAULT_S = 7.0
-_LORRIES = 0.5
-"""Share of episodes in which who comes in ahead is a lorry."""
-_SOON_M, _SPACE_M = 110.0, 70.0
-_OPENINGS = ("hard-stop", "cut-in", "crossing")
-_PATIENT_S, _WORTH_IT = 7.0, 0.4
-"""For so long an episode is for what it begins with, and less merit than this waits for a better moment."""
+_LORRIES = 0.4
+"""Share of lorries among those who come in."""
+_WORTH_IT = 0.4
+"""In its first turn an episode waits for a better moment than one of less merit."""
+_STANDS_MPS, _OVER_LINE_M = 0.5, 0.2
 HARDEST_MPS2 = 9.0
 """Nobody brakes harder."""
 _TRIED = 4
@@ -58,7 +58,7 @@ class Commitments:
         active: id → its manoeuvre.
         rested_s: id → when it may take part again.
         stage: who has come in for an encounter, and may.
-        first: the kind that an episode of "any" begins with; "" for all.
+        agenda: which kind the episode is for now.
         hardest_mps2: strongest braking with which a manoeuvre is driven, however hard the one was that was chosen.
     """
 
@@ -66,13 +66,19 @@ class Commitments:
     active: Mapping[str, Commitment] = field(default_factory=dict)
     rested_s: Mapping[str, float] = field(default_factory=dict)
     stage: Stage = field(default_factory=Stage)
-    first: str = ""
+    agenda: Agenda = field(default_factory=Agenda)
     hardest_mps2: float = HARDEST_MPS2
 
     def wanted(self, now_s: float) -> tuple[str, ...]:
-        """Return the kinds that may begin now: the episode's first one and crossing, later all."""
-        early = (self.first, "crossing") if self.first and now_s < _PATIENT_S else tuple(self.weights)
+        """Return the kinds that may begin now: at first the one whose turn it is and crossing, later all."""
+        turn = self.agenda.now
+        early = (turn, "crossing") if turn and now_s < TURN_S else tuple(self.weights)
         return tuple(kind for kind in self.weights if kind in early)
+
+    @property
+    def staged(self) -> tuple[str, ...]:
+        """The kinds for which vehicles come in now."""
+        return (self.agenda.now,) if self.agenda.now else tuple(self.weights)
 
     @property
     def attacking(self) -> tuple[str, ...]:
@@ -90,9 +96,9 @@ class Commitments:
         """
         kinds = list(KINDS) if attack == "any" else [attack]
         weights = dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True))
-        stage = Stage(staged, lorry=bool(rng.random() < _LORRIES))
-        first = str(rng.choice(_OPENINGS)) if attack == "any" else ""
-        return Commitments(weights, stage=stage, first=first)
+        lorries = tuple((rng.random(max(staged, 1)) < _LORRIES).tolist())
+        stage = Stage(staged, lorries, oncoming=bool(rng.random() < 0.5))
+        return Commitments(weights, stage=stage, agenda=Agenda.drawn(rng) if attack == "any" else Agenda())
 
 
 def advance(
@@ -107,11 +113,10 @@ def advance(
         pause_s: rest of a vehicle after a manoeuvre.
         licence: what they may do; None: anything.
     """
-    if kept.first and view.scene.time_s <= 0.0:
-        kept = replace(kept, first=_opening(view, kept.first))
+    kept = replace(kept, agenda=kept.agenda.at(view))
     going, kept = _carry_on(view, kept, pause_s, licence)
     room = attackers - len(going)
-    fresh = _begin(view, kept, {m.row for m in going}, room, licence) if room > 0 else []
+    fresh = _begin(view, kept, going, room, licence) if room > 0 else []
     names, now = view.scene.history.ids, view.scene.time_s
     begun = {names[m.row]: Commitment(m.kind, m.profile, now, m.sets_up) for m in fresh}
     return [*going, *fresh], replace(kept, active={**kept.active, **begun})
@@ -119,37 +124,33 @@ def advance(
 
 def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:
     """Return who comes in now, for the manoeuvres that may begin, and what is remembered of them."""
-    newcomers, stage = come_in(view, kept.stage, kept.wanted(view.scene.time_s))
+    busy = {under_way.kind for under_way in kept.active.values() if not under_way.sets_up}
+    newcomers, stage = come_in(view, kept.stage, [kind for kind in kept.staged if kind not in busy])
     return newcomers, replace(kept, stage=stage)
 
 
-def _opening(view: SituationView, first: str) -> str:
-    """Return what an episode that should begin with *first* can begin with."""
-    target = view.target
-    if first == "cut-in":
-        beside = any(target and view.neighbour(view.scene.target, side) for side in ("left", "right"))
-        return first if beside and view.is_first(_SPACE_M) else "hard-stop"
-    links = target.way.links if target is not None else ()
-    gives_way = any(reach < _SOON_M and view.road.yields_to(link) for reach, link in links)
-    return "hard-stop" if first == "crossing" and not gives_way else first
-
-
 def _begin(
-    view: SituationView, kept: Commitments, busy: set[int], room: int, licence: Licence | None
+    view: SituationView, kept: Commitments, going: Sequence[Manoeuvre], room: int, licence: Licence | None
 ) -> list[Manoeuvre]:
-    """Return the best new manoeuvres, one a vehicle, at most *room*."""
+    """Return the best new manoeuvres beside those *going* on, one a vehicle, one that crosses, at most *room*."""
     names, now = view.scene.history.ids, view.scene.time_s
+    busy = {m.row for m in going}
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
     proposals = [m for row in free for kind in kept.wanted(now) for m in KINDS[kind](view, row)]
     out: list[Manoeuvre] = []
-    least = _WORTH_IT if now < _PATIENT_S else 0.0
+    least = _WORTH_IT if now < TURN_S else 0.0
     ranked = rank(view, proposals, kept.weights, licence)
     worthy = [one for one in ranked if one.manoeuvre.sets_up or one.merit >= least]
     for chosen in worthy[:_TRIED]:
-        fits = all(chosen.manoeuvre.row != other.row for other in out)
+        fits = all(_go_together(chosen.manoeuvre, other) for other in (*going, *out))
         if len(out) < room and fits and _passes(view, chosen, licence):
             out.append(softened(chosen.manoeuvre, kept.hardest_mps2))
     return out
+
+
+def _go_together(one: Manoeuvre, other: Manoeuvre) -> bool:
+    """Return whether both can be driven: two that cross would meet each other."""
+    return one.row != other.row and not one.kind == other.kind == "crossing"
 
 
 def softened(manoeuvre: Manoeuvre, hardest_mps2: float) -> Manoeuvre:
@@ -198,9 +199,15 @@ def _continued(
         again = rank(view, list(KINDS["crossing"](view, row)), {"crossing": 1.0}, licence)
         if again:
             return again[0].manoeuvre
+        if _target_stands(view):
+            return None
     begun = under_way.profile
     rest = replace(begun, switch_s=max(begun.switch_s - passed, 0.0))
     return Manoeuvre(under_way.kind, row, view.ways[row], rest, _goal(view, row, under_way.kind))
+
+
+def _target_stands(view: SituationView) -> bool:
+    return view.target is None or view.target.speed_mps < _STANDS_MPS
 
 
 def _goal(view: SituationView, row: int, kind: str) -> Way | None:
@@ -218,6 +225,7 @@ def _still_lawful(view: SituationView, manoeuvre: Manoeuvre, licence: Licence | 
     goal = manoeuvre.goal
     if goal is not None:
         across = abs(float(goal.line.project(view.scene.history.xy_m[manoeuvre.row, -1])[1]))
-        if across < (1.0 - ENTERS_SHARE) * goal.present_lane.width_m:
+        own_width = float(view.size(manoeuvre.row)[1])
+        if across < 0.5 * (goal.present_lane.width_m + own_width) - _OVER_LINE_M:
             manoeuvre = replace(manoeuvre, goal=None)
     return bool(lawful(view, [manoeuvre], futures, licence)[0])

@@ -120,9 +120,11 @@ def _on(goal: Way, view: SituationView, other: int) -> bool:
 
 
 def _gap_holds(view: SituationView, row: int, other: int, enters_s: float, licence: Licence) -> bool:
-    """Return whether the gap between *row* and *other* is safe when it enters, with both at their speeds of now."""
-    speed, theirs = view.speed(row), view.speed(other)
-    ahead = view.place_on(view.ways[other], row)[0] + enters_s * (speed - theirs)
+    """Return whether the gap between *row* and *other* is safe when it enters, if *other* goes on gaining speed."""
+    speed, gains = view.speed(row), view.gains_mps2(other)
+    theirs = view.speed(other) + gains * enters_s
+    driven = enters_s * (speed - 0.5 * (view.speed(other) + theirs))
+    ahead = view.place_on(view.ways[other], row)[0] + driven
     gap = abs(ahead) - 0.5 * float(view.size(row)[0] + view.size(other)[0])
     follower, leader = (theirs + 0.5, speed) if ahead > 0.0 else (speed, theirs)
     return gap >= licence.gap_share * safe_gap_m(follower, leader) + licence.spare_m

@@ -14,7 +14,7 @@ from advdiff_sumo.metrics.collision import tracks_collisions
 from advdiff_sumo.metrics.encounter import encounter
 from advdiff_sumo.metrics.traffic_view import TrafficView
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_DT_S, CHECK_TIMES_S, SpeedProfile, drive_profiles
+from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_DT_S, CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 CARELESS_ALLOWS = frozenset((BreachKind.UNSAFE_LANE_ENTRY, BreachKind.SPEEDING))
@@ -71,10 +71,7 @@ def _planned(
     target = view.target
     if target is None:
         return None
-    limit = max(target.way.lane.speed_mps, target.speed_mps)
-    driven, speed = drive_profiles(
-        np.array([target.speed_mps]), [SpeedProfile(then_mps2=-braking_mps2, highest_mps=limit)]
-    )
+    driven, speed = target.brakes((braking_mps2,), 0.0)
     xy, yaw = target.way.poses(driven, CHECK_TIMES_S)
     history = view.scene.history.rows([view.scene.target, *rows])
     past = resample(history, CHECK_DT_S)

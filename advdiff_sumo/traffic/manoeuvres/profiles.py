@@ -14,7 +14,8 @@ CHECK_DT_S = 0.25
 """Spacing at which boxes are compared."""
 CHECK_TIMES_S: FloatArray = np.arange(1.0, round(PLAN_STEPS * PLAN_DT_S / CHECK_DT_S) + 1.0) * CHECK_DT_S
 """(24,) instants of a plan at which boxes are compared."""
-_FINE = 5
+FINE = 5
+"""Steps of the integration in one of those."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,8 @@ def drive_profiles(speed_mps: FloatArray, profiles: list[SpeedProfile]) -> tuple
         profiles: P profiles. A speed beyond a bound now stays as it is until the profile takes it back.
     """
     first, switch, then, lowest, highest = SpeedProfile.table(profiles).T
-    small = CHECK_DT_S / _FINE
-    time = small * (np.arange(_FINE * len(CHECK_TIMES_S)) + 0.5)
+    small = CHECK_DT_S / FINE
+    time = small * (np.arange(FINE * len(CHECK_TIMES_S)) + 0.5)
     accel = np.where(time < switch[:, None], first[:, None], then[:, None])
     speed = np.empty((len(profiles), len(time) + 1))
     speed[:, 0] = speed_mps
@@ -62,5 +63,5 @@ def drive_profiles(speed_mps: FloatArray, profiles: list[SpeedProfile]) -> tuple
         fastest = np.maximum(highest, speed[:, k])
         speed[:, k + 1] = np.clip(free, np.maximum(slowest, 0.0), fastest)
     driven = np.cumsum(0.5 * small * (speed[:, 1:] + speed[:, :-1]), axis=1)
-    at = slice(_FINE - 1, None, _FINE)
+    at = slice(FINE - 1, None, FINE)
     return driven[:, at], speed[:, 1:][:, at]

@@ -28,6 +28,8 @@ AFTER_CUT_IN_MPS2 = (2.0, 3.5, 5.0, 6.5, 8.0)
 TIMING_MPS2 = (-2.0, -1.0, 0.0, 1.0, 2.0)
 """How somebody with priority chooses when to arrive."""
 _TIMING_S = (1.5, 3.0)
+_CRAWLS_SHARE, _STOPS_MPS2 = 0.3, 3.0
+"""Who slows harder than this after a change of lanes stops; others go on at a share of the target's speed."""
 _IN_LANE_M, _BESIDE_M = 1.2, 5.5
 _AHEAD_M, _CROSSING_M = 55.0, 60.0
 _SLOWEST_MPS = 2.0
@@ -73,7 +75,8 @@ def cut_in(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     way, limit = view.ways[row], view.ways[row].lane.speed_mps
     lateral = abs(view.place_on(target.way, row)[1]) / LATERAL_MPS
     for brake in AFTER_CUT_IN_MPS2:
-        after = SpeedProfile(0.0, 0.6 * lateral, -brake, 0.3 * target.speed_mps, limit)
+        lowest = _CRAWLS_SHARE * target.speed_mps if brake < _STOPS_MPS2 else 0.0
+        after = SpeedProfile(0.0, 0.6 * lateral, -brake, lowest, limit)
         yield Manoeuvre("cut-in", row, way, after, goal)
     yield Manoeuvre("cut-in", row, way, _into_position(view, target, row), sets_up=True)
 
@@ -96,8 +99,9 @@ def crossing(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     target = view.target
     if links is None or target is None:
         return
-    if not view.is_first(next(reach for reach, link in target.way.links if link is links[1])):
-        return  # it waits behind somebody
+    reach = next((reach for reach, link in target.way.links if link is links[1]), None)
+    if reach is None or not view.is_first(reach):
+        return  # it is on the junction, or waits behind somebody
     way = view.ways[row]
     for accel in TIMING_MPS2:
         for until_s in _TIMING_S if accel else _TIMING_S[:1]:
@@ -128,11 +132,20 @@ KINDS: Mapping[str, Callable[[SituationView, int], Iterator[Manoeuvre]]] = {
 
 
 def crossing_links(view: SituationView, row: int) -> tuple[Link, Link] | None:
-    """Return the links of *row* and of the target at the first junction where their ways meet, else None."""
+    """Return the links of *row* and of the target at the first junction where their ways meet, else None.
+
+    A junction that the target is on counts, one that *row* is on does not.
+    """
     target = view.target
     if target is None:
         return None
     theirs = {link.junction_id: link for reach, link in reversed(target.way.links) if reach < _CROSSING_M}
+    if target.way.present_lane.is_internal:
+        theirs |= {
+            link.junction_id: link
+            for link in view.road.links.values()
+            if target.way.present_lane.id in link.via
+        }
     for reach, link in view.ways[row].links:
         other = theirs.get(link.junction_id)
         if other is None or reach > _CROSSING_M or link is other:

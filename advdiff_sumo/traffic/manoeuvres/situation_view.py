@@ -21,6 +21,7 @@ from advdiff_sumo.traffic.planning.people import velocities
 NEAR_M = 70.0
 """Vehicles farther from the target than this do not matter to it."""
 _IN_LANE_M = 1.5
+_GAINS_MPS2 = 3.0
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class SituationView:
         ways = {row: Way(lane) for row, lane, on_foot in pairs if lane is not None and not on_foot}
         return SituationView(road, scene, ways, np.setdiff1d(rows, [*ways, scene.target]))
 
-    @property
+    @cached_property
     def target(self) -> TargetWay | None:
         """The target on its way; None where it is on no lane."""
         row = self.scene.target
@@ -63,6 +64,12 @@ class SituationView:
     def speed(self, row: int) -> float:
         """Return the speed of *row* now, at least 0."""
         return max(float(self.scene.history.speed_mps[row, -1]), 0.0)
+
+    def gains_mps2(self, row: int) -> float:
+        """Return how fast *row* has gained speed over the last step, 0 to 3 m/s²."""
+        speed = self.scene.history.speed_mps[row]
+        gained = float(speed[-1] - speed[-2]) / self.scene.history.dt_s if len(speed) > 1 else 0.0
+        return float(np.clip(np.nan_to_num(gained), 0.0, _GAINS_MPS2))
 
     def size(self, row: int) -> FloatArray:
         """Return (2,) length and width of *row*."""

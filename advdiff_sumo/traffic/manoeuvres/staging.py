@@ -14,10 +14,10 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import AgentClass, Tracks
-from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL
-from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import approaches
+from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
@@ -27,12 +27,13 @@ STAGED = 6
 """Most vehicles that come in during an episode, if nobody says otherwise."""
 _STEPS = 12
 _AGAIN_S = 2.0
-_SLOWEST_MPS, _CROSSES_MPS = 3.0, 12.0
-_AHEAD_M, _LATER_M, _FARTHEST_M = 55.0, 48.0, 78.0
-_HEADWAY_S, _LEAST_AHEAD_M = 2.0, 22.0
-_APART_M, _APART_S, _FROM_TARGET_M = 9.0, 0.6, 18.0
+_SLOWEST_MPS = 3.0
+_AHEAD_M, _LATER_M, _FARTHEST_M = 55.0, 48.0, 72.0
+_HEADWAY_S, _LEAST_AHEAD_M, _SPARE_M = 2.0, 22.0, 3.0
+_APART_M, _APART_S = 9.0, 0.6
+_FROM_TARGET_M, _LATER_FROM_TARGET_M = 18.0, 30.0
 _IN_LANE_M, _BESIDE_M = 2.0, 6.0
-_JUNCTION_M, _SOON_S = (10.0, 80.0), 7.0
+_MEETS_S, _CLEAR_M = 4.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -41,15 +42,22 @@ class Stage:
 
     Attributes:
         most: vehicles that may come in during an episode.
-        lorry: whether the target's leader is a lorry in this episode.
+        lorries: whether the first who comes in is a lorry, the second, …; in turn.
+        oncoming: whether somebody with priority comes from ahead rather than from the side.
         count: of those that have come in.
         again_s: when it looks again.
     """
 
     most: int = 0
-    lorry: bool = False
+    lorries: tuple[bool, ...] = (False,)
+    oncoming: bool = False
     count: int = 0
     again_s: float = 0.0
+
+    @property
+    def agent_class(self) -> AgentClass:
+        """What comes in next."""
+        return AgentClass.TRUCK if self.lorries[self.count % len(self.lorries)] else AgentClass.CAR
 
 
 @dataclass(frozen=True)
@@ -85,7 +93,11 @@ def come_in(view: SituationView, stage: Stage, kinds: Container[str]) -> tuple[t
     if view.target is None or stage.count >= stage.most or now < stage.again_s:
         return (), stage
     taken: list[Newcomer] = []
-    roles = {"hard-stop": _leader(view, stage), "cut-in": _beside(view), "crossing": _with_priority(view)}
+    roles = {
+        "hard-stop": _leader(view, stage),
+        "cut-in": _beside(view, stage),
+        "crossing": _with_priority(view, stage),
+    }
     for candidates in (made for kind, made in roles.items() if kind in kinds):
         room = min(1, stage.most - stage.count - len(taken))
         taken += islice((one for one in candidates if _is_free(view, one, taken)), room)
@@ -120,67 +132,40 @@ def plan_with(tracks: Tracks, newcomers: Sequence[Newcomer], attack: AttackState
     return JointPlan(joined, attack=attack, routes={one.name: one.route for one in newcomers})
 
 
+def begins(view: SituationView) -> bool:
+    """Return whether this is the first plan of an episode."""
+    return view.scene.time_s < PLAN_DT_S
+
+
 def _leader(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
     """Somebody ahead in the target's lane, where nobody is."""
     target = view.target
     if target is None or target.speed_mps < _SLOWEST_MPS or view.anybody_on(target.way, _AHEAD_M, _IN_LANE_M):
         return
-    begins = view.scene.time_s < PLAN_DT_S
-    gap = max(_HEADWAY_S * target.speed_mps + 8.0, _LEAST_AHEAD_M) if begins else _LATER_M
-    agent_class = AgentClass.TRUCK if stage.lorry else AgentClass.CAR
-    yield from _on_way(view, target.way, gap, target.speed_mps, agent_class)
+    gap = max(_HEADWAY_S * target.speed_mps + 8.0, _LEAST_AHEAD_M) if begins(view) else _LATER_M
+    yield from _on_way(view, target.way, gap, target.speed_mps, stage.agent_class)
 
 
-def _beside(view: SituationView) -> Iterator[Newcomer]:
+def _beside(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
     """Somebody on the next lane, ahead of the target by what a lane change has to leave."""
     target = view.target
     if target is None or target.speed_mps < _SLOWEST_MPS or not view.is_first(_AHEAD_M):
         return
-    speed = target.speed_mps
-    gap = LAWFUL.gap_share * safe_gap_m(speed + 0.5, speed) + LAWFUL.spare_m + SIZE_M[AgentClass.CAR][0] + 3.0
+    speed = target.speed_mps + view.gains_mps2(view.scene.target)
+    least = _LEAST_AHEAD_M if begins(view) else _LATER_FROM_TARGET_M + 1.0
     for side in ("left", "right"):
         way = view.neighbour(view.scene.target, side)
         if way is not None and not view.anybody_on(way, _AHEAD_M, _IN_LANE_M):
-            yield from _on_way(view, way, max(gap, _LEAST_AHEAD_M), speed, AgentClass.CAR)
+            drives = min(target.speed_mps, way.lane.speed_mps)
+            gap = LAWFUL.gap_share * safe_gap_m(speed + 0.5, drives) + LAWFUL.spare_m
+            between = SIZE_M[stage.agent_class][0] + _SPARE_M
+            yield from _on_way(view, way, max(gap + between, least), drives, stage.agent_class)
 
 
-def _with_priority(view: SituationView) -> Iterator[Newcomer]:
+def _with_priority(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
     """Somebody whom the target has to let pass at its next junction, there when the target is."""
-    target = view.target
-    if target is None:
-        return
-    for reach, link in target.way.links[:2]:
-        if not _JUNCTION_M[0] < reach < _JUNCTION_M[1] or view.signal(link) in ("r", "u"):
-            continue
-        if not view.is_first(reach):
-            return
-        meets_s = reach / max(target.speed_mps, _SLOWEST_MPS)
-        if meets_s > _SOON_S:
-            continue
-        for other in sorted(_first_in_line(view, link), key=lambda one: one.direction != "s"):
-            lane = view.road.lanes[other.from_lane]
-            to = view.road.lanes[other.to_lane].edge_id
-            for arrives_s in (meets_s, meets_s + 1.0, meets_s - 1.0):
-                speed = min(lane.speed_mps, _CROSSES_MPS)
-                away = min(speed * arrives_s, lane.length_m - 1.0, _FARTHEST_M)
-                way = view.way_from(lane.line.at(lane.length_m - away), (lane.edge_id, to))
-                if away > _APART_M and way is not None and other in (x for _, x in way.links):
-                    yield Newcomer(way, max(min(speed, away / arrives_s), _SLOWEST_MPS))
-
-
-def _first_in_line(view: SituationView, link: Link) -> list[Link]:
-    """Return the links to which *link* has to give way and that may be driven now."""
-    junction = view.road.junctions[link.junction_id]
-    lanes = (view.road.lanes.get(name) for name in junction.incoming_lanes)
-    return [
-        other
-        for lane in lanes
-        if lane is not None and lane.is_drivable and not lane.is_internal
-        for other in lane.successors
-        if other.junction_id == junction.id
-        and view.gives_way(link, other)
-        and (view.signal(other) == "G" or (not view.signal(other) and not other.must_wait))
-    ]
+    for one in approaches(view, stage.oncoming):
+        yield Newcomer(one.way, one.speed_mps, stage.agent_class)
 
 
 def _on_way(
@@ -208,5 +193,16 @@ def _is_free(view: SituationView, one: Newcomer, taken: Sequence[Newcomer]) -> b
     same_lane = (np.abs(left) < _IN_LANE_M) & (np.abs(s - one.way.lane.s_m) < room)
     clear = bool((apart > np.where(same_lane, room, _BESIDE_M)).all())
     from_target = float(apart[there == target].min(initial=np.inf))
+    clear = clear and _meets_nobody(view, one)
     others = [float(np.linalg.norm(one.xy_m - other.xy_m)) for other in taken]
-    return clear and _FROM_TARGET_M < from_target < _FARTHEST_M and min(others, default=np.inf) > _APART_M
+    nearest = _FROM_TARGET_M if begins(view) else _LATER_FROM_TARGET_M
+    return clear and nearest < from_target < _FARTHEST_M and min(others, default=np.inf) > _APART_M
+
+
+def _meets_nobody(view: SituationView, one: Newcomer) -> bool:
+    """Return whether *one* stays clear of all but the target for a while, if everybody keeps its speed."""
+    soon = CHECK_TIMES_S[CHECK_TIMES_S <= _MEETS_S]
+    rows = np.array([row for row in view.ways if row != view.scene.target], dtype=np.int64)
+    own = one.way.poses(one.speed_mps * soon, soon)[0]
+    theirs = view.coasting(rows)[0][:, : len(soon)]
+    return bool((np.linalg.norm(theirs - own, axis=-1) > _CLEAR_M).all())

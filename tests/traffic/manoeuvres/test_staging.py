@@ -11,6 +11,8 @@ import pytest
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
+from advdiff_sumo.traffic.manoeuvres.pace import FINE_TIMES_S
+from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import SIZE_M, Stage, come_in, plan_with
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
@@ -29,7 +31,7 @@ def downtown(networks: object) -> RoadMap:
 def test_a_leader_comes_in_where_there_is_none(motorway: RoadMap) -> None:
     """At 10 m/s, 2 s and 8 m ahead: 28 m."""
     view = view_of(motorway, target=(0, 50.0, 10.0))
-    (leader,), stage = come_in(view, Stage(most=3, lorry=True), ("hard-stop",))
+    (leader,), stage = come_in(view, Stage(most=3, lorries=(True,)), ("hard-stop",))
     assert leader.agent_class is AgentClass.TRUCK
     assert leader.speed_mps == 10.0
     assert view.target is not None
@@ -81,7 +83,7 @@ def minor_links(road: RoadMap) -> Iterator[Link]:
 
 
 def test_somebody_with_priority_comes_in_at_a_minor_approach(downtown: RoadMap) -> None:
-    """It is on an edge to which the target gives way, and arrives within a second and a half of the target."""
+    """It comes over a link to which the target gives way, and meets a target that sees nobody."""
     links = list(minor_links(downtown))
     assert links
     for link in links:
@@ -95,7 +97,11 @@ def test_somebody_with_priority_comes_in_at_a_minor_approach(downtown: RoadMap) 
             response = downtown.junctions[link.junction_id].response[link.request_index]
             assert crosses[0][1].request_index in response
             assert one.route[0] != lane.edge_id
-            assert abs(crosses[0][0] / one.speed_mps - 5.0) < 1.6
+            assert view.target is not None
+            driven = np.interp(CHECK_TIMES_S, FINE_TIMES_S, view.target.goes_on_m)
+            own = view.target.way.poses(driven, CHECK_TIMES_S)[0]
+            theirs = one.way.poses(one.speed_mps * CHECK_TIMES_S, CHECK_TIMES_S)[0]
+            assert np.linalg.norm(own - theirs, axis=-1).min() < 6.0
         if newcomers:
             return
     pytest.fail("no minor approach of the downtown gets anybody")

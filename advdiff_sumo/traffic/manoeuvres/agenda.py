@@ -1,0 +1,67 @@
+"""The agenda of an episode of "any": which kind it is for now, so that every kind gets its turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import REACH_M, goes_first
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+
+TURN_S = 7.0
+"""For so long an episode is for one kind."""
+_CROSSING_FIRST, _CUT_IN_FIRST = 0.5, 0.6
+_SPACE_M, _SLOWEST_MPS = 70.0, 3.0
+
+
+@dataclass(frozen=True)
+class Agenda:
+    """What an episode is for.
+
+    Attributes:
+        order: kinds in the order of their turns, the present one first; empty where all are wanted at any time.
+        since_s: when the present turn began.
+    """
+
+    order: tuple[str, ...] = ()
+    since_s: float = 0.0
+
+    @staticmethod
+    def drawn(rng: np.random.Generator) -> Agenda:
+        """Return one that begins with what is rarest to be possible: crossing in half of the episodes."""
+        others = ("cut-in", "hard-stop") if rng.random() < _CUT_IN_FIRST else ("hard-stop", "cut-in")
+        crossing = "crossing"
+        order = (crossing, *others) if rng.random() < _CROSSING_FIRST else (others[0], crossing, others[1])
+        return Agenda(order)
+
+    @property
+    def now(self) -> str:
+        """The kind whose turn it is; "" for all."""
+        return self.order[0] if self.order else ""
+
+    def at(self, view: SituationView) -> Agenda:
+        """Return the agenda in the scene of *view*: a turn is over after ``TURN_S``, or where its kind cannot be."""
+        if not self.order:
+            return self
+        now, order = view.scene.time_s, self.order
+        if now - self.since_s < TURN_S and _is_possible(view, order[0]):
+            return self
+        if order[0] == "crossing" and _is_possible(view, "crossing"):
+            return self  # a junction takes as long as it takes to get there
+        later = [(*order[k:], *order[:k]) for k in range(1, len(order))]
+        turned = next((one for one in later if _is_possible(view, one[0])), order)
+        return replace(self, order=turned, since_s=now)
+
+
+def _is_possible(view: SituationView, kind: str) -> bool:
+    """Return whether the road and the traffic around the target leave room for *kind*."""
+    target = view.target
+    if target is None or kind == "hard-stop":
+        return True
+    if kind == "cut-in":
+        beside = any(view.neighbour(view.scene.target, side) for side in ("left", "right"))
+        return beside and view.is_first(_SPACE_M)
+    ahead = ((reach, link) for reach, link in target.way.links if 0.0 < reach < REACH_M)
+    moves = target.speed_mps > _SLOWEST_MPS
+    return moves and any(view.is_first(reach) and bool(goes_first(view, link)) for reach, link in ahead)

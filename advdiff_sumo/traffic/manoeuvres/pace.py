@@ -1,0 +1,59 @@
+"""How fast somebody gets along a way who has it to itself: limits and bends that lie ahead are met in time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.maps.lanes import Lane
+from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_DT_S, CHECK_TIMES_S, FINE
+from advdiff_sumo.traffic.manoeuvres.ways import Way
+
+PICKS_UP_MPS2 = 0.5
+"""Acceleration of who goes on, towards the limit."""
+_SLOWS_MPS2, _SLOWS_AT_MOST_MPS2 = 2.5, 4.0
+_LATERAL_MPS2 = 2.5
+_STRAIGHT_RAD = 0.2
+FINE_DT_S = CHECK_DT_S / FINE
+"""Spacing of ``speeds_along``."""
+FINE_TIMES_S: FloatArray = FINE_DT_S * np.arange(FINE * len(CHECK_TIMES_S) + 1.0)
+"""(121,) instants from now on."""
+
+
+def speeds_along(way: Way, speed_mps: float) -> FloatArray:
+    """Return (121,) speeds at ``FINE_TIMES_S`` of somebody who drives *speed_mps* now and sees nobody.
+
+    It picks up to the limit of its lane, slows in time for lower ones and for the bends of junctions, and keeps a speed
+    above the limit that it has now on the lane that it is on.
+    """
+    begins, ends, highest = _bounds(way, speed_mps)
+    speed = np.empty(len(FINE_TIMES_S))
+    speed[0], driven = speed_mps, 0.0
+    for k in range(1, len(speed)):
+        before = float(speed[k - 1])
+        free = highest**2 + 2.0 * _SLOWS_MPS2 * np.maximum(begins - driven, 0.0)
+        bound = float(np.sqrt(np.where(driven < ends, free, np.inf).min(initial=np.inf)))
+        wish = min(before + PICKS_UP_MPS2 * FINE_DT_S, bound)
+        speed[k] = max(wish, before - _SLOWS_AT_MOST_MPS2 * FINE_DT_S, 0.0)
+        driven += 0.5 * (before + float(speed[k])) * FINE_DT_S
+    return speed
+
+
+def _bounds(way: Way, speed_mps: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return where each lane begins and ends (L,), in metres from the box centre, and the highest speed there."""
+    lanes = way.lane.lanes
+    ends = np.cumsum([lane.length_m for lane in lanes]) - way.lane.s_m
+    begins = np.concatenate(([-np.inf], ends[:-1]))
+    highest = np.array([min(lane.speed_mps, _bend_mps(lane)) for lane in lanes])
+    highest[0] = max(float(highest[0]), speed_mps)
+    return begins, ends, highest
+
+
+def _bend_mps(lane: Lane) -> float:
+    """Return the speed at which the mean lateral acceleration over an internal lane is 2.5 m/s²; inf elsewhere."""
+    if not lane.is_internal:
+        return np.inf
+    yaw = lane.line.segment_yaw_rad
+    turned = abs(float(wrap_angle(float(yaw[-1] - yaw[0]))))
+    return np.inf if turned < _STRAIGHT_RAD else float(np.sqrt(_LATERAL_MPS2 * lane.length_m / turned))

@@ -1,0 +1,161 @@
+"""Where somebody has to be now to meet the target at a junction where the target has to let it pass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.core.polylines import concatenate
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.lanes import Lane, Link
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.ways import Way
+
+REACH_M = 80.0
+"""Distance within which a junction ahead is looked at."""
+_SOONEST_S, _LATEST_S, _RED_S = 2.2, 6.0, 4.0
+_SLOWEST_MPS, _FASTEST_MPS, _SHARE = 3.0, 12.0, 0.6
+_TIMING_S = (0.0, 0.7, -0.7)
+_TOUCHES_M, _BEYOND_M, _SPACING_M = 2.0, 6.0, 0.5
+_FROM_LINE_M, _ONCOMING_RAD = 8.0, 2.2
+_RED, _GREEN = ("r", "u"), "G"
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Somebody who would meet the target.
+
+    Attributes:
+        way: begins where it would be now.
+        speed_mps: with which it would come.
+    """
+
+    way: Way
+    speed_mps: float
+
+
+def approaches(view: SituationView, oncoming: bool) -> Iterator[Approach]:
+    """Yield who would meet the target at its next junctions and goes first, those wanted most first.
+
+    The target goes on as if it saw nobody. Nobody meets a target that waits behind others, hardly moves, or is about
+    to stop at a red light.
+
+    Args:
+        view: the scene.
+        oncoming: whether those who come from ahead are wanted more than those from the sides.
+    """
+    target = view.target
+    if target is None or target.speed_mps < _SLOWEST_MPS:
+        return
+    for reach, link in target.way.links:
+        if not 0.0 < reach < REACH_M or not view.is_first(reach):
+            return
+        red = view.signal(link) in _RED
+        for other in sorted(goes_first(view, link), key=lambda one: _preference(view, link, one, oncoming)):
+            places = _meeting_m(view.road, link, other)
+            if places is None:
+                continue
+            meets_s = target.reaches_s(reach + places[0])
+            if _SOONEST_S < meets_s < (_RED_S if red else _LATEST_S):
+                yield from _meeting(view, other, meets_s, places[1])
+        if red:
+            return
+
+
+def goes_first(view: SituationView, link: Link) -> list[Link]:
+    """Return the links whose traffic goes first where *link* meets them, and that may be driven now.
+
+    That is who has the right of way over *link* or, while that has a red light, who has a green one.
+    """
+    junction = view.road.junctions[link.junction_id]
+    lanes = (view.road.lanes.get(name) for name in junction.incoming_lanes)
+    there = [lane for lane in lanes if lane is not None and lane.is_drivable and not lane.is_internal]
+    others = (other for lane in there for other in lane.successors if other.junction_id == junction.id)
+    if view.signal(link) in _RED:
+        foes = junction.foes.get(link.request_index, frozenset())
+        return [other for other in others if other.request_index in foes and view.signal(other) == _GREEN]
+    return [other for other in others if view.gives_way(link, other) and _may_go(view, other)]
+
+
+def _may_go(view: SituationView, link: Link) -> bool:
+    return view.signal(link) == _GREEN or (not view.signal(link) and not link.must_wait)
+
+
+def _preference(view: SituationView, link: Link, other: Link, oncoming: bool) -> tuple[bool, bool]:
+    own, theirs = (
+        float(view.road.lanes[name].line.segment_yaw_rad[-1]) for name in (link.from_lane, other.from_lane)
+    )
+    from_ahead = abs(float(wrap_angle(own - theirs))) > _ONCOMING_RAD
+    return from_ahead is not oncoming, other.direction != "s"
+
+
+@lru_cache(maxsize=4096)
+def _meeting_m(road: RoadMap, link: Link, other: Link) -> tuple[float, float] | None:
+    """Return how far beyond their stop lines the centres of two vehicles meet; None where they stay apart."""
+    own, theirs = _over(road, link), _over(road, other)
+    apart = np.hypot(*(own[:, None] - theirs[None]).transpose(2, 0, 1))
+    near = apart.min(axis=1) < _TOUCHES_M
+    if not near.any():
+        return None
+    rows = np.flatnonzero(near)
+    row = rows[0] if link.to_lane == other.to_lane else rows[len(rows) // 2]
+    return _SPACING_M * float(row), _SPACING_M * float(apart[row].argmin())
+
+
+def _over(road: RoadMap, link: Link) -> FloatArray:
+    """Return points every half metre from the stop line to a little beyond the junction."""
+    line = concatenate([road.lanes[name].line for name in (*link.via, link.to_lane)])
+    inside = sum(road.lanes[name].length_m for name in link.via)
+    return line.at(np.arange(0.0, min(inside + _BEYOND_M, line.length_m), _SPACING_M))[0]
+
+
+def _meeting(view: SituationView, link: Link, meets_s: float, beyond_m: float) -> Iterator[Approach]:
+    """Yield vehicles that are *beyond_m* beyond the stop line of *link* in *meets_s*, or a little before or after."""
+    limit = min(view.road.lanes[link.from_lane].speed_mps, _FASTEST_MPS)
+    room = sum(lane.length_m for lane in _upstream(view, link))
+    for arrives_s in (meets_s + late for late in _TIMING_S):
+        away = min(limit * arrives_s - beyond_m, room - 1.0)
+        speed = (away + beyond_m) / max(arrives_s, 0.1)
+        if away < _FROM_LINE_M or speed < max(_SHARE * limit, _SLOWEST_MPS):
+            continue
+        way = _way(view, link, away)
+        if way is not None and link in (one for _, one in way.links):
+            yield Approach(way, min(speed, limit))
+
+
+def _upstream(view: SituationView, link: Link) -> list[Lane]:
+    """Return the lanes that lead straight to *link* by right of way, its own first, internal ones included."""
+    lanes = view.road.lanes
+    out = [lanes[link.from_lane]]
+    into = _into(view.road)
+    while sum(lane.length_m for lane in out) < REACH_M:
+        before = into.get(out[-1].id)
+        if before is None or before.yields or view.signal(before) not in ("", _GREEN):
+            break
+        out += [*(lanes[name] for name in reversed(before.via)), lanes[before.from_lane]]
+    return out
+
+
+def _way(view: SituationView, link: Link, away_m: float) -> Way | None:
+    """Return the way over *link* from *away_m* before its stop line; None where that is on a junction."""
+    edges, left = [view.road.lanes[link.to_lane].edge_id], away_m
+    for lane in _upstream(view, link):
+        if not lane.is_internal:
+            edges.append(lane.edge_id)
+        if left < lane.length_m:
+            return (
+                None if lane.is_internal else view.way_from(lane.line.at(lane.length_m - left), edges[::-1])
+            )
+        left -= lane.length_m
+    return None
+
+
+@lru_cache(maxsize=4)
+def _into(road: RoadMap) -> Mapping[str, Link]:
+    """Return lane → the link that leads straight into it."""
+    return {link.to_lane: link for link in road.links.values() if link.direction == "s"}

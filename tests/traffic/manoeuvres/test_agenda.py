@@ -1,0 +1,57 @@
+"""Whose turn it is in an episode of "any": what the road leaves room for, and no kind for ever."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from tests.traffic.manoeuvres.scenes import view_of
+
+ORDER = ("crossing", "cut-in", "hard-stop")
+
+
+@pytest.fixture(scope="module")
+def motorway(networks: object) -> RoadMap:
+    return RoadMap.read(f"{networks}/motorway.net.xml")
+
+
+def later(view: SituationView, time_s: float) -> SituationView:
+    history = replace(view.scene.history, t0_s=view.scene.history.t0_s + time_s)
+    return SituationView(view.road, replace(view.scene, history=history), view.ways)
+
+
+def test_a_kind_for_which_there_is_no_place_loses_its_turn(motorway: RoadMap) -> None:
+    """Nobody has to give way on a straight motorway, but there is a lane beside; behind a leader there is no room."""
+    free = view_of(motorway, target=(0, 50.0, 20.0))
+    assert Agenda(ORDER).at(free).now == "cut-in"
+    behind = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 80.0, 20.0))
+    assert Agenda(ORDER).at(behind).now == "hard-stop"
+
+
+def test_a_turn_ends(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 20.0))
+    agenda = Agenda(ORDER).at(view)
+    assert agenda.at(later(view, TURN_S - 0.5)).now == "cut-in"
+    after = agenda.at(later(view, TURN_S))
+    assert after.now == "hard-stop"
+    assert after.since_s == TURN_S
+    assert sorted(after.order) == sorted(ORDER)
+
+
+def test_a_single_kind_has_no_turns(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 20.0))
+    begun = Commitments.start("crossing", np.random.default_rng(0), 3)
+    assert begun.agenda.at(view).now == ""
+    assert begun.staged == ("crossing",)
+
+
+def test_every_order_holds_every_kind() -> None:
+    drawn = [Agenda.drawn(np.random.default_rng(k)).order for k in range(40)]
+    assert {tuple(sorted(order)) for order in drawn} == {tuple(sorted(ORDER))}
+    assert {order[0] for order in drawn} == set(ORDER)

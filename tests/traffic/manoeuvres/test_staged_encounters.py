@@ -1,0 +1,63 @@
+"""On an empty road staging brings the encounter that shows a defect; the sound planner and the careful driver pass it."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.planners.encounters import Encounter, Scripted, crossing, failed, over, two_lanes
+
+SHOWN_BY = [
+    ("blind-crossing", "give_way", "crossing"),
+    ("priority", "give_way", "crossing"),
+    ("tunnel", "give_way", "crossing"),
+    ("frozen", "give_way", "crossing"),
+    ("blind-oncoming", "turn_across", "crossing"),
+    ("cut-in", "beside", "cut-in"),
+    ("late", "beside", "hard-stop"),
+    ("blind-heavy", "beside", "hard-stop"),
+]
+
+
+@pytest.fixture(scope="module")
+def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]:
+    folder = tmp_path_factory.mktemp("nets")
+    sign, two = crossing(folder, "priority"), two_lanes(folder, 20.0)
+    north = ("south_in", "north_out")
+    from_south = Scripted(over(sign, *north), 225.0, 11.0)
+    left = ("west_in", "north_out")
+    beside = Encounter(two, Scripted(("WM_0", "ME_0"), 50.0, 18.0), ("WM", "ME"), (), 20.0)
+    return {
+        "give_way": Encounter(sign, from_south, north, (), 12.0),
+        "turn_across": Encounter(sign, Scripted(over(sign, *left), 225.0, 11.0), left, (), 12.0),
+        "beside": beside,
+    }
+
+
+@pytest.fixture(scope="module")
+def sound(encounters: dict[str, Encounter]) -> Any:
+    """Return what comes of an encounter without a defect, driven once."""
+    return cache(lambda name, attack, target: drive(encounters[name], attack, [], target))
+
+
+def drive(
+    encounter: Encounter, attack: str, defects: list[str], target: str = "lane_graph"
+) -> dict[str, Any]:
+    return encounter.drive(defects, target, "scripted", {"attack": attack})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("defect", "encounter", "attack"), SHOWN_BY)
+def test_an_encounter_is_staged_that_shows_the_defect(
+    defect: str, encounter: str, attack: str, encounters: dict[str, Encounter], sound: Any
+) -> None:
+    for target in ("lane_graph", "careful"):
+        row = sound(encounter, attack, target)
+        assert row["in_position"]
+        assert not row["target_collision"]
+    row = drive(encounters[encounter], attack, [f"{defect}:strong"])
+    assert failed(row)
+    assert row["lawful"]

@@ -140,12 +140,8 @@ def crossing_links(view: SituationView, row: int) -> tuple[Link, Link] | None:
     if target is None:
         return None
     theirs = {link.junction_id: link for reach, link in reversed(target.way.links) if reach < _CROSSING_M}
-    if target.way.present_lane.is_internal:
-        theirs |= {
-            link.junction_id: link
-            for link in view.road.links.values()
-            if target.way.present_lane.id in link.via
-        }
+    if view.target_link is not None:
+        theirs[view.target_link.junction_id] = view.target_link
     for reach, link in view.ways[row].links:
         other = theirs.get(link.junction_id)
         if other is None or reach > _CROSSING_M or link is other:

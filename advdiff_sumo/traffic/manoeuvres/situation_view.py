@@ -61,6 +61,14 @@ class SituationView:
         way = self.ways.get(row)
         return None if way is None else TargetWay(way, self.speed(row), self.size(row))
 
+    @cached_property
+    def target_link(self) -> Link | None:
+        """The link over the junction that the target is on; None where it is on none."""
+        lane = None if self.target is None else self.target.way.present_lane
+        if lane is None or not lane.is_internal:
+            return None
+        return next((link for link in self.road.links.values() if lane.id in link.via), None)
+
     def speed(self, row: int) -> float:
         """Return the speed of *row* now, at least 0."""
         return max(float(self.scene.history.speed_mps[row, -1]), 0.0)

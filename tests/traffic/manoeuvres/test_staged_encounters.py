@@ -1,9 +1,8 @@
-"""On an empty road staging brings the encounter that shows a defect; the sound planner and the careful driver pass it."""
+"""On an empty road staging brings the encounter that shows a defect; sound and careful drivers pass it."""
 
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import pytest

@@ -9,6 +9,7 @@ import shapely
 from shapely.geometry import Polygon
 
 from advdiff_sumo.maps.convert.approaches import Approaches
+from advdiff_sumo.maps.convert.narrow import junctions_of, long_conflicts
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.roundabouts import find_rings
 from advdiff_sumo.maps.convert.sources.source_map import Lamp, SourceMap
@@ -39,8 +40,8 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
 
     A junction with a light on one of its approaches is signalled. Stop signs on all approaches make an all-way
     stop, on some of them (and yield signs) those approaches yield. With *guess_signals* junctions of at least
-    three approaches with four lanes, whose ways cross, are signalled too, but for those of roundabouts. Vehicles stop
-    where the stop lines lie.
+    three approaches with four lanes, whose ways cross, are signalled too, but for those of roundabouts; so are those
+    with ways that run along each other for long. Vehicles stop where the stop lines lie.
     """
     control = _read(plan, source)
     approaches: dict[str, list[EdgePlan]] = defaultdict(list)
@@ -49,9 +50,10 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
     rings = find_rings(plan)
     round_about = {name for ring in rings for name in ring.junctions}
     crossing = _crossing(plan) - round_about if guess_signals else set()
+    long = junctions_of(long_conflicts(plan), plan)
     kinds = {
         name: _kind([edge.id for edge in edges], control)
-        or ("traffic_light" if name in crossing and _is_large(edges) else None)
+        or ("traffic_light" if name in crossing and (_is_large(edges) or name in long) else None)
         for name, edges in approaches.items()
     }
     minor = control.stops | control.yields
@@ -67,6 +69,7 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
         rings=rings,
         idle_signals=control.idle,
         lamps=control.lamps,
+        unseen=tuple(sorted(name for name in long if kinds.get(name) != "traffic_light")),
     )
 
 

@@ -22,7 +22,7 @@ from advdiff_sumo.maps.convert.layout.lane_paths import Connection, find_connect
 from advdiff_sumo.maps.convert.layout.lay_out import lay_out
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide, find_side_by_side
-from advdiff_sumo.maps.convert.narrow import Ends, unseen_conflicts
+from advdiff_sumo.maps.convert.narrow import LONG_M, Ends, unseen_conflicts
 from advdiff_sumo.maps.convert.netconvert import run_netconvert
 from advdiff_sumo.maps.convert.netplan import NetPlan, Track
 from advdiff_sumo.maps.convert.opendrive import write_opendrive
@@ -137,7 +137,7 @@ def convert_source(
     )
     ways, doubles = find_connections(layout)
     plan = with_control(plan_drivable(tracks, layout, ways, left), source, guess_signals)
-    source = _with_idle_signals(source, plan)
+    source = _with_unseen_conflicts(_with_idle_signals(source, plan), plan)
     _make_folder(out_net)
     returns = return_edges(plan) if close_rim else ()
     layout.counts["return edges beyond the rim"] = len(returns)
@@ -194,6 +194,19 @@ def _with_idle_signals(source: SourceMap, plan: NetPlan) -> SourceMap:
         f"{source.path.name}: {len(plan.idle_signals)} of {len(source.signals)} traffic lights stop no lane: "
     )
     return replace(source, warnings=(*source.warnings, sentence + names))
+
+
+def _with_unseen_conflicts(source: SourceMap, plan: NetPlan) -> SourceMap:
+    """Name the junctions in which SUMO's drivers do not see each other."""
+    if not plan.unseen:
+        return source
+    names = ", ".join(plan.unseen)
+    sentence = (
+        f"{source.path.name}: in {len(plan.unseen)} junctions without signals, ways run along each other for over "
+        f"{LONG_M:.0f} m and SUMO's drivers do not always see who is inside; '--tls guess' puts signals "
+        f"there: {names}"
+    )
+    return replace(source, warnings=(*source.warnings, sentence))
 
 
 def _build(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,12 @@ def long_conflicts(plan: NetPlan) -> set[frozenset[Ends]]:
         for one, other in _near(ways)
         if one.target[0] != other.target[0] and _shared_m(one, other) > LONG_M
     }
+
+
+def junctions_of(pairs: Iterable[frozenset[Ends]], plan: NetPlan) -> set[str]:
+    """Return the junctions in which *pairs* of ways meet."""
+    target = {edge.id: edge.target for edge in plan.edges}
+    return {target[origin] for pair in pairs for origin, _ in pair}
 
 
 def _shared_m(one: ConnectionPlan, other: ConnectionPlan) -> float:

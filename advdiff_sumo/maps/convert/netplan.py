@@ -139,6 +139,7 @@ class NetPlan:
         rings: roundabouts.
         idle_signals: lights that stop nobody.
         lamps: of the lights at the end of an edge, where the source tells them.
+        unseen: junctions without signals in which ways run along each other for long.
     """
 
     edges: tuple[EdgePlan, ...]
@@ -149,6 +150,7 @@ class NetPlan:
     rings: tuple[Ring, ...] = ()
     idle_signals: tuple[str, ...] = ()
     lamps: Mapping[str, frozenset[Lamp]] = field(default_factory=dict)
+    unseen: tuple[str, ...] = ()
 
     @cached_property
     def way_of(self) -> dict[tuple[str, int, str, int], ConnectionPlan]:

@@ -250,6 +250,25 @@ def test_ways_that_pass_too_near_yield(tmp_path: Path) -> None:
     assert sorted(state for own in states(node).values() for state in own) == ["M", "m"]
 
 
+@pytest.mark.parametrize("guess", [False, True])
+def test_signals_where_ways_run_along_each_other(tmp_path: Path, guess: bool) -> None:
+    """Two turns towards each other whose bodies touch for 22 m: a sentence, or a signal that parts them."""
+    road = crossroads()
+    end = road.straight("on-in", (40.0, 200.0, 0.0), 60.0)
+    end = road.straight("on-way", end, 30.0, connector=True)
+    road.straight("on-out", end, 60.0)
+    end = road.lane("back-in", (190.0, 201.0, math.pi), "LSR", [0.0, 60.0, 0.0])
+    end = road.lane("back-way", end, "LSL", [2.0, 26.0, 2.0], 20.0, connector=True)
+    road.straight("back-out", end, 60.0)
+    for name in ("on", "back"):
+        road.link(f"{name}-in", f"{name}-way", f"{name}-out")
+    result = convert_map(road.write(tmp_path / "m.json"), tmp_path / "m.net.xml", guess_signals=guess)
+    kinds = [node.getType() for node in sumolib.net.readNet(str(result.net)).getNodes()]
+    assert kinds.count("traffic_light") == guess
+    sentence = "m.json: in 1 junctions without signals, ways run along each other for over 12 m"
+    assert any(warning.startswith(sentence) for warning in result.source.warnings) != guess
+
+
 def test_open_end_that_juts_out_becomes_a_piece_of_its_own(tmp_path: Path) -> None:
     result = convert_map(two_lane_road(lead_m=8.0).write(tmp_path / "small.json"), tmp_path / "small.net.xml")
     assert result.counts["open ends cut off to even an edge"] == 1

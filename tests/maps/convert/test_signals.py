@@ -79,6 +79,13 @@ def test_all_red(direction: Direction, stop_offset_m: float, seconds: float) -> 
     assert all_red_s([ending], [link(1, "b", NORTH, foes={0})]) == seconds
 
 
+def test_who_runs_along_another_gets_clear_in_full() -> None:
+    """18.3 m, and 30 m from the stop line to the junction, at 5 m/s: 9.7 s."""
+    ending = link(0, "a", EAST, Direction.LEFT, foes={1}, stop_offset_m=30.0)
+    starting = [link(1, "b", NORTH, foes={0})]
+    assert all_red_s([ending], starting, {frozenset({("a", "to0"), ("b", "to1")})}) == 10.0
+
+
 def test_no_all_red_for_those_who_do_not_cross() -> None:
     assert all_red_s([link(0, "a", EAST)], [link(1, "b", NORTH)]) == 0.0
 

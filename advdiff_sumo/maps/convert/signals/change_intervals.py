@@ -8,12 +8,12 @@ Yellow ``y = t + v / (2a + 2Gg)`` with a reaction time ``t`` of 1 s, a decelerat
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 import shapely
 from shapely.geometry import LineString, Point
 
-from advdiff_sumo.maps.convert.narrow import BODIES_M
+from advdiff_sumo.maps.convert.narrow import BODIES_M, Ends
 from advdiff_sumo.maps.convert.signals.signal_links import SignalLink
 from advdiff_sumo.maps.convert.sources.source_map import Direction
 
@@ -30,11 +30,24 @@ def yellow_s(ending: Iterable[SignalLink]) -> float:
     return min(max(_rounded_up(exact_s), SHORTEST_YELLOW_S), LONGEST_YELLOW_S)
 
 
-def all_red_s(ending: Iterable[SignalLink], starting: Iterable[SignalLink]) -> float:
-    """Return the time in s in which *ending* links get clear of those that get green next; 0: none cross."""
+def all_red_s(
+    ending: Iterable[SignalLink], starting: Iterable[SignalLink], apart: Collection[frozenset[Ends]] = ()
+) -> float:
+    """Return the time in s in which *ending* links get clear of those that get green next; 0: none cross.
+
+    Links in *apart* run along each other for long; those get clear in full, as where one lane serves both directions
+    (MUTCD 2009, section 4H.03).
+    """
     beginners = list(starting)
-    times_s = [_clearance_s(link, foe) for link in ending for foe in beginners if foe.index in link.foes]
-    return min(_rounded_up(max(times_s, default=0.0)), LONGEST_ALL_RED_S)
+    times_s = [
+        _clearance_s(link, foe)
+        if frozenset((link.ends, foe.ends)) in apart
+        else min(_clearance_s(link, foe), LONGEST_ALL_RED_S)
+        for link in ending
+        for foe in beginners
+        if foe.index in link.foes
+    ]
+    return _rounded_up(max(times_s, default=0.0))
 
 
 def _clearance_s(link: SignalLink, foe: SignalLink) -> float:

@@ -47,7 +47,7 @@ def phases_of(links: Sequence[SignalLink], plan: NetPlan, apart: Collection[froz
     """Return the phases of one signal: green stages with yellow and all-red between them."""
     size = max(link.index for link in links) + 1
     cycle = stages(links, plan.lamps, apart, plan.lefthand)
-    changes = [_change(cycle[k], cycle[(k + 1) % len(cycle)], links, size) for k in range(len(cycle))]
+    changes = [_change(cycle[k], cycle[(k + 1) % len(cycle)], links, size, apart) for k in range(len(cycle))]
     lost_s = sum(phase.duration_s for change in changes for phase in change)
     green_s = min(max(round((CYCLE_S - lost_s) / len(cycle)), SHORTEST_GREEN_S), LONGEST_GREEN_S)
     return [
@@ -57,7 +57,13 @@ def phases_of(links: Sequence[SignalLink], plan: NetPlan, apart: Collection[froz
     ]
 
 
-def _change(stage: Stage, following: Stage, links: Sequence[SignalLink], size: int) -> list[Phase]:
+def _change(
+    stage: Stage,
+    following: Stage,
+    links: Sequence[SignalLink],
+    size: int,
+    apart: Collection[frozenset[Ends]],
+) -> list[Phase]:
     """Return yellow and all-red between two stages; links with green in both keep it."""
     ending = [link for link in links if link.index in stage - following]
     if not ending:
@@ -69,7 +75,7 @@ def _change(stage: Stage, following: Stage, links: Sequence[SignalLink], size: i
         "".join(letter if index in lost else light for index, light in enumerate(now)) for letter in "yr"
     )
     phases = [Phase(yellow, yellow_s(ending), green=False)]
-    clearance_s = all_red_s(ending, starting)
+    clearance_s = all_red_s(ending, starting, apart)
     if clearance_s > 0.0:
         phases.append(Phase(clearing, clearance_s, green=False))
     return phases

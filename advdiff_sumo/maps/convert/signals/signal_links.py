@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.sources.source_map import Direction
 
@@ -43,6 +44,11 @@ class SignalLink:
     stop_offset_m: float
     foes: frozenset[int]
     yields_to: frozenset[int]
+
+    @property
+    def ends(self) -> Ends:
+        """Edges that it leaves and enters."""
+        return self.origin[0], self.target
 
 
 def signal_links(root: ET.Element, plan: NetPlan) -> dict[str, list[SignalLink]]:

@@ -137,7 +137,7 @@ def _go_together(one: Group, other: Group, apart: Collection[frozenset[Ends]]) -
     same_approach = one.links[0].origin[0] == other.links[0].origin[0]
     for link in one.links:
         for foe in other.links:
-            if frozenset((_ends(link), _ends(foe))) in apart:
+            if frozenset((link.ends, foe.ends)) in apart:
                 return False
             if foe.index in link.foes and not same_approach and not _permitted(link, foe, one, other):
                 return False
@@ -158,10 +158,6 @@ def _cosine(link: SignalLink, foe: SignalLink) -> float:
     """Return the cosine of the angle between two approaches."""
     ways = [line[-1] - line[-2] for line in (link.approach_m, foe.approach_m)]
     return float(ways[0] @ ways[1] / (np.hypot(*ways[0]) * np.hypot(*ways[1])))
-
-
-def _ends(link: SignalLink) -> Ends:
-    return link.origin[0], link.target
 
 
 def state_of(stage: Stage, links: Sequence[SignalLink], size: int) -> str:

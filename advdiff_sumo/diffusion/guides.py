@@ -68,7 +68,7 @@ class Guidance:
         turns: parts in which the last step's shift is made, each along the gradient where the ones before led.
         begin: (A, Z) where the last step's shift begins: what was left of the plan before. With it, a shift can
             grow from plan to plan up to ``MOST`` times what one plan makes.
-        made: (B, A, Z) the last step's shift, once it is made.
+        last_shift: (B, A, Z) that of the last step, once it is made.
     """
 
     terms: Sequence[Term]
@@ -76,7 +76,7 @@ class Guidance:
     alpha: float
     turns: int = 1
     begin: Tensor | None = None
-    made: Tensor | None = None
+    last_shift: Tensor | None = None
 
     def __call__(self, mean: Tensor, rung: Rung) -> Tensor:
         """Return what is added to *mean* (B, A, 1, Z)."""
@@ -89,7 +89,7 @@ class Guidance:
             latents = (mean[:, :, 0] + shift) / max(rung.alpha, 1e-2) ** 0.5
             shift = within(shift + length * self._uphill(latents, rung.left), MOST * turns * length)
         if rung.left == 0:
-            self.made = shift
+            self.last_shift = shift
         return shift[:, :, None]
 
     def _uphill(self, latents: Tensor, left: int) -> Tensor:

@@ -80,7 +80,7 @@ def test_a_shift_begins_where_the_last_one_ended_and_has_a_longest() -> None:
     guide = Guidance((along,), mask, 1.0, begin=torch.tensor([[0.0, 1.5], [0.0, 9.0]]))
     made = guide(mean, Rung(0, 1.0, 1.0))
     torch.testing.assert_close(made[:, :, 0], torch.tensor([[[1.0, 1.5], [0.0, 0.0]]]))
-    torch.testing.assert_close(guide.made, made[:, :, 0])
+    torch.testing.assert_close(guide.last_shift, made[:, :, 0])
     made = Guidance((along,), mask, 1.0, begin=torch.tensor([[0.0, 3.0], [0.0, 0.0]]))(
         mean, Rung(0, 1.0, 1.0)
     )

@@ -97,9 +97,9 @@ def run_adversarial(
 
 def adversarial_table(results: Gathered, scenes: SceneList, folder: Folder) -> Table:
     """Return the table of what was gathered."""
-    natural = {cell.target: episodes for cell, episodes in results.seen.items() if cell.row == NATURAL}
+    natural = {cell.target: episodes for cell, episodes in results.finished.items() if cell.row == NATURAL}
     rows = []
-    for cell, episodes in results.seen.items():
+    for cell, episodes in results.finished.items():
         policy = policy_row(cell.row)
         samples = collision_samples(episodes) | background_samples(
             episodes, natural.get(cell.target, ()), plans=cell.background not in PLAN_NOTHING
@@ -118,7 +118,7 @@ def adversarial_table(results: Gathered, scenes: SceneList, folder: Folder) -> T
 
 def notes_of(results: Gathered, scenes: SceneList, folder: Folder, usual: tuple[str, ...]) -> tuple[str, ...]:
     """Return the notes of a closed-loop table: definitions, what failed, and what it was made of."""
-    failed = failures_told(results, results.seen)
+    failed = failures_told(results, results.finished)
     other = scenes.sumo != version("libsumo") or scenes.horizon_s != folder.request.horizon_s
     moved = (
         f"The list of seed scenes is for SUMO {scenes.sumo} and episodes of {scenes.horizon_s:g} s: these are others, "

@@ -79,7 +79,7 @@ def contests_of(gathered: Gathered, cells: BenchCells) -> tuple[Contest, ...]:
     """Return each target before each background, in the order of the cells."""
     order = scene_order(cells)
     tried: dict[tuple[str, str], dict[str, Tried]] = {}
-    for cell, episodes in gathered.seen.items():
+    for cell, episodes in gathered.finished.items():
         tried.setdefault((cell.row, cell.target), {})[cell.defect] = _tried(episodes, order)
     contests = []
     for (background, target), by_defect in tried.items():

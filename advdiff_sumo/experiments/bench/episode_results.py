@@ -41,11 +41,11 @@ class Gathered:
     """What a sweep came to.
 
     Attributes:
-        seen: finished episodes of each cell, in the order of the scenes.
+        finished: episodes of each cell, in the order of the scenes.
         failed: how many each cell lost, by what kind of failure.
     """
 
-    seen: dict[BenchCell, list[EpisodeResult]] = field(default_factory=dict)
+    finished: dict[BenchCell, list[EpisodeResult]] = field(default_factory=dict)
     failed: dict[BenchCell, dict[str, int]] = field(default_factory=dict)
 
 
@@ -88,7 +88,7 @@ def gather_rows(cells: BenchCells, store: Store) -> Gathered:
 
 
 def _take(gathered: Gathered, cell: BenchCell, job: Job, store: Store, trace: Trace | None) -> None:
-    results, failed = gathered.seen.setdefault(cell, []), gathered.failed.setdefault(cell, {})
+    results, failed = gathered.finished.setdefault(cell, []), gathered.failed.setdefault(cell, {})
     part = store.read(job.key)
     if part is None:
         return

@@ -128,7 +128,7 @@ def fewshot_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Tabl
     request = folder.request
     marks = (0, *marks_of(request.steps))
     heads = tuple(Head(f"steps_{mark}", f"{mark} steps", "%", 100.0, 1, "high") for mark in marks)
-    by_row = {cell.row: results for cell, results in gathered.seen.items()}
+    by_row = {cell.row: results for cell, results in gathered.finished.items()}
     names = tuple(dict.fromkeys(row.split("/")[1] for row in by_row))
 
     def ladder(guide: str, name: str) -> list[Pooled]:

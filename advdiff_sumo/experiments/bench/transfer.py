@@ -105,10 +105,10 @@ def run_transfer(
 
 def transfer_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Table:
     """Return the table of what was gathered: a row for each policy and source, two columns for each target."""
-    targets = tuple(dict.fromkeys(cell.target for cell in gathered.seen))
+    targets = tuple(dict.fromkeys(cell.target for cell in gathered.finished))
     heads = tuple(head for target in targets for head in _heads(target))
     cells: dict[str, dict[str, Sample]] = {}
-    for cell, results in gathered.seen.items():
+    for cell, results in gathered.finished.items():
         cells.setdefault(cell.row, {}).update(_samples(cell.target, results))
     rows = []
     for key, samples in cells.items():

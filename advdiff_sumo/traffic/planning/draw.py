@@ -138,9 +138,9 @@ def _start(
 def _shifts(
     guide: Guidance | None, view: View, attackers: tuple[str, ...], best: int
 ) -> dict[str, FloatArray]:
-    if guide is None or guide.made is None:
+    if guide is None or guide.last_shift is None:
         return {}
-    shift = guide.made[best].cpu().numpy().astype(np.float64)
+    shift = guide.last_shift[best].cpu().numpy().astype(np.float64)
     return {name: shift[view.ids.index(name)] for name in attackers}
 
 

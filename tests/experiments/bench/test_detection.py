@@ -111,7 +111,7 @@ def gathered(folder: Folder, fails: dict[tuple[str, str], int]) -> tuple[Gathere
             "valid_failure": failed,
             "end": "collision" if failed else "horizon",
         }
-        found.seen.setdefault(cell, []).append(EpisodeResult(job.scene_key, row, UNTRACED, None, 2.0))
+        found.finished.setdefault(cell, []).append(EpisodeResult(job.scene_key, row, UNTRACED, None, 2.0))
     return found, cells
 
 

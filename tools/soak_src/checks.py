@@ -19,7 +19,7 @@ from soak_src.lane_seams import carried_m
 JUMP_M, JUMP_MPS, JUMP_RAD = 0.8, 3.0, 0.35
 #: A bend of a lane's centre line turns a vehicle that SUMO drives at once, so its heading may change by this.
 SUMO_JUMP_RAD = 1.6
-BESIDE_M, SEARCH_M = 0.3, 5.0
+BESIDE_M, SEARCH_M, WIDER_STEPS = 0.3, 5.0, 20
 TOUCH_M2, TOUCH_M, TOUCH_STEPS = 1e-3, 0.6, 1
 
 
@@ -132,7 +132,8 @@ def _jumps(states: States, road: RoadMap) -> Iterator[str]:
     mean = 0.5 * (states.speed_mps[:, 1:] + states.speed_mps[:, :-1])
     leap = np.abs(np.diff(states.speed_mps, axis=1))
     off_its_way = np.maximum(np.abs(np.abs(mean) - way / states.step_s) - swing / states.step_s, 0.0)
-    leap = np.where(states.recorded[:, 1:], off_its_way, leap)
+    handed = states.by_sumo[:, 1:] != states.by_sumo[:, :-1]  # by as much as SUMO drove otherwise this time
+    leap = np.where(states.recorded[:, 1:] & ~handed, off_its_way, leap)
     most_rad = np.where(drawn, SUMO_JUMP_RAD, JUMP_RAD)
     most_rad[sumo] = np.pi  # SUMO turns round within a step where its lanes do
     limits = (
@@ -157,6 +158,8 @@ def _carried(states: States, road: RoadMap, row: int, step: int, way_m: FloatArr
     if not states.sumo_course[row, step : step + 2].all():
         return False
     speeds_mps = np.abs(states.speed_mps[row, step : step + 2])
+    if states.recorded[row, step + 1]:  # its speeds are those of its way, and 0 where SUMO carried it back
+        speeds_mps = np.full(2, np.nanmax(np.abs(states.speed_mps[row, max(step - 2, 0) : step + 4])))
     if np.ptp(speeds_mps) > JUMP_MPS:
         return False
     bumper = bumper_from_centre(states.xy_m[row, step], states.yaw_rad[row, step], states.length_m[row])
@@ -175,11 +178,24 @@ def _off_lanes(states: States, road: RoadMap) -> Iterator[str]:
     near = road.index.candidates(bumper, 0.5 * float(road.index.width_m.max()) + SEARCH_M)
     excess = np.full(len(row), np.inf)
     np.minimum.at(excess, near.point, np.abs(near.d_m) - 0.5 * road.index.width_m[near.lane])
-    wrong = np.flatnonzero(excess > BESIDE_M)
-    if len(wrong):
+    wrong = [k for k in np.flatnonzero(excess > BESIDE_M) if not _from_wider(states, road, row[k], step[k])]
+    if wrong:
         k = int(wrong[0])
         beside = f"{excess[k]:.2f} m beside" if np.isfinite(excess[k]) else "far from"
         yield f"'{states.ids[row[k]]}' is driven by SUMO {beside} all lanes at step {step[k]}"
+
+
+def _from_wider(states: States, road: RoadMap, row: int, step: int) -> bool:
+    """Return whether *row* is no farther aside than the lane reached on which it was shortly before *step*.
+
+    With sublanes SUMO lets a vehicle keep its place across where its lane becomes narrower.
+    """
+    since = max(step - WIDER_STEPS, 0)
+    yaw, length_m = states.yaw_rad[row, since : step + 1], np.full(step + 1 - since, states.length_m[row])
+    bumper = bumper_from_centre(states.xy_m[row, since : step + 1], yaw, length_m)
+    ids, _, aside_m, _ = road.locate_many(bumper, yaw, max_distance_m=float(road.index.width_m.max()))
+    widest_m = max((road.lanes[lane].width_m for lane in ids[:-1] if lane is not None), default=0.0)
+    return ids[-1] is not None and abs(float(aside_m[-1])) <= 0.5 * widest_m + BESIDE_M
 
 
 def _contacts(states: States, contacts: list[Mapping[str, Any]]) -> Iterator[str]:

@@ -79,7 +79,8 @@ def _of_data(folder: Path, data: Path) -> Iterator[Place]:
 
 
 def _converted(folder: Path, source: Path, lights: str, side: str) -> Place:
-    name = f"{source.name.split('.')[0]}-{lights}-{side}"
+    stem = Path(source.name.removesuffix(".gz")).stem
+    name = f"{stem}-{lights}-{side}"
     net = folder / f"{name}.net.xml"
     if net.exists():
         return Place(name, str(net))

@@ -16,8 +16,9 @@ from advdiff_sumo.maps import Link, RoadMap
 SPACING_M = 1.0
 _SMOOTH = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0
 _LEAD = 4
-_TIGHTEST_1PM = 0.2  # a car of 5 m can turn at 0.23; the rest is for steering back
-_SWINGS_FROM_M, _SWING = 0.4, 0.7
+_TIGHTEST_1PM = 0.17  # a car of 5 m can turn at 0.23; the rest is for steering back
+_SWINGS_FROM_M, _SWING, _SWINGS_BY_M = 0.4, 0.7, 0.5  # a car has 0.6 m to the edges of a lane
+_EARLIER = 9  # points; after the corner it is on its line again
 _WIDE = np.exp(-0.5 * (np.arange(-15, 16) / 7.0) ** 2)
 _ROUNDINGS = 100
 _FAR_AWAY_M = 1e7
@@ -220,7 +221,7 @@ def _smoothed(raw: Polyline, count: int) -> tuple[FloatArray, FloatArray, FloatA
     """Return *count* points of *raw*, corners rounded over two metres each way, with heading and curvature.
 
     Corners that are too tight for a car are rounded further. Where that would cut them by more than _SWINGS_FROM_M, the
-    line swings out before and after them, as drivers do, and so cuts less.
+    line swings out before them, as drivers do.
     """
     s = SPACING_M * np.arange(-_LEAD, count + _LEAD, dtype=np.float64)
     xy = _convolved(raw.at(s, extrapolate=True)[0], _SMOOTH, "valid")
@@ -230,7 +231,9 @@ def _smoothed(raw: Polyline, count: int) -> tuple[FloatArray, FloatArray, FloatA
     if deepest_m > _SWINGS_FROM_M:
         margin = len(_WIDE) // 2
         wide = _convolved(np.pad(cut, ((margin, margin), (0, 0)), mode="edge"), _WIDE, "valid")
-        rounded = _rounded(xy - _SWING * deepest_m / float(np.hypot(*wide.T).max()) * wide)
+        swing_m = min(_SWING * deepest_m, _SWINGS_BY_M)
+        before = np.concatenate((wide[_EARLIER:], np.zeros((_EARLIER, 2))))
+        rounded = _rounded(xy - swing_m / float(np.hypot(*wide.T).max()) * before)
     trim = slice(_LEAD - len(_SMOOTH) // 2, _LEAD - len(_SMOOTH) // 2 + count)
     yaw, curvature = _bends(rounded)
     return rounded[trim], yaw[trim], curvature[trim]

@@ -20,7 +20,7 @@ SEEN_WORTH: Mapping[float, float] = {1.0: 0.6, 2.0: 0.8, 3.0: 0.8, 4.0: 0.7, 5.0
 """Worth where what counts is whether the target sees the other and gives way at all."""
 CUT_IN_WORTH: Mapping[float, float] = {2.0: 0.4, 3.0: 0.6, 4.0: 0.8, 5.0: 0.9, 6.0: 1.0, 7.0: 0.7}
 """Worth where both count."""
-SEEN_KINDS = ("blocked-lane", "crossing", "cut-out")
+_LEAST_SEEN_MPS2: Mapping[str, float] = {"blocked-lane": 2.0, "cut-out": 2.0, "crossing": 1.0}
 _UNCERTAIN = 0.2
 """Share of its worth that somebody keeps who would meet the target at the very instant alone."""
 SETTING_UP = 0.05
@@ -91,8 +91,10 @@ def _merit(manoeuvre: Manoeuvre, needed_mps2: float) -> float:
         return SETTING_UP if needed_mps2 <= 1.0 else 0.0
     if manoeuvre.kind == "cut-in":
         return CUT_IN_WORTH.get(needed_mps2, 0.0)
-    table = SEEN_WORTH if manoeuvre.kind in SEEN_KINDS else HARD_WORTH
-    return table.get(needed_mps2, 0.0)
+    least = _LEAST_SEEN_MPS2.get(manoeuvre.kind)
+    if least is None:
+        return HARD_WORTH.get(needed_mps2, 0.0)
+    return SEEN_WORTH.get(needed_mps2, 0.0) if needed_mps2 >= least else 0.0
 
 
 def _rows(futures: ManoeuvreFutures, rows: FloatArray | np.ndarray) -> ManoeuvreFutures:

@@ -23,8 +23,9 @@ _LONGEST_S: Mapping[str, float] = {"blocked-lane": 14.0, "hard-stop": 9.0, "stop
 _LONGEST_DEFAULT_S = 7.0
 _LORRIES = 0.4
 """Share of lorries among those who come in."""
-_WORTH_IT = 0.4
-"""In its first turn an episode waits for a better moment than one of less merit."""
+_PATIENCE = ((0.5 * TURN_S, 0.5), (2.0 * TURN_S, 0.4))
+"""Until when (s) an episode waits for a better moment than one of so little merit."""
+_PATIENT_S = _PATIENCE[-1][0]
 _STANDS_MPS, _OVER_LINE_M = 0.5, 0.2
 HARDEST_MPS2 = 9.0
 """Nobody brakes harder."""
@@ -72,7 +73,7 @@ class Commitments:
     def wanted(self, now_s: float) -> tuple[str, ...]:
         """Return the kinds that may begin now: at first the one whose turn it is and crossing, later all."""
         turn = self.agenda.now
-        early = (turn, "crossing") if turn and now_s < TURN_S else tuple(self.weights)
+        early = (turn, "crossing") if turn and now_s < _PATIENT_S else tuple(self.weights)
         return tuple(kind for kind in self.weights if kind in early)
 
     @property
@@ -138,7 +139,7 @@ def _begin(
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
     proposals = [m for row in free for kind in kept.wanted(now) for m in KINDS[kind](view, row)]
     out: list[Manoeuvre] = []
-    least = _WORTH_IT if now < TURN_S else 0.0
+    least = next((merit for until_s, merit in _PATIENCE if now < until_s), 0.0)
     ranked = rank(view, proposals, kept.weights, licence)
     worthy = [one for one in ranked if one.manoeuvre.sets_up or one.merit >= least]
     for chosen in worthy[:_TRIED]:

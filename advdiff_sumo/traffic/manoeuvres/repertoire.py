@@ -97,7 +97,7 @@ def crossing(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     """Somebody with priority crosses the target's way when it gets there."""
     links = crossing_links(view, row)
     target = view.target
-    if links is None or target is None:
+    if links is None or target is None or view.speed(row) < _SLOWEST_MPS:
         return
     reach = next((reach for reach, link in target.way.links if link is links[1]), None)
     if reach is None or not view.is_first(reach):

@@ -28,8 +28,8 @@ STAGED = 6
 _STEPS = 12
 _AGAIN_S = 2.0
 _SLOWEST_MPS = 3.0
-_AHEAD_M, _LATER_M, _FARTHEST_M = 55.0, 48.0, 72.0
-_HEADWAY_S, _LEAST_AHEAD_M, _SPARE_M = 2.0, 22.0, 3.0
+_AHEAD_M, _LATER_M, _FARTHEST_M = 55.0, 36.0, 72.0
+_HEADWAY_S, _LEAST_AHEAD_M, _SPARE_M = 1.5, 22.0, 3.0
 _APART_M, _APART_S = 9.0, 0.6
 _FROM_TARGET_M, _LATER_FROM_TARGET_M = 18.0, 30.0
 _IN_LANE_M, _BESIDE_M = 2.0, 6.0
@@ -142,7 +142,8 @@ def _leader(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
     target = view.target
     if target is None or target.speed_mps < _SLOWEST_MPS or view.anybody_on(target.way, _AHEAD_M, _IN_LANE_M):
         return
-    gap = max(_HEADWAY_S * target.speed_mps + 8.0, _LEAST_AHEAD_M) if begins(view) else _LATER_M
+    least = _LEAST_AHEAD_M if begins(view) else _LATER_M
+    gap = max(_HEADWAY_S * target.speed_mps + 8.0, least)
     yield from _on_way(view, target.way, gap, target.speed_mps, stage.agent_class)
 
 

@@ -58,8 +58,10 @@ def add_crossings(program: ET.Element, crossings: Sequence[SignalledCrossing]) -
 
 
 def _is_clearing(before: Sequence[str], state: Sequence[str]) -> bool:
-    """Return whether the vehicles that had yellow get clear in a phase, in which nobody new has green."""
-    greens = [{index for index, light in enumerate(part) if light in "Gg"} for part in (before, state)]
+    """Return whether vehicles that had yellow get clear in a phase, in which nobody goes who had to wait before."""
+    greens = [
+        {(index, light) for index, light in enumerate(part) if light in "Gg"} for part in (before, state)
+    ]
     return bool(set(before) & set("yY")) and greens[1] <= greens[0]
 
 

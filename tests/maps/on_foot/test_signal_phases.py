@@ -47,6 +47,13 @@ def test_nobody_sets_out_while_vehicles_get_clear() -> None:
     ]
 
 
+def test_people_walk_while_a_turn_that_yielded_goes_first() -> None:
+    """After the yellow of link 0 the turn 1 has ``G``: that is a stage, no clearing."""
+    root = program((30, "Gg"), (4, "yg"), (10, "rG"), (4, "ry"))
+    add_crossings(root, [SignalledCrossing(2, frozenset({0}), frozenset({1}), 2.4)])
+    assert [state for _, state, _ in phases(root)] == ["Ggr", "ygr", "rgG", "ryr"]
+
+
 def test_a_short_crossing_is_clear_when_the_yellow_ends() -> None:
     root = program((30, "Gr"), (3, "yr"), (30, "rG"), (3, "ry"))
     add_crossings(root, [SignalledCrossing(2, frozenset({0}), frozenset(), 3.6)])

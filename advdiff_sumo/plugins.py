@@ -10,6 +10,7 @@ import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, UnknownNameError
@@ -82,5 +83,16 @@ def _import(kind: str, target: str) -> Any:
         for part in attribute.split("."):
             value = getattr(value, part)
     except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"{kind} '{target}' cannot be imported: {error}") from error
+        problem = f"{kind} '{target}' cannot be imported: {error}{_remedy(module_name, error)}"
+        raise ConfigError(problem) from error
     return value
+
+
+def _remedy(module: str, error: Exception) -> str:
+    """Return what to do where *module* itself was not found, or could not be by another process."""
+    if module == "__main__":
+        return "; it was defined in a script or a notebook: put it into a module of its own"
+    if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
+        here = Path.cwd()
+        return f"; start in the folder of {error.name}.py or put that on PYTHONPATH ({here} was searched)"
+    return ""

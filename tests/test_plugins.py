@@ -52,6 +52,15 @@ def test_what_cannot_be_imported_is_said_in_one_sentence(name: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_module_that_was_not_found_comes_with_where_to_start() -> None:
+    with pytest.raises(ConfigError, match=r"start in the folder of no_such\.py or put that on PYTHONPATH"):
+        SHAPES.load("no_such.part:X")
+    with pytest.raises(
+        ConfigError, match="defined in a script or a notebook: put it into a module of its own"
+    ):
+        SHAPES.load("__main__:NoSuchClass")
+
+
 def test_plugins_come_from_entry_points(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     info = tmp_path / "their_plugin-1.0.dist-info"
     info.mkdir()

@@ -98,9 +98,15 @@ class Results:
             raise MissingExtraError("a data frame", "pandas") from None
 
     def summary(self) -> Summary:
-        """Return rates with intervals, medians and planning times."""
+        """Return rates with intervals, medians, planning times, and why episodes failed."""
         rows, timing = self.episodes.to_pylist(), self.table("timing").to_pylist()
-        return Summary(tuple(summary_lines(rows, timing)), summary_figures(rows))
+        failed = {
+            str(row["failure_kind"]): str(row["failure_message"])
+            for row in reversed(rows)
+            if row["failure_kind"]
+        }
+        reasons = [(f"… the first {kind}", message) for kind, message in sorted(failed.items())]
+        return Summary((*summary_lines(rows, timing), *reasons), summary_figures(rows))
 
     def report(self) -> ReportPage:
         """Write ``report.html`` into the folder and return it."""

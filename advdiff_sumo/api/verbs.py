@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from advdiff_sumo.api.notebook_progress import Progress
 from advdiff_sumo.api.result_tables import Results
+from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.planners.planner_protocol import Planner
 
 if TYPE_CHECKING:
@@ -71,6 +72,15 @@ def run(
 
 def _with_planner(prepared: Any, planner: Planner) -> Any:
     """Return the run with *planner* itself as its target; it is written down by its class's name."""
+    if isinstance(planner, type):
+        raise ConfigError(
+            f"target is the class {planner.__qualname__}; give an object of it: {planner.__qualname__}()"
+        )
+    for method in ("start", "plan"):
+        if not callable(getattr(planner, method, None)):
+            raise ConfigError(
+                f"target {type(planner).__qualname__} has no method '{method}' (docs/planners.md)"
+            )
     kind = type(planner)
     name = f"{kind.__module__}:{kind.__qualname__}"
     options = prepared.options.model_copy(update={"target": name})

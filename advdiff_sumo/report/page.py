@@ -10,6 +10,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.metrics.severity import badge
+from advdiff_sumo.planners.remote.remote_name import is_remote
 from advdiff_sumo.report.blocks import streets_block
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
@@ -58,6 +59,7 @@ def report_html(run: FinishedRun) -> str:
         .render(
             run=run,
             name=run.folder.resolve().name,
+            own=own_modules(run.options),
             labels=labels,
             targets=sorted({labels.target(row) for row in run.episodes}),
             backgrounds=sorted({labels.background(row) for row in run.episodes}),
@@ -80,6 +82,15 @@ def report_html(run: FinishedRun) -> str:
             index=[s.facts for s in sections if s.block],
         )
     )
+
+
+def own_modules(options: Mapping[str, Any]) -> list[str]:
+    """Return the files of a user's own target and background, which whoever repeats the run must be able to import."""
+    names = (str(options.get(plug_in) or "") for plug_in in ("target", "background"))
+    modules = (
+        name.partition(":")[0].partition(".")[0] for name in names if ":" in name and not is_remote(name)
+    )
+    return [f"{module}.py" for module in modules if module not in ("advdiff_sumo", "__main__")]
 
 
 def _trails(sections: list[Section]) -> dict[str, list[FloatArray]]:

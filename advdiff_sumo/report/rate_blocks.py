@@ -51,7 +51,7 @@ def headline(episodes: Sequence[Mapping[str, Any]]) -> tuple[HeadlineRate, ...]:
             [bool(r["attacker_visible"]) for r in judged_visible],
         ),
         _line("Route completed", "finished episodes", [bool(r["route_completed"]) for r in finished]),
-        _line("Failures", "episodes", [r["end"] == "failed" for r in episodes]),
+        _line("Failed episodes", "episodes", [r["end"] == "failed" for r in episodes]),
     )
 
 

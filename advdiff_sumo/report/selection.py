@@ -88,6 +88,8 @@ class ChosenEpisode:
             ConfigError: what was asked is not in the episode.
         """
         last = float(self.states.tracks.times_s[-1])
+        if last <= 0.0 and self.row["end"] == "failed":
+            raise ConfigError(f"the episode failed before it began: {self.row['failure_message']}")
         nearest = self.row["min_clearance_time_s"]
         critical = self.contact_s if self.contact_s is not None else nearest
         end = end_s if end_s is not None else min(last, last if critical is None else float(critical) + 1.0)

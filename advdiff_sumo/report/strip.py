@@ -130,7 +130,7 @@ def _legend(drawn: Figure, chosen: ChosenEpisode) -> None:
     hit = chosen.contact_s is not None
     names = {
         Role.TARGET: "target",
-        Role.ATTACKER: "attacker" if hit else "nearest vehicle",
+        Role.ATTACKER: "collision partner" if hit else "nearest vehicle",
         Role.OTHER: "others",
     }
     handles = [

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import advdiff_sumo as ads
-from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.errors import ConfigError, FileError, InputError
 from advdiff_sumo.core.plan import Controls
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
@@ -94,6 +94,28 @@ def test_what_is_not_there_is_said_in_one_sentence(results: ads.Results, tmp_pat
         ads.load(tmp_path / "nothing")
     with pytest.raises(ConfigError, match=r"ads.run: no option 'horizon'; did you mean 'horizon_s'"):
         ads.run(horizon=3.0)
+
+
+class Lost:
+    """Fails in its first plan."""
+
+    def start(self, road: object, scene: object, rng: object) -> None:
+        return None
+
+    def plan(self, road: object, scene: object, memory: None, rng: object) -> float:
+        return 1.0 / 0.0
+
+
+def test_a_planner_that_cannot_drive(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"is the class Lost; give an object of it: Lost\(\)"):
+        ads.run("downtown", Lost)
+    with pytest.raises(InputError, match="target object has no method 'start'"):
+        ads.run("downtown", object())
+    lost = ads.run("downtown", Lost(), episodes=1, horizon_s=1.0, out=tmp_path / "lost", progress=False)
+    assert "the first planner_error" in repr(lost.summary())
+    assert "ZeroDivisionError" in repr(lost.summary())
+    with pytest.raises(InputError, match=r"the episode failed before it began: .*ZeroDivisionError"):
+        lost.episode(0).figure()
 
 
 def test_figures_by_hand() -> None:

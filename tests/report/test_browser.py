@@ -135,7 +135,7 @@ def test_keys_and_slider_keep_everything_in_step(look: Callable[..., Any], repor
     page.fill("[data-part=slider]", "1.5")
     assert _time(page) == pytest.approx(1.5)
     captions = page.eval_on_selector_all(".plots figcaption", "all => all.map((one) => one.textContent)")
-    assert captions[0] == "Speed (m/s) target 10.0, attacker 5.0"
+    assert captions[0] == "Speed (m/s) target 10.0, collision partner 5.0"
     # bumpers are 20 − 1.5 · 5 − 5 = 7.5 m apart and close at 5 m/s
     assert captions[3:] == ["Time to collision (s) 1.5", "Gap to the nearest (m) 7.5"]
     lines = page.eval_on_selector_all(".plots .now", "all => all.map((one) => one.style.left)")

@@ -34,7 +34,14 @@ def test_strip_of_the_worst_ends_at_its_contact(sweep_folder: Path) -> None:
     circles = [sum(line.get_marker() == "o" for line in axes.lines) for axes in drawn.axes]
     assert circles == [2, 6, 10, 14]  # two vehicles, one circle each 0.5 s
     labels = [text.get_text() for text in drawn.legends[0].get_texts()]
-    assert labels == ["target", "attacker", "others", "driven, every 0.5 s", "without attack", "contact"]
+    assert labels == [
+        "target",
+        "collision partner",
+        "others",
+        "driven, every 0.5 s",
+        "without attack",
+        "contact",
+    ]
 
 
 def test_poses_between_instants_take_the_shorter_turn(sweep_folder: Path) -> None:

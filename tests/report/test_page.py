@@ -12,6 +12,7 @@ import pytest
 
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.report import sections, write_report
+from advdiff_sumo.report.page import own_modules
 from advdiff_sumo.report.templates import number, percent
 
 VOID = {"meta", "br", "rect", "circle", "path", "use", "input"}
@@ -237,3 +238,11 @@ def test_numbers_as_text() -> None:
     assert number(-0.04) == "0.0"
     assert number(None) == number(float("nan")) == percent(None) == "–"
     assert percent(0.125) == "12.5\u00a0%"
+
+
+def test_whose_modules_a_repetition_needs() -> None:
+    assert own_modules({"target": "mine.fast:Planner", "background": "sumo"}) == ["mine.py"]
+    assert own_modules({"target": "exec:python server.py", "background": "other:Policy"}) == ["other.py"]
+    assert (
+        own_modules({"target": "__main__:Planner", "background": "advdiff_sumo.traffic.replay:Replay"}) == []
+    )

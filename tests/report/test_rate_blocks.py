@@ -23,5 +23,5 @@ def test_headline_counts(rows: Any) -> None:
         "Collisions, target at fault": (1, 4),
         "Attacker was visible": (1, 2),
         "Route completed": (1, 4),
-        "Failures": (1, 5),
+        "Failed episodes": (1, 5),
     }

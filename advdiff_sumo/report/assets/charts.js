@@ -84,7 +84,7 @@ class Charts {
       now.style.left = `${(100 * time) / Math.max(this.episode.end, 1e-6)}%`;
       const own = asText(this.episode.charts[chart.key][k]), rival = chart.rival && this.episode.charts[chart.rival][k];
       const careful = chart.careful && this.episode.charts[chart.careful][k], given = (one) => one !== null && one !== undefined;
-      const named = [given(rival) && `${this.facts.hit ? "attacker" : "nearest"} ${asText(rival)}`, given(careful) && `careful driver ${asText(careful)}`].filter(Boolean);
+      const named = [given(rival) && `${this.facts.hit ? "collision partner" : "nearest"} ${asText(rival)}`, given(careful) && `careful driver ${asText(careful)}`].filter(Boolean);
       value.textContent = named.length ? [`target ${own}`, ...named].join(", ") : own;
     }
   }

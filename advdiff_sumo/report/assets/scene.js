@@ -295,7 +295,7 @@ class Scene {
       if (!this.special.has(row) && !this.shown.names) return;
       const pose = poseAt(agent.parts, instant);
       if (!pose) return;
-      const known = row === episode.target ? "target" : this.facts.hit ? "attacker" : "nearest";
+      const known = row === episode.target ? "target" : this.facts.hit ? "collision partner" : "nearest";
       const text = this.shown.names ? agent.id : known, [east, north] = this.labelSide(row, pose, instant);
       const apart = this.reach(pose, agent.s, east, north) * view.scale + 4
         + 0.5 * Math.abs(east) * pen.measureText(text).width + 7 * Math.abs(north);

@@ -26,6 +26,19 @@ _TAIL_BYTES, _LOG_BYTES = 4000, 1 << 20
 ADDRESS_FIELD = "{address}"
 
 
+#: Longest path of a socket in bytes: 107 on Linux, 103 on macOS.
+_SOCKET_BYTES = 103
+
+
+def _socket_folder() -> Path:
+    """Return a new temporary folder with a path that is short enough for a socket in it."""
+    folder = Path(tempfile.mkdtemp(prefix="advdiff-planner-"))
+    if len(os.fsencode(folder / "socket")) > _SOCKET_BYTES:
+        folder.rmdir()
+        folder = Path(tempfile.mkdtemp(prefix="advdiff-planner-", dir="/tmp"))
+    return folder
+
+
 class PlannerProcess:
     """One running server; :meth:`end` it, or let it go: its keeper ends it when this process ends in any way.
 
@@ -40,7 +53,7 @@ class PlannerProcess:
             ConfigError: it cannot be split into words.
         """
         self.who = who
-        self._folder = Path(tempfile.mkdtemp(prefix="advdiff-planner-"))
+        self._folder = _socket_folder()
         self._socket, self._log = self._folder / "socket", self._folder / "log"
         self.address = f"unix:{self._socket}"
         words = [word.replace(ADDRESS_FIELD, self.address) for word in split_command(command)]

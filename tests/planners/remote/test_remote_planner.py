@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -39,6 +40,7 @@ Made = Callable[..., RemotePlanner]
 #: Lets a server import what the kit may need, and nothing else.
 ONLY_THE_KIT = """
 import sys
+import tempfile
 
 ALLOWED = {"advdiff_sumo", "faulty_server", "google", "grpc", "numpy", "typing_extensions"} | sys.stdlib_module_names
 
@@ -233,3 +235,13 @@ def test_a_server_that_somebody_else_starts(
     with pytest.raises(PlannerCrashedError, match="no server answered MakePlan"):
         planner.plan(road, scene, memory, np.random.default_rng(0))
     planner.close()
+
+
+def test_a_deep_temporary_folder_is_no_place_for_a_socket(
+    served: Made, road: RoadMap, scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deep = tmp_path / ("deep" * 25)
+    deep.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(deep))
+    assert np.isfinite(plans(served("child"), road, scene, count=1)).all()
+    assert list(deep.iterdir()) == []

@@ -26,7 +26,6 @@ from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
-    from advdiff_sumo.sweep.condition import Condition
     from advdiff_sumo.sweep.executors import Executor
     from advdiff_sumo.sweep.job_plan import Plan
     from advdiff_sumo.sweep.sweep_runner import Todo
@@ -93,7 +92,8 @@ def sweep(
     a power cut lose the episodes in flight: advdiff-sumo sweep --resume DIR runs what is missing.
     """
     one_thread_for_good()
-    from advdiff_sumo.cli.sweep_results import condition_of  # late: --help needs no simulator
+    from advdiff_sumo.cli.summary import run_object  # late: --help needs no simulator
+    from advdiff_sumo.cli.sweep_results import conclude, condition_of
     from advdiff_sumo.sweep.sweep_runner import Todo, open_store
 
     signal.signal(signal.SIGTERM, _as_ctrl_c)
@@ -113,7 +113,9 @@ def sweep(
         missing = _episodes(console, plan, store, todo, done_by, retries)
     if report:
         _draw(console, store.path)
-    _tell_outcome(console, store, plan, missing, condition, junit, as_json)
+    if as_json:
+        print_json({**run_object(store.path), "missing": missing})
+    conclude(console, store, plan, missing, condition, junit)
 
 
 def _draw(console: Console, folder: Path) -> None:
@@ -200,24 +202,6 @@ def _episodes(
 
     with _Progress(console, todo) as progress:
         return run_sweep(plan, store, todo, executor, retries, progress.tell)
-
-
-def _tell_outcome(
-    console: Console,
-    store: Store,
-    plan: Plan,
-    missing: int,
-    condition: Condition | None,
-    junit: Path | None,
-    as_json: bool,
-) -> None:
-    """Print what the sweep came to; leave with 1 where the *condition* says so."""
-    from advdiff_sumo.cli.summary import run_object
-    from advdiff_sumo.cli.sweep_results import conclude
-
-    if as_json:
-        print_json({**run_object(store.path), "missing": missing})
-    conclude(console, store, plan, missing, condition, junit)
 
 
 def _tell_estimate(console: Console, plan: Plan, todo: Todo, workers: int, limits: Limits) -> None:

@@ -15,7 +15,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.core.polylines import Polyline, without_repeats
 from advdiff_sumo.maps.lanes import Edge, Junction, Lane, Link
-from advdiff_sumo.maps.read_net import RawNet, shape_of
+from advdiff_sumo.maps.read_net import RawNet, marked_requests, shape_of
 
 DEFAULT_LANE_WIDTH_M = 3.2
 """SUMO's width of a lane that states none (SUMO_const_laneWidth)."""
@@ -98,8 +98,8 @@ def _junction(element: ET.Element) -> Junction:
     foes, response = {}, {}
     for request in element.iterfind("request"):
         index = int(request.attrib["index"])
-        foes[index] = _bits(request.get("foes", ""))
-        response[index] = _bits(request.get("response", ""))
+        foes[index] = marked_requests(request.get("foes", ""))
+        response[index] = marked_requests(request.get("response", ""))
     return Junction(
         id=element.attrib["id"],
         type=element.get("type", "unknown"),
@@ -110,11 +110,6 @@ def _junction(element: ET.Element) -> Junction:
         incoming_lanes=tuple(element.get("incLanes", "").split()),
         internal_lanes=tuple(element.get("intLanes", "").split()),
     )
-
-
-def _bits(matrix_row: str) -> frozenset[int]:
-    """Return the indices of the ones; SUMO writes index 0 rightmost."""
-    return frozenset(i for i, bit in enumerate(reversed(matrix_row)) if bit == "1")
 
 
 def _lanes_of(

@@ -142,6 +142,11 @@ def _parse(path: Path) -> ET.Element:
     return root
 
 
+def marked_requests(row: str) -> frozenset[int]:
+    """Return the requests with a one in a *row* of foes or responses; SUMO writes index 0 rightmost."""
+    return frozenset(index for index, bit in enumerate(reversed(row)) if bit == "1")
+
+
 def shape_of(element: ET.Element) -> FloatArray:
     """Return the ``shape`` of *element* as (P, 2) points, heights dropped; (0, 2) when it has none."""
     points = [point.split(",")[:2] for point in element.get("shape", "").split()]

@@ -223,6 +223,11 @@ class RoadMap:
             self._edge_graphs[vclass] = EdgeGraph.of(self._graph, vclass)
         return self._edge_graphs[vclass]
 
+    @cached_property
+    def link_over(self) -> Mapping[str, Link]:
+        """The connection over its junction that each internal lane belongs to."""
+        return {lane: link for link in self.links.values() for lane in link.via}
+
     def yields_to(self, link: Link) -> frozenset[int]:
         """Return the requests that who takes *link* must yield to by the net's rows; signals may say otherwise."""
         junction = self.junctions.get(link.junction_id)

@@ -91,21 +91,7 @@ class AdversaryEnv(EpisodeEnv):
         self._seat = Seat(load_prior(self.options.prior, self.options.prior_weights))
         self._accel_mps2, self._paid, self._done = 0.0, 0.0, 0
 
-    @one_thread()
-    def reset(
-        self,
-        *,
-        seed: int | None = None,
-        options: dict[str, Any] | None = None,  # noqa: ARG002 - Gymnasium's interface
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Begin another episode; the same seed, the same episode.
-
-        Raises:
-            SceneError: the traffic never has a usable target.
-            SimulationError: another simulation is running in this process.
-        """
-        super().reset(seed=seed)
-        loop = self._begin()
+    def _first(self, loop: Loop) -> tuple[Observation, dict[str, Any]]:
         self._accel_mps2, self._paid, self._done = 0.0, 0.0, 0
         return self._look(loop), {"scene": loop.episode.scene.name, "target": loop.episode.names[0]}
 

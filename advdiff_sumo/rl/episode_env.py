@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from contextlib import ExitStack
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from advdiff_sumo.core.errors import EpisodeFailure
 from advdiff_sumo.core.record import EndReason
+from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.episode_loop import Loop
 
@@ -20,7 +22,7 @@ OVER = (EndReason.HORIZON, EndReason.LOG_END)
 _TRIES = 5
 
 
-class EpisodeEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+class EpisodeEnv(gymnasium.Env[Observation, NDArray[np.float32]], ABC):
     """One episode at a time as a Gymnasium environment; a step is one model step of 0.5 s of the real episode loop.
 
     libsumo holds one simulation in a process: vectorise over processes (``gymnasium.vector.AsyncVectorEnv``,
@@ -41,9 +43,30 @@ class EpisodeEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._open = ExitStack()
         self._loop: Loop | None = None
 
+    @abstractmethod
     def _draw(self) -> Episode:
         """Return the next episode."""
-        raise NotImplementedError
+
+    @abstractmethod
+    def _first(self, loop: Loop) -> tuple[Observation, dict[str, Any]]:
+        """Return what is seen at the beginning of an episode, and its ``info``."""
+
+    @one_thread()
+    def reset(
+        self,
+        *,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,  # noqa: ARG002 - Gymnasium's interface
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin another episode; the same seed, the same episode.
+
+        Raises:
+            SceneError: the traffic never has a usable target.
+            EpisodeFailure: SUMO starts none of several scenes.
+            SimulationError: another simulation is running in this process.
+        """
+        super().reset(seed=seed)
+        return self._first(self._begin())
 
     def _begin(self) -> Loop:
         """Return the loop of an episode that SUMO could start; a few that it could not are passed over."""

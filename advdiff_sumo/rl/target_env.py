@@ -129,21 +129,7 @@ class TargetEnv(EpisodeEnv):
         self._seat = TargetSeat(size)
         self._scenes = StretchCache(self._run)
 
-    @one_thread()
-    def reset(
-        self,
-        *,
-        seed: int | None = None,
-        options: dict[str, Any] | None = None,  # noqa: ARG002 - Gymnasium's interface
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Begin another episode; the same seed, the same episode.
-
-        Raises:
-            SceneError: the traffic never has a usable target.
-            EpisodeFailure: SUMO starts none of several scenes.
-        """
-        super().reset(seed=seed)
-        loop = self._begin()
+    def _first(self, loop: Loop) -> tuple[Observation, dict[str, Any]]:
         return self._look(), {"scene": loop.episode.scene.name}
 
     def _draw(self) -> Episode:

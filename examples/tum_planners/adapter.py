@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -136,7 +137,7 @@ def planned(task: Task, memory: Memory, axle_m: np.ndarray, states: np.ndarray) 
     return Trajectory(xy, yaw + task.frame.yaw_rad, states[:, 1], STEP_S), replace(memory, expected=expected)
 
 
-class Adapter:
+class Adapter(ABC):
     """What the planner kit asks of both: a plan where they find a way, else a stop along the line."""
 
     steps: int
@@ -151,9 +152,9 @@ class Adapter:
             return emergency_stop(scene, None if task is None else task.line, self.steps), memory
         return planned(task, memory, *way)
 
+    @abstractmethod
     def way(self, road, scene, memory, task: Task) -> tuple[np.ndarray, np.ndarray] | None:
         """Return places of the rear axle and states, as :func:`planned` takes them; None where there is no way."""
-        raise NotImplementedError
 
 
 def emergency_stop(scene: Scene, line: ReferenceLine | None, steps: int) -> Trajectory:

@@ -50,7 +50,8 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
     rings = find_rings(plan)
     round_about = {name for ring in rings for name in ring.junctions}
     crossing = _crossing(plan) - round_about if guess_signals else set()
-    long = junctions_of(long_conflicts(plan), plan)
+    apart = long_conflicts(plan)
+    long = junctions_of(apart, plan)
     kinds = {
         name: _kind([edge.id for edge in edges], control)
         or ("traffic_light" if name in crossing and (_is_large(edges) or name in long) else None)
@@ -69,6 +70,7 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
         rings=rings,
         idle_signals=control.idle,
         lamps=control.lamps,
+        apart=frozenset(apart),
         unseen=tuple(sorted(name for name in long if kinds.get(name) != "traffic_light")),
     )
 

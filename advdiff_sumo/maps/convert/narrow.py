@@ -13,6 +13,7 @@ from defusedxml import ElementTree
 
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, NetPlan
+from advdiff_sumo.maps.read_net import marked_requests
 
 BODIES_M = 2.2  # two cars side by side with 0.3 m between them
 LONG_M = 12.0  # a crossing at 20° or more is shorter
@@ -27,10 +28,7 @@ def unseen_conflicts(plan: NetPlan, net: Path) -> list[tuple[Ends, Ends]]:
     that pass each other in a narrow neck for free of conflict, and some that cross where one edge enters a junction
     between the ends of another. The way that turns less goes first.
     """
-    inside: dict[str, list[ConnectionPlan]] = defaultdict(list)
-    target = {edge.id: edge.target for edge in plan.edges}
-    for connection in plan.connections:
-        inside[target[connection.origin[0]]].append(connection)
+    inside = _by_junction(plan)
     known = _known_conflicts(net)
     conflicts: set[tuple[Ends, Ends]] = set()
     for name in sorted(inside):
@@ -47,13 +45,9 @@ def long_conflicts(plan: NetPlan) -> set[frozenset[Ends]]:
     SUMO takes a conflict of two ways for a spot where they cross; two opposite turns that meet at a flat angle over
     many metres must not be green together. Ways into one edge merge and are left aside.
     """
-    target = {edge.id: edge.target for edge in plan.edges}
-    inside: dict[str, list[ConnectionPlan]] = defaultdict(list)
-    for connection in plan.connections:
-        inside[target[connection.origin[0]]].append(connection)
     return {
         frozenset((_ends(one), _ends(other)))
-        for ways in inside.values()
+        for ways in _by_junction(plan).values()
         for one, other in _near(ways)
         if one.target[0] != other.target[0] and _shared_m(one, other) > LONG_M
     }
@@ -63,6 +57,15 @@ def junctions_of(pairs: Iterable[frozenset[Ends]], plan: NetPlan) -> set[str]:
     """Return the junctions in which *pairs* of ways meet."""
     target = {edge.id: edge.target for edge in plan.edges}
     return {target[origin] for pair in pairs for origin, _ in pair}
+
+
+def _by_junction(plan: NetPlan) -> dict[str, list[ConnectionPlan]]:
+    """Return the ways through each junction."""
+    target = {edge.id: edge.target for edge in plan.edges}
+    inside: dict[str, list[ConnectionPlan]] = defaultdict(list)
+    for connection in plan.connections:
+        inside[target[connection.origin[0]]].append(connection)
+    return inside
 
 
 def _shared_m(one: ConnectionPlan, other: ConnectionPlan) -> float:
@@ -99,8 +102,8 @@ def _known_conflicts(net: Path) -> set[frozenset[Key]]:
         own = links[junction.attrib["id"]]
         for request in junction.iter("request"):
             here = own.get(int(request.attrib["index"]))
-            for index, foe in enumerate(reversed(request.attrib["foes"])):
-                if foe == "1" and here is not None and index in own:
+            for index in marked_requests(request.attrib["foes"]):
+                if here is not None and index in own:
                     known.add(frozenset((here, own[index])))
     return known
 

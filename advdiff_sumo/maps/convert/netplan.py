@@ -139,7 +139,8 @@ class NetPlan:
         rings: roundabouts.
         idle_signals: lights that stop nobody.
         lamps: of the lights at the end of an edge, where the source tells them.
-        unseen: junctions without signals in which ways run along each other for long.
+        apart: pairs of ways, by the edges that they leave and enter, that run along each other for long.
+        unseen: junctions without signals in which there are such.
     """
 
     edges: tuple[EdgePlan, ...]
@@ -150,6 +151,7 @@ class NetPlan:
     rings: tuple[Ring, ...] = ()
     idle_signals: tuple[str, ...] = ()
     lamps: Mapping[str, frozenset[Lamp]] = field(default_factory=dict)
+    apart: frozenset[frozenset[tuple[str, str]]] = frozenset()
     unseen: tuple[str, ...] = ()
 
     @cached_property

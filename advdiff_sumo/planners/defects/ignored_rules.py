@@ -132,14 +132,9 @@ def _as_if_green(road: RoadMap, link: Link, signals: Mapping[str, str]) -> Mappi
     return {**signals, link.tls_id or "": "".join(letters)}
 
 
-@lru_cache(maxsize=4)
-def _link_of_internal(road: RoadMap) -> Mapping[str, Link]:
-    return {lane: link for link in road.links.values() for lane in link.via}
-
-
 def _requests_from(road: RoadMap, lane: str) -> set[tuple[str, int]]:
     """Return the rows of right-of-way matrices that somebody in *lane* takes or may take next."""
-    on_junction = _link_of_internal(road).get(lane)
+    on_junction = road.link_over.get(lane)
     links = (on_junction,) if on_junction is not None else road.lanes[lane].successors
     return {(link.junction_id, link.request_index) for link in links}
 

@@ -143,7 +143,7 @@ def _placed(owner: IntArray, paths: Sequence[LanePath], others: Others) -> list[
 def _chains(geometry: Geometry, lane: str, route: Sequence[str], reach_m: float) -> list[Chain]:
     """Return chains from *lane*; on a junction from the lane before it, over every connection that may be it."""
     road = geometry.road
-    link = geometry.link_of.get(lane)
+    link = geometry.road.link_over.get(lane)
     ahead = reach_m + road.lanes[lane].length_m
     if link is None:
         return plausible_chains(road, lane, route, ahead)

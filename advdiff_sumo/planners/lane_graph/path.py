@@ -154,19 +154,17 @@ class Geometry:
 
     Attributes:
         road: the map.
-        link_of: the whole connection over the junction that each internal lane belongs to.
         conflicts: conflict areas of pairs of links, kept by :mod:`.conflicts`.
     """
 
     road: RoadMap
-    link_of: dict[str, Link] = field(default_factory=dict)
     conflicts: dict[tuple[str, str, str, str], Zone | None] = field(default_factory=dict)
     _paths: dict[tuple[str, ...], LanePath] = field(default_factory=dict)
 
     @staticmethod
     def of(road: RoadMap) -> Geometry:
         """Return the empty store for *road*."""
-        return Geometry(road, {lane: link for link in road.links.values() for lane in link.via})
+        return Geometry(road)
 
     def path(self, lanes: Sequence[str], links: Sequence[Link]) -> LanePath:
         """Return the reference line along *lanes*, which *links* connect."""

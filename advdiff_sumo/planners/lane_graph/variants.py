@@ -135,7 +135,7 @@ def locate(
     if lane is None:
         return None
     ahead = _edges_ahead(geometry.road, lane, tuple(route) or memory.route, memory, waited_s)[:_EDGES_AHEAD]
-    return Place(lane, ahead, required_changes(geometry.road, ahead), geometry.link_of.get(lane))
+    return Place(lane, ahead, required_changes(geometry.road, ahead), geometry.road.link_over.get(lane))
 
 
 def _edges_ahead(
@@ -163,7 +163,7 @@ def _likeliest(geometry: Geometry, state: State, route: Sequence[str], memory: M
 
 
 def _serves(geometry: Geometry, lane: str, route: Sequence[str]) -> bool:
-    link = geometry.link_of.get(lane)
+    link = geometry.road.link_over.get(lane)
     beyond = lane if link is None else link.to_lane
     return geometry.road.lanes[beyond].edge_id in route
 

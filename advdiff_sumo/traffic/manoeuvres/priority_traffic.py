@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -117,13 +117,14 @@ def _over(road: RoadMap, link: Link) -> FloatArray:
 def _meeting(view: SituationView, link: Link, meets_s: float, beyond_m: float) -> Iterator[Approach]:
     """Yield vehicles that are *beyond_m* beyond the stop line of *link* in *meets_s*, or a little before or after."""
     limit = min(view.road.lanes[link.from_lane].speed_mps, _FASTEST_MPS)
-    room = sum(lane.length_m for lane in _upstream(view, link))
+    upstream = _upstream(view, link)
+    room = sum(lane.length_m for lane in upstream)
     for arrives_s in (meets_s + late for late in _TIMING_S):
         away = min(limit * arrives_s - beyond_m, room - 1.0)
         speed = (away + beyond_m) / max(arrives_s, 0.1)
         if away < _FROM_LINE_M or speed < max(_SHARE * limit, _SLOWEST_MPS):
             continue
-        way = _way(view, link, away)
+        way = _way(view, upstream, link, away)
         if way is not None and link in (one for _, one in way.links):
             yield Approach(way, min(speed, limit))
 
@@ -141,10 +142,10 @@ def _upstream(view: SituationView, link: Link) -> list[Lane]:
     return out
 
 
-def _way(view: SituationView, link: Link, away_m: float) -> Way | None:
-    """Return the way over *link* from *away_m* before its stop line; None where that is on a junction."""
+def _way(view: SituationView, upstream: Sequence[Lane], link: Link, away_m: float) -> Way | None:
+    """Return the way over *link* from *away_m* before its stop line, on *upstream*; None on a junction."""
     edges, left = [view.road.lanes[link.to_lane].edge_id], away_m
-    for lane in _upstream(view, link):
+    for lane in upstream:
         if not lane.is_internal:
             edges.append(lane.edge_id)
         if left < lane.length_m:

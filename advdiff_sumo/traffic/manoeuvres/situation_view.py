@@ -64,10 +64,7 @@ class SituationView:
     @cached_property
     def target_link(self) -> Link | None:
         """The link over the junction that the target is on; None where it is on none."""
-        lane = None if self.target is None else self.target.way.present_lane
-        if lane is None or not lane.is_internal:
-            return None
-        return next((link for link in self.road.links.values() if lane.id in link.via), None)
+        return None if self.target is None else self.road.link_over.get(self.target.way.present_lane.id)
 
     def speed(self, row: int) -> float:
         """Return the speed of *row* now, at least 0."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda
@@ -14,11 +13,6 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.traffic.manoeuvres.scenes import view_of
 
 ORDER = ("crossing", "cut-in", "hard-stop")
-
-
-@pytest.fixture(scope="module")
-def motorway(networks: object) -> RoadMap:
-    return RoadMap.read(f"{networks}/motorway.net.xml")
 
 
 def later(view: SituationView, time_s: float) -> SituationView:

@@ -20,11 +20,6 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on, view_of
 
 
-@pytest.fixture(scope="module")
-def motorway(networks: object) -> RoadMap:
-    return RoadMap.read(f"{networks}/motorway.net.xml")
-
-
 def needed(view: SituationView, *manoeuvres: Manoeuvre, perceived_s: float = 0.0) -> list[float]:
     speed = np.array([view.speed(m.row) for m in manoeuvres])
     futures = futures_of_manoeuvres(manoeuvres, speed)

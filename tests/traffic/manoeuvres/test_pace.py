@@ -15,16 +15,6 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
 
 
-@pytest.fixture(scope="module")
-def motorway(networks: object) -> RoadMap:
-    return RoadMap.read(f"{networks}/motorway.net.xml")
-
-
-@pytest.fixture(scope="module")
-def downtown(networks: object) -> RoadMap:
-    return RoadMap.read(f"{networks}/downtown.net.xml")
-
-
 def test_on_a_free_straight_the_speed_grows_by_half_a_metre_per_second_squared(motorway: RoadMap) -> None:
     """From 20 m/s: 23 m/s and 129 m after 6 s; 60 m take 20 t + t²/4 = 60, t = 2.9 s."""
     target = view_of(motorway, target=(0, 50.0, 20.0)).target

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import BreachKind
@@ -13,11 +12,6 @@ from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.traffic.manoeuvres.scenes import LENGTH_M, view_of
-
-
-@pytest.fixture(scope="module")
-def motorway(networks: object) -> RoadMap:
-    return RoadMap.read(f"{networks}/motorway.net.xml")
 
 
 def broken(view: SituationView, manoeuvre: Manoeuvre) -> frozenset[BreachKind]:

@@ -18,16 +18,6 @@ from advdiff_sumo.traffic.manoeuvres.staging import SIZE_M, Stage, come_in, plan
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
 
 
-@pytest.fixture(scope="module")
-def motorway(networks: object) -> RoadMap:
-    return RoadMap.read(f"{networks}/motorway.net.xml")
-
-
-@pytest.fixture(scope="module")
-def downtown(networks: object) -> RoadMap:
-    return RoadMap.read(f"{networks}/downtown.net.xml")
-
-
 def test_a_leader_comes_in_where_there_is_none(motorway: RoadMap) -> None:
     """At 10 m/s, 1.5 s and 8 m ahead: 23 m."""
     view = view_of(motorway, target=(0, 50.0, 10.0))

@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from advdiff_sumo.maps.convert.narrow import Ends, long_conflicts
+from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import NetPlan
 from advdiff_sumo.maps.convert.signals.change_intervals import all_red_s, yellow_s
 from advdiff_sumo.maps.convert.signals.signal_links import SignalLink, signal_links
@@ -34,20 +34,21 @@ def write_programs(net: Path, plan: NetPlan) -> None:
     """Replace the programs in *net*, which was written from *plan* and has no crossings on foot yet."""
     root = read_root(net, "net", "a SUMO net")
     links = signal_links(root, plan)
-    apart = long_conflicts(plan)
 
     def ours(match: re.Match[str]) -> str:
         own = links.get(match["id"], [])
-        return program_text(match["id"], phases_of(own, plan, apart)) if own else match[0]
+        return program_text(match["id"], phases_of(own, plan)) if own else match[0]
 
     net.write_text(PROGRAM.sub(ours, net.read_text(encoding="utf-8")), encoding="utf-8")
 
 
-def phases_of(links: Sequence[SignalLink], plan: NetPlan, apart: Collection[frozenset[Ends]]) -> list[Phase]:
+def phases_of(links: Sequence[SignalLink], plan: NetPlan) -> list[Phase]:
     """Return the phases of one signal: green stages with yellow and all-red between them."""
     size = max(link.index for link in links) + 1
-    cycle = stages(links, plan.lamps, apart, plan.lefthand)
-    changes = [_change(cycle[k], cycle[(k + 1) % len(cycle)], links, size, apart) for k in range(len(cycle))]
+    cycle = stages(links, plan.lamps, plan.apart, plan.lefthand)
+    changes = [
+        _change(cycle[k], cycle[(k + 1) % len(cycle)], links, size, plan.apart) for k in range(len(cycle))
+    ]
     lost_s = sum(phase.duration_s for change in changes for phase in change)
     green_s = min(max(round((CYCLE_S - lost_s) / len(cycle)), SHORTEST_GREEN_S), LONGEST_GREEN_S)
     return [

@@ -11,6 +11,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.sources.source_map import Direction
+from advdiff_sumo.maps.read_net import marked_requests
 
 ABOUT = {"l": Direction.LEFT, "L": Direction.LEFT, "r": Direction.RIGHT, "R": Direction.RIGHT}
 
@@ -80,14 +81,14 @@ class _Conflicts:
             lanes = junction.get("intLanes", "").split()
             for row in junction.iterfind("request"):
                 own = lanes[int(row.attrib["index"])]
-                for lane in _marked(lanes, row.get("foes", "")):
+                foes, response = (
+                    {lanes[number] for number in marked_requests(row.get(key, "")) if number < len(lanes)}
+                    for key in ("foes", "response")
+                )
+                for lane in foes:
                     self.foes[own].add(lane)
                     self.foes[lane].add(own)
-                self.yields_to[own].update(_marked(lanes, row.get("response", "")))
-
-
-def _marked(lanes: list[str], bits: str) -> list[str]:
-    return [lane for lane, bit in zip(lanes, reversed(bits), strict=False) if bit == "1"]
+                self.yields_to[own] |= response
 
 
 def _link(

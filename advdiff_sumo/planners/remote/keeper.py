@@ -19,6 +19,8 @@ from pathlib import Path
 
 _PR_SET_CHILD_SUBREAPER = 36
 _GRACE_S, _POLL_S = 0.5, 0.01
+_THREADS = 20 - 3
+"""Where ``/proc/PID/stat`` has the number of threads, its field 20, counted from the state."""
 
 
 def main() -> None:
@@ -56,7 +58,7 @@ def end_descendants() -> None:
     asked_at = time.monotonic()
     word = signal.SIGTERM
     asked: set[int] = set()
-    while children := _children():
+    while children := _children() or _children():  # one can become ours behind the first look
         if word is signal.SIGTERM and time.monotonic() - asked_at > _GRACE_S:
             word, asked = signal.SIGKILL, set()
         for pid in children:
@@ -70,18 +72,21 @@ def end_descendants() -> None:
 def _children() -> list[int]:
     """Return the children that have not ended; what a child leaves behind becomes one itself."""
     own = str(os.getpid())
-    processes = (_state_and_parent(folder) for folder in Path("/proc").glob("[0-9]*"))
-    return [pid for pid, state, parent in processes if parent == own and state != "Z"]
+    return [int(folder.name) for folder in Path("/proc").glob("[0-9]*") if _parent(folder) == own]
 
 
-def _state_and_parent(folder: Path) -> tuple[int, str, str]:
-    """Return a process's number, state and parent; an ended one has state Z."""
+def _parent(folder: Path) -> str:
+    """Return the parent of a process; "" for one that has ended.
+
+    One whose first thread has ended (state Z) is there, and keeps its children, until its last one has.
+    """
     try:
         stat = (folder / "stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
-        return int(folder.name), "Z", ""
-    state, parent = stat.rpartition(")")[2].split()[:2]
-    return int(folder.name), state, parent
+        return ""
+    fields = stat.rpartition(")")[2].split()  # from the third one on, the state
+    state, parent, threads = fields[0], fields[1], int(fields[_THREADS])
+    return "" if state == "Z" and threads <= 1 else parent
 
 
 if __name__ == "__main__":

@@ -32,9 +32,10 @@ from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
 from advdiff_sumo.planners.planner_check import same_plan
 from advdiff_sumo.planners.planner_protocol import Planner, Served
 from advdiff_sumo.planners.planner_registry import make_target
+from advdiff_sumo.planners.remote import keeper
 from advdiff_sumo.planners.remote.remote_planner import RemotePlanner
 from advdiff_sumo.planners.remote.write_kit import write_kit
-from tests.hang_guard import with_time
+from tests.hang_guard import HANG_S, with_time
 
 Made = Callable[..., RemotePlanner]
 #: Lets a server import what the kit may need, and nothing else.
@@ -170,6 +171,36 @@ def test_a_defect_leaves_check_end_and_close_as_they_are(faulty: Path, road: Roa
         target.plan(road, scene, memory, rng)
     target.close()
     assert not running(str(faulty))
+
+
+FIRST_THREAD_ENDS = """
+import ctypes, pathlib, subprocess, sys, threading, time
+
+def go_on():
+    task = pathlib.Path(f"/proc/self/task/{pathlib.os.getpid()}/stat")
+    while task.read_text().rpartition(")")[2].split()[0] != "Z":
+        time.sleep(0.01)
+    subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)", "of-the-second-thread"])
+    time.sleep(600)
+
+threading.Thread(target=go_on).start()
+ctypes.CDLL(None).pthread_exit(None)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads that outlive the first one are Linux's")
+def test_nor_does_one_of_a_server_whose_first_thread_has_ended(tmp_path: Path) -> None:
+    program = tmp_path / "server.py"
+    program.write_text(FIRST_THREAD_ENDS)
+    command = [sys.executable, "-I", "-S", keeper.__file__, sys.executable, str(program)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as process:
+        while not running("sleep(600) of-the-second-thread"):
+            assert process.poll() is None
+            time.sleep(0.01)
+        assert process.stdin is not None
+        process.stdin.close()
+        process.wait(HANG_S)
+    assert not running("sleep(600) of-the-second-thread")
 
 
 def running(*words: str) -> list[str]:

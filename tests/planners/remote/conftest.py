@@ -36,7 +36,7 @@ class Faulty:
 
     def start(self, road, scene, rng):
         if self.fault == "child":
-            subprocess.Popen([sys.executable, "-c", CHILD, "left-behind"], start_new_session=True)
+            subprocess.Popen([sys.executable, "-c", CHILD, "left-behind by " + __file__], start_new_session=True)
         return [len(road.lanes), road.lanes["west_in_0"].speed_mps, 0]
 
     def plan(self, road, scene, memory, rng):

@@ -144,13 +144,14 @@ def test_a_plan_that_is_not_a_number_is_left_to_the_simulation(
     assert np.isnan(plan.accel_mps2[3])
 
 
-def test_no_process_stays_behind(served: Made, road: RoadMap, scene: Scene) -> None:
+def test_no_process_stays_behind(served: Made, faulty: Path, road: RoadMap, scene: Scene) -> None:
+    child = f"left-behind by {faulty}"
     planner = served("child")
     planner.start(road, scene, np.random.default_rng(0))
-    while not running("left-behind"):  # between fork and exec it has its parent's name
+    while not running(child):  # between fork and exec it has its parent's name
         time.sleep(0.01)
     planner.close()
-    assert not running("left-behind", "faulty_server")
+    assert not running(child, str(faulty))
 
 
 def test_a_defect_leaves_check_end_and_close_as_they_are(faulty: Path, road: RoadMap, scene: Scene) -> None:
@@ -180,7 +181,7 @@ def go_on():
     task = pathlib.Path(f"/proc/self/task/{pathlib.os.getpid()}/stat")
     while task.read_text().rpartition(")")[2].split()[0] != "Z":
         time.sleep(0.01)
-    subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)", "of-the-second-thread"])
+    subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)", "of " + __file__])
     time.sleep(600)
 
 threading.Thread(target=go_on).start()
@@ -194,13 +195,13 @@ def test_nor_does_one_of_a_server_whose_first_thread_has_ended(tmp_path: Path) -
     program.write_text(FIRST_THREAD_ENDS)
     command = [sys.executable, "-I", "-S", keeper.__file__, sys.executable, str(program)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as process:
-        while not running("sleep(600) of-the-second-thread"):
+        while not running(f"sleep(600) of {program}"):
             assert process.poll() is None
             time.sleep(0.01)
         assert process.stdin is not None
         process.stdin.close()
         process.wait(HANG_S)
-    assert not running("sleep(600) of-the-second-thread")
+    assert not running(f"sleep(600) of {program}")
 
 
 def running(*words: str) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.table import Table
@@ -21,6 +21,10 @@ data = typer.Typer(
     no_args_is_help=True,
 )
 _say = terminal(highlight=False, soft_wrap=True)
+_MapView = Annotated[
+    Literal["near", "far"],
+    typer.Option(help="Map that each vehicle sees: 60 m around, or what it may drive in 6 s, too."),
+]
 
 
 @data.command()
@@ -37,6 +41,7 @@ def simulate(
     random_share: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of the windows on nets made up for them.")
     ] = 0.5,
+    map_view: _MapView = "near",
     seed: Annotated[int, typer.Option(help="Same seed, same bytes.")] = 0,
     workers: Annotated[int, typer.Option(min=1, max=256, help="Processes.")] = 2,
 ) -> None:
@@ -55,6 +60,7 @@ def simulate(
             "windows": windows,
             "nets": tuple(net or SHIPPED_NETS),
             "random_share": random_share,
+            "view": map_view,
             "seed": seed,
         }
     )
@@ -108,6 +114,7 @@ def build(
     ego_only: Annotated[
         bool, typer.Option("--ego-only", help="Windows around the recording vehicle alone.")
     ] = False,
+    map_view: _MapView = "near",
 ) -> None:
     """Cut driving logs into training windows, each drive on the net of its map.
 
@@ -129,7 +136,7 @@ def build(
     readers = [(path, open_log(path)) for path in logs]
     converted = (out.parent if is_file else out) / "nets" if convert else None
     nets = Nets(tuple(RoadMap.read(find_net(name)) for name in net or ()), converted)
-    options = BuildOptions(stride, not ego_only, split, challenge)
+    options = BuildOptions(stride, not ego_only, split, challenge, map_view)
     with progress_bar(terminal(stderr=True), transient=True) as progress:
         task = progress.add_task("drives", total=None)
         counts = built(readers, nets, options, out, lambda *_: progress.update(task, advance=1))

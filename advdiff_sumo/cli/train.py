@@ -55,6 +55,9 @@ def train(
     max_minutes: Annotated[
         float, typer.Option(min=0.0, help="Stop after that time; --resume goes on.", show_default="none")
     ] = math.inf,
+    loaders: Annotated[
+        int, typer.Option(min=0, help="Processes that prepare batches; worth having beside a GPU.")
+    ] = 0,
     judged: Annotated[
         int, typer.Option("--judge", min=0, help="Held-out windows for the table at the end; 0: no table.")
     ] = 128,
@@ -93,6 +96,7 @@ def train(
         seed=seed,
         device=device,
         max_minutes=max_minutes,
+        loaders=loaders,
     )
     job = prepare(plan)
     claim(out, resume)
@@ -135,7 +139,9 @@ def _train(job: Job, resume: bool, console: Console) -> bool:
 
     events = history.open_events(job.out / "events", 0)
     if events is None:
-        console.print("no TensorBoard events: pip install 'advdiff-sumo[train]' adds them", style="yellow")
+        console.print(
+            "no TensorBoard events: pip install 'advdiff-sumo[train]' adds them", style="yellow", markup=False
+        )
     with progress_bar(console) as bar:
         trainer = Trainer(job, events or history.NoEvents(), _teller(bar, job))
         if resume:

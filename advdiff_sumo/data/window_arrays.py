@@ -126,7 +126,7 @@ def window_arrays(
         size=tracks.size_m[rows],
         classes=tracks.classes[rows],
         parked=parked[rows],
-        near=table.rows_near(here[:, :2], here[:, 2]),
+        near=table.rows_near(here[:, :2], here[:, 2], here[:, 3]),
         signals=table.signal_states(signals),
         scene=scene,
     )

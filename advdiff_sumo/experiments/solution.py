@@ -104,10 +104,11 @@ def solve(
     needed = (contact - begin) * tracks.dt_s + AFTER_S
     steps = min(int(np.ceil(needed / MODEL_STEP_S - 1e-9)), FUTURE_STEPS)
     around = surroundings(tracks, episode.target, begin, steps * stride)
-    view = look(road, _scene(tracks, episode.target, begin, stride))
     given = RivalOptions(weights=options.weights, device=options.device)
+    prior = prior_of(given, "the solution stage")
+    view = look(road, _scene(tracks, episode.target, begin, stride), map_view=prior.map_view)
     outcome = search(
-        prior_of(given, "the solution stage"),
+        prior,
         view,
         _model_steps(around, view, stride),
         steps,

@@ -23,7 +23,7 @@ from advdiff_sumo.maps.paths import LanePath, PathFinder
 from advdiff_sumo.maps.read_net import RawNet, base_name, read_raw_net
 from advdiff_sumo.maps.routing import EdgeGraph
 from advdiff_sumo.maps.sidecar import read_sidecar, sidecar_of
-from advdiff_sumo.maps.vector_map import PieceTable, build_pieces
+from advdiff_sumo.maps.vector_map import MapView, PieceTable, build_pieces
 from advdiff_sumo.maps.vectors import PIECE_M, MapVectors, VectorIndex
 
 MAX_LANE_DISTANCE_M = 5.0
@@ -55,6 +55,7 @@ class RoadMap:
         self._matchers: dict[str | None, RouteMatcher] = {}
         self._finder = lru_cache(maxsize=_KEPT_FINDERS)(partial(PathFinder, self.lanes, self.edges))
         self._vector_indices: dict[tuple[int, float], VectorIndex] = {}
+        self._piece_tables: dict[MapView, PieceTable] = {}
 
     @classmethod
     def read(cls, net_path: str | Path, sidecar: str | Path | None = None) -> RoadMap:
@@ -324,11 +325,14 @@ class RoadMap:
         xy = np.asarray(xy_m, dtype=np.float64)
         return self._vector_indices[key].crop(xy, float(yaw_rad), radius_m, max_polylines)
 
-    @cached_property
-    def pieces(self) -> PieceTable:
-        """The map as the learned model sees it."""
-        rings = self.area.smooth_rings()
-        return build_pieces(self.lanes, self.links.values(), self.junctions, rings, self.lefthand)
+    def pieces(self, view: MapView = "near") -> PieceTable:
+        """Return the map as learned models with this *view* see it; made on first use."""
+        if view not in self._piece_tables:
+            rings, links = self.area.smooth_rings(), self.links.values()
+            self._piece_tables[view] = build_pieces(
+                self.lanes, links, self.junctions, rings, self.lefthand, view
+            )
+        return self._piece_tables[view]
 
     # --- fringe ------------------------------------------------------------------------------------------
 

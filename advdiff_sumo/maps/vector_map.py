@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +19,46 @@ from advdiff_sumo.maps.lanes import Junction, Lane, Link
 POINTS = 6
 """N: points of a piece."""
 PIECE_M = 20.0
-"""Longest piece; longer lines are cut into equal parts."""
-LANE_SLOTS, EDGE_SLOTS = 28, 12
-NEAR = LANE_SLOTS + EDGE_SLOTS
-"""K: pieces an agent sees."""
-RADIUS_M = 60.0
-"""Farthest point of a piece that is seen."""
-_AHEAD = 0.4
+"""Longest piece where traffic is slow; longer lines are cut into equal parts."""
+MapView: TypeAlias = Literal["near", "far"]
+"""Name of one of ``VIEWS``."""
 _SHORTEST_M = 0.05
 _SIGNAL_CODES = {"r": 1, "R": 1, "u": 1, "U": 1, "y": 2, "Y": 2, "g": 3, "G": 3}
+
+
+@dataclass(frozen=True)
+class ViewLimits:
+    """What of a map an agent sees.
+
+    Attributes:
+        lanes: lane pieces, at most.
+        edges: pieces of road edges, at most.
+        radius_m: distance of the farthest point of a piece that is seen by who stands.
+        reach_s: seconds at the agent's speed that are added to that, ahead and around.
+        narrow_m: what lies at the end of that reach ahead counts as near as what lies so far aside.
+        piece_s: longest piece in seconds at the lane's limit, where that is more than ``PIECE_M``.
+        edge_piece_m: longest piece of a road edge.
+    """
+
+    lanes: int
+    edges: int
+    radius_m: float
+    reach_s: float
+    narrow_m: float
+    piece_s: float
+    edge_piece_m: float
+
+    @property
+    def pieces(self) -> int:
+        """K: pieces an agent sees."""
+        return self.lanes + self.edges
+
+
+VIEWS: Mapping[str, ViewLimits] = {
+    "near": ViewLimits(28, 12, 60.0, 0.0, 24.0, 0.0, PIECE_M),
+    "far": ViewLimits(44, 20, 60.0, 6.5, 24.0, 2.0, 40.0),
+}
+"""The views that there are: of 60 m, and of all that is driven in 6 s."""
 
 
 class Feature(IntEnum):
@@ -53,25 +85,34 @@ class PieceTable:
         features: (M, F) values in the order of :class:`Feature`.
         signal: (M,) index into :attr:`signal_links`, −1 where no signal counts.
         signal_links: G pairs of traffic light id and index in its state string.
+        limits: of the view that it was cut for.
     """
 
     xy_m: FloatArray
     features: FloatArray
     signal: IntArray
     signal_links: tuple[tuple[str, int], ...]
+    limits: ViewLimits = VIEWS["near"]
 
-    def rows_near(self, xy_m: FloatArray, yaw_rad: FloatArray) -> NDArray[np.int32]:
-        """Return the pieces (S, K) that agents at *xy_m* (S, 2) heading *yaw_rad* (S,) see, −1 padded.
+    def rows_near(self, xy_m: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray) -> NDArray[np.int32]:
+        """Return the pieces (S, K) that agents see, −1 padded.
 
-        The first 28 columns hold lanes, the other 12 road edges, each nearest first, with a point within
-        60 m. What lies ahead counts as nearer than it is (distance along the heading × 0.4), so that a driver
-        in a dense junction still sees the lane it will be on in 6 s.
+        The first columns hold lanes, the others road edges, each nearest first, with a point within reach. What lies
+        ahead counts as nearer than it is, so that a driver in a dense junction still sees the lane it will be on in
+        6 s.
+
+        Args:
+            xy_m: (S, 2) places.
+            yaw_rad: (S,) headings.
+            speed_mps: (S,) speeds.
         """
         xy, yaw = np.asarray(xy_m, dtype=np.float64), np.asarray(yaw_rad, dtype=np.float64)
-        out = np.full((len(xy), NEAR), -1, dtype=np.int32)
+        limits = self.limits
+        reach = limits.radius_m + limits.reach_s * np.maximum(np.asarray(speed_mps, dtype=np.float64), 0.0)
+        out = np.full((len(xy), limits.pieces), -1, dtype=np.int32)
         if len(xy):
-            self._fill(out[:, :LANE_SLOTS], self._lanes, xy, yaw)
-            self._fill(out[:, LANE_SLOTS:], self._edges, xy, yaw)
+            self._fill(out[:, : limits.lanes], self._lanes, xy, yaw, reach)
+            self._fill(out[:, limits.lanes :], self._edges, xy, yaw, reach)
         return out
 
     def signal_states(self, signals: Mapping[str, str]) -> NDArray[np.uint8]:
@@ -94,10 +135,13 @@ class PieceTable:
     def _edges(self) -> _Search:
         return _Search.of(self.xy_m, self.features[:, Feature.IS_ROAD_EDGE] > 0.0)
 
-    def _fill(self, out: NDArray[np.int32], search: _Search, xy: FloatArray, yaw: FloatArray) -> None:
-        agent, piece = search.candidates(xy)
-        distance, cost = _distances(self.xy_m[piece], xy[agent], yaw[agent])
-        near = distance <= RADIUS_M
+    def _fill(
+        self, out: NDArray[np.int32], search: _Search, xy: FloatArray, yaw: FloatArray, reach: FloatArray
+    ) -> None:
+        agent, piece = search.candidates(xy, reach)
+        shrunk = self.limits.narrow_m / reach
+        distance, cost = _distances(self.xy_m[piece], xy[agent], yaw[agent], shrunk[agent])
+        near = distance <= reach[agent]
         agent, piece, cost = agent[near], piece[near], cost[near]
         order = np.lexsort((piece, cost, agent))
         agent, piece = agent[order], piece[order]
@@ -124,12 +168,12 @@ class _Search:
         reach = float(np.linalg.norm(points - middle[:, None], axis=-1).max())
         return _Search(rows, reach, cKDTree(middle))
 
-    def candidates(self, xy_m: FloatArray) -> tuple[IntArray, IntArray]:
-        """Return pairs (C,), (C,) of agent and piece that may be within the radius."""
+    def candidates(self, xy_m: FloatArray, reach_m: FloatArray) -> tuple[IntArray, IntArray]:
+        """Return pairs (C,), (C,) of agent and piece that may be within reach."""
         none = np.zeros(0, dtype=np.int64)
         if self.tree is None:
             return none, none
-        nearby = self.tree.query_ball_point(xy_m, RADIUS_M + self.reach_m)
+        nearby = self.tree.query_ball_point(xy_m, reach_m + self.reach_m)
         parts = [np.asarray(rows, dtype=np.int64) for rows in nearby]
         counts = np.array([len(rows) for rows in parts])
         if counts.sum() == 0:
@@ -138,13 +182,15 @@ class _Search:
         return np.repeat(np.arange(len(xy_m)), counts), self.rows[picked]
 
 
-def _distances(points: FloatArray, xy: FloatArray, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the distance (C,) of each agent to the points (C, N, 2) of a piece, and the same with less ahead."""
+def _distances(
+    points: FloatArray, xy: FloatArray, yaw: FloatArray, shrunk: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the distance (C,) of each agent to the points (C, N, 2) of a piece, and with what is ahead *shrunk*."""
     dx, dy = points[..., 0] - xy[:, None, 0], points[..., 1] - xy[:, None, 1]
     cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
     squared = dx**2 + dy**2
     ahead = np.maximum(dx * cos + dy * sin, 0.0)
-    cost = squared - (1.0 - _AHEAD**2) * ahead**2
+    cost = squared - (1.0 - shrunk[:, None] ** 2) * ahead**2
     return np.sqrt(squared.min(axis=1)), np.sqrt(np.maximum(cost.min(axis=1), 0.0))
 
 
@@ -154,6 +200,7 @@ def build_pieces(
     junctions: Mapping[str, Junction],
     rings: Iterable[FloatArray],
     lefthand: bool,
+    view: MapView = "near",
 ) -> PieceTable:
     """Return the table of a map.
 
@@ -163,8 +210,9 @@ def build_pieces(
         junctions: for who yields to whom under a signal.
         rings: closed boundaries (P, 2) of the drivable area, area on the left.
         lefthand: whether traffic keeps left, and turns round to the right.
+        view: what it is cut for.
     """
-    links = list(links)
+    links, limits = list(links), VIEWS[view]
     signal_links = tuple(
         sorted({(x.tls_id, x.tls_index) for x in links if x.tls_id is not None and x.tls_index is not None})
     )
@@ -174,7 +222,7 @@ def build_pieces(
     rows: list[list[float]] = []
     signal: list[int] = []
     for lane in _shown(lanes):
-        pieces = _cut(lane.line)
+        pieces = _cut(lane.line, max(PIECE_M, limits.piece_s * lane.speed_mps))
         link = through.get(lane.id) if lane.is_internal else _representative(lane.successors)
         for number in range(len(pieces)):
             said = link if lane.is_internal or number == len(pieces) - 1 else None
@@ -182,7 +230,7 @@ def build_pieces(
             signal.append(marks.signal(said))
         xy += pieces
     for ring in rings:
-        pieces = _cut(Polyline.of(ring)) if len(without_repeats(ring)) > 2 else []
+        pieces = _cut(Polyline.of(ring), limits.edge_piece_m) if len(without_repeats(ring)) > 2 else []
         xy += pieces
         rows += [_EDGE_ROW] * len(pieces)
         signal += [-1] * len(pieces)
@@ -191,6 +239,7 @@ def build_pieces(
         np.array(rows, dtype=np.float64).reshape(-1, len(Feature)),
         np.array(signal, dtype=np.int64),
         signal_links,
+        limits,
     )
 
 
@@ -247,10 +296,10 @@ def _representative(links: tuple[Link, ...]) -> Link | None:
     return next((link for link in links if link.direction == "s"), links[0] if links else None)
 
 
-def _cut(line: Polyline) -> list[FloatArray]:
-    """Return *line* in equal parts of at most 20 m, each as N evenly spaced points."""
+def _cut(line: Polyline, piece_m: float) -> list[FloatArray]:
+    """Return *line* in equal parts of at most *piece_m*, each as N evenly spaced points."""
     if line.length_m < _SHORTEST_M:
         return []
-    parts = max(1, int(np.ceil(line.length_m / PIECE_M - 1e-9)))
+    parts = max(1, int(np.ceil(line.length_m / piece_m - 1e-9)))
     share = np.linspace(0.0, 1.0, POINTS)
     return list(line.at((np.arange(parts)[:, None] + share) * (line.length_m / parts))[0])

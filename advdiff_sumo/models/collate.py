@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,25 +16,29 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
 
 _SIGNALS = 3  # red, yellow, green
+_EDGE, _TURN = 4, 6  # columns of ``maps.vector_map.Feature``
 
 
 @dataclass(frozen=True)
 class Jitter:
     """Augmentation: vehicles are put a little beside their true state, and still shall do what they did.
 
-    So the model learns to come back to its lane from where its own errors lead.
+    So the model learns to come back to its lane from where its own errors lead. Mirrored scenes make as much of
+    traffic on the left as of traffic on the right.
 
     Attributes:
         share: of the vehicles that are displaced.
         lateral_m: deviation of the displacement to the side.
         yaw_rad: deviation of the heading.
         speed_mps: deviation of the speed of vehicles that move.
+        mirror: share of the scenes whose left and right are exchanged.
     """
 
     share: float = 0.4
     lateral_m: float = 0.3
     yaw_rad: float = 0.04
     speed_mps: float = 0.4
+    mirror: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,27 @@ def collate(
     if jitter is not None and rng is not None:
         rows_of_agents = _displaced(rows_of_agents, rng, jitter)
     table = _Map(windows.map_xy, windows.map_features, windows.map_signal.astype(np.int64))
-    return _assemble(rows_of_agents, table)
+    batch = _assemble(rows_of_agents, table)
+    if jitter is not None and rng is not None and jitter.mirror > 0.0:
+        return mirrored(batch, torch.from_numpy(rng.random(batch.scenes) < jitter.mirror))
+    return batch
+
+
+def mirrored(batch: SceneBatch, which: torch.Tensor) -> SceneBatch:
+    """Return *batch* with left and right exchanged in the scenes *which* (B,)."""
+    sign = torch.where(which, -1.0, 1.0)[:, None, None, None]
+    state = torch.cat((torch.ones_like(sign), sign, sign, torch.ones_like(sign)), dim=-1)
+    map_xy = batch.map_xy * torch.cat((torch.ones_like(sign), sign), dim=-1)[..., None, :]
+    edge = (batch.map_features[..., _EDGE] > 0.5) & which[:, None, None]  # the road stays on its left
+    map_features = batch.map_features.clone()
+    map_features[..., _TURN] *= sign[..., 0]
+    return replace(
+        batch,
+        past=batch.past * state,
+        future=batch.future * state,
+        map_xy=torch.where(edge[..., None, None], map_xy.flip(-2), map_xy),
+        map_features=map_features,
+    )
 
 
 def scene_batch(

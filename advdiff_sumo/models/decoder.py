@@ -66,6 +66,10 @@ class Forced:
             torch.where(mask, given[..., 3], speed),
         )
 
+    def put(self, k: int, state: State) -> State:
+        """Return *state* with what is given of instant *k* in its place."""
+        return (*self.applied(k, *state[:3]), *state[3:])
+
 
 class Decoder(nn.Module):
     """Twelve steps of half a second; every vehicle sees where the others have got to in the same rollout."""
@@ -106,20 +110,18 @@ class Decoder(nn.Module):
             moved = motion_features(*motion, batch)
             node = torch.relu(self.node(torch.cat((memory, z, moved), dim=-1)))
             mixed = self.interaction(node, relative_features(*motion), batch.present)
-            state, memory = self._drive(k, mixed, memory, motion, batch, forced)
-            motion = state[:3]
-            states.append(state)
+            state, memory = self._drive(mixed, memory, motion, batch)
+            states.append(state if forced is None else forced.put(k, state))
+            motion = states[-1][:3]
         return rollout_of(states)
 
     def _drive(
-        self, k: int, mixed: Tensor, memory: Tensor, motion: Motion, batch: SceneBatch, forced: Forced | None
+        self, mixed: Tensor, memory: Tensor, motion: Motion, batch: SceneBatch
     ) -> tuple[State, Tensor]:
-        """Return where agents who see *mixed* (B, A, D) get to in step *k*, and their memory of it."""
+        """Return where agents who see *mixed* (B, A, D) get to in a step, and their memory of it."""
         accel, curvature = controls(self.action(mixed), motion[2], batch.size[..., 0], self.options)
         accel, curvature = accel * batch.moved, curvature * batch.moved
         motion = step(*motion, accel, curvature, MODEL_STEP_S)
-        if forced is not None:
-            motion = forced.applied(k, *motion)
         return (*motion, accel, curvature), self._remember(mixed, accel, curvature, memory)
 
     def _remember(self, mixed: Tensor, accel: Tensor, curvature: Tensor, memory: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.geometry import from_segments, into_frame
-from advdiff_sumo.models.model_options import LANE_PIECES, PIECE_FEATURES, PIECE_POINTS, ModelOptions
+from advdiff_sumo.models.model_options import LANES_OF, PIECE_FEATURES, PIECE_POINTS, ModelOptions
 
 NEAREST = 9
 """Lane pieces that a vehicle attends to."""
@@ -38,7 +38,7 @@ class LanePieces:
     @staticmethod
     def of(batch: SceneBatch) -> LanePieces:
         """Return the lane pieces of all agents of *batch*; its other pieces are road edges."""
-        lanes = slice(0, LANE_PIECES)
+        lanes = slice(0, LANES_OF[batch.map_xy.shape[2]])
         return LanePieces(
             batch.map_xy[:, :, lanes], batch.map_features[:, :, lanes], batch.map_valid[:, :, lanes]
         )

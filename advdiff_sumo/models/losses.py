@@ -13,6 +13,7 @@ from torch.nn.functional import smooth_l1_loss
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.geometry import from_segments, into_frame, wrap_angle
+from advdiff_sumo.models.model_options import LANES_OF
 
 DISCS = 5
 _ROAD_EDGE = 4
@@ -37,6 +38,11 @@ def reconstruction(rollout: Rollout, batch: SceneBatch) -> Tensor:
     speed = smooth_l1_loss(rollout.speed, future[..., 3], reduction="none")
     known = batch.future_valid & batch.moved[..., None]
     return torch.where(known, place + heading + 0.5 * speed, 0.0)
+
+
+def masked_mean(value: Tensor, mask: Tensor) -> Tensor:
+    """Return the mean of *value* where *mask*; 0 where that is nowhere."""
+    return torch.where(mask, value, 0.0).sum() / mask.sum().clamp(min=1)
 
 
 def discs(xy: Tensor, yaw: Tensor, size: Tensor) -> tuple[Tensor, Tensor]:
@@ -106,8 +112,10 @@ def edge_clearance(xy: Tensor, batch: SceneBatch) -> Tensor:
 def road_edges(batch: SceneBatch) -> tuple[Tensor, Tensor, Tensor]:
     """Return begins and ends (B, A, S, 2) of road edges' segments in each agent's frame, and which count (B, A, S)."""
     is_edge = batch.map_valid & (batch.map_features[..., _ROAD_EDGE] > 0.5)
-    some = is_edge.flatten(0, 1).any(0)
-    some[0] |= ~some.any()  # one piece to look at, though it counts for nothing
+    some: slice | Tensor = slice(LANES_OF[is_edge.shape[-1]], None)
+    if not is_edge.is_cuda:  # there, finding out what is empty would take longer than working on it
+        some = is_edge.flatten(0, 1).any(0)
+        some[0] |= ~some.any()  # one piece to look at, though it counts for nothing
     pieces, is_edge = batch.map_xy[:, :, some], is_edge[:, :, some]
     first, last = pieces[..., :-1, :].flatten(2, 3), pieces[..., 1:, :].flatten(2, 3)
     usable = is_edge[..., None].expand(*is_edge.shape, pieces.shape[3] - 1).flatten(2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal, Self, TypeAlias
 
 from pydantic import Field, model_validator
@@ -15,8 +16,11 @@ FUTURE_STEPS = 12
 MODEL_STEP_S = 0.5
 CLASSES = 6
 PIECE_POINTS = 6
-LANE_PIECES = 28
-EDGE_PIECES = 12
+MapView: TypeAlias = Literal["near", "far"]
+MAP_PIECES: Mapping[MapView, tuple[int, int]] = {"near": (28, 12), "far": (44, 20)}
+"""Lane pieces and pieces of road edges that an agent sees, by view: ``maps.vector_map.VIEWS``."""
+LANES_OF = {lanes + edges: lanes for lanes, edges in MAP_PIECES.values()}
+"""How many of the pieces that an agent sees are lanes."""
 GROUPS = 8
 """Groups of the denoiser's group normalisation."""
 PIECE_FEATURES = 13
@@ -38,6 +42,7 @@ class ModelOptions(Options):
         decoder: "open": it knows the map from the context alone; "closed-loop": it looks at lanes, road edge and
             bodies again at each of its steps, see ``models.closed_loop_decoder``.
         decoder_layers: graph layers at each of the decoder's steps.
+        map_view: how much of the map each vehicle sees: "near": 60 m around; "far": what it may drive in 6 s, too.
         denoiser_layers: graph layers through which vehicles see each other's noisy latents; 0: each on its own.
         channels: channels of the denoiser's U-Net at full, half and quarter length.
         reward_hidden: width of the reward model.
@@ -55,6 +60,7 @@ class ModelOptions(Options):
     interaction_layers: int = Field(2, ge=1, le=6)
     decoder: DecoderName = "open"
     decoder_layers: int = Field(1, ge=1, le=6)
+    map_view: MapView = "near"
     denoiser_layers: int = Field(1, ge=0, le=6)
     channels: tuple[int, int, int] = (24, 32, 48)
     reward_hidden: int = Field(64, ge=8, le=1024, multiple_of=4)

@@ -12,7 +12,7 @@ from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import model_history, scene_batch
-from advdiff_sumo.models.model_options import HISTORY_STEPS, MODEL_STEP_S
+from advdiff_sumo.models.model_options import HISTORY_STEPS, MODEL_STEP_S, MapView
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap  # reads nets with SUMO's library, which training does without
@@ -45,7 +45,13 @@ class View:
         return self.now.ids
 
 
-def look(road: RoadMap, scene: Scene, left_out: BoolArray | None = None, most: int = MOST_AGENTS) -> View:
+def look(
+    road: RoadMap,
+    scene: Scene,
+    left_out: BoolArray | None = None,
+    most: int = MOST_AGENTS,
+    map_view: MapView = "near",
+) -> View:
     """Return what the networks see of *scene*.
 
     Args:
@@ -53,6 +59,7 @@ def look(road: RoadMap, scene: Scene, left_out: BoolArray | None = None, most: i
         scene: an instant, with a history at the model's step.
         left_out: (agents,) movable vehicles that get no plan although they are seen.
         most: road users that are seen, unless more of them get a plan.
+        map_view: how much of the map they see.
 
     Raises:
         SceneError: the history has another spacing.
@@ -68,8 +75,8 @@ def look(road: RoadMap, scene: Scene, left_out: BoolArray | None = None, most: i
         moved &= ~left_out
     rows = _nearest(scene, moved, most)
     history = _last(scene.history.rows(rows))
-    table = road.pieces
-    near = table.rows_near(history.xy_m[:, -1], history.yaw_rad[:, -1])
+    table = road.pieces(map_view)
+    near = table.rows_near(history.xy_m[:, -1], history.yaw_rad[:, -1], history.speed_mps[:, -1])
     states = table.signal_states(scene.signals)
     batch = scene_batch(
         history, table.xy_m, table.features, table.signal, near.astype(np.int64), states.astype(np.int64)

@@ -31,6 +31,7 @@ from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.sources.read_map import read_map
 from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
 from advdiff_sumo.maps.shipped_nets import find_net
+from advdiff_sumo.maps.vector_map import MapView
 from advdiff_sumo.sim.logs import fits
 
 _SOURCE = "advdiff-sumo data build"
@@ -48,12 +49,14 @@ class BuildOptions:
         others: whether moving vehicles other than the ego become focal agents too.
         split: published nuScenes split, or None for all scenes.
         challenge: take the windows of nuScenes' prediction challenge and no others.
+        view: how much of the map they show.
     """
 
     stride_s: float = DT_S
     others: bool = True
     split: str | None = None
     challenge: bool = False
+    view: MapView = "near"
 
 
 @dataclass
@@ -137,7 +140,9 @@ def build(
                 tell(drive.name, 0)
                 continue
             source = f"{_SOURCE} ({drive.source.name})"
-            builder = builders.setdefault(road.path, WindowFileBuilder(road.pieces, road.name, source))
+            builder = builders.setdefault(
+                road.path, WindowFileBuilder(road.pieces(options.view), road.name, source)
+            )
             before = len(builder.windows)
             builder.windows += log_windows(drive, road, options, focal)
             built.drives[drive.name] = len(builder.windows) - before
@@ -165,19 +170,20 @@ def log_windows(
         options: the stride, and whether others than the ego are focal.
         focal: (instant, agent) pairs to take and no others; windows may then end with the drive.
     """
+    table = road.pieces(options.view)
     tracks = drive.tracks if abs(drive.tracks.dt_s - DT_S) < 1e-9 else resample(drive.tracks, DT_S)
     if focal is not None:
         for now, name in focal:
             row = tracks.index.get(name)
             if row is not None and now < tracks.steps and tracks.valid[row, now]:
                 rows = crop(tracks.xy_m[:, now], row)
-                yield window_arrays(tracks, now, rows, drive.parked, road.pieces, {}, drive.name)
+                yield window_arrays(tracks, now, rows, drive.parked, table, {}, drive.name)
         return
     stride = max(1, round(options.stride_s / DT_S))
     for now in range(PAST - 1, tracks.steps - FUTURE, stride):
         order = _focal_order(tracks, now, drive, options.others)
         for rows in crops(tracks.xy_m[:, now], order, _MOST_FOCAL):
-            yield window_arrays(tracks, now, rows, drive.parked, road.pieces, {}, drive.name)
+            yield window_arrays(tracks, now, rows, drive.parked, table, {}, drive.name)
 
 
 def _focal_order(tracks: Tracks, now: int, drive: LogScene, others: bool) -> IntArray:

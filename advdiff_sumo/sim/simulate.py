@@ -20,6 +20,7 @@ from advdiff_sumo.data.window_files import SUFFIX, read_windows, write_windows
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.read_net import base_name
 from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, find_net
+from advdiff_sumo.maps.vector_map import MapView
 from advdiff_sumo.sim.simulate_nets import KINDS, write_random_net
 from advdiff_sumo.sim.simulate_run import cut, record
 
@@ -35,12 +36,14 @@ class SimulateOptions(Options):
         windows: how many windows in all.
         nets: nets given by path or shipped name.
         random_share: share of the windows that come from nets made up for them.
+        view: how much of the map the windows show.
         seed: same seed, same bytes.
     """
 
     windows: int = Field(24_000, ge=1)
     nets: tuple[str, ...] = SHIPPED_NETS
     random_share: float = Field(0.5, ge=0.0, le=1.0)
+    view: MapView = "near"
     seed: int = 0
 
 
@@ -54,6 +57,7 @@ class Shard:
         kind: of the net to be made up; "" for a given one.
         seed: the shard's node of the seed tree.
         windows: how many.
+        view: how much of the map they show.
     """
 
     name: str
@@ -61,12 +65,14 @@ class Shard:
     kind: str
     seed: SeedTree
     windows: int
+    view: MapView = "near"
 
     @property
     def recipe(self) -> str:
         """What the file's bytes depend on, as text in its header."""
         net = self.net.name if self.net is not None else "random"
-        return json.dumps([self.name, net, self.seed.root, *self.seed.path, self.windows])
+        view = [] if self.view == "near" else [self.view]
+        return json.dumps([self.name, net, self.seed.root, *self.seed.path, self.windows, *view])
 
 
 @dataclass(frozen=True)
@@ -97,7 +103,7 @@ def plan(options: SimulateOptions) -> list[Shard]:
         net = None if after > before else nets[(number - before) % len(nets)]
         kind = KINDS[before % len(KINDS)] if net is None else ""
         name = f"{kind if net is None else base_name(net)}-{options.seed}-{number:04d}"
-        shards.append(Shard(name, net, kind, seed.child(number), size))
+        shards.append(Shard(name, net, kind, seed.child(number), size, options.view))
     return shards
 
 
@@ -151,13 +157,14 @@ def make_shard(shard: Shard, out: Path) -> int:
         NetError: the net cannot be used.
     """
     road = _road(_random_net(shard, out) if shard.net is None else shard.net)
+    table = road.pieces(shard.view)
     builder = WindowFileBuilder(
-        road.pieces, road.name, "advdiff-sumo data simulate", {"recipe": shard.recipe, "net": _said(shard)}
+        table, road.name, "advdiff-sumo data simulate", {"recipe": shard.recipe, "net": _said(shard)}
     )
     share = min(RUN_WINDOWS, -(-shard.windows // 2))
     for run in range(_MOST_RUNS):
         seed = shard.seed.child("run", run)
-        windows = list(cut(record(road, seed), road, seed, f"{shard.name}-{run}"))
+        windows = list(cut(record(road, seed), table, seed, f"{shard.name}-{run}"))
         wanted = min(share, shard.windows - len(builder.windows))
         rng = seed.child("choice").generator()
         picked = sorted(rng.permutation(len(windows))[:wanted].tolist())

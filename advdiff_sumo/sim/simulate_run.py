@@ -18,6 +18,7 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.window_arrays import WindowArrays, crops, window_arrays
 from advdiff_sumo.data.window_files import DT_S, FUTURE, PAST
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.vector_map import PieceTable
 from advdiff_sumo.sim.session import Session, SessionOptions
 from advdiff_sumo.sim.simulate_demand import PARKED, write_mixed_demand
 from advdiff_sumo.sim.world import Frame, World, read, register, stack
@@ -89,7 +90,7 @@ def _extent_m(xy_m: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(high - low, 0.0).max(axis=1))
 
 
-def cut(recording: Recording, road: RoadMap, seed: SeedTree, name: str) -> Iterator[WindowArrays]:
+def cut(recording: Recording, table: PieceTable, seed: SeedTree, name: str) -> Iterator[WindowArrays]:
     """Yield windows of *recording*: every 1.5 s some focal vehicles whose crops overlap little.
 
     Focal vehicles are drawn, moving ones first. Windows in which hardly anybody moves are thinned. Left out
@@ -109,9 +110,7 @@ def cut(recording: Recording, road: RoadMap, seed: SeedTree, name: str) -> Itera
                 continue
             if not _drivable(tracks, rows, now):
                 continue
-            yield window_arrays(
-                tracks, now, rows, recording.parked, road.pieces, recording.signals[now], name
-            )
+            yield window_arrays(tracks, now, rows, recording.parked, table, recording.signals[now], name)
 
 
 def _moving(tracks: Tracks, now: int) -> BoolArray:

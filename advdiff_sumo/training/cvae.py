@@ -12,10 +12,11 @@ from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.gaussian import Gaussian
-from advdiff_sumo.models.losses import reconstruction
+from advdiff_sumo.models.losses import masked_mean, reconstruction
 from advdiff_sumo.models.traffic import TrafficModel
 from advdiff_sumo.training.displacement import displacement
-from advdiff_sumo.training.presets import ElboOptions
+from advdiff_sumo.training.own_samples import both, faults, sample_judge
+from advdiff_sumo.training.presets import DecoderOptions, ElboOptions
 from advdiff_sumo.training.stage import Moment, Tally
 
 _KL_START = 0.01
@@ -44,21 +45,33 @@ class TrafficStage:
     Args:
         bundle: its traffic model is trained in place.
         options: weights of the terms.
+        sampled: weights of what is wrong with draws of the prior.
+        compiled: fuse the terms.
     """
 
     name = "traffic"
     monitor = "loss"
 
-    def __init__(self, bundle: Bundle, options: ElboOptions) -> None:
-        self._bundle, self.options = bundle, options
+    def __init__(
+        self,
+        bundle: Bundle,
+        options: ElboOptions,
+        sampled: DecoderOptions | None = None,
+        compiled: bool = False,
+    ) -> None:
+        self._bundle, self.options, self.sampled = bundle, options, sampled or DecoderOptions()
+        self._judge = sample_judge(compiled)
         self.module: nn.Module = bundle.traffic
         self.beside: nn.Module = nn.Module()
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
         """Return the negative ELBO and its parts."""
         model, options = self._bundle.traffic, self.options
+        share = kl_share(moment.progress, options)
+        if options.samples > 0.0:
+            return self._with_samples(batch, share, moment.generator)[0]
         encoded = encode(model, batch, moment.generator)
-        terms = elbo(encoded, batch, options, kl_share(moment.progress, options))
+        terms = elbo(encoded, batch, options, share)
         if options.prior_weight > 0.0:
             drawn = encoded.context.prior.sample(moment.generator)
             rollout = model.decoder(drawn, encoded.context.h, batch)
@@ -68,15 +81,35 @@ class TrafficStage:
 
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
         """Return the loss at the full weight of KL, and displacements from posterior and prior."""
-        model = self._bundle.traffic
-        encoded = encode(model, batch, generator)
-        terms = elbo(encoded, batch, self.options, 1.0)
-        tally = {name: (float(value) * batch.scenes, float(batch.scenes)) for name, value in terms.items()}
+        model, tally = self._bundle.traffic, Tally()
+        if self.options.samples > 0.0:
+            terms, encoded, free = self._with_samples(batch, 1.0, generator)
+            tally |= faults(free, batch)
+        else:
+            encoded = encode(model, batch, generator)
+            terms = elbo(encoded, batch, self.options, 1.0)
+        tally |= {name: (float(value) * batch.scenes, float(batch.scenes)) for name, value in terms.items()}
         context = encoded.context
         for name, z in (("posterior", encoded.posterior.mean), ("prior", context.prior.mean)):
             errors = displacement(model.decoder(z, context.h, batch), batch)
             tally[f"{name}_ade_m"], tally[f"{name}_fde_m"] = errors.ade_sum(), errors.fde_sum()
         return tally
+
+    def _with_samples(
+        self, batch: SceneBatch, share: float, generator: torch.Generator
+    ) -> tuple[dict[str, Tensor], Encoded, Rollout]:
+        """Return the terms with those of a draw of the prior, which teaches the decoder alone, and both futures."""
+        model, options = self._bundle.traffic, self.options
+        context = model.encoder(batch)
+        posterior = model.posterior(batch, context.h)
+        z = posterior.sample(generator)
+        drawn = context.prior.sample(generator).detach()
+        known, free = both(model.decoder, (z, drawn), (context.h, context.h.detach()), batch)
+        encoded = Encoded(context, posterior, z, known)
+        terms = elbo(encoded, batch, options, share)
+        wrong = self._judge(free, batch, self.sampled)
+        terms["loss"] = terms["loss"] + options.samples * torch.stack(list(wrong.values())).sum()
+        return terms | wrong, encoded, free
 
     def after_step(self) -> None:
         """Do nothing."""
@@ -127,8 +160,3 @@ def modelled(batch: SceneBatch) -> Tensor:
 def known_mean(value: Tensor, batch: SceneBatch) -> Tensor:
     """Return the mean of *value* (B, A, T) over the known instants of vehicles."""
     return masked_mean(value, batch.future_valid & batch.moved[..., None])
-
-
-def masked_mean(value: Tensor, mask: Tensor) -> Tensor:
-    """Return the mean of *value* where *mask*; 0 where that is nowhere."""
-    return torch.where(mask, value, 0.0).sum() / mask.sum().clamp(min=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -17,8 +17,10 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.window_files import WindowFile, read_windows, window_paths
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import Jitter, collate
+from advdiff_sumo.models.model_options import MAP_PIECES, MapView
 
 IntArray = NDArray[np.int64]
+_VIEWS: Mapping[int, MapView] = {lanes + edges: view for view, (lanes, edges) in MAP_PIECES.items()}
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,11 @@ class WindowSet:
     def __len__(self) -> int:
         """Return the number of windows."""
         return len(self.row)
+
+    @property
+    def map_view(self) -> MapView:
+        """How much of the map the windows show."""
+        return _VIEWS[self.files[0].near.shape[1]]
 
     def subset(self, numbers: IntArray) -> WindowSet:
         """Return the windows with these numbers."""
@@ -79,6 +86,12 @@ def read_window_set(paths: Iterable[Path]) -> WindowSet:
     counts = [file.windows for file in files]
     if not sum(counts):
         raise FileError(sources[0], "holds no window", "build it from more driving")
+    odd = [path for path, file in zip(sources, files, strict=True) if file.near.shape[1] not in _VIEWS]
+    odd += [p for p, f in zip(sources, files, strict=True) if f.near.shape[1] != files[0].near.shape[1]]
+    if odd:
+        raise FileError(
+            odd[0], "shows another part of the map than the other windows", "leave it out, or build it again"
+        )
     agents = np.concatenate([np.diff(file.offset) for file in files])
     digest = hashlib.sha256("".join(sorted(_hash(path) for path in sources)).encode()).hexdigest()
     return WindowSet(
@@ -143,6 +156,11 @@ def nearest(batch: SceneBatch, agents: int) -> SceneBatch:
     if batch.agents <= agents:
         return batch
     return SceneBatch(**{f.name: getattr(batch, f.name)[:, :agents] for f in fields(SceneBatch)})
+
+
+def padded(batch: SceneBatch, agents: int) -> SceneBatch:
+    """Return *batch* with padding up to *agents* agents."""
+    return SceneBatch(**{f.name: _padded(getattr(batch, f.name), agents) for f in fields(SceneBatch)})
 
 
 def _padded(value: Tensor, agents: int) -> Tensor:

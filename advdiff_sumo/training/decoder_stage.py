@@ -20,12 +20,11 @@ from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Decoder, Rollout
-from advdiff_sumo.models.losses import reconstruction
-from advdiff_sumo.training import realism
-from advdiff_sumo.training.cvae import known_mean, masked_mean
+from advdiff_sumo.models.losses import masked_mean, reconstruction
+from advdiff_sumo.training.cvae import known_mean
 from advdiff_sumo.training.denoiser_stage import diffused
-from advdiff_sumo.training.displacement import displacement, driving, logged
-from advdiff_sumo.training.driving_penalties import following_penalty, lane_distance, travelled_m
+from advdiff_sumo.training.displacement import displacement
+from advdiff_sumo.training.own_samples import both, faults, sample_judge
 from advdiff_sumo.training.presets import DecoderOptions
 from advdiff_sumo.training.stage import Moment, Tally
 
@@ -39,14 +38,18 @@ class DecoderStage:
         bundle: its decoder is trained in place.
         began: the decoder whose futures are the anchor; left as it is.
         options: weights of the terms.
+        compiled: fuse the terms.
     """
 
     name = "decoder"
     monitor = "loss"
 
-    def __init__(self, bundle: Bundle, began: Decoder, options: DecoderOptions) -> None:
+    def __init__(
+        self, bundle: Bundle, began: Decoder, options: DecoderOptions, compiled: bool = False
+    ) -> None:
         assert isinstance(bundle.codec, LatentCodec)  # noqa: S101 - setup refuses others for this stage
         self._bundle, self.options = bundle, options
+        self._judge = sample_judge(compiled)
         bundle.frozen()
         decoder = bundle.traffic.decoder
         here = decoder.start.weight.device
@@ -66,17 +69,11 @@ class DecoderStage:
         context, posterior, drawn, before = self._latents(batch, generator)
         known, free = self._both(posterior, drawn, context, batch)
         terms, weight = self._terms(known, free, before, batch), float(batch.scenes)
-        there = batch.present[..., None].expand(free.yaw.shape)
-        who = driving(batch)
-        return {name: (float(value) * weight, weight) for name, value in terms.items()} | {
+        return {
+            **{name: (float(value) * weight, weight) for name, value in terms.items()},
             "posterior_ade_m": displacement(known, batch).ade_sum(),
             "sample_ade_m": displacement(free, batch).ade_sum(),
-            "collision_rate": (float(realism.colliding(free, batch, there).sum()), float(who.sum())),
-            "off_road_rate": (float(realism.leaving_road(free, batch, there).sum()), float(who.sum())),
-            "travelled": (
-                float(travelled_m(free, batch)[who].sum()),
-                float(travelled_m(logged(batch), batch)[who].sum()),
-            ),
+            **faults(free, batch),
         }
 
     def after_step(self) -> None:
@@ -101,11 +98,8 @@ class DecoderStage:
     def _both(
         self, posterior: Tensor, drawn: Tensor, context: Context, batch: SceneBatch
     ) -> tuple[Rollout, Rollout]:
-        """Return the futures of both kinds of latents, in one pass."""
-        latents = torch.stack((posterior, drawn), dim=1).flatten(0, 1)
-        rollout = self._bundle.traffic.decoder(latents, context.repeat(2).h, batch.repeat(2))
-        known, free = (Rollout(**{k: v[i::2] for k, v in vars(rollout).items()}) for i in (0, 1))
-        return known, free
+        """Return the futures of both kinds of latents."""
+        return both(self._bundle.traffic.decoder, (posterior, drawn), (context.h, context.h), batch)
 
     def _terms(self, known: Rollout, free: Rollout, before: Rollout, batch: SceneBatch) -> dict[str, Tensor]:
         options, who = self.options, batch.moved & ~batch.parked
@@ -113,14 +107,9 @@ class DecoderStage:
         fits = misfit(before, batch, how) < _FAULTY
         there = batch.present[..., None].expand(before.yaw.shape)
         same = reconstruction(free, replace(batch, future=before.states(), future_valid=there)).mean(-1)
-        way, truth = (torch.where(who, travelled_m(r, batch), 0.0).sum() for r in (free, logged(batch)))
-        ratio = way / truth.clamp(min=1.0)
         terms = {
             "reconstruction": known_mean(reconstruction(known, batch), batch),
-            "misfit": masked_mean(misfit(free, batch, how), who),
             "anchor": options.anchor * masked_mean(same, who & fits),
-            "lane": options.lane * masked_mean(lane_distance(free, batch), who),
-            "following": options.following * masked_mean(following_penalty(free, batch), who),
-            "progress": options.progress * (ratio - 1.0).square(),
+            **self._judge(free, batch, options),
         }
         return {"loss": torch.stack(list(terms.values())).sum(), **terms}

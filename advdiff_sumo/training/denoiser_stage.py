@@ -13,7 +13,8 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.denoiser import Denoiser
-from advdiff_sumo.training.cvae import masked_mean, modelled
+from advdiff_sumo.models.losses import masked_mean
+from advdiff_sumo.training.cvae import modelled
 from advdiff_sumo.training.displacement import displacement
 from advdiff_sumo.training.stage import Moment, Tally
 

@@ -16,8 +16,8 @@ from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.gaussian import Gaussian
-from advdiff_sumo.models.losses import off_road, pair_overlap
-from advdiff_sumo.training.cvae import TrafficStage, elbo, encode, kl_share, masked_mean
+from advdiff_sumo.models.losses import masked_mean, off_road, pair_overlap
+from advdiff_sumo.training.cvae import TrafficStage, elbo, encode, kl_share
 from advdiff_sumo.training.denoiser_stage import (
     clean,
     diffused,

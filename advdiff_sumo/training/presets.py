@@ -25,12 +25,15 @@ class ElboOptions(Options):
         kl_anneal_share: share of the training over which that weight rises from a hundredth of it.
         free_nats: KL of each of the latent's numbers that costs nothing.
         prior_weight: weight of a second reconstruction, from a draw of the prior; 0: none.
+        samples: weight of what is wrong with a draw of the prior, by the terms of :class:`DecoderOptions`; it teaches
+            the decoder alone; 0: none.
     """
 
     kl_weight: float = Field(0.02, ge=0.0)
     kl_anneal_share: float = Field(0.3, ge=0.0, le=1.0)
     free_nats: float = Field(0.0, ge=0.0)
     prior_weight: float = Field(0.0, ge=0.0)
+    samples: float = Field(0.0, ge=0.0)
 
 
 class CollisionOptions(Options):
@@ -144,6 +147,7 @@ class JitterOptions(Options):
     lateral_m: float = Field(0.3, ge=0.0)
     yaw_rad: float = Field(0.04, ge=0.0)
     speed_mps: float = Field(0.4, ge=0.0)
+    mirror: float = Field(0.0, ge=0.0, le=1.0)
 
 
 class TrainOptions(Options):
@@ -155,6 +159,7 @@ class TrainOptions(Options):
         learning_rate: of Adam, at its highest.
         schedule: how it changes, see ``training.learning_rates``.
         precision: of the networks' products; "bfloat16" for GPUs (weights, states and losses stay single precision).
+        compiled: let ``torch.compile`` fuse what a closed-loop decoder does at each step; for GPUs.
         gradient_clip: largest norm of the gradient.
         ema_decay: of the moving average of the weights.
         patience_epochs: epochs without progress on held-out windows after which it stops; 0: never.
@@ -176,6 +181,7 @@ class TrainOptions(Options):
     learning_rate: float = Field(5e-4, gt=0.0)
     schedule: ScheduleName = "constant"
     precision: Literal["float32", "bfloat16"] = "float32"
+    compiled: bool = False
     gradient_clip: float = Field(5.0, gt=0.0)
     ema_decay: float = Field(0.999, ge=0.0, lt=1.0)
     patience_epochs: int = Field(20, ge=0)

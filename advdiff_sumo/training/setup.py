@@ -16,6 +16,8 @@ from advdiff_sumo import __version__
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
+from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
+from advdiff_sumo.models.model_options import MapView
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.models.simnet_file import begin_simnet, save_simnet
 from advdiff_sumo.training.checkpoint import Progress
@@ -55,6 +57,7 @@ class Plan:
         seed: of everything that is random.
         device: "auto", "cpu" or "cuda".
         max_minutes: stop after that time.
+        loaders: processes that prepare batches; 0: none but this one.
     """
 
     stage: StageName
@@ -66,6 +69,7 @@ class Plan:
     seed: int = 0
     device: str = "auto"
     max_minutes: float = math.inf
+    loaders: int = 0
     card: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -80,14 +84,16 @@ def prepare(plan: Plan) -> Job:
     if plan.stage == "simnet":
         return _prepared_simnet(plan, device)
     begun = _begun(plan)
-    bundle = _bundle(plan, begun)
     windows = read_window_set(plan.data)
+    bundle = _bundle(plan, begun, windows.map_view)
     options = plan.options.model_copy(update={"model": bundle.options.model, "codec": bundle.options.codec})
     train, held_out = _sides(plan, windows)
     bundle.to(device)
     if plan.stage == "denoiser":
         _measure(bundle, train, options, device)
     stage = _stage(plan.stage, bundle, options, begun)
+    if options.compiled and isinstance(bundle.traffic.decoder, ClosedLoopDecoder):
+        bundle.traffic.decoder.compile_step()
 
     def keep(progress: Progress) -> None:
         save_bundle(stage.bundle(), plan.out / WEIGHTS, _stages(bundle, plan.stage), _card(plan, progress))
@@ -101,6 +107,8 @@ def _prepared_simnet(plan: Plan, device: torch.device) -> Job:
     seed = SeedTree(plan.seed, ("weights",)).integer()
     init = None if plan.init is None else weights_file(plan.init)
     simnet = begin_simnet(init, plan.options.model, seed).to(device)
+    if simnet.options.map_view != windows.map_view:
+        raise ConfigError(f"--data shows the map's '{windows.map_view}' view, but SimNet sees the other")
     options = plan.options.model_copy(update={"model": simnet.options})
 
     def keep(progress: Progress) -> None:
@@ -121,7 +129,19 @@ def _job(
 ) -> Job:
     train, held_out = sides
     source = hashlib.sha256(f"{windows.digest}{held_out.digest}{_hash(plan.init)}".encode()).hexdigest()
-    return Job(stage, options, train, held_out, plan.out, plan.seed, device, source, keep, plan.max_minutes)
+    return Job(
+        stage,
+        options,
+        train,
+        held_out,
+        plan.out,
+        plan.seed,
+        device,
+        source,
+        keep,
+        plan.max_minutes,
+        plan.loaders,
+    )
 
 
 def choose_device(name: str) -> torch.device:
@@ -160,11 +180,11 @@ def _begun(plan: Plan) -> Bundle | None:
     return begun
 
 
-def _bundle(plan: Plan, begun: Bundle | None) -> Bundle:
-    """Return what is trained: new networks, or those *begun* as far as they fit."""
+def _bundle(plan: Plan, begun: Bundle | None, view: MapView) -> Bundle:
+    """Return what is trained: new networks, or those *begun* as far as they fit; windows show the map's *view*."""
     options = plan.options
     wanted = BundleOptions(
-        model=options.model,
+        model=options.model.model_copy(update={"map_view": view}),
         codec=options.codec or "latent",
         diffusion_steps=options.diffusion_steps,
         schedule=options.noise_schedule,
@@ -180,8 +200,14 @@ def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions) -> Bundle:
         raise ConfigError(
             f"{plan.init}: its denoiser works on trajectories, but the stage '{plan.stage}' needs latents"
         )
-    if plan.stage == "decoder":
-        return with_closed_loop(begun, SeedTree(plan.seed, ("weights",)).integer())
+    view, seen = wanted.model.map_view, begun.options.model.map_view
+    if plan.stage == "decoder" or (plan.stage == "traffic" and plan.options.model.decoder == "closed-loop"):
+        return with_closed_loop(begun, SeedTree(plan.seed, ("weights",)).integer(), view)
+    if view != seen:
+        raise ConfigError(
+            f"{plan.init}: its networks see the map's '{seen}' view, but the windows show '{view}': make windows with "
+            f"--map-view {seen}"
+        )
     if plan.stage != "denoiser":
         if begun.options.codec != wanted.codec:
             raise ConfigError(
@@ -197,16 +223,16 @@ def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions) -> Bundle:
     return replace(bundle, stages=tuple(name for name in begun.stages if name == "traffic"))
 
 
-def with_closed_loop(begun: Bundle, seed: int) -> Bundle:
+def with_closed_loop(begun: Bundle, seed: int, view: MapView | None = None) -> Bundle:
     """Return *begun* with a decoder that closes the loop; a new one gives the futures of the one before at first.
 
     Args:
         begun: networks; left as they are.
         seed: of weights that are new.
+        view: how much of the map they shall see; None: as before.
     """
-    options = begun.options.model_copy(
-        update={"model": begun.options.model.model_copy(update={"decoder": "closed-loop"})}
-    )
+    changed = {"decoder": "closed-loop", "map_view": view or begun.options.model.map_view}
+    options = begun.options.model_copy(update={"model": begun.options.model.model_copy(update=changed)})
     fresh = new_bundle(options, seed)
     for name, module in fresh.modules().items():
         module.load_state_dict({**module.state_dict(), **begun.modules()[name].state_dict()})
@@ -236,14 +262,14 @@ def _measure(bundle: Bundle, windows: WindowSet, options: TrainOptions, device: 
 
 def _stage(name: StageName, bundle: Bundle, options: TrainOptions, begun: Bundle | None) -> BundleStage:
     if name == "traffic":
-        return TrafficStage(bundle, options.elbo)
+        return TrafficStage(bundle, options.elbo, options.decoder, options.compiled)
     if name == "denoiser":
         return DenoiserStage(bundle)
     if name == "joint":
         return JointStage(bundle, options.elbo, options.collision)
     if name == "decoder":
         assert begun is not None  # noqa: S101 - the stage needs earlier ones
-        return DecoderStage(bundle, begun.traffic.decoder, options.decoder)
+        return DecoderStage(bundle, begun.traffic.decoder, options.decoder, options.compiled)
     return RewardStage(bundle, options.reward)
 
 

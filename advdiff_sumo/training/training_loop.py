@@ -7,6 +7,7 @@ needs no state of a random generator.
 from __future__ import annotations
 
 import math
+import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
 
 from advdiff_sumo.core.errors import ConfigError, TrainingError
 from advdiff_sumo.core.seeds import SeedTree
@@ -22,7 +24,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import Jitter
 from advdiff_sumo.training import checkpoint, history
 from advdiff_sumo.training.checkpoint import Progress
-from advdiff_sumo.training.dataset import IntArray, WindowSet, batches, nearest
+from advdiff_sumo.training.dataset import IntArray, WindowSet, batches, nearest, padded
 from advdiff_sumo.training.ema import Ema
 from advdiff_sumo.training.interrupt import Wish, graceful
 from advdiff_sumo.training.learning_rates import rate_factor
@@ -50,6 +52,7 @@ class Job:
         source: hash of the data and of the weights begun with, kept in the checkpoint.
         keep: writes the stage's weights, called when they are the best so far.
         max_minutes: stop after that time, to be resumed; infinite: never.
+        loaders: processes that prepare batches beside the training; 0: none.
     """
 
     stage: Stage
@@ -62,6 +65,33 @@ class Job:
     source: str
     keep: Callable[[Progress], None]
     max_minutes: float = math.inf
+    loaders: int = 0
+
+
+@dataclass(frozen=True)
+class _Steps(Dataset[SceneBatch]):
+    """The batches of the steps from *first* on."""
+
+    windows: WindowSet
+    options: TrainOptions
+    tree: SeedTree
+    order: tuple[IntArray, ...]
+    first: int
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+    def __getitem__(self, number: int) -> SceneBatch:
+        rng = self.tree.child("jitter", self.first + number).generator()
+        batch = self.windows.batch(self.order[number], rng, _jitter(self.options))
+        batch = nearest(batch, self.options.max_agents)
+        return padded(batch, self.options.max_agents) if self.options.compiled else batch
+
+
+def _alone(_: int) -> None:
+    """Let a process that prepares batches use one thread, and leave Ctrl-C to the training."""
+    torch.set_num_threads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 class Trainer:
@@ -79,11 +109,14 @@ class Trainer:
         options = job.options
         parameters = [p for p in job.stage.module.parameters() if p.requires_grad]
         self.parameters = parameters
-        self.optimiser = torch.optim.Adam(parameters, lr=options.learning_rate)
+        self.optimiser = torch.optim.Adam(
+            parameters, lr=options.learning_rate, fused=job.device.type == "cuda" or None
+        )
         self.ema = Ema(job.stage.module, options.ema_decay)
         self.progress = Progress(job.stage.name, options.model_dump(mode="json"), job.source)
         self._drawn = time.monotonic()
-        self.per_epoch = math.ceil(len(job.train) / options.batch_size)
+        whole = len(job.train) / options.batch_size
+        self.per_epoch = math.floor(whole) if options.compiled else math.ceil(whole)
         self.total = self.per_epoch * options.epochs
 
     def resume(self) -> None:
@@ -137,10 +170,10 @@ class Trainer:
         progress, saved = self.progress, time.monotonic()
         limit_s, between_s = 60.0 * self.job.max_minutes, 60.0 * self.job.options.checkpoint_minutes
         order = self._order()
-        for numbers in order[progress.batch :]:
+        for batch in self._batches(order[progress.batch :]):
             if wish or time.monotonic() - begun > limit_s:
                 return False
-            self._step(numbers)
+            self._step(batch.to(self.job.device))
             if time.monotonic() - saved > between_s:
                 self.save()
                 saved = time.monotonic()
@@ -149,12 +182,26 @@ class Trainer:
 
     def _order(self) -> list[IntArray]:
         rng = self.tree.child("order", self.progress.epoch).generator()
-        return batches(self.job.train, self.job.options.batch_size, rng)
+        order = batches(self.job.train, self.job.options.batch_size, rng)
+        if not self.job.options.compiled:
+            return order
+        return [numbers for numbers in order if len(numbers) == self.job.options.batch_size]  # of one shape
 
-    def _step(self, numbers: IntArray) -> None:
+    def _batches(self, order: list[IntArray]) -> Iterator[SceneBatch]:
+        """Yield the epoch's batches that are left, on the CPU; what each one holds follows from its step alone."""
+        job, first = self.job, self.progress.step
+        steps = _Steps(job.train, job.options, self.tree, tuple(order), first)
+        if not job.loaders:
+            return (steps[number] for number in range(len(order)))
+        return iter(
+            DataLoader(
+                steps, batch_size=None, num_workers=job.loaders, prefetch_factor=4, worker_init_fn=_alone
+            )
+        )
+
+    def _step(self, batch: SceneBatch) -> None:
         progress, options, stage = self.progress, self.job.options, self.job.stage
         moment = self._moment(progress.step)
-        batch = self._batch(numbers, progress.step)
         for group in self.optimiser.param_groups:
             group["lr"] = options.learning_rate * rate_factor(options.schedule, progress.step, self.total)
         stage.module.train()
@@ -168,7 +215,7 @@ class Trainer:
         self.optimiser.step()
         self.ema.update(progress.step)
         stage.after_step()
-        self._note(terms, len(numbers))
+        self._note(terms, batch.scenes)
 
     def _note(self, terms: dict[str, Tensor], windows: int) -> None:
         progress = self.progress
@@ -183,11 +230,6 @@ class Trainer:
     def _moment(self, step: int) -> Moment:
         generator = torch.Generator().manual_seed(self.tree.child("noise", step).integer(62))
         return Moment(step, self.total, generator)
-
-    def _batch(self, numbers: IntArray, step: int) -> SceneBatch:
-        rng = self.tree.child("jitter", step).generator()
-        batch = self.job.train.batch(numbers, rng, _jitter(self.job.options))
-        return nearest(batch, self.job.options.max_agents).to(self.job.device)
 
     def _judge(self) -> None:
         """Evaluate the averaged weights, write what can be looked at, keep the weights if they are the best."""
@@ -253,7 +295,11 @@ def held_out_batches(windows: WindowSet, options: TrainOptions) -> Iterator[IntA
 
 
 def _jitter(options: TrainOptions) -> Jitter | None:
-    return Jitter(**options.jitter.model_dump()) if options.jitter.share > 0.0 else None
+    return (
+        Jitter(**options.jitter.model_dump())
+        if options.jitter.share > 0.0 or options.jitter.mirror > 0.0
+        else None
+    )
 
 
 def _finite(terms: dict[str, Tensor], progress: Progress) -> None:

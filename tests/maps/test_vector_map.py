@@ -25,7 +25,7 @@ def road(cross: Path) -> RoadMap:
 
 def on_lane(road: RoadMap, lane: str) -> list[int]:
     """Return the pieces whose middle lies on *lane*, in driving order."""
-    table, line = road.pieces, road.lanes[lane].line
+    table, line = road.pieces(), road.lanes[lane].line
     found = {}
     for row in np.flatnonzero(table.features[:, Feature.IS_LANE] > 0):
         s, d = line.project(table.xy_m[row])
@@ -37,7 +37,7 @@ def on_lane(road: RoadMap, lane: str) -> list[int]:
 def test_a_lane_of_93_m_is_five_equal_pieces_of_six_points(road: RoadMap) -> None:
     rows = on_lane(road, "WC_1")  # from x = −100 to −7.2, centre at y = −1.6
     assert len(rows) == 5
-    points = road.pieces.xy_m[rows]
+    points = road.pieces().xy_m[rows]
     np.testing.assert_allclose(points[..., 1], -1.6)
     np.testing.assert_allclose(points[0, :, 0], -100.0 + 18.56 / 5 * np.arange(6), atol=1e-9)
     np.testing.assert_allclose(points[1:, 0], points[:-1, -1])
@@ -46,8 +46,8 @@ def test_a_lane_of_93_m_is_five_equal_pieces_of_six_points(road: RoadMap) -> Non
 def test_features_of_a_straight_lane(road: RoadMap) -> None:
     first, *_, last = on_lane(road, "WC_0")
     expected = [3.2, 14.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
-    np.testing.assert_allclose(road.pieces.features[first], expected)
-    np.testing.assert_allclose(road.pieces.features[last], expected)  # the major road goes straight or right
+    np.testing.assert_allclose(road.pieces().features[first], expected)
+    np.testing.assert_allclose(road.pieces().features[last], expected)  # the major road goes straight or right
 
 
 @pytest.mark.parametrize(
@@ -63,23 +63,23 @@ def test_features_of_a_straight_lane(road: RoadMap) -> None:
 def test_turns_and_right_of_way_on_the_junction(road: RoadMap, lane: str, turn: float, yields: float) -> None:
     rows = on_lane(road, lane)
     assert rows
-    features = road.pieces.features[rows]
+    features = road.pieces().features[rows]
     assert (features[:, Feature.TURN] == turn).all()
     assert (features[:, Feature.YIELDS] == yields).all()
     assert (features[:, Feature.IS_INTERNAL] == 1.0).all()
-    assert (road.pieces.signal[rows] == -1).all()
+    assert (road.pieces().signal[rows] == -1).all()
 
 
 def test_only_the_last_piece_before_the_junction_yields(road: RoadMap) -> None:
     rows = on_lane(road, "SC_0")
-    assert road.pieces.features[rows, Feature.YIELDS].tolist() == [0.0] * (len(rows) - 1) + [1.0]
+    assert road.pieces().features[rows, Feature.YIELDS].tolist() == [0.0] * (len(rows) - 1) + [1.0]
 
 
 def test_left_is_left_in_left_hand_traffic_too(cross_left: Path) -> None:
     road = RoadMap.read(cross_left)
     for link in road.links.values():
         for lane in link.via:
-            turns = road.pieces.features[on_lane(road, lane), Feature.TURN]
+            turns = road.pieces().features[on_lane(road, lane), Feature.TURN]
             assert (turns == {"l": 1.0, "s": 0.0, "r": -1.0}[link.direction]).all()
             heading = road.lanes[lane].line.segment_yaw_rad
             if link.direction != "s" and len(link.via) == 1:
@@ -90,13 +90,13 @@ def test_all_way_stops_are_marked(make_cross: Callable[..., Path]) -> None:
     road = RoadMap.read(make_cross(kind="allway_stop"))
     for lane in ("WC_0", "SC_0"):
         *before, last = on_lane(road, lane)
-        assert road.pieces.features[last, Feature.STOP_SIGN] == 1.0
-        assert not road.pieces.features[before, Feature.STOP_SIGN].any()
+        assert road.pieces().features[last, Feature.STOP_SIGN] == 1.0
+        assert not road.pieces().features[before, Feature.STOP_SIGN].any()
 
 
 def test_signals_count_on_the_junction_and_on_the_piece_before_it(make_cross: Callable[..., Path]) -> None:
     road = RoadMap.read(make_cross(kind="traffic_light"))
-    table = road.pieces
+    table = road.pieces()
     assert table.signal_links == tuple(("C", index) for index in range(13))
     for link in road.links.values():
         for lane in link.via:
@@ -117,7 +117,7 @@ def test_signal_letters() -> None:
 
 
 def test_nearest_pieces_of_a_car_on_a_lane(road: RoadMap) -> None:
-    table = road.pieces
+    table = road.pieces()
     rows = table.rows_near(np.array([[-50.0, -1.6]]), np.array([0.0]))[0]
     assert rows.shape == (NEAR,)
     own = on_lane(road, "WC_1")
@@ -134,15 +134,15 @@ def test_nearest_pieces_of_a_car_on_a_lane(road: RoadMap) -> None:
 
 
 def test_turning_round_brings_other_pieces_to_the_front(road: RoadMap) -> None:
-    rows = road.pieces.rows_near(np.array([[-50.0, -1.6]] * 2), np.array([0.0, np.pi]))
-    middle = road.pieces.xy_m[rows[:, :LANE_SLOTS]].mean(axis=2)[..., 0]
+    rows = road.pieces().rows_near(np.array([[-50.0, -1.6]] * 2), np.array([0.0, np.pi]))
+    middle = road.pieces().xy_m[rows[:, :LANE_SLOTS]].mean(axis=2)[..., 0]
     found = rows[:, :LANE_SLOTS] >= 0
     assert middle[0][found[0]].mean() > middle[1][found[1]].mean()
 
 
 def test_nothing_is_near_a_point_far_away(road: RoadMap) -> None:
-    assert (road.pieces.rows_near(np.array([[1e5, 0.0]]), np.zeros(1)) == -1).all()
-    assert road.pieces.rows_near(np.zeros((0, 2)), np.zeros(0)).shape == (0, NEAR)
+    assert (road.pieces().rows_near(np.array([[1e5, 0.0]]), np.zeros(1)) == -1).all()
+    assert road.pieces().rows_near(np.zeros((0, 2)), np.zeros(0)).shape == (0, NEAR)
 
 
 @settings(max_examples=25, deadline=None)
@@ -170,7 +170,7 @@ def test_the_choice_does_not_depend_on_the_frame(
 
 @pytest.fixture(scope="module")
 def table(road: RoadMap) -> PieceTable:
-    return road.pieces
+    return road.pieces()
 
 
 def _costs(table: PieceTable, rows: FloatArray, xy: FloatArray, yaw: FloatArray) -> FloatArray:
@@ -201,7 +201,7 @@ def test_nearest_first_without_repeats_within_60_m(table: PieceTable, seed: int)
 
 @pytest.mark.parametrize("net", SHIPPED_NETS)
 def test_shipped_nets_give_whole_tables(net: str) -> None:
-    table = RoadMap.read(find_net(net)).pieces
+    table = RoadMap.read(find_net(net)).pieces()
     assert np.isfinite(table.xy_m).all()
     steps = np.linalg.norm(np.diff(table.xy_m, axis=1), axis=-1)
     assert steps.sum(axis=1).max() <= 20.0 + 1e-6

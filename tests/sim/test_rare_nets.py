@@ -62,7 +62,7 @@ def test_a_link_that_its_light_leaves_alone_has_no_signal(tmp_path: Path) -> Non
     assert turn.tls_index >= 0
     red = {str(turn.tls_id): "r" * 12}
     assert (signal_state(straight, red), signal_state(turn, red)) == ("", "r")
-    assert all(index >= 0 for _, index in road.pieces.signal_links)
+    assert all(index >= 0 for _, index in road.pieces().signal_links)
 
 
 def test_ids_that_xml_must_escape_come_through_a_saved_state(tmp_path: Path) -> None:

@@ -43,13 +43,14 @@ def natural_nats(road: RoadMap, tracks: Tracks, target: int, counted: BoolArray)
         target: row of the tested vehicle.
         counted: (A,) background vehicles that count.
     """
-    windows = WindowFileBuilder(road.pieces, road.name, "episode")
+    table = road.pieces(_bundle().options.model.map_view)
+    windows = WindowFileBuilder(table, road.name, "episode")
     names: list[tuple[int, ...]] = []
     for now in range(PAST - 1, tracks.steps - _LEAST_FUTURE, _EVERY):
         if tracks.valid[target, now]:
             rows = crop(tracks.xy_m[:, now], target)
             parked = np.zeros(tracks.agents, dtype=np.bool_)
-            window = window_arrays(tracks, now, rows, parked, road.pieces, {}, "episode")
+            window = window_arrays(tracks, now, rows, parked, table, {}, "episode")
             windows.windows.append(window)
             names.append(tuple(rows.tolist()))
     if not names:

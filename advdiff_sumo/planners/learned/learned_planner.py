@@ -91,7 +91,7 @@ class LearnedPlanner(ABC):
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> Memory:
         """Return an empty memory, and let the map make its table of pieces."""
         del scene, rng
-        _ = road.pieces
+        _ = road.pieces(self.model.map_view)
         return Memory(LaneMemory(Geometry.of(road)))
 
     @one_thread()
@@ -101,7 +101,8 @@ class LearnedPlanner(ABC):
         """Return what is driven in the coming seconds, and the memory for the next plan."""
         generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
         # 1. what will happen, says the model
-        view = look(road, scene, np.ones(scene.history.agents, dtype=np.bool_), self.options.agents)
+        everybody = np.ones(scene.history.agents, dtype=np.bool_)
+        view = look(road, scene, everybody, self.options.agents, self.model.map_view)
         prediction = self.model.tell(view, memory.noise, generator, HORIZON_STEPS)
         # 2. where does the route lead
         guide, lanes = guide_of(road, scene, memory.lanes)

@@ -21,6 +21,7 @@ from advdiff_sumo.diffusion.sampler import Sampling, draw, sample
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.model_options import MapView
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.models.simnet import SimNet
 from advdiff_sumo.models.simnet_file import load_simnet
@@ -42,7 +43,13 @@ class ModelFutures:
 
 
 class Model(Protocol):
-    """A trained model that knows no route."""
+    """A trained model that knows no route.
+
+    Attributes:
+        map_view: how much of the map it was trained to see.
+    """
+
+    map_view: MapView
 
     def tell(
         self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator, steps: int
@@ -62,6 +69,7 @@ class SimNetModel:
     def __init__(self, weights: str, device: torch.device) -> None:
         self._device = device
         self._simnet = _simnet(weights or str(shipped_weights("simnet")), device)
+        self.map_view = self._simnet.options.map_view
 
     @torch.no_grad()
     def tell(
@@ -85,6 +93,7 @@ class TrafficSimModel:
     def __init__(self, weights: str, device: torch.device, draws: int) -> None:
         self._device, self._draws = device, draws
         self._bundle, self._decoder = _bundle(weights or str(shipped_weights()), device)
+        self.map_view = self._bundle.options.model.map_view
 
     @torch.no_grad()
     def tell(
@@ -115,6 +124,7 @@ class DiffusionModel:
         path = options.weights or str(shipped_weights())
         self._options, self._device = options, device
         self._bundle, self._decoder = _bundle(path, device)
+        self.map_view = self._bundle.options.model.map_view
         codec = self._bundle.codec
         if not isinstance(codec, LatentCodec):
             raise WeightsError(

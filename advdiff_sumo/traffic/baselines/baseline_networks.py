@@ -12,6 +12,7 @@ from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.codec import LatentCodec
+from advdiff_sumo.models.model_options import MapView
 from advdiff_sumo.models.shipped_weights import device_of, shipped_weights
 from advdiff_sumo.models.traffic import TrafficModel
 from advdiff_sumo.traffic.baselines.baseline_options import RivalOptions
@@ -30,6 +31,11 @@ class Prior:
     traffic: TrafficModel
     codec: LatentCodec
     device: torch.device
+
+    @property
+    def map_view(self) -> MapView:
+        """How much of the map the networks were trained to see."""
+        return self.traffic.decoder.options.map_view
 
 
 @one_thread()

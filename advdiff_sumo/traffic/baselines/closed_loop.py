@@ -18,6 +18,7 @@ from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
 from advdiff_sumo.models.view import View
+from advdiff_sumo.traffic.baselines.baseline_networks import Prior
 from advdiff_sumo.traffic.baselines.baseline_options import RivalOptions
 from advdiff_sumo.traffic.baselines.surrogate import Answer, Surrogate, ask, imagine, make_surrogate
 from advdiff_sumo.traffic.diffusion.diffusion_policy import Listener
@@ -96,6 +97,7 @@ class Rival(ABC):
     """
 
     options: RivalOptions
+    prior: Prior
 
     def __init__(self, options: RivalOptions) -> None:
         self.options = options
@@ -108,7 +110,7 @@ class Rival(ABC):
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Memory:  # noqa: ARG002 - the contract
         """Return an empty memory, and let the map make its table of pieces."""
-        _ = road.pieces
+        _ = road.pieces(self.prior.map_view)
         if self.surrogate is None:
             return Memory()
         own = np.random.default_rng(int(rng.integers(2**62)))
@@ -122,7 +124,7 @@ class Rival(ABC):
         kept = rest_of(memory.plan, memory.driven, scene, self.options.replan)
         if kept is not None:
             return JointPlan(kept), replace(memory, driven=memory.driven + 1)
-        view, lanes = outlook(road, scene)
+        view, lanes = outlook(road, scene, self.prior.map_view)
         seed = int(rng.integers(2**62))
         if not view.moved.any():
             return JointPlan(nobody(scene), attack=AttackState("any")), replace(memory, plan=None)

@@ -74,7 +74,7 @@ class DiffusionTraffic:
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Memory:  # noqa: ARG002 - the contract
         """Return an empty memory, and let the map make its table of pieces."""
-        _ = road.pieces
+        _ = road.pieces(self.networks.bundle.options.model.map_view)
         memory = Memory()
         if self.options.licence != "reckless" and self.options.guided:
             memory = Memory(commitments=Commitments.start(self.options.manoeuvre, rng, self.options.staged))
@@ -102,7 +102,7 @@ class DiffusionTraffic:
     def _afresh(
         self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
     ) -> tuple[JointPlan, Memory]:
-        view, lanes = outlook(road, scene)
+        view, lanes = outlook(road, scene, self.networks.bundle.options.model.map_view)
         seed = int(rng.integers(2**62))
         if not view.moved.any():
             return self._alone(road, scene, memory)

@@ -14,7 +14,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, IntArray
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import MOTOR_CLASSES, Scene, Tracks
-from advdiff_sumo.models.model_options import MODEL_STEP_S
+from advdiff_sumo.models.model_options import MODEL_STEP_S, MapView
 from advdiff_sumo.models.view import View, look
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.licence import NATURAL_OVER_LIMIT, LicenceName
@@ -54,10 +54,12 @@ class Rules:
     commitments: Commitments | None = None
 
 
-def outlook(road: RoadMap, scene: Scene) -> tuple[View, dict[int, LaneAhead | None]]:
+def outlook(
+    road: RoadMap, scene: Scene, map_view: MapView = "near"
+) -> tuple[View, dict[int, LaneAhead | None]]:
     """Return *scene* for the networks, less who leaves the net, and the lanes that each movable row would follow."""
     lanes = lanes_of(road, scene)
-    return look(road, scene, leaving(scene, lanes)), lanes
+    return look(road, scene, leaving(scene, lanes), map_view=map_view), lanes
 
 
 def plausible_plan(

@@ -60,7 +60,7 @@ class AdvRl:
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Memory:  # noqa: ARG002 - the contract
         """Return an empty memory, and let the map make its table of pieces."""
-        _ = road.pieces
+        _ = road.pieces(self.prior.options.map_view)
         return Memory()
 
     @one_thread()

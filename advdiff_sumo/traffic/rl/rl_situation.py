@@ -59,7 +59,7 @@ def situation(road: RoadMap, scene: Scene, prior: Prior, count: int, before: tup
         count: most attackers.
         before: who attacked last; they stay where they still can do something.
     """
-    view, lanes = outlook(road, scene)
+    view, lanes = outlook(road, scene, prior.options.map_view)
     if not view.moved.any():
         return Situation(view, lanes, None, np.zeros(0, dtype=np.int64), np.zeros((0, FEATURES)))
     natural = prior.rollout(view.batch)

@@ -1,0 +1,61 @@
+"""What a traffic model's own joint samples are taught and judged by: bodies, road, lanes, following, progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from advdiff_sumo.diffusion.sample_refinement import Together, misfit
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.decoder import Decoder, Rollout
+from advdiff_sumo.models.losses import masked_mean
+from advdiff_sumo.training import realism
+from advdiff_sumo.training.displacement import driving, logged
+from advdiff_sumo.training.driving_penalties import following_penalty, lane_distance, travelled_m
+from advdiff_sumo.training.presets import DecoderOptions
+from advdiff_sumo.training.stage import Tally
+
+
+def both(
+    decoder: Decoder, latents: tuple[Tensor, Tensor], h: tuple[Tensor, Tensor], batch: SceneBatch
+) -> tuple[Rollout, Rollout]:
+    """Return the futures of two kinds of latents (B, A, Z) with their embeddings (B, A, D), in one pass."""
+    z, state = (torch.stack(pair, dim=1).flatten(0, 1) for pair in (latents, h))
+    rollout = decoder(z, state, batch.repeat(2))
+    first, second = (Rollout(**{k: v[i::2] for k, v in vars(rollout).items()}) for i in (0, 1))
+    return first, second
+
+
+def sample_judge(compiled: bool) -> Callable[[Rollout, SceneBatch, DecoderOptions], dict[str, Tensor]]:
+    """Return :func:`sample_terms`, fused by ``torch.compile`` where that is asked for."""
+    return torch.compile(sample_terms, dynamic=False) if compiled else sample_terms
+
+
+def sample_terms(free: Rollout, batch: SceneBatch, options: DecoderOptions) -> dict[str, Tensor]:
+    """Return what is wrong with sampled futures *free*, each term with its weight."""
+    who = batch.moved & ~batch.parked
+    how = Together(vehicles=options.vehicles, road=options.road)
+    way, truth = (torch.where(who, travelled_m(r, batch), 0.0).sum() for r in (free, logged(batch)))
+    ratio = way / truth.clamp(min=1.0)
+    return {
+        "misfit": masked_mean(misfit(free, batch, how), who),
+        "lane": options.lane * masked_mean(lane_distance(free, batch), who),
+        "following": options.following * masked_mean(following_penalty(free, batch), who),
+        "progress": options.progress * (ratio - 1.0).square(),
+    }
+
+
+@torch.no_grad()
+def faults(free: Rollout, batch: SceneBatch) -> Tally:
+    """Return how many vehicles touch another or leave the road in sampled futures, and how far they drive."""
+    there, who = batch.present[..., None].expand(free.yaw.shape), driving(batch)
+    return {
+        "collision_rate": (float(realism.colliding(free, batch, there).sum()), float(who.sum())),
+        "off_road_rate": (float(realism.leaving_road(free, batch, there).sum()), float(who.sum())),
+        "travelled": (
+            float(travelled_m(free, batch)[who].sum()),
+            float(travelled_m(logged(batch), batch)[who].sum()),
+        ),
+    }

@@ -19,12 +19,14 @@ _HEADS = {
     "min_fde_m": "min\nFDE",
     "min_sfde_m": "min\nSFDE",
     "fdd_m": "FDD",
+    "energy_m": "energy\nscore",
     "jsd_speed": "JSD\nspeed",
     "jsd_accel": "JSD\naccel",
     "collision_rate": "colli-\nsions",
     "off_road_rate": "off\nroad",
+    "standing_rate": "stand",
 }
-_WIDTH = 112
+_WIDTH = 128
 
 if TYPE_CHECKING:
     import torch

@@ -112,8 +112,10 @@ def edge_clearance(xy: Tensor, batch: SceneBatch) -> Tensor:
 def road_edges(batch: SceneBatch) -> tuple[Tensor, Tensor, Tensor]:
     """Return begins and ends (B, A, S, 2) of road edges' segments in each agent's frame, and which count (B, A, S)."""
     is_edge = batch.map_valid & (batch.map_features[..., _ROAD_EDGE] > 0.5)
-    some: slice | Tensor = slice(LANES_OF[is_edge.shape[-1]], None)
-    if not is_edge.is_cuda:  # there, finding out what is empty would take longer than working on it
+    some: slice | Tensor
+    if is_edge.is_cuda:  # finding out what is empty would take longer than working on it
+        some = slice(LANES_OF[is_edge.shape[-1]], None)
+    else:
         some = is_edge.flatten(0, 1).any(0)
         some[0] |= ~some.any()  # one piece to look at, though it counts for nothing
     pieces, is_edge = batch.map_xy[:, :, some], is_edge[:, :, some]

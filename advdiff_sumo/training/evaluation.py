@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.metrics.statistics import jensen_shannon
 from advdiff_sumo.models.batch import SceneBatch
@@ -23,9 +24,11 @@ from advdiff_sumo.training.baselines import constant_velocity, lane_following
 from advdiff_sumo.training.dataset import WindowSet, batches
 from advdiff_sumo.training.denoiser_stage import diffused
 from advdiff_sumo.training.displacement import displacement, driving, logged
+from advdiff_sumo.training.driving_penalties import travelled_m
 from advdiff_sumo.training.stage import Tally, add, means
 
 Figures = dict[str, float]
+_STANDS_M = 1.0
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,8 @@ class _Sums:
         total = float(driving(batch).sum())
         add(self.tally, {"collision_rate": (float(realism.colliding(rollout, batch, known).sum()), total)})
         add(self.tally, {"off_road_rate": (float(realism.leaving_road(rollout, batch, known).sum()), total)})
+        standing = (travelled_m(rollout, batch) < _STANDS_M) & driving(batch)
+        add(self.tally, {"standing_rate": (float(standing.sum()), total)})
 
 
 Predict = Callable[[SceneBatch, Context, torch.Generator], tuple[Rollout, int]]
@@ -104,8 +109,10 @@ def evaluate_bundle(
     """Return the figures of each way to predict, and of the log.
 
     Errors are of driving vehicles: not parked, with a known future. With several samples, ``min_ade_m`` and
-    ``min_fde_m`` take the best one of each vehicle, ``min_sfde_m`` the best one of each scene as a whole. JSD is
-    against the log's histogram, base 2.
+    ``min_fde_m`` take the best one of each vehicle, ``min_sfde_m`` the best one of each scene as a whole.
+    ``energy_m`` is the energy score of the final positions, FDE − FDD / 2 (Gneiting and Raftery 2007,
+    doi:10.1198/016214506000001437): low where samples are near what happened and no more alike than they should be.
+    JSD is against the log's histogram, base 2. ``standing_rate`` counts vehicles that drive less than 1 m.
 
     Args:
         bundle: networks; untrained parts are not judged.
@@ -113,7 +120,15 @@ def evaluate_bundle(
         judging: how many samples, of how many windows.
         device: where it is computed.
         tell: told how many windows are done, and how many there are.
+
+    Raises:
+        ConfigError: the windows show another view of the map than the networks see.
     """
+    if windows.map_view != bundle.options.model.map_view:
+        raise ConfigError(
+            f"the windows show the map's '{windows.map_view}' view, but the networks see '"
+            f"{bundle.options.model.map_view}': make windows with --map-view {bundle.options.model.map_view}"
+        )
     bundle.to(device).frozen()
     ways = methods(bundle, judging)
     sums = {name: _Sums() for name in (*ways, "log")}
@@ -188,6 +203,7 @@ def _last(xy: Tensor, batch: SceneBatch) -> Tensor:
 def _figures(one: _Sums, log: _Sums) -> Figures:
     figures = means(one.tally)
     if one is not log:
+        figures["energy_m"] = figures["fde_m"] - 0.5 * figures["fdd_m"]
         figures["jsd_speed"] = float(jensen_shannon(one.speed, log.speed))
         figures["jsd_accel"] = float(jensen_shannon(one.accel, log.accel))
     return figures
@@ -203,6 +219,6 @@ def columns(figures: dict[str, Figures]) -> list[str]:
 
 
 _ORDER = (
-    *("ade_m", "fde_m", "min_ade_m", "min_fde_m", "min_sfde_m", "fdd_m"),
-    *("jsd_speed", "jsd_accel", "collision_rate", "off_road_rate"),
+    *("ade_m", "fde_m", "min_ade_m", "min_fde_m", "min_sfde_m", "fdd_m", "energy_m"),
+    *("jsd_speed", "jsd_accel", "collision_rate", "off_road_rate", "standing_rate"),
 )

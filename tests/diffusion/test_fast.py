@@ -13,14 +13,13 @@ from advdiff_sumo.diffusion.fast_encoder import FastEncoder
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, new_bundle
 from advdiff_sumo.models.model_options import (
-    EDGE_PIECES,
-    LANE_PIECES,
+    MAP_PIECES,
     PIECE_FEATURES,
     PIECE_POINTS,
     ModelOptions,
 )
 
-PIECES = LANE_PIECES + EDGE_PIECES
+PIECES = sum(MAP_PIECES["near"])
 SMALL = ModelOptions(hidden=32, latent=8, edge=8, message=16, channels=(8, 16, 24), reward_hidden=16)
 
 

@@ -15,7 +15,10 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import world_from_local
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, find_net
-from advdiff_sumo.maps.vector_map import EDGE_SLOTS, LANE_SLOTS, NEAR, Feature, PieceTable
+from advdiff_sumo.maps.vector_map import VIEWS, Feature, PieceTable
+from tests.sim.nets import build
+
+NEAR = VIEWS["near"]
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +50,9 @@ def test_features_of_a_straight_lane(road: RoadMap) -> None:
     first, *_, last = on_lane(road, "WC_0")
     expected = [3.2, 14.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
     np.testing.assert_allclose(road.pieces().features[first], expected)
-    np.testing.assert_allclose(road.pieces().features[last], expected)  # the major road goes straight or right
+    np.testing.assert_allclose(
+        road.pieces().features[last], expected
+    )  # the major road goes straight or right
 
 
 @pytest.mark.parametrize(
@@ -118,12 +123,12 @@ def test_signal_letters() -> None:
 
 def test_nearest_pieces_of_a_car_on_a_lane(road: RoadMap) -> None:
     table = road.pieces()
-    rows = table.rows_near(np.array([[-50.0, -1.6]]), np.array([0.0]))[0]
-    assert rows.shape == (NEAR,)
+    rows = table.rows_near(np.array([[-50.0, -1.6]]), np.array([0.0]), np.array([10.0]))[0]
+    assert rows.shape == (NEAR.pieces,)
     own = on_lane(road, "WC_1")
     assert rows[:2].tolist() == [own[2], own[3]]  # the one it is on, then the next one, 5.7 m ahead × 0.4
     assert rows[2] == on_lane(road, "WC_0")[2]  # beside it, 3.2 m
-    lanes, edges = rows[:LANE_SLOTS], rows[LANE_SLOTS:]
+    lanes, edges = rows[: NEAR.lanes], rows[NEAR.lanes :]
     assert (table.features[lanes[lanes >= 0], Feature.IS_LANE] == 1.0).all()
     assert (table.features[edges[edges >= 0], Feature.IS_ROAD_EDGE] == 1.0).all()
     assert edges[0] >= 0
@@ -134,15 +139,15 @@ def test_nearest_pieces_of_a_car_on_a_lane(road: RoadMap) -> None:
 
 
 def test_turning_round_brings_other_pieces_to_the_front(road: RoadMap) -> None:
-    rows = road.pieces().rows_near(np.array([[-50.0, -1.6]] * 2), np.array([0.0, np.pi]))
-    middle = road.pieces().xy_m[rows[:, :LANE_SLOTS]].mean(axis=2)[..., 0]
-    found = rows[:, :LANE_SLOTS] >= 0
+    rows = road.pieces().rows_near(np.array([[-50.0, -1.6]] * 2), np.array([0.0, np.pi]), np.zeros(2))
+    middle = road.pieces().xy_m[rows[:, : NEAR.lanes]].mean(axis=2)[..., 0]
+    found = rows[:, : NEAR.lanes] >= 0
     assert middle[0][found[0]].mean() > middle[1][found[1]].mean()
 
 
 def test_nothing_is_near_a_point_far_away(road: RoadMap) -> None:
-    assert (road.pieces().rows_near(np.array([[1e5, 0.0]]), np.zeros(1)) == -1).all()
-    assert road.pieces().rows_near(np.zeros((0, 2)), np.zeros(0)).shape == (0, NEAR)
+    assert (road.pieces().rows_near(np.array([[1e5, 0.0]]), np.zeros(1), np.zeros(1)) == -1).all()
+    assert road.pieces().rows_near(np.zeros((0, 2)), np.zeros(0), np.zeros(0)).shape == (0, NEAR.pieces)
 
 
 @settings(max_examples=25, deadline=None)
@@ -161,7 +166,7 @@ def test_the_choice_does_not_depend_on_the_frame(
         return world_from_local(points, np.array(shift), turn)
 
     other = replace(table, xy_m=moved(table.xy_m))
-    here, there = table.rows_near(xy, yaw), other.rows_near(moved(xy), yaw + turn)
+    here, there = table.rows_near(xy, yaw, yaw), other.rows_near(moved(xy), yaw + turn, yaw)
     cost = [
         _costs(t, r, p, y) for t, r, p, y in ((table, here, xy, yaw), (other, there, moved(xy), yaw + turn))
     ]
@@ -187,9 +192,9 @@ def _costs(table: PieceTable, rows: FloatArray, xy: FloatArray, yaw: FloatArray)
 def test_nearest_first_without_repeats_within_60_m(table: PieceTable, seed: int) -> None:
     rng = np.random.default_rng(seed)
     xy, yaw = rng.uniform(-120, 120, (4, 2)), rng.uniform(-3, 3, 4)
-    rows = table.rows_near(xy, yaw)
+    rows = table.rows_near(xy, yaw, np.full(4, 30.0))
     cost = _costs(table, rows, xy, yaw)
-    for part in (slice(0, LANE_SLOTS), slice(LANE_SLOTS, LANE_SLOTS + EDGE_SLOTS)):
+    for part in (slice(0, NEAR.lanes), slice(NEAR.lanes, NEAR.pieces)):
         for agent in range(4):
             found = rows[agent, part][rows[agent, part] >= 0]
             assert (rows[agent, part][len(found) :] == -1).all()
@@ -207,3 +212,42 @@ def test_shipped_nets_give_whole_tables(net: str) -> None:
     assert steps.sum(axis=1).max() <= 20.0 + 1e-6
     assert ((table.features[:, Feature.IS_LANE] + table.features[:, Feature.IS_ROAD_EDGE]) == 1.0).all()
     assert table.signal.max() == len(table.signal_links) - 1
+
+
+def test_the_far_view_reaches_as_far_as_six_seconds_lead(tmp_path: Path) -> None:
+    """A straight road of 600 m at 30 m/s: pieces of 60 m; at 30 m/s one sees 60 m + 6.5 s ahead, standing 60 m."""
+    nodes = '<nodes><node id="A" x="0" y="0"/><node id="B" x="600" y="0"/></nodes>'
+    edges = '<edges><edge id="AB" from="A" to="B" numLanes="1" speed="30" spreadType="center"/></edges>'
+    road = RoadMap.read(build(tmp_path, nodes, edges))
+    near, far = road.pieces("near"), road.pieces("far")
+    assert road.pieces("far") is far
+    for table, length_m in ((near, 20.0), (far, 60.0)):
+        lanes = table.xy_m[table.features[:, Feature.IS_LANE] > 0.0]
+        np.testing.assert_allclose(np.linalg.norm(lanes[:, -1] - lanes[:, 0], axis=-1), length_m, rtol=0.02)
+    xy, yaw = np.array([[100.0, 0.0]] * 2), np.zeros(2)
+    speed = np.array([30.0, 0.0])
+    for table, reach_m in ((near, (60.0, 60.0)), (far, (255.0, 60.0))):
+        rows = table.rows_near(xy, yaw, speed)[:, : table.limits.lanes]
+        for agent in range(2):
+            ahead = table.xy_m[rows[agent][rows[agent] >= 0]][..., 0] - 100.0
+            assert (ahead.min(axis=1) <= reach_m[agent] + 1e-6).all()
+            assert ahead.max() >= reach_m[agent] - 5.0
+
+
+@pytest.mark.parametrize("net", SHIPPED_NETS)
+def test_what_is_driven_in_six_seconds_is_in_the_far_view(net: str) -> None:
+    """Whoever keeps to a lane at its limit for 6 s is within 3 m of a piece of the far view then."""
+    road = RoadMap.read(find_net(net))
+    table = road.pieces("far")
+    lanes = sorted(
+        (lane for lane in road.lanes.values() if lane.is_drivable and not lane.is_internal),
+        key=lambda lane: (-lane.line.length_m / lane.speed_mps, lane.id),
+    )[:20]
+    for lane in lanes:
+        way = min(6.0 * lane.speed_mps, lane.line.length_m - 1.0)
+        (begin, end), yaw, *_ = lane.line.at(np.array([0.5, 0.5 + way]))
+        rows = table.rows_near(begin[None], np.asarray(yaw)[:1], np.array([lane.speed_mps]))[0]
+        seen = table.xy_m[rows[: table.limits.lanes][rows[: table.limits.lanes] >= 0]]
+        share = np.linspace(0.0, 1.0, 50)[:, None, None, None]
+        points = seen[None, :, :-1] * (1.0 - share) + seen[None, :, 1:] * share
+        assert np.linalg.norm(points - end, axis=-1).min() < 3.0, lane.id

@@ -15,7 +15,7 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.data.window_files import FUTURE, PAST, WindowFile
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import collate
-from advdiff_sumo.models.model_options import EDGE_PIECES, LANE_PIECES, PIECE_POINTS, ModelOptions
+from advdiff_sumo.models.model_options import MAP_PIECES, PIECE_POINTS, ModelOptions
 
 WindowMaker = Callable[..., WindowFile]
 SIGNALS = 3
@@ -83,9 +83,9 @@ def windows() -> WindowMaker:
         features = np.zeros((pieces, 10))
         features[:, 0], features[:, 1] = 3.5, 13.9
         features[:20, 2], features[20:, 4] = 1.0, 1.0
-        near = np.full((agents, LANE_PIECES + EDGE_PIECES), -1)
+        near = np.full((agents, sum(MAP_PIECES["near"])), -1)
         near[:, :12] = rng.permuted(np.tile(np.arange(20), (agents, 1)), axis=1)[:, :12]
-        near[:, LANE_PIECES : LANE_PIECES + 8] = rng.permuted(
+        near[:, MAP_PIECES["near"][0] :][:, :8] = rng.permuted(
             np.tile(np.arange(20, 30), (agents, 1)), axis=1
         )[:, :8]
         classes = rng.choice([AgentClass.CAR, AgentClass.TRUCK, AgentClass.BICYCLE], agents)

@@ -15,7 +15,10 @@ from advdiff_sumo.data.window_files import WindowFile
 from advdiff_sumo.maps.vector_map import Feature
 from advdiff_sumo.models import losses, model_options
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.collate import Jitter, collate, model_history, scene_batch
+from advdiff_sumo.models.collate import Jitter, collate, mirrored, model_history, scene_batch
+from advdiff_sumo.models.losses import off_road
+from advdiff_sumo.training.displacement import logged
+from tests.models.conftest import WindowMaker
 
 NORTH = math.pi / 2
 TIME = 0.5 * np.arange(-4, 13)
@@ -258,3 +261,34 @@ def test_a_live_scene_is_the_same_as_its_window(by_hand: WindowFile) -> None:
             torch.testing.assert_close(made, value)
     assert model_history(history)
     assert not model_history(replace(history, dt_s=0.1))
+
+
+def test_a_mirrored_scene_is_the_same_scene_with_left_and_right_exchanged(windows: WindowMaker) -> None:
+    batch = collate(windows(), np.arange(2))
+    which = torch.tensor([True, False])
+    other = mirrored(batch, which)
+    for name in ("past", "future"):
+        mine, theirs = getattr(batch, name), getattr(other, name)
+        torch.testing.assert_close(theirs[0], mine[0] * torch.tensor([1.0, -1.0, -1.0, 1.0]))
+        torch.testing.assert_close(theirs[1], mine[1])
+    lanes = batch.map_features[0, :, :, Feature.IS_LANE] > 0.5
+    torch.testing.assert_close(other.map_xy[0][lanes], batch.map_xy[0][lanes] * torch.tensor([1.0, -1.0]))
+    edges = batch.map_features[0, :, :, Feature.IS_ROAD_EDGE] > 0.5
+    torch.testing.assert_close(  # the road stays on the edge's left
+        other.map_xy[0][edges], batch.map_xy[0][edges].flip(-2) * torch.tensor([1.0, -1.0])
+    )
+    turn = batch.map_features[..., Feature.TURN]
+    torch.testing.assert_close(other.map_features[0, ..., Feature.TURN], -turn[0])
+    torch.testing.assert_close(off_road(logged(other), other), off_road(logged(batch), batch))
+    again = mirrored(other, which)
+    torch.testing.assert_close(again.map_xy, batch.map_xy)
+    torch.testing.assert_close(again.map_features, batch.map_features)
+
+
+def test_jitter_mirrors_the_share_that_is_asked_for(windows: WindowMaker) -> None:
+    rows = np.tile(np.arange(2), 200)
+    plain = collate(windows(), rows)
+    jitter = Jitter(share=0.0, mirror=0.25)
+    drawn = collate(windows(), rows, np.random.default_rng(3), jitter)
+    turned = (drawn.future[:, :, :, 1] != plain.future[:, :, :, 1]).flatten(1).any(1)
+    assert 70 < int(turned.sum()) < 130

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from advdiff_sumo.core.errors import ConfigError, FileError
-from advdiff_sumo.data.window_files import write_windows
+from advdiff_sumo.data.window_files import read_windows, write_windows
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.training.dataset import batches, nearest, read_window_set, split
 from tests.training.straight_road import make_windows, write
@@ -94,3 +94,15 @@ def test_only_the_nearest_agents_are_looked_at(batch: SceneBatch) -> None:
 def test_a_folder_without_windows_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="no window file"):
         read_window_set([tmp_path])
+
+
+def test_windows_of_two_views_of_the_map_are_refused(window_folder: Path) -> None:
+    (path,) = window_folder.glob("*.safetensors")
+    near = read_windows(path)
+    assert read_window_set([window_folder]).map_view == "near"
+    far = replace(near, near=np.pad(near.near, ((0, 0), (0, 24)), constant_values=-1))
+    write_windows(window_folder / "z-far.safetensors", far)
+    with pytest.raises(FileError, match=r"z-far\.safetensors: shows another part of the map"):
+        read_window_set([window_folder])
+    path.unlink()
+    assert read_window_set([window_folder]).map_view == "far"

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.models.bundle import Bundle, BundleOptions, new_bundle
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.training.cvae import TrafficStage, elbo, encode, kl_share, modelled
@@ -25,6 +25,7 @@ from advdiff_sumo.training.displacement import displacement, logged
 from advdiff_sumo.training.joint import JointStage, road_penalty, vehicle_penalty
 from advdiff_sumo.training.presets import CollisionOptions, ElboOptions
 from advdiff_sumo.training.stage import Moment, Stage, add, means
+from tests.training.conftest import TINY
 
 
 def chance(seed: int = 0) -> torch.Generator:
@@ -221,3 +222,25 @@ def test_tallies_are_weighted_means() -> None:
     add(total, {"a": (6.0, 2.0)})
     add(total, {"a": (1.0, 5.0), "b": (0.0, 0.0)})
     assert means(total) == {"a": 1.0}
+
+
+def test_draws_of_the_prior_teach_the_decoder_alone(batch: SceneBatch) -> None:
+    closed = TINY.model_copy(update={"decoder": "closed-loop"})
+    bundle = new_bundle(BundleOptions(model=closed, diffusion_steps=20), seed=1)
+    plain = TrafficStage(bundle, ElboOptions())
+    stage = TrafficStage(bundle, ElboOptions(samples=1.0))
+    terms = stage.loss(batch, Moment(0, 10, chance()))
+    wrong = [terms[name] for name in ("misfit", "lane", "following", "progress")]
+    assert float((terms["loss"] - sum(wrong)).detach()) == pytest.approx(
+        float(plain.loss(batch, Moment(0, 10, chance()))["loss"].detach()), rel=1e-4
+    )
+    parts = dict(bundle.traffic.named_children())
+    gradients = torch.autograd.grad(sum(wrong), list(bundle.traffic.parameters()), allow_unused=True)
+    reached = {
+        name.split(".")[0]
+        for (name, _), gradient in zip(bundle.traffic.named_parameters(), gradients, strict=True)
+        if gradient is not None and gradient.abs().max() > 0.0
+    }
+    assert reached == {"decoder"} < set(parts)
+    figures = judged(stage, batch)
+    assert {"collision_rate", "off_road_rate", "travelled", "prior_ade_m"} <= figures.keys()

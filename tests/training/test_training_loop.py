@@ -71,6 +71,13 @@ def test_an_interrupted_training_ends_with_the_bytes_of_an_undisturbed_one(
     assert (tmp_path / "parts" / "curves.png").read_bytes()[:4] == b"\x89PNG"
 
 
+def test_processes_that_prepare_batches_change_no_byte(window_folder: Path, tmp_path: Path) -> None:
+    run(job(window_folder, tmp_path / "alone", "traffic", None, "jitter.mirror=0.5"))
+    helped = replace(job(window_folder, tmp_path / "helped", "traffic", None, "jitter.mirror=0.5"), loaders=2)
+    run(helped)
+    assert files(tmp_path / "helped") == files(tmp_path / "alone")
+
+
 @pytest.mark.slow
 def test_the_later_stages_resume_to_the_same_bytes_too(window_folder: Path, tmp_path: Path) -> None:
     init = tmp_path / "traffic"

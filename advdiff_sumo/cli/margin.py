@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,20 +14,42 @@ from advdiff_sumo.cli.worker_flags import MEMORY_MB, PLAN_TIMEOUT_S, Memory, Pla
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.threads import one_thread_for_good
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from advdiff_sumo.experiments.margin import Scale, Trial
+    from advdiff_sumo.experiments.margin_trials import MarginOf, MarginTrials
+
 
 def margin(
     target: flags.Target = None,
     net: flags.Net = None,
     attack: Annotated[
-        str, typer.Option(help="How it is attacked: hard-stop, cut-in, stop-and-go or blocked-lane.")
+        str,
+        typer.Option(
+            help="How it is attacked: hard-stop, cut-in, stop-and-go, blocked-lane, crossing, or all."
+        ),
     ] = "hard-stop",
+    by: Annotated[
+        str | None,
+        typer.Option(
+            help="What is made milder: braking, gap or time.",
+            show_default="what the attack has, of cut-in the gap",
+        ),
+    ] = None,
     demand: flags.Demand = None,
     horizon: flags.Horizon = None,
     seed: flags.Seed = None,
     defect: flags.Defect = None,
     within: Annotated[
-        float, typer.Option(min=0.05, max=4.0, help="How near the two neighbours shall be, m/s².")
-    ] = 0.25,
+        float | None,
+        typer.Option(
+            min=0.01,
+            max=10.0,
+            help="How near the two neighbours shall be.",
+            show_default="0.25 m/s², 1 m, 0.05 s",
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the results.", show_default="runs/margin-ATTACK-sSEED")
     ] = None,
@@ -41,15 +63,14 @@ def margin(
 
     advdiff-sumo margin --target my_planner:MyPlanner --net motorway --attack cut-in --seed 3
 
-    The report shows the failing and the passing neighbour. Trials that are in the folder are not run again.
+    The report shows the failing beside the passing neighbour. Trials that are in the folder are not run again.
     """
     one_thread_for_good()
     from advdiff_sumo.cli.run import options_given  # late: --help needs no simulator
-    from advdiff_sumo.experiments.margin import SCALED, MarginTrials, bisect
+    from advdiff_sumo.experiments.margin_trials import MarginTrials
     from advdiff_sumo.report import write_report
 
-    if attack not in SCALED:
-        raise ConfigError(f"--attack {attack}: a margin is known for {', '.join(SCALED)}; choose one of them")
+    asked = _asked(attack, by, within)
     given = {
         "target": target,
         "net": net,
@@ -58,30 +79,47 @@ def margin(
         "seed": seed,
         "background": "scripted",
     }
-    options = options_given(config, given, {"attack": attack, "attackers": 1}, assign or [], defect)
+    options = options_given(config, given, {"attackers": 1}, assign or [], defect)
     folder = out or Path("runs") / f"margin-{attack}-s{options.seed}"
     console = terminal()
     with ExitStack() as stack:
-        trials = MarginTrials(options, folder, limits_of(stack, timeout, plan_timeout, memory))
-
-        def fails(braking_mps2: float) -> bool:
-            failed = trials.fails(braking_mps2)
-            console.print(f"{braking_mps2:5.2f} m/s²  {'valid failure' if failed else 'no valid failure'}")
-            return failed
-
-        found = bisect(fails, within)
-        trials.keep(found)
+        limits = limits_of(stack, timeout, plan_timeout, memory)
+        trials = stack.enter_context(MarginTrials(options, folder, limits))
+        margins = [_margin(console, trials, name, scale, within) for name, scale in asked]
+        trials.keep(margins)
     report = write_report(folder)
-    if found.fails_mps2 is None:
-        console.print(
-            f"{options.target} copes with {attack} up to {found.passes_mps2:g} m/s²: no margin to find"
-        )
-    elif found.passes_mps2 is None:
-        console.print(
-            f"{options.target} fails at {found.fails_mps2:g} m/s² already, the mildest that is tried"
-        )
-    else:
-        console.print(
-            f"{options.target} copes with {attack} at {found.passes_mps2:g} m/s² and fails at {found.fails_mps2:g} m/s²"
-        )
+    for one in margins:
+        console.print(f"{options.target}: {one.margin.text(one.attack, one.scale)}", soft_wrap=True)
     console.print(f"look at {report}", soft_wrap=True)
+
+
+def _asked(attack: str, by: str | None, within: float | None) -> list[tuple[str, Scale]]:
+    """Return the attacks with their severities.
+
+    Raises:
+        ConfigError: there are none such.
+    """
+    from advdiff_sumo.experiments.margin import EVERY_ATTACK, SCALES, scale_of
+
+    if attack != EVERY_ATTACK:
+        return [(attack, scale_of(attack, by))]
+    for option, value in (("--by", by), ("--within", within)):
+        if value is not None:
+            raise ConfigError(f"{option} goes with one attack; leave it out, or choose an --attack")
+    return [(name, scale) for name, scales in SCALES.items() for scale in scales]
+
+
+def _margin(
+    console: Console, trials: MarginTrials, attack: str, scale: Scale, within: float | None
+) -> MarginOf:
+    """Return the margin of *attack*, and print every trial."""
+    from advdiff_sumo.experiments.margin import bisect
+    from advdiff_sumo.experiments.margin_trials import MarginOf
+
+    def run(value: float) -> Trial:
+        trial = trials.run(attack, scale, value)
+        outcome = "valid failure" if trial.failed else "no valid failure" if trial.met else "no encounter"
+        console.print(f"{attack}, {scale.text(value)}: {outcome}", soft_wrap=True)
+        return trial
+
+    return MarginOf(attack, scale, bisect(run, scale, within))

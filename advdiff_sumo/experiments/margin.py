@@ -1,35 +1,88 @@
 """The margin of a seed scene: the least severe encounter that makes a target fail validly, by bisection.
 
-The severity is the braking of who attacks: where, when and by what it attacks is chosen as for the hardest, and then it
-brakes with so much. Whoever fails from 5.5 m/s² on has a margin of 5.25 m/s² there.
+Each kind of attack has severities (``SCALES``): how hard somebody brakes, with what gap somebody cuts in, how long
+before the target somebody crosses. The seed scene, the place and who attacks stay the same.
 """
 
 from __future__ import annotations
 
-import csv
-import io
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from advdiff_sumo.core.errors import ConfigError
-from advdiff_sumo.experiments.bench.cells import open_bench_store
-from advdiff_sumo.metrics.severity import is_valid_failure
-from advdiff_sumo.sim.run_episodes import RunOptions
-from advdiff_sumo.sweep.consolidate import consolidate
-from advdiff_sumo.sweep.executors import ProcessExecutor
-from advdiff_sumo.sweep.job_plan import Plan, plan_sweep
-from advdiff_sumo.sweep.spec import Case, SweepSpec
-from advdiff_sumo.sweep.sweep_files import write_whole
-from advdiff_sumo.sweep.sweep_runner import Todo, run_sweep
-from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.traffic.manoeuvres.intensity import BRAKING_KINDS, MOST_EARLY_S, MOST_SPARE_GAP_M
 
-MILDEST_MPS2, HARDEST_MPS2 = 1.0, 9.0
-SCALED = ("hard-stop", "cut-in", "stop-and-go", "blocked-lane")
-"""Attacks that are as severe as somebody brakes."""
-TRIALS = "margin.csv"
-_RETRIES = 1
+EVERY_ATTACK = "all"
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A severity of an attack.
+
+    Attributes:
+        by: its name on the command line.
+        option: of the background ``scripted``.
+        unit: of its values.
+        mildest: value at which hardly anybody fails.
+        severest: value at the other end; less than the mildest where a small one is severe.
+        within: how near the two neighbours come, if nobody says otherwise.
+        words: what a value is.
+    """
+
+    by: str
+    option: str
+    unit: str
+    mildest: float
+    severest: float
+    within: float
+    words: str
+
+    def text(self, value: float) -> str:
+        """Return *value* in words."""
+        return self.words.format(f"{value:g} {self.unit}")
+
+
+BRAKING = Scale("braking", "braking_mps2", "m/s²", 1.0, 8.5, 0.25, "braking of {}")
+GAP = Scale("gap", "spare_gap_m", "m", MOST_SPARE_GAP_M, 0.0, 1.0, "{} beyond the lawful gap")
+TIME = Scale("time", "early_s", "s", MOST_EARLY_S, 0.0, 0.05, "{} before the target")
+SCALES: Mapping[str, tuple[Scale, ...]] = {
+    **dict.fromkeys(BRAKING_KINDS, (BRAKING,)),
+    "cut-in": (GAP, BRAKING),
+    "crossing": (TIME,),
+}
+"""Kind of attack → its severities, the first one unless another is asked for."""
+
+
+def scale_of(attack: str, by: str | None = None) -> Scale:
+    """Return the severity called *by* of *attack*; None: its first.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if attack not in SCALES:
+        raise ConfigError(
+            f"--attack {attack}: a margin is known for {', '.join(SCALES)}; choose one of them, or {EVERY_ATTACK}"
+        )
+    scales = {scale.by: scale for scale in SCALES[attack]}
+    if by is not None and by not in scales:
+        raise ConfigError(f"--by {by}: {attack} is as severe as its {' or '.join(scales)}; choose that")
+    return scales[by or SCALES[attack][0].by]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """An episode with one severity.
+
+    Attributes:
+        value: of the severity.
+        failed: whether the target failed validly.
+        met: whether the encounter took place at all.
+    """
+
+    value: float
+    failed: bool
+    met: bool
 
 
 @dataclass(frozen=True)
@@ -37,121 +90,61 @@ class Margin:
     """What a bisection came to; at least one of the two is known.
 
     Attributes:
-        passes_mps2: severest braking that the target coped with; None: it failed at the mildest.
-        fails_mps2: mildest braking at which it failed; None: it coped with the hardest.
-        tried: braking → whether the target failed validly, in the order of the trials.
+        passes: severest trial that the target coped with; None: it failed at the mildest.
+        fails: mildest trial in which it failed; None: it coped with the severest.
+        trials: in their order.
     """
 
-    passes_mps2: float | None
-    fails_mps2: float | None
-    tried: Mapping[float, bool]
+    passes: Trial | None
+    fails: Trial | None
+    trials: tuple[Trial, ...]
 
     @property
-    def neighbours(self) -> tuple[float, ...]:
+    def neighbours(self) -> tuple[Trial, ...]:
         """The failing and the passing one that lie side by side, as far as there are both."""
-        return tuple(one for one in (self.fails_mps2, self.passes_mps2) if one is not None)
+        return tuple(trial for trial in (self.fails, self.passes) if trial is not None)
+
+    def text(self, attack: str, scale: Scale) -> str:
+        """Return the margin of *attack* in a sentence's end."""
+        if self.fails is None and self.passes is not None:
+            if not self.passes.met:
+                return f"nobody was in a position for {attack}; choose another seed scene or net"
+            return f"copes with {attack} up to the severest, {scale.text(self.passes.value)}"
+        if self.passes is None and self.fails is not None:
+            return f"fails at the mildest {attack} already, {scale.text(self.fails.value)}"
+        passes, fails = (scale.text(trial.value) for trial in reversed(self.neighbours))
+        return f"copes with {attack} at {passes} and fails at {fails}"
 
 
-def bisect(
-    fails: Callable[[float], bool],
-    within: float,
-    mildest: float = MILDEST_MPS2,
-    hardest: float = HARDEST_MPS2,
-) -> Margin:
-    """Return where *fails* begins to hold between *mildest* and *hardest*, to *within*.
+def bisect(run: Callable[[float], Trial], scale: Scale, within: float | None = None) -> Margin:
+    """Return where a target begins to fail between the mildest and the severest value of *scale*.
 
-    It is asked at the ends first. Where it holds in several stretches, one of their beginnings is found.
+    The ends are tried first, then values on a grid. Where it fails in several stretches, one beginning is found.
+
+    Args:
+        run: makes the trial of a value.
+        scale: the severity.
+        within: how near the neighbours come, in its unit; None: as the scale says.
     """
-    tried: dict[float, bool] = {}
+    trials: list[Trial] = []
+    steps = max(math.ceil(abs(scale.severest - scale.mildest) / (within or scale.within) - 1e-9), 1)
 
-    def ask(severity: float) -> bool:
-        tried[severity] = fails(severity)
-        return tried[severity]
+    def tried(step: int) -> Trial:
+        share = step / steps
+        trials.append(run(round((1.0 - share) * scale.mildest + share * scale.severest, 6)))
+        return trials[-1]
 
-    if not ask(hardest):
-        return Margin(hardest, None, tried)
-    if ask(mildest):
-        return Margin(None, mildest, tried)
-    low, high = mildest, hardest
-    while high - low > within + 1e-9:
-        middle = 0.5 * (low + high)
-        if ask(middle):
-            high = middle
+    high, fails = steps, tried(steps)
+    if not fails.failed:
+        return Margin(fails, None, tuple(trials))
+    low, passes = 0, tried(0)
+    if passes.failed:
+        return Margin(None, passes, tuple(trials))
+    while high - low > 1:
+        middle = (low + high) // 2
+        trial = tried(middle)
+        if trial.failed:
+            high, fails = middle, trial
         else:
-            low = middle
-    return Margin(low, high, tried)
-
-
-@dataclass(frozen=True)
-class MarginTrials:
-    """Episodes of one seed scene, each with another severity, in one folder; those that are there are not run again.
-
-    Attributes:
-        options: of a run with background ``scripted``.
-        folder: of the results.
-        limits: of a worker.
-    """
-
-    options: RunOptions
-    folder: Path
-    limits: Limits
-
-    def fails(self, braking_mps2: float) -> bool:
-        """Return whether the target fails validly where attackers brake with *braking_mps2* at most.
-
-        Raises:
-            ConfigError: the episode did not get to its end.
-            InputError: a name is unknown, or there is no seed scene.
-        """
-        plan = self._plan((braking_mps2,))
-        part = self._run(plan).read(plan.jobs[0].key)
-        if part is None or part.failed is not None:
-            why = "" if part is None or part.failed is None else part.failed.message
-            raise ConfigError(f"the episode with {braking_mps2:g} m/s² failed: {why}; see {self.folder}")
-        (row,) = part.tables["episodes"].to_pylist()
-        return is_valid_failure(row)
-
-    def keep(self, margin: Margin) -> None:
-        """Put the neighbours' episodes into the folder's tables, the failing one first, and all trials into a file."""
-        plan = self._plan(margin.neighbours)
-        store = self._run(plan)
-        consolidate(store, plan)
-        write_whole(self.folder / TRIALS, trials_text(margin).encode())
-
-    def _plan(self, severities: tuple[float, ...]) -> Plan:
-        options = self.options
-        cases = [
-            Case(
-                net=options.net,
-                target=options.target,
-                target_options=options.target_options,
-                background=options.background,
-                background_options={**options.background_options, "hardest_mps2": one},
-                seed=options.seed,
-                episodes=1,
-                demand=options.demand,
-            ).model_dump(mode="json", exclude_none=True)
-            for one in severities
-        ]
-        values = {
-            "horizon_s": options.horizon_s,
-            "sim": options.sim.model_dump(mode="json"),
-            "scene": options.scene.model_dump(mode="json"),
-            "cases": tuple(cases),
-        }
-        return plan_sweep(SweepSpec.of(values, "the margin"))
-
-    def _run(self, plan: Plan) -> Store:
-        store = open_bench_store(self.folder, plan, 1)
-        executor = ProcessExecutor(1, self.limits)
-        run_sweep(plan, store, Todo.of(plan, store), executor, _RETRIES, lambda *_: None)
-        return store
-
-
-def trials_text(margin: Margin) -> str:
-    """Return one line a trial, the mildest first."""
-    sink = io.StringIO()
-    writer = csv.writer(sink, lineterminator="\n")
-    writer.writerow(("braking_mps2", "valid_failure"))
-    writer.writerows((f"{one:g}", str(failed).lower()) for one, failed in sorted(margin.tried.items()))
-    return sink.getvalue()
+            low, passes = middle, trial
+    return Margin(passes, fails, tuple(trials))

@@ -15,6 +15,7 @@ from advdiff_sumo.report.blocks import streets_block
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels
+from advdiff_sumo.report.margin_pairs import margins_of
 from advdiff_sumo.report.matrix import matrix_of
 from advdiff_sumo.report.nets import Nets, place_name
 from advdiff_sumo.report.overview import Overview, overview_of
@@ -69,6 +70,7 @@ def report_html(run: FinishedRun) -> str:
             kinds=sorted({str(row["collision_type"]) for row in run.episodes if row["collision_type"]}),
             settings=list(_flat(run.settings)),
             rates=headline(run.episodes),
+            margins=margins_of(run, nets),
             matrix=matrix_of(run.episodes, labels),
             histograms=histograms(samples_by_background(run, naturals, labels)),
             maps=maps,

@@ -99,6 +99,7 @@ def picture_of(
     row: Mapping[str, Any],
     collisions: Sequence[Mapping[str, Any]],
     layer: MapLayer | None,
+    view: View | None = None,
 ) -> Picture:
     """Return the picture of one episode.
 
@@ -107,6 +108,7 @@ def picture_of(
         row: its row of ``episodes.parquet``.
         collisions: its rows of ``collisions.parquet``.
         layer: the net, or None to draw without.
+        view: what it covers; None: the target's way, and the attacker's near it.
     """
     full = states.tracks
     tracks = full.window(max(0, full.steps - 1 - round(SHOWN_S / full.dt_s)), full.steps)
@@ -114,7 +116,7 @@ def picture_of(
     other = None if attacker is None else tracks.index.get(attacker)
     impact = _point(row) if row["target_collision"] else None
     focus = _focus(tracks, states.target, other, impact)
-    view = View.around(focus, margin_m=12.0, least_width_m=70.0)
+    view = view or View.around(focus, margin_m=12.0, least_width_m=70.0)
     return Picture(
         view=view,
         close_up=None if impact is None else _close_up(tracks, states.target, other, impact),
@@ -127,6 +129,12 @@ def picture_of(
         end_s=full.t0_s + full.dt_s * (full.steps - 1),
         attacker=None if other is None else attacker,
     )
+
+
+def focus_of(states: EpisodeStates, attacker: str | None) -> FloatArray:
+    """Return the points (N, 2) that a view of *states* must show: the target's way, the attacker's where it is near."""
+    other = None if attacker is None else states.tracks.index.get(attacker)
+    return _focus(states.tracks, states.target, other, None)
 
 
 def _point(row: Mapping[str, Any]) -> FloatArray | None:

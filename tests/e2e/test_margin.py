@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -16,10 +17,19 @@ SCENE = (
 )
 
 
-def test_an_attack_without_a_severity_is_refused(tmp_path: Path) -> None:
-    outcome = advdiff("margin", "--attack", "crossing", cwd=tmp_path)
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--attack", "any"), "--attack any: a margin is known for hard-stop, cut-in"),
+        (("--by", "gap"), "--by gap: hard-stop is as severe as its braking; choose that"),
+        (("--attack", "all", "--by", "gap"), "--by goes with one attack; leave it out"),
+        (("--attack", "all", "--within", "1"), "--within goes with one attack; leave it out"),
+    ],
+)
+def test_what_has_no_severity_is_refused(words: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    outcome = advdiff("margin", *words, cwd=tmp_path)
     assert outcome.code == 2
-    assert "--attack crossing: a margin is known for hard-stop, cut-in" in outcome.err
+    assert message in outcome.err
 
 
 @pytest.mark.slow
@@ -27,12 +37,33 @@ def test_the_failing_and_the_passing_neighbour_and_again(tmp_path: Path) -> None
     words = ("margin", *SCENE, "--defect", "weak-brakes:3", "--within", "4", "--out", "m")
     done = advdiff(*words, cwd=tmp_path)
     assert done.code == 0, done.err
-    assert "lane_graph copes with hard-stop at" in done.out
+    assert "lane_graph: copes with hard-stop at braking of" in done.out
     failing, passing = pq.read_table(tmp_path / "m" / "episodes.parquet").to_pylist()
     assert (failing["valid_failure"], passing["valid_failure"]) == (True, False)
-    assert (tmp_path / "m" / "report.html").is_file()
-    lines = (tmp_path / "m" / "margin.csv").read_text(encoding="utf-8").splitlines()
-    assert lines[0] == "braking_mps2,valid_failure"
-    assert lines[-1] == "9,true"
+    assert 'id="margins"' in (tmp_path / "m" / "report.html").read_text(encoding="utf-8")
+    *_, last = trials(tmp_path / "m")
+    assert (last["value"], last["encounter"], last["valid_failure"]) == ("8.5", "true", "true")
+    assert {row["episode"] for row in trials(tmp_path / "m")} == {"", "0", "1"}
     again = advdiff(*words, cwd=tmp_path)
     assert again.out == done.out
+
+
+@pytest.mark.slow
+def test_all_kinds_of_attack_in_one_scene(tmp_path: Path) -> None:
+    done = advdiff("margin", *SCENE, "--attack", "all", "--out", "m", cwd=tmp_path)
+    assert done.code == 0, done.err
+    kinds = [(row["attack"], row["by"]) for row in trials(tmp_path / "m")]
+    assert list(dict.fromkeys(kinds)) == [
+        ("hard-stop", "braking"),
+        ("cut-in", "gap"),
+        ("cut-in", "braking"),
+        ("stop-and-go", "braking"),
+        ("blocked-lane", "braking"),
+        ("crossing", "time"),
+    ]
+    assert "nobody was in a position for crossing" in done.out
+
+
+def trials(folder: Path) -> list[dict[str, str]]:
+    with (folder / "margin.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))

@@ -2,38 +2,88 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from advdiff_sumo.experiments.margin import Margin, bisect, trials_text
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.experiments.margin import BRAKING, GAP, SCALES, TIME, Margin, Scale, Trial, bisect, scale_of
+from advdiff_sumo.traffic.policy_registry import make_policy
+
+TO_NINE = Scale("braking", "braking_mps2", "m/s²", 1.0, 9.0, 0.25, "braking of {}")
+
+
+def failing(fails: Callable[[float], bool]) -> Callable[[float], Trial]:
+    return lambda value: Trial(value, fails(value), met=True)
 
 
 def test_the_neighbours_by_hand() -> None:
     """Between 1 and 9, to 2: 9 fails, 1 passes, 5 fails, 3 passes."""
-    found = bisect(lambda severity: severity >= 4.0, within=2.0)
-    assert (found.passes_mps2, found.fails_mps2) == (3.0, 5.0)
-    assert found.tried == {9.0: True, 1.0: False, 5.0: True, 3.0: False}
-    assert found.neighbours == (5.0, 3.0)
+    margin = bisect(failing(lambda value: value >= 4.0), TO_NINE, within=2.0)
+    assert [(trial.value, trial.failed) for trial in margin.trials] == [
+        (9.0, True),
+        (1.0, False),
+        (5.0, True),
+        (3.0, False),
+    ]
+    assert [trial.value for trial in margin.neighbours] == [5.0, 3.0]
+    assert margin.text("hard-stop", TO_NINE) == (
+        "copes with hard-stop at braking of 3 m/s² and fails at braking of 5 m/s²"
+    )
+
+
+def test_a_small_gap_is_severe() -> None:
+    """From 25 m to 0 m beyond the lawful gap, to 5 m: it fails up to 10 m and passes from 15 m on."""
+    margin = bisect(failing(lambda gap: gap < 12.0), GAP, within=5.0)
+    assert [trial.value for trial in margin.neighbours] == [10.0, 15.0]
+    assert "copes with cut-in at 15 m beyond the lawful gap and fails at 10 m" in margin.text("cut-in", GAP)
 
 
 @pytest.mark.parametrize(
-    ("threshold", "margin"),
-    [(10.0, Margin(9.0, None, {9.0: False})), (0.5, Margin(None, 1.0, {9.0: True, 1.0: True}))],
+    ("threshold", "values", "text"),
+    [
+        (10.0, [9.0], "copes with hard-stop up to the severest, braking of 9 m/s²"),
+        (0.5, [9.0, 1.0], "fails at the mildest hard-stop already, braking of 1 m/s²"),
+    ],
 )
-def test_nothing_or_all_fails(threshold: float, margin: Margin) -> None:
-    assert bisect(lambda severity: severity >= threshold, within=1.0) == margin
+def test_nothing_or_all_fails(threshold: float, values: list[float], text: str) -> None:
+    margin = bisect(failing(lambda value: value >= threshold), TO_NINE, within=1.0)
+    assert [trial.value for trial in margin.trials] == values
+    assert len(margin.neighbours) == 1
+    assert margin.text("hard-stop", TO_NINE) == text
 
 
-@given(threshold=st.floats(1.01, 9.0), within=st.floats(0.1, 3.0))
-def test_the_threshold_lies_between_the_neighbours(threshold: float, within: float) -> None:
-    found = bisect(lambda severity: severity >= threshold, within)
-    assert found.passes_mps2 is not None
-    assert found.fails_mps2 is not None
-    assert found.passes_mps2 < threshold <= found.fails_mps2
-    assert found.fails_mps2 - found.passes_mps2 <= within + 1e-9
+def test_that_nobody_met_the_target_is_no_success() -> None:
+    nobody = Margin(Trial(8.5, failed=False, met=False), None, ())
+    assert "nobody was in a position for hard-stop" in nobody.text("hard-stop", BRAKING)
 
 
-def test_trials_are_listed_mildest_first() -> None:
-    text = trials_text(Margin(3.0, 5.0, {9.0: True, 1.0: False, 5.0: True, 3.0: False}))
-    assert text.splitlines() == ["braking_mps2,valid_failure", "1,false", "3,false", "5,true", "9,true"]
+@given(
+    threshold=st.floats(0.001, 1.0), within=st.floats(0.05, 3.0), scale=st.sampled_from([TO_NINE, GAP, TIME])
+)
+def test_the_threshold_lies_between_the_neighbours(threshold: float, within: float, scale: Scale) -> None:
+    span = scale.severest - scale.mildest
+    margin = bisect(failing(lambda value: (value - scale.mildest) / span >= threshold - 1e-6), scale, within)
+    fails, passes = margin.neighbours
+    assert fails.failed
+    assert not passes.failed
+    assert abs(fails.value - passes.value) <= within + 1e-5
+    assert len(margin.trials) <= 2 + (abs(span) / within).__ceil__().bit_length()
+
+
+def test_each_severity_is_an_option_of_the_background_at_both_ends() -> None:
+    for attack, scales in SCALES.items():
+        for scale in scales:
+            for value in (scale.mildest, scale.severest):
+                make_policy("scripted", {"attack": attack, scale.option: value})
+
+
+def test_what_is_no_severity_is_refused() -> None:
+    assert scale_of("cut-in") is GAP
+    assert scale_of("cut-in", "braking") is BRAKING
+    with pytest.raises(ConfigError, match="--attack any: a margin is known for"):
+        scale_of("any")
+    with pytest.raises(ConfigError, match="--by gap: crossing is as severe as its time"):
+        scale_of("crossing", "gap")

@@ -9,6 +9,8 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.traffic.manoeuvres.answers import contact_share, needed_braking
+from advdiff_sumo.traffic.manoeuvres.graded import closeness
+from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
@@ -51,6 +53,7 @@ def rank(
     proposals: Sequence[Manoeuvre],
     weights: Mapping[str, float],
     licence: Licence | None = LAWFUL,
+    intensity: Intensity = AS_SERVES,
 ) -> list[Chosen]:
     """Return those of *proposals* that keep to *licence* and serve at all, best first.
 
@@ -59,6 +62,7 @@ def rank(
         proposals: manoeuvres of any vehicles.
         weights: kind → how much it is wanted.
         licence: what they may do; None: anything.
+        intensity: where a severity is asked for, a manoeuvre serves by how near it comes.
     """
     target = view.target
     if target is None or not proposals:
@@ -74,6 +78,9 @@ def rank(
     if timed.any():
         certain = contact_share(target, futures.xy_m[timed], futures.yaw_rad[timed], size[timed])
         merit[timed] *= _UNCERTAIN + (1.0 - _UNCERTAIN) * certain
+    for k, manoeuvre in enumerate(proposals):
+        near = closeness(view, manoeuvre, futures.driven_m[k], intensity)
+        merit[k] = merit[k] if near is None else near
     worth = merit * np.array([weights.get(m.kind, 0.0) for m in proposals])
     useful = np.flatnonzero(worth > 0.0)
     kept = useful[lawful(view, [proposals[k] for k in useful.tolist()], _rows(futures, useful), licence)]

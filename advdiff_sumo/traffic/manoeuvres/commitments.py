@@ -9,6 +9,8 @@ import numpy as np
 
 from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
+from advdiff_sumo.traffic.manoeuvres.graded import braking_with, graded, target_brakes
+from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
@@ -27,8 +29,6 @@ _PATIENCE = ((0.5 * TURN_S, 0.5), (2.0 * TURN_S, 0.4))
 """Until when (s) an episode waits for a better moment than one of so little merit."""
 _PATIENT_S = _PATIENCE[-1][0]
 _STANDS_MPS, _OVER_LINE_M = 0.5, 0.2
-HARDEST_MPS2 = 9.0
-"""Nobody brakes harder."""
 _TRIED = 4
 """Manoeuvres that are checked in full, best first."""
 
@@ -60,7 +60,7 @@ class Commitments:
         rested_s: id → when it may take part again.
         stage: who has come in for an encounter, and may.
         agenda: which kind the episode is for now.
-        hardest_mps2: strongest braking with which a manoeuvre is driven, however hard the one was that was chosen.
+        intensity: severities that are asked for.
     """
 
     weights: Mapping[str, float]
@@ -68,7 +68,7 @@ class Commitments:
     rested_s: Mapping[str, float] = field(default_factory=dict)
     stage: Stage = field(default_factory=Stage)
     agenda: Agenda = field(default_factory=Agenda)
-    hardest_mps2: float = HARDEST_MPS2
+    intensity: Intensity = AS_SERVES
 
     def wanted(self, now_s: float) -> tuple[str, ...]:
         """Return the kinds that may begin now: at first the one whose turn it is and crossing, later all."""
@@ -87,19 +87,24 @@ class Commitments:
         return tuple(name for name, under_way in self.active.items() if not under_way.sets_up)
 
     @staticmethod
-    def start(attack: str, rng: np.random.Generator, staged: int = 0) -> Commitments:
+    def start(
+        attack: str, rng: np.random.Generator, staged: int = 0, intensity: Intensity = AS_SERVES
+    ) -> Commitments:
         """Return none, with preferences drawn for *attack*, a kind or "any", so that episodes differ.
 
         Args:
             attack: the kind.
             rng: for the draws.
             staged: most vehicles that may come in.
+            intensity: severities that are asked for.
         """
         kinds = list(KINDS) if attack == "any" else [attack]
         weights = dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True))
         lorries = tuple((rng.random(max(staged, 1)) < _LORRIES).tolist())
-        stage = Stage(staged, lorries, oncoming=bool(rng.random() < 0.5))
-        return Commitments(weights, stage=stage, agenda=Agenda.drawn(rng) if attack == "any" else Agenda())
+        oncoming = bool(rng.random() < 0.5)
+        stage = Stage(staged, lorries, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0)
+        agenda = Agenda.drawn(rng) if attack == "any" else Agenda()
+        return Commitments(weights, stage=stage, agenda=agenda, intensity=intensity)
 
 
 def advance(
@@ -137,27 +142,22 @@ def _begin(
     names, now = view.scene.history.ids, view.scene.time_s
     busy = {m.row for m in going}
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
-    proposals = [m for row in free for kind in kept.wanted(now) for m in KINDS[kind](view, row)]
+    possible = [m for row in free for kind in kept.wanted(now) for m in KINDS[kind](view, row)]
+    proposals = list(graded(view, possible, kept.intensity))
     out: list[Manoeuvre] = []
     least = next((merit for until_s, merit in _PATIENCE if now < until_s), 0.0)
-    ranked = rank(view, proposals, kept.weights, licence)
+    ranked = rank(view, proposals, kept.weights, licence, kept.intensity)
     worthy = [one for one in ranked if one.manoeuvre.sets_up or one.merit >= least]
     for chosen in worthy[:_TRIED]:
         fits = all(_go_together(chosen.manoeuvre, other) for other in (*going, *out))
         if len(out) < room and fits and _passes(view, chosen, licence):
-            out.append(softened(chosen.manoeuvre, kept.hardest_mps2))
+            out.append(braking_with(chosen.manoeuvre, kept.intensity.braking_mps2))
     return out
 
 
 def _go_together(one: Manoeuvre, other: Manoeuvre) -> bool:
     """Return whether both can be driven: two that cross would meet each other."""
     return one.row != other.row and not one.kind == other.kind == "crossing"
-
-
-def softened(manoeuvre: Manoeuvre, hardest_mps2: float) -> Manoeuvre:
-    """Return *manoeuvre* with braking of at most *hardest_mps2*."""
-    first, then = (max(a, -hardest_mps2) for a in (manoeuvre.profile.first_mps2, manoeuvre.profile.then_mps2))
-    return replace(manoeuvre, profile=replace(manoeuvre.profile, first_mps2=first, then_mps2=then))
 
 
 def _passes(view: SituationView, chosen: Chosen, licence: Licence | None) -> bool:
@@ -179,7 +179,7 @@ def _carry_on(
     active, rested = dict(kept.active), dict(kept.rested_s)
     for name, under_way in kept.active.items():
         row = index.get(name)
-        manoeuvre = _continued(view, row, under_way, now, licence) if row in view.movable else None
+        manoeuvre = _continued(view, row, under_way, kept.intensity, licence) if row in view.movable else None
         if manoeuvre is not None and _still_lawful(view, manoeuvre, licence):
             going.append(manoeuvre)
             continue
@@ -189,16 +189,22 @@ def _carry_on(
 
 
 def _continued(
-    view: SituationView, row: int | None, under_way: Commitment, now_s: float, licence: Licence | None
+    view: SituationView,
+    row: int | None,
+    under_way: Commitment,
+    intensity: Intensity,
+    licence: Licence | None,
 ) -> Manoeuvre | None:
     """Return the rest of a manoeuvre; None where it is over."""
-    passed = now_s - under_way.since_s
+    passed = view.scene.time_s - under_way.since_s
     longest = _LONGEST_S.get(under_way.kind, _LONGEST_DEFAULT_S)
     if row is None or under_way.sets_up or passed >= longest:
         return None
     if under_way.kind == "crossing":
-        again = rank(view, list(KINDS["crossing"](view, row)), {"crossing": 1.0}, licence)
-        if again:
+        timed = list(KINDS["crossing"](view, row))
+        again = rank(view, timed, {"crossing": 1.0}, licence, intensity)
+        holds = intensity.is_asked_of("crossing") and target_brakes(view)
+        if again and not holds:
             return again[0].manoeuvre
         if _target_stands(view):
             return None

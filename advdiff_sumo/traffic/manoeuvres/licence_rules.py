@@ -111,7 +111,7 @@ def _leaves_gaps(view: SituationView, manoeuvre: Manoeuvre, licence: Licence) ->
     row, goal = manoeuvre.row, manoeuvre.goal
     enters_s = manoeuvre.enters_s(view.scene.history.xy_m[row, -1])
     beside = [other for other in view.ways if other != row and _on(goal, view, other)]
-    return all(_gap_holds(view, row, other, enters_s, licence) for other in beside)
+    return all(entry_spare_m(view, row, other, enters_s, licence) >= 0.0 for other in beside)
 
 
 def _on(goal: Way, view: SituationView, other: int) -> bool:
@@ -119,15 +119,15 @@ def _on(goal: Way, view: SituationView, other: int) -> bool:
     return abs(float(left)) < 0.5 * (goal.present_lane.width_m + float(view.size(other)[1])) - 0.3
 
 
-def _gap_holds(view: SituationView, row: int, other: int, enters_s: float, licence: Licence) -> bool:
-    """Return whether the gap between *row* and *other* is safe when it enters, if *other* goes on gaining speed."""
+def entry_spare_m(view: SituationView, row: int, other: int, enters_s: float, licence: Licence) -> float:
+    """Return the gap of *row* to *other* at its entry, less what *licence* asks for; *other* goes on gaining speed."""
     speed, gains = view.speed(row), view.gains_mps2(other)
     theirs = view.speed(other) + gains * enters_s
     driven = enters_s * (speed - 0.5 * (view.speed(other) + theirs))
     ahead = view.place_on(view.ways[other], row)[0] + driven
     gap = abs(ahead) - 0.5 * float(view.size(row)[0] + view.size(other)[0])
     follower, leader = (theirs + 0.5, speed) if ahead > 0.0 else (speed, theirs)
-    return gap >= licence.gap_share * safe_gap_m(follower, leader) + licence.spare_m
+    return gap - (licence.gap_share * safe_gap_m(follower, leader) + licence.spare_m)
 
 
 def _has_room(view: SituationView, manoeuvre: Manoeuvre, futures: ManoeuvreFutures, k: int) -> bool:

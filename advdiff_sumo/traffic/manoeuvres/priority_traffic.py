@@ -13,12 +13,14 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.polylines import concatenate
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Lane, Link
+from advdiff_sumo.traffic.manoeuvres.intensity import MOST_EARLY_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 REACH_M = 80.0
 """Distance within which a junction ahead is looked at."""
 _SOONEST_S, _LATEST_S, _RED_S = 2.2, 6.0, 4.0
+_LEAST_ARRIVAL_S = 1.7
 _SLOWEST_MPS, _FASTEST_MPS, _SHARE = 3.0, 12.0, 0.6
 _TIMING_S = (0.0, 0.7, -0.7)
 _TOUCHES_M, _BEYOND_M, _SPACING_M = 2.0, 6.0, 0.5
@@ -39,7 +41,7 @@ class Approach:
     speed_mps: float
 
 
-def approaches(view: SituationView, oncoming: bool) -> Iterator[Approach]:
+def approaches(view: SituationView, oncoming: bool, early_s: float | None = None) -> Iterator[Approach]:
     """Yield who would meet the target at its next junctions and goes first, those wanted most first.
 
     The target goes on as if it saw nobody. Nobody meets a target that waits behind others, hardly moves, or is about
@@ -48,6 +50,7 @@ def approaches(view: SituationView, oncoming: bool) -> Iterator[Approach]:
     Args:
         view: the scene.
         oncoming: whether those who come from ahead are wanted more than those from the sides.
+        early_s: how long before the target they are there; None: with it.
     """
     target = view.target
     if target is None or target.speed_mps < _SLOWEST_MPS:
@@ -57,12 +60,16 @@ def approaches(view: SituationView, oncoming: bool) -> Iterator[Approach]:
             return
         red = view.signal(link) in _RED
         for other in sorted(goes_first(view, link), key=lambda one: _preference(view, link, one, oncoming)):
-            places = _meeting_m(view.road, link, other)
+            places = meeting_m(view.road, link, other)
             if places is None:
                 continue
             meets_s = target.reaches_s(reach + places[0])
-            if _SOONEST_S < meets_s < (_RED_S if red else _LATEST_S):
-                yield from _meeting(view, other, meets_s, places[1])
+            soonest_s = (
+                _SOONEST_S if early_s is None else MOST_EARLY_S + _LEAST_ARRIVAL_S
+            )  # room for every severity
+            if soonest_s < meets_s < (_RED_S if red else _LATEST_S):
+                timing_s = _TIMING_S if early_s is None else (-early_s,)
+                yield from _meeting(view, other, [meets_s + late for late in timing_s], places[1])
         if red:
             return
 
@@ -95,7 +102,7 @@ def _preference(view: SituationView, link: Link, other: Link, oncoming: bool) ->
 
 
 @lru_cache(maxsize=4096)
-def _meeting_m(road: RoadMap, link: Link, other: Link) -> tuple[float, float] | None:
+def meeting_m(road: RoadMap, link: Link, other: Link) -> tuple[float, float] | None:
     """Return how far beyond their stop lines the centres of two vehicles meet; None where they stay apart."""
     own, theirs = _over(road, link), _over(road, other)
     apart = np.hypot(*(own[:, None] - theirs[None]).transpose(2, 0, 1))
@@ -114,12 +121,14 @@ def _over(road: RoadMap, link: Link) -> FloatArray:
     return line.at(np.arange(0.0, min(inside + _BEYOND_M, line.length_m), _SPACING_M))[0]
 
 
-def _meeting(view: SituationView, link: Link, meets_s: float, beyond_m: float) -> Iterator[Approach]:
-    """Yield vehicles that are *beyond_m* beyond the stop line of *link* in *meets_s*, or a little before or after."""
+def _meeting(
+    view: SituationView, link: Link, arrivals_s: Sequence[float], beyond_m: float
+) -> Iterator[Approach]:
+    """Yield vehicles that are *beyond_m* beyond the stop line of *link* at one of *arrivals_s*, best first."""
     limit = min(view.road.lanes[link.from_lane].speed_mps, _FASTEST_MPS)
     upstream = _upstream(view, link)
     room = sum(lane.length_m for lane in upstream)
-    for arrives_s in (meets_s + late for late in _TIMING_S):
+    for arrives_s in arrivals_s:
         away = min(limit * arrives_s - beyond_m, room - 1.0)
         speed = (away + beyond_m) / max(arrives_s, 0.1)
         if away < _FROM_LINE_M or speed < max(_SHARE * limit, _SLOWEST_MPS):

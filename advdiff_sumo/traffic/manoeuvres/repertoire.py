@@ -78,14 +78,14 @@ def cut_in(view: SituationView, row: int) -> Iterator[Manoeuvre]:
         lowest = _CRAWLS_SHARE * target.speed_mps if brake < _STOPS_MPS2 else 0.0
         after = SpeedProfile(0.0, 0.6 * lateral, -brake, lowest, limit)
         yield Manoeuvre("cut-in", row, way, after, goal)
-    yield Manoeuvre("cut-in", row, way, _into_position(view, target, row), sets_up=True)
+    yield Manoeuvre("cut-in", row, way, into_position(view, target, row), sets_up=True)
 
 
-def _into_position(view: SituationView, target: TargetWay, row: int) -> SpeedProfile:
-    """Return the speed that brings *row* to where it may just enter the target's lane."""
+def into_position(view: SituationView, target: TargetWay, row: int, spare_gap_m: float = 0.0) -> SpeedProfile:
+    """Return the speed that brings *row* to where it may just enter the target's lane, with *spare_gap_m* more."""
     limit, drives = view.ways[row].lane.speed_mps, view.speed(row)
     safe = safe_gap_m(target.speed_mps + 0.5, drives)
-    wanted = LAWFUL.gap_share * safe + LAWFUL.spare_m + _SPARE_M
+    wanted = LAWFUL.gap_share * safe + LAWFUL.spare_m + _SPARE_M + spare_gap_m
     between = 0.5 * float(view.size(row)[0] + target.size_m[0])
     lacks = wanted - (view.place_on(target.way, row)[0] - between)
     aims = float(np.clip(target.speed_mps + _CLOSES_PER_S * lacks, 0.6 * target.speed_mps, limit))

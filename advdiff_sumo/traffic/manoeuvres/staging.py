@@ -44,6 +44,8 @@ class Stage:
         most: vehicles that may come in during an episode.
         lorries: whether the first who comes in is a lorry, the second, …; in turn.
         oncoming: whether somebody with priority comes from ahead rather than from the side.
+        early_s: how long before the target it is where they meet; None: with it.
+        spare_gap_m: what somebody beside leaves beyond the lawful gap.
         count: of those that have come in.
         again_s: when it looks again.
     """
@@ -51,6 +53,8 @@ class Stage:
     most: int = 0
     lorries: tuple[bool, ...] = (False,)
     oncoming: bool = False
+    early_s: float | None = None
+    spare_gap_m: float = 0.0
     count: int = 0
     again_s: float = 0.0
 
@@ -102,7 +106,8 @@ def come_in(view: SituationView, stage: Stage, kinds: Container[str]) -> tuple[t
         room = min(1, stage.most - stage.count - len(taken))
         taken += islice((one for one in candidates if _is_free(view, one, taken)), room)
     named = tuple(replace(one, name=f"staged-{stage.count + k}") for k, one in enumerate(taken))
-    return named, replace(stage, count=stage.count + len(taken), again_s=now + _AGAIN_S)
+    waits_s = _AGAIN_S if taken or stage.early_s is None else 0.0
+    return named, replace(stage, count=stage.count + len(taken), again_s=now + waits_s)
 
 
 def plan_with(tracks: Tracks, newcomers: Sequence[Newcomer], attack: AttackState | None = None) -> JointPlan:
@@ -158,14 +163,14 @@ def _beside(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
         way = view.neighbour(view.scene.target, side)
         if way is not None and not view.anybody_on(way, _AHEAD_M, _IN_LANE_M):
             drives = min(target.speed_mps, way.lane.speed_mps)
-            gap = LAWFUL.gap_share * safe_gap_m(speed + 0.5, drives) + LAWFUL.spare_m
+            gap = LAWFUL.gap_share * safe_gap_m(speed + 0.5, drives) + LAWFUL.spare_m + stage.spare_gap_m
             between = SIZE_M[stage.agent_class][0] + _SPARE_M
             yield from _on_way(view, way, max(gap + between, least), drives, stage.agent_class)
 
 
 def _with_priority(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
     """Somebody whom the target has to let pass at its next junction, there when the target is."""
-    for one in approaches(view, stage.oncoming):
+    for one in approaches(view, stage.oncoming, stage.early_s):
         yield Newcomer(one.way, one.speed_mps, stage.agent_class)
 
 

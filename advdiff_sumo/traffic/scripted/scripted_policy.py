@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
@@ -12,7 +11,13 @@ from pydantic import Field
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
-from advdiff_sumo.traffic.manoeuvres.commitments import HARDEST_MPS2, Commitments, advance, let_in
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance, let_in
+from advdiff_sumo.traffic.manoeuvres.intensity import (
+    HARDEST_MPS2,
+    MOST_EARLY_S,
+    MOST_SPARE_GAP_M,
+    Intensity,
+)
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName, licence_of
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
@@ -33,7 +38,10 @@ class ScriptedOptions(Options):
         licence: what they may do: "lawful", "careless" or "reckless".
         attackers: most vehicles that are in a manoeuvre at a time.
         pause_s: rest of a vehicle after a manoeuvre.
-        hardest_mps2: strongest braking of who attacks; it attacks where and when it would brake as hard as it can.
+        braking_mps2: how hard who attacks brakes, where and when it would do so anyway; None: as serves best.
+        spare_gap_m: bumper gap beyond the lawful one at which somebody cuts in, and then stops at 6.5 m/s²; None: the
+            gap and braking that serve best.
+        early_s: how long before the target somebody with priority is where their ways meet; None: what serves best.
         staged: most vehicles that come in during an episode where an encounter lacks them; 0: nobody.
     """
 
@@ -41,7 +49,9 @@ class ScriptedOptions(Options):
     licence: LicenceName = "lawful"
     attackers: int = Field(2, ge=1, le=8)
     pause_s: float = Field(8.0, ge=0.0, le=600.0)
-    hardest_mps2: float = Field(HARDEST_MPS2, ge=0.5, le=HARDEST_MPS2)
+    braking_mps2: float | None = Field(None, ge=0.5, le=HARDEST_MPS2)
+    spare_gap_m: float | None = Field(None, ge=0.0, le=MOST_SPARE_GAP_M)
+    early_s: float | None = Field(None, ge=0.0, le=MOST_EARLY_S)
     staged: int = Field(STAGED, ge=0, le=20)
 
 
@@ -61,8 +71,8 @@ class ScriptedTraffic:
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Commitments:  # noqa: ARG002 - the contract
         """Return which kinds this episode prefers, so that episodes differ."""
         options = self.options
-        begun = Commitments.start(options.attack, rng, options.staged)
-        return replace(begun, hardest_mps2=options.hardest_mps2)
+        intensity = Intensity(options.braking_mps2, options.spare_gap_m, options.early_s)
+        return Commitments.start(options.attack, rng, options.staged, intensity)
 
     def plan(
         self,

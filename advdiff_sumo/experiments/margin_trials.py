@@ -1,0 +1,138 @@
+"""The episodes of a margin: one seed scene with attacks of several severities, in one folder that can be resumed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.experiments.bench.cells import open_bench_store
+from advdiff_sumo.experiments.margin import Margin, Scale, Trial
+from advdiff_sumo.metrics.severity import is_valid_failure
+from advdiff_sumo.report.margin_table import TRIALS, TrialRow, trials_text
+from advdiff_sumo.sim.run_episodes import RunOptions
+from advdiff_sumo.sweep.consolidate import consolidate
+from advdiff_sumo.sweep.executors import ProcessExecutor
+from advdiff_sumo.sweep.job_plan import Plan, plan_sweep
+from advdiff_sumo.sweep.spec import Case, SweepSpec
+from advdiff_sumo.sweep.sweep_files import write_whole
+from advdiff_sumo.sweep.sweep_runner import Todo, run_sweep
+from advdiff_sumo.sweep.sweep_store import Store
+from advdiff_sumo.sweep.tasks import Limits
+
+_RETRIES = 1
+
+
+@dataclass(frozen=True)
+class MarginOf:
+    """The margin of one attack.
+
+    Attributes:
+        attack: the kind.
+        scale: its severity.
+        margin: what the bisection came to.
+    """
+
+    attack: str
+    scale: Scale
+    margin: Margin
+
+
+class MarginTrials(AbstractContextManager["MarginTrials"]):
+    """Episodes of one seed scene in one folder; those that are there are not run again.
+
+    Args:
+        options: of a run with background ``scripted``, less attack and severity.
+        folder: of the results.
+        limits: of a worker.
+    """
+
+    def __init__(self, options: RunOptions, folder: Path, limits: Limits) -> None:
+        self._options, self._folder = options, folder
+        self._executor = ProcessExecutor(1, limits)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the worker."""
+        self._executor.__exit__(kind, error, trace)
+
+    def run(self, attack: str, scale: Scale, value: float) -> Trial:
+        """Return what comes of *attack* with this *value* of *scale*.
+
+        Raises:
+            ConfigError: the episode did not get to its end.
+            InputError: a name is unknown, or there is no seed scene.
+        """
+        plan = self._plan([(attack, scale, value)])
+        part = self._run(plan).read(plan.jobs[0].key)
+        if part is None or part.failed is not None:
+            why = "" if part is None or part.failed is None else part.failed.message
+            raise ConfigError(f"the episode with {scale.text(value)} failed: {why}; see {self._folder}")
+        (row,) = part.tables["episodes"].to_pylist()
+        return Trial(value, is_valid_failure(row), bool(row["in_position"]))
+
+    def keep(self, margins: Sequence[MarginOf]) -> None:
+        """Put the neighbours' episodes into the folder's tables, each failing one first, and all trials into a file."""
+        kept = [(m.attack, m.scale, trial.value) for m in margins for trial in m.margin.neighbours]
+        plan = self._plan(kept)
+        store = self._run(plan)
+        consolidate(store, plan)
+        episodes = {(attack, scale.by, value): k for k, (attack, scale, value) in enumerate(kept)}
+        rows = [row for m in margins for row in _rows(m, episodes)]
+        write_whole(self._folder / TRIALS, trials_text(rows).encode())
+
+    def _plan(self, trials: Sequence[tuple[str, Scale, float]]) -> Plan:
+        options = self._options
+        cases = [
+            Case(
+                net=options.net,
+                target=options.target,
+                target_options=options.target_options,
+                background=options.background,
+                background_options={**options.background_options, "attack": attack, scale.option: value},
+                seed=options.seed,
+                episodes=1,
+                demand=options.demand,
+            ).model_dump(mode="json", exclude_none=True)
+            for attack, scale, value in trials
+        ]
+        values = {
+            "horizon_s": options.horizon_s,
+            "sim": options.sim.model_dump(mode="json"),
+            "scene": options.scene.model_dump(mode="json"),
+            "cases": tuple(cases),
+        }
+        return plan_sweep(SweepSpec.of(values, "the margin"))
+
+    def _run(self, plan: Plan) -> Store:
+        store = open_bench_store(self._folder, plan, 1)
+        run_sweep(plan, store, Todo.of(plan, store), _Lent(self._executor), _RETRIES, lambda *_: None)
+        return store
+
+
+class _Lent(AbstractContextManager["_Lent"]):
+    """Workers that stay, with what they have loaded, when a sweep is over; they end where something went wrong."""
+
+    def __init__(self, owner: ProcessExecutor) -> None:
+        self._owner, self.slots = owner, owner.slots
+        self.submit, self.wait = owner.submit, owner.wait
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is not None:
+            self._owner.__exit__(kind, error, trace)
+
+
+def _rows(one: MarginOf, episodes: dict[tuple[str, str, float], int]) -> Iterator[TrialRow]:
+    """Yield the trials of a margin, the mildest first."""
+    mildest_first = sorted(one.margin.trials, key=lambda trial: abs(trial.value - one.scale.mildest))
+    for trial in mildest_first:
+        episode = episodes.get((one.attack, one.scale.by, trial.value))
+        yield TrialRow(
+            one.attack, one.scale.by, trial.value, one.scale.unit, trial.met, trial.failed, episode
+        )

@@ -1,0 +1,133 @@
+"""Manoeuvres of an asked severity, worked by hand on a straight lane and driven on empty roads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.manoeuvres.choice import rank
+from advdiff_sumo.traffic.manoeuvres.graded import (
+    AFTER_ENTRY_MPS2,
+    GAP_TOLERANCE_M,
+    arrives_before_s,
+    braking_with,
+    closeness,
+    graded,
+    target_brakes,
+)
+from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
+from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL
+from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_spare_m
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
+from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, SpeedProfile
+from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from tests.planners.encounters import Encounter, Scripted, crossing, failed, over, two_lanes
+from tests.traffic.manoeuvres.scenes import view_of
+
+
+def cut_ins(view: SituationView) -> list[Manoeuvre]:
+    return list(KINDS["cut-in"](view, 1))
+
+
+def test_an_asked_braking_replaces_that_of_the_manoeuvre_alone(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 85.0, 20.0))
+    stop, closing = (
+        next(m for m in KINDS["hard-stop"](view, 1) if m.sets_up is sets_up) for sets_up in (False, True)
+    )
+    assert braking_with(stop, 2.5).profile.then_mps2 == -2.5
+    assert braking_with(stop, None) is stop
+    assert braking_with(closing, 2.5) is closing
+    go = next(KINDS["stop-and-go"](view, 1))
+    assert (braking_with(go, 3.0).profile.first_mps2, braking_with(go, 3.0).profile.then_mps2) == (-3.0, 1.5)
+    crosses = Manoeuvre("crossing", 1, view.ways[1], SpeedProfile(-2.0, 1.5))
+    assert braking_with(crosses, 8.0) is crosses
+
+
+def test_somebody_cuts_in_where_the_gap_is_the_asked_one(motorway: RoadMap) -> None:
+    """Who keeps the target's speed leaves as much more as it is further ahead; 3 m more than asked are accepted."""
+    view = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, 90.0, 20.0))
+    change = next(m for m in cut_ins(view) if m.goal is not None)
+    spare = entry_spare_m(view, 1, 0, 0.0, LAWFUL)
+    further = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, 95.0, 20.0))
+    assert entry_spare_m(further, 1, 0, 0.0, LAWFUL) == pytest.approx(spare + 5.0, abs=0.01)
+    driven = 20.0 * CHECK_TIMES_S
+    for asked, near in ((spare - 1.0, 1.0), (spare + 1.0, 0.0), (spare - GAP_TOLERANCE_M - 1.0, 0.0)):
+        assert closeness(view, change, driven, Intensity(spare_gap_m=asked)) == near
+    assert closeness(view, change, driven, Intensity()) is None
+
+
+def test_who_is_asked_for_a_gap_gets_into_position_for_it_and_stops_alike(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, 90.0, 20.0))
+    far, near = (list(graded(view, cut_ins(view), Intensity(spare_gap_m=gap))) for gap in (20.0, 0.0))
+    assert [m.profile.then_mps2 for m in far if m.goal is not None] == [-AFTER_ENTRY_MPS2]
+    ahead, behind = (next(m for m in some if m.sets_up).profile.first_mps2 for some in (far, near))
+    assert ahead > behind
+    assert list(graded(view, cut_ins(view), Intensity())) == cut_ins(view)
+    wanted = rank(view, far, {"cut-in": 1.0}, intensity=Intensity(spare_gap_m=20.0))
+    assert wanted[0].manoeuvre.sets_up
+
+
+def test_a_target_that_brakes(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 20.0))
+    assert not target_brakes(view)
+    view.scene.history.speed_mps[0, -2] = 20.6
+    assert target_brakes(view)
+
+
+@pytest.fixture(scope="module")
+def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]:
+    folder = tmp_path_factory.mktemp("nets")
+    sign, two = crossing(folder, "priority"), two_lanes(folder, 20.0)
+    north = ("south_in", "north_out")
+    return {
+        "crossing": Encounter(sign, Scripted(over(sign, *north), 205.0, 11.0), north, (), 12.0),
+        "cut-in": Encounter(two, Scripted(("WM_0", "ME_0"), 50.0, 18.0), ("WM", "ME"), (), 20.0),
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("attack", "option", "severe", "mild", "defect"),
+    [
+        ("crossing", "early_s", 0.0, 1.5, "blind-crossing:strong"),
+        ("crossing", "early_s", 0.0, 1.0, "late:2.0"),
+        ("cut-in", "spare_gap_m", 4.0, 20.0, "late:1.0"),
+    ],
+)
+def test_a_defect_shows_where_it_is_severe_and_not_where_it_is_mild(
+    attack: str, option: str, severe: float, mild: float, defect: str, encounters: dict[str, Encounter]
+) -> None:
+    def drive(defects: list[str], value: float) -> dict[str, Any]:
+        options = {"attack": attack, option: value, "attackers": 1}
+        return encounters[attack].drive(defects, "lane_graph", "scripted", options)
+
+    sound, fails, passes = drive([], severe), drive([defect], severe), drive([defect], mild)
+    assert [row["in_position"] for row in (sound, fails, passes)] == [True] * 3
+    assert failed(fails)
+    assert fails["lawful"]
+    assert not sound["target_collision"]
+    assert not passes["target_collision"]
+
+
+def test_how_long_before_the_target_somebody_crosses(encounters: dict[str, Encounter]) -> None:
+    """Twins on arms of one length, 11 m/s both: who is 11 m further on is 1 s earlier."""
+    road = encounters["crossing"].road
+    north = over(road, "south_in", "north_out")
+    east = over(road, "west_in", "east_out")
+
+    def before_s(ahead_m: float) -> float | None:
+        other = Scripted(east, 262.0 + ahead_m, 11.0)
+        seed = Encounter(road, Scripted(north, 262.0, 11.0), ("south_in", "north_out"), (other,)).scene()
+        routes = (("south_in", "north_out"), ("west_in", "east_out"))
+        scene = Scene(seed.history, 0, np.array([False, True]), routes, {})
+        return arrives_before_s(SituationView.of(road, scene), 1, 11.0 * CHECK_TIMES_S)
+
+    level, earlier = before_s(0.0), before_s(11.0)
+    assert level is not None
+    assert earlier is not None
+    assert earlier - level == pytest.approx(1.0, abs=0.05)

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from advdiff_sumo.data.window_files import read_windows
+from advdiff_sumo.models.bundle import load_bundle
+from advdiff_sumo.training.dataset import read_window_set
 from tests.e2e.commands import advdiff, begin, everything
 from tests.hang_guard import HANG_S
 
@@ -57,6 +59,48 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
     assert done.err.count("\n") == 1
     assert "Traceback" not in done.err
     assert everything(tmp_path) == before
+
+
+@pytest.mark.slow
+def test_windows_of_the_far_view_need_networks_that_see_as_far(tmp_path: Path) -> None:
+    words = ("data", "simulate", "--out", "w", "--windows", 4, "--net", "motorway", "--random-share", 0)
+    done = advdiff(*words, "--map-view", "far", "--workers", 1, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert read_window_set([tmp_path / "w"]).map_view == "far"
+    again = advdiff(*words, cwd=tmp_path)
+    assert again.code == 2
+    assert "was made with other options" in again.err
+    refused = advdiff("evaluate", "--weights", "shipped", "--data", "w", "--all", cwd=tmp_path)
+    assert refused.code == 2
+    assert "the windows show the map's 'far' view, but the networks see 'near'" in refused.err
+    refused = advdiff("train", "reward", "--init", "shipped", "--data", "w", "--out", "o", cwd=tmp_path)
+    assert refused.code == 2
+    assert "make windows with --map-view near" in refused.err
+    words = (
+        "train",
+        "traffic",
+        "--init",
+        "shipped",
+        "--data",
+        "w",
+        "--val",
+        "w",
+        "--out",
+        "far",
+        "--judge",
+        0,
+    )
+    settings = (
+        "model.decoder=closed-loop",
+        "epochs=1",
+        "batch_size=2",
+        "elbo.samples=1",
+        "jitter.mirror=0.5",
+    )
+    sets = [word for setting in settings for word in ("--set", setting)]
+    done = advdiff(*words, *sets, "--loaders", 1, "--threads", 1, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert load_bundle(tmp_path / "far" / "weights.safetensors").options.model.map_view == "far"
 
 
 @pytest.mark.parametrize("verb", ["simulate", "build", "stats"])

@@ -64,4 +64,5 @@ def watch_signals(api: Any) -> None:
 def read_signals(api: Any) -> Mapping[str, str]:
     """Return id → state string of every traffic light."""
     results = api.trafficlight.getAllSubscriptionResults()
-    return {name: values[_TLS_STATE] for name, values in results.items()}
+    # before its first step, libsumo still shows what the simulation before this one was subscribed to
+    return {name: results[name][_TLS_STATE] for name in api.trafficlight.getIDList()}

@@ -59,6 +59,16 @@ def test_a_sumo_driver_reports_what_it_sees_and_a_planner_does_not(scene: SeedSc
     assert len(timing.target_plans_s) == 2
 
 
+def test_signals_are_those_of_the_episodes_own_net(scene: SeedScene, road: RoadMap, networks: Path) -> None:
+    mirrored = RoadMap.read(networks / "downtown-left.net.xml")
+    options = SceneOptions.parse({"warmup_s": 15.0, "scenes_per_warmup": 1})
+    elsewhere = NaturalTraffic(mirrored, None, options, SimOptions.parse({}), 1.0, SeedTree(3)).batch(0)[0]
+    for start, net in ((elsewhere, mirrored), (scene, road)):
+        record, _ = episode(start, net, horizon_s=0.5).run()
+        lights = {link.tls_id for link in net.links.values()} - {None}
+        assert all(states.keys() == lights for states in record.signals)
+
+
 def test_the_driver_model_makes_a_difference(scene: SeedScene, road: RoadMap) -> None:
     cautious = SumoDriver("IDM", params={"tau": 3.0, "speedFactor": 0.5})
     brisk = SumoDriver("IDM", params={"tau": 0.8, "speedFactor": 1.2})

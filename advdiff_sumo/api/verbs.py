@@ -122,7 +122,7 @@ def sweep(
     try:
         executor = ProcessExecutor(slots, Limits(_TIMEOUT_S, _MEMORY_MB, 250, 0.5, logs))
         store = open_store(Path(out) if out is not None else free_folder(name), plan, slots, resume=False)
-        with Progress(len(plan.jobs), progress) as shown:
+        with Progress(plan.wanted, progress) as shown:
             run_sweep(plan, store, Todo.of(plan, store), executor, _RETRIES, _tell_row(shown))
     finally:
         shutil.rmtree(logs, ignore_errors=True)

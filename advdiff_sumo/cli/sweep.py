@@ -64,6 +64,12 @@ def sweep(
         float, typer.Option(min=0.1, help="Longest time for one episode, in seconds of the clock.")
     ] = 300.0,
     limit: Annotated[int | None, typer.Option(min=1, help="Only the first so many episodes.")] = None,
+    diverse: Annotated[
+        bool,
+        typer.Option(
+            "--diverse", help="Choose attacks and seed scenes, in rounds, for encounters not met yet."
+        ),
+    ] = False,
     plan_timeout: PlanTimeout = PLAN_TIMEOUT_S,
     memory: Memory = MEMORY_MB,
     retries: Annotated[
@@ -100,7 +106,7 @@ def sweep(
     condition = condition_of(fail_if)
     console = verb_console(quiet, as_json)
     begun = _begun(resume)
-    plan = _plan(console, file, begun)
+    plan = _plan(console, file, begun, diverse)
     slots = workers or _cores()
     with ExitStack() as stack:
         limits = limits_of(stack, timeout, plan_timeout, memory)
@@ -145,28 +151,33 @@ def _begun(resume: Path | None) -> Store | None:
     return None if resume is None else Store.open(resume)
 
 
-def _spec(file: Path | None, store: Store | None) -> Any:
+def _spec(file: Path | None, store: Store | None, diverse: bool) -> Any:
     """Return what is asked: the file's, or that of the sweep to go on with; both must agree."""
     from advdiff_sumo.sweep.spec import SweepSpec
     from advdiff_sumo.sweep.sweep_store import must_equal
 
+    begun = None if store is None else store.spec()
+    if file is None and begun is None:
+        raise ConfigError("no sweep file was given; scenarios/sweeps/quick.toml is a small one")
+    if begun is not None and diverse and not begun.diverse:
+        raise ConfigError("that sweep was begun without --diverse; leave it out, or choose a new --out")
     if file is None:
-        if store is None:
-            raise ConfigError("no sweep file was given; scenarios/sweeps/quick.toml is a small one")
-        return store.spec()
+        return begun
     spec = SweepSpec.read(file)
-    if store is not None:
-        must_equal(store.path, store.spec(), spec)
+    if diverse or (begun is not None and begun.diverse):
+        spec = spec.model_copy(update={"diverse": True})
+    if store is not None and begun is not None:
+        must_equal(store.path, begun, spec)
     return spec
 
 
-def _plan(console: Console, file: Path | None, begun: Store | None) -> Plan:
+def _plan(console: Console, file: Path | None, begun: Store | None, diverse: bool) -> Plan:
     """Return all episodes that are asked for; say what of the logs is left out."""
     from advdiff_sumo.cli.run import print_notes
     from advdiff_sumo.sweep.job_plan import plan_sweep
     from advdiff_sumo.sweep.notes import sweep_notes
 
-    plan = plan_sweep(_spec(file, begun))
+    plan = plan_sweep(_spec(file, begun, diverse))
     print_notes(console, sweep_notes(plan))
     return plan
 
@@ -209,9 +220,9 @@ def _tell_estimate(console: Console, plan: Plan, todo: Todo, workers: int, limit
     from advdiff_sumo.sweep.executors import ProcessExecutor
     from advdiff_sumo.sweep.time_estimate import estimate
 
-    console.print(f"{len(plan.jobs)} episodes in {len(plan.cells)} runs; {len(todo.jobs)} to do")
+    console.print(f"{plan.wanted} episodes in {len(plan.cells)} runs; {todo.total - todo.done} to do")
     with ProcessExecutor(1, limits) as executor:
-        expected = estimate(plan, todo.jobs, executor)
+        expected = estimate(plan, todo.ahead(plan), executor)
     if expected is not None:
         console.print(
             f"about {duration(expected.total_s(workers))} on {workers} workers with a core each: "
@@ -233,8 +244,7 @@ class _Progress:
 
     def __enter__(self) -> _Progress:
         self._bar.start()
-        total = len(self._todo.jobs) + self._todo.done
-        self._task = self._bar.add_task("episodes", total=total, completed=self._todo.done)
+        self._task = self._bar.add_task("episodes", total=self._todo.total, completed=self._todo.done)
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from advdiff_sumo.cli.summary import UNEXPLAINED
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
+from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, archive
 from advdiff_sumo.metrics.severity import is_failure, is_valid_failure, worst_first
 from advdiff_sumo.metrics.statistics import Rate
 from advdiff_sumo.report.attack_words import position_lines
@@ -97,6 +98,7 @@ def _print(
     if episodes:
         _print_worst(console, worst_first(episodes)[:_WORST])
         _print_coverage(console, plan, episodes)
+        _print_archive(console, episodes)
 
 
 def _print_rates(
@@ -211,6 +213,22 @@ def _print_coverage(console: Console, plan: Plan, episodes: Sequence[Row]) -> No
     console.print(table)
 
 
+def _print_archive(console: Console, episodes: Sequence[Row]) -> None:
+    """Print which encounters came about and in which of them targets failed, where a background attacked."""
+    cells = archive(row for row in episodes if row["attack_kind"] is not None)
+    if not cells:
+        return
+    filled = sum(elite.valid > 0 for elite in cells.values())
+    table = _table(
+        f"archive: {filled} kinds of valid failure among {len(cells)} kinds of encounter; valid failures / episodes",
+        *("attack", "the other comes", *MANOEUVRES),
+    )
+    for kind, approach in dict.fromkeys((cell.kind, cell.approach) for cell in cells):
+        elites = (cells.get(ArchiveCell(kind, approach, manoeuvre)) for manoeuvre in MANOEUVRES)
+        table.add_row(kind, approach, *(f"{e.valid} / {e.episodes}" if e else "–" for e in elites))
+    console.print(table)
+
+
 def _table(title: str, *columns: str) -> Table:
     table = Table(title=title, title_justify="left")
     for column in columns:
@@ -244,9 +262,7 @@ def must_be_sweep(folder: Path) -> tuple[Store, Plan]:
     Raises:
         InputError: there is none, or its nets are no longer what they were.
     """
-    from advdiff_sumo.sweep.job_plan import plan_sweep
+    from advdiff_sumo.sweep.rounds import stored_plan
 
     store = Store.open(folder)
-    plan = plan_sweep(store.spec())
-    store.must_match(plan.keys)
-    return store, plan
+    return store, stored_plan(store)

@@ -29,7 +29,8 @@ from advdiff_sumo.report.nets import net_path
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.episode_result import Part
-from advdiff_sumo.sweep.job_plan import Plan, plan_sweep
+from advdiff_sumo.sweep.job_plan import Plan
+from advdiff_sumo.sweep.rounds import stored_plan
 from advdiff_sumo.sweep.situation import SITUATION_COLUMNS
 from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES
 from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
@@ -133,9 +134,8 @@ def open_folder(folder: Path) -> Judging:
     if not (folder / SETTINGS).exists():
         return _tables(folder, EPISODE_COLUMNS)
     store = Store.open(folder)
-    plan = plan_sweep(store.spec())
     try:
-        store.must_match(plan.keys)
+        plan = stored_plan(store)
     except ConfigError:  # of an earlier version, or its nets have changed: its tables are all there is
         return _tables(folder, SWEEP_TABLES["episodes"])
     return _sweep(store, plan)

@@ -127,11 +127,12 @@ def bisect(run: Callable[[float], Trial], scale: Scale, within: float | None = N
         within: how near the neighbours come, in its unit; None: as the scale says.
     """
     trials: list[Trial] = []
-    steps = max(math.ceil(abs(scale.severest - scale.mildest) / (within or scale.within) - 1e-9), 1)
+    span, step_size = scale.severest - scale.mildest, within or scale.within
+    steps = max(math.ceil(abs(span) / step_size - 1e-9), 1)
 
     def tried(step: int) -> Trial:
-        share = step / steps
-        trials.append(run(round((1.0 - share) * scale.mildest + share * scale.severest, 6)))
+        back = min((steps - step) * step_size, abs(span))  # a grid that begins at the severest
+        trials.append(run(round(scale.severest - math.copysign(back, span), 6)))
         return trials[-1]
 
     high, fails = steps, tried(steps)

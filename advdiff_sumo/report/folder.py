@@ -26,7 +26,7 @@ STATE_COLUMNS = (
 #: What a sweep's episodes have beside a run's; a run's get the values of its options.
 JOB_COLUMNS = (
     *("key", "scene_key", "net", "target", "target_options"),
-    *("background", "background_options", "attack", "root_seed"),
+    *("background", "background_options", "attack", "root_seed", "approach", "target_manoeuvre"),
 )
 _REMEDY = "give the folder of a finished run or sweep"
 

@@ -9,8 +9,10 @@ from typing import Any
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.core.whole_file import whole_file
+from advdiff_sumo.metrics.archive import MANOEUVRES
 from advdiff_sumo.metrics.severity import badge
 from advdiff_sumo.planners.remote.remote_name import is_remote
+from advdiff_sumo.report.archive_table import archives_of
 from advdiff_sumo.report.blocks import streets_block
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
@@ -71,6 +73,8 @@ def report_html(run: FinishedRun) -> str:
             settings=list(_flat(run.settings)),
             rates=headline(run.episodes),
             margins=margins_of(run, nets),
+            archives=archives_of(run.episodes, labels),
+            manoeuvres=MANOEUVRES,
             matrix=matrix_of(run.episodes, labels),
             histograms=histograms(samples_by_background(run, naturals, labels)),
             maps=maps,

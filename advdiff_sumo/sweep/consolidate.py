@@ -45,7 +45,11 @@ def consolidate(store: Store, plan: Plan) -> int:
                 continue
             for name, table in _rows(part, job, plan, folder).items():
                 writers[name].add(table)
-    seal = {"missing": missing, "files": {n: checksum_of(folder / f"{n}.parquet") for n in SWEEP_TABLES}}
+    seal = {
+        "episodes": len(plan.jobs),
+        "missing": missing,
+        "files": {n: checksum_of(folder / f"{n}.parquet") for n in SWEEP_TABLES},
+    }
     write_whole(folder / _SEAL, json.dumps(seal, indent=1).encode())
     return missing
 
@@ -60,8 +64,9 @@ def tables_of(store: Store, plan: Plan) -> int:
         whole = all(checksum_of(store.path / f"{n}.parquet") == seal["files"][n] for n in SWEEP_TABLES)
     except (OSError, ValueError, KeyError, TypeError):
         whole, seal = False, {}
-    if whole and seal["missing"] == sum(not store.has(job.key) for job in plan.jobs):
-        return int(seal["missing"])
+    missing = sum(not store.has(job.key) for job in plan.jobs)
+    if whole and (seal.get("episodes", len(plan.jobs)), seal["missing"]) == (len(plan.jobs), missing):
+        return missing
     return consolidate(store, plan)
 
 

@@ -16,6 +16,7 @@ from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.demand_files import read_demand
 from advdiff_sumo.sim.run_episodes import Run, RunOptions, check_together, policy_of, read_road, target_of
+from advdiff_sumo.sweep.attack_kinds import by_kind
 from advdiff_sumo.sweep.fingerprint import cell_digest, digest, net_files, source_digest
 from advdiff_sumo.sweep.spec import Case, SweepSpec
 from advdiff_sumo.traffic.policy_registry import POLICIES
@@ -71,6 +72,7 @@ class Plan:
         jobs: all episodes in the sweep's order.
         batches: the seed scenes that they need, by key.
         junction_types: kinds of junction that a car can meet on the nets.
+        wanted: episodes that are run; of a diverse sweep fewer than there are jobs.
     """
 
     spec: SweepSpec
@@ -78,6 +80,7 @@ class Plan:
     jobs: tuple[Job, ...]
     batches: Mapping[str, Batch]
     junction_types: tuple[str, ...]
+    wanted: int
 
     @cached_property
     def by_key(self) -> Mapping[str, Job]:
@@ -113,7 +116,8 @@ def plan_sweep(spec: SweepSpec) -> Plan:
         InputError: one of its kinds; a sentence that names the culprit.
     """
     check = _Check()
-    cells = tuple(check.cell(options) for options in spec.cells())
+    asked = tuple(spec.cells())
+    cells = tuple(check.cell(options) for options in (_by_kind(asked) if spec.diverse else asked))
     jobs: list[Job] = []
     batches: dict[str, Batch] = {}
     counts: dict[str, int] = {}
@@ -131,7 +135,8 @@ def plan_sweep(spec: SweepSpec) -> Plan:
             scene_key = digest([source, "scene", number])
             key = digest([own, "episode", number])
             jobs.append(Job(key, len(jobs), cell, number, batch, place, scene_key))
-    return Plan(spec, cells, tuple(jobs), batches, car_junctions(check.roads))
+    wanted = sum(options.episodes for options in asked)
+    return Plan(spec, cells, tuple(jobs), batches, car_junctions(check.roads), wanted)
 
 
 def plan_run(run: Run) -> Plan:
@@ -153,7 +158,22 @@ def plan_run(run: Run) -> Plan:
         scene=options.scene,
         cases=(Case(**own),),
     )
-    return Plan(spec, (options,), tuple(jobs), batches, car_junctions([run.road]))
+    return Plan(spec, (options,), tuple(jobs), batches, car_junctions([run.road]), len(jobs))
+
+
+def _by_kind(cells: Iterable[RunOptions]) -> list[RunOptions]:
+    """Return *cells* with every kind of attack.
+
+    Raises:
+        ConfigError: there is but one kind for each.
+    """
+    split = [list(by_kind(cell)) for cell in cells]
+    if all(len(some) == 1 for some in split):
+        raise ConfigError(
+            "a diverse sweep chooses among kinds of attack, and no background here has several; "
+            "take scripted or diffusion without the option attack, or leave --diverse out"
+        )
+    return [cell for some in split for cell in some]
 
 
 def run_key(number: int) -> str:

@@ -13,6 +13,7 @@ from advdiff_sumo.core.frames import local_from_world, wrap_angle
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Junction
+from advdiff_sumo.metrics.archive import APPROACHES, MANOEUVRES
 from advdiff_sumo.metrics.columns import Column
 
 #: A place so near to a junction's outline belongs to it.
@@ -20,6 +21,10 @@ AT_JUNCTION_M = 15.0
 #: The approach is looked at so long before contact.
 APPROACH_S = 1.0
 _FARTHEST_M = 100.0
+
+_ALIKE_RAD, _OPPOSITE_RAD = np.pi / 4.0, 3.0 * np.pi / 4.0
+_BESIDE_M = 1.5
+_MANOEUVRE_S, _TURNS_RAD, _STANDS_MPS = 3.0, np.radians(20.0), 0.5
 
 SITUATION_COLUMNS: Mapping[str, Column] = {
     "critical_time_s": Column(
@@ -33,6 +38,14 @@ SITUATION_COLUMNS: Mapping[str, Column] = {
     ),
     "approach_left_m": Column("float64", "m", "the same, to the left"),
     "approach_yaw_rad": Column("float64", "rad", "its heading then, less the target's"),
+    "approach": Column(
+        "str",
+        "",
+        f"from where the partner, or else who came nearest, came 1 s before: {', '.join(APPROACHES)}",
+    ),
+    "target_manoeuvre": Column(
+        "str", "", f"what the target did in the 3 s before the critical moment: {', '.join(MANOEUVRES)}"
+    ),
 }
 
 
@@ -58,6 +71,8 @@ def situation(record: EpisodeRecord, row: Mapping[str, Any], road: RoadMap) -> d
         "junction": None if junction is None else junction.id,
         "junction_type": "road" if junction is None else junction.type,
         **_approach(record, row, critical_s),
+        "approach": _approach_word(record, row, critical_s),
+        "target_manoeuvre": _manoeuvre(record, critical_s),
     }
 
 
@@ -69,18 +84,51 @@ def _step(record: EpisodeRecord, time_s: float) -> int:
 
 
 def _approach(record: EpisodeRecord, row: Mapping[str, Any], critical_s: float) -> dict[str, Any]:
-    nothing: dict[str, Any] = dict.fromkeys(("approach_ahead_m", "approach_left_m", "approach_yaw_rad"))
-    partner = record.tracks.index.get(row["collision_partner"]) if row["collision_partner"] else None
+    names = ("approach_ahead_m", "approach_left_m", "approach_yaw_rad")
+    pose = _pose(record, row["collision_partner"], critical_s - APPROACH_S)
+    return dict(zip(names, pose or (None, None, None), strict=True))
+
+
+def _pose(record: EpisodeRecord, other: str | None, time_s: float) -> tuple[float, float, float] | None:
+    """Return how far *other* was ahead and to the left of the target, and its heading less the target's."""
+    partner = record.tracks.index.get(other) if other else None
     if partner is None:
-        return nothing
+        return None
     tracks, target = record.tracks, record.target
-    step = _step(record, critical_s - APPROACH_S)
+    step = _step(record, time_s)
     if not tracks.valid[[target, partner], step].all():
-        return nothing
+        return None
     yaw = float(tracks.yaw_rad[target, step])
     ahead, left = local_from_world(tracks.xy_m[partner, step], tracks.xy_m[target, step], yaw)
-    turned = float(wrap_angle(tracks.yaw_rad[partner, step] - yaw))
-    return {"approach_ahead_m": float(ahead), "approach_left_m": float(left), "approach_yaw_rad": turned}
+    return float(ahead), float(left), float(wrap_angle(tracks.yaw_rad[partner, step] - yaw))
+
+
+def _approach_word(record: EpisodeRecord, row: Mapping[str, Any], critical_s: float) -> str | None:
+    """Return one of ``APPROACHES``; None where nobody was near."""
+    other = row["collision_partner"] or (None if row["target_collision"] else row["min_clearance_partner"])
+    pose = _pose(record, other, critical_s - APPROACH_S)
+    if pose is None:
+        return None
+    ahead, left, turned = pose
+    if abs(turned) > _OPPOSITE_RAD:
+        return "oncoming"
+    if abs(turned) > _ALIKE_RAD:
+        return "from_left" if turned < 0.0 else "from_right"
+    if abs(left) > _BESIDE_M:
+        return "beside_left" if left > 0.0 else "beside_right"
+    return "ahead" if ahead > 0.0 else "behind"
+
+
+def _manoeuvre(record: EpisodeRecord, critical_s: float) -> str:
+    """Return one of ``MANOEUVRES``."""
+    tracks, target = record.tracks, record.target
+    last, first = _step(record, critical_s), _step(record, critical_s - _MANOEUVRE_S)
+    if tracks.valid[target, first] and tracks.valid[target, last]:
+        turned = float(wrap_angle(tracks.yaw_rad[target, last] - tracks.yaw_rad[target, first]))
+        if abs(turned) > _TURNS_RAD:
+            return "turn_left" if turned > 0.0 else "turn_right"
+    speed = float(tracks.speed_mps[target, last])
+    return "standing" if np.isfinite(speed) and speed < _STANDS_MPS else "straight"
 
 
 def _junction_at(road: RoadMap, xy_m: FloatArray) -> Junction | None:

@@ -113,6 +113,7 @@ class SweepSpec(Options):
         scene: how seed scenes are chosen.
         grid: tried in all combinations.
         cases: tried as they are.
+        diverse: whether kinds of attack and seed scenes are chosen for encounters that were not met yet, in rounds.
     """
 
     episodes: int = Field(10, ge=1)
@@ -122,6 +123,7 @@ class SweepSpec(Options):
     scene: SceneOptions = SceneOptions()
     grid: Grid | None = None
     cases: tuple[Case, ...] = ()
+    diverse: bool = False
 
     @staticmethod
     def read(path: Path) -> SweepSpec:

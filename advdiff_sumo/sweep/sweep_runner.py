@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from advdiff_sumo.sim.run_episodes import versions
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.job_plan import Job, Plan
+from advdiff_sumo.sweep.rounds import chosen_so_far, rounds
 from advdiff_sumo.sweep.scheduler import Conductor, Tell
 from advdiff_sumo.sweep.sweep_store import Store
 
@@ -21,12 +23,14 @@ class Todo:
     """What is left of a sweep.
 
     Attributes:
-        jobs: episodes to run.
+        jobs: episodes to run; of a diverse sweep those that have been chosen already.
         done: how many are there.
+        total: how many there will be.
     """
 
     jobs: tuple[Job, ...]
     done: int
+    total: int
 
     @staticmethod
     def of(plan: Plan, store: Store | None, limit: int | None = None, retry_failed: bool = False) -> Todo:
@@ -38,9 +42,17 @@ class Todo:
             limit: consider only so many.
             retry_failed: run those again that failed.
         """
-        wanted = plan.jobs[:limit]
+        total = plan.wanted if limit is None else min(limit, plan.wanted)
+        wanted = chosen_so_far(plan, store).jobs[:total]
         jobs = tuple(job for job in wanted if store is None or not _is_done(store, job, retry_failed))
-        return Todo(jobs, len(wanted) - len(jobs))
+        return Todo(jobs, len(wanted) - len(jobs), total)
+
+    def ahead(self, plan: Plan) -> Sequence[Job]:
+        """Return as many episodes as are to be run, those of a diverse sweep spread over what it chooses from."""
+        left = self.total - self.done
+        if not plan.spec.diverse or not left:
+            return self.jobs
+        return [plan.jobs[k * len(plan.jobs) // left] for k in range(left)]
 
 
 def settings_of(plan: Plan) -> dict[str, Any]:
@@ -80,13 +92,23 @@ def run_sweep(plan: Plan, store: Store, todo: Todo, executor: Executor, retries:
     """
     try:
         with executor:
-            Conductor(plan, store, executor, retries, tell).run(todo.jobs)
-        missing = consolidate(store, plan)
+            for present, jobs in _parts(plan, store, todo):
+                Conductor(present, store, executor, retries, tell).run(jobs)
+        present = chosen_so_far(plan, store)
+        missing = consolidate(store, present) + plan.wanted - len(present.jobs)
     finally:
         store.drop_ballast()
     if not missing:
         store.end()
     return missing
+
+
+def _parts(plan: Plan, store: Store, todo: Todo) -> Iterator[tuple[Plan, Sequence[Job]]]:
+    """Yield what is run together: all that is left, or of a diverse sweep what was chosen, then its further rounds."""
+    yield chosen_so_far(plan, store), todo.jobs
+    if plan.spec.diverse:
+        for present, jobs in rounds(plan, store, todo.total):
+            yield present, [job for job in jobs if not store.has(job.key)]
 
 
 def _is_done(store: Store, job: Job, retry_failed: bool) -> bool:

@@ -167,6 +167,11 @@ class Store:
         content = read_checked(self._episode(key))
         return None if content is None else Part.from_bytes(content)
 
+    def glance(self, key: str) -> dict[str, Any] | None:
+        """Return the row of a finished episode; None when there is none, or its file is damaged."""
+        content = read_checked(self._episode(key))
+        return None if content is None else Part.glance(content)[0]
+
     def finished(self) -> list[str]:
         """Return the keys of the finished episodes that are there and whole."""
         files = (path for path in (self.path / _EPISODES).glob("*/*") if not path.name.endswith(ASIDE))

@@ -19,7 +19,7 @@ from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Failed
 from tests.hang_guard import HANG_S
 
-PLAN = Plan(SweepSpec.of({"grid": {"targets": ["IDM"], "backgrounds": ["sumo"]}}, "x"), (), (), {}, ())
+PLAN = Plan(SweepSpec.of({"grid": {"targets": ["IDM"], "backgrounds": ["sumo"]}}, "x"), (), (), {}, (), 0)
 PART = Part({}, Failed("timeout", "not finished after 3 s", "thinking", 1)).to_bytes()
 
 

@@ -1,0 +1,46 @@
+"""Which kinds of attack a background can be asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import get_args
+
+from advdiff_sumo.config import Options
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.sim.run_episodes import RunOptions
+from advdiff_sumo.traffic.policy_registry import POLICIES
+
+ANY = "any"
+_OPTION = "attack"
+
+
+def attack_kinds(background: str, options: dict[str, object]) -> tuple[str, ...]:
+    """Return the kinds of attack of *background* that go with its other *options*; none where it knows no kinds.
+
+    They are the values that its option ``attack`` may have, "any" apart; one that is given is the only one.
+    """
+    given = options.get(_OPTION, ANY)
+    if given != ANY:
+        return (str(given),)
+    model = getattr(POLICIES.load(POLICIES.canonical(background)), "Options", None)
+    if not (isinstance(model, type) and issubclass(model, Options) and _OPTION in model.model_fields):
+        return ()
+    names = (str(name) for name in get_args(model.model_fields[_OPTION].annotation) if name != ANY)
+    return tuple(name for name in names if _fits(model, {**options, _OPTION: name}))
+
+
+def by_kind(cell: RunOptions) -> Iterator[RunOptions]:
+    """Yield *cell* with each kind of attack of its background; itself where there are none."""
+    kinds = attack_kinds(cell.background, cell.background_options)
+    for kind in kinds:
+        yield cell.model_copy(update={"background_options": {**cell.background_options, _OPTION: kind}})
+    if not kinds:
+        yield cell
+
+
+def _fits(model: type[Options], options: dict[str, object]) -> bool:
+    try:
+        model.parse(options, "options")
+    except ConfigError:
+        return False
+    return True

@@ -52,10 +52,12 @@ class AttackState:
     Attributes:
         kind: of attack; "any": whichever.
         in_position: ids of the vehicles that are in a position for it.
+        manoeuvres: id → what it does against the target now; None where the policy does not tell.
     """
 
     kind: str
     in_position: tuple[str, ...] = ()
+    manoeuvres: Mapping[str, str] | None = None
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ Row: TypeAlias = Mapping[str, Any]
 
 APPROACHES = ("ahead", "behind", "beside_left", "beside_right", "oncoming", "from_left", "from_right")
 """From where the other came: on the target's lane, beside it, against it, or across its way."""
+NATURAL = "natural"
+"""Kind of an encounter with somebody who did nothing against the target."""
 MANOEUVRES = ("straight", "turn_left", "turn_right", "standing")
 """What the target did up to the critical moment."""
 
@@ -24,7 +26,7 @@ class ArchiveCell(NamedTuple):
     """One kind of encounter.
 
     Attributes:
-        kind: of the attack.
+        kind: of the attack that the other drove, or ``NATURAL``; what was asked for where the background does not tell.
         approach: one of ``APPROACHES``.
         manoeuvre: of the target, one of ``MANOEUVRES``.
     """
@@ -50,14 +52,15 @@ class Elite:
 
 
 def cell_of(row: Row) -> ArchiveCell | None:
-    """Return the cell of an episode; None where it failed, nobody attacked, or nobody was near.
+    """Return the cell of an episode; None where it failed, nobody could attack, or nobody was near.
 
     Args:
         row: of a sweep's ``episodes``.
     """
     if is_failure(row) or row["in_position"] is False or not row.get("approach"):
         return None
-    return ArchiveCell(str(row["attack"]), str(row["approach"]), str(row["target_manoeuvre"]))
+    kind = row.get("attacker_manoeuvre") or row["attack"]
+    return ArchiveCell(str(kind), str(row["approach"]), str(row["target_manoeuvre"]))
 
 
 def archive(rows: Iterable[Row]) -> dict[ArchiveCell, Elite]:

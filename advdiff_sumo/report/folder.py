@@ -26,7 +26,8 @@ STATE_COLUMNS = (
 #: What a sweep's episodes have beside a run's; a run's get the values of its options.
 JOB_COLUMNS = (
     *("key", "scene_key", "net", "target", "target_options"),
-    *("background", "background_options", "attack", "root_seed", "approach", "target_manoeuvre"),
+    *("background", "background_options", "attack", "root_seed"),
+    *("approach", "attacker_manoeuvre", "target_manoeuvre"),
 )
 _REMEDY = "give the folder of a finished run or sweep"
 

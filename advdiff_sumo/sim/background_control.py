@@ -92,6 +92,7 @@ class Background:
         planned: the last plan that was not refused.
         attack: kind of attack that the policy was asked for; None where it attacks nobody.
         in_position: whether somebody was in a position for it at some time.
+        manoeuvres: id → what it did against the target last, and when; None where the policy does not tell.
     """
 
     policy: TrafficPolicy
@@ -108,6 +109,7 @@ class Background:
     planned: JointPlan | None = None
     attack: str | None = None
     in_position: bool = False
+    manoeuvres: dict[str, tuple[str, float]] | None = None
     _memory: Any = None
 
     def start(self, scene: Scene) -> None:
@@ -146,6 +148,9 @@ class Background:
         if plan.attack is not None:
             self.attack = plan.attack.kind
             self.in_position |= bool(plan.attack.in_position)
+            if plan.attack.manoeuvres is not None:
+                now = {name: (kind, scene.time_s) for name, kind in plan.attack.manoeuvres.items()}
+                self.manoeuvres = {**(self.manoeuvres or {}), **now}
         return motion
 
     def motion(self, plan: JointPlan, target_id: str, steps: int) -> Motion:

@@ -329,6 +329,7 @@ class Loop:
             refused_insertions=len(self.actuator.refused),
             attack=self.background.attack,
             in_position=self.background.in_position if self.background.attack is not None else None,
+            manoeuvres=self.background.manoeuvres,
             failure=failure,
             natural=natural_course(episode.scene.log, self.sim.model_step_s)
             if self.sim.record_natural

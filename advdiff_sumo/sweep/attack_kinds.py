@@ -17,15 +17,15 @@ _OPTION = "attack"
 def attack_kinds(background: str, options: dict[str, object]) -> tuple[str, ...]:
     """Return the kinds of attack of *background* that go with its other *options*; none where it knows no kinds.
 
-    They are the values that its option ``attack`` may have, "any" apart; one that is given is the only one.
+    They are the values that its option ``attack`` may have, "any" among them; one that is given is the only one.
     """
     given = options.get(_OPTION, ANY)
     if given != ANY:
-        return (str(given),)
+        return (str(given),)  # what somebody asked for
     model = getattr(POLICIES.load(POLICIES.canonical(background)), "Options", None)
     if not (isinstance(model, type) and issubclass(model, Options) and _OPTION in model.model_fields):
         return ()
-    names = (str(name) for name in get_args(model.model_fields[_OPTION].annotation) if name != ANY)
+    names = map(str, get_args(model.model_fields[_OPTION].annotation))
     return tuple(name for name in names if _fits(model, {**options, _OPTION: name}))
 
 

@@ -13,7 +13,7 @@ from advdiff_sumo.core.frames import local_from_world, wrap_angle
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Junction
-from advdiff_sumo.metrics.archive import APPROACHES, MANOEUVRES
+from advdiff_sumo.metrics.archive import APPROACHES, MANOEUVRES, NATURAL
 from advdiff_sumo.metrics.columns import Column
 
 #: A place so near to a junction's outline belongs to it.
@@ -24,6 +24,7 @@ _FARTHEST_M = 100.0
 
 _ALIKE_RAD, _OPPOSITE_RAD = np.pi / 4.0, 3.0 * np.pi / 4.0
 _BESIDE_M = 1.5
+_ATTACK_S = 8.0
 _MANOEUVRE_S, _TURNS_RAD, _STANDS_MPS = 3.0, np.radians(20.0), 0.5
 
 SITUATION_COLUMNS: Mapping[str, Column] = {
@@ -42,6 +43,11 @@ SITUATION_COLUMNS: Mapping[str, Column] = {
         "str",
         "",
         f"from where the partner, or else who came nearest, came 1 s before: {', '.join(APPROACHES)}",
+    ),
+    "attacker_manoeuvre": Column(
+        "str",
+        "",
+        "what that vehicle did against the target in the 8 s before: a kind of attack, guided, or natural",
     ),
     "target_manoeuvre": Column(
         "str", "", f"what the target did in the 3 s before the critical moment: {', '.join(MANOEUVRES)}"
@@ -71,7 +77,8 @@ def situation(record: EpisodeRecord, row: Mapping[str, Any], road: RoadMap) -> d
         "junction": None if junction is None else junction.id,
         "junction_type": "road" if junction is None else junction.type,
         **_approach(record, row, critical_s),
-        "approach": _approach_word(record, row, critical_s),
+        "approach": _approach_word(record, _other(row), critical_s),
+        "attacker_manoeuvre": _attack(record, _other(row), critical_s),
         "target_manoeuvre": _manoeuvre(record, critical_s),
     }
 
@@ -103,9 +110,22 @@ def _pose(record: EpisodeRecord, other: str | None, time_s: float) -> tuple[floa
     return float(ahead), float(left), float(wrap_angle(tracks.yaw_rad[partner, step] - yaw))
 
 
-def _approach_word(record: EpisodeRecord, row: Mapping[str, Any], critical_s: float) -> str | None:
+def _other(row: Mapping[str, Any]) -> str | None:
+    """Return who was in the contact, or else who came nearest; None where the target left the road or met nobody."""
+    nearest = None if row["target_collision"] else row["min_clearance_partner"]
+    return row["collision_partner"] or nearest
+
+
+def _attack(record: EpisodeRecord, other: str | None, critical_s: float) -> str | None:
+    """Return what *other* did against the target, "natural" for nothing; None where the background does not tell."""
+    if record.manoeuvres is None or other is None:
+        return None
+    kind, last_s = record.manoeuvres.get(other, (NATURAL, np.inf))
+    return kind if last_s >= critical_s - _ATTACK_S else NATURAL
+
+
+def _approach_word(record: EpisodeRecord, other: str | None, critical_s: float) -> str | None:
     """Return one of ``APPROACHES``; None where nobody was near."""
-    other = row["collision_partner"] or (None if row["target_collision"] else row["min_clearance_partner"])
     pose = _pose(record, other, critical_s - APPROACH_S)
     if pose is None:
         return None

@@ -47,6 +47,25 @@ def test_from_where_the_other_came(other: Car, word: str, road: RoadMap) -> None
         out = situation(record, values, road)
         assert (out["approach"], out["target_manoeuvre"]) == (word, "straight")
     assert situation(record, row(None), road)["approach_ahead_m"] is None
+    assert situation(record, row(), road)["attacker_manoeuvre"] is None
+
+
+@pytest.mark.parametrize(
+    ("manoeuvres", "word"),
+    [
+        ({}, "natural"),
+        ({"other": ("cut-in", 0.0)}, "cut-in"),
+        ({"third": ("cut-in", 0.0)}, "natural"),
+        ({"other": ("cut-in", -4.5)}, "natural"),
+    ],
+)
+def test_what_the_other_did_against_the_target(
+    manoeuvres: dict[str, tuple[str, float]], word: str, road: RoadMap
+) -> None:
+    """Contact is at 4 s; what was over 8 s before does not count."""
+    ego, other = straight("ego", (0.0, 0.0), 0.0, 10.0), straight("other", (30.0, 0.0), 0.0, 4.0)
+    record = record_of(ego, other, manoeuvres=manoeuvres)
+    assert situation(record, row(), road)["attacker_manoeuvre"] == word
 
 
 def test_who_leaves_the_road_met_nobody(road: RoadMap) -> None:

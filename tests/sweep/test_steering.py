@@ -46,6 +46,8 @@ def test_the_cell_of_an_episode() -> None:
     for values in ({"in_position": False}, {"end": "failed"}):
         assert cell_of(row("cut-in", **values)) is None
     assert cell_of(row("cut-in", None)) is None
+    met = cell_of(row("any", "ahead", attacker_manoeuvre="hard-stop"))
+    assert met == ArchiveCell("hard-stop", "ahead", "straight")
 
 
 def test_a_cell_keeps_the_worst_episode() -> None:
@@ -58,10 +60,10 @@ def test_a_cell_keeps_the_worst_episode() -> None:
     assert (elite.episodes, elite.valid, elite.worst["episode"]) == (3, 2, 2)
 
 
-def test_where_nothing_is_known_every_kind_is_tried_in_turn() -> None:
+def test_where_nothing_is_known_every_kind_and_scene_is_tried_in_turn() -> None:
     pool = [candidate(kind, scene) for kind in KINDS for scene in range(4)]
-    keys = Steering.after([]).pick(pool, 6)
-    assert keys == [f"{kind}-{scene}" for scene in (0, 1) for kind in KINDS]
+    keys = Steering.after([]).pick(pool, 3)
+    assert keys == ["hard-stop-0", "cut-in-1", "crossing-2"]
 
 
 def test_a_kind_that_has_filled_its_cell_waits() -> None:
@@ -73,6 +75,19 @@ def test_a_kind_that_has_filled_its_cell_waits() -> None:
     never = [(candidate("crossing", scene), None) for scene in range(8)]
     first = Steering.after([*alike, *never]).pick(fresh, 2)
     assert "crossing" not in {key.rpartition("-")[0] for key in first}
+
+
+def test_a_scene_in_which_nobody_could_attack_waits() -> None:
+    jam = [(candidate(kind, 0), row(kind, in_position=False)) for kind in KINDS[:2]]
+    assert Steering.after(jam).pick([candidate("crossing", scene) for scene in (0, 1)], 1) == ["crossing-1"]
+
+
+def test_a_near_miss_is_promising() -> None:
+    near = row("cut-in", target_collision=False, valid_failure=False, end="horizon", critical=True)
+    calm = near | {"attack": "crossing", "critical": False}
+    results = [(candidate("cut-in", 0), near), (candidate("crossing", 1), calm)]
+    pool = [candidate("crossing", 2), candidate("cut-in", 3)]
+    assert Steering.after(results).pick(pool, 1) == ["cut-in-3"]
 
 
 def test_a_scene_in_which_the_target_turns_fills_what_is_empty() -> None:

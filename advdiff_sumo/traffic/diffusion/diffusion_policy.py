@@ -123,7 +123,9 @@ class DiffusionTraffic:
         asked, term = self.options.attack, self.options.attack_term
         aimed = guided if asked == "any" or term != "any" else ()  # the guide has no term of this kind
         driving = () if commitments is None else commitments.attacking
-        return AttackState(asked, tuple(dict.fromkeys((*aimed, *driving))))
+        manoeuvres = {} if commitments is None else commitments.manoeuvres
+        does = {**dict.fromkeys(guided, "guided"), **manoeuvres}
+        return AttackState(asked, tuple(dict.fromkeys((*aimed, *driving))), does)
 
     def _alone(self, road: RoadMap, scene: Scene, memory: Memory) -> tuple[JointPlan, Memory]:
         """Return the plan where nobody may be moved: of who comes in, if anybody."""

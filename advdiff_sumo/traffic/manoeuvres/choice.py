@@ -72,7 +72,7 @@ def rank(
     size = view.scene.history.size_m[[m.row for m in proposals]]
     now = view.scene.history.xy_m[:, -1]
     perceived = np.array([m.enters_s(now[m.row]) for m in proposals])
-    needed = needed_braking(target, futures.xy_m, futures.yaw_rad, size, perceived)
+    needed = needed_braking(target, *_obstacles(view, proposals, futures), perceived)
     merit = np.array([_merit(m, n) for m, n in zip(proposals, needed.tolist(), strict=True)])
     timed = np.array([m.kind == "crossing" and not m.sets_up for m in proposals])
     if timed.any():
@@ -91,6 +91,22 @@ def rank(
         )
         for k in order
     ]
+
+
+def _obstacles(
+    view: SituationView, proposals: Sequence[Manoeuvre], futures: ManoeuvreFutures
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return centres (C, T, 2), headings (C, T) and sizes (C, 2) of whom the target has to mind.
+
+    That is who drives the manoeuvre, or who stands and is revealed by it.
+    """
+    history = view.scene.history
+    xy, yaw = futures.xy_m.copy(), futures.yaw_rad.copy()
+    rows = [m.row if m.reveals is None else m.reveals for m in proposals]
+    for k, manoeuvre in enumerate(proposals):
+        if manoeuvre.reveals is not None:
+            xy[k], yaw[k] = history.xy_m[manoeuvre.reveals, -1], history.yaw_rad[manoeuvre.reveals, -1]
+    return xy, yaw, history.size_m[rows]
 
 
 def _merit(manoeuvre: Manoeuvre, needed_mps2: float) -> float:

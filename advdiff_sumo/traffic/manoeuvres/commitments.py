@@ -21,7 +21,9 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, Stage, come_in
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
-_LONGEST_S: Mapping[str, float] = {"blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
+STANDS = "stands"
+"""What somebody does who has come in to stand: a vehicle that has broken down."""
+_LONGEST_S: Mapping[str, float] = {STANDS: 60.0, "blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
 _LONGEST_DEFAULT_S = 7.0
 _LORRIES = 0.4
 """Share of lorries among those who come in."""
@@ -42,12 +44,16 @@ class Commitment:
         profile: its speed, as chosen.
         since_s: when it began.
         sets_up: whether it only gets into position.
+        delay_s: when, after that, it changes lanes.
+        goal_lane: lane that it changes to; "" where it stays.
     """
 
     kind: str
     profile: SpeedProfile
     since_s: float
     sets_up: bool
+    delay_s: float = 0.0
+    goal_lane: str = ""
 
 
 @dataclass(frozen=True)
@@ -84,7 +90,17 @@ class Commitments:
     @property
     def attacking(self) -> tuple[str, ...]:
         """Ids of those in a manoeuvre that are past getting into position for it."""
-        return tuple(name for name, under_way in self.active.items() if not under_way.sets_up)
+        return tuple(
+            name
+            for name, under_way in self.active.items()
+            if not under_way.sets_up and under_way.kind != STANDS
+        )
+
+    @property
+    def manoeuvres(self) -> Mapping[str, str]:
+        """Id → the kind of manoeuvre that it drives; who stands is part of a cut-out."""
+        kinds = {name: under_way.kind for name, under_way in self.active.items() if not under_way.sets_up}
+        return {name: "cut-out" if kind == STANDS else kind for name, kind in kinds.items()}
 
     @staticmethod
     def start(
@@ -121,10 +137,10 @@ def advance(
     """
     kept = replace(kept, agenda=kept.agenda.at(view))
     going, kept = _carry_on(view, kept, pause_s, licence)
-    room = attackers - len(going)
+    room = attackers - sum(m.kind != STANDS for m in going)
     fresh = _begin(view, kept, going, room, licence) if room > 0 else []
     names, now = view.scene.history.ids, view.scene.time_s
-    begun = {names[m.row]: Commitment(m.kind, m.profile, now, m.sets_up) for m in fresh}
+    begun = {names[m.row]: _commitment(m, now) for m in fresh}
     return [*going, *fresh], replace(kept, active={**kept.active, **begun})
 
 
@@ -132,7 +148,14 @@ def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...]
     """Return who comes in now, for the manoeuvres that may begin, and what is remembered of them."""
     busy = {under_way.kind for under_way in kept.active.values() if not under_way.sets_up}
     newcomers, stage = come_in(view, kept.stage, [kind for kind in kept.staged if kind not in busy])
-    return newcomers, replace(kept, stage=stage)
+    still = Commitment(STANDS, SpeedProfile(then_mps2=-1.0), view.scene.time_s, sets_up=False)
+    standing = {one.name: still for one in newcomers if one.speed_mps == 0.0}
+    return newcomers, replace(kept, stage=stage, active={**kept.active, **standing})
+
+
+def _commitment(manoeuvre: Manoeuvre, now_s: float) -> Commitment:
+    lane = "" if manoeuvre.goal is None else manoeuvre.goal.present_lane.id
+    return Commitment(manoeuvre.kind, manoeuvre.profile, now_s, manoeuvre.sets_up, manoeuvre.delay_s, lane)
 
 
 def _begin(
@@ -180,7 +203,7 @@ def _carry_on(
     for name, under_way in kept.active.items():
         row = index.get(name)
         manoeuvre = _continued(view, row, under_way, kept.intensity, licence) if row in view.movable else None
-        if manoeuvre is not None and _still_lawful(view, manoeuvre, licence):
+        if manoeuvre is not None and (manoeuvre.kind == STANDS or _still_lawful(view, manoeuvre, licence)):
             going.append(manoeuvre)
             continue
         del active[name]
@@ -210,17 +233,23 @@ def _continued(
             return None
     begun = under_way.profile
     rest = replace(begun, switch_s=max(begun.switch_s - passed, 0.0))
-    return Manoeuvre(under_way.kind, row, view.ways[row], rest, _goal(view, row, under_way.kind))
+    goal = _goal(view, row, under_way)
+    delay_s = max(under_way.delay_s - passed, 0.0)
+    return Manoeuvre(under_way.kind, row, view.ways[row], rest, goal, delay_s=delay_s)
 
 
 def _target_stands(view: SituationView) -> bool:
     return view.target is None or view.target.speed_mps < _STANDS_MPS
 
 
-def _goal(view: SituationView, row: int, kind: str) -> Way | None:
-    if kind not in ("cut-in", "cut-out"):
+def _goal(view: SituationView, row: int, under_way: Commitment) -> Way | None:
+    """Return the way that *row* is still changing to; None once it is on it."""
+    if under_way.kind == "cut-out":
+        sides = (view.neighbour(row, side) for side in ("left", "right"))
+        return next((way for way in sides if way and way.present_lane.id == under_way.goal_lane), None)
+    if under_way.kind != "cut-in":
         return None
-    again = [m.goal for m in KINDS[kind](view, row) if m.goal is not None]
+    again = [m.goal for m in KINDS["cut-in"](view, row) if m.goal is not None]
     return again[0] if again else None
 
 

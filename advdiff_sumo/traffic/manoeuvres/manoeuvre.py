@@ -37,6 +37,8 @@ class Manoeuvre:
         profile: its speed.
         goal: the way on another lane that it changes to; None: it stays.
         sets_up: whether it only brings the vehicle into position.
+        delay_s: when the change of lanes begins.
+        reveals: row of who stands ahead on its way and is seen once it has left; None: nobody.
     """
 
     kind: str
@@ -45,12 +47,14 @@ class Manoeuvre:
     profile: SpeedProfile = field(default_factory=SpeedProfile)
     goal: Way | None = None
     sets_up: bool = False
+    delay_s: float = 0.0
+    reveals: int | None = None
 
     def enters_s(self, xy_m: FloatArray) -> float:
         """Return when the vehicle, which is at *xy_m* (2,) now, enters the lane that it changes to; 0 if it stays."""
         if self.goal is None:
             return 0.0
-        return ENTERS_SHARE * abs(float(self.goal.line.project(xy_m)[1])) / LATERAL_MPS
+        return self.delay_s + ENTERS_SHARE * abs(float(self.goal.line.project(xy_m)[1])) / LATERAL_MPS
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,8 @@ def _changing(
     here = manoeuvre.way.line.at(manoeuvre.way.lane.s_m, manoeuvre.way.lane.offset_m)[0]
     begin, across = goal.line.project(here)
     there, along = goal.line.at(float(begin) + driven_m, extrapolate=True)
-    share = smooth_step(CHECK_TIMES_S * LATERAL_MPS / max(abs(float(across)), 0.3))
+    since = np.maximum(CHECK_TIMES_S - manoeuvre.delay_s, 0.0)
+    share = smooth_step(since * LATERAL_MPS / max(abs(float(across)), 0.3))
     xy = own[0] + share[:, None] * (there - own[0])
     stride = np.gradient(np.vstack((here, xy)), axis=0)[1:]
     moving = speed_mps > _TURNS_MPS

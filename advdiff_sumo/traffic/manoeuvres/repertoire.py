@@ -27,6 +27,8 @@ AFTER_CUT_IN_MPS2 = (2.0, 3.5, 5.0, 6.5, 8.0)
 """How somebody slows who has just changed lanes and finds the queue."""
 TIMING_MPS2 = (-2.0, -1.0, 0.0, 1.0, 2.0)
 """How somebody with priority chooses when to arrive."""
+_REVEALS_S = (2.0, 2.5, 3.0, 3.5, 4.0)
+_LONGEST_DELAY_S, _STANDS_MPS = 2.0, 0.5
 _TIMING_S = (1.5, 3.0)
 _CRAWLS_SHARE, _STOPS_MPS2 = 0.3, 3.0
 """Who slows harder than this after a change of lanes stops; others go on at a share of the target's speed."""
@@ -112,12 +114,18 @@ def crossing(view: SituationView, row: int) -> Iterator[Manoeuvre]:
 
 def cut_out(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     """The target's leader changes lanes late and reveals somebody who stands."""
-    if not (_leads(view, row) and _stands_before(view, row)):
+    stands = _stands_before(view, row) if _leads(view, row) else None
+    if stands is None or view.speed(row) < _SLOWEST_MPS:
         return
+    other, gap_m = stands
     for side in ("left", "right"):
         goal = view.neighbour(row, side)
-        if goal is not None:
-            yield Manoeuvre("cut-out", row, view.ways[row], SpeedProfile(), goal)
+        for left_s in _REVEALS_S if goal is not None else ():
+            delay_s = gap_m / view.speed(row) - left_s
+            if 0.0 <= delay_s <= _LONGEST_DELAY_S:
+                yield Manoeuvre(
+                    "cut-out", row, view.ways[row], SpeedProfile(), goal, delay_s=delay_s, reveals=other
+                )
 
 
 KINDS: Mapping[str, Callable[[SituationView, int], Iterator[Manoeuvre]]] = {
@@ -191,11 +199,11 @@ def _lane_of_target(view: SituationView, row: int) -> Way | None:
     return None
 
 
-def _stands_before(view: SituationView, row: int) -> bool:
-    """Return whether somebody who stands is next on the way of *row*."""
-    for other in view.ways:
-        if other not in (row, view.scene.target) and view.speed(other) < 0.5:
-            ahead, left = view.place_on(view.ways[row], other)
-            if 5.0 < ahead < 35.0 and abs(left) < _IN_LANE_M:
-                return True
-    return False
+def _stands_before(view: SituationView, row: int) -> tuple[int, float] | None:
+    """Return who is next on the way of *row* and stands, and the bumper gap to it; None where it does not stand."""
+    places = ((other, *view.place_on(view.ways[row], other)) for other in view.ways if other != row)
+    ahead = [(s, other) for other, s, left in places if s > 0.0 and abs(left) < _IN_LANE_M]
+    distance, other = min(ahead, default=(np.inf, row))
+    if distance > _AHEAD_M or other == view.scene.target or view.speed(other) > _STANDS_MPS:
+        return None
+    return other, view.gap_m(distance, row, other)

@@ -34,6 +34,8 @@ _APART_M, _APART_S = 9.0, 0.6
 _FROM_TARGET_M, _LATER_FROM_TARGET_M = 18.0, 30.0
 _IN_LANE_M, _BESIDE_M = 2.0, 6.0
 _MEETS_S, _CLEAR_M = 4.0, 3.0
+_LEAST_HIDES_M, _STANDS_AT_MOST_M = 18.5, 56.0
+_HIDDEN_S, _LEAST_HIDDEN_S = 4.5, 2.2
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,8 @@ def come_in(view: SituationView, stage: Stage, kinds: Container[str]) -> tuple[t
     for candidates in (made for kind, made in roles.items() if kind in kinds):
         room = min(1, stage.most - stage.count - len(taken))
         taken += islice((one for one in candidates if _is_free(view, one, taken)), room)
+    if "cut-out" in kinds and not taken and stage.most - stage.count >= 2:
+        taken += _hidden(view, stage)
     named = tuple(replace(one, name=f"staged-{stage.count + k}") for k, one in enumerate(taken))
     waits_s = _AGAIN_S if taken or stage.early_s is None else 0.0
     return named, replace(stage, count=stage.count + len(taken), again_s=now + waits_s)
@@ -172,6 +176,25 @@ def _with_priority(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
     """Somebody whom the target has to let pass at its next junction, there when the target is."""
     for one in approaches(view, stage.oncoming, stage.early_s):
         yield Newcomer(one.way, one.speed_mps, stage.agent_class)
+
+
+def _hidden(view: SituationView, stage: Stage) -> Sequence[Newcomer]:
+    """Somebody who stands ahead of the target and a leader between, where there is a lane to go aside to."""
+    target = view.target
+    if target is None or not begins(view) or view.anybody_on(target.way, _FARTHEST_M, _IN_LANE_M):
+        return ()
+    aside = [view.neighbour(view.scene.target, side) for side in ("left", "right")]
+    if not any(way is not None and not view.anybody_on(way, _FARTHEST_M, _IN_LANE_M) for way in aside):
+        return ()
+    speed = target.speed_mps
+    leads_m = max(speed + 5.0, _LEAST_HIDES_M)
+    stands_m = min(leads_m + _HIDDEN_S * speed + SIZE_M[AgentClass.TRUCK][0], _STANDS_AT_MOST_M)
+    if speed < _SLOWEST_MPS or stands_m - leads_m < _LEAST_HIDDEN_S * speed + SIZE_M[AgentClass.CAR][0]:
+        return ()
+    leader = _on_way(view, target.way, leads_m, speed, AgentClass.CAR)
+    standing = _on_way(view, target.way, stands_m, 0.0, stage.agent_class)
+    both = [*leader, *standing]
+    return both if len(both) == 2 and all(_is_free(view, one, ()) for one in both) else ()
 
 
 def _on_way(

@@ -86,7 +86,7 @@ class ScriptedTraffic:
         options = self.options
         licence = licence_of(options.licence)
         driven, memory = advance(view, memory, options.attackers, options.pause_s, licence)
-        state = AttackState(options.attack, memory.attacking)
+        state = AttackState(options.attack, memory.attacking, memory.manoeuvres)
         newcomers, memory = let_in(view, memory)
         return plan_with(tracks_of_manoeuvres(view, driven), newcomers, state), memory
 

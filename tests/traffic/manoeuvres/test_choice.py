@@ -14,7 +14,7 @@ from advdiff_sumo.traffic.manoeuvres.answers import UNANSWERABLE_MPS2, needed_br
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
+from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on, view_of
@@ -136,3 +136,25 @@ def test_a_manoeuvre_does_not_drive_into_people(
     crowd = SituationView.of(motorway, replace(scene, history=history))
     assert crowd.astray.tolist() == [walker]
     assert is_lawful(crowd, Manoeuvre("hard-stop", 1, crowd.ways[1])) == allowed
+
+
+def test_a_cut_out_asks_for_braking_before_who_stands(motorway: RoadMap) -> None:
+    """20 m before the leader somebody stands: it leaves 2 s before, and the target then has to stop behind him."""
+    view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 65.0, 10.0), broken=(0, 93.0, 0.0))
+    proposals = list(KINDS["cut-out"](view, 1))
+    assert {m.reveals for m in proposals} == {2}
+    gap_m = 93.0 - 65.0 - 4.5
+    assert [m.delay_s for m in proposals if m.goal is not None][:1] == pytest.approx([gap_m / 10.0 - 2.0])
+    best = rank(view, proposals, {"cut-out": 1.0})[0]
+    assert best.needed_mps2 >= 2.0
+    alone = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 65.0, 10.0))
+    assert list(KINDS["cut-out"](alone, 1)) == []
+
+
+def test_who_cuts_out_keeps_its_lane_until_then(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 65.0, 10.0), broken=(0, 93.0, 0.0))
+    late = next(KINDS["cut-out"](view, 1))
+    future = futures_of_manoeuvres([late], np.array([10.0]))
+    aside = np.abs(late.way.line.project(future.xy_m[0])[1])
+    assert (aside[late.delay_s >= CHECK_TIMES_S] < 0.01).all()
+    assert aside[-1] > 2.5

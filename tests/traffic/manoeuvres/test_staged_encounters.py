@@ -18,6 +18,7 @@ SHOWN_BY = [
     ("cut-in", "beside", "cut-in"),
     ("late", "beside", "hard-stop"),
     ("blind-heavy", "beside", "hard-stop"),
+    ("blind-standing", "town", "cut-out"),
 ]
 
 
@@ -29,7 +30,9 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
     from_south = Scripted(over(sign, *north), 225.0, 11.0)
     left = ("west_in", "north_out")
     beside = Encounter(two, Scripted(("WM_0", "ME_0"), 50.0, 18.0), ("WM", "ME"), (), 20.0)
+    town = Encounter(two_lanes(folder, 9.0), Scripted(("WM_0", "ME_0"), 50.0, 8.8), ("WM", "ME"), (), 14.0)
     return {
+        "town": town,
         "give_way": Encounter(sign, from_south, north, (), 12.0),
         "turn_across": Encounter(sign, Scripted(over(sign, *left), 225.0, 11.0), left, (), 12.0),
         "beside": beside,

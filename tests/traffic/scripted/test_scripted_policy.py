@@ -27,7 +27,7 @@ def test_the_leader_stops_and_goes_on_stopping(motorway: RoadMap) -> None:
     plan, memory = policy.plan(motorway, scene, memory, rng)
     assert plan.tracks.ids == ("leader",)
     assert plan.tracks.speed_mps[0, -1] == 0.0
-    assert plan.attack == AttackState("hard-stop", ("leader",))
+    assert plan.attack == AttackState("hard-stop", ("leader",), {"leader": "hard-stop"})
     slower = scene_on({"target": (lane, 60.0, 18.0), "leader": (lane, 94.0, 16.0)})
     again, _ = policy.plan(motorway, slower, memory, rng)
     assert again.tracks.ids == ("leader",)
@@ -41,7 +41,7 @@ def test_nobody_is_moved_where_nothing_serves(motorway: RoadMap) -> None:
     scene = scene_on({"target": (lane, 90.0, 20.0), "follower": (lane, 50.0, 20.0)})
     plan, _ = policy.plan(motorway, scene, policy.start(motorway, scene, None, rng), rng)
     assert plan.tracks.agents == 0
-    assert plan.attack == AttackState("any")
+    assert plan.attack == AttackState("any", (), {})
 
 
 def test_a_misspelt_kind_is_refused() -> None:

@@ -220,7 +220,7 @@ def _print_archive(console: Console, episodes: Sequence[Row]) -> None:
         return
     filled = sum(elite.valid > 0 for elite in cells.values())
     table = _table(
-        f"archive: {filled} kinds of valid failure among {len(cells)} kinds of encounter; valid failures / episodes",
+        f"archive: encounters of {len(cells)} kinds, valid failures in {filled} of them; valid failures / episodes",
         *("attack", "the other comes", *MANOEUVRES),
     )
     for kind, approach in dict.fromkeys((cell.kind, cell.approach) for cell in cells):

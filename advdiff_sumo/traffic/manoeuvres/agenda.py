@@ -8,10 +8,11 @@ import numpy as np
 
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import REACH_M, goes_first
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.staging import begins, can_hide
 
 TURN_S = 7.0
 """For so long an episode is for one kind."""
-_CROSSING_FIRST, _CUT_IN_FIRST = 0.5, 0.6
+_CROSSING_FIRST, _CUT_IN_FIRST, _CUT_OUT_FIRST = 0.5, 0.6, 0.4
 _SPACE_M, _SLOWEST_MPS = 70.0, 3.0
 
 
@@ -29,11 +30,14 @@ class Agenda:
 
     @staticmethod
     def drawn(rng: np.random.Generator) -> Agenda:
-        """Return one that begins with what is rarest to be possible: crossing in half of the episodes."""
+        """Return one that begins with what is rarest to be possible: crossing in half of the episodes.
+
+        In two of five a cut-out precedes all, which is possible at the first instant alone.
+        """
         others = ("cut-in", "hard-stop") if rng.random() < _CUT_IN_FIRST else ("hard-stop", "cut-in")
         crossing = "crossing"
         order = (crossing, *others) if rng.random() < _CROSSING_FIRST else (others[0], crossing, others[1])
-        return Agenda(order)
+        return Agenda(("cut-out", *order) if rng.random() < _CUT_OUT_FIRST else order)
 
     @property
     def now(self) -> str:
@@ -47,6 +51,8 @@ class Agenda:
         now, order = view.scene.time_s, self.order
         if now - self.since_s < TURN_S and _is_possible(view, order[0]):
             return self
+        if order[0] == "cut-out":
+            return replace(self, order=order[1:], since_s=now).at(view)
         if order[0] == "crossing" and _is_possible(view, "crossing"):
             return self  # a junction takes as long as it takes to get there
         later = [(*order[k:], *order[:k]) for k in range(1, len(order))]
@@ -59,6 +65,8 @@ def _is_possible(view: SituationView, kind: str) -> bool:
     target = view.target
     if target is None or kind == "hard-stop":
         return True
+    if kind == "cut-out":
+        return not begins(view) or can_hide(view)
     if kind == "cut-in":
         beside = any(view.neighbour(view.scene.target, side) for side in ("left", "right"))
         return beside and view.is_first(_SPACE_M)

@@ -178,6 +178,11 @@ def _with_priority(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
         yield Newcomer(one.way, one.speed_mps, stage.agent_class)
 
 
+def can_hide(view: SituationView) -> bool:
+    """Return whether somebody who stands, and a leader before, could come in now."""
+    return bool(_hidden(view, Stage()))
+
+
 def _hidden(view: SituationView, stage: Stage) -> Sequence[Newcomer]:
     """Somebody who stands ahead of the target and a leader between, where there is a lane to go aside to."""
     target = view.target

@@ -47,5 +47,19 @@ def test_a_single_kind_has_no_turns(motorway: RoadMap) -> None:
 
 def test_every_order_holds_every_kind() -> None:
     drawn = [Agenda.drawn(np.random.default_rng(k)).order for k in range(40)]
-    assert {tuple(sorted(order)) for order in drawn} == {tuple(sorted(ORDER))}
-    assert {order[0] for order in drawn} == set(ORDER)
+    assert {tuple(sorted({*order} - {"cut-out"})) for order in drawn} == {tuple(sorted(ORDER))}
+    assert {order[0] for order in drawn} == {*ORDER, "cut-out"}
+    assert {order.index("cut-out") for order in drawn if "cut-out" in order} == {0}
+
+
+def test_a_cut_out_has_its_turn_at_the_beginning_alone(motorway: RoadMap) -> None:
+    """There is room for it at 9 m/s, none at 20 m/s; when its turn is over it does not come again."""
+    view = view_of(motorway, target=(0, 50.0, 9.0))
+    begun = Agenda(("cut-out", *ORDER)).at(view)
+    assert begun.now == "cut-out"
+    assert begun.at(later(view, TURN_S - 0.5)).now == "cut-out"
+    after = begun.at(later(view, TURN_S))
+    assert "cut-out" not in after.order
+    assert after.now == "cut-in"
+    fast = view_of(motorway, target=(0, 50.0, 20.0))
+    assert Agenda(("cut-out", *ORDER)).at(fast).now == "cut-in"

@@ -33,6 +33,8 @@ from advdiff_sumo.traffic.policy_protocol import moves_everywhere
 if TYPE_CHECKING:
     from advdiff_sumo.sim.episode import Episode
 
+_AROUND_JUNCTION_M = 40.0  # who is so near a vehicle that keeps its hands beyond the radius is looked at, too
+
 
 class Loop:
     """State of a running episode; made by :class:`~advdiff_sumo.sim.episode.Episode`."""
@@ -156,7 +158,8 @@ class Loop:
         motion = Motion.join(planned, logged)
         self._leave_scene(self.actuator.refused & self.actuator.outside - set(motion.rows.tolist()))
         routes = self.episode.scene.routes
-        motion = self.handover.settle(motion, self.target, period, routes)
+        plans = self.background.planned.tracks if self.background.planned is not None else None
+        motion = self.handover.settle(motion, self.target, period, routes, self.signals, plans)
         self.handover.predict(planned_ends(motion), routes)
         self._let_in(motion)
         return motion
@@ -272,8 +275,13 @@ class Loop:
     def scene_now(self) -> Scene:
         """Return the scene around the target now, as the policy sees it."""
         world, target = self.world, self.target
-        gap = np.linalg.norm(world.xy_m[: len(world)] - world.xy_m[target], axis=-1)
-        rows = np.flatnonzero(gap <= self.sim.observe_radius_m)  # NaN compares as False
+        xy = world.xy_m[: len(world)]
+        gap = np.linalg.norm(xy - world.xy_m[target], axis=-1)
+        kept = self._inside_junctions()
+        beside = np.linalg.norm(xy[:, None] - xy[kept], axis=-1) <= _AROUND_JUNCTION_M
+        rows = np.flatnonzero(
+            (gap <= self.sim.observe_radius_m) | beside.any(axis=1)
+        )  # NaN compares as False
         if self.everywhere:
             rows = np.flatnonzero(np.isfinite(gap))
         history = self.recorder.history(rows, self.time_s)
@@ -292,9 +300,17 @@ class Loop:
         ours = self.actuator.ours
         moved = np.array([row in ours for row in rows.tolist()], dtype=np.bool_)
         radius = np.where(moved, self.sim.release_factor, 1.0) * self.sim.control_radius_m
+        radius[np.isin(rows, self._inside_junctions())] = np.inf
         on_lane = np.array([bool(self.world.lane[row]) for row in rows.tolist()], dtype=np.bool_)
         free = ~np.isin(rows, self.context.rows())
         return np.asarray(others & (gap_m <= radius) & (on_lane | moved) & free)
+
+    def _inside_junctions(self) -> IntArray:
+        """Return the rows of moved vehicles inside a junction, where nobody changes hands."""
+        lanes = self.road.lanes
+        names = ((row, self.world.lane[row]) for row in sorted(self.actuator.moved) if row != self.target)
+        inside = [row for row, name in names if name in lanes and lanes[name].is_internal]
+        return np.array(inside, dtype=np.int64)
 
     def _route(self, row: int) -> tuple[str, ...]:
         if row == self.target:

@@ -7,22 +7,22 @@ from collections.abc import Mapping
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
-from advdiff_sumo.core.bicycle import Limits, clip_controls, step
-from advdiff_sumo.core.frames import bumper_from_centre, local_from_world, unit, wrap_angle
+from advdiff_sumo.core.bicycle import Limits
+from advdiff_sumo.core.frames import bumper_from_centre, wrap_angle
+from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.core.tracking import State, densify, track
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background_control import Motion
+from advdiff_sumo.sim.natural import remaining_route
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.world import World
 
 _ALIGNED_RAD = 0.05  # SUMO turns a vehicle along its lane in the step after it takes over
 _STANDS_MPS = 0.5
 _PATIENCE_S = 8.0  # then SUMO gets it as it is, which is counted
-_LOOK_AHEAD_S, _MIN_LOOK_AHEAD_M = 1.0, 5.0
 _ROUTE_AHEAD_M = 200.0
-_SEES_M, _KEEPS_M, _SIDE_M = 50.0, 1.5, 0.2
-_STRAIGHT = 1e-4  # curvature, 1/m
-_LATERAL_MPS2, _BEND_BRAKE_MPS2, _LOST_BRAKE_MPS2 = 3.0, 3.0, 6.0
+_SEES_M = 60.0
 
 
 class Handover:
@@ -39,9 +39,24 @@ class Handover:
         self._routes: dict[int, tuple[str, ...]] = {}
 
     def settle(
-        self, motion: Motion, target: int, steps: int, routes: Mapping[str, tuple[str, ...]]
+        self,
+        motion: Motion,
+        target: int,
+        steps: int,
+        routes: Mapping[str, tuple[str, ...]],
+        signals: Mapping[str, str] | None = None,
+        plans: Tracks | None = None,
     ) -> Motion:
-        """Release the moved vehicles that *motion* leaves out; returns *motion* and those still being aligned."""
+        """Release the moved vehicles that *motion* leaves out; returns *motion* and those still being aligned.
+
+        Args:
+            motion: of the coming steps.
+            target: row of the target.
+            steps: until this is asked again.
+            routes: id → edges of the seed scene's vehicles.
+            signals: states of the traffic lights.
+            plans: what the policy has just planned.
+        """
         planned = set(motion.rows.tolist())
         inside = {row for row, state in self.actuator.moved.items() if state.inserted}
         left = sorted((inside | self.actuator.outside) - planned - {target})
@@ -67,7 +82,8 @@ class Handover:
                 askew.append(row)
         if not askew:
             return motion
-        return Motion.join(motion, self._align(np.array(askew, dtype=np.int64), steps))
+        scene = self._around(np.array(askew, dtype=np.int64), routes, signals or {})
+        return Motion.join(motion, self._align(scene, plans, steps))
 
     def _fits(
         self, row: int, lane: str | None, place: tuple[float, float, float], sure: bool, wait_s: float
@@ -101,63 +117,50 @@ class Handover:
             return bool(abs(wrap_angle(yaw[-1] - yaw[0])) <= _ALIGNED_RAD)
         return bool(s_m >= 0.5 * self.world.size_m[row, 0] or self.world.speed_mps[row] < _STANDS_MPS)
 
-    def _align(self, rows: IntArray, steps: int) -> Motion:
-        """Steer *rows* onto their lanes by pure pursuit, no faster than now, than who is ahead, and than bends ask.
-
-        Who is near no lane stops.
-        """
-        world = self.world
-        xy, yaw, speed = world.xy_m[rows].copy(), world.yaw_rad[rows].copy(), world.speed_mps[rows].copy()
-        length = world.size_m[rows, 0]
-        states = []
-        for _ in range(steps):
-            ways = [self._pursue(xy[i], float(yaw[i]), float(speed[i])) for i in range(len(rows))]
-            bend = np.array([0.0 if way is None else way for way in ways])
-            lost = np.array([0.0 if way is not None else -_LOST_BRAKE_MPS2 for way in ways])
-            poses = zip(rows, xy, yaw, speed, bend, strict=True)
-            slower = np.array([min(self._behind(*pose), gently(*pose[3:])) for pose in poses])
-            slower = np.minimum(slower, lost)
-            accel, bend = clip_controls(speed, slower, bend, length, Limits())
-            xy, yaw, speed = step(xy, yaw, speed, accel, bend, self.sim.step_s)
-            states.append((xy, yaw, speed))
-        return Motion(
-            rows,
-            np.stack([s[0] for s in states], axis=1),
-            np.stack([s[1] for s in states], axis=1),
-            np.stack([s[2] for s in states], axis=1),
-            np.ones((len(rows), steps), dtype=np.bool_),
-        )
-
-    def _behind(self, row: int, xy_m: FloatArray, yaw_rad: float, speed_mps: float, bend: float) -> float:
-        """Return the acceleration, at most 0, with which *row* on its arc does not run into who is ahead now."""
+    def _around(
+        self, rows: IntArray, routes: Mapping[str, tuple[str, ...]], signals: Mapping[str, str]
+    ) -> Scene:
+        """Return *rows*, as those that may be moved, and everybody near them, now."""
         world, count = self.world, len(self.world)
-        way, side = on_arc(local_from_world(world.xy_m[:count], xy_m, yaw_rad), bend)
-        size = world.size_m[:count]
-        turned = world.yaw_rad[:count] - yaw_rad - bend * np.nan_to_num(way)
-        cos, sin = np.abs(np.cos(turned)), np.abs(np.sin(turned))
-        half, wide = 0.5 * (size[:, 0] * cos + size[:, 1] * sin), 0.5 * (size[:, 1] * cos + size[:, 0] * sin)
-        ahead = np.abs(side) < wide + 0.5 * size[row, 1] + _SIDE_M
-        ahead &= (way > 0.0) & (way < _SEES_M)  # NaN compares as False
-        ahead[row] = False
-        if not ahead.any():
-            return 0.0
-        gap = way[ahead] - half[ahead] - 0.5 * size[row, 0] - _KEEPS_M
-        along = world.speed_mps[:count][ahead] * np.cos(turned[ahead])
-        closing = np.maximum(speed_mps - np.maximum(along, 0.0), 0.0)
-        return -float((0.5 * closing**2 / np.maximum(gap, 0.1)).max())
+        xy = world.xy_m[:count]
+        gap = np.linalg.norm(xy[:, None] - xy[rows], axis=-1)
+        near = np.flatnonzero((gap < _SEES_M).any(axis=1))  # NaN compares as False
+        now = Tracks(
+            ids=tuple(world.ids[row] for row in near.tolist()),
+            classes=world.classes[near],
+            size_m=world.size_m[near],
+            xy_m=xy[near, None],
+            yaw_rad=world.yaw_rad[near, None],
+            speed_mps=world.speed_mps[near, None],
+            valid=np.ones((len(near), 1), dtype=np.bool_),
+            t0_s=0.0,
+            dt_s=self.sim.model_step_s,
+        )
+        ahead = tuple(self._expected(row, routes) for row in near.tolist())
+        return Scene(now, 0, np.isin(near, rows), ahead, signals)
 
-    def _pursue(self, xy_m: FloatArray, yaw_rad: float, speed_mps: float) -> float | None:
-        """Return the curvature towards the nearest lane; None where there is none."""
-        pose = self.road.locate(xy_m, yaw_rad)
-        if pose is None:
-            return None
-        ahead = max(_MIN_LOOK_AHEAD_M, _LOOK_AHEAD_S * speed_mps)
-        lane = self.road.lanes[pose.lane_id]
-        goal, along = self.road.to_world(pose.lane_id, pose.s_m + ahead)
-        beyond = max(pose.s_m + ahead - lane.length_m, 0.0)
-        delta = goal + beyond * unit(np.asarray(along)) - xy_m
-        angle = float(wrap_angle(np.arctan2(delta[1], delta[0]) - yaw_rad))
-        return float(2.0 * np.sin(angle) / max(float(np.hypot(*delta)), 1.0))
+    def _expected(self, row: int, routes: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+        """Return the edges that *row*, whoever moves it, is expected to drive."""
+        if row in self.world.in_sumo and row not in self.actuator.moved:
+            return remaining_route(self.actuator.api, self.world.sumo_ids[row])
+        return self.route(row, routes)
+
+    def _align(self, scene: Scene, plans: Tracks | None, steps: int) -> Motion:
+        """Drive the movable vehicles of *scene* along their lanes for *steps*."""
+        # brings PyTorch with it, which runs whose background is SUMO's do not need
+        from advdiff_sumo.traffic.planning.lane_return import return_to_lanes
+
+        futures = return_to_lanes(self.road, scene, steps * self.sim.step_s, plans)
+        mine = scene.movable
+        state: State = futures.xy_m[mine, 0], futures.yaw_rad[mine, 0], futures.speed_mps[mine, 0]
+        plan: State = futures.xy_m[mine, 1:], futures.yaw_rad[mine, 1:], futures.speed_mps[mine, 1:]
+        reference = densify(state, plan, futures.dt_s, self.sim.step_s, steps)
+        length = futures.size_m[mine, 0]
+        xy, yaw, speed = track(state, reference, length, self.sim.step_s, Limits())
+        rows = [self.world.index[name] for name in np.array(scene.history.ids)[mine].tolist()]
+        return Motion(
+            np.array(rows, dtype=np.int64), xy, yaw, speed, np.ones((len(rows), steps), dtype=np.bool_)
+        )
 
     def note_routes(self, routes: Mapping[str, tuple[str, ...]]) -> None:
         """Note which edges vehicles that a policy inserts, by id, are going to drive."""
@@ -207,22 +210,3 @@ class Handover:
         while lane.is_internal and lane.successors:
             lane = self.road.lanes[lane.successors[0].to_lane]
         return lane.edge_id
-
-
-def on_arc(xy_m: FloatArray, bend: float) -> tuple[FloatArray, FloatArray]:
-    """Return how far (N,) along an arc of curvature *bend* points (N, 2) lie, and how far (N,) to its left.
-
-    The arc begins at the origin along the x axis. What is behind, or beyond a third of the circle, is at NaN.
-    """
-    if abs(bend) < _STRAIGHT:
-        return np.where(xy_m[:, 0] >= 0.0, xy_m[:, 0], np.nan), xy_m[:, 1]
-    turn, radius = np.sign(bend), 1.0 / abs(bend)
-    x, y = xy_m[:, 0], turn * xy_m[:, 1]
-    angle = np.arctan2(x, radius - y)
-    inside = (angle >= 0.0) & (angle <= 2.0 * np.pi / 3.0)
-    return np.where(inside, radius * angle, np.nan), turn * (radius - np.hypot(x, radius - y))
-
-
-def gently(speed_mps: float, bend: float) -> float:
-    """Return the acceleration, at most 0, of who drives a bend faster than drivers do."""
-    return -_BEND_BRAKE_MPS2 if speed_mps**2 * abs(bend) > _LATERAL_MPS2 else 0.0

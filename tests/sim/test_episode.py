@@ -125,6 +125,27 @@ def test_the_policy_moves_only_what_is_near_the_target(scene: SeedScene, road: R
     assert (gap[:, :-1][begun] <= 25.0 + 1e-9).all()
 
 
+def test_inside_a_junction_nobody_changes_hands(scene: SeedScene, road: RoadMap, tmp_path: Path) -> None:
+    """Beyond all radii, a vehicle that is moved stays with the policy, which sees those around it."""
+    radii = {"control_radius_m": 5.0, "observe_radius_m": 10.0, "record_radius_m": 10.0}
+    with running(episode(scene, road, horizon_s=8.0, **radii), tmp_path) as loop:
+        world, rows = loop.world, np.zeros(0, dtype=np.int64)
+        for steps in range(1, 81):
+            loop.run(steps)
+            inner = [name in road.lanes and road.lanes[name].is_internal for name in world.lane]
+            gap = np.linalg.norm(world.xy_m[: len(world)] - world.xy_m[loop.target], axis=-1)
+            rows = np.flatnonzero(np.array(inner) & (gap > 10.0))
+            if len(rows):
+                break
+        row = int(rows[0])
+        assert world.ids[row] not in loop.scene_now().history.ids
+        loop.actuator.take(row)
+        now = loop.scene_now()
+        around = np.linalg.norm(world.xy_m[: len(world)] - world.xy_m[row], axis=-1) <= 40.0
+        assert {world.ids[other] for other in np.flatnonzero(around)} <= set(now.history.ids)
+        assert [now.history.ids[k] for k in np.flatnonzero(now.movable)] == [world.ids[row]]
+
+
 def test_the_same_episode_gives_the_same_record(scene: SeedScene, road: RoadMap) -> None:
     first, second = (
         episode(scene, road, target="lane_graph", background=StraightOn(), horizon_s=3.0).run()[0]
@@ -227,13 +248,22 @@ class Exact(StraightOn):
 
 
 def test_vehicles_that_sumo_gets_back_askew_are_counted(scene: SeedScene, road: RoadMap) -> None:
-    near: dict[str, Any] = {"background": Exact(0.4, 0.0), "control_radius_m": 40.0}
+    near: dict[str, Any] = {"background": Exact(0.5 * np.pi, 0.0), "control_radius_m": 40.0}
     record, _ = episode(scene, road, horizon_s=7.0, **near).run()
-    assert record.rough_handovers == 0  # they wait for 8 s to come straight, which they cannot, standing
+    assert record.rough_handovers == 0  # they wait for 8 s to come straight, and stand across their lanes
     record, _ = episode(scene, road, horizon_s=11.0, **near).run()
     moved = (record.controller == Controller.POLICY).any(axis=1)
     assert 1 <= record.rough_handovers <= moved.sum()
     assert record.skipped_agents == 0
+
+
+def test_vehicles_that_stand_askew_drive_off_and_come_straight(scene: SeedScene, road: RoadMap) -> None:
+    """Twenty-three degrees off their lanes."""
+    record, _ = episode(scene, road, horizon_s=9.0, background=Exact(0.4, 0.0), control_radius_m=40.0).run()
+    moved = (record.controller == Controller.POLICY).any(axis=1)
+    back = (record.controller[moved] == Controller.SUMO).any(axis=1)
+    assert back.sum() >= 1
+    assert record.rough_handovers == 0
 
 
 def test_agents_that_sumo_has_elsewhere_are_counted_and_left_alone(scene: SeedScene, road: RoadMap) -> None:

@@ -10,13 +10,14 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from advdiff_sumo.core.boxes import corners, overlap
 from advdiff_sumo.core.frames import bumper_from_centre, wrap_angle
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background_control import Motion
-from advdiff_sumo.sim.handover import Handover, gently, on_arc
+from advdiff_sumo.sim.handover import Handover
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.world import World, read, register
 from tests.sim import nets
@@ -154,6 +155,44 @@ def test_on_a_junction(crossing: Path, route: tuple[str, str]) -> None:
     assert got.rough == []
 
 
+def test_who_stands_in_a_turn_clears_it_behind_the_oncoming(crossing: Path) -> None:
+    """It stands before the middle of a left turn while SUMO drives one towards it that has the right of way."""
+    road, routes = RoadMap.read(crossing), {"b": ("WC", "CN"), "o": ("EC", "CW")}
+    lane = next(link.via[0] for link in road.lanes["WC_0"].successors if link.to_lane == "CN_0")
+    point, yaw = road.to_world(lane, 1.0)
+    with stage(crossing) as s:
+        s.add("b", routes["b"], at=20.0)
+        s.add("o", routes["o"], at=100.0, speed=12.0)
+        world, rows, still = World(), np.array([0]), np.zeros(1)
+        register(world, s.api, ["b", "o"])
+        actuator = Actuator(s.api, world, road)
+        handover = Handover(world, actuator, road, SimOptions())
+        read(world, s.api, np.zeros(0, dtype=np.int64))
+        actuator.take(0)
+        heading = np.atleast_1d(yaw)
+        world.set_state(rows, point[None], heading, still, Controller.POLICY)
+        handover.predict({0: (point, float(yaw))}, routes)
+        boxes, speeds, motion = [], [], Motion.none(PERIOD)
+        for k in range(120):
+            if actuator.moved and k % PERIOD == 0:
+                motion = handover.settle(Motion.none(PERIOD), -1, PERIOD, routes)
+            if motion.rows.size:
+                at = motion.xy_m[:, k % PERIOD], motion.yaw_rad[:, k % PERIOD]
+                world.set_state(rows, *at, motion.speed_mps[:, k % PERIOD], Controller.POLICY)
+                actuator.move(rows, *at)
+            s.session.step()
+            read(world, s.api, actuator.ours)
+            actuator.leave_lanes()
+            boxes.append(corners(world.xy_m[:2], world.yaw_rad[:2], world.size_m[:2]))
+            speeds.append(world.speed_mps[:2].copy())
+    assert handover.rough == []
+    assert not actuator.moved
+    assert world.lane[0] == "CN_0"
+    assert world.lane[1] == "CW_0"
+    assert not overlap(*np.array(boxes).swapaxes(0, 1)).any()
+    assert np.array(speeds)[:, 1].min() > 5.0, "who has the right of way is not held up"
+
+
 @pytest.mark.parametrize("turn", [0.3, -0.3, 0.8])
 def test_who_stands_askew_is_aligned_first(street: Path, turn: float) -> None:
     with stage(street) as s:
@@ -163,15 +202,24 @@ def test_who_stands_askew_is_aligned_first(street: Path, turn: float) -> None:
     assert got.rough == []
 
 
-def test_who_cannot_be_aligned_is_handed_back_all_the_same_and_counted(street: Path) -> None:
+def test_who_stands_askew_sets_off(street: Path) -> None:
     with stage(street) as s:
         got = hand_over(s, RoadMap.read(street), ("WM", "ME"), "WM_0", 100.0, 0.0, 0.4, 0.0)
+    got.check_smooth()
+    assert 0.0 < got.waited_s <= 8.0
+    assert got.rough == []
+
+
+def test_who_cannot_be_aligned_is_handed_back_all_the_same_and_counted(street: Path) -> None:
+    """Across its lane no lane leads on."""
+    with stage(street) as s:
+        got = hand_over(s, RoadMap.read(street), ("WM", "ME"), "WM_0", 100.0, 0.0, 1.3, 0.0)
     assert got.rough == ["b"]
     assert got.waited_s == pytest.approx(8.0, abs=0.5)
 
 
 def test_who_is_left_far_from_every_lane_stops(street: Path) -> None:
-    """30 m beside the street at 9 m/s: at 6 m/s² it stands after 6.75 m, and does not cross open ground."""
+    """30 m beside the street at 9 m/s: at 6 to 7 m/s² it stands after 5.79 to 6.75 m, not beyond open ground."""
     road = RoadMap.read(street)
     with stage(street) as s:
         world = World()
@@ -189,7 +237,7 @@ def test_who_is_left_far_from_every_lane_stops(street: Path) -> None:
                 Controller.POLICY,
             )
     assert world.speed_mps[row] == 0.0
-    assert np.hypot(*(world.xy_m[row] - point)) == pytest.approx(6.75, abs=0.01)
+    assert 81.0 / 14.0 <= np.hypot(*(world.xy_m[row] - point)) <= 81.0 / 12.0
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -224,23 +272,3 @@ def test_any_offset_in_a_curve(bend: Path, s_m: float, d_m: float, turn: float, 
         got = hand_over(s, RoadMap.read(bend), ("AB", "BZ"), "AB_0", s_m, d_m, turn, speed)
     if not got.rough:
         got.check_smooth(BEND_CORNER_RAD)
-
-
-@pytest.mark.parametrize("turn", [1.0, -1.0])
-def test_places_along_an_arc(turn: float) -> None:
-    """A circle of 20 m: a quarter of it away, 2 m beside that towards the centre, straight ahead, and behind."""
-    points = np.array([[20.0, 20.0], [18.0, 20.0], [10.0, 0.0], [-1.0, 0.0]]) * (1.0, turn)
-    way, side = on_arc(points, turn / 20.0)
-    assert way.tolist() == pytest.approx(
-        [10.0 * np.pi, 10.0 * np.pi, 20.0 * np.arctan(0.5), np.nan], nan_ok=True
-    )
-    assert side[:3].tolist() == pytest.approx([0.0, 2.0 * turn, turn * (20.0 - np.hypot(10.0, 20.0))])
-    straight = on_arc(points, 0.0)
-    assert straight[0].tolist() == pytest.approx([20.0, 18.0, 10.0, np.nan], nan_ok=True)
-    assert straight[1].tolist() == points[:, 1].tolist()
-
-
-@pytest.mark.parametrize(("speed", "accel"), [(7.7, 0.0), (7.8, -3.0)])
-def test_bends_are_driven_at_3_mps2_at_most(speed: float, accel: float) -> None:
-    """7.75 m/s on a radius of 20 m."""
-    assert gently(speed, 0.05) == gently(speed, -0.05) == accel

@@ -183,7 +183,8 @@ def _watched(
     """Return what the safeguard has to know of *rows* (N,) of the scene, those of the view first."""
     scene, rest = view.scene, rows[len(view.ids) :]
     guided = np.isin(view.ids, attackers)
-    planned = view.moved & ~np.isin(np.arange(len(view.ids)), list(attack.driven))
+    driven = np.isin(np.arange(len(view.ids)), list(attack.driven))
+    planned = view.moved & ~driven
     dawdled = _slower(view.now, _WALKS_MPS)
     ahead = [lanes.get(row) for row in rows.tolist()]
     for row in np.flatnonzero(planned & dawdled).tolist():
@@ -196,7 +197,7 @@ def _watched(
         target=0,
         motor=np.isin(scene.history.classes[rows], MOTOR_CLASSES),
         people=np.isin(scene.history.classes[rows], PEOPLE),
-        stood=_with_rest(_slower(view.now, _STANDS_MPS), rest),
+        stood=_with_rest(_slower(view.now, _STANDS_MPS) & ~driven, rest),
         dawdled=_with_rest(dawdled, rest),
         over_limit=np.concatenate((over_limit, np.ones(len(rest)))),
         lanes=ahead,

@@ -1,8 +1,8 @@
 """Brakes planned vehicles along their own paths where plans would run through each other or a stop line.
 
 Who brakes: of two whose boxes would meet, the one that has the other before its front; both where neither or both
-have. Of two that stand and would stay for each other, the one that has the other less squarely before it goes. For
-one whose speed is not ours to change everybody brakes that has it before its front, even if it ought to brake itself.
+have. Of two that would stay for each other, of whom one stands at least, one goes: who gets past the other. For one
+whose speed is not ours to change everybody brakes that has it before its front, even if it ought to brake itself.
 Nobody brakes for a vehicle that comes from behind, and attackers never brake for the target.
 """
 
@@ -27,7 +27,7 @@ SIDE_M = 0.15
 _SHARES = (1.0, 0.5, 0.25, 0.1)
 """Shares of that room that are tried where two are nearer than it now."""
 _SAME_BEARING, _BEFORE_FRONT = 0.15, 0.3
-_STANDS_MPS, _STARTS_M = 0.2, 0.3
+_STANDS_MPS, _SLOW_MPS, _STARTS_M = 0.2, 2.0, 0.3
 _ROUNDS = 3
 
 
@@ -163,26 +163,52 @@ def _conflicts(futures: Futures, minds: BoolArray, may: BoolArray, side_m: Float
     out[first, second] = (mine >= yours - _SAME_BEARING) | (~may[second] & (mine > _BEFORE_FRONT))
     out[second, first] = (yours >= mine - _SAME_BEARING) | (~may[first] & (yours > _BEFORE_FRONT))
     out &= minds
-    _one_starts(futures, out, (first, second), mine < yours)
+    _one_goes(futures, out, (first, second), mine < yours, room[hit])
     return out
 
 
-def _one_starts(
-    futures: Futures, brakes: BoolArray, pairs: tuple[IntArray, IntArray], first_goes: BoolArray
+def _one_goes(
+    futures: Futures,
+    brakes: BoolArray,
+    pairs: tuple[IntArray, IntArray],
+    less_squarely: BoolArray,
+    room_m: FloatArray,
 ) -> None:
-    """Let one of two that stand, and would both stay for each other for ever, go; in place.
+    """Let one of two go, of whom one stands at least and who would stay for each other for ever; in place.
+
+    It is the one whose way leads past the other as that is now; where that holds for both or neither, the one that
+    moves already, or that has the other less squarely before it. Nobody sets off before one that is no longer slow.
 
     Args:
         futures: plans of N road users.
         brakes: (N, N) who has to brake for whom.
         pairs: (P,) rows of the first ones and of the second ones.
-        first_goes: (P,) whether the first one is the one that goes.
+        less_squarely: (P,) whether the first one has the second one less squarely before it.
+        room_m: (P, 2) room to keep, along and across.
     """
-    starts = (futures.speed_mps[:, 0] < _STANDS_MPS) & (futures.travelled_m()[:, -1] > _STARTS_M)
     first, second = pairs
+    starts, speed = futures.travelled_m()[:, -1] > _STARTS_M, futures.speed_mps[:, 0]
     both = brakes[first, second] & brakes[second, first] & starts[first] & starts[second]
-    brakes[first[both & first_goes], second[both & first_goes]] = False
-    brakes[second[both & ~first_goes], first[both & ~first_goes]] = False
+    both &= np.minimum(speed[first], speed[second]) < _STANDS_MPS
+    if not both.any():
+        return
+    first, second, room = first[both], second[both], room_m[both]
+    stands, slow = speed < _STANDS_MPS, speed < _SLOW_MPS
+    moves = np.where(stands[first] == stands[second], less_squarely[both], ~stands[first])
+    passes = _passes(futures, first, second, room)
+    first_goes = np.where(passes == _passes(futures, second, first, room), moves, passes)
+    waits = np.where(first_goes, second, first)
+    goes = np.where(first_goes, first, second)
+    goes, waits = goes[slow[waits]], waits[slow[waits]]
+    brakes[goes, waits] = False
+
+
+def _passes(futures: Futures, first: IntArray, second: IntArray, room_m: FloatArray) -> BoolArray:
+    """Return (P,) whether the first ones' plans lead past the boxes that the second ones have now."""
+    driven = _Boxes.later(futures).rows(first)
+    yaw = np.broadcast_to(futures.yaw_rad[second, :1], driven.yaw_rad.shape)
+    still = _Boxes(futures.xy_m[second, :1], yaw, 0.5 * futures.size_m[second])
+    return np.asarray((driven.gaps(still, room_m) >= 0.0).all(axis=1))
 
 
 def _room(

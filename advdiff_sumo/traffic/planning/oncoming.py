@@ -20,13 +20,13 @@ _REACH_M = 4.0
 def over_line_m(road: RoadMap, xy_m: FloatArray, yaw_rad: FloatArray) -> FloatArray:
     """Return (N,) how far points (N, 2) that head *yaw_rad* (N,) are inside lanes of the other direction, 0 or more.
 
-    Lanes of junctions do not count, as they cross each other, nor do places that a lane along the heading shares.
+    Places that a lane along the heading shares do not count: on a junction turns cross the lanes of the others.
     """
     index = road.index
     near = index.candidates(xy_m, _REACH_M)
     depth = 0.5 * index.width_m[near.lane] - np.abs(near.d_m)
     turned = np.abs(wrap_angle(yaw_rad[near.point] - near.yaw_rad))
-    inside = (depth > 0.0) & (index.is_drivable & ~index.is_internal)[near.lane]
+    inside = (depth > 0.0) & index.is_drivable[near.lane]
     out = np.zeros(len(xy_m))
     against = inside & (turned > _AGAINST_RAD)
     np.maximum.at(out, near.point[against], depth[against])

@@ -2,9 +2,10 @@
 
 In this order: a vehicle far from the target, one whose plan leaves the road or goes on beside it (it stops where it
 has no lane), one that is no attacker and plans to drive on the wrong side, and one that has crept on a junction for
-its whole history and plans to stay there, follows its lane instead, or stops where it is too fast for that; all are
-slowed to their share of the speed limit (``speed_bound``); one that stands and has nowhere to go stands exactly
-still, and one that has stood for its whole history and means to leave within its plan leaves now; plans are braked
+its whole history follows its lane instead, or stops where it is too fast for that; all are slowed to their share of
+the speed limit (``speed_bound``); one that stands and has nowhere to go stands exactly still, and one that has stood
+for its whole history and means to leave within its plan leaves now; whoever else has stood for as long is taken to
+stand; plans are braked
 (``braking``) where boxes would meet or a red light would be passed. Who could not avoid another box by braking drives
 on as the plan before said, which was free, or along its lane, where that helps. Attackers are left alone towards the
 target, and signals do not bind them; everybody else behaves.
@@ -53,7 +54,7 @@ class Watched:
         target: row of the target.
         motor: (N,) who is a motor vehicle.
         people: (N,) who is on foot or on a bicycle, and is given more room.
-        stood: (N,) who has not moved for as long as its history goes back.
+        stood: (N,) who has not moved for as long as its history goes back; who is not planned is taken to stay so.
         dawdled: (N,) who has been no faster than walking pace for as long.
         over_limit: (N,) highest share of the speed limit that each may drive at.
         lanes: what each would follow, where asked for.
@@ -96,6 +97,7 @@ class SafeguardedPlans:
 def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> SafeguardedPlans:
     """Return plausible plans near *futures*."""
     plans = futures.copy()
+    standing(plans, watched.stood & ~watched.planned)
     nowhere = np.array([lane is None for lane in watched.lanes], dtype=np.bool_)
     off = leaves_road(road, plans, watched.planned, watched.motor)
     lost = off & nowhere
@@ -124,10 +126,11 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> SafeguardedP
 
 
 def _blocks_junction(futures: Futures, watched: Watched) -> BoolArray:
-    """Return (N,) who has stood or crept on a junction for its whole history, and plans to stay there."""
+    """Return (N,) who has stood or crept on a junction for its whole history; of attackers, who plans to stay."""
     stays = futures.travelled_m()[:, min(_LOOK_STEPS, futures.steps)] < _CLEARS_M
     inside = [lane is not None and (lane.lanes[0].is_internal or lane.s_m < 0.0) for lane in watched.lanes]
-    return np.asarray(watched.planned & watched.dawdled & stays & np.array(inside, dtype=np.bool_))
+    blocks = watched.planned & watched.dawdled & np.array(inside, dtype=np.bool_)
+    return np.asarray(blocks & (stays | ~watched.attacker))
 
 
 def _settled(futures: Futures, watched: Watched, may: BoolArray, stop_m: FloatArray) -> Braked:

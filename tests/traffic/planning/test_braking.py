@@ -116,6 +116,50 @@ def test_of_two_that_would_stand_for_each_other_for_ever_one_goes() -> None:
     assert not touching(made.futures)
 
 
+def setting_off(plans: Futures, row: int, speed_mps: float, accel_mps2: float = 1.0) -> None:
+    """Let *row* drive straight on from *speed_mps*, faster by *accel_mps2*."""
+    time = DT * np.arange(T + 1)
+    heading = np.array((np.cos(plans.yaw_rad[row, 0]), np.sin(plans.yaw_rad[row, 0])))
+    driven = speed_mps * time + 0.5 * accel_mps2 * time**2
+    plans.xy_m[row] = plans.xy_m[row, 0] + driven[:, None] * heading
+    plans.speed_mps[row] = speed_mps + accel_mps2 * time
+
+
+def test_who_creeps_goes_on_before_one_that_stands() -> None:
+    """A queue at 0.8 m/s, and one that stands beside it and would turn through it towards its front."""
+    plans = cars((0, 0, 0, 0.8), (9, -3.5, 2.2, 0))
+    setting_off(plans, 0, 0.8)
+    setting_off(plans, 1, 0.0)
+    assert touching(plans)
+    made = braked(plans)
+    assert made.rows.tolist() == [False, True]
+    assert made.futures.travelled_m()[1, -1] == 0.0
+    assert not touching(made.futures)
+
+
+@pytest.mark.parametrize("creeps", [0.0, 0.8])
+def test_of_two_the_one_goes_whose_way_is_free(creeps: float) -> None:
+    """The one that stands has a corner 0.7 m in the way of a queue: who is in the queue waits."""
+    plans = cars((0, 0, 0, creeps), (12, -2.2, 2.6, 0))
+    setting_off(plans, 0, creeps)
+    setting_off(plans, 1, 0.0)
+    assert touching(plans)
+    made = braked(plans)
+    assert made.rows.tolist() == [True, False]
+    assert not touching(made.futures)
+
+
+def test_nobody_sets_off_before_one_that_is_fast() -> None:
+    """One at 6 m/s, towards one that stands with a corner in its way and would turn out across it."""
+    plans = cars((-9, 0, 0, 6.0), (6.0, -2.2, 2.6, 0))
+    setting_off(plans, 0, 6.0, 0.0)
+    setting_off(plans, 1, 0.0)
+    made = braked(plans)
+    assert made.rows.tolist() == [True, True]
+    assert made.futures.travelled_m()[1, -1] == 0.0
+    assert not touching(made.futures)
+
+
 def test_an_attacker_does_not_brake_for_its_target() -> None:
     plans = cars((40, 0, 0, 0), (0, 0, 0, 10))
     assert braked(plans).rows.tolist() == [False, True]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Lane
 from advdiff_sumo.traffic.planning.oncoming import OVER_M, drives_against, over_line_m
+from tests.sim import nets
 from tests.traffic.planning.test_safeguard import guarded, lane, on
 
 __all__ = ["lane"]  # a fixture
@@ -33,10 +36,21 @@ def test_how_far_a_point_is_over_the_line(
     assert over_line_m(downtown, xy, yaw + turn).tolist() == pytest.approx([depth], abs=2e-3)
 
 
-def test_lanes_of_junctions_do_not_count(downtown: RoadMap) -> None:
-    crossing = max((x for x in downtown.lanes.values() if x.is_internal), key=lambda x: (x.length_m, x.id))
-    xy, yaw = crossing.line.at(np.array([0.5 * crossing.length_m]))
-    assert over_line_m(downtown, xy, yaw + np.pi).tolist() == [0.0]
+def test_on_a_junction_only_what_no_lane_along_the_heading_shares_counts(tmp_path: Path) -> None:
+    """A crossing of 3.2 m lanes: its centre lines at y = −1.6 lead east, at y = 1.6 west; turns fill its middle."""
+    road = RoadMap.read(nets.crossing(tmp_path))
+    begin = float(road.junctions["C"].shape_xy_m[:, 0].min())
+    at = np.array([[begin + 1.0, -1.6], [begin + 1.0, 0.6], [begin + 1.0, 1.6], [1.0, -5.0]])
+    depth = over_line_m(road, at, np.zeros(len(at)))
+    assert depth[0] == 0.0
+    assert depth[1] >= 0.6, "of the lane whose edge is at 0; a turn into it may lie nearer"
+    assert depth[2] == pytest.approx(1.6, abs=0.02)
+    assert depth[3] == 0.0, "nobody comes towards it there"
+    turn = next(link for link in road.lanes["WC_0"].successors if link.to_lane == "CN_0")
+    for inner in (road.lanes[name] for name in turn.via):
+        for left in (-0.9, 0.0, 0.9):
+            xy, yaw = inner.line.at(np.linspace(0.0, inner.length_m, 9), left)
+            assert over_line_m(road, xy, yaw).tolist() == [0.0] * 9, "it crosses the lane of the oncoming"
 
 
 @pytest.mark.parametrize(

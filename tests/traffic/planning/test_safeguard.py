@@ -145,6 +145,31 @@ def test_who_has_stood_on_a_junction_drives_off_it(downtown: RoadMap, dawdled: b
     assert (made.futures.travelled_m()[1, -1] > 5.0) == goes
 
 
+@pytest.mark.parametrize(("attacks", "goes"), [(True, False), (False, True)])
+def test_who_creeps_on_a_junction_clears_it(downtown: RoadMap, attacks: bool, goes: bool) -> None:
+    """At 0.8 m/s for two seconds and six more; an attacker may."""
+    inner = max((x for x in downtown.lanes.values() if x.is_internal), key=lambda x: (x.length_m, x.id))
+    plans = on(inner, 0.5 * inner.length_m, 0.8)
+    made = safeguard(downtown, plans, watched(downtown, plans, attacks))
+    assert (made.futures.travelled_m()[1, -1] > 10.0) == goes
+    assert made.futures.travelled_m()[1, -1] > 4.7
+
+
+@pytest.mark.parametrize(("stood", "brakes"), [(True, False), (False, True)])
+def test_a_target_that_has_stood_is_taken_to_stand(
+    downtown: RoadMap, lane: Lane, stood: bool, brakes: bool
+) -> None:
+    """It stands 4 m beside the lane, and might pull out across it."""
+    plans = on(lane, 10.0, 8.0)
+    aside = plans.xy_m[0, 0] - plans.xy_m[1, 0]
+    aside /= np.linalg.norm(aside)
+    plans.xy_m[0] = plans.xy_m[1, 3] + np.linspace(4.0, 0.0, T + 1)[:, None] * aside
+    plans.yaw_rad[0] = np.arctan2(-aside[1], -aside[0])
+    who = replace(watched(downtown, plans), stood=~SECOND & stood)
+    made = safeguard(downtown, plans, who)
+    assert made.braked.tolist() == [False, brakes]
+
+
 @pytest.mark.parametrize(("speed", "held"), [(0.0, True), (0.15, True), (0.3, False)])
 def test_who_stands_and_goes_nowhere_stands_exactly(
     downtown: RoadMap, lane: Lane, speed: float, held: bool

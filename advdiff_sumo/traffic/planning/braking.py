@@ -1,7 +1,7 @@
 """Brakes planned vehicles along their own paths where plans would run through each other or a stop line.
 
 Who brakes: of two whose boxes would meet, the one that has the other before its front; both where neither or both
-have. Of two that would stay for each other, of whom one stands at least, one goes: who gets past the other. For one
+have. Of two that would stay for each other one goes: who gets past the other, has the right of way, or moves. For one
 whose speed is not ours to change everybody brakes that has it before its front, even if it ought to brake itself.
 Nobody brakes for a vehicle that comes from behind, and attackers never brake for the target.
 """
@@ -24,6 +24,8 @@ GAP_M = 1.0
 """Room that is kept before and behind a vehicle, where there is any."""
 SIDE_M = 0.15
 """Room that is kept on each side."""
+_TIGHT_SIDE_M = 0.05
+"""The same between two vehicles that are both slow: who creeps past another one goes by with less."""
 _SHARES = (1.0, 0.5, 0.25, 0.1)
 """Shares of that room that are tried where two are nearer than it now."""
 _SAME_BEARING, _BEFORE_FRONT = 0.15, 0.3
@@ -53,6 +55,7 @@ def brake_ahead(
     stop_m: FloatArray,
     steps: int,
     side_m: FloatArray | None = None,
+    yields: BoolArray | None = None,
 ) -> Braked:
     """Return :func:`brake` of the first *steps* instants; who braked goes on from there at the speed it has then.
 
@@ -60,8 +63,8 @@ def brake_ahead(
     reason to brake today, and braking for all of them makes traffic stand still.
     """
     if steps >= futures.steps:
-        return brake(futures, may, minds, stop_m, side_m)
-    near = brake(futures.first(steps), may, minds, stop_m, side_m)
+        return brake(futures, may, minds, stop_m, side_m, yields)
+    near = brake(futures.first(steps), may, minds, stop_m, side_m, yields)
     slowed, path, dt = futures.copy(), PlannedPaths(futures), futures.dt_s
     driven = near.futures.travelled_m()
     for row in np.flatnonzero(near.rows).tolist():
@@ -81,6 +84,7 @@ def brake(
     minds: BoolArray,
     stop_m: FloatArray,
     side_m: FloatArray | None = None,
+    yields: BoolArray | None = None,
 ) -> Braked:
     """Return *futures* in which no two boxes meet, as far as braking can do it.
 
@@ -90,13 +94,15 @@ def brake(
         minds: (N, N) whether the first gives way to the second at all.
         stop_m: (N,) distance along the own path that must not be passed; inf for none.
         side_m: (N,) room that is kept to each, and by each, on its sides; None: ``SIDE_M``.
+        yields: (N, N) whether the second has the right of way over the first; None: nobody has.
     """
+    rights = np.zeros_like(minds) if yields is None else yields
     sides = np.full(futures.agents, SIDE_M) if side_m is None else side_m
     eased = futures.copy()
     path = PlannedPaths(futures)
     braked, unsolved = np.zeros(len(may), dtype=np.bool_), np.zeros(len(may), dtype=np.bool_)
     for _ in range(_ROUNDS):
-        pairs = _conflicts(eased, minds & may[:, None], may, sides)
+        pairs = _conflicts(eased, minds & may[:, None], may, sides, rights)
         late = may & (path.length_m(eased) > stop_m) & ~unsolved
         rows = np.flatnonzero(pairs.any(axis=1) | late)
         if not len(rows):
@@ -141,7 +147,9 @@ class _Boxes:
         return np.asarray(gaps.max(-1))
 
 
-def _conflicts(futures: Futures, minds: BoolArray, may: BoolArray, side_m: FloatArray) -> BoolArray:
+def _conflicts(
+    futures: Futures, minds: BoolArray, may: BoolArray, side_m: FloatArray, yields: BoolArray
+) -> BoolArray:
     """Return (N, N) whether the first has to brake for the second, of whom *may* (N,) can be asked to."""
     boxes = _Boxes.later(futures)
     reach = 0.5 * np.hypot(*futures.size_m.T) + 0.5 * GAP_M
@@ -163,7 +171,7 @@ def _conflicts(futures: Futures, minds: BoolArray, may: BoolArray, side_m: Float
     out[first, second] = (mine >= yours - _SAME_BEARING) | (~may[second] & (mine > _BEFORE_FRONT))
     out[second, first] = (yours >= mine - _SAME_BEARING) | (~may[first] & (yours > _BEFORE_FRONT))
     out &= minds
-    _one_goes(futures, out, (first, second), mine < yours, room[hit])
+    _one_goes(futures, out, (first, second), mine < yours, room[hit], yields)
     return out
 
 
@@ -173,11 +181,13 @@ def _one_goes(
     pairs: tuple[IntArray, IntArray],
     less_squarely: BoolArray,
     room_m: FloatArray,
+    yields: BoolArray,
 ) -> None:
-    """Let one of two go, of whom one stands at least and who would stay for each other for ever; in place.
+    """Let one of two go that would stay for each other for ever; in place.
 
-    It is the one whose way leads past the other as that is now; where that holds for both or neither, the one that
-    moves already, or that has the other less squarely before it. Nobody sets off before one that is no longer slow.
+    These are two of whom one stands, or must yield. It is the one whose way leads past the other as that is now; where
+    that holds for both or neither, the one with the right of way, that moves already, or that has the other less
+    squarely before it. Nobody sets off before one that is no longer slow.
 
     Args:
         futures: plans of N road users.
@@ -185,18 +195,21 @@ def _one_goes(
         pairs: (P,) rows of the first ones and of the second ones.
         less_squarely: (P,) whether the first one has the second one less squarely before it.
         room_m: (P, 2) room to keep, along and across.
+        yields: (N, N) whether the second has the right of way over the first.
     """
     first, second = pairs
     starts, speed = futures.travelled_m()[:, -1] > _STARTS_M, futures.speed_mps[:, 0]
     both = brakes[first, second] & brakes[second, first] & starts[first] & starts[second]
-    both &= np.minimum(speed[first], speed[second]) < _STANDS_MPS
+    one_yields = yields[first, second] != yields[second, first]
+    both &= one_yields | (np.minimum(speed[first], speed[second]) < _STANDS_MPS)
     if not both.any():
         return
-    first, second, room = first[both], second[both], room_m[both]
+    first, second, room, one_yields = first[both], second[both], room_m[both], one_yields[both]
     stands, slow = speed < _STANDS_MPS, speed < _SLOW_MPS
     moves = np.where(stands[first] == stands[second], less_squarely[both], ~stands[first])
+    right = np.where(one_yields, yields[second, first], moves)
     passes = _passes(futures, first, second, room)
-    first_goes = np.where(passes == _passes(futures, second, first, room), moves, passes)
+    first_goes = np.where(passes == _passes(futures, second, first, room), right, passes)
     waits = np.where(first_goes, second, first)
     goes = np.where(first_goes, first, second)
     goes, waits = goes[slow[waits]], waits[slow[waits]]
@@ -218,6 +231,8 @@ def _room(
     now = _Boxes.now(futures)
     mine, yours = now.rows(first), now.rows(second)
     side = np.maximum(side_m[first], side_m[second])
+    slow = futures.speed_mps[:, 0] < _SLOW_MPS
+    side = np.where((side <= SIDE_M) & slow[first] & slow[second], _TIGHT_SIDE_M, side)
     full = np.stack((np.full(len(first), GAP_M), side), axis=-1)
     room = np.zeros_like(full)
     for share in reversed(_SHARES):

@@ -2,13 +2,13 @@
 
 In this order: a vehicle far from the target, one whose plan leaves the road or goes on beside it (it stops where it
 has no lane), one that is no attacker and plans to drive on the wrong side, and one that has crept on a junction for
-its whole history follows its lane instead, or stops where it is too fast for that; all are slowed to their share of
-the speed limit (``speed_bound``); one that stands and has nowhere to go stands exactly still, and one that has stood
-for its whole history and means to leave within its plan leaves now; whoever else has stood for as long is taken to
-stand; plans are braked
-(``braking``) where boxes would meet or a red light would be passed. Who could not avoid another box by braking drives
-on as the plan before said, which was free, or along its lane, where that helps. Attackers are left alone towards the
-target, and signals do not bind them; everybody else behaves.
+its whole history or plans to stop on one, follows its lane instead, or stops where it is too fast for that; all are
+slowed to their share of the speed limit (``speed_bound``); one that stands and has nowhere to go stands exactly
+still, and one that has stood for its whole history and means to leave within its plan leaves now; who has no plan
+and has stood for as long is taken to stand; plans are braked (``braking``) where boxes would meet or a red light
+would be passed. Who could not avoid another box by braking drives on as the plan before said, which was free, or
+along its lane, where that helps. Attackers are left alone towards the target, and signals do not bind them; everybody
+else behaves.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from advdiff_sumo.traffic.planning.lane_following import follow
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 from advdiff_sumo.traffic.planning.oncoming import drives_against
 from advdiff_sumo.traffic.planning.people import PEOPLE_SIDE_M
+from advdiff_sumo.traffic.planning.right_of_way import right_of_way
 from advdiff_sumo.traffic.planning.road_bound import leaves_road
 from advdiff_sumo.traffic.planning.speed_bound import bound_speeds
 
@@ -121,40 +122,62 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> SafeguardedP
     stop = stop_distances(plans, watched, may)
     slows = lost | wide
     stop[slows] = np.minimum(stop[slows], 0.5 * plans.speed_mps[slows, 0] ** 2 / _LOST_BRAKE_MPS2)
-    clear = _settled(plans, watched, may, stop)
+    clear = _settled(plans, watched, may, stop, right_of_way(road, watched.lanes))
     return SafeguardedPlans(clear.futures, off & ~lost, held, clear.rows, clear.unsolved)
 
 
 def _blocks_junction(futures: Futures, watched: Watched) -> BoolArray:
-    """Return (N,) who has stood or crept on a junction for its whole history; of attackers, who plans to stay."""
-    stays = futures.travelled_m()[:, min(_LOOK_STEPS, futures.steps)] < _CLEARS_M
-    inside = [lane is not None and (lane.lanes[0].is_internal or lane.s_m < 0.0) for lane in watched.lanes]
-    blocks = watched.planned & watched.dawdled & np.array(inside, dtype=np.bool_)
-    return np.asarray(blocks & (stays | ~watched.attacker))
+    """Return (N,) who has stood or crept on a junction for its whole history, or plans to stop on one.
+
+    Of attackers, only who has, and plans to stay.
+    """
+    driven = futures.travelled_m()[:, min(_LOOK_STEPS, futures.steps)]
+    dawdled = watched.planned & watched.dawdled & _inside(watched.lanes, np.zeros(futures.agents))
+    stops = futures.speed_mps[:, min(_LOOK_STEPS, futures.steps)] < _STANDS_MPS
+    stops &= watched.planned & _inside(watched.lanes, driven)
+    return np.asarray(np.where(watched.attacker, dawdled & (driven < _CLEARS_M), dawdled | stops))
 
 
-def _settled(futures: Futures, watched: Watched, may: BoolArray, stop_m: FloatArray) -> Braked:
+def _inside(lanes: Sequence[LaneAhead | None], driven_m: FloatArray) -> BoolArray:
+    """Return (N,) who is on a junction, or on its way out of one, after *driven_m* (N,) along its lane."""
+    out = np.zeros(len(lanes), dtype=np.bool_)
+    for row, lane in enumerate(lanes):
+        if lane is not None:
+            ends = np.cumsum([part.length_m for part in lane.lanes]) - lane.s_m
+            part = min(int(np.searchsorted(ends, driven_m[row], side="right")), len(ends) - 1)
+            out[row] = lane.lanes[part].is_internal or lane.s_m + driven_m[row] < 0.0
+    return out
+
+
+def _settled(
+    futures: Futures, watched: Watched, may: BoolArray, stop_m: FloatArray, yields: BoolArray
+) -> Braked:
     """Return *futures* braked; who is not clear then tries the plan before, then its lane."""
     minds = _minds(watched)
     side = np.where(watched.people, PEOPLE_SIDE_M, SIDE_M)
-    best = _braked(futures, may, minds, stop_m, side)
+    best = _braked(futures, may, minds, stop_m, side, yields)
     for way in (_as_before, back_to_lane):
         rows = np.flatnonzero(best.unsolved)
         if not len(rows):
             break
         other = futures.copy()
         way(other, rows, watched)
-        tried = _braked(other, may, minds, stop_m, side)
+        tried = _braked(other, may, minds, stop_m, side, yields)
         if tried.unsolved.sum() < best.unsolved.sum():
             futures, best = other, tried
     return best
 
 
 def _braked(
-    futures: Futures, may: BoolArray, minds: BoolArray, stop_m: FloatArray, side_m: FloatArray
+    futures: Futures,
+    may: BoolArray,
+    minds: BoolArray,
+    stop_m: FloatArray,
+    side_m: FloatArray,
+    yields: BoolArray,
 ) -> Braked:
     stopped = brake(futures, may, np.zeros_like(minds), stop_m)  # a stop line stays where it is, however far
-    clear = brake_ahead(stopped.futures, may, minds, stop_m, _LOOK_STEPS, side_m)
+    clear = brake_ahead(stopped.futures, may, minds, stop_m, _LOOK_STEPS, side_m, yields)
     return Braked(clear.futures, stopped.rows | clear.rows, stopped.unsolved | clear.unsolved)
 
 

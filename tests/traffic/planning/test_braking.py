@@ -149,6 +149,29 @@ def test_of_two_the_one_goes_whose_way_is_free(creeps: float) -> None:
     assert not touching(made.futures)
 
 
+def test_who_has_the_right_of_way_goes_first() -> None:
+    """Both creep towards where their ways cross, and could go: as the rules have it, not both not."""
+    plans = cars((0, 0, 0, 0.8), (10, -4.5, 2.2, 0.8))
+    for row in (0, 1):
+        setting_off(plans, row, 0.8)
+    for first in (0, 1):
+        yields = np.zeros((2, 2), dtype=np.bool_)
+        yields[1 - first, first] = True
+        made = brake(
+            plans, np.ones(2, dtype=np.bool_), ~np.eye(2, dtype=np.bool_), np.full(2, FREE), None, yields
+        )
+        assert made.rows.tolist() == [first == 1, first == 0]
+        assert not touching(made.futures)
+    assert braked(plans).rows.all()
+
+
+def test_who_creeps_past_one_that_is_slow_needs_less_room() -> None:
+    """0.1 m between their sides, where 0.15 m are kept otherwise."""
+    for speed, brakes in ((1.0, False), (6.0, True)):
+        plans = cars((0, 0, 0, speed), (12, 2.1, np.pi, 0))
+        assert braked(plans).rows.tolist() == [brakes, brakes]
+
+
 def test_nobody_sets_off_before_one_that_is_fast() -> None:
     """One at 6 m/s, towards one that stands with a corner in its way and would turn out across it."""
     plans = cars((-9, 0, 0, 6.0), (6.0, -2.2, 2.6, 0))

@@ -134,12 +134,16 @@ def test_nobody_drives_faster_than_its_share_of_the_limit(
     assert made.speed_mps[1, on_lane].max() == pytest.approx(share * lane.speed_mps, abs=0.1)
 
 
-@pytest.mark.parametrize(("dawdled", "goes"), [(True, True), (False, False)])
-def test_who_has_stood_on_a_junction_drives_off_it(downtown: RoadMap, dawdled: bool, goes: bool) -> None:
-    """Its plan is to stand in the middle of a bend for good."""
+@pytest.mark.parametrize(
+    ("attacks", "dawdled", "goes"), [(True, True, True), (True, False, False), (False, False, True)]
+)
+def test_who_stands_on_a_junction_drives_off_it(
+    downtown: RoadMap, attacks: bool, dawdled: bool, goes: bool
+) -> None:
+    """Its plan is to stand in the middle of a bend for good; attackers may for two seconds."""
     inner = max((x for x in downtown.lanes.values() if x.is_internal), key=lambda x: (x.length_m, x.id))
     plans = on(inner, 0.5 * inner.length_m, 0.0)
-    who = replace(watched(downtown, plans), dawdled=SECOND & dawdled)
+    who = replace(watched(downtown, plans, attacks), dawdled=SECOND & dawdled)
     made = safeguard(downtown, plans, who)
     assert made.held.tolist() == [False, not goes]
     assert (made.futures.travelled_m()[1, -1] > 5.0) == goes
@@ -153,6 +157,22 @@ def test_who_creeps_on_a_junction_clears_it(downtown: RoadMap, attacks: bool, go
     made = safeguard(downtown, plans, watched(downtown, plans, attacks))
     assert (made.futures.travelled_m()[1, -1] > 10.0) == goes
     assert made.futures.travelled_m()[1, -1] > 4.7
+
+
+@pytest.mark.parametrize(("attacks", "before_m"), [(False, 5.0), (False, 30.0), (True, 5.0)])
+def test_nobody_but_attackers_stops_on_a_junction(
+    downtown: RoadMap, lane: Lane, attacks: bool, before_m: float
+) -> None:
+    """At 8 m/s, braked with 4 m/s² it stands after 8 m: 3 m over the line, or well before it."""
+    plans = on(lane, lane.length_m - before_m, 8.0)
+    speed = np.maximum(8.0 - 4.0 * DT * np.arange(T + 1), 0.0)
+    driven = np.append(0.0, np.cumsum(0.5 * DT * (speed[1:] + speed[:-1])))
+    plans.xy_m[1], plans.yaw_rad[1] = lane.line.at(lane.length_m - before_m + driven, extrapolate=True)
+    plans.speed_mps[1] = speed
+    made = safeguard(downtown, plans, watched(downtown, plans, attacks))
+    stops = attacks or before_m > 8.0
+    assert (made.futures.travelled_m()[1, -1] == pytest.approx(8.0, abs=0.01)) == stops
+    assert (made.futures.travelled_m()[1, -1] > 25.0) != stops
 
 
 @pytest.mark.parametrize(("stood", "brakes"), [(True, False), (False, True)])

@@ -33,7 +33,7 @@ from advdiff_sumo.traffic.planning.speed_bound import bound_speeds
 
 FAR_M = 55.0
 """Vehicles farther from the target follow their lanes, so that SUMO gets them back aligned."""
-_STANDS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 0.3, 3
+_STANDS_MPS, _WALKS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 2.0, 0.3, 3
 _LEAVES_M, _BUDGES_M = 1.5, 0.1
 _CLEARS_M = 1.5
 _STOP_BRAKE_MPS2, _YELLOW_BRAKE_MPS2, _LOST_BRAKE_MPS2 = 6.0, 3.0, 6.0
@@ -109,7 +109,8 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> SafeguardedP
     back_to_lane(plans, np.flatnonzero(followed), watched)
     rows = np.flatnonzero(watched.planned)
     bound_speeds(plans, rows, watched.lanes, road.legal_limits_mps, watched.over_limit)
-    wide = leaves_road(road, plans, followed, watched.motor)  # too fast for its lane
+    fast = followed & (plans.speed_mps[:, 0] > _WALKS_MPS)
+    wide = leaves_road(road, plans, fast, watched.motor)  # too fast for its lane
     moved = plans.travelled_m()
     held = watched.planned & (plans.speed_mps[:, 0] < _STANDS_MPS)
     held &= moved[:, min(_NOWHERE_STEPS, plans.steps)] < _NOWHERE_M

@@ -37,7 +37,10 @@ class Agenda:
         others = ("cut-in", "hard-stop") if rng.random() < _CUT_IN_FIRST else ("hard-stop", "cut-in")
         crossing = "crossing"
         order = (crossing, *others) if rng.random() < _CROSSING_FIRST else (others[0], crossing, others[1])
-        return Agenda(("cut-out", *order) if rng.random() < _CUT_OUT_FIRST else order)
+        hides = (
+            rng.spawn(1)[0].random() < _CUT_OUT_FIRST
+        )  # without a draw, which would change all that is drawn after
+        return Agenda(("cut-out", *order) if hides else order)
 
     @property
     def now(self) -> str:

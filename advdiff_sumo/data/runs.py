@@ -6,23 +6,17 @@ import tomllib
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import LogError, UnknownNameError
-from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.data.episode_states import STATE_COLUMNS, EpisodeStates, states_of
 from advdiff_sumo.data.log_reader import LogScene
 
-_COLUMNS = (
-    *("episode", "step", "time_s", "agent", "class", "length_m", "width_m"),
-    *("x_m", "y_m", "yaw_rad", "speed_mps", "is_target"),
-)
 _REMEDY = "give the folder of a finished run"
-_FALLBACK_STEP_S = 0.1
 
 
 class RunReader:
@@ -68,11 +62,12 @@ class RunReader:
         number = int(self._numbers[names.index(name)])
         path = self.folder / "states.parquet"
         try:
-            table = pq.read_table(path, columns=list(_COLUMNS), filters=[("episode", "=", number)])
-            tracks, target = _tracks(table)
+            table = pq.read_table(path, columns=list(STATE_COLUMNS), filters=[("episode", "=", number)])
+            states = _states(table)
         except (OSError, ValueError, KeyError, pa.ArrowException) as error:
             raise LogError(path, f"episode {number} cannot be used ({error})", _REMEDY) from None
-        return LogScene(name, self.net, tracks, target, np.zeros(tracks.agents, dtype=np.bool_), path)
+        parked = np.zeros(states.tracks.agents, dtype=np.bool_)
+        return LogScene(name, self.net, states.tracks, states.target, parked, path)
 
     def scenes(self) -> Iterator[LogScene]:
         """Yield all episodes."""
@@ -82,7 +77,7 @@ class RunReader:
     def _numbers(self) -> list[int]:
         path = self.folder / "states.parquet"
         try:
-            missing = sorted(set(_COLUMNS) - set(pq.read_schema(path).names))
+            missing = sorted(set(STATE_COLUMNS) - set(pq.read_schema(path).names))
             if missing:
                 raise LogError(path, f"lacks the columns {', '.join(missing)}", _REMEDY)
             column = pq.read_table(path, columns=["episode"])["episode"].to_numpy()
@@ -93,33 +88,10 @@ class RunReader:
         return [int(number) for number in np.unique(column)]
 
 
-def _tracks(table: pa.Table) -> tuple[Tracks, int]:
-    """Return the tracks of one episode's rows and the row of the target."""
-    columns: dict[str, Any] = {name: np.array(table[name].to_pylist()) for name in _COLUMNS}
-    ids, first, agent = np.unique(columns["agent"], return_index=True, return_inverse=True)
-    step = columns["step"].astype(np.int64)
-    shape = (len(ids), int(step.max()) + 1)
-
-    def spread(name: str) -> FloatArray:
-        filled = np.full(shape, np.nan)
-        filled[agent, step] = columns[name].astype(np.float64)
-        return filled
-
-    targets = np.unique(agent[columns["is_target"].astype(np.bool_)])
-    if len(targets) != 1:
+def _states(table: pa.Table) -> EpisodeStates:
+    """Return the states in the rows of one episode."""
+    targets = pc.unique(table.filter(table["is_target"])["agent"])
+    states = states_of(table)
+    if states is None or len(targets) != 1:
         raise ValueError(f"it has {len(targets)} targets")
-    late = step > 0
-    step_s = columns["time_s"][late] / step[late] if late.any() else np.array([_FALLBACK_STEP_S])
-    yaw = spread("yaw_rad")
-    tracks = Tracks(
-        ids=tuple(str(name) for name in ids),
-        classes=np.array([int(AgentClass[str(k).upper()]) for k in columns["class"][first]], dtype=np.int64),
-        size_m=np.column_stack((columns["length_m"][first], columns["width_m"][first])).astype(np.float64),
-        xy_m=np.stack((spread("x_m"), spread("y_m")), axis=-1),
-        yaw_rad=yaw,
-        speed_mps=spread("speed_mps"),
-        valid=np.isfinite(yaw),
-        t0_s=0.0,
-        dt_s=float(np.round(np.median(step_s), 6)),
-    )
-    return tracks, int(targets[0])
+    return states

@@ -13,13 +13,13 @@ from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.core.errors import FileError, did_you_mean
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data import open_log
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.export import ImportedScene, import_scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.columns import CRITICAL_COLUMNS, VERDICT_COLUMNS
 from advdiff_sumo.metrics.metric_rows import episode_row
 from advdiff_sumo.metrics.summary import EpisodeMetrics, summarise
-from advdiff_sumo.report.states import EpisodeStates
 from advdiff_sumo.report.stored_record import record_of_states
 
 COARSEST_STEP_S = 0.2

@@ -19,12 +19,12 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.boxes import corners, separation
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.experiments.solution_check import Surroundings, drive, surroundings, usable
 from advdiff_sumo.experiments.solution_search import search
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.model_options import FUTURE_STEPS, HISTORY_STEPS, MODEL_STEP_S
 from advdiff_sumo.models.view import View, look
-from advdiff_sumo.report.states import EpisodeStates
 from advdiff_sumo.traffic.baselines.baseline_networks import prior_of
 from advdiff_sumo.traffic.baselines.baseline_options import RivalOptions
 

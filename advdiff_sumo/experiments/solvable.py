@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.experiments.solution import SolveOptions, solve
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import collisions, target_collision
-from advdiff_sumo.report.states import EpisodeStates
 
 
 def solvable(record: EpisodeRecord, road: RoadMap, options: SolveOptions | None = None) -> bool | None:

@@ -9,11 +9,11 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.report.encode import PER_M, block, path_parts, wrapped_differences
 from advdiff_sumo.report.layer import MapLayer, View
 from advdiff_sumo.report.plans import Planned, packed_plans
 from advdiff_sumo.report.series import Series
-from advdiff_sumo.report.states import EpisodeStates
 
 #: Streets are cut into squares, of which the player draws those in view.
 CELL_M = 250.0

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.criticality import least, time_to_collision
 from advdiff_sumo.metrics.near_miss import careful_drive
 from advdiff_sumo.metrics.reference import ReferenceDrive, drive_reference
 from advdiff_sumo.report.folder import FinishedRun, Row
-from advdiff_sumo.report.states import EpisodeStates
 from advdiff_sumo.report.stored_record import record_of_states
 
 #: Its name in the player.

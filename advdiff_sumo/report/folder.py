@@ -12,17 +12,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.data.episode_states import STATE_COLUMNS, EpisodeStates, states_of
 from advdiff_sumo.metrics.arrow_tables import upgraded
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, LATER_COLUMNS, Column
 from advdiff_sumo.report.plans import PLAN_COLUMNS, Planned, plans_of
-from advdiff_sumo.report.states import EpisodeStates, states_of
 
 Row: TypeAlias = Mapping[str, Any]
 
-STATE_COLUMNS = (
-    *("episode", "step", "time_s", "agent", "class", "length_m", "width_m"),
-    *("x_m", "y_m", "yaw_rad", "speed_mps", "is_target"),
-)
 #: What a sweep's episodes have beside a run's; a run's get the values of its options.
 JOB_COLUMNS = (
     *("key", "scene_key", "net", "target", "target_options"),

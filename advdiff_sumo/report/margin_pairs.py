@@ -8,6 +8,7 @@ from itertools import groupby
 
 import numpy as np
 
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.report.charts import Chart, chart
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.layer import MapLayer, View
@@ -16,7 +17,6 @@ from advdiff_sumo.report.nets import Nets
 from advdiff_sumo.report.scene_picture import Picture, focus_of, picture_of
 from advdiff_sumo.report.select import attacker_of
 from advdiff_sumo.report.series import Series, series_of
-from advdiff_sumo.report.states import EpisodeStates
 from advdiff_sumo.report.svg import SvgPicture, svg_picture
 
 SHOWN_S = 6.0

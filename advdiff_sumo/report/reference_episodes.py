@@ -10,9 +10,9 @@ from typing import Any
 from advdiff_sumo.core.errors import AdvdiffError
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data import open_log
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.data.log_reader import LogReader, LogScene
 from advdiff_sumo.report.folder import FinishedRun, Row
-from advdiff_sumo.report.states import EpisodeStates
 
 #: Backgrounds that do not attack, the more natural one first.
 NATURAL = ("sumo", "replay")

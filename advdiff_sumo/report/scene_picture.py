@@ -13,9 +13,9 @@ import shapely
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.report.layer import MapLayer, Streets, View
 from advdiff_sumo.report.select import attacker_of
-from advdiff_sumo.report.states import EpisodeStates
 
 #: Longer episodes are drawn from here before their end.
 SHOWN_S = 60.0

@@ -10,6 +10,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.metrics.reference import ReferenceDrive
 from advdiff_sumo.metrics.severity import badge
 from advdiff_sumo.report.blocks import departed, episode_block
@@ -22,7 +23,6 @@ from advdiff_sumo.report.reference_episodes import Naturals
 from advdiff_sumo.report.scene_picture import picture_of
 from advdiff_sumo.report.select import attacker_of, pictured
 from advdiff_sumo.report.series import Series, series_of
-from advdiff_sumo.report.states import EpisodeStates
 from advdiff_sumo.report.svg import svg_picture
 from advdiff_sumo.report.templates import number, templates, title, words
 

@@ -10,13 +10,13 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.report.blocks import departed
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.layer import MapLayer, View
 from advdiff_sumo.report.nets import Nets
 from advdiff_sumo.report.reference_episodes import Naturals
 from advdiff_sumo.report.select import attacker_of, worst_first
-from advdiff_sumo.report.states import EpisodeStates
 
 _ATTACKER_NEAR_M = 50.0
 

@@ -9,9 +9,9 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.boxes import corners, distance
 from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.reference import ReferenceDrive
-from advdiff_sumo.report.states import EpisodeStates
 
 
 @dataclass(frozen=True)

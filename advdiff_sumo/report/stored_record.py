@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
-from advdiff_sumo.report.states import EpisodeStates, states_of
+from advdiff_sumo.data.episode_states import EpisodeStates, states_of
 
 
 def stored_record(

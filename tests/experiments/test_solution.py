@@ -10,11 +10,11 @@ import pytest
 from advdiff_sumo.core.boxes import corners, overlap
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.experiments.solution import SolveOptions, first_contact, solve
 from advdiff_sumo.experiments.solution_check import drive, surroundings, usable
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.report.states import EpisodeStates
 from tests.traffic.small_networks import downtown, one_thread, weights
 
 __all__ = ["downtown", "one_thread", "weights"]

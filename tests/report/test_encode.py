@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.report.blocks import departed, episode_block, streets_block
 from advdiff_sumo.report.encode import (
     NOTHING,
@@ -27,7 +28,6 @@ from advdiff_sumo.report.nets import RoadMap
 from advdiff_sumo.report.plans import Planned, packed_plans
 from advdiff_sumo.report.reference_episodes import thinned
 from advdiff_sumo.report.series import series_of
-from advdiff_sumo.report.states import EpisodeStates
 
 
 def _unpacked(text: str) -> tuple[dict[str, Any], list[int]]:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.report.charts import charts_of
 from advdiff_sumo.report.series import difference_quotient, nearest_gap, series_of
-from advdiff_sumo.report.states import EpisodeStates
 
 
 def _tracks(x_m: list[list[float]], y_m: list[float], speed_mps: list[float]) -> Tracks:

@@ -14,12 +14,12 @@ import pyarrow as pa
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.errors import AdvdiffError
 from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.data.episode_states import EpisodeStates, states_of
 from advdiff_sumo.experiments.bench.likelihood import natural_nats
 from advdiff_sumo.experiments.solution import solve
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.kinematics import velocities
 from advdiff_sumo.metrics.pairwise import least_ttc, ttc_counts
-from advdiff_sumo.report.states import EpisodeStates, states_of
 from advdiff_sumo.sim.run_episodes import read_road
 from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.sweep_store import Store

@@ -11,6 +11,11 @@ import pyarrow.compute as pc
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.scene import AgentClass, Tracks
 
+STATE_COLUMNS = (
+    *("episode", "step", "time_s", "agent", "class", "length_m", "width_m"),
+    *("x_m", "y_m", "yaw_rad", "speed_mps", "is_target"),
+)
+"""Columns of ``states.parquet`` that are read."""
 _DEFAULT_STEP_S = 0.1
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
 from advdiff_sumo.core.scene import AgentClass, Tracks
-from advdiff_sumo.report.states import states_of
+from advdiff_sumo.data.episode_states import states_of
 from advdiff_sumo.sim.run_store import states_table
 
 

@@ -106,6 +106,7 @@ class Encounter:
         target: str = "lane_graph",
         background: str = "replay",
         background_options: Mapping[str, Any] | None = None,
+        seed: int = 3,
     ) -> dict[str, Any]:
         """Return the episode's row with *defects* planted in *target*."""
         made = make_target(target, {"defects": list(defects)})
@@ -119,7 +120,7 @@ class Encounter:
             (target, background),
             sim,
             self.horizon_s,
-            SeedTree(3),
+            SeedTree(seed),
         )
         record, _ = episode.run()
         row = dict(episode_row(record, self.road))

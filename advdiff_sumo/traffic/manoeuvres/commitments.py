@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
 from advdiff_sumo.traffic.manoeuvres.graded import braking_with, graded, target_brakes
@@ -25,8 +26,8 @@ STANDS = "stands"
 """What somebody does who has come in to stand: a vehicle that has broken down."""
 _LONGEST_S: Mapping[str, float] = {STANDS: 60.0, "blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
 _LONGEST_DEFAULT_S = 7.0
-_LORRIES = 0.4
-"""Share of lorries among those who come in."""
+_LORRIES, _MOTORCYCLES = 0.4, 0.2
+"""Shares of those who come in."""
 _PATIENCE = ((0.5 * TURN_S, 0.5), (2.0 * TURN_S, 0.4))
 """Until when (s) an episode waits for a better moment than one of so little merit."""
 _PATIENT_S = _PATIENCE[-1][0]
@@ -116,9 +117,9 @@ class Commitments:
         """
         kinds = list(KINDS) if attack == "any" else [attack]
         weights = dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True))
-        lorries = tuple((rng.random(max(staged, 1)) < _LORRIES).tolist())
+        classes = tuple(_class_of(draw) for draw in rng.random(max(staged, 1)).tolist())
         oncoming = bool(rng.random() < 0.5)
-        stage = Stage(staged, lorries, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0)
+        stage = Stage(staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0)
         agenda = Agenda.drawn(rng) if attack == "any" else Agenda()
         return Commitments(weights, stage=stage, agenda=agenda, intensity=intensity)
 
@@ -151,6 +152,13 @@ def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...]
     still = Commitment(STANDS, SpeedProfile(then_mps2=-1.0), view.scene.time_s, sets_up=False)
     standing = {one.name: still for one in newcomers if one.speed_mps == 0.0}
     return newcomers, replace(kept, stage=stage, active={**kept.active, **standing})
+
+
+def _class_of(draw: float) -> AgentClass:
+    """Return what comes in for a *draw* from 0 to 1."""
+    if draw < _LORRIES:
+        return AgentClass.TRUCK
+    return AgentClass.MOTORCYCLE if draw >= 1.0 - _MOTORCYCLES else AgentClass.CAR
 
 
 def _commitment(manoeuvre: Manoeuvre, now_s: float) -> Commitment:

@@ -21,7 +21,7 @@ from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
-SIZE_M = {AgentClass.CAR: (4.6, 1.8), AgentClass.TRUCK: (9.0, 2.4)}
+SIZE_M = {AgentClass.CAR: (4.6, 1.8), AgentClass.TRUCK: (9.0, 2.4), AgentClass.MOTORCYCLE: (2.2, 0.8)}
 """Length and width of who comes in."""
 STAGED = 6
 """Most vehicles that come in during an episode, if nobody says otherwise."""
@@ -44,7 +44,7 @@ class Stage:
 
     Attributes:
         most: vehicles that may come in during an episode.
-        lorries: whether the first who comes in is a lorry, the second, …; in turn.
+        classes: what comes in first, second, …; in turn.
         oncoming: whether somebody with priority comes from ahead rather than from the side.
         early_s: how long before the target it is where they meet; None: with it.
         spare_gap_m: what somebody beside leaves beyond the lawful gap.
@@ -53,7 +53,7 @@ class Stage:
     """
 
     most: int = 0
-    lorries: tuple[bool, ...] = (False,)
+    classes: tuple[AgentClass, ...] = (AgentClass.CAR,)
     oncoming: bool = False
     early_s: float | None = None
     spare_gap_m: float = 0.0
@@ -63,7 +63,7 @@ class Stage:
     @property
     def agent_class(self) -> AgentClass:
         """What comes in next."""
-        return AgentClass.TRUCK if self.lorries[self.count % len(self.lorries)] else AgentClass.CAR
+        return self.classes[self.count % len(self.classes)]
 
 
 @dataclass(frozen=True)

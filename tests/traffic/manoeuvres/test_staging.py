@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ import pytest
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.pace import FINE_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -21,7 +23,7 @@ from tests.traffic.manoeuvres.scenes import scene_on, view_of
 def test_a_leader_comes_in_where_there_is_none(motorway: RoadMap) -> None:
     """At 10 m/s, 1.5 s and 8 m ahead: 23 m."""
     view = view_of(motorway, target=(0, 50.0, 10.0))
-    (leader,), stage = come_in(view, Stage(most=3, lorries=(True,)), ("hard-stop",))
+    (leader,), stage = come_in(view, Stage(most=3, classes=(AgentClass.TRUCK,)), ("hard-stop",))
     assert leader.agent_class is AgentClass.TRUCK
     assert leader.speed_mps == 10.0
     assert view.target is not None
@@ -123,3 +125,13 @@ def test_nobody_comes_in_to_stand(
     """There is a leader; the next lane is taken; within 56 m nobody could go aside in time; two are needed."""
     view = view_of(motorway, target=(0, 50.0, speed_mps), **cars)
     assert come_in(view, stage, ("cut-out",))[0] == ()
+
+
+def test_lorries_and_motorcycles_come_in_as_often_as_is_said() -> None:
+    """Two in five and one in five of 600."""
+    stages = [Commitments.start("any", np.random.default_rng(k), staged=6).stage for k in range(100)]
+    count = Counter(one for stage in stages for one in stage.classes)
+    assert count.total() == 600
+    assert count[AgentClass.TRUCK] == pytest.approx(240, abs=40)
+    assert count[AgentClass.MOTORCYCLE] == pytest.approx(120, abs=30)
+    assert count.keys() == SIZE_M.keys()

@@ -118,8 +118,7 @@ def _margin(
 
     def run(value: float) -> Trial:
         trial = trials.run(attack, scale, value)
-        outcome = "valid failure" if trial.failed else "no valid failure" if trial.met else "no encounter"
-        console.print(f"{attack}, {scale.text(value)}: {outcome}", soft_wrap=True)
+        console.print(f"{attack}, {scale.text(value)}: {trial.outcome}", soft_wrap=True)
         return trial
 
     return MarginOf(attack, scale, bisect(run, scale, within))

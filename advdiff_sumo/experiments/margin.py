@@ -77,12 +77,19 @@ class Trial:
     Attributes:
         value: of the severity.
         failed: whether the target failed validly.
-        met: whether the encounter took place at all.
+        met: whether the encounter took place at all; where it failed, whether it met who attacks, and nobody else.
     """
 
     value: float
     failed: bool
     met: bool
+
+    @property
+    def outcome(self) -> str:
+        """What came of it, in words."""
+        if self.failed:
+            return "valid failure" if self.met else "valid failure, but not with who attacks"
+        return "no valid failure" if self.met else "no encounter"
 
 
 @dataclass(frozen=True)
@@ -111,8 +118,12 @@ class Margin:
                 return f"nobody was in a position for {attack}; choose another seed scene or net"
             return f"copes with {attack} up to the severest, {scale.text(self.passes.value)}"
         if self.passes is None and self.fails is not None:
-            return f"fails at the mildest {attack} already, {scale.text(self.fails.value)}"
-        passes, fails = (scale.text(trial.value) for trial in reversed(self.neighbours))
+            other = "" if self.fails.met else ", with somebody who does nothing against it"
+            return f"fails at the mildest {attack} already, {scale.text(self.fails.value)}{other}"
+        passes, fails = (
+            scale.text(trial.value) + ("" if trial.met else f" ({trial.outcome})")
+            for trial in reversed(self.neighbours)
+        )
         return f"copes with {attack} at {passes} and fails at {fails}"
 
 

@@ -73,7 +73,9 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
             why = "" if part is None or part.failed is None else part.failed.message
             raise ConfigError(f"the episode with {scale.text(value)} failed: {why}; see {self._folder}")
         (row,) = part.tables["episodes"].to_pylist()
-        return Trial(value, is_valid_failure(row), bool(row["in_position"]))
+        failed = is_valid_failure(row)
+        met = row["attacker_manoeuvre"] == attack if failed else bool(row["in_position"])
+        return Trial(value, failed, met)
 
     def keep(self, margins: Sequence[MarginOf]) -> None:
         """Put the neighbours' episodes into the folder's tables, each failing one first, and all trials into a file."""

@@ -22,7 +22,7 @@ class TrialRow:
         by: the severity's name.
         value: of the severity.
         unit: of the value.
-        encounter: whether it took place.
+        encounter: whether it took place; in a failure, whether it was with who attacks.
         valid_failure: whether the target failed validly.
         episode: its number in the folder; None where it is no neighbour.
     """

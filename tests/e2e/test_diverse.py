@@ -73,6 +73,7 @@ def test_the_same_episodes_however_it_is_run(workplace: Path, here: Callable[...
     assert json.loads((workplace / "two" / "rounds.json").read_text(encoding="utf-8"))["episodes"] == chosen
 
 
+@pytest.mark.slow
 def test_a_dry_run_counts_what_is_asked_for(workplace: Path, here: Callable[..., Outcome]) -> None:
     sweep_file(workplace, 3)
     dry = here("sweep", "wide.toml", "--diverse", "--dry-run")

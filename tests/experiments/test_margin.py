@@ -60,6 +60,17 @@ def test_that_nobody_met_the_target_is_no_success() -> None:
     assert "nobody was in a position for hard-stop" in nobody.text("hard-stop", BRAKING)
 
 
+def test_what_is_not_the_encounter_is_told() -> None:
+    fails, passes = Trial(2.0, failed=True, met=True), Trial(1.75, failed=False, met=False)
+    text = Margin(passes, fails, ()).text("hard-stop", BRAKING)
+    assert text == (
+        "copes with hard-stop at braking of 1.75 m/s² (no encounter) and fails at braking of 2 m/s²"
+    )
+    by_chance = Margin(None, Trial(1.0, failed=True, met=False), ()).text("hard-stop", BRAKING)
+    assert by_chance.endswith("braking of 1 m/s², with somebody who does nothing against it")
+    assert by_chance.startswith("fails at the mildest hard-stop already")
+
+
 @given(
     threshold=st.floats(0.001, 1.0), within=st.floats(0.05, 3.0), scale=st.sampled_from([TO_NINE, GAP, TIME])
 )

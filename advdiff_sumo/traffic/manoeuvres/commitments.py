@@ -26,7 +26,8 @@ STANDS = "stands"
 """What somebody does who has come in to stand: a vehicle that has broken down."""
 _LONGEST_S: Mapping[str, float] = {STANDS: 60.0, "blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
 _LONGEST_DEFAULT_S = 7.0
-_LORRIES, _MOTORCYCLES = 0.4, 0.2
+_STOPS = ("hard-stop", "blocked-lane", "cut-in")
+_LORRIES, _MOTORCYCLES = 0.4, 0.3
 """Shares of those who come in."""
 _PATIENCE = ((0.5 * TURN_S, 0.5), (2.0 * TURN_S, 0.4))
 """Until when (s) an episode waits for a better moment than one of so little merit."""
@@ -231,6 +232,8 @@ def _continued(
     longest = _LONGEST_S.get(under_way.kind, _LONGEST_DEFAULT_S)
     if row is None or under_way.sets_up or passed >= longest:
         return None
+    if under_way.kind in _STOPS and _target_stands(view) and view.speed(row) < _STANDS_MPS:
+        return None  # both stand: the question is answered
     if under_way.kind == "crossing":
         timed = list(KINDS["crossing"](view, row))
         again = rank(view, timed, {"crossing": 1.0}, licence, intensity)

@@ -34,6 +34,18 @@ def test_the_leader_stops_and_goes_on_stopping(motorway: RoadMap) -> None:
     assert again.tracks.speed_mps[0, -1] == 0.0
 
 
+def test_a_stop_is_over_when_both_stand(motorway: RoadMap) -> None:
+    lane = long_lane(motorway)
+    policy = ScriptedTraffic(attack="hard-stop", staged=0)
+    rng = np.random.default_rng(0)
+    scene = scene_on({"target": (lane, 50.0, 20.0), "leader": (lane, 85.0, 20.0)})
+    _, memory = policy.plan(motorway, scene, policy.start(motorway, scene, None, rng), rng)
+    moves = scene_on({"target": (lane, 100.0, 3.0), "leader": (lane, 110.0, 0.0)})
+    assert policy.plan(motorway, moves, memory, rng)[0].tracks.ids == ("leader",)
+    stands = scene_on({"target": (lane, 104.0, 0.0), "leader": (lane, 110.0, 0.0)})
+    assert policy.plan(motorway, stands, memory, rng)[0].tracks.agents == 0
+
+
 def test_nobody_is_moved_where_nothing_serves(motorway: RoadMap) -> None:
     lane = long_lane(motorway)
     policy = ScriptedTraffic(staged=0)

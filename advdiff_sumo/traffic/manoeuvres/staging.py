@@ -110,7 +110,7 @@ def come_in(view: SituationView, stage: Stage, kinds: Container[str]) -> tuple[t
     if "cut-out" in kinds and not taken and stage.most - stage.count >= 2:
         taken += _hidden(view, stage)
     named = tuple(replace(one, name=f"staged-{stage.count + k}") for k, one in enumerate(taken))
-    waits_s = _AGAIN_S if taken or stage.early_s is None else 0.0
+    waits_s = _AGAIN_S if taken else 0.0  # the time at which somebody would meet the target is short
     return named, replace(stage, count=stage.count + len(taken), again_s=now + waits_s)
 
 

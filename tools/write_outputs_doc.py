@@ -6,6 +6,7 @@ import argparse
 import re
 import sys
 from collections.abc import Mapping
+from itertools import takewhile
 from pathlib import Path
 
 from advdiff_sumo.metrics.columns import Column
@@ -13,14 +14,19 @@ from advdiff_sumo.sim.run_store import TABLES
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "outputs.md"
 _PLACE = re.compile(r"(<!-- columns of (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
-_FEWEST_SHARED = 4
+_FEWEST_SHARED = 2
 """As many columns of a table above, one after the other, become one row."""
+_IN_EVERY_TABLE = "episode"
+"""The page's introduction explains it."""
 
 
 def table(columns: Mapping[str, Column], above: Mapping[str, Mapping[str, Column]]) -> str:
-    """Return *columns* as a Markdown table; a run of columns of a table *above* is one row that refers to it."""
+    """Return *columns* as a Markdown table; columns that follow each other and mean the same share a row.
+
+    A run of columns of a table *above* is one row that refers to it.
+    """
     lines = ["| column | meaning |", "|---|---|"]
-    names = list(columns)
+    names = [name for name in columns if name != _IN_EVERY_TABLE]
     while names:
         run, where = max(
             ((_shared(names, columns, other), at) for at, other in above.items()), default=([], "")
@@ -28,9 +34,9 @@ def table(columns: Mapping[str, Column], above: Mapping[str, Mapping[str, Column
         if len(run) >= _FEWEST_SHARED:
             lines.append(f"| `{run[0]}` to `{run[-1]}` | the {len(run)} columns as in `{where}` |")
         else:
-            run = names[:1]
-            column = columns[run[0]]
-            lines.append(f"| `{run[0]}`{'?' * column.nullable} | {column.description} |")
+            run = _alike(names, columns)
+            cells = ", ".join(f"`{name}`{'?' * columns[name].nullable}" for name in run)
+            lines.append(f"| {cells} | {columns[run[0]].description} |")
         names = names[len(run) :]
     return "\n".join(lines) + "\n"
 
@@ -42,6 +48,12 @@ def _shared(names: list[str], columns: Mapping[str, Column], above: Mapping[str,
         name == other and columns[name] == above[other] for name, other in zip(names, first, strict=False)
     ]
     return names[: [*same, False].index(False)]
+
+
+def _alike(names: list[str], columns: Mapping[str, Column]) -> list[str]:
+    """Return the first of *names* up to where they no longer have the same description in *columns*."""
+    description = columns[names[0]].description
+    return list(takewhile(lambda name: columns[name].description == description, names))
 
 
 def filled(page: str) -> str:

@@ -20,10 +20,10 @@ STATE_COLUMNS: Mapping[str, Column] = {
     "time_s": Column("float64", "s", "since the episode's start", nullable=False),
     "agent": Column("str", "", "name of the road user", nullable=False),
     "class": Column("str", "", "car, truck, bus, motorcycle, bicycle or pedestrian", nullable=False),
-    "length_m": Column("float64", "m", "length of the box", nullable=False),
-    "width_m": Column("float64", "m", "width of the box", nullable=False),
-    "x_m": Column("float64", "m", "east, centre of the box", nullable=False),
-    "y_m": Column("float64", "m", "north, centre of the box", nullable=False),
+    "length_m": Column("float64", "m", "length and width of the box", nullable=False),
+    "width_m": Column("float64", "m", "length and width of the box", nullable=False),
+    "x_m": Column("float64", "m", "east and north, centre of the box", nullable=False),
+    "y_m": Column("float64", "m", "east and north, centre of the box", nullable=False),
     "yaw_rad": Column("float64", "rad", "heading, counter-clockwise from east", nullable=False),
     "speed_mps": Column("float64", "m/s", "speed along the heading", nullable=False),
     "controller": Column(
@@ -39,8 +39,8 @@ PLAN_COLUMNS: Mapping[str, Column] = {
     "made_s": Column("float64", "s", "when the plan was made", nullable=False),
     "agent": Column("str", "", "whose plan: the target, or a vehicle that the policy moves", nullable=False),
     "time_s": Column("float64", "s", "when it would be there", nullable=False),
-    "x_m": Column("float64", "m", "east, planned centre of the box, to 1 cm", nullable=False),
-    "y_m": Column("float64", "m", "north, planned centre of the box, to 1 cm", nullable=False),
+    "x_m": Column("float64", "m", "east and north, planned centre of the box, to 1 cm", nullable=False),
+    "y_m": Column("float64", "m", "east and north, planned centre of the box, to 1 cm", nullable=False),
 }
 NATURAL_COLUMNS: Mapping[str, Column] = {
     name: column for name, column in STATE_COLUMNS.items() if name != "controller"
@@ -57,10 +57,14 @@ TIMING_COLUMNS: Mapping[str, Column] = {
     "wall_s": Column("float64", "s", "wall-clock, SUMO's start included", nullable=False),
     "real_time_factor": Column("float64", "", "simulated_s / wall_s", nullable=False),
     "cpu_s": Column("float64", "s", "processor time, SUMO's included"),
-    "target_plan_p50_s": Column("float64", "s", "median time of a plan of a Python target"),
-    "target_plan_p99_s": Column("float64", "s", "99th percentile of the same"),
-    "background_plan_p50_s": Column("float64", "s", "median time of a plan of the policy"),
-    "background_plan_p99_s": Column("float64", "s", "99th percentile of the same"),
+    "target_plan_p50_s": Column(
+        "float64", "s", "time of a plan of a Python target, median and 99th percentile"
+    ),
+    "target_plan_p99_s": Column(
+        "float64", "s", "time of a plan of a Python target, median and 99th percentile"
+    ),
+    "background_plan_p50_s": Column("float64", "s", "the same of the policy"),
+    "background_plan_p99_s": Column("float64", "s", "the same of the policy"),
 }
 TABLES: Mapping[str, Mapping[str, Column]] = {
     "episodes": EPISODE_COLUMNS,

@@ -105,7 +105,7 @@ class Workshop:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.done: set[str] = set()
-        for name in ("scenarios", "tools", "networks"):
+        for name in ("examples", "scenarios", "tools", "networks"):
             (folder / name).symlink_to(ROOT / name)
         self._bring_a_net()
         programs = Path(sys.executable).parent

@@ -16,6 +16,8 @@ Row: TypeAlias = Mapping[str, Any]
 
 APPROACHES = ("ahead", "behind", "beside_left", "beside_right", "oncoming", "from_left", "from_right")
 """From where the other came: on the target's lane, beside it, against it, or across its way."""
+ANY = "any"
+"""Kind that is asked for where all are welcome."""
 NATURAL = "natural"
 """Kind of an encounter with somebody who did nothing against the target."""
 MANOEUVRES = ("straight", "turn_left", "turn_right", "standing")

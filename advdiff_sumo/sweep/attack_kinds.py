@@ -7,10 +7,10 @@ from typing import get_args
 
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.metrics.archive import ANY
 from advdiff_sumo.sim.run_episodes import RunOptions
 from advdiff_sumo.traffic.policy_registry import POLICIES
 
-ANY = "any"
 _OPTION = "attack"
 
 

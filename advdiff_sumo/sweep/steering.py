@@ -1,10 +1,10 @@
 """Which episodes a diverse sweep runs next: those that are likely to fill empty cells of its archive.
 
 The chance that an episode fills a cell is taken as that of a valid failure (by target, net and kind of attack asked
-for, and by how often somebody could attack in that seed scene) times that of the kind met and the approach (by target
-and kind asked for) times that of the target's manoeuvre (by seed scene, once it has been driven, else by net), each
-from smoothed counts. Episodes are picked one by one; each leaves the cells less empty by its chance of filling them.
-All of it follows from the results of the rounds before, so that it does not depend on the workers.
+for, and by how often somebody could attack then, and in that seed scene) times that of the kind met and the approach
+(by target and kind asked for) times that of the target's manoeuvre (by seed scene, once it has been driven, else by
+net), each from smoothed counts. Episodes are picked one by one; each leaves the cells less empty by its chance of
+filling them. All of it follows from the results of the rounds before, so that it does not depend on the workers.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
-from advdiff_sumo.metrics.archive import APPROACHES, MANOEUVRES, ArchiveCell, cell_of
+from advdiff_sumo.metrics.archive import ANY, APPROACHES, MANOEUVRES, ArchiveCell, cell_of
 from advdiff_sumo.metrics.severity import is_failure, is_valid_failure
 
 Row: TypeAlias = Mapping[str, Any]
@@ -75,6 +75,7 @@ class Steering:
 
     Attributes:
         episodes: (target, net, kind) → how many were run, or are picked.
+        attacked: (target, net, kind) → those in which somebody could attack.
         failures: (target, net, kind) → valid failures, and near misses at half their worth.
         outcomes: (target, kind asked for) → (kind met, approach) → count.
         manoeuvres: net → manoeuvre → count.
@@ -82,9 +83,11 @@ class Steering:
         tried: (target, seed scene) → episodes that were run, or are picked.
         met: (target, seed scene) → those in which somebody could attack.
         emptiness: (target, cell) → chance that it is still empty; 1 where absent.
+        kinds: of the candidates, which an episode of "any" may come to.
     """
 
     episodes: Counter[tuple[str, str, str]] = field(default_factory=Counter)
+    attacked: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     failures: dict[tuple[str, str, str], float] = field(default_factory=dict)
     outcomes: dict[tuple[str, str], Counter[tuple[str, str]]] = field(default_factory=dict)
     manoeuvres: dict[str, Counter[str]] = field(default_factory=dict)
@@ -92,6 +95,7 @@ class Steering:
     tried: Counter[tuple[str, str]] = field(default_factory=Counter)
     met: Counter[tuple[str, str]] = field(default_factory=Counter)
     emptiness: dict[tuple[str, ArchiveCell], float] = field(default_factory=dict)
+    kinds: tuple[str, ...] = ()
 
     @staticmethod
     def after(results: Iterable[tuple[Candidate, Row | None]]) -> Steering:
@@ -113,6 +117,7 @@ class Steering:
         if cell is None:
             return
         self.met[scene] += 1
+        self.attacked[place] += 1
         outcomes = self.outcomes.setdefault((candidate.target, candidate.kind), Counter())
         outcomes[cell.kind, cell.approach] += 1
         worth = 1.0 if is_valid_failure(row) else _NEAR_MISS if row["critical"] else 0.0
@@ -123,6 +128,7 @@ class Steering:
     def pick(self, candidates: Sequence[Candidate], count: int) -> list[str]:
         """Return the keys of the *count* most promising of *candidates*, which are in the sweep's order."""
         left = dict.fromkeys(candidates)
+        self.kinds = tuple(dict.fromkeys(one.kind for one in candidates if one.kind != ANY))
         chosen: list[str] = []
         while left and len(chosen) < count:
             promises: dict[Arm, float] = {}
@@ -157,10 +163,12 @@ class Steering:
     def _chances(self, arm: Arm) -> Iterable[tuple[ArchiveCell, float]]:
         """Yield (cell, chance that an episode of *arm* fails validly in it)."""
         place = (arm.target, arm.net, arm.kind)
-        fails = (self.failures.get(place, 0.0) + _FIRST_FAILURES) / (self.episodes[place] + _FIRST_EPISODES)
-        fails *= (arm.met + 1.0) / (arm.tried + 1.0)
+        attacked = self.attacked[place]
+        fails = (self.failures.get(place, 0.0) + _FIRST_FAILURES) / (attacked + _FIRST_EPISODES)
+        fails *= (attacked + 1.0) / (self.episodes[place] + 1.0) * (arm.met + 1.0) / (arm.tried + 1.0)
         met = self.outcomes.get((arm.target, arm.kind), Counter())
-        expected = [(arm.kind, approach) for approach in APPROACHES]
+        kinds = (arm.kind,) if arm.kind != ANY else self.kinds
+        expected = [(kind, approach) for kind in kinds for approach in APPROACHES]
         outcomes = _shares(met, list(dict.fromkeys((*expected, *met))))
         manoeuvres = _shares(self.manoeuvres.get(arm.net, Counter()), MANOEUVRES)
         if arm.manoeuvre:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.policy_check import check_policy
 from advdiff_sumo.traffic.policy_registry import POLICIES, make_policy
 from advdiff_sumo.traffic.replay import Replay
+from examples.coast import Coast
 
 
 @pytest.mark.parametrize(
@@ -113,9 +113,5 @@ def test_a_policy_may_draw_from_its_generator(road: RoadMap, scene: Scene, log: 
     assert check_policy(Wobbly(), road, scene, log) == []
 
 
-def test_the_policy_in_the_documentation_keeps_the_contract(road: RoadMap, scene: Scene, log: Tracks) -> None:
-    text = (Path(__file__).resolve().parents[2] / "docs" / "policies.md").read_text(encoding="utf-8")
-    example = text.split("```python\n")[1].split("```")[0]
-    names: dict[str, Any] = {}
-    exec(example, names)  # noqa: S102 - our own documentation
-    assert check_policy(names["Coast"](seconds=2.0), road, scene, log) == []
+def test_the_example_keeps_the_contract(road: RoadMap, scene: Scene, log: Tracks) -> None:
+    assert check_policy(Coast(seconds=2.0), road, scene, log) == []

@@ -58,9 +58,7 @@ VERDICT_COLUMNS: Mapping[str, Column] = {
     "spare_s": _real("s", "least time in which it would have met anybody, at most 5 s"),
     "impact_left_mps": _real("m/s", "closing speed at which it still collides"),
     "solvable": _flag("the clairvoyant search avoids it; empty unless verdict --search asked", nullable=True),
-    "unavoidable": _flag(
-        "no reference driver and no search avoids it; empty where only the search could tell", nullable=True
-    ),
+    "unavoidable": _flag("nobody avoids it; empty where only the search could tell", nullable=True),
     "verdict": _text("all of it as a sentence"),
 }
 """What verdict.md says of a collision of the target, or of the episode by its first."""
@@ -82,9 +80,7 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "duration_s": _real("s", "simulated time", nullable=False),
     "route": _text("edges of the target's route, apart by blanks"),
     "agents": _count("agents ever there, the target included"),
-    "target_collision": _flag(
-        "the target hit something or left the road; overlaps at the start do not count"
-    ),
+    "target_collision": _flag("it hit something or left the road; overlaps at the start do not count"),
     "collision_time_s": _real("s", "first contact, since the episode's start"),
     "collision_partner": _text("id of the other; empty when the target left the road"),
     "collision_type": _text(
@@ -94,9 +90,7 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "fault_reason": _text("the rule that says so, as a sentence"),
     **VERDICT_COLUMNS,
     **CRITICAL_COLUMNS,
-    "attacker_visible": _flag(
-        "a SUMO-driven target perceived the partner in the second before", nullable=True
-    ),
+    "attacker_visible": _flag("a SUMO-driven target perceived the partner", nullable=True),
     "relative_speed_mps": _real("m/s", "length of the difference of the velocities"),
     "closing_speed_mps": _real("m/s", "relative speed along the contact normal"),
     "target_speed_mps": _real("m/s", "speeds at contact"),
@@ -105,20 +99,18 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "impact_y_m": _real("m", "impact point in the net"),
     "impact_ahead_m": _real("m", "impact point from the target's centre"),
     "impact_left_m": _real("m", "impact point from the target's centre"),
-    "initial_overlaps": _count("pairs that overlapped when first there together (logs, insertions)"),
+    "initial_overlaps": _count("pairs that overlapped when first there together"),
     "sumo_collisions": _count("SUMO's own collision list: pairs at an instant"),
-    "sumo_only": _count("of these, those whose boxes do not touch"),
-    "ours_only": _count("pairs at an instant that overlap and that SUMO does not list"),
+    "sumo_only": _count("of these, whose boxes do not touch"),
+    "ours_only": _count("pairs at an instant that only we list"),
     "sumo_disagreements": _count("sumo_only plus ours_only"),
     "teleports": _count("vehicles that SUMO teleported"),
     "rough_handovers": _count("times SUMO got a vehicle back askew, not aligned within 8 s"),
     "skipped_agents": _count("agents left to SUMO, out of reach of where their log goes on"),
-    "refused_insertions": _later_count(
-        "moved vehicles that SUMO would not take in; they leave the scene unless moved"
-    ),
-    "attack_kind": _text("kind of attack asked for; empty where the background attacks nobody"),
-    "in_position": _flag("some vehicle was ever in a position for it; empty as attack_kind", nullable=True),
-    "min_ttc_s": _real("s", "least time to collision of boxes at constant velocity, up to 10 s"),
+    "refused_insertions": _later_count("moved vehicles that SUMO would not take in"),
+    "attack_kind": _text("kind of attack asked for; empty without attackers"),
+    "in_position": _flag("some vehicle was ever in a position for it", nullable=True),
+    "min_ttc_s": _real("s", "least time to collision of boxes, up to 10 s"),
     "min_ttc_partner": _text("the vehicle it was with"),
     "min_lane_ttc_s": _real("s", "the same with the vehicle ahead in the lane"),
     "min_pet_s": _real("s", "least post-encroachment time, up to 10 s"),
@@ -135,15 +127,11 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "jerk_max_mps3": _real("m/s³", "absolute longitudinal jerk, mean and greatest"),
     "yaw_rate_mean_radps": _real("rad/s", "absolute yaw rate, mean and greatest"),
     "yaw_rate_max_radps": _real("rad/s", "absolute yaw rate, mean and greatest"),
-    "bv_collisions": _count("collisions of background vehicles with each other, but for replayed pairs"),
+    "bv_collisions": _count("collisions of background vehicles, but for replayed pairs"),
     "replayed_collisions": _later_count("collisions of two that follow their log"),
-    "bv_offroad_share": _real(
-        "", "share of moved boxes off the road beyond that at their start, mean and greatest"
-    ),
-    "bv_offroad_max_share": _real(
-        "", "share of moved boxes off the road beyond that at their start, mean and greatest"
-    ),
-    "bv_offroad_vehicles": _count("moved vehicles of which over half came to be off the road"),
+    "bv_offroad_share": _real("", "share of moved boxes off the road, mean and greatest"),
+    "bv_offroad_max_share": _real("", "share of moved boxes off the road, mean and greatest"),
+    "bv_offroad_vehicles": _count("moved vehicles that came to be over half off the road"),
     "route_progress_m": _real("m", "how far the target came along its route"),
     "route_share": _real("", "the same as a share of its route"),
     "route_completed": _flag("the target reached the end of its route"),

@@ -1,8 +1,10 @@
 """The background policy ``advsim``: a black-box search over the attackers' action sequences.
 
 After Wang, Pun, Tu, Manivasagam, Sadat, Casas, Ren and Urtasun (2021), "AdvSim: Generating Safety-Critical
-Scenarios for Self-Driving Vehicles", doi:10.1109/CVPR46437.2021.00978. ``docs/policies.md`` says where ours
-differs.
+Scenarios for Self-Driving Vehicles", doi:10.1109/CVPR46437.2021.00978. Ours differs from the paper: it runs in
+closed loop from what the last search found, with SimNet's actions as the initial ones (Xie et al. 2024, Sec. IV-C);
+CMA-ES stands for the paper's black-box methods; others do not evade within the search; planners get states, and plans
+pass the safeguard. Every ``refresh`` rounds the surrogate reacts to the best candidate, taken only where it is better.
 """
 
 from __future__ import annotations

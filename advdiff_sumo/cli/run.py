@@ -81,7 +81,7 @@ def run(
     where = {"net": net, "demand": demand and str(demand), "scenes": scenes and str(scenes), "seed": seed}
     what = {"target": target, "background": background, "episodes": episodes, "horizon_s": horizon}
     attacking = {"licence": licence, "strength": strength, "attackers": attackers, "attack": attack}
-    files = {"weights": weights and str(weights.resolve()), "reward": reward and str(reward.resolve())}
+    files = {"weights": flags.weights_of(weights), "reward": reward and str(reward.resolve())}
     policy = attacking | {"guide": guide} | files | {"device": device}
     if resume:
         config = config or _begun(out)

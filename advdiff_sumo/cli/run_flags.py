@@ -86,7 +86,11 @@ Guide: TypeAlias = Annotated[
     ),
 ]
 Weights: TypeAlias = Annotated[
-    Path | None, typer.Option(help="diffusion: trained networks.", show_default="the shipped ones")
+    str | None,
+    typer.Option(
+        help="diffusion: trained networks, or closed-loop for the shipped ones that look again at each step.",
+        show_default="the shipped ones",
+    ),
 ]
 Reward: TypeAlias = Annotated[
     Path | None,
@@ -109,3 +113,10 @@ Quiet: TypeAlias = Annotated[bool, typer.Option("--quiet", "-q", help="Print not
 Json: TypeAlias = Annotated[
     bool, typer.Option("--json", help="Print one JSON object, what it came to, and nothing else.")
 ]
+
+
+def weights_of(given: str | None) -> str | None:
+    """Return what ``--weights`` means for a run's options: a path made whole, or the name of shipped networks."""
+    if given is None or not (Path(given).exists() or Path(given).suffix):
+        return given
+    return str(Path(given).resolve())

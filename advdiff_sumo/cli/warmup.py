@@ -50,7 +50,7 @@ def warmup(
         "strength": strength,
         "attackers": attackers,
         "attack": attack,
-        "weights": weights and str(weights.resolve()),
+        "weights": flags.weights_of(weights),
         "device": device,
     }
     given: dict[str, Any] = {"net": net, "target": target, "seed": seed, "horizon_s": horizon}

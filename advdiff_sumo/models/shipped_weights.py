@@ -4,16 +4,30 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias, cast, get_args
 
 import torch
 
 from advdiff_sumo.core.errors import ConfigError
 
+ShippedName: TypeAlias = Literal["traffic", "closed-loop", "simnet", "traj2traj"]
 
-def shipped_weights(name: Literal["traffic", "simnet", "traj2traj"] = "traffic") -> Path:
-    """Return the path of the shipped networks: the bundle of all traffic models, SimNet, or traj2traj."""
+
+def shipped_weights(name: ShippedName = "traffic") -> Path:
+    """Return the path of shipped networks.
+
+    Args:
+        name: "traffic": the bundle of all traffic models; "closed-loop": the same with a decoder that closes the loop
+            and sees the map as far as is driven; SimNet, or traj2traj.
+    """
     return Path(str(files("advdiff_sumo"))) / "weights" / f"{name}.safetensors"
+
+
+def find_weights(given: str, default: ShippedName = "traffic") -> Path:
+    """Return the file that a user's *given* text means: a path, the name of shipped networks, or "" for *default*."""
+    if given in get_args(ShippedName) and not Path(given).exists():
+        default, given = cast("ShippedName", given), ""
+    return Path(given) if given else shipped_weights(default)
 
 
 def device_of(name: str, whose: str) -> torch.device:

@@ -203,7 +203,9 @@ def _last(xy: Tensor, batch: SceneBatch) -> Tensor:
 def _figures(one: _Sums, log: _Sums) -> Figures:
     figures = means(one.tally)
     if one is not log:
-        figures["energy_m"] = figures["fde_m"] - 0.5 * figures.get("fdd_m", 0.0)  # one sample has no diversity
+        figures["energy_m"] = figures["fde_m"] - 0.5 * figures.get(
+            "fdd_m", 0.0
+        )  # one sample has no diversity
         figures["jsd_speed"] = float(jensen_shannon(one.speed, log.speed))
         figures["jsd_accel"] = float(jensen_shannon(one.accel, log.accel))
     return figures

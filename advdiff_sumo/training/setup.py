@@ -18,7 +18,7 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
 from advdiff_sumo.models.model_options import MapView
-from advdiff_sumo.models.shipped_weights import shipped_weights
+from advdiff_sumo.models.shipped_weights import find_weights
 from advdiff_sumo.models.simnet_file import begin_simnet, save_simnet
 from advdiff_sumo.training.checkpoint import Progress
 from advdiff_sumo.training.cvae import TrafficStage
@@ -243,10 +243,10 @@ def with_closed_loop(begun: Bundle, seed: int, view: MapView | None = None) -> B
 
 
 def weights_file(path: Path) -> Path:
-    """Return the weights that *path* means: the shipped ones, itself, or those in the folder of a training."""
-    if path == Path("shipped") and not path.exists():
-        return shipped_weights()
-    return path / WEIGHTS if path.is_dir() else path
+    """Return the weights that *path* means: shipped ones by name, itself, or those in the folder of a training."""
+    if path.is_dir():
+        return path / WEIGHTS
+    return find_weights("" if path == Path("shipped") and not path.exists() else str(path))
 
 
 def _sides(plan: Plan, windows: WindowSet) -> tuple[WindowSet, WindowSet]:

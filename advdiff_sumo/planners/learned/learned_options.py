@@ -11,7 +11,7 @@ class LearnedOptions(Options):
     """Options of every learned target.
 
     Attributes:
-        weights: a file of networks; empty: the shipped ones.
+        weights: a file of networks, or the name of shipped ones; empty: the usual ones.
         device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
         agents: road users that the networks see, the nearest ones.
         route: whether the model's speeds are also tried along the route's lanes; without it the target drives

@@ -22,7 +22,7 @@ from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import MapView
-from advdiff_sumo.models.shipped_weights import shipped_weights
+from advdiff_sumo.models.shipped_weights import find_weights
 from advdiff_sumo.models.simnet import SimNet
 from advdiff_sumo.models.simnet_file import load_simnet
 from advdiff_sumo.models.view import View
@@ -68,7 +68,7 @@ class SimNetModel:
 
     def __init__(self, weights: str, device: torch.device) -> None:
         self._device = device
-        self._simnet = _simnet(weights or str(shipped_weights("simnet")), device)
+        self._simnet = _simnet(str(find_weights(weights, "simnet")), device)
         self.map_view = self._simnet.options.map_view
 
     @torch.no_grad()
@@ -92,7 +92,7 @@ class TrafficSimModel:
 
     def __init__(self, weights: str, device: torch.device, draws: int) -> None:
         self._device, self._draws = device, draws
-        self._bundle, self._decoder = _bundle(weights or str(shipped_weights()), device)
+        self._bundle, self._decoder = _bundle(str(find_weights(weights)), device)
         self.map_view = self._bundle.options.model.map_view
 
     @torch.no_grad()
@@ -121,7 +121,7 @@ class DiffusionModel:
     """
 
     def __init__(self, options: DiffusionPlannerOptions, device: torch.device) -> None:
-        path = options.weights or str(shipped_weights())
+        path = str(find_weights(options.weights))
         self._options, self._device = options, device
         self._bundle, self._decoder = _bundle(path, device)
         self.map_view = self._bundle.options.model.map_view

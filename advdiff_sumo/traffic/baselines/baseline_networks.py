@@ -13,7 +13,7 @@ from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.model_options import MapView
-from advdiff_sumo.models.shipped_weights import device_of, shipped_weights
+from advdiff_sumo.models.shipped_weights import device_of, find_weights
 from advdiff_sumo.models.traffic import TrafficModel
 from advdiff_sumo.traffic.baselines.baseline_options import RivalOptions
 
@@ -47,7 +47,7 @@ def prior_of(options: RivalOptions, whose: str) -> Prior:
         ConfigError: no such device.
     """
     device = device_of(options.device, whose)
-    return _prior(options.weights or str(shipped_weights()), device)
+    return _prior(str(find_weights(options.weights)), device)
 
 
 @lru_cache(maxsize=2)

@@ -21,7 +21,7 @@ class RivalOptions(Options):
             prediction), or a planner of one's own as an entry point or ``package.module:Class``.
         refresh: rounds after which the surrogate reacts to the search's latest plan.
         replan: model steps of 0.5 s of a plan that are driven before the next one.
-        weights: a bundle of networks; empty: the shipped one.
+        weights: a bundle of networks, or "closed-loop" for the shipped one of that name; empty: "traffic".
         device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
     """
 

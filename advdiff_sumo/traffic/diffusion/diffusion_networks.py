@@ -72,6 +72,13 @@ def networks_of(options: DiffusionOptions) -> Networks:
             "diffuses trajectories, which nothing guides",
             "give weights of codec latent, or --guide none",
         )
+    trained = networks.bundle.stages
+    if options.guided and not options.reward and trained and "reward" not in trained:
+        raise WeightsError(
+            options.path,
+            "has no trained reward model, which guides",
+            "train its stage 'reward', name one with --reward, or give --guide none",
+        )
     return networks
 
 

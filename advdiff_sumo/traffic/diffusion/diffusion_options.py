@@ -9,7 +9,7 @@ from typing import ClassVar, Literal, Self, TypeAlias
 from pydantic import Field, model_validator
 
 from advdiff_sumo.config import Options
-from advdiff_sumo.models.shipped_weights import shipped_weights
+from advdiff_sumo.models.shipped_weights import find_weights
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
 from advdiff_sumo.traffic.manoeuvres.staging import STAGED
 
@@ -61,7 +61,7 @@ class DiffusionOptions(Options):
         persistence: how much of a vehicle's starting noise, and so of its intention, is kept from plan to plan.
         replan: model steps of 0.5 s of a plan that are driven before the next one (the paper's l).
         samples: joint futures drawn at once, of which the most plausible is driven.
-        weights: a bundle of networks; empty: the shipped one.
+        weights: a bundle of networks, or "closed-loop" for the shipped one of that name; empty: "traffic".
         reward: a reward model of ``advdiff-sumo warmup`` in place of the bundle's; empty: none.
         device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
     """
@@ -114,7 +114,7 @@ class DiffusionOptions(Options):
     @property
     def path(self) -> Path:
         """The networks' file."""
-        return Path(self.weights) if self.weights else shipped_weights(self.shipped)
+        return find_weights(self.weights, self.shipped)
 
 
 class Traj2TrajOptions(DiffusionOptions):

@@ -14,7 +14,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import ModelOptions
-from advdiff_sumo.models.shipped_weights import shipped_weights
+from advdiff_sumo.models.shipped_weights import find_weights
 from advdiff_sumo.models.simnet_file import load_simnet
 
 PriorName: TypeAlias = Literal["simnet", "traffic"]
@@ -77,4 +77,4 @@ def load_prior(name: PriorName, weights: str = "") -> Prior:
         "simnet": SimNetPrior,
         "traffic": TrafficPrior,
     }
-    return kinds[name](Path(weights) if weights else shipped_weights(name))
+    return kinds[name](find_weights(weights, name))

@@ -4,7 +4,7 @@ BIN := .venv/bin
 PIP := $(BIN)/pip install --disable-pip-version-check --progress-bar on
 TESTS := $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 15 --quiet
 
-.PHONY: install setup demo test test-all readers planners check docs proto package bench soak clean
+.PHONY: install setup demo test test-all readers planners check docs proto package bench soak weights clean
 
 # what running needs: PyTorch, SUMO and the libraries around them
 install: .venv/.installed
@@ -92,6 +92,10 @@ bench: setup
 # an hour of every background, target and attack on many nets; ADVDIFF_DATA adds real nets and logs; resumes
 soak: setup
 	$(BIN)/python tools/soak.py build/soak $${ADVDIFF_DATA:+--data $$ADVDIFF_DATA} --minutes 60
+
+# the weights "closed-loop" from nothing, in some hours; goes on where it was stopped
+weights: install
+	tools/make_weights.sh build/weights
 
 clean:
 	rm -rf .venv build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -144,6 +144,16 @@ def load_bundle(path: Path) -> Bundle:
     )
 
 
+def halve_bundle(source: Path, path: Path) -> None:
+    """Write the bundle *source* to *path* with numbers of 16 bits, which are read as 32 bits again: half the size.
+
+    Raises:
+        WeightsError: *source* cannot be read.
+    """
+    header, tensors = read_stored(source, FORMAT, "train it", "train it again with this version")
+    write_stored(path, {name: value.half() for name, value in tensors.items()}, header)
+
+
 def _fill(bundle: Bundle, tensors: Mapping[str, Tensor], path: Path) -> None:
     for prefix, module in bundle.modules().items():
         own = {

@@ -14,7 +14,15 @@ from torch import Tensor, nn
 
 from advdiff_sumo.core.errors import InputError, WeightsError
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.bundle import FORMAT, Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
+from advdiff_sumo.models.bundle import (
+    FORMAT,
+    Bundle,
+    BundleOptions,
+    halve_bundle,
+    load_bundle,
+    new_bundle,
+    save_bundle,
+)
 from advdiff_sumo.models.model_options import ModelOptions
 
 
@@ -167,3 +175,15 @@ def test_a_file_in_the_way_is_kept_until_the_new_one_is_whole(bundle: Bundle, tm
         save_bundle(bundle, path, ("joint",), {"what": object()})
     assert path.read_bytes() == before
     assert issubclass(WeightsError, InputError)
+
+
+def test_half_of_the_bytes_give_the_same_networks_to_three_digits(bundle: Bundle, tmp_path: Path) -> None:
+    whole, half = tmp_path / "whole.safetensors", tmp_path / "half.safetensors"
+    save_bundle(bundle, whole, ("traffic",), {"seed": 3})
+    halve_bundle(whole, half)
+    assert half.stat().st_size < 0.6 * whole.stat().st_size
+    read = load_bundle(half)
+    assert (read.options, read.stages) == (bundle.options, ("traffic",))
+    for name, tensor in read.tensors().items():
+        assert tensor.dtype == torch.float32
+        torch.testing.assert_close(tensor, bundle.tensors()[name], rtol=1e-3, atol=1e-6)

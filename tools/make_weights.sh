@@ -1,0 +1,41 @@
+#!/usr/bin/env bash
+# Makes the weights "closed-loop" from nothing: windows of made-up traffic, then the stages of their training.
+# The same command goes on where it was stopped.
+#
+# Usage: tools/make_weights.sh [FOLDER]    FOLDER (build/weights) receives windows, trainings and closed-loop.safetensors
+# From the environment: WINDOWS (102000), WORKERS (all cores), DEVICE (auto), LOADERS (0; 8 is good beside a GPU)
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+folder=${1:-build/weights}
+run=${ADVDIFF:-.venv/bin/advdiff-sumo}
+common=(--data "$folder/windows" --seed 18 --device "${DEVICE:-auto}" --loaders "${LOADERS:-0}" --judge 0)
+common+=(--set jitter.mirror=0.5 --set held_out=0.02 --set held_out_windows=256)
+mkdir -p "$folder"
+
+"$run" data simulate --out "$folder/windows" --windows "${WINDOWS:-102000}" --seed 911 --random-share 0.6 \
+    --map-view far --workers "${WORKERS:-$(nproc)}"
+
+stage() { # NAME OPTIONS...
+    local name=$1 resume=()
+    shift
+    [ ! -e "$folder/$name/checkpoint.safetensors" ] || resume=(--resume)
+    "$run" train "$name" --out "$folder/$name" "${common[@]}" "${resume[@]}" "$@"
+}
+
+networks='{decoder="closed-loop", hidden=160, message=96, decoder_layers=2, denoiser_layers=2, channels=[32, 48, 64]}'
+stage traffic --set "model=$networks" --set epochs=5 --set batch_size=32 --set elbo.samples=1 \
+    --set elbo.kl_anneal_share=0.2 --set decoder.vehicles=2 --set decoder.road=2
+stage denoiser --init "$folder/traffic" --set epochs=2 --set batch_size=64 --set learning_rate=1.5e-3
+stage reward --init "$folder/denoiser" --set epochs=1 --set reward.transitions=1
+
+"${PYTHON:-.venv/bin/python}" - "$folder" <<'END'
+import sys
+from pathlib import Path
+
+from advdiff_sumo.models.bundle import halve_bundle
+
+folder = Path(sys.argv[1])
+halve_bundle(folder / "reward" / "weights.safetensors", folder / "closed-loop.safetensors")
+print(folder / "closed-loop.safetensors")
+END

@@ -19,6 +19,7 @@ from advdiff_sumo.experiments.bench.paper import paper_table
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.statistics import Divergence, Ratio, Sample
 from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of
+from advdiff_sumo.models.model_options import MapView
 from advdiff_sumo.sim.simulate import ShardResult, SimulateOptions, plan, simulate
 from advdiff_sumo.sweep.fingerprint import digest
 from advdiff_sumo.sweep.sweep_files import read_checked, write_checked
@@ -26,6 +27,7 @@ from advdiff_sumo.training.dataset import WindowSet, read_window_set
 
 WINDOWS, WINDOWS_SEED, MADE_UP_SHARE = 1800, 9001, 0.5
 """The windows that are made where none are given: ``data simulate`` with these, half of them on made-up nets."""
+VIEWS: tuple[MapView, ...] = ("near", "far")
 CHUNK = 6
 OURS, LOG = "diffusion", "log"
 HEADS = (
@@ -50,11 +52,16 @@ def run_traffic(folder: Folder, workers: int, teller: ProgressReporter) -> Table
     Raises:
         InputError: a row is unknown, or a window file cannot be used.
     """
-    names = chosen_models(folder.request.policies, teller)
-    places = _windows(folder, workers, teller)
-    windows = read_window_set(places)
-    rows = spread_rows(len(windows), _wanted(folder.request.scenes, len(windows)))
-    counted = _counted(folder, names, windows, rows, places, workers, teller)
+    names = chosen_models(folder.request, teller)
+    counted: dict[str, Counted] = {}
+    for view in VIEWS:
+        seeing = tuple(name for name in names if MODELS[name].view == view or (name == LOG and not counted))
+        if {*seeing} <= {LOG} and len(names) > 1:
+            continue
+        places = _windows(folder, workers, teller, view)
+        windows = read_window_set(places)
+        rows = spread_rows(len(windows), _wanted(folder.request.scenes, len(windows)))
+        counted |= _counted(folder, seeing, windows, rows, places, workers, teller)
     scenes = tuple(str(row) for row in rows.tolist())
     samples = [_samples(name, counted, scenes) for name in names]
     lines = lines_of(HEADS, samples, paper_table("traffic").rows)
@@ -74,18 +81,21 @@ def check_traffic(request: Request, teller: ProgressReporter) -> None:
     Raises:
         InputError: a row or number makes no sense, or a window file cannot be used.
     """
-    chosen_models(request.policies, teller)
+    chosen_models(request, teller)
     _wanted(request.scenes, 1)
-    if request.data:
-        read_window_set([Path(place) for place in request.data])
 
 
-def chosen_models(asked: tuple[str, ...], teller: ProgressReporter) -> tuple[str, ...]:
+def chosen_models(request: Request, teller: ProgressReporter) -> tuple[str, ...]:
     """Return the rows: those asked for, or all whose weights ship; the log is always one of them.
+
+    Rows whose networks see another view of the map than given windows show are left out.
 
     Raises:
         ConfigError: a row is unknown, or has no weights.
+        FileError: a window file cannot be used.
     """
+    asked = request.policies
+    given = read_window_set([Path(place) for place in request.data]).map_view if request.data else None
     for name in asked:
         if name not in MODELS:
             raise ConfigError(
@@ -99,7 +109,13 @@ def chosen_models(asked: tuple[str, ...], teller: ProgressReporter) -> tuple[str
         if not asked and not model.there:
             teller.say(f"row {name} is left out: this installation has no {model.weights} yet")
     wanted = {LOG, *(asked or MODELS)}
-    return tuple(name for name, model in MODELS.items() if name in wanted and model.there)
+    names = [name for name, model in MODELS.items() if name in wanted and model.there]
+    blind = [name for name in names if given and name != LOG and MODELS[name].view != given]
+    if blind:
+        teller.say(
+            f"left out: {', '.join(blind)}, whose networks see more or less of the map than the windows show"
+        )
+    return tuple(name for name in names if name not in blind)
 
 
 def spread_rows(total: int, wanted: int) -> IntArray:
@@ -120,12 +136,13 @@ def _wanted(asked: str, total: int) -> int:
     return min(int(asked), total)
 
 
-def _windows(folder: Folder, workers: int, teller: ProgressReporter) -> list[Path]:
-    """Return the window files: those given, or the ones that this makes in the folder."""
+def _windows(folder: Folder, workers: int, teller: ProgressReporter, view: MapView) -> list[Path]:
+    """Return the window files: those given, or the ones of the map's *view* that this makes in the folder."""
     if folder.request.data:
         return [Path(place) for place in folder.request.data]
-    default = folder.path / "windows"
-    shards = plan(SimulateOptions(windows=WINDOWS, seed=WINDOWS_SEED, random_share=MADE_UP_SHARE))
+    default = folder.path / ("windows" if view == "near" else f"windows-{view}")
+    made_up = SimulateOptions(windows=WINDOWS, seed=WINDOWS_SEED, random_share=MADE_UP_SHARE, view=view)
+    shards = plan(made_up)
     default.mkdir(parents=True, exist_ok=True)
     teller.begin("files of windows", len(shards))
 

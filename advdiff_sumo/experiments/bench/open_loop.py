@@ -21,7 +21,7 @@ from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.model_options import MODEL_STEP_S
+from advdiff_sumo.models.model_options import MODEL_STEP_S, MapView
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.models.simnet_file import load_simnet
 from advdiff_sumo.training import realism
@@ -42,11 +42,13 @@ class Model:
         title: what is printed.
         weights: file among the shipped weights; "" for the log itself.
         load: path of the weights → what draws futures.
+        view: how much of the map they see.
     """
 
     title: str
     weights: str
     load: Callable[[Path], Draw]
+    view: MapView = "near"
 
     @property
     def path(self) -> Path:
@@ -148,6 +150,7 @@ MODELS: Mapping[str, Model] = {
     "trafficsim": Model("TrafficSim (prior)", "traffic.safetensors", _prior),
     "traj2traj": Model("traj2traj", "traj2traj.safetensors", partial(_diffusion, steps=TRAJECTORY_STEPS)),
     "diffusion": Model("latent diffusion (ours)", "traffic.safetensors", _diffusion),
+    "closed-loop": Model("… with the closed-loop decoder", "closed-loop.safetensors", _diffusion, "far"),
     "together": Model("… made to fit together", "traffic.safetensors", partial(_diffusion, fitted=True)),
 }
 

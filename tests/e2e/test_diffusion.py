@@ -36,6 +36,24 @@ def test_a_guided_run_its_check_and_its_repetition(weights: Path, tmp_path: Path
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("guide", ["none", "reward"])
+def test_the_shipped_closed_loop_weights_by_their_name(tmp_path: Path, guide: str) -> None:
+    words = ("run", "--net", "downtown", "--background", "diffusion", "--weights", "closed-loop", "--check")
+    done = advdiff(*words, "--guide", guide, *TINY, "--episodes", "1", "--out", "run", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert 'weights = "closed-loop"' in (tmp_path / "run" / "run.toml").read_text()
+
+
+def test_guiding_needs_a_trained_reward_model(tmp_path: Path) -> None:
+    path = tmp_path / "natural.safetensors"
+    save_bundle(new_bundle(BundleOptions.parse({"model": MODEL})), path, ("traffic", "denoiser"))
+    words = ("run", "--net", "motorway", "--background", "diffusion", "--weights", path.name)
+    done = advdiff(*words, *TINY, "--out", "run", cwd=tmp_path)
+    assert done.code == 2
+    assert "natural.safetensors: has no trained reward model, which guides" in sentence(done)
+
+
+@pytest.mark.slow
 def test_warm_up_and_its_reward_model(weights: Path, tmp_path: Path) -> None:
     words = ("--net", "motorway", "--weights", weights.name, "--horizon", "3")
     made = advdiff(

@@ -103,8 +103,7 @@ def sweep(
     from advdiff_sumo.sweep.sweep_runner import Todo, open_store
 
     signal.signal(signal.SIGTERM, _as_ctrl_c)
-    condition = condition_of(fail_if)
-    console = verb_console(quiet, as_json)
+    console, condition = verb_console(quiet, as_json), condition_of(fail_if)
     begun = _begun(resume)
     plan = _plan(console, file, begun, diverse)
     slots = workers or _cores()

@@ -76,12 +76,9 @@ def train(
 
     from advdiff_sumo.models.bundle import load_bundle
     from advdiff_sumo.training.evaluation import Judging
-    from advdiff_sumo.training.presets import STAGES
     from advdiff_sumo.training.setup import WEIGHTS, Plan, prepare
 
-    name = next((known for known in STAGES if known == stage), None)
-    if name is None:
-        raise UnknownNameError("stage", stage, STAGES)
+    name = _stage(stage)
     if threads is not None:
         torch.set_num_threads(threads)
     assignments = [*(assign or []), *([f'codec="{codec}"'] if codec else [])]
@@ -104,6 +101,20 @@ def train(
     if done and judged and name != "simnet":  # its own figures are said when it ends
         bundle = load_bundle(out / WEIGHTS)
         judge_and_show(bundle, job.held_out, Judging(windows=judged), job.device, out / "evaluation.json")
+
+
+def _stage(asked: str) -> StageName:
+    """Return the stage that the user asked for.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+    """
+    from advdiff_sumo.training.presets import STAGES
+
+    for known in STAGES:
+        if known == asked:
+            return known
+    raise UnknownNameError("stage", asked, STAGES)
 
 
 def _options(

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 
 from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.map_view import MapView
 
 if TYPE_CHECKING:
     from advdiff_sumo.sim.simulate import ShardResult
@@ -22,7 +23,7 @@ data = typer.Typer(
 )
 _say = terminal(highlight=False, soft_wrap=True)
 _MapView = Annotated[
-    Literal["near", "far"],
+    MapView,
     typer.Option(help="Map that each vehicle sees: 60 m around, or what it may drive in 6 s, too."),
 ]
 

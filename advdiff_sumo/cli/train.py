@@ -82,12 +82,11 @@ def train(
     if threads is not None:
         torch.set_num_threads(threads)
     assignments = [*(assign or []), *([f'codec="{codec}"'] if codec else [])]
-    options = _options(name, preset, assignments, out if resume else None)
     plan = Plan(
         stage=name,
         data=tuple(data),
         out=out,
-        options=options,
+        options=_options(name, preset, assignments, out if resume else None),
         init=init,
         val=tuple(val or ()),
         seed=seed,

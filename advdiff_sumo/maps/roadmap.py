@@ -12,6 +12,7 @@ from shapely.geometry.base import BaseGeometry
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.maps.build_graph import LaneGraph, build_graph
 from advdiff_sumo.maps.drivable import DrivableArea, area_of_lanes
 from advdiff_sumo.maps.geo import Projection
@@ -23,7 +24,7 @@ from advdiff_sumo.maps.paths import LanePath, PathFinder
 from advdiff_sumo.maps.read_net import RawNet, base_name, read_raw_net
 from advdiff_sumo.maps.routing import EdgeGraph
 from advdiff_sumo.maps.sidecar import read_sidecar, sidecar_of
-from advdiff_sumo.maps.vector_map import MapView, PieceTable, build_pieces
+from advdiff_sumo.maps.vector_map import PieceTable, build_pieces
 from advdiff_sumo.maps.vectors import PIECE_M, MapVectors, VectorIndex
 
 MAX_LANE_DISTANCE_M = 5.0

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.map_view import MAP_PIECES, MapView
 from advdiff_sumo.core.polylines import Polyline, without_repeats
 from advdiff_sumo.maps.lanes import Junction, Lane, Link
 
@@ -20,8 +20,6 @@ POINTS = 6
 """N: points of a piece."""
 PIECE_M = 20.0
 """Longest piece where traffic is slow; longer lines are cut into equal parts."""
-MapView: TypeAlias = Literal["near", "far"]
-"""Name of one of ``VIEWS``."""
 _SHORTEST_M = 0.05
 _SIGNAL_CODES = {"r": 1, "R": 1, "u": 1, "U": 1, "y": 2, "Y": 2, "g": 3, "G": 3}
 
@@ -54,11 +52,10 @@ class ViewLimits:
         return self.lanes + self.edges
 
 
-VIEWS: Mapping[str, ViewLimits] = {
-    "near": ViewLimits(28, 12, 60.0, 0.0, 24.0, 0.0, PIECE_M),
-    "far": ViewLimits(44, 20, 60.0, 6.5, 24.0, 2.0, 40.0),
+VIEWS: Mapping[MapView, ViewLimits] = {
+    "near": ViewLimits(*MAP_PIECES["near"], 60.0, 0.0, 24.0, 0.0, PIECE_M),
+    "far": ViewLimits(*MAP_PIECES["far"], 60.0, 6.5, 24.0, 2.0, 40.0),
 }
-"""The views that there are: of 60 m, and of all that is driven in 6 s."""
 
 
 class Feature(IntEnum):

@@ -136,21 +136,7 @@ class ClosedLoopDecoder(Decoder):
         everybody: Motion,
         others: Tensor | None,
     ) -> tuple[State, Tensor, Tensor]:
-        """Return where the rows get to, their memory, and what all agents send; arguments as of :meth:`_look`."""
-        mixed, senders = self._look(memory, z, around, motion, everybody, others)
-        state, memory = self._drive(mixed, memory, motion, around.own)
-        return state, memory, senders
-
-    def _look(
-        self,
-        memory: Tensor,
-        z: Tensor,
-        around: _Surroundings,
-        motion: Motion,
-        everybody: Motion,
-        others: Tensor | None,
-    ) -> tuple[Tensor, Tensor]:
-        """Return the rows' embeddings (B, R, D) at one step, and what all agents send (layers, B, A, M)."""
+        """Return where the rows get to in a step, their memory of it, and what all agents send (layers, B, A, M)."""
         own, batch, rows = around.own, around.batch, around.rows
         place = into_frame(motion[0], own.pose[..., :2], own.pose[..., 2])
         turn = motion[1] - own.pose[..., 2]
@@ -161,7 +147,9 @@ class ClosedLoopDecoder(Decoder):
         relative = relative_features(*everybody)[:, rows]
         pairs = torch.cat((relative, pair_features(*everybody, batch.size, rows)), dim=-1)
         edges, closer = self.interaction.prepare(relative), self.pairs(pairs)
-        return self._mix(torch.relu(node), [edge + closer for edge in edges], around, others)
+        mixed, senders = self._mix(torch.relu(node), [edge + closer for edge in edges], around, others)
+        state, memory = self._drive(mixed, memory, motion, own)
+        return state, memory, senders
 
     def _mix(
         self, h: Tensor, edges: list[Tensor], around: _Surroundings, others: Tensor | None

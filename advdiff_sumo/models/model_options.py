@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Literal, Self, TypeAlias
 
 from pydantic import Field, model_validator
 
 from advdiff_sumo.config import Options
+from advdiff_sumo.core.map_view import MAP_PIECES, MapView
 
 HISTORY_STEPS = 5
 """Instants of past, 2 s at 2 Hz with now as the last."""
@@ -16,9 +16,6 @@ FUTURE_STEPS = 12
 MODEL_STEP_S = 0.5
 CLASSES = 6
 PIECE_POINTS = 6
-MapView: TypeAlias = Literal["near", "far"]
-MAP_PIECES: Mapping[MapView, tuple[int, int]] = {"near": (28, 12), "far": (44, 20)}
-"""Lane pieces and pieces of road edges that an agent sees, by view: ``maps.vector_map.VIEWS``."""
 LANES_OF = {lanes + edges: lanes for lanes, edges in MAP_PIECES.values()}
 """How many of the pieces that an agent sees are lanes."""
 GROUPS = 8

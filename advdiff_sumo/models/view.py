@@ -9,10 +9,11 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, IntArray
 from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import model_history, scene_batch
-from advdiff_sumo.models.model_options import HISTORY_STEPS, MODEL_STEP_S, MapView
+from advdiff_sumo.models.model_options import HISTORY_STEPS, MODEL_STEP_S
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap  # reads nets with SUMO's library, which training does without

@@ -11,10 +11,10 @@ import numpy as np
 from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.report.charts import Chart, chart
 from advdiff_sumo.report.folder import FinishedRun, Row
-from advdiff_sumo.report.layer import MapLayer, View
+from advdiff_sumo.report.layer import View
 from advdiff_sumo.report.margin_table import TrialRow, read_trials
 from advdiff_sumo.report.nets import Nets
-from advdiff_sumo.report.scene_picture import Picture, focus_of, picture_of
+from advdiff_sumo.report.scene_picture import focus_of, picture_of
 from advdiff_sumo.report.select import attacker_of
 from advdiff_sumo.report.series import Series, series_of
 from advdiff_sumo.report.svg import SvgPicture, svg_picture
@@ -102,7 +102,7 @@ def _side_by_side(run: FinishedRun, nets: Nets, trials: tuple[TrialRow, TrialRow
         return ()
     view = _common_view(cut, rows)
     layer = nets.layer(str(rows[0]["net"]))
-    pictures = [_picture(one, row, layer, view) for one, row in zip(cut, rows, strict=True)]
+    pictures = [picture_of(one, row, (), layer, view) for one, row in zip(cut, rows, strict=True)]
     series = [series_of(one, attacker_of(row)) for one, row in zip(cut, rows, strict=True)]
     return tuple(
         Neighbour(trial, row, svg_picture(picture), _charts(one, series), picture.start_s, picture.end_s)
@@ -120,10 +120,6 @@ def _last_seconds(states: EpisodeStates, end_s: float) -> EpisodeStates:
 def _common_view(states: Sequence[EpisodeStates], rows: Sequence[Row]) -> View:
     points = [focus_of(one, attacker_of(row)) for one, row in zip(states, rows, strict=True)]
     return View.around(np.concatenate(points), margin_m=6.0, least_width_m=40.0)
-
-
-def _picture(states: EpisodeStates, row: Row, layer: MapLayer | None, view: View) -> Picture:
-    return picture_of(states, row, (), layer, view)
 
 
 def _charts(series: Series, both: Sequence[Series]) -> tuple[Chart, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.errors import ConfigError, LogError, SceneError
+from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data import (
@@ -31,7 +32,6 @@ from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.sources.read_map import read_map
 from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
 from advdiff_sumo.maps.shipped_nets import find_net
-from advdiff_sumo.maps.vector_map import MapView
 from advdiff_sumo.sim.logs import fits
 
 _SOURCE = "advdiff-sumo data build"

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import AdvdiffError, FileError, NetError, SimulationError
+from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.core.worker_pool import futures_of
 from advdiff_sumo.data.window_arrays import WindowFileBuilder
@@ -20,7 +21,6 @@ from advdiff_sumo.data.window_files import SUFFIX, read_windows, write_windows
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.read_net import base_name
 from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, find_net
-from advdiff_sumo.maps.vector_map import MapView
 from advdiff_sumo.sim.simulate_nets import KINDS, write_random_net
 from advdiff_sumo.sim.simulate_run import cut, record
 

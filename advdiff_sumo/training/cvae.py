@@ -67,11 +67,7 @@ class TrafficStage:
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
         """Return the negative ELBO and its parts."""
         model, options = self._bundle.traffic, self.options
-        share = kl_share(moment.progress, options)
-        if options.samples > 0.0:
-            return self._with_samples(batch, share, moment.generator)[0]
-        encoded = encode(model, batch, moment.generator)
-        terms = elbo(encoded, batch, options, share)
+        terms, encoded, _ = self._terms(batch, kl_share(moment.progress, options), moment.generator)
         if options.prior_weight > 0.0:
             drawn = encoded.context.prior.sample(moment.generator)
             rollout = model.decoder(drawn, encoded.context.h, batch)
@@ -81,25 +77,28 @@ class TrafficStage:
 
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
         """Return the loss at the full weight of KL, and displacements from posterior and prior."""
-        model, tally = self._bundle.traffic, Tally()
-        if self.options.samples > 0.0:
-            terms, encoded, free = self._with_samples(batch, 1.0, generator)
+        model = self._bundle.traffic
+        terms, encoded, free = self._terms(batch, 1.0, generator)
+        tally = {name: (float(value) * batch.scenes, float(batch.scenes)) for name, value in terms.items()}
+        if free is not None:
             tally |= faults(free, batch)
-        else:
-            encoded = encode(model, batch, generator)
-            terms = elbo(encoded, batch, self.options, 1.0)
-        tally |= {name: (float(value) * batch.scenes, float(batch.scenes)) for name, value in terms.items()}
         context = encoded.context
         for name, z in (("posterior", encoded.posterior.mean), ("prior", context.prior.mean)):
             errors = displacement(model.decoder(z, context.h, batch), batch)
             tally[f"{name}_ade_m"], tally[f"{name}_fde_m"] = errors.ade_sum(), errors.fde_sum()
         return tally
 
-    def _with_samples(
+    def _terms(
         self, batch: SceneBatch, share: float, generator: torch.Generator
-    ) -> tuple[dict[str, Tensor], Encoded, Rollout]:
-        """Return the terms with those of a draw of the prior, which teaches the decoder alone, and both futures."""
+    ) -> tuple[dict[str, Tensor], Encoded, Rollout | None]:
+        """Return the negative ELBO, what it is of, and the futures of a draw of the prior where that teaches, too.
+
+        It teaches the decoder alone.
+        """
         model, options = self._bundle.traffic, self.options
+        if options.samples == 0.0:
+            encoded = encode(model, batch, generator)
+            return elbo(encoded, batch, options, share), encoded, None
         context = model.encoder(batch)
         posterior = model.posterior(batch, context.h)
         z = posterior.sample(generator)

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.map_view import MAP_PIECES, MapView
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.window_files import WindowFile, read_windows, window_paths
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import Jitter, collate
-from advdiff_sumo.models.model_options import MAP_PIECES, MapView
 
 IntArray = NDArray[np.int64]
 _VIEWS: Mapping[int, MapView] = {lanes + edges: view for view, (lanes, edges) in MAP_PIECES.items()}
@@ -49,6 +49,18 @@ class WindowSet:
     def map_view(self) -> MapView:
         """How much of the map the windows show."""
         return _VIEWS[self.files[0].near.shape[1]]
+
+    def must_show(self, view: MapView) -> None:
+        """Refuse windows that networks of this *view* of the map cannot read.
+
+        Raises:
+            ConfigError: they show the other one.
+        """
+        if self.map_view != view:
+            raise ConfigError(
+                f"the windows show the map's '{self.map_view}' view, but the networks see '{view}': make windows with "
+                f"--map-view {view}"
+            )
 
     def subset(self, numbers: IntArray) -> WindowSet:
         """Return the windows with these numbers."""
@@ -86,12 +98,13 @@ def read_window_set(paths: Iterable[Path]) -> WindowSet:
     counts = [file.windows for file in files]
     if not sum(counts):
         raise FileError(sources[0], "holds no window", "build it from more driving")
-    odd = [path for path, file in zip(sources, files, strict=True) if file.near.shape[1] not in _VIEWS]
-    odd += [p for p, f in zip(sources, files, strict=True) if f.near.shape[1] != files[0].near.shape[1]]
-    if odd:
-        raise FileError(
-            odd[0], "shows another part of the map than the other windows", "leave it out, or build it again"
-        )
+    for path, file in zip(sources, files, strict=True):
+        if file.near.shape[1] not in _VIEWS or file.near.shape[1] != files[0].near.shape[1]:
+            raise FileError(
+                path,
+                "shows another part of the map than the other windows",
+                "leave it out, or build it again",
+            )
     agents = np.concatenate([np.diff(file.offset) for file in files])
     digest = hashlib.sha256("".join(sorted(_hash(path) for path in sources)).encode()).hexdigest()
     return WindowSet(

@@ -59,15 +59,15 @@ class DecoderStage:
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
         """Return the weighted sum and its terms."""
-        context, posterior, drawn, before = self._latents(batch, moment.generator)
-        known, free = self._both(posterior, drawn, context, batch)
+        context, latents, before = self._latents(batch, moment.generator)
+        known, free = both(self._bundle.traffic.decoder, latents, (context.h, context.h), batch)
         return self._terms(known, free, before, batch)
 
     @torch.no_grad()
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
         """Return the loss, displacements of posterior and sample, and how often samples touch or leave the road."""
-        context, posterior, drawn, before = self._latents(batch, generator)
-        known, free = self._both(posterior, drawn, context, batch)
+        context, latents, before = self._latents(batch, generator)
+        known, free = both(self._bundle.traffic.decoder, latents, (context.h, context.h), batch)
         terms, weight = self._terms(known, free, before, batch), float(batch.scenes)
         return {
             **{name: (float(value) * weight, weight) for name, value in terms.items()},
@@ -86,20 +86,14 @@ class DecoderStage:
     @torch.no_grad()
     def _latents(
         self, batch: SceneBatch, generator: torch.Generator
-    ) -> tuple[Context, Tensor, Tensor, Rollout]:
+    ) -> tuple[Context, tuple[Tensor, Tensor], Rollout]:
         """Return the context, latents (B, A, Z) of posterior and denoiser, and what those led to at the beginning."""
         traffic, codec = self._bundle.traffic, self._bundle.codec
         context = traffic.encoder(batch)
         posterior = traffic.posterior(batch, context.h).sample(generator)
         scaled = diffused(self._bundle, context, self.options.sampling_steps, generator)
         drawn = codec.unscale(scaled)[:, :, 0]
-        return context, posterior, drawn, self._began(drawn, context.h, batch)
-
-    def _both(
-        self, posterior: Tensor, drawn: Tensor, context: Context, batch: SceneBatch
-    ) -> tuple[Rollout, Rollout]:
-        """Return the futures of both kinds of latents."""
-        return both(self._bundle.traffic.decoder, (posterior, drawn), (context.h, context.h), batch)
+        return context, (posterior, drawn), self._began(drawn, context.h, batch)
 
     def _terms(self, known: Rollout, free: Rollout, before: Rollout, batch: SceneBatch) -> dict[str, Tensor]:
         options, who = self.options, batch.moved & ~batch.parked

@@ -12,7 +12,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.metrics.statistics import jensen_shannon
 from advdiff_sumo.models.batch import SceneBatch
@@ -63,11 +62,10 @@ class _Sums:
         speed, accel = realism.histograms(rollout, batch)
         self.speed += speed
         self.accel += accel
-        total = float(driving(batch).sum())
-        add(self.tally, {"collision_rate": (float(realism.colliding(rollout, batch, known).sum()), total)})
-        add(self.tally, {"off_road_rate": (float(realism.leaving_road(rollout, batch, known).sum()), total)})
-        standing = (travelled_m(rollout, batch) < _STANDS_M) & driving(batch)
-        add(self.tally, {"standing_rate": (float(standing.sum()), total)})
+        who = driving(batch)
+        standing = (travelled_m(rollout, batch) < _STANDS_M) & who
+        add(self.tally, realism.faults(rollout, batch, known))
+        add(self.tally, {"standing_rate": (float(standing.sum()), float(who.sum()))})
 
 
 Predict = Callable[[SceneBatch, Context, torch.Generator], tuple[Rollout, int]]
@@ -124,11 +122,7 @@ def evaluate_bundle(
     Raises:
         ConfigError: the windows show another view of the map than the networks see.
     """
-    if windows.map_view != bundle.options.model.map_view:
-        raise ConfigError(
-            f"the windows show the map's '{windows.map_view}' view, but the networks see '"
-            f"{bundle.options.model.map_view}': make windows with --map-view {bundle.options.model.map_view}"
-        )
+    windows.must_show(bundle.options.model.map_view)
     bundle.to(device).frozen()
     ways = methods(bundle, judging)
     sums = {name: _Sums() for name in (*ways, "log")}

@@ -51,11 +51,5 @@ def sample_terms(free: Rollout, batch: SceneBatch, options: DecoderOptions) -> d
 def faults(free: Rollout, batch: SceneBatch) -> Tally:
     """Return how many vehicles touch another or leave the road in sampled futures, and how far they drive."""
     there, who = batch.present[..., None].expand(free.yaw.shape), driving(batch)
-    return {
-        "collision_rate": (float(realism.colliding(free, batch, there).sum()), float(who.sum())),
-        "off_road_rate": (float(realism.leaving_road(free, batch, there).sum()), float(who.sum())),
-        "travelled": (
-            float(travelled_m(free, batch)[who].sum()),
-            float(travelled_m(logged(batch), batch)[who].sum()),
-        ),
-    }
+    driven, truth = (float(travelled_m(r, batch)[who].sum()) for r in (free, logged(batch)))
+    return realism.faults(free, batch, there) | {"travelled": (driven, truth)}

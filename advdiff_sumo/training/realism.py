@@ -12,6 +12,7 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.losses import edge_clearance
 from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.training.displacement import driving
+from advdiff_sumo.training.stage import Tally
 
 SPEED_BINS = np.arange(0.0, 40.5, 0.5)
 ACCEL_BINS = np.arange(-10.0, 10.25, 0.25)
@@ -40,6 +41,15 @@ def final_diversity(last: Tensor, mask: Tensor) -> tuple[float, float]:
         return 0.0, 0.0
     apart = (last[:, :, None] - last[:, None]).norm(dim=-1).sum((1, 2)) / (samples * (samples - 1))
     return float(torch.where(mask, apart, 0.0).sum()), float(mask.sum())
+
+
+def faults(rollout: Rollout, batch: SceneBatch, known: Tensor) -> Tally:
+    """Return how many of the driving vehicles touch another one, and leave the road, at instants *known* (B, A, T)."""
+    total = float(driving(batch).sum())
+    return {
+        "collision_rate": (float(colliding(rollout, batch, known).sum()), total),
+        "off_road_rate": (float(leaving_road(rollout, batch, known).sum()), total),
+    }
 
 
 def colliding(rollout: Rollout, batch: SceneBatch, known: Tensor) -> Tensor:

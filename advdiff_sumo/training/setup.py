@@ -14,10 +14,10 @@ import torch
 
 from advdiff_sumo import __version__
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
-from advdiff_sumo.models.model_options import MapView
 from advdiff_sumo.models.shipped_weights import find_weights
 from advdiff_sumo.models.simnet_file import begin_simnet, save_simnet
 from advdiff_sumo.training.checkpoint import Progress
@@ -85,7 +85,7 @@ def prepare(plan: Plan) -> Job:
         return _prepared_simnet(plan, device)
     begun = _begun(plan)
     windows = read_window_set(plan.data)
-    bundle = _bundle(plan, begun, windows.map_view)
+    bundle = _bundle(plan, begun, windows)
     options = plan.options.model_copy(update={"model": bundle.options.model, "codec": bundle.options.codec})
     train, held_out = _sides(plan, windows)
     bundle.to(device)
@@ -107,8 +107,7 @@ def _prepared_simnet(plan: Plan, device: torch.device) -> Job:
     seed = SeedTree(plan.seed, ("weights",)).integer()
     init = None if plan.init is None else weights_file(plan.init)
     simnet = begin_simnet(init, plan.options.model, seed).to(device)
-    if simnet.options.map_view != windows.map_view:
-        raise ConfigError(f"--data shows the map's '{windows.map_view}' view, but SimNet sees the other")
+    windows.must_show(simnet.options.map_view)
     options = plan.options.model_copy(update={"model": simnet.options})
 
     def keep(progress: Progress) -> None:
@@ -183,9 +182,9 @@ def _begun(plan: Plan) -> Bundle | None:
     return begun
 
 
-def _bundle(plan: Plan, begun: Bundle | None, view: MapView) -> Bundle:
-    """Return what is trained: new networks, or those *begun* as far as they fit; windows show the map's *view*."""
-    options = plan.options
+def _bundle(plan: Plan, begun: Bundle | None, windows: WindowSet) -> Bundle:
+    """Return what is trained: new networks, or those *begun* as far as they fit, to see what *windows* show."""
+    options, view = plan.options, windows.map_view
     wanted = BundleOptions(
         model=options.model.model_copy(update={"map_view": view}),
         codec=options.codec or "latent",
@@ -194,23 +193,19 @@ def _bundle(plan: Plan, begun: Bundle | None, view: MapView) -> Bundle:
     )
     if begun is None:
         return new_bundle(wanted, SeedTree(plan.seed, ("weights",)).integer())
-    return _fitted(plan, begun, wanted.model_copy(update={"codec": options.codec or begun.options.codec}))
+    wanted = wanted.model_copy(update={"codec": options.codec or begun.options.codec})
+    return _fitted(plan, begun, wanted, windows)
 
 
-def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions) -> Bundle:
+def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions, windows: WindowSet) -> Bundle:
     """Return *begun*, with a new denoiser where that is to work on something else; refuse what cannot be."""
     if plan.stage in ("reward", "decoder") and begun.options.codec != "latent":
         raise ConfigError(
             f"{plan.init}: its denoiser works on trajectories, but the stage '{plan.stage}' needs latents"
         )
-    view, seen = wanted.model.map_view, begun.options.model.map_view
     if plan.stage == "decoder" or (plan.stage == "traffic" and plan.options.model.decoder == "closed-loop"):
-        return with_closed_loop(begun, SeedTree(plan.seed, ("weights",)).integer(), view)
-    if view != seen:
-        raise ConfigError(
-            f"{plan.init}: its networks see the map's '{seen}' view, but the windows show '{view}': make windows with "
-            f"--map-view {seen}"
-        )
+        return with_closed_loop(begun, SeedTree(plan.seed, ("weights",)).integer(), windows.map_view)
+    windows.must_show(begun.options.model.map_view)
     if plan.stage != "denoiser":
         if begun.options.codec != wanted.codec:
             raise ConfigError(

@@ -7,13 +7,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from advdiff_sumo.core.map_view import MAP_PIECES
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
 from advdiff_sumo.diffusion.fast_encoder import FastEncoder
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, new_bundle
 from advdiff_sumo.models.model_options import (
-    MAP_PIECES,
     PIECE_FEATURES,
     PIECE_POINTS,
     ModelOptions,

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.experiments.margin import BRAKING, GAP, SCALES, TIME, Margin, Scale, Trial, bisect, scale_of
 from advdiff_sumo.traffic.policy_registry import make_policy
+from advdiff_sumo.traffic.scripted.scripted_policy import ScriptedTraffic
 
 TO_NINE = Scale("braking", "braking_mps2", "m/s²", 1.0, 9.0, 0.25, "braking of {}")
 
@@ -88,7 +89,9 @@ def test_each_severity_is_an_option_of_the_background_at_both_ends() -> None:
     for attack, scales in SCALES.items():
         for scale in scales:
             for value in (scale.mildest, scale.severest):
-                make_policy("scripted", {"attack": attack, scale.option: value})
+                policy = make_policy("scripted", {"attack": attack, scale.option: value})
+                assert isinstance(policy, ScriptedTraffic)
+                assert getattr(policy.options, scale.option) == value
 
 
 def test_what_is_no_severity_is_refused() -> None:

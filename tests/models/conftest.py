@@ -11,11 +11,12 @@ import pytest
 import torch
 from torch import nn
 
+from advdiff_sumo.core.map_view import MAP_PIECES
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.data.window_files import FUTURE, PAST, WindowFile
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import collate
-from advdiff_sumo.models.model_options import MAP_PIECES, PIECE_POINTS, ModelOptions
+from advdiff_sumo.models.model_options import PIECE_POINTS, ModelOptions
 
 WindowMaker = Callable[..., WindowFile]
 SIGNALS = 3

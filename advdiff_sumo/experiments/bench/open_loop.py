@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.sample_refinement import Decode, held_decode, together
@@ -21,7 +22,7 @@ from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.model_options import MODEL_STEP_S, MapView
+from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.models.simnet_file import load_simnet
 from advdiff_sumo.training import realism

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, WeightsError
+from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
 from advdiff_sumo.diffusion.noise_schedule import Schedule
@@ -21,7 +22,6 @@ from advdiff_sumo.diffusion.sampler import Sampling, draw, sample
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.model_options import MapView
 from advdiff_sumo.models.shipped_weights import find_weights
 from advdiff_sumo.models.simnet import SimNet
 from advdiff_sumo.models.simnet_file import load_simnet

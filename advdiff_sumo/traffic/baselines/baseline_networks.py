@@ -9,10 +9,10 @@ from pathlib import Path
 import torch
 
 from advdiff_sumo.core.errors import WeightsError
+from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.codec import LatentCodec
-from advdiff_sumo.models.model_options import MapView
 from advdiff_sumo.models.shipped_weights import device_of, find_weights
 from advdiff_sumo.models.traffic import TrafficModel
 from advdiff_sumo.traffic.baselines.baseline_options import RivalOptions

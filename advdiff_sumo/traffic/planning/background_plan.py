@@ -13,8 +13,9 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, IntArray
 from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.scene import MOTOR_CLASSES, Scene, Tracks
-from advdiff_sumo.models.model_options import MODEL_STEP_S, MapView
+from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.view import View, look
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.licence import NATURAL_OVER_LIMIT, LicenceName

@@ -19,10 +19,8 @@ from advdiff_sumo.traffic.planning.futures import Futures, coasting
 from advdiff_sumo.traffic.planning.lanes_ahead import lanes_ahead
 from advdiff_sumo.traffic.planning.people import PEOPLE
 from advdiff_sumo.traffic.planning.planned_paths import PlannedPaths, speeds_of_strides
-from advdiff_sumo.traffic.planning.safeguard import Watched, back_to_lane, safeguard
+from advdiff_sumo.traffic.planning.safeguard import LOST_BRAKE_MPS2, Watched, back_to_lane, safeguard
 from advdiff_sumo.traffic.planning.way_out import way_out
-
-_LOST_BRAKE_MPS2 = 6.0
 
 
 def return_to_lanes(road: RoadMap, scene: Scene, duration_s: float, plans: Tracks | None = None) -> Futures:
@@ -77,9 +75,9 @@ def _brake_to_stand(futures: Futures, rows: BoolArray) -> None:
     time, paths = futures.dt_s * np.arange(1, futures.steps + 1), PlannedPaths(futures.copy())
     for row in np.flatnonzero(rows).tolist():
         speed = max(float(futures.speed_mps[row, 0]), 0.0)
-        moving = np.minimum(time, speed / _LOST_BRAKE_MPS2)
-        xy, yaw = paths.at(row, speed * moving - 0.5 * _LOST_BRAKE_MPS2 * moving**2)
-        futures.put(row, xy, yaw, speed - _LOST_BRAKE_MPS2 * moving)
+        moving = np.minimum(time, speed / LOST_BRAKE_MPS2)
+        xy, yaw = paths.at(row, speed * moving - 0.5 * LOST_BRAKE_MPS2 * moving**2)
+        futures.put(row, xy, yaw, speed - LOST_BRAKE_MPS2 * moving)
 
 
 def _keep_speed(futures: Futures, rows: BoolArray) -> None:

@@ -36,7 +36,9 @@ FAR_M = 55.0
 _STANDS_MPS, _WALKS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 2.0, 0.3, 3
 _LEAVES_M, _BUDGES_M = 1.5, 0.1
 _CLEARS_M = 1.5
-_STOP_BRAKE_MPS2, _YELLOW_BRAKE_MPS2, _LOST_BRAKE_MPS2 = 6.0, 3.0, 6.0
+LOST_BRAKE_MPS2 = 6.0
+"""How who is lost, or too fast for its lane, brakes."""
+_STOP_BRAKE_MPS2, _YELLOW_BRAKE_MPS2 = 6.0, 3.0
 _BEFORE_LINE_M = 1.0
 _LOOK_STEPS = 6
 """Instants of a plan that have to be clear: 3 s, from 14 m/s a stop at less than 5 m/s²."""
@@ -122,7 +124,7 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> SafeguardedP
     may = watched.planned & ~held
     stop = stop_distances(plans, watched, may)
     slows = lost | wide
-    stop[slows] = np.minimum(stop[slows], 0.5 * plans.speed_mps[slows, 0] ** 2 / _LOST_BRAKE_MPS2)
+    stop[slows] = np.minimum(stop[slows], 0.5 * plans.speed_mps[slows, 0] ** 2 / LOST_BRAKE_MPS2)
     clear = _settled(plans, watched, may, stop, right_of_way(road, watched.lanes))
     return SafeguardedPlans(clear.futures, off & ~lost, held, clear.rows, clear.unsolved)
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, quotient
 
 GRAVITY_MPS2 = 9.81
 #: Deceleration of a driver who brakes as hard as the regulation expects: 0.774 g.
@@ -64,8 +64,7 @@ class Situation:
     @property
     def ttc_s(self) -> FloatArray:
         """Time to collision (…,), d / (v − u); inf where the ego does not close in."""
-        closing = self.closing_mps
-        return np.asarray(np.where(closing > 0.0, self.gap_m / np.where(closing > 0.0, closing, 1.0), np.inf))
+        return quotient(self.gap_m, self.closing_mps)
 
     @property
     def passed(self) -> BoolArray:
@@ -188,8 +187,8 @@ def _laterally_unsafe(situation: Situation) -> BoolArray:
     """Return whether the other is in the ego's way, or would be before the ego is past it (FSM's lateral check)."""
     closing, w = situation.closing_mps, situation.lateral_mps
     inside = situation.lateral_gap_m <= TIE_M
-    headway = (situation.gap_m + situation.lengths_m) / np.where(closing > 0.0, closing, 1.0)
-    sideways = situation.lateral_gap_m / np.where(w > 0.0, w, 1.0)
+    headway = quotient(situation.gap_m + situation.lengths_m, closing)
+    sideways = quotient(situation.lateral_gap_m, w)
     approaching = (w > 0.0) & (closing > 0.0) & (sideways <= headway + _FSM_LATERAL_S)
     return np.asarray(~situation.passed & (inside | approaching))
 

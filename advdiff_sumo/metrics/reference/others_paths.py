@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.arrays import FloatArray, IntArray, quotient
 from advdiff_sumo.core.frames import unit, wrap_angle
 from advdiff_sumo.core.polylines import Polyline, concatenate
 from advdiff_sumo.core.scene import AgentClass, Tracks
@@ -91,7 +91,7 @@ def _driven_m(speed_mps: FloatArray, accel_mps2: FloatArray) -> FloatArray:
     times = look_times()
     braking = np.maximum(np.where(accel_mps2 < -0.5, -accel_mps2, 0.0), 0.0)[..., None]
     speed = speed_mps[..., None]
-    stop = np.where(braking > 0.0, np.abs(speed) / np.where(braking > 0.0, braking, 1.0), np.inf)
+    stop = quotient(np.abs(speed), braking)
     time = np.minimum(times, stop)
     return np.asarray(speed * time - 0.5 * np.sign(speed) * braking * time**2)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from advdiff_sumo.core.arrays import quotient
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import Tracks
 
@@ -15,7 +16,7 @@ def extended(tracks: Tracks, begin: int, after: int) -> Tracks:
     speed, before = cut.speed_mps[:, -1], cut.speed_mps[:, -2] if cut.steps > 1 else cut.speed_mps[:, -1]
     braking = np.clip((np.abs(before) - np.abs(speed)) / tracks.dt_s, 0.0, 8.0)
     braking = np.where(np.isfinite(braking), braking, 0.0)[:, None]
-    stop = np.where(braking > 0.0, np.abs(speed)[:, None] / np.where(braking > 0.0, braking, 1.0), np.inf)
+    stop = quotient(np.abs(speed)[:, None], braking)
     moving = np.minimum(time, stop)
     sign = np.sign(speed)[:, None]
     driven = speed[:, None] * moving - 0.5 * sign * braking * moving**2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from advdiff_sumo.metrics.reference.driver_models import (
@@ -112,6 +112,9 @@ def test_a_reaction_waits_once_and_then_brakes_at_unsafe_instants_only() -> None
     near=st.floats(0.0, 100.0),
     farther=st.floats(0.0, 100.0),
 )
+@example(
+    v=1.1125369292536007e-308, u=0.0, y=0.0, w=0.0, near=0.0, farther=2.0
+)  # closes in, but in no time there is
 def test_a_larger_gap_never_asks_for_more_braking(v, u, y, w, near, farther) -> None:
     for name in ("CC_human_driver", "Reg157", "RSS"):
         model = MODELS[name]

@@ -14,17 +14,12 @@ import numpy as np
 
 from advdiff_sumo.core.errors import EpisodeFailure
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, Failure
-from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.core.threads import one_thread
-from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.sim.episode_loop import Loop
-from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
-from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
+from advdiff_sumo.sim.episode_setup import EpisodeSetup
+from advdiff_sumo.sim.heartbeat import Phase
 from advdiff_sumo.sim.session import Session
-from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.start import prepare
-from advdiff_sumo.traffic.policy_protocol import TrafficPolicy, moves_everywhere
 
 
 @dataclass(frozen=True)
@@ -66,34 +61,8 @@ class Ended:
 
 
 @dataclass(frozen=True)
-class Episode:
-    """Everything that one episode is made of.
-
-    Attributes:
-        number: in its run.
-        scene: where it starts.
-        road: the map.
-        target: what drives the tested vehicle.
-        policy: what moves the background.
-        names: of target and background, for messages.
-        sim: steps and radii.
-        horizon_s: longest duration.
-        seed: the episode's node of the seed tree.
-        gui: open sumo-gui.
-        heartbeat: told of each phase and step.
-    """
-
-    number: int
-    scene: SeedScene
-    road: RoadMap
-    target: Target
-    policy: TrafficPolicy
-    names: tuple[str, str]
-    sim: SimOptions
-    horizon_s: float
-    seed: SeedTree
-    gui: bool = field(default=False)
-    heartbeat: Heartbeat = field(default_factory=Heartbeat)
+class Episode(EpisodeSetup):
+    """One closed-loop episode, ready to run."""
 
     @one_thread()
     def run(self, ended: Ended | None = None) -> tuple[EpisodeRecord, Timing]:
@@ -157,14 +126,6 @@ class Episode:
             preparation = prepare(self.scene, self.target, self.sim, Path(folder), self.gui)
             with Session(preparation.options) as session:
                 yield Loop(self, session, preparation.type_of_class)
-
-    @property
-    def steps(self) -> int:
-        """SUMO steps that it lasts at most."""
-        longest = self.horizon_s
-        if not isinstance(self.scene.start, SavedTraffic) or moves_everywhere(self.policy):
-            longest = min(longest, self.scene.horizon_s)
-        return round(longest / self.sim.step_s)
 
 
 def _trace(error: EpisodeFailure) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from advdiff_sumo.planners.planner_protocol import SumoDriver
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background_control import Background, Motion, planned_ends
 from advdiff_sumo.sim.episode_context import Context
+from advdiff_sumo.sim.episode_setup import EpisodeSetup
 from advdiff_sumo.sim.handover import Handover
 from advdiff_sumo.sim.heartbeat import Phase
 from advdiff_sumo.sim.natural import remaining_route
@@ -30,16 +30,15 @@ from advdiff_sumo.sim.target import PlannerDrive, SumoDrive
 from advdiff_sumo.sim.world import Frame, World, read, register
 from advdiff_sumo.traffic.policy_protocol import moves_everywhere
 
-if TYPE_CHECKING:
-    from advdiff_sumo.sim.episode import Episode
-
 _AROUND_JUNCTION_M = 40.0  # who is so near a vehicle that keeps its hands beyond the radius is looked at, too
 
 
 class Loop:
     """State of a running episode; made by :class:`~advdiff_sumo.sim.episode.Episode`."""
 
-    def __init__(self, episode: Episode, session: Session, type_of_class: Mapping[AgentClass, str]) -> None:
+    def __init__(
+        self, episode: EpisodeSetup, session: Session, type_of_class: Mapping[AgentClass, str]
+    ) -> None:
         self.episode, self.session, self.types = episode, session, type_of_class
         self.sim, self.road, self.api = episode.sim, episode.road, session.api
         self.world = World()

@@ -5,10 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
-from advdiff_sumo.diffusion.attacks import COSTS, AttackScene, Natural, attack_objective, tensor_attack
+from advdiff_sumo.diffusion.attack_costs import COSTS, Natural
 from advdiff_sumo.diffusion.compiled.attack import CompiledAttack
+from advdiff_sumo.diffusion.fast_attack import attack_objective
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.guides import direction
+from advdiff_sumo.diffusion.tensor_attack import AttackScene, tensor_attack
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.codec import LatentCodec
 from tests.diffusion.test_by_hand import double, made

@@ -6,7 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.bodies import Met, Placed, bodies_of
+from advdiff_sumo.diffusion.fast_bodies import bodies_of
+from advdiff_sumo.diffusion.tensor_bodies import Met, Placed
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from tests.diffusion.test_by_hand import double

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.attacks import COSTS, Encounter, Natural, encounter
+from advdiff_sumo.diffusion.attack_costs import COSTS, Encounter, Natural, encounter
 from advdiff_sumo.diffusion.guides import FLOOR, Guidance, Term, direction
 from advdiff_sumo.diffusion.sampler import Rung
 from advdiff_sumo.models.decoder import Rollout

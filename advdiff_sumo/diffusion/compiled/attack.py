@@ -8,27 +8,24 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.attacks import (
-    COSTS,
-    OTHERS_WEIGHT,
-    PRIOR_WEIGHT,
-    ROAD_WEIGHT,
-    SOFT_M,
-    TOUCHES_M,
-    AttackScene,
-    encounter,
-    tensor_attack,
-)
-from advdiff_sumo.diffusion.bodies import Placed
+from advdiff_sumo.diffusion.attack_costs import COSTS, SOFT_M, TOUCHES_M, encounter
 from advdiff_sumo.diffusion.compiled.body_kernel import CompiledBodies
 from advdiff_sumo.diffusion.compiled.decoder_kernel import CompiledDecoder, RowsAgainst, rollout_of
 from advdiff_sumo.diffusion.compiled.kernel import Array, array_of
 from advdiff_sumo.diffusion.guides import Objective
+from advdiff_sumo.diffusion.tensor_attack import (
+    OTHERS_WEIGHT,
+    PRIOR_WEIGHT,
+    ROAD_WEIGHT,
+    AttackScene,
+    tensor_attack,
+)
+from advdiff_sumo.diffusion.tensor_bodies import Placed
 from advdiff_sumo.models.decoder import Rollout
 
 
 class CompiledAttack:
-    """What the attackers of a scene shall make large, as ``attacks.tensor_attack``.
+    """What the attackers of a scene shall make large, as ``tensor_attack``.
 
     Args:
         kind: a key of ``COSTS``.

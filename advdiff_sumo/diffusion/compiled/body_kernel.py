@@ -1,6 +1,6 @@
 """How attackers' bodies lie among others and on the road, with the gradients of their places and headings by hand.
 
-The same functions as ``bodies`` has for tensors, equal up to rounding. A body's pose is x, y, yaw.
+The same functions as ``tensor_bodies`` has, equal up to rounding. A body's pose is x, y, yaw.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.bodies import Met, Placed
 from advdiff_sumo.diffusion.compiled.kernel import Array, array_of, kernel
+from advdiff_sumo.diffusion.tensor_bodies import Met, Placed
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.losses import CORNER, DISCS, FAR_M, road_edges
 

@@ -9,8 +9,10 @@ import numpy as np
 import torch
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.diffusion.attacks import AttackScene, Natural, attack_objective
+from advdiff_sumo.diffusion.attack_costs import Natural
+from advdiff_sumo.diffusion.fast_attack import attack_objective
 from advdiff_sumo.diffusion.guides import Guidance, Term, reward_objective
+from advdiff_sumo.diffusion.tensor_attack import AttackScene
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context

@@ -1,4 +1,4 @@
-"""Kinds of attack as differentiable objectives of what the decoder makes of the attackers' latents.
+"""Kinds of attack as differentiable costs of the attackers' futures.
 
 Each compares the attackers' futures with the target's natural one, which is not differentiated: to collide with
 where the target is going to be.
@@ -12,14 +12,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.bodies import Placed, bodies_of, distance
-from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.guides import Objective
-from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.codec import LatentCodec
-from advdiff_sumo.models.context import Context
+from advdiff_sumo.diffusion.tensor_bodies import distance
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.geometry import into_frame
 from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.trace import Trace
@@ -27,7 +21,6 @@ from advdiff_sumo.models.trace import Trace
 SOFT_M = 1.0
 TOUCHES_M = -0.5
 """Nearer than this does not count as more."""
-OTHERS_WEIGHT, ROAD_WEIGHT, PRIOR_WEIGHT = 10.0, 4.0, 0.01
 
 
 @dataclass(frozen=True)
@@ -165,75 +158,3 @@ COSTS: Mapping[str, Callable[[Encounter], Tensor]] = {
     "brake": _brake,
 }
 """What an attack of each kind makes small, (B, R)."""
-
-
-@dataclass(frozen=True)
-class AttackScene:
-    """Attackers of one scene, drawn B times at once.
-
-    Attributes:
-        decoder: makes futures of latents.
-        codec: between scaled latents and the decoder's.
-        context: of the one scene.
-        batch: the one scene.
-        rows: (R,) attackers, the target (row 0) not among them.
-        natural: where everybody would go without an attack.
-    """
-
-    decoder: FastDecoder
-    codec: LatentCodec
-    context: Context
-    batch: SceneBatch
-    rows: Tensor
-    natural: Natural
-
-
-def attack_objective(kind: str, scene: AttackScene) -> Objective:
-    """Return what the attackers shall make large: minus the cost of *kind*, of ``COSTS``, and of being implausible.
-
-    Implausible is to overlap another vehicle but the target, to leave the road, and what the prior finds unlikely.
-    """
-    if scene.decoder.compiled is None:
-        return tensor_attack(kind, scene)
-    from advdiff_sumo.diffusion.compiled.attack import CompiledAttack
-
-    return CompiledAttack(kind, scene, scene.decoder.compiled)
-
-
-def tensor_attack(kind: str, scene: AttackScene) -> Objective:
-    """Return :func:`attack_objective` on tensors, with gradients by autograd."""
-    rows, size, natural = scene.rows, scene.batch.size[0], scene.natural
-    bodies = bodies_of(Placed(scene.batch, rows, natural.rollout))
-    cost = COSTS[kind]
-    whole = scene.context.prior
-    prior = Gaussian(whole.mean[:, rows], whole.logvar[:, rows])
-
-    def value(latents: Tensor) -> Tensor:
-        z = scene.codec.unscale(latents[:, rows, None])[:, :, 0]
-        rollout = _futures(scene, z)
-        met = bodies(rollout)
-        unlikely = PRIOR_WEIGHT * surprise(prior, z)
-        aim = cost(encounter(rollout, size[rows], natural, size[0], met.gap))
-        loss = aim + OTHERS_WEIGHT * met.overlap + ROAD_WEIGHT * met.off + unlikely
-        return -loss.mean(-1)
-
-    return value
-
-
-def _futures(scene: AttackScene, z: Tensor) -> Rollout:
-    """Return the futures (B, R, T) of the attackers' latents *z* (B, R, Z) against everybody's natural ones."""
-    count, trace = len(z), scene.natural.trace
-    if count == 1:
-        h, batch = scene.context.h, scene.batch
-    else:
-        h, batch, trace = (
-            scene.context.h.expand(count, -1, -1),
-            scene.batch.repeat(count),
-            trace.repeat(count),
-        )
-    return scene.decoder.some(z, h, batch, scene.rows, scene.natural.steps, trace)
-
-
-def surprise(prior: Gaussian, z: Tensor) -> Tensor:
-    """Return half the squared distance (B, A) of *z* (B, A, Z) from the prior's mean in its deviations."""
-    return 0.5 * ((z - prior.mean).square() * torch.exp(-prior.logvar)).sum(-1)

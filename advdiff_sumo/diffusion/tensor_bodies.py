@@ -1,14 +1,11 @@
 """How attackers' bodies lie among others and on the road: distances, overlap, and what is over the road's edge.
 
-Distances are between five discs a vehicle (``models.losses``). On the CPU they come from ``compiled.bodies``,
-elsewhere from tensors.
+Distances are between five discs a vehicle (``models.losses``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import torch
 from torch import Tensor
@@ -51,20 +48,6 @@ class Placed:
         """Return who is neither target nor attacker."""
         agents = torch.arange(self.batch.agents, device=self.rows.device)
         return agents[(agents != 0) & ~torch.isin(agents, self.rows)]
-
-
-Bodies: TypeAlias = Callable[[Rollout], Met]
-"""Attackers' futures (B, R, T) → what they meet."""
-
-
-def bodies_of(placed: Placed, compiled: bool | None = None) -> Bodies:
-    """Return what attackers meet; by compiled loops if told so, or, with None, where tensors are on the CPU."""
-    here = placed.rows.device.type == "cpu" if compiled is None else compiled
-    if not here:
-        return TensorBodies(placed)
-    from advdiff_sumo.diffusion.compiled.body_kernel import CompiledBodies
-
-    return CompiledBodies(placed)
 
 
 class TensorBodies:

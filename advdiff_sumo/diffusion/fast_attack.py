@@ -1,0 +1,15 @@
+"""The objective of an attack: by ``compiled`` where the decoder is, elsewhere by ``tensor_attack``."""
+
+from __future__ import annotations
+
+from advdiff_sumo.diffusion.guides import Objective
+from advdiff_sumo.diffusion.tensor_attack import AttackScene, tensor_attack
+
+
+def attack_objective(kind: str, scene: AttackScene) -> Objective:
+    """Return what the attackers of *scene* shall make large for *kind*, of ``COSTS``, as ``tensor_attack``."""
+    if scene.decoder.compiled is None:
+        return tensor_attack(kind, scene)
+    from advdiff_sumo.diffusion.compiled.attack import CompiledAttack
+
+    return CompiledAttack(kind, scene, scene.decoder.compiled)

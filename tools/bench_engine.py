@@ -28,7 +28,7 @@ from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.job_plan import plan_run
 from advdiff_sumo.sweep.run_engine import run_into, run_settings
 from advdiff_sumo.sweep.run_folder import RunFolder
-from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.tasks import Limits
 
 #: Most that run and sweep may take, as a multiple of the plain loop.
@@ -78,7 +78,7 @@ def sweep_of_one_cell(run: Run, folder: Path, clock: Clock) -> list[float]:
     plan = plan_run(run)
     store = open_store(folder / "sweep", plan, 1, resume=False)
     executor = ProcessExecutor(1, _limits(folder))
-    run_sweep(plan, store, Todo.of(plan, store), executor, 1, lambda *_: stamps.append(clock()))
+    run_sweep(plan, store, RemainingJobs.of(plan, store), executor, 1, lambda *_: stamps.append(clock()))
     return stamps
 
 

@@ -23,7 +23,7 @@ from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.job_plan import Plan, plan_sweep
 from advdiff_sumo.sweep.spec import SweepSpec
-from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.tasks import Limits
 
 #: Episodes of a worker after which its memory may grow no more.
@@ -54,7 +54,7 @@ def timed(plan: Plan, workers: int, folder: Path) -> tuple[float, list[dict[str,
     run_sweep(
         plan,
         store,
-        Todo.of(plan, store),
+        RemainingJobs.of(plan, store),
         ProcessExecutor(workers, limits),
         2,
         lambda *_: stamps.append(time.perf_counter()),

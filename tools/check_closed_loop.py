@@ -21,8 +21,8 @@ import numpy as np
 from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.core.errors import AdvdiffError, InputError
 from advdiff_sumo.core.threads import one_thread_for_good
-from advdiff_sumo.experiments.closed_loop import ClosedLoop, Driver, close_loop
 from advdiff_sumo.experiments.judge_folder import EpisodeTables, open_folder
+from advdiff_sumo.experiments.reference_rerun import ClosedLoop, Driver, close_loop
 from advdiff_sumo.metrics.statistics import cohens_kappa
 from advdiff_sumo.sweep.job_plan import Job, Plan, plan_sweep
 from advdiff_sumo.sweep.repeat import episode_again, run_with

@@ -29,7 +29,7 @@ from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.job_plan import plan_sweep
 from advdiff_sumo.sweep.spec import SweepSpec
-from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.tasks import Limits
 
 TARGETS = ("IDM", "Krauss", "lane_graph")
@@ -140,7 +140,7 @@ def _driven(place: Place, folder: Path, options: argparse.Namespace) -> int:
     (folder / "logs").mkdir(exist_ok=True)
     limits = Limits(options.timeout, 8000, tasks=10**6, recycle_share=1.0, logs=folder / "logs")
     executor = ProcessExecutor(options.workers, limits)
-    return run_sweep(plan, store, Todo.of(plan, store), executor, RETRIES, lambda *_: None)
+    return run_sweep(plan, store, RemainingJobs.of(plan, store), executor, RETRIES, lambda *_: None)
 
 
 def _checked(place: Place, folder: Path, replays: set[int]) -> Iterator[tuple[int, str]]:

@@ -111,7 +111,7 @@ def sweep(
     from advdiff_sumo.sweep.executors import ProcessExecutor
     from advdiff_sumo.sweep.job_plan import plan_sweep
     from advdiff_sumo.sweep.spec import SweepSpec
-    from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+    from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
     from advdiff_sumo.sweep.tasks import Limits
 
     asked = SweepSpec.of(spec, "ads.sweep") if isinstance(spec, Mapping) else SweepSpec.read(Path(spec))
@@ -123,7 +123,7 @@ def sweep(
         executor = ProcessExecutor(slots, Limits(_TIMEOUT_S, _MEMORY_MB, 250, 0.5, logs))
         store = open_store(Path(out) if out is not None else free_folder(name), plan, slots, resume=False)
         with Progress(plan.wanted, progress) as shown:
-            run_sweep(plan, store, Todo.of(plan, store), executor, _RETRIES, _tell_row(shown))
+            run_sweep(plan, store, RemainingJobs.of(plan, store), executor, _RETRIES, _tell_row(shown))
     finally:
         shutil.rmtree(logs, ignore_errors=True)
     return Results(store.path)

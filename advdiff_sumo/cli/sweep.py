@@ -28,7 +28,7 @@ from advdiff_sumo.core.threads import one_thread_for_good
 if TYPE_CHECKING:
     from advdiff_sumo.sweep.executors import Executor
     from advdiff_sumo.sweep.job_plan import Plan
-    from advdiff_sumo.sweep.sweep_runner import Todo
+    from advdiff_sumo.sweep.sweep_runner import RemainingJobs
     from advdiff_sumo.sweep.sweep_store import Store
     from advdiff_sumo.sweep.tasks import Failed, Limits
 
@@ -100,7 +100,7 @@ def sweep(
     one_thread_for_good()
     from advdiff_sumo.cli.summary import run_object  # late: --help needs no simulator
     from advdiff_sumo.cli.sweep_results import conclude, condition_of
-    from advdiff_sumo.sweep.sweep_runner import Todo, open_store
+    from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store
 
     signal.signal(signal.SIGTERM, _as_ctrl_c)
     console, condition = verb_console(quiet, as_json), condition_of(fail_if)
@@ -110,11 +110,11 @@ def sweep(
     with ExitStack() as stack:
         limits = limits_of(stack, timeout, plan_timeout, memory)
         if dry_run:
-            _tell_estimate(console, plan, Todo.of(plan, begun, limit, retry_failed), slots, limits)
+            _tell_estimate(console, plan, RemainingJobs.of(plan, begun, limit, retry_failed), slots, limits)
             return
         done_by = _executor(executor, workers if ray_address else slots, ray_address, plan, limits)
         store = open_store(resume or out or _new_folder(file), plan, done_by.slots, resume is not None)
-        todo = Todo.of(plan, store, limit, retry_failed)
+        todo = RemainingJobs.of(plan, store, limit, retry_failed)
         missing = _episodes(console, plan, store, todo, done_by, retries)
     if report:
         _draw(console, store.path)
@@ -205,7 +205,7 @@ def _executor(
 
 
 def _episodes(
-    console: Console, plan: Plan, store: Store, todo: Todo, executor: Executor, retries: int
+    console: Console, plan: Plan, store: Store, todo: RemainingJobs, executor: Executor, retries: int
 ) -> int:
     """Run what is *todo* behind a bar and return how many episodes are missing then."""
     from advdiff_sumo.sweep.sweep_runner import run_sweep
@@ -214,7 +214,7 @@ def _episodes(
         return run_sweep(plan, store, todo, executor, retries, progress.tell)
 
 
-def _tell_estimate(console: Console, plan: Plan, todo: Todo, workers: int, limits: Limits) -> None:
+def _tell_estimate(console: Console, plan: Plan, todo: RemainingJobs, workers: int, limits: Limits) -> None:
     from advdiff_sumo.cli.sweep_results import duration
     from advdiff_sumo.sweep.executors import ProcessExecutor
     from advdiff_sumo.sweep.time_estimate import estimate
@@ -234,7 +234,7 @@ def _tell_estimate(console: Console, plan: Plan, todo: Todo, workers: int, limit
 class _Progress:
     """The bar; counts collisions and failures."""
 
-    def __init__(self, console: Console, todo: Todo) -> None:
+    def __init__(self, console: Console, todo: RemainingJobs) -> None:
         from advdiff_sumo.cli.terminal import progress_bar
 
         self._bar = progress_bar(console)

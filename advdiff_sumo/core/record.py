@@ -89,7 +89,7 @@ class EpisodeRecord:
 
     Attributes:
         episode: number of the episode in its run.
-        seed: the episode's seed.
+        seed: the seed of SUMO in the simulation that its seed scene was taken from.
         scene: name of the seed scene.
         tracks: (A, T) states.
         target: row of the tested vehicle.

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.diffusion.fast_reward import FastReward, RewardWeights
-from advdiff_sumo.diffusion.sampler import Rung
+from advdiff_sumo.diffusion.sampler import SamplingStep
 from advdiff_sumo.models.reward import RewardState
 
 MOST = 2.0
@@ -78,7 +78,7 @@ class Guidance:
     begin: Tensor | None = None
     last_shift: Tensor | None = None
 
-    def __call__(self, mean: Tensor, rung: Rung) -> Tensor:
+    def __call__(self, mean: Tensor, rung: SamplingStep) -> Tensor:
         """Return what is added to *mean* (B, A, 1, Z)."""
         turns = self.turns if rung.left == 0 else 1
         length = self.alpha * max(rung.deviation, FLOOR) / turns

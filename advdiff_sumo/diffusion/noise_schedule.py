@@ -12,7 +12,7 @@ from torch import Tensor
 
 
 @dataclass(frozen=True)
-class Schedule:
+class NoiseSchedule:
     """Diffusion steps k = 1 … K; index 0 is data without noise, α⁰ = 1.
 
     Attributes:

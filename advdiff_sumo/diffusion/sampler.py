@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.noise_schedule import Schedule
+from advdiff_sumo.diffusion.noise_schedule import NoiseSchedule
 
 Family: TypeAlias = Literal["printed", "consistent"]
 Noise: TypeAlias = Callable[[Tensor, int], Tensor]
@@ -18,7 +18,7 @@ Noise: TypeAlias = Callable[[Tensor, int], Tensor]
 
 
 @dataclass(frozen=True)
-class Rung:
+class SamplingStep:
     """One step of a ladder, as a guide sees it.
 
     Attributes:
@@ -32,7 +32,7 @@ class Rung:
     deviation: float
 
 
-Guide: TypeAlias = Callable[[Tensor, Rung], Tensor]
+Guide: TypeAlias = Callable[[Tensor, SamplingStep], Tensor]
 """(μ (B, A, C, L), where on the ladder) → what is added to μ."""
 
 
@@ -58,7 +58,7 @@ class Sampling:
 
 
 def transition(
-    x: Tensor, noise: Tensor, k: int, to: int, schedule: Schedule, sampling: Sampling
+    x: Tensor, noise: Tensor, k: int, to: int, schedule: NoiseSchedule, sampling: Sampling
 ) -> tuple[Tensor, float]:
     """Return mean μ and standard deviation of the step from *k* to *to* < *k*.
 
@@ -85,7 +85,7 @@ def transition(
     return then**0.5 * clean + max(1.0 - then - variance, 0.0) ** 0.5 * noise, variance**0.5
 
 
-def posterior_deviation(k: int, to: int, schedule: Schedule) -> float:
+def posterior_deviation(k: int, to: int, schedule: NoiseSchedule) -> float:
     """Return √Σ of Eq. (2) for the step from *k* to *to*, with β = 1 − α^k / α^to."""
     now, then = float(schedule.alpha[k]), float(schedule.alpha[to])
     return float(((1.0 - then) / (1.0 - now) * (1.0 - now / then)) ** 0.5)
@@ -94,7 +94,7 @@ def posterior_deviation(k: int, to: int, schedule: Schedule) -> float:
 def sample(
     noise_of: Noise,
     start: Tensor,
-    schedule: Schedule,
+    schedule: NoiseSchedule,
     sampling: Sampling,
     generator: torch.Generator,
     guide: Guide | None = None,
@@ -117,7 +117,7 @@ def sample(
         mean, deviation = transition(x, noise_of(x, k), k, to, schedule, sampling)
         if guide is not None:
             mean = mean + guide(
-                mean, Rung(left, float(schedule.alpha[to]), posterior_deviation(k, to, schedule))
+                mean, SamplingStep(left, float(schedule.alpha[to]), posterior_deviation(k, to, schedule))
             )
         x = mean
         if deviation > 0.0 and to > 0:
@@ -147,7 +147,7 @@ class Foresight:
 def foresee(
     noise_of: Noise,
     start: Tensor,
-    schedule: Schedule,
+    schedule: NoiseSchedule,
     sampling: Sampling,
     generator: torch.Generator,
     done: int,

@@ -28,10 +28,10 @@ from advdiff_sumo.metrics.summary import summarise
 from advdiff_sumo.report.nets import net_path
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sweep.consolidate import consolidate
-from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.job_plan import Plan
 from advdiff_sumo.sweep.rounds import stored_plan
 from advdiff_sumo.sweep.situation import SITUATION_COLUMNS
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES
 from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
 
@@ -194,7 +194,7 @@ def _sweep(store: Store, plan: Plan) -> Judging:
                 "episodes": table_of([judged.episode], {**EPISODE_COLUMNS, **SITUATION_COLUMNS}),
                 "collisions": table_of(judged.collisions, COLLISION_COLUMNS),
             }
-            store.write(key, Part({**part.tables, **tables}, part.failed).to_bytes())
+            store.write(key, StoredEpisode({**part.tables, **tables}, part.failed).to_bytes())
 
     def finish() -> None:
         consolidate(store, plan)

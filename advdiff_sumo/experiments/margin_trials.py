@@ -19,7 +19,7 @@ from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.job_plan import Plan, plan_sweep
 from advdiff_sumo.sweep.spec import Case, SweepSpec
 from advdiff_sumo.sweep.sweep_files import write_whole
-from advdiff_sumo.sweep.sweep_runner import Todo, run_sweep
+from advdiff_sumo.sweep.sweep_runner import RemainingJobs, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
 
@@ -112,7 +112,9 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
 
     def _run(self, plan: Plan) -> Store:
         store = open_bench_store(self._folder, plan, 1)
-        run_sweep(plan, store, Todo.of(plan, store), _Lent(self._executor), _RETRIES, lambda *_: None)
+        run_sweep(
+            plan, store, RemainingJobs.of(plan, store), _Lent(self._executor), _RETRIES, lambda *_: None
+        )
         return store
 
 

@@ -20,11 +20,11 @@ from advdiff_sumo.planners.hard_scenes import hard_scenes
 from advdiff_sumo.planners.planner_check import Part, Problem, carries_over, problems_of
 from advdiff_sumo.planners.planner_protocol import Planner, SumoDriver
 from advdiff_sumo.sim.episode import Episode
-from advdiff_sumo.sim.natural import NaturalTraffic
 from advdiff_sumo.sim.run_episodes import RunOptions, target_of
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
-from advdiff_sumo.traffic.natural import SumoTraffic
+from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
+from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 DRIVES, DRIVES_AGAIN, IN_TIME = "drives", "drives it again", "in time"
 _KEPT = 4

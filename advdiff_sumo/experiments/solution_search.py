@@ -17,7 +17,7 @@ from advdiff_sumo.models.model_options import MODEL_STEP_S, ModelOptions
 from advdiff_sumo.models.tensor_bicycle import controls, step
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.baselines.baseline_networks import Prior
-from advdiff_sumo.traffic.baselines.closed_loop import halves
+from advdiff_sumo.traffic.baselines.baseline_policy import halves
 
 _MARGIN_M = 0.3
 _RATE = 0.15

@@ -75,7 +75,7 @@ CRITICAL_COLUMNS: Mapping[str, Column] = {
 EPISODE_COLUMNS: Mapping[str, Column] = {
     "episode": _count("number of the episode in its run"),
     "scene": _text("name of the seed scene", nullable=False),
-    "seed": _count("the episode's seed"),
+    "seed": _count("SUMO's seed in the simulation that the seed scene was taken from"),
     "end": _text("why it ended: horizon, collision, arrived, log_end, failed", nullable=False),
     "duration_s": _real("s", "simulated time", nullable=False),
     "route": _text("edges of the target's route, apart by blanks"),

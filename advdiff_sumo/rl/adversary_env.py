@@ -14,7 +14,7 @@ from advdiff_sumo.core.record import EndReason
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.rl.adversary_reward import Half, mean_accel, reward_terms
+from advdiff_sumo.rl.adversary_reward import DecisionInterval, mean_accel, reward_terms
 from advdiff_sumo.rl.episode_env import OVER, EpisodeEnv, Observation
 from advdiff_sumo.rl.rl_options import adversary_options
 from advdiff_sumo.rl.sources import Sources
@@ -137,7 +137,7 @@ class AdversaryEnv(EpisodeEnv):
         attacker = loop.world.row_of(names[0]) if names else None
         frames = loop.recorder.frames
         done_steps = min(loop.sim.substeps, len(frames) - 1)
-        half = Half(
+        half = DecisionInterval(
             frames=frames[-done_steps - 1 :],
             size_m=loop.world.size_m[: len(loop.world)],
             attacker=attacker,

@@ -25,7 +25,7 @@ _JERK_MPS3, _MOST_JERK = 10.0, 4.0
 
 
 @dataclass(frozen=True)
-class Half:
+class DecisionInterval:
     """Half a second of an episode, as the attacker's reward needs it; n + 1 instants, N road users.
 
     Attributes:
@@ -49,7 +49,7 @@ class Half:
     dt_s: float
 
 
-def reward_terms(half: Half, weights: RewardWeights, road: RoadMap) -> dict[str, float]:
+def reward_terms(half: DecisionInterval, weights: RewardWeights, road: RoadMap) -> dict[str, float]:
     """Return the terms by name; their sum is the reward. Where nobody attacked, only a collision counts."""
     attacker = half.attacker
     if attacker is None or not _there(half, attacker):
@@ -68,22 +68,22 @@ def reward_terms(half: Half, weights: RewardWeights, road: RoadMap) -> dict[str,
     }
 
 
-def mean_accel(half: Half, row: int) -> float:
+def mean_accel(half: DecisionInterval, row: int) -> float:
     """Return the mean acceleration of *row* in the half second."""
     first, last = half.frames[0].speed_mps[row], half.frames[-1].speed_mps[row]
     return float((last - first) / _span_s(half))
 
 
-def _span_s(half: Half) -> float:
+def _span_s(half: DecisionInterval) -> float:
     return half.dt_s * max(len(half.frames) - 1, 1)
 
 
-def _there(half: Half, row: int) -> bool:
+def _there(half: DecisionInterval, row: int) -> bool:
     """Return whether *row* is there at every instant."""
     return all(row < len(f.yaw_rad) and np.isfinite(f.yaw_rad[row]) for f in half.frames)
 
 
-def _gaps(half: Half, row: int) -> FloatArray:
+def _gaps(half: DecisionInterval, row: int) -> FloatArray:
     """Return the room (n + 1, N) between the attacker's box and everybody's; NaN for absent ones and itself."""
     out = np.full((len(half.frames), len(half.size_m)), np.nan)
     box = 0.5 * half.size_m
@@ -97,14 +97,14 @@ def _gaps(half: Half, row: int) -> FloatArray:
     return out
 
 
-def _touches_another(gaps: FloatArray, half: Half, row: int) -> bool:
+def _touches_another(gaps: FloatArray, half: DecisionInterval, row: int) -> bool:
     """Return whether the attacker comes to touch anybody but the target, whom it did not touch before."""
     touching: BoolArray = gaps < TOUCH_M  # NaN compares as False
     touching[:, [half.target, row]] = False
     return bool((touching[1:].any(axis=0) & ~touching[0]).any())
 
 
-def _off_road(half: Half, row: int, road: RoadMap) -> float:
+def _off_road(half: DecisionInterval, row: int, road: RoadMap) -> float:
     frame = half.frames[-1]
     box = corners(frame.xy_m[row], frame.yaw_rad[row], half.size_m[row])
     return float(road.off_road_share(box[None])[0])

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 from stable_baselines3.common.callbacks import BaseCallback
 
 from advdiff_sumo.training.history import Record
-from advdiff_sumo.training.interrupt import Wish
+from advdiff_sumo.training.interrupt import StopRequest
 
 Tell: TypeAlias = Callable[[int, list[Record]], None]
 """Told of the steps made and the records so far, after every step."""
@@ -32,7 +32,9 @@ class Watch(BaseCallback):
         wish: of the user to stop.
     """
 
-    def __init__(self, history: list[Record], save: Callable[[], None], tell: Tell, wish: Wish) -> None:
+    def __init__(
+        self, history: list[Record], save: Callable[[], None], tell: Tell, wish: StopRequest
+    ) -> None:
         super().__init__()
         self.history, self._save, self._tell, self._wish = history, save, tell, wish
         self._episodes: list[dict[str, Any]] = []

@@ -19,14 +19,14 @@ from advdiff_sumo.sim.episode_context import Context
 from advdiff_sumo.sim.episode_setup import EpisodeSetup
 from advdiff_sumo.sim.handover import Handover
 from advdiff_sumo.sim.heartbeat import Phase
-from advdiff_sumo.sim.natural import remaining_route
-from advdiff_sumo.sim.perceive import read_signals, watch_signals
 from advdiff_sumo.sim.planned import natural_course
 from advdiff_sumo.sim.recorder import Recorder
 from advdiff_sumo.sim.seed_scene import PlacedTraffic, SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session
 from advdiff_sumo.sim.start import TARGET_TYPE
+from advdiff_sumo.sim.sumo_perception import read_signals, watch_signals
 from advdiff_sumo.sim.target import PlannerDrive, SumoDrive
+from advdiff_sumo.sim.warmup_scenes import remaining_route
 from advdiff_sumo.sim.world import Frame, World, read, register
 from advdiff_sumo.traffic.policy_protocol import moves_everywhere
 

@@ -14,8 +14,8 @@ from advdiff_sumo.core.tracking import State, densify, track
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background_control import Motion
-from advdiff_sumo.sim.natural import remaining_route
 from advdiff_sumo.sim.sim_options import SimOptions
+from advdiff_sumo.sim.warmup_scenes import remaining_route
 from advdiff_sumo.sim.world import World
 
 _ALIGNED_RAD = 0.05  # SUMO turns a vehicle along its lane in the step after it takes over

@@ -26,10 +26,10 @@ from advdiff_sumo.planners.planner_registry import TARGETS, make_target
 from advdiff_sumo.sim.demand_files import DemandFiles, net_of_configuration, read_demand
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.logs import LoggedTraffic
-from advdiff_sumo.sim.natural import NaturalTraffic
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.start import lane_change_model
+from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 from advdiff_sumo.traffic.policy_registry import POLICIES, make_policy
 

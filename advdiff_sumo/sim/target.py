@@ -18,12 +18,12 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_protocol import Planner, Served
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
-from advdiff_sumo.sim.natural import remaining_route
-from advdiff_sumo.sim.perceive import visible_ids
 from advdiff_sumo.sim.plan_validation import check_plan
 from advdiff_sumo.sim.plug_in_guard import PlugInGuard
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.start import TARGET_TYPE
+from advdiff_sumo.sim.sumo_perception import visible_ids
+from advdiff_sumo.sim.warmup_scenes import remaining_route
 from advdiff_sumo.sim.world import World
 
 _ARRIVAL_M = 6.0

@@ -15,8 +15,8 @@ import pyarrow.parquet as pq
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.metrics.arrow_tables import schema_of, table_of, upgraded
 from advdiff_sumo.metrics.columns import Column
-from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.job_plan import Job, Plan
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_columns import FAILURE_COLUMNS, SWEEP_TABLES, job_row
 from advdiff_sumo.sweep.sweep_files import checksum_of, write_whole
 from advdiff_sumo.sweep.sweep_store import Store
@@ -84,7 +84,7 @@ def read_rows(folder: Path, table: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _rows(part: Part, job: Job, plan: Plan, folder: Path) -> dict[str, pa.Table]:
+def _rows(part: StoredEpisode, job: Job, plan: Plan, folder: Path) -> dict[str, pa.Table]:
     own = job_row(job, plan.options(job))
     tables: dict[str, pa.Table] = {}
     for name, table in part.tables.items():

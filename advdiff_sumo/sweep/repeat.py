@@ -12,11 +12,11 @@ from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sim.scene_file import scene_from_bytes
 from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.job_plan import Job, Plan, plan_run, plan_sweep
 from advdiff_sumo.sweep.run_folder import SETTINGS as RUN_SETTINGS
 from advdiff_sumo.sweep.run_folder import RunFolder, read_settings
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
 from advdiff_sumo.sweep.work import part_of, run_of
 
@@ -35,7 +35,7 @@ class Repeated:
     """
 
     run: Run
-    part: Part
+    part: StoredEpisode
     same: bool | None
 
 
@@ -83,7 +83,7 @@ def run_with(number: str, folder: Path) -> tuple[RunFolder, Plan, Job]:
     return RunFolder(folder), plan, plan.jobs[int(number)]
 
 
-def repeat(store: Store, plan: Plan, job: Job, stored: Part | None, gui: bool = False) -> Repeated:
+def repeat(store: Store, plan: Plan, job: Job, stored: StoredEpisode | None, gui: bool = False) -> Repeated:
     """Run *job* again in this process.
 
     Args:
@@ -128,7 +128,7 @@ def _scene(store: Store, run: Run, job: Job) -> SeedScene:
     return scene
 
 
-def _same(stored: Part | None, again: Part) -> bool | None:
+def _same(stored: StoredEpisode | None, again: StoredEpisode) -> bool | None:
     if stored is None or not stored.tables:
         return None
     try:

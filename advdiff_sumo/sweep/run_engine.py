@@ -10,7 +10,7 @@ from advdiff_sumo.sim.run_episodes import Run
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.job_plan import plan_run, run_inputs
 from advdiff_sumo.sweep.run_folder import RunFolder
-from advdiff_sumo.sweep.scheduler import Conductor, Tell
+from advdiff_sumo.sweep.scheduler import Scheduler, Tell
 
 
 def run_settings(run: Run) -> dict[str, Any]:
@@ -48,7 +48,7 @@ def run_into(
     finished = False
     try:
         with executor:
-            conductor = Conductor(plan, folder.store, executor, retries, tell, hear, refuses=True)
+            conductor = Scheduler(plan, folder.store, executor, retries, tell, hear, refuses=True)
             conductor.run(job for job in plan.jobs if job.number not in done)
         finished = True
     finally:

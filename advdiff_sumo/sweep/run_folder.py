@@ -19,8 +19,8 @@ from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.whole_file import ASIDE
 from advdiff_sumo.metrics.arrow_tables import schema_of, table_of
 from advdiff_sumo.sim.run_store import LATER_TABLES, TABLES
-from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.job_plan import run_key
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_columns import RUN_FAILURE_COLUMNS
 from advdiff_sumo.sweep.sweep_files import write_whole
 from advdiff_sumo.sweep.sweep_store import Store
@@ -125,11 +125,11 @@ class RunFolder:
         """Return the numbers of the episodes that are on disk."""
         return [int(key) for key in self.store.finished()]
 
-    def add(self, number: int, part: Part) -> None:
+    def add(self, number: int, part: StoredEpisode) -> None:
         """Write one finished episode; it counts only once all of it is on disk."""
         self.store.write(run_key(number), part.to_bytes())
 
-    def part(self, number: int) -> Part | None:
+    def part(self, number: int) -> StoredEpisode | None:
         """Return what is kept of an episode, while the run is going on and after; None where it has none."""
         stored = self.store.read(run_key(number))
         if stored is not None or number not in self._in_tables():
@@ -205,11 +205,11 @@ class RunFolder:
         (aside.path / _PARTS).replace(self.path / _PARTS)
         shutil.rmtree(aside.path)
 
-    def _from_tables(self, numbers: Sequence[int]) -> dict[int, Part]:
+    def _from_tables(self, numbers: Sequence[int]) -> dict[int, StoredEpisode]:
         whole = {name: _table_of(self.path / f"{name}.parquet", schema_of(TABLES[name])) for name in TABLES}
         names = Failed.__dataclass_fields__
         failed = {row["episode"]: Failed(**{name: row[name] for name in names}) for row in self.failures()}
-        return {number: Part(_rows_of(whole, number), failed.get(number)) for number in numbers}
+        return {number: StoredEpisode(_rows_of(whole, number), failed.get(number)) for number in numbers}
 
 
 def _table_of(path: Path, schema: pa.Schema) -> pa.Table:

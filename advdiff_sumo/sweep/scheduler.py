@@ -11,10 +11,10 @@ from typing import Any, TypeAlias
 from advdiff_sumo.core.errors import FileError, InputError, SceneError
 from advdiff_sumo.sim.episode import Ended
 from advdiff_sumo.sim.heartbeat import NOT_STARTED
-from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.job_plan import Batch, Job, Plan
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_files import DiskFullError
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Outcome, SceneTask, Task
@@ -31,7 +31,7 @@ Tell: TypeAlias = Callable[[Mapping[str, Any] | None, Failed | None], None]
 
 
 @dataclass
-class Conductor:
+class Scheduler:
     """The state of a running sweep.
 
     Attributes:
@@ -197,9 +197,9 @@ class Conductor:
     def _record(self, job: Job, outcome: Outcome) -> None:
         first = self._ended.pop(job.key, None)
         if outcome.failed is not None:
-            content = Part({}, first or outcome.failed).to_bytes()
+            content = StoredEpisode({}, first or outcome.failed).to_bytes()
         elif first is not None:
-            content = replace(Part.from_bytes(outcome.product[0]), failed=first).to_bytes()
+            content = replace(StoredEpisode.from_bytes(outcome.product[0]), failed=first).to_bytes()
         else:
             content = outcome.product[0]
         try:
@@ -208,7 +208,7 @@ class Conductor:
             self.store.drop_ballast()
             self.store.write(job.key, content)
             raise
-        row, failed = Part.glance(content)
+        row, failed = StoredEpisode.glance(content)
         _log.info("episode %s: %s", job.key, row["end"] if row else failed and failed.message)
         self.tell(row, failed)
 

@@ -12,14 +12,14 @@ from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.job_plan import Job, Plan
 from advdiff_sumo.sweep.rounds import chosen_so_far, rounds
-from advdiff_sumo.sweep.scheduler import Conductor, Tell
+from advdiff_sumo.sweep.scheduler import Scheduler, Tell
 from advdiff_sumo.sweep.sweep_store import Store
 
 _BALLAST_BYTES_A_SLOT = 4 << 20
 
 
 @dataclass(frozen=True)
-class Todo:
+class RemainingJobs:
     """What is left of a sweep.
 
     Attributes:
@@ -33,7 +33,9 @@ class Todo:
     total: int
 
     @staticmethod
-    def of(plan: Plan, store: Store | None, limit: int | None = None, retry_failed: bool = False) -> Todo:
+    def of(
+        plan: Plan, store: Store | None, limit: int | None = None, retry_failed: bool = False
+    ) -> RemainingJobs:
         """Return what of the first *limit* episodes is missing or damaged in *store*.
 
         Args:
@@ -45,7 +47,7 @@ class Todo:
         total = plan.wanted if limit is None else min(limit, plan.wanted)
         wanted = chosen_so_far(plan, store).jobs[:total]
         jobs = tuple(job for job in wanted if store is None or not _is_done(store, job, retry_failed))
-        return Todo(jobs, len(wanted) - len(jobs), total)
+        return RemainingJobs(jobs, len(wanted) - len(jobs), total)
 
     def ahead(self, plan: Plan) -> Sequence[Job]:
         """Return as many episodes as are to be run, those of a diverse sweep spread over what it chooses from."""
@@ -76,7 +78,9 @@ def open_store(path: Path, plan: Plan, workers: int, resume: bool) -> Store:
     return Store.create(path, settings_of(plan), ballast)
 
 
-def run_sweep(plan: Plan, store: Store, todo: Todo, executor: Executor, retries: int, tell: Tell) -> int:
+def run_sweep(
+    plan: Plan, store: Store, todo: RemainingJobs, executor: Executor, retries: int, tell: Tell
+) -> int:
     """Run what is left and put the tables together; return how many episodes are missing.
 
     Args:
@@ -93,7 +97,7 @@ def run_sweep(plan: Plan, store: Store, todo: Todo, executor: Executor, retries:
     try:
         with executor:
             for present, jobs in _parts(plan, store, todo):
-                Conductor(present, store, executor, retries, tell).run(jobs)
+                Scheduler(present, store, executor, retries, tell).run(jobs)
         present = chosen_so_far(plan, store)
         missing = consolidate(store, present) + plan.wanted - len(present.jobs)
     finally:
@@ -103,7 +107,7 @@ def run_sweep(plan: Plan, store: Store, todo: Todo, executor: Executor, retries:
     return missing
 
 
-def _parts(plan: Plan, store: Store, todo: Todo) -> Iterator[tuple[Plan, Sequence[Job]]]:
+def _parts(plan: Plan, store: Store, todo: RemainingJobs) -> Iterator[tuple[Plan, Sequence[Job]]]:
     """Yield what is run together: all that is left, or of a diverse sweep what was chosen, then its further rounds."""
     yield chosen_so_far(plan, store), todo.jobs
     if plan.spec.diverse:

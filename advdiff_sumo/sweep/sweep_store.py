@@ -16,8 +16,8 @@ import tomli_w
 from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.whole_file import ASIDE
-from advdiff_sumo.sweep.episode_result import Part, pack, unpack
 from advdiff_sumo.sweep.spec import SweepSpec
+from advdiff_sumo.sweep.stored_episode import StoredEpisode, pack, unpack
 from advdiff_sumo.sweep.sweep_files import read_checked, unwritable, write_checked, write_whole
 
 SETTINGS = "sweep.toml"
@@ -162,15 +162,15 @@ class Store:
             raise unwritable(path, error) from None
         write_checked(path, part)
 
-    def read(self, key: str) -> Part | None:
+    def read(self, key: str) -> StoredEpisode | None:
         """Return a finished episode; None when there is none, or its file is damaged."""
         content = read_checked(self._episode(key))
-        return None if content is None else Part.from_bytes(content)
+        return None if content is None else StoredEpisode.from_bytes(content)
 
     def glance(self, key: str) -> dict[str, Any] | None:
         """Return the row of a finished episode; None when there is none, or its file is damaged."""
         content = read_checked(self._episode(key))
-        return None if content is None else Part.glance(content)[0]
+        return None if content is None else StoredEpisode.glance(content)[0]
 
     def finished(self) -> list[str]:
         """Return the keys of the finished episodes that are there and whole."""

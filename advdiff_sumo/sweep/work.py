@@ -30,9 +30,9 @@ from advdiff_sumo.sim.run_episodes import Run, RunOptions, policy_of, read_road,
 from advdiff_sumo.sim.run_store import episode_tables
 from advdiff_sumo.sim.scene_file import scene_from_bytes, scene_to_bytes
 from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.situation import SITUATION_COLUMNS, situation
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Outcome, SceneTask, Task
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 
@@ -90,7 +90,7 @@ def run_of(options: RunOptions, net_digest: str) -> Run:
     return Run(options, road, target, policy, names)
 
 
-def part_of(run: Run, record: EpisodeRecord, timing: Timing) -> Part:
+def part_of(run: Run, record: EpisodeRecord, timing: Timing) -> StoredEpisode:
     """Return what is kept of an episode of *run*."""
     metrics = summarise(record, run.road)
     row = episode_row(record, run.road, metrics)
@@ -101,7 +101,7 @@ def part_of(run: Run, record: EpisodeRecord, timing: Timing) -> Part:
     timed = _beside(
         tables["timing"], [{"worker": os.getpid(), "rss_mb": rss_mb(), "peak_mb": peak_mb()}], WORKER_COLUMNS
     )
-    return Part({**tables, "episodes": episodes, "timing": timed}, failed)
+    return StoredEpisode({**tables, "episodes": episodes, "timing": timed}, failed)
 
 
 def _beside(table: pa.Table, rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> pa.Table:

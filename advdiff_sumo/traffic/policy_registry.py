@@ -17,7 +17,7 @@ POLICIES = Registry(
     kind="background",
     group="advdiff_sumo.policies",
     builtins={
-        "sumo": "advdiff_sumo.traffic.natural:SumoTraffic",
+        "sumo": "advdiff_sumo.traffic.sumo_traffic:SumoTraffic",
         "replay": "advdiff_sumo.traffic.replay:Replay",
         "diffusion": "advdiff_sumo.traffic.diffusion.diffusion_policy:DiffusionTraffic",
         "traj2traj": "advdiff_sumo.traffic.diffusion.diffusion_policy:Traj2Traj",

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor, nn
 
-from advdiff_sumo.diffusion.noise_schedule import Schedule
+from advdiff_sumo.diffusion.noise_schedule import NoiseSchedule
 from advdiff_sumo.diffusion.sampler import Noise, Sampling, sample
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
@@ -77,9 +77,9 @@ def judge(bundle: Bundle, batch: SceneBatch, generator: torch.Generator) -> Tall
     }
 
 
-def schedule_of(bundle: Bundle) -> Schedule:
+def schedule_of(bundle: Bundle) -> NoiseSchedule:
     """Return the noise schedule that the bundle's denoiser belongs to."""
-    return Schedule(bundle.options.diffusion_steps, bundle.options.schedule)
+    return NoiseSchedule(bundle.options.diffusion_steps, bundle.options.schedule)
 
 
 def clean(bundle: Bundle, batch: SceneBatch, context: Context, generator: torch.Generator) -> Tensor:
@@ -87,13 +87,13 @@ def clean(bundle: Bundle, batch: SceneBatch, context: Context, generator: torch.
     return bundle.codec.scale(bundle.codec.raw(batch, context, generator))
 
 
-def random_steps(batch: SceneBatch, schedule: Schedule, generator: torch.Generator) -> Tensor:
+def random_steps(batch: SceneBatch, schedule: NoiseSchedule, generator: torch.Generator) -> Tensor:
     """Return a diffusion step (B,) for each scene, 1 … K alike."""
     drawn = torch.randint(1, schedule.steps + 1, (batch.scenes,), generator=generator)
     return drawn.to(batch.past.device)
 
 
-def spread_steps(batch: SceneBatch, schedule: Schedule) -> Tensor:
+def spread_steps(batch: SceneBatch, schedule: NoiseSchedule) -> Tensor:
     """Return diffusion steps (B,) evenly spread over 1 … K."""
     middle = (torch.arange(batch.scenes) + 0.5) / batch.scenes
     return (1 + (middle * schedule.steps).long()).clamp(max=schedule.steps).to(batch.past.device)
@@ -104,7 +104,7 @@ def noise_loss(
     x0: Tensor,
     context: Context,
     batch: SceneBatch,
-    schedule: Schedule,
+    schedule: NoiseSchedule,
     k: Tensor,
     generator: torch.Generator,
 ) -> Tensor:

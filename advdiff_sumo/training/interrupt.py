@@ -11,7 +11,7 @@ from types import FrameType
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-class Wish:
+class StopRequest:
     """Whether the user wants to stop; set by the signal, asked for between two steps."""
 
     def __init__(self) -> None:
@@ -22,12 +22,12 @@ class Wish:
 
 
 @contextmanager
-def graceful() -> Iterator[Wish]:
+def graceful() -> Iterator[StopRequest]:
     """Turn the first Ctrl-C (or SIGTERM) into a wish to stop; the second one acts at once, as usual.
 
     Outside the main thread, where Python allows no handlers, the wish is never set.
     """
-    wish = Wish()
+    wish = StopRequest()
     if threading.current_thread() is not threading.main_thread():
         yield wish
         return

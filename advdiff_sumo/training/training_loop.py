@@ -26,7 +26,7 @@ from advdiff_sumo.training import checkpoint, history
 from advdiff_sumo.training.checkpoint import Progress
 from advdiff_sumo.training.dataset import IntArray, WindowSet, batches, nearest, padded
 from advdiff_sumo.training.ema import Ema
-from advdiff_sumo.training.interrupt import Wish, graceful
+from advdiff_sumo.training.interrupt import StopRequest, graceful
 from advdiff_sumo.training.learning_rates import rate_factor
 from advdiff_sumo.training.presets import TrainOptions
 from advdiff_sumo.training.stage import Moment, Stage, Tally, add, means
@@ -155,7 +155,7 @@ class Trainer:
             raise KeyboardInterrupt
         return self.progress
 
-    def _epochs(self, begun: float, wish: Wish) -> None:
+    def _epochs(self, begun: float, wish: StopRequest) -> None:
         progress = self.progress
         while not progress.done:
             if not self._epoch(begun, wish):
@@ -165,7 +165,7 @@ class Trainer:
             progress.done = progress.epoch >= self.job.options.epochs or self._stuck()
             self.save()
 
-    def _epoch(self, begun: float, wish: Wish) -> bool:
+    def _epoch(self, begun: float, wish: StopRequest) -> bool:
         """Go on with the epoch; False: left before its end."""
         progress, saved = self.progress, time.monotonic()
         limit_s, between_s = 60.0 * self.job.max_minutes, 60.0 * self.job.options.checkpoint_minutes

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from advdiff_sumo.diffusion.attack_costs import COSTS, Encounter, Natural, encounter
 from advdiff_sumo.diffusion.guides import FLOOR, Guidance, Term, direction
-from advdiff_sumo.diffusion.sampler import Rung
+from advdiff_sumo.diffusion.sampler import SamplingStep
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.trace import Trace
 
@@ -39,12 +39,12 @@ def test_a_step_is_alpha_times_the_deviation_long(deviation: float, length: floa
     )
     guide = Guidance(terms, torch.tensor([1.0, 0.0]), 2.0)
     mean = torch.zeros(1, 2, 1, 2)
-    last = guide(mean, Rung(0, 1.0, deviation))
+    last = guide(mean, SamplingStep(0, 1.0, deviation))
     torch.testing.assert_close(last[0, 0, 0], 2.0 * length * torch.tensor([0.75, 0.25]))
     assert last[0, 1].abs().max() == 0.0
-    before = guide(mean, Rung(1, 0.9, deviation))
+    before = guide(mean, SamplingStep(1, 0.9, deviation))
     torch.testing.assert_close(before[0, 0, 0], 2.0 * length * torch.tensor([0.75, 0.0]))
-    assert guide(mean, Rung(2, 0.5, deviation)).abs().max() == 0.0
+    assert guide(mean, SamplingStep(2, 0.5, deviation)).abs().max() == 0.0
 
 
 def test_latents_are_shown_without_the_share_of_noise() -> None:
@@ -55,7 +55,7 @@ def test_latents_are_shown_without_the_share_of_noise() -> None:
         seen.append(mu.detach())
         return mu.sum((1, 2))
 
-    Guidance((Term(look, 1.0, 9),), torch.ones(1), 1.0)(torch.ones(1, 1, 1, 2), Rung(3, 0.25, 0.5))
+    Guidance((Term(look, 1.0, 9),), torch.ones(1), 1.0)(torch.ones(1, 1, 1, 2), SamplingStep(3, 0.25, 0.5))
     torch.testing.assert_close(seen[0], torch.full((1, 1, 2), 2.0))
 
 
@@ -66,10 +66,10 @@ def test_the_last_step_turns_with_the_gradient() -> None:
     """
     centre = Term(lambda mu: -0.5 * mu.square().sum((1, 2)), 1.0, 1)
     start = torch.tensor([[[[3.0, 4.0]]]])
-    made = Guidance((centre,), torch.ones(1), 4.0, turns=2)(start, Rung(0, 1.0, 1.0))
+    made = Guidance((centre,), torch.ones(1), 4.0, turns=2)(start, SamplingStep(0, 1.0, 1.0))
     torch.testing.assert_close(made, torch.tensor([[[[-2.4, -3.2]]]]))
     late = Term(lambda mu: torch.where(mu[:, :, 0] < 2.0, mu[:, :, 1], -mu[:, :, 0]).sum(1), 1.0, 1)
-    made = Guidance((late,), torch.ones(1), 4.0, turns=2)(start, Rung(0, 1.0, 1.0))
+    made = Guidance((late,), torch.ones(1), 4.0, turns=2)(start, SamplingStep(0, 1.0, 1.0))
     torch.testing.assert_close(made, torch.tensor([[[[-2.0, 2.0]]]]))  # −x first, then +y
 
 
@@ -78,11 +78,11 @@ def test_a_shift_begins_where_the_last_one_ended_and_has_a_longest() -> None:
     along = Term(lambda mu: mu[:, :, 0].sum(1), 1.0, 1)
     mean, mask = torch.zeros(1, 2, 1, 2), torch.tensor([1.0, 0.0])
     guide = Guidance((along,), mask, 1.0, begin=torch.tensor([[0.0, 1.5], [0.0, 9.0]]))
-    made = guide(mean, Rung(0, 1.0, 1.0))
+    made = guide(mean, SamplingStep(0, 1.0, 1.0))
     torch.testing.assert_close(made[:, :, 0], torch.tensor([[[1.0, 1.5], [0.0, 0.0]]]))
     torch.testing.assert_close(guide.last_shift, made[:, :, 0])
     made = Guidance((along,), mask, 1.0, begin=torch.tensor([[0.0, 3.0], [0.0, 0.0]]))(
-        mean, Rung(0, 1.0, 1.0)
+        mean, SamplingStep(0, 1.0, 1.0)
     )
     assert float(made.norm()) == pytest.approx(2.0)
     torch.testing.assert_close(made[0, 0, 0] / 2.0, torch.tensor([1.0, 3.0]) / 10.0**0.5)
@@ -96,7 +96,7 @@ def test_earlier_steps_are_made_in_one() -> None:
         return mu.sum((1, 2))
 
     guide = Guidance((Term(look, 1.0, 9),), torch.ones(1), 1.0, turns=3)
-    guide(torch.ones(1, 1, 1, 2), Rung(2, 0.5, 0.5))
+    guide(torch.ones(1, 1, 1, 2), SamplingStep(2, 0.5, 0.5))
     assert len(asked) == 1
 
 

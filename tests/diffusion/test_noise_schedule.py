@@ -11,7 +11,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from advdiff_sumo.diffusion.noise_schedule import Schedule
+from advdiff_sumo.diffusion.noise_schedule import NoiseSchedule
 
 KINDS: tuple[Literal["cosine", "linear"], ...] = ("cosine", "linear")
 
@@ -19,7 +19,7 @@ KINDS: tuple[Literal["cosine", "linear"], ...] = ("cosine", "linear")
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("steps", [10, 100, 1000])
 def test_alpha_falls_from_one_to_almost_nothing(kind: Literal["cosine", "linear"], steps: int) -> None:
-    alpha = Schedule(steps, kind).alpha
+    alpha = NoiseSchedule(steps, kind).alpha
     assert alpha.shape == (steps + 1,)
     assert alpha.dtype == torch.float64
     assert alpha[0] == 1.0
@@ -32,13 +32,13 @@ def test_cosine_by_hand() -> None:
     def f(share: float) -> float:
         return math.cos((share + 0.008) / 1.008 * math.pi / 2) ** 2
 
-    alpha = Schedule(100, "cosine").alpha
+    alpha = NoiseSchedule(100, "cosine").alpha
     assert float(alpha[50]) == pytest.approx(f(0.5) / f(0.0), abs=1e-12)
     assert float(alpha[100]) == 1e-4  # not 0: the sampler divides by its root
 
 
 def test_linear_is_that_of_a_thousand_steps_scaled() -> None:
-    long, short = Schedule(1000, "linear").alpha, Schedule(100, "linear").alpha
+    long, short = NoiseSchedule(1000, "linear").alpha, NoiseSchedule(100, "linear").alpha
     assert float(long[1]) == pytest.approx(1.0 - 1e-4)
     assert float(long[2]) == pytest.approx((1.0 - 1e-4) * (1.0 - (1e-4 + (0.02 - 1e-4) / 999)))
     assert float(short[1]) == pytest.approx(1.0 - 1e-3)
@@ -46,7 +46,7 @@ def test_linear_is_that_of_a_thousand_steps_scaled() -> None:
 
 
 def test_noisy_by_hand() -> None:
-    schedule = Schedule(100)
+    schedule = NoiseSchedule(100)
     alpha = schedule.alpha
     x0, noise = torch.full((2, 1, 3), 2.0), torch.full((2, 1, 3), -1.0)
     made = schedule.noisy(x0, torch.tensor([30, 0]), noise)
@@ -59,7 +59,7 @@ def test_noisy_by_hand() -> None:
 @pytest.mark.parametrize("k", [1, 40, 100])
 def test_noisy_keeps_the_variance_of_unit_data(k: int) -> None:
     generator = torch.Generator().manual_seed(0)
-    schedule = Schedule(100)
+    schedule = NoiseSchedule(100)
     x0, noise = torch.randn(2, 40_000, generator=generator, dtype=torch.float64)
     made = schedule.noisy(x0[None], torch.tensor([k]), noise[None])[0]
     assert float(made.var()) == pytest.approx(1.0, abs=0.03)
@@ -71,7 +71,7 @@ def test_noisy_keeps_the_variance_of_unit_data(k: int) -> None:
 @given(st.integers(1, 300), st.data())
 def test_ladder_goes_down_to_zero_without_repeats(steps: int, data: st.DataObject) -> None:
     count = data.draw(st.integers(1, steps))
-    ladder = Schedule(steps).ladder(count)
+    ladder = NoiseSchedule(steps).ladder(count)
     assert (ladder[0], ladder[-1], len(ladder)) == (steps, 0, count + 1)
     gaps = [a - b for a, b in pairwise(ladder)]
     assert min(gaps) >= 1
@@ -87,10 +87,10 @@ def test_ladder_goes_down_to_zero_without_repeats(steps: int, data: st.DataObjec
     ],
 )
 def test_ladder_begins_at_a_share_of_the_schedule(count: int, begin: float, ladder: list[int]) -> None:
-    assert Schedule(100).ladder(count, begin) == ladder
+    assert NoiseSchedule(100).ladder(count, begin) == ladder
 
 
 @pytest.mark.parametrize("count", [0, -1, 101])
 def test_ladder_refuses(count: int) -> None:
     with pytest.raises(ValueError, match=f"{count} sampling steps; the schedule has 100"):
-        Schedule(100).ladder(count)
+        NoiseSchedule(100).ladder(count)

@@ -11,10 +11,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from advdiff_sumo.diffusion.noise_schedule import Schedule
-from advdiff_sumo.diffusion.sampler import Family, Noise, Rung, Sampling, draw, foresee, sample, transition
+from advdiff_sumo.diffusion.noise_schedule import NoiseSchedule
+from advdiff_sumo.diffusion.sampler import (
+    Family,
+    Noise,
+    Sampling,
+    SamplingStep,
+    draw,
+    foresee,
+    sample,
+    transition,
+)
 
-SCHEDULE = Schedule(100)
+SCHEDULE = NoiseSchedule(100)
 FAMILIES: tuple[Family, ...] = ("printed", "consistent")
 
 
@@ -22,7 +31,7 @@ def seeded(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def oracle(x0: Tensor, schedule: Schedule = SCHEDULE) -> Noise:
+def oracle(x0: Tensor, schedule: NoiseSchedule = SCHEDULE) -> Noise:
     """Return the noise that *x0* must have been given to become x."""
 
     def noise_of(x: Tensor, k: int) -> Tensor:
@@ -58,7 +67,7 @@ def test_printed_takes_no_notice_of_eta() -> None:
 
 def test_a_step_by_hand() -> None:
     """α of 0.64 and 0.84: Σ = 0.16/0.36 · (1 − 0.64/0.84) = 0.105820…; x = 1, ε = 0.5: x̂⁰ = 0.875."""
-    schedule = Schedule(2)
+    schedule = NoiseSchedule(2)
     schedule.__dict__["alpha"] = torch.tensor([1.0, 0.84, 0.64], dtype=torch.float64)
     x, noise = torch.ones(1, dtype=torch.float64), torch.full((1,), 0.5, dtype=torch.float64)
     variance = 0.16 / 0.36 * 0.20 / 0.84
@@ -127,7 +136,7 @@ def test_clip_bounds_the_data_and_keeps_x_explained() -> None:
 @pytest.mark.parametrize("steps", [1, 3, 10, 100])
 @pytest.mark.parametrize("kind", ["cosine", "linear"])
 def test_an_oracle_is_followed_to_the_data(steps: int, kind: str) -> None:
-    schedule = Schedule(100, "cosine" if kind == "cosine" else "linear")
+    schedule = NoiseSchedule(100, "cosine" if kind == "cosine" else "linear")
     x0 = torch.randn(2, 3, 1, 8, generator=seeded(), dtype=torch.float64).clamp(-3.5, 3.5)
     start = torch.randn(x0.shape, generator=seeded(1), dtype=torch.float64)
     made = sample(oracle(x0, schedule), start, schedule, Sampling(steps=steps, eta=0.0), seeded())
@@ -169,9 +178,9 @@ def test_gaussian_data_is_sampled_with_its_variance(eta: float) -> None:
 def test_the_guide_is_added_to_each_mean_and_told_where_it_is(eta: float) -> None:
     """Σ of Eq. (2) is what it is told for every η; with η = 0 nothing is drawn, yet the guide keeps its scale."""
     x0 = torch.zeros(1, 2, 1, 4, dtype=torch.float64)
-    seen: list[Rung] = []
+    seen: list[SamplingStep] = []
 
-    def guide(mean: Tensor, rung: Rung) -> Tensor:
+    def guide(mean: Tensor, rung: SamplingStep) -> Tensor:
         seen.append(rung)
         return torch.full_like(mean, rung.deviation**2)
 

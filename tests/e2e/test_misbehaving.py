@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from advdiff_sumo.core.plan import Controls
-from advdiff_sumo.traffic.natural import SumoTraffic
+from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 
 def well():

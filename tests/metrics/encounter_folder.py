@@ -10,8 +10,8 @@ import numpy as np
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.sim.episode import Timing
 from advdiff_sumo.sim.run_store import episode_tables
-from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.run_folder import RunFolder
+from advdiff_sumo.sweep.stored_episode import Part
 from tests.metrics.encounters import braking, crossing, driven, record_of, signals_of, straight
 
 STEPS = 61

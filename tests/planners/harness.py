@@ -17,10 +17,10 @@ from advdiff_sumo.metrics.summary import summarise
 from advdiff_sumo.planners.planner_registry import make_target
 from advdiff_sumo.sim.demand_files import DemandFiles
 from advdiff_sumo.sim.episode import Episode, Timing
-from advdiff_sumo.sim.natural import NaturalTraffic
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
-from advdiff_sumo.traffic.natural import SumoTraffic
+from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
+from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 _STANDING_MPS = 0.3
 

@@ -29,7 +29,7 @@ from advdiff_sumo.planners.planner_registry import make_target
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SimOptions
-from advdiff_sumo.traffic.natural import SumoTraffic
+from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 from .harness import outcome, scenes
 from .scenes import CAR_M, Car, make_scene, roll

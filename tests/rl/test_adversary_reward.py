@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.rl.adversary_reward import Half, mean_accel, reward_terms
+from advdiff_sumo.rl.adversary_reward import DecisionInterval, mean_accel, reward_terms
 from advdiff_sumo.rl.rl_options import RewardWeights
 from advdiff_sumo.sim.world import Frame
 
@@ -29,7 +29,7 @@ def place(road: RoadMap) -> tuple[np.ndarray, float]:
     return xy, float(yaw)
 
 
-def half(place: tuple[np.ndarray, float], ahead: list[list[float]], **more: Any) -> Half:
+def half(place: tuple[np.ndarray, float], ahead: list[list[float]], **more: Any) -> DecisionInterval:
     """Return vehicles of 4 × 2 m on one line; *ahead* has their places at each instant, the target first."""
     xy, yaw = place
     way = np.array((np.cos(yaw), np.sin(yaw)))
@@ -51,7 +51,7 @@ def half(place: tuple[np.ndarray, float], ahead: list[list[float]], **more: Any)
         "residual": np.zeros(2),
         "dt_s": 0.1,
     }
-    return Half(frames, np.tile([4.0, 2.0], (len(ahead[0]), 1)), **{**given, **more})
+    return DecisionInterval(frames, np.tile([4.0, 2.0], (len(ahead[0]), 1)), **{**given, **more})
 
 
 def test_nearness_is_of_the_nearest_instant(road: RoadMap, place: tuple[np.ndarray, float]) -> None:

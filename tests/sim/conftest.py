@@ -8,9 +8,9 @@ import pytest
 
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.natural import NaturalTraffic
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
 from tests.sim import nets
 
 

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
-from advdiff_sumo.sim.natural import NaturalTraffic
 from advdiff_sumo.sim.run_store import episode_tables
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
 from tests.rare_net import FEATURES, build
 from tests.sim.scenes import episode
 

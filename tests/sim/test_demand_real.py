@@ -11,8 +11,8 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.demand_files import read_demand
-from advdiff_sumo.sim.natural import NaturalTraffic
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
 
 pytestmark = pytest.mark.data
 

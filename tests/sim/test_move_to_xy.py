@@ -19,8 +19,8 @@ from advdiff_sumo.core.plan import Trajectory
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
-from advdiff_sumo.sim.perceive import visible_ids
 from advdiff_sumo.sim.plan_validation import check_plan
+from advdiff_sumo.sim.sumo_perception import visible_ids
 from advdiff_sumo.sim.world import World, read, register
 from tests.hang_guard import HANG_S
 from tests.sim.nets import EAST, EXACTLY, LENGTH_M, NORTH, TYPES, WEST, WIDTH_M, Stage, stage

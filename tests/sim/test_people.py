@@ -28,10 +28,10 @@ from advdiff_sumo.metrics.background_metrics import compare_with_sumo
 from advdiff_sumo.metrics.collision import collisions
 from advdiff_sumo.models.view import look
 from advdiff_sumo.sim.demand import write_demand
-from advdiff_sumo.sim.natural import NaturalTraffic
-from advdiff_sumo.sim.perceive import visible_ids
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.sumo_perception import visible_ids
+from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
 from advdiff_sumo.sim.world import World, read, register
 from tests.sim.scenes import episode
 

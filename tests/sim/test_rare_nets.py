@@ -18,9 +18,9 @@ from advdiff_sumo.planners.lane_graph.rules import signal_state
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.demand import write_demand
 from advdiff_sumo.sim.demand_files import DemandFiles, read_demand
-from advdiff_sumo.sim.natural import NaturalTraffic
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
 from advdiff_sumo.sim.world import World
 from tests.sim import nets
 from tests.sim.nets import LENGTH_M, WIDTH_M, stage

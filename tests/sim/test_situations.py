@@ -10,9 +10,9 @@ import pytest
 from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.natural import NaturalTraffic
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
 
 OPTIONS = SceneOptions(warmup_s=20.0, scenes_per_warmup=3, density_per_km=10.0, min_speed_mps=4.0)
 

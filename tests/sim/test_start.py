@@ -11,10 +11,10 @@ from defusedxml.ElementTree import fromstring
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_registry import make_target
-from advdiff_sumo.sim.natural import NaturalTraffic
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.start import prepare
+from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
 
 ADVICES = b'lcStateBase="266.000000000 1.738873068 524288.000000000 1.738873068 524288.000000000"'
 

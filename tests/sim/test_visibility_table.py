@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.boxes import corners, overlap
-from advdiff_sumo.sim.perceive import visible_ids
+from advdiff_sumo.sim.sumo_perception import visible_ids
 from tests.sim.nets import EAST, LENGTH_M, NORTH, WEST, WIDTH_M, Stage, stage
 
 SOUTH = -NORTH

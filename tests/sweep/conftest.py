@@ -15,7 +15,7 @@ from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.executors import SerialExecutor
 from advdiff_sumo.sweep.job_plan import Plan, plan_sweep
 from advdiff_sumo.sweep.spec import SweepSpec
-from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
 
@@ -123,7 +123,7 @@ def planned(place: Path, faults: tuple[str, ...] = ("none",), **more: Any) -> Pl
 def serially(plan: Plan, folder: Path) -> Store:
     """Run a sweep in this process."""
     store = open_store(folder, plan, 1, resume=False)
-    assert run_sweep(plan, store, Todo.of(plan, store), SerialExecutor(), 0, lambda *_: None) == 0
+    assert run_sweep(plan, store, RemainingJobs.of(plan, store), SerialExecutor(), 0, lambda *_: None) == 0
     return store
 
 

@@ -12,7 +12,7 @@ from advdiff_sumo.report.page import report_html
 from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.job_plan import Plan
 from advdiff_sumo.sweep.repeat import repeat, sweep_with
-from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
 from tests.sweep.conftest import bytes_of, planned, serially
@@ -37,7 +37,7 @@ def test_two_workers_that_are_replaced_and_another_order(
     plan: Plan, one_by_one: Store, limits: Limits, tmp_path: Path
 ) -> None:
     store = open_store(tmp_path / "s", plan, 2, resume=False)
-    todo = Todo.of(plan, store)
+    todo = RemainingJobs.of(plan, store)
     backwards = replace(todo, jobs=todo.jobs[::-1])
     often = replace(limits, tasks=3)
     assert run_sweep(plan, store, backwards, ProcessExecutor(2, often), 0, lambda *_: None) == 0
@@ -53,7 +53,7 @@ def test_a_worker_that_holds_much_is_replaced_before_its_next_task(
 ) -> None:
     greedy = replace(limits, recycle_share=0.001)  # any worker that has done a task
     store = open_store(tmp_path / "s", plan, 1, resume=False)
-    todo = Todo.of(plan, store, limit=3)
+    todo = RemainingJobs.of(plan, store, limit=3)
     run_sweep(plan, store, todo, ProcessExecutor(1, greedy), 0, lambda *_: None)
     parts = [store.read(job.key) for job in todo.jobs]
     pids = {part.tables["timing"]["worker"][0].as_py() for part in parts if part is not None}

@@ -17,7 +17,7 @@ from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.sweep.consolidate import read_rows, tables_of
 from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.job_plan import Plan
-from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
 from tests.sweep.conftest import bytes_of, planned, serially
@@ -67,7 +67,7 @@ def tight(undisturbed: Store, tmp_path: Path) -> Limits:
 
 
 def run(plan: Plan, store: Store, executor: ProcessExecutor, tell: Any = None, **more: Any) -> int:
-    todo = Todo.of(plan, store, **more)
+    todo = RemainingJobs.of(plan, store, **more)
     return run_sweep(plan, store, todo, executor, 4, tell or (lambda *_: None))
 
 
@@ -119,7 +119,7 @@ def test_only_what_is_missing_or_damaged_is_run(
     plan: Plan, undisturbed: Store, limits: Limits, tmp_path: Path
 ) -> None:
     store = open_store(tmp_path / "s", plan, 1, resume=False)
-    first = Todo.of(plan, store, limit=3)
+    first = RemainingJobs.of(plan, store, limit=3)
     assert len(first.jobs) == 3
     told: list[object] = []
     missing = run_sweep(plan, store, first, ProcessExecutor(1, limits), 0, lambda *row: told.append(row))
@@ -129,7 +129,7 @@ def test_only_what_is_missing_or_damaged_is_run(
     paths[0].write_bytes(paths[0].read_bytes()[:-7])
     paths[1].unlink()
     store = open_store(tmp_path / "s", plan, 1, resume=True)
-    todo = Todo.of(plan, store)
+    todo = RemainingJobs.of(plan, store)
     assert [job.index for job in todo.jobs] == [0, 1, *range(3, len(plan.jobs))]
     assert run_sweep(plan, store, todo, ProcessExecutor(2, limits), 0, lambda *_: None) == 0
     assert bytes_of(store) == bytes_of(undisturbed)

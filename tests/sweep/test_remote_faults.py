@@ -13,7 +13,7 @@ from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.job_plan import plan_sweep
 from advdiff_sumo.sweep.spec import SweepSpec
-from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep
+from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.tasks import Limits
 from tests.hang_guard import with_time
 from tests.planners.remote.test_remote_planner import running
@@ -86,7 +86,10 @@ def attempt(
     grid = {"nets": [str(place / "small.net.xml")], "targets": [target], "backgrounds": ["sumo"]}
     plan = plan_sweep(SweepSpec.of(values(place, grid=grid, episodes=12), "test"))
     store = open_store(folder / f"s-{limit_s:g}", plan, 1, resume=False)
-    assert run_sweep(plan, store, Todo.of(plan, store), ProcessExecutor(1, limits), 0, lambda *_: None) == 0
+    assert (
+        run_sweep(plan, store, RemainingJobs.of(plan, store), ProcessExecutor(1, limits), 0, lambda *_: None)
+        == 0
+    )
     failures = read_rows(store.path, "failures")
     late = [row for row in failures if row["kind"] == "planner_timeout"]
     if len(late) > len(list(hangs.iterdir())):

@@ -12,8 +12,8 @@ import pytest
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
 from advdiff_sumo.sim.run_store import TABLES, episode_tables
-from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.run_folder import FAILURES, RunFolder
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.tasks import Failed
 from tests.sim.test_run_store import TIMING, record
 
@@ -32,7 +32,7 @@ def rows(number: int) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
 def fill(folder: RunFolder, *numbers: int) -> RunFolder:
     for number in numbers:
-        folder.add(number, Part(episode_tables(record(number), *rows(number), TIMING), None))
+        folder.add(number, StoredEpisode(episode_tables(record(number), *rows(number), TIMING), None))
     return folder
 
 
@@ -137,8 +137,8 @@ def test_discard_never_touches_episodes_or_an_older_run(tmp_path: Path) -> None:
 def test_failures_are_kept_with_the_command_that_repeats_them(tmp_path: Path) -> None:
     folder = fill(RunFolder.create(tmp_path / "run", settings(), resume=False), 0)
     failed = Failed("simulator_crashed", "SUMO crashed at 1.0 s of the episode", "Fatal Python error", 2)
-    folder.add(1, Part(episode_tables(record(1), *rows(1), TIMING), failed))
-    folder.add(2, Part({}, Failed("worker_died", "the worker was ended by SIGKILL")))
+    folder.add(1, StoredEpisode(episode_tables(record(1), *rows(1), TIMING), failed))
+    folder.add(2, StoredEpisode({}, Failed("worker_died", "the worker was ended by SIGKILL")))
     assert folder.consolidate(finished=True) == 2
     assert pq.read_table(folder.path / "episodes.parquet")["episode"].to_pylist() == [0, 1]
     crashed, died = folder.failures()

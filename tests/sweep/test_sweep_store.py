@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from advdiff_sumo.core.errors import ConfigError, FileError
-from advdiff_sumo.sweep.episode_result import Part
 from advdiff_sumo.sweep.job_plan import Job, Plan
 from advdiff_sumo.sweep.spec import SweepSpec
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_files import read_checked, write_checked
 from advdiff_sumo.sweep.sweep_runner import open_store
 from advdiff_sumo.sweep.sweep_store import Store
@@ -20,7 +20,7 @@ from advdiff_sumo.sweep.tasks import Failed
 from tests.hang_guard import HANG_S
 
 PLAN = Plan(SweepSpec.of({"grid": {"targets": ["IDM"], "backgrounds": ["sumo"]}}, "x"), (), (), {}, (), 0)
-PART = Part({}, Failed("timeout", "not finished after 3 s", "thinking", 1)).to_bytes()
+PART = StoredEpisode({}, Failed("timeout", "not finished after 3 s", "thinking", 1)).to_bytes()
 
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from advdiff_sumo.core.errors import ConfigError, UnknownNameError
-from advdiff_sumo.traffic.natural import SumoTraffic
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 from advdiff_sumo.traffic.policy_registry import POLICIES, make_policy
 from advdiff_sumo.traffic.replay import Replay
+from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 
 def test_names_resolve_in_any_spelling() -> None:

@@ -16,7 +16,7 @@ from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.job_plan import Job, Plan, plan_sweep
 from advdiff_sumo.sweep.spec import Case, SweepSpec
 from advdiff_sumo.sweep.sweep_files import write_whole
-from advdiff_sumo.sweep.sweep_runner import Todo, open_store, run_sweep, settings_of
+from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep, settings_of
 from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
 from advdiff_sumo.sweep.tasks import Failed, Limits
 
@@ -122,7 +122,7 @@ def run_cells(cells: BenchCells, path: Path, workers: int, limits: Limits, telle
         FileError: results cannot be stored; what had finished is.
     """
     store = open_bench_store(path, cells.plan, workers)
-    todo = Todo.of(cells.plan, store)
+    todo = RemainingJobs.of(cells.plan, store)
     teller.begin("episodes", len(todo.jobs) + todo.done, todo.done)
     counted = _Counted(teller)
     run_sweep(cells.plan, store, todo, ProcessExecutor(workers, limits), _RETRIES, counted.tell)

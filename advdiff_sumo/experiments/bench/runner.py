@@ -19,7 +19,7 @@ from advdiff_sumo.experiments.bench.scene_list import DEFECTS_HORIZON_S
 from advdiff_sumo.experiments.bench.table import Table
 from advdiff_sumo.experiments.bench.table_cache import save
 from advdiff_sumo.experiments.bench.transfer import plan_transfer, run_transfer
-from advdiff_sumo.sweep.sweep_runner import Todo
+from advdiff_sumo.sweep.sweep_runner import RemainingJobs
 from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
 from advdiff_sumo.sweep.tasks import Limits
 
@@ -83,7 +83,7 @@ def _foretell(
 ) -> None:
     """Say how many episodes there are, and how long those that are left will take."""
     store = Store(folder.sweep) if (folder.sweep / SETTINGS).exists() else None
-    todo = Todo.of(cells.plan, store)
+    todo = RemainingJobs.of(cells.plan, store)
     teller.say(f"{len(cells.plan.jobs)} episodes in {len(cells.cells)} cells; {len(todo.jobs)} to do")
     expected = forecast(cells, todo.jobs, folder.request.horizon_s, limits)
     if expected is not None:

@@ -21,7 +21,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.kinematics import velocities
 from advdiff_sumo.metrics.pairwise import least_ttc, ttc_counts
 from advdiff_sumo.sim.run_episodes import read_road
-from advdiff_sumo.sweep.episode_result import Part
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.training.realism import ACCEL_BINS, SPEED_BINS
 
@@ -87,7 +87,7 @@ def trace_of(folder: Path, key: str, net: str, judged: bool = True) -> bytes:
     return b"" if part is None or "states" not in part.tables else _trace(part, _road(net), judged)
 
 
-def _trace(part: Part, road: RoadMap, judged: bool) -> bytes:
+def _trace(part: StoredEpisode, road: RoadMap, judged: bool) -> bytes:
     states = states_of(part.tables["states"])
     if states is None:
         return b""

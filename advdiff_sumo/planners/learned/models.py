@@ -17,7 +17,7 @@ from advdiff_sumo.core.errors import ConfigError, WeightsError
 from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
-from advdiff_sumo.diffusion.noise_schedule import Schedule
+from advdiff_sumo.diffusion.noise_schedule import NoiseSchedule
 from advdiff_sumo.diffusion.sampler import Sampling, draw, sample
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
@@ -131,7 +131,7 @@ class DiffusionModel:
                 Path(path), "diffuses trajectories, not latents", "give weights of codec latent"
             )
         self._codec = codec
-        self._schedule = Schedule(self._bundle.options.diffusion_steps, self._bundle.options.schedule)
+        self._schedule = NoiseSchedule(self._bundle.options.diffusion_steps, self._bundle.options.schedule)
         if options.steps > self._schedule.steps:
             raise ConfigError(
                 f"options of target 'diffusion': steps = {options.steps}: "

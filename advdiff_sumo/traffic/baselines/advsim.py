@@ -38,8 +38,8 @@ from advdiff_sumo.traffic.baselines.advsim_cost import (
 )
 from advdiff_sumo.traffic.baselines.baseline_networks import prior_of
 from advdiff_sumo.traffic.baselines.baseline_options import AdvSimOptions
-from advdiff_sumo.traffic.baselines.closed_loop import (
-    Rival,
+from advdiff_sumo.traffic.baselines.baseline_policy import (
+    BaselinePolicy,
     SearchResult,
     Task,
     cut,
@@ -94,7 +94,7 @@ class _Best:
     keeps: bool
 
 
-class AdvSim(Rival):
+class AdvSim(BaselinePolicy):
     """Moves the background by SimNet and attackers by searched actions; options are :class:`AdvSimOptions`.
 
     Attributes:

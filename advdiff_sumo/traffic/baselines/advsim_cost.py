@@ -18,7 +18,7 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.geometry import into_frame
 from advdiff_sumo.models.losses import clearance_in_frame, discs
 from advdiff_sumo.models.model_options import MODEL_STEP_S
-from advdiff_sumo.traffic.baselines.closed_loop import cut, halves
+from advdiff_sumo.traffic.baselines.baseline_policy import cut, halves
 
 _SOFT_M, _TOUCHES_M = 0.5, -0.5
 _OTHERS = 12

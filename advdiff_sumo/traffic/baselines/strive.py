@@ -27,7 +27,13 @@ from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
 from advdiff_sumo.traffic.baselines.baseline_networks import Prior, prior_of
 from advdiff_sumo.traffic.baselines.baseline_options import StriveOptions
-from advdiff_sumo.traffic.baselines.closed_loop import Memory, Rival, SearchResult, Task, with_target
+from advdiff_sumo.traffic.baselines.baseline_policy import (
+    BaselinePolicy,
+    Memory,
+    SearchResult,
+    Task,
+    with_target,
+)
 from advdiff_sumo.traffic.baselines.joint.joint_decoder import JointDecoder
 from advdiff_sumo.traffic.baselines.strive_loss import Terms, strive_loss
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
@@ -74,7 +80,7 @@ class _Result:
     share: FloatArray
 
 
-class Strive(Rival):
+class Strive(BaselinePolicy):
     """Moves the background by optimised latents; options are those of :class:`StriveOptions`.
 
     Attributes:

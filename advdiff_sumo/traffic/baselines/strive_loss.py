@@ -15,7 +15,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.losses import off_road, pair_overlap
 from advdiff_sumo.traffic.baselines.baseline_options import StriveOptions
-from advdiff_sumo.traffic.baselines.closed_loop import halves
+from advdiff_sumo.traffic.baselines.baseline_policy import halves
 
 
 @dataclass(frozen=True)

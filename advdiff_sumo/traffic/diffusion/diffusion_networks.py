@@ -14,7 +14,7 @@ from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
 from advdiff_sumo.diffusion.fast_encoder import FastEncoder
 from advdiff_sumo.diffusion.fast_reward import RewardWeights
-from advdiff_sumo.diffusion.noise_schedule import Schedule
+from advdiff_sumo.diffusion.noise_schedule import NoiseSchedule
 from advdiff_sumo.diffusion.sampler import Sampling
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec, TrajectoryCodec
@@ -46,7 +46,7 @@ class Networks:
     decoder: FastDecoder
     encoder: FastEncoder
     reward: RewardWeights
-    schedule: Schedule
+    schedule: NoiseSchedule
     sampling: Sampling
     device: torch.device
 
@@ -87,7 +87,7 @@ def _networks(path: str, reward: str, device: torch.device, sampling: Sampling) 
     bundle = load_bundle(Path(path))
     if reward:
         bundle = replace(bundle, reward=load_reward(Path(reward), bundle))
-    schedule = Schedule(bundle.options.diffusion_steps, bundle.options.schedule)
+    schedule = NoiseSchedule(bundle.options.diffusion_steps, bundle.options.schedule)
     if sampling.steps > schedule.steps:
         raise ConfigError(
             f"options of background 'diffusion': steps = {sampling.steps}: "

@@ -25,7 +25,7 @@ from advdiff_sumo.traffic.baselines.advsim_cost import (
     violation,
 )
 from advdiff_sumo.traffic.baselines.baseline_options import AdvSimOptions
-from advdiff_sumo.traffic.baselines.closed_loop import Task, cut
+from advdiff_sumo.traffic.baselines.baseline_policy import Task, cut
 
 Street = Callable[..., Scene]
 PLACES = [(60.0, 0.0), (78.0, 0.0), (42.0, 0.0), (95.0, 0.0)]

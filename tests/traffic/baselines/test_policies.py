@@ -18,7 +18,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.baselines.advsim import AdvSim
-from advdiff_sumo.traffic.baselines.closed_loop import Memory, Rival, SearchResult, Task
+from advdiff_sumo.traffic.baselines.baseline_policy import BaselinePolicy, Memory, SearchResult, Task
 from advdiff_sumo.traffic.baselines.strive import Strive
 from advdiff_sumo.traffic.policy_check import check_policy
 from advdiff_sumo.traffic.policy_registry import make_policy
@@ -30,10 +30,10 @@ NAMES = ("strive", "advsim")
 
 
 @pytest.fixture
-def made(weights: str, simnet: str) -> Callable[..., Rival]:
+def made(weights: str, simnet: str) -> Callable[..., BaselinePolicy]:
     """Return a function (name, options) → the rival with small networks and a short search."""
 
-    def make(name: str, **options: Any) -> Rival:
+    def make(name: str, **options: Any) -> BaselinePolicy:
         more = {"simnet": simnet, "candidates": 8} if name == "advsim" else {}
         policy = make_policy(name, {"weights": weights, "rounds": 3, **more, **options})
         assert isinstance(policy, Strive | AdvSim)
@@ -42,7 +42,9 @@ def made(weights: str, simnet: str) -> Callable[..., Rival]:
     return make
 
 
-def searched(policy: Rival, road: RoadMap, scene: Scene, memory: Memory | None = None) -> SearchResult:
+def searched(
+    policy: BaselinePolicy, road: RoadMap, scene: Scene, memory: Memory | None = None
+) -> SearchResult:
     begun = memory or policy.start(road, scene, None, np.random.default_rng(0))
     return policy.search(Task(road, look(road, scene), begun, 7))
 
@@ -54,7 +56,7 @@ def same(one: Rollout, other: Rollout) -> bool:
 @pytest.mark.parametrize("surrogate", ["lane_graph", "model"])
 @pytest.mark.parametrize("name", NAMES)
 def test_they_keep_the_contract(
-    name: str, surrogate: str, made: Callable[..., Rival], downtown: RoadMap, street: Street
+    name: str, surrogate: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
 ) -> None:
     policy = made(name, surrogate=surrogate, attackers=2)
     assert check_policy(policy, downtown, street(PLACES, SPEEDS), None) == []
@@ -62,7 +64,7 @@ def test_they_keep_the_contract(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_same_memory_and_random_numbers_same_bytes(
-    name: str, made: Callable[..., Rival], downtown: RoadMap, street: Street
+    name: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
 ) -> None:
     scene, twice = street(PLACES, SPEEDS), []
     for _ in range(2):
@@ -74,7 +76,9 @@ def test_same_memory_and_random_numbers_same_bytes(
     assert twice[0] == twice[1]
 
 
-def test_no_rounds_is_the_priors_mean(made: Callable[..., Rival], downtown: RoadMap, street: Street) -> None:
+def test_no_rounds_is_the_priors_mean(
+    made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
+) -> None:
     scene = street(PLACES, SPEEDS)
     policy = made("strive", rounds=0)
     assert isinstance(policy, Strive)
@@ -90,7 +94,7 @@ def test_no_rounds_is_the_priors_mean(made: Callable[..., Rival], downtown: Road
 
 @pytest.mark.parametrize("initial", ["simnet", "model"])
 def test_no_rounds_is_what_drives_before(
-    initial: str, made: Callable[..., Rival], downtown: RoadMap, street: Street
+    initial: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
 ) -> None:
     scene = street(PLACES, SPEEDS)
     policy = made("advsim", rounds=0, initial=initial)
@@ -104,7 +108,7 @@ def test_no_rounds_is_what_drives_before(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_only_as_many_attack_as_asked_for(
-    name: str, made: Callable[..., Rival], downtown: RoadMap, street: Street
+    name: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
 ) -> None:
     scene = street(PLACES, SPEEDS)
     movable = np.array([False, True, True, False])
@@ -117,7 +121,9 @@ def test_only_as_many_attack_as_asked_for(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_nobody_to_move(name: str, made: Callable[..., Rival], downtown: RoadMap, street: Street) -> None:
+def test_nobody_to_move(
+    name: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
+) -> None:
     scene = replace(street(PLACES, SPEEDS), movable=np.zeros(4, dtype=np.bool_))
     policy = made(name)
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
@@ -128,7 +134,7 @@ def test_nobody_to_move(name: str, made: Callable[..., Rival], downtown: RoadMap
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_plan_tells_who_attacks(
-    name: str, made: Callable[..., Rival], downtown: RoadMap, street: Street
+    name: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
 ) -> None:
     scene, policy = street(PLACES, SPEEDS), made(name, attackers=1)
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
@@ -139,7 +145,7 @@ def test_a_plan_tells_who_attacks(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_plan_is_driven_for_as_long_as_asked(
-    name: str, made: Callable[..., Rival], downtown: RoadMap, street: Street
+    name: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
 ) -> None:
     scene = street(PLACES, SPEEDS)
     policy = made(name, replan=2)
@@ -160,12 +166,14 @@ def test_a_plan_is_driven_for_as_long_as_asked(
         ({"surrogate": "advdiff_sumo.planners.sumo_models:sumo_driver"}, "cannot stand for the target"),
     ],
 )
-def test_wrong_options(name: str, options: dict[str, Any], said: str, made: Callable[..., Rival]) -> None:
+def test_wrong_options(
+    name: str, options: dict[str, Any], said: str, made: Callable[..., BaselinePolicy]
+) -> None:
     with pytest.raises(ConfigError, match=said):
         made(name, **options)
 
 
-def test_names_and_files_that_are_not_there(made: Callable[..., Rival], tmp_path: Path) -> None:
+def test_names_and_files_that_are_not_there(made: Callable[..., BaselinePolicy], tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="lane_graph"):
         made("strive", surrogate="lane_graf")
     with pytest.raises(WeightsError, match="no such file"):

@@ -13,7 +13,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.baselines.baseline_options import StriveOptions
-from advdiff_sumo.traffic.baselines.closed_loop import Task, halves
+from advdiff_sumo.traffic.baselines.baseline_policy import Task, halves
 from advdiff_sumo.traffic.baselines.strive import Strive
 from advdiff_sumo.traffic.baselines.strive_loss import attack, strive_loss
 

@@ -88,7 +88,7 @@ class SearchResult:
     losses: tuple[float, ...]
 
 
-class Rival(ABC):
+class BaselinePolicy(ABC):
     """A background policy that searches a plan anew every ``replan`` model steps.
 
     Attributes:

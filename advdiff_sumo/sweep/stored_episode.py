@@ -19,7 +19,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True)
-class Part:
+class StoredEpisode:
     """What one episode came to.
 
     Attributes:
@@ -38,12 +38,12 @@ class Part:
         return pack(entries)
 
     @staticmethod
-    def from_bytes(content: bytes) -> Part:
+    def from_bytes(content: bytes) -> StoredEpisode:
         """Return the part of :meth:`to_bytes`."""
         entries = unpack(content)
         failure = entries.pop(_FAILURE, None)
         tables = {name.removesuffix(".parquet"): pq.read_table(io.BytesIO(e)) for name, e in entries.items()}
-        return Part(tables, None if failure is None else Failed(**json.loads(failure)))
+        return StoredEpisode(tables, None if failure is None else Failed(**json.loads(failure)))
 
     @staticmethod
     def glance(content: bytes) -> tuple[dict[str, Any] | None, Failed | None]:

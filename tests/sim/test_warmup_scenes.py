@@ -12,9 +12,9 @@ import pytest
 from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.natural import NaturalTraffic, _turns_round, with_draws_since
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.warmup_scenes import NaturalTraffic, _turns_round, with_draws_since
 from tests import rare_net
 from tests.sim import nets
 

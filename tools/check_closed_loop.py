@@ -25,7 +25,7 @@ from advdiff_sumo.experiments.judge_folder import EpisodeTables, open_folder
 from advdiff_sumo.experiments.reference_rerun import ClosedLoop, Driver, close_loop
 from advdiff_sumo.metrics.statistics import cohens_kappa
 from advdiff_sumo.sweep.job_plan import Job, Plan, plan_sweep
-from advdiff_sumo.sweep.repeat import episode_again, run_with
+from advdiff_sumo.sweep.repeat import episode_again, of_run
 from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
 
 
@@ -81,8 +81,8 @@ def collided(folder: Path) -> Iterator[Candidate]:
         store.must_match(plan.keys)
         jobs = {job.key: job for job in plan.jobs}
     else:
-        run, plan, _ = run_with("0", folder)
-        store = run.store
+        first = of_run("0", folder)
+        store, plan = first.store, first.plan
         jobs = {str(job.number): job for job in plan.jobs}
     for key, stored in open_folder(folder).episodes():
         if stored.row["collision_partner"]:

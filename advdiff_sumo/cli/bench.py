@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import signal
-import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,12 +11,12 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.worker_flags import Timeout, Workers, cores, end_as_by_ctrl_c, limits_of
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
     from advdiff_sumo.experiments.bench.bench_config import BenchName
-    from advdiff_sumo.sweep.tasks import Limits
 
 bench = typer.Typer(
     name="bench",
@@ -33,7 +29,6 @@ Out = Annotated[
     Path | None,
     typer.Option(help="Folder of the bench; a finished one is only printed.", show_default="runs/bench-NAME"),
 ]
-Workers = Annotated[int | None, typer.Option(min=1, help="Episodes at a time.", show_default="one a core")]
 Scenes = Annotated[
     str | None,
     typer.Option(
@@ -50,9 +45,6 @@ Targets = Annotated[
 Severity = Annotated[
     str | None,
     typer.Option(help="Of defects that are given none: weak, middle or strong.", show_default="strong"),
-]
-Timeout = Annotated[
-    float, typer.Option(min=0.1, help="Longest time for one episode, in seconds of the clock.")
 ]
 
 
@@ -215,7 +207,7 @@ def run_or_print(
     from advdiff_sumo.experiments.bench.runner import DEFAULTS, check_request, run_bench
     from advdiff_sumo.experiments.bench.table_cache import finished
 
-    signal.signal(signal.SIGTERM, _as_ctrl_c)
+    end_as_by_ctrl_c()
     console = terminal()
     path = (out or _FOLDER / f"bench-{name}").resolve()
     request = request_of(name, path, DEFAULTS[name], given)
@@ -224,9 +216,9 @@ def run_or_print(
         check_request(request)
         folder = open_folder(path, request)
         with ExitStack() as stack:
-            limits = _limits(stack, timeout_s)
+            limits = limits_of(stack, timeout_s)
             with _Bars(console) as bars:
-                table = run_bench(folder, workers or _cores(), limits, bars)
+                table = run_bench(folder, workers or cores(), limits, bars)
     print_table(console, table)
     files = "table.csv, table.tex, table.md, table.png"
     if name == "defects":
@@ -246,22 +238,6 @@ def names_of(text: str | None) -> list[str] | None:
     if not all(names):
         raise ConfigError(f"'{text}': a name is empty; write them as a,b")
     return names
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _as_ctrl_c(*_signal: object) -> None:
-    raise KeyboardInterrupt
-
-
-def _limits(stack: ExitStack, timeout_s: float) -> Limits:
-    from advdiff_sumo.sweep.tasks import Limits
-
-    logs = Path(tempfile.mkdtemp(prefix="advdiff-bench-"))
-    stack.callback(shutil.rmtree, logs, ignore_errors=True)
-    return Limits(timeout_s=timeout_s, memory_mb=4000, tasks=250, recycle_share=0.5, logs=logs)
 
 
 class _Bars:

@@ -21,14 +21,41 @@ MAP_HELP = (
 _console = Console(highlight=False, soft_wrap=True)
 
 
+_Lefthand = Annotated[
+    bool | None,
+    typer.Option("--lefthand/--righthand", help="Side of the road; default: by the map's name."),
+]
+_Tls = Annotated[
+    str, typer.Option(help="'guess': signals at large junctions; 'map': only where the map has them.")
+]
+_TlsCycle = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        metavar="N",
+        help="Fixed signal times, by SUMO's tlsCycleAdaptation, for N random vehicles an hour; 0: actuated.",
+    ),
+]
+_CrossingsOption = Annotated[
+    str,
+    typer.Option(
+        help="Crossings and sidewalks: 'map': where the map has crossings; 'guess': at junctions too where it has "
+        "none at all; 'none'."
+    ),
+]
+_CloseRim = Annotated[
+    bool, typer.Option("--close-rim", help="Lead traffic back from where the map ends to where it begins.")
+]
+_Drive = Annotated[
+    int, typer.Option(min=0, help="Driving test of an hour in which so many vehicles set out; 0: none.")
+]
+_DriveAtOnce = Annotated[
+    int, typer.Option(min=0, help="Driving test of an hour with so many vehicles at any time; 0: none.")
+]
+
+
 def convert(
-    map_file: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="MAP",
-            help=MAP_HELP,
-        ),
-    ] = None,
+    map_file: Annotated[Path | None, typer.Argument(metavar="MAP", help=MAP_HELP)] = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="Net to be written, NAME.net.xml; with --all a folder."),
@@ -41,39 +68,14 @@ def convert(
         Path | None, typer.Option(help="nuScenes data set whose logged poses are compared with the net.")
     ] = None,
     report: Annotated[bool, typer.Option(help="Write the page NAME.fidelity.html.")] = False,
-    lefthand: Annotated[
-        bool | None,
-        typer.Option("--lefthand/--righthand", help="Side of the road; default: by the map's name."),
-    ] = None,
-    tls: Annotated[
-        str, typer.Option(help="'guess': signals at large junctions; 'map': only where the map has them.")
-    ] = "map",
-    tls_cycle: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="Fixed signal times, by SUMO's tlsCycleAdaptation, for N random vehicles an hour; 0: actuated.",
-        ),
-    ] = 0,
-    crossings: Annotated[
-        str,
-        typer.Option(
-            help="Crossings and sidewalks: 'map': where the map has crossings; 'guess': at junctions too where it has "
-            "none at all; 'none'."
-        ),
-    ] = "map",
+    lefthand: _Lefthand = None,
+    tls: _Tls = "map",
+    tls_cycle: _TlsCycle = 0,
+    crossings: _CrossingsOption = "map",
     opendrive: Annotated[bool, typer.Option(help="Write NAME.xodr too.")] = False,
-    close_rim: Annotated[
-        bool,
-        typer.Option("--close-rim", help="Lead traffic back from where the map ends to where it begins."),
-    ] = False,
-    drive: Annotated[
-        int, typer.Option(min=0, help="Driving test of an hour in which so many vehicles set out; 0: none.")
-    ] = 0,
-    drive_at_once: Annotated[
-        int, typer.Option(min=0, help="Driving test of an hour with so many vehicles at any time; 0: none.")
-    ] = 0,
+    close_rim: _CloseRim = False,
+    drive: _Drive = 0,
+    drive_at_once: _DriveAtOnce = 0,
     seed: Annotated[int, typer.Option(help="Seed of the driving tests.")] = 1,
 ) -> None:
     """Convert HD maps to SUMO nets with exact centre lines, and measure how exact they are.

@@ -14,6 +14,7 @@ from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.map_view import MapView
 
 if TYPE_CHECKING:
+    from advdiff_sumo.sim.log_windows import Built
     from advdiff_sumo.sim.simulate import ShardResult
 
 data = typer.Typer(
@@ -129,9 +130,7 @@ def build(
     from advdiff_sumo.sim.log_windows import BuildOptions, Nets
     from advdiff_sumo.sim.log_windows import build as built
 
-    is_file = out.suffix == ".safetensors"
-    if out.is_dir() if is_file else out.is_file():
-        raise ConfigError(f"--out {out} is a {'folder' if is_file else 'file'}; name another place")
+    is_file = _is_window_file(out)
     if abs(2.0 * stride - round(2.0 * stride)) > 1e-9:
         raise ConfigError(f"--stride {stride:g}: windows are spaced by multiples of 0.5 s")
     readers = [(path, open_log(path)) for path in logs]
@@ -142,6 +141,22 @@ def build(
         task = progress.add_task("drives", total=None)
         counts = built(readers, nets, options, out, lambda *_: progress.update(task, advance=1))
         progress.update(task, total=len(counts.drives) + len(counts.skipped))
+    _print_counts(counts)
+
+
+def _is_window_file(out: Path) -> bool:
+    """Return whether *out* names a window file; else a folder.
+
+    Raises:
+        ConfigError: it is the other thing already.
+    """
+    is_file = out.suffix == ".safetensors"
+    if out.is_dir() if is_file else out.is_file():
+        raise ConfigError(f"--out {out} is a {'folder' if is_file else 'file'}; name another place")
+    return is_file
+
+
+def _print_counts(counts: Built) -> None:
     for path, count in counts.files.items():
         _say.print(f"{path}: {count} windows", markup=False)
     if counts.skipped:

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from advdiff_sumo.cli.bench import Scenes, Severity, Timeout, Workers, run_or_print
+from advdiff_sumo.cli.bench import Scenes, Severity, run_or_print
+from advdiff_sumo.cli.worker_flags import Timeout, Workers
 from advdiff_sumo.core.errors import ConfigError
 
 _FOLDER = Path("runs")

@@ -10,6 +10,7 @@ from rich.box import SIMPLE
 from rich.progress import Progress
 from rich.table import Table
 
+from advdiff_sumo.cli import train_flags as flags
 from advdiff_sumo.cli.terminal import terminal
 
 _HEADS = {
@@ -38,9 +39,7 @@ if TYPE_CHECKING:
 
 def evaluate(
     weights: Annotated[Path, typer.Option(help="A .safetensors file, or the --out of a training.")],
-    data: Annotated[
-        list[Path], typer.Option(help="Window file, or a folder of them; may be given several times.")
-    ],
+    data: flags.Data,
     out: Annotated[
         Path | None, typer.Option(help="Write the figures to this JSON file.", show_default=False)
     ] = None,
@@ -53,22 +52,19 @@ def evaluate(
     samples: Annotated[int, typer.Option(min=1, help="Joint samples of each scene.")] = 10,
     steps: Annotated[int, typer.Option(min=1, help="Denoising steps.")] = 10,
     seed: Annotated[int, typer.Option(help="Of the samples.")] = 0,
-    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
-    threads: Annotated[int | None, typer.Option(min=1, help="CPU threads.", show_default="all")] = None,
+    device: flags.Device = "auto",
+    threads: flags.Threads = None,
 ) -> None:
     """Judge weights on window files, open loop, beside baselines and the log itself.
 
     advdiff-sumo evaluate --weights runs/denoiser --data windows
     """
-    import torch  # late: --help needs no PyTorch
-
-    from advdiff_sumo.models.bundle import load_bundle
+    from advdiff_sumo.models.bundle import load_bundle  # late: --help needs no PyTorch
     from advdiff_sumo.training.dataset import read_window_set, split
     from advdiff_sumo.training.evaluation import Judging
     from advdiff_sumo.training.setup import choose_device, weights_file
 
-    if threads is not None:
-        torch.set_num_threads(threads)
+    flags.use_threads(threads)
     bundle = load_bundle(weights_file(weights))
     chosen = read_window_set(data)
     if not everything:

@@ -10,7 +10,7 @@ import typer
 
 from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.cli.terminal import terminal
-from advdiff_sumo.cli.worker_flags import MEMORY_MB, PLAN_TIMEOUT_S, Memory, PlanTimeout, limits_of
+from advdiff_sumo.cli.worker_flags import MEMORY_MB, PLAN_TIMEOUT_S, Memory, PlanTimeout, Timeout, limits_of
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.threads import one_thread_for_good
 
@@ -21,41 +21,44 @@ if TYPE_CHECKING:
     from advdiff_sumo.experiments.margin_trials import MarginOf, MarginTrials
 
 
+_Attack = Annotated[
+    str,
+    typer.Option(help="How it is attacked: hard-stop, cut-in, stop-and-go, blocked-lane, crossing, or all."),
+]
+_By = Annotated[
+    str | None,
+    typer.Option(
+        help="What is made milder: braking, gap or time.",
+        show_default="what the attack has, of cut-in the gap",
+    ),
+]
+_Within = Annotated[
+    float | None,
+    typer.Option(
+        min=0.01,
+        max=10.0,
+        help="How near the two neighbours shall be.",
+        show_default="0.25 m/s², 1 m, 0.05 s",
+    ),
+]
+
+
 def margin(
     target: flags.Target = None,
     net: flags.Net = None,
-    attack: Annotated[
-        str,
-        typer.Option(
-            help="How it is attacked: hard-stop, cut-in, stop-and-go, blocked-lane, crossing, or all."
-        ),
-    ] = "hard-stop",
-    by: Annotated[
-        str | None,
-        typer.Option(
-            help="What is made milder: braking, gap or time.",
-            show_default="what the attack has, of cut-in the gap",
-        ),
-    ] = None,
+    attack: _Attack = "hard-stop",
+    by: _By = None,
     demand: flags.Demand = None,
     horizon: flags.Horizon = None,
     seed: flags.Seed = None,
     defect: flags.Defect = None,
-    within: Annotated[
-        float | None,
-        typer.Option(
-            min=0.01,
-            max=10.0,
-            help="How near the two neighbours shall be.",
-            show_default="0.25 m/s², 1 m, 0.05 s",
-        ),
-    ] = None,
+    within: _Within = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the results.", show_default="runs/margin-ATTACK-sSEED")
     ] = None,
     config: flags.Config = None,
     assign: flags.Assign = None,
-    timeout: Annotated[float, typer.Option(min=0.1, help="Longest time for one episode, s.")] = 300.0,
+    timeout: Timeout = 300.0,
     plan_timeout: PlanTimeout = PLAN_TIMEOUT_S,
     memory: Memory = MEMORY_MB,
 ) -> None:

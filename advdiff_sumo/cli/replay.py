@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.threads import one_thread_for_good
 
-_RUNS = Path("runs")
+if TYPE_CHECKING:
+    from advdiff_sumo.sweep.repeat import Before
+
 _DIFFERS = 1
 
 
@@ -44,45 +45,50 @@ def replay(
     """
     one_thread_for_good()
     from advdiff_sumo.report import write_report  # late: --help is quick
-    from advdiff_sumo.sweep.repeat import repeat, run_with, settings_for, sweep_with
+    from advdiff_sumo.sim.free_folder import free_folder
+    from advdiff_sumo.sweep.repeat import repeat, settings_for
     from advdiff_sumo.sweep.run_folder import RunFolder
 
-    if run is not None and sweep is not None:
-        raise ConfigError("--run and --sweep cannot go together; name the folder of one")
-
-    if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
-    if run is not None:
-        begun, plan, job = run_with(key, run)
-        before, name = "run", f"{run.resolve().name}-{job.number}"
-        store, stored = begun.store, begun.part(job.number)
-    else:
-        store, plan, job = sweep_with(key, sweep, _RUNS)
-        before, name, stored = "sweep", job.key, store.read(job.key)
-    done = repeat(store, plan, job, stored, gui)
-    folder = RunFolder.create(out or _free(name), settings_for(job, done.run), resume=False)
-    folder.add(job.number, done.part)
+    flags.check_display(gui)
+    before = _before(key, run, sweep)
+    done = repeat(before, gui)
+    folder = RunFolder.create(
+        out or free_folder("replay", before.name), settings_for(before.job, done.run), resume=False
+    )
+    folder.add(before.job.number, done.part)
     folder.consolidate(finished=True)
     (row,) = done.part.tables["episodes"].to_pylist()
     write_report(folder.path)
-    console = terminal()
-    what = row["collision_type"] if row["target_collision"] else row["end"]
-    console.print(
-        f"{key if run else job.key}: {what}  ·  look at {folder.path / 'report.html'}", soft_wrap=True
+    outcome = row["collision_type"] if row["target_collision"] else row["end"]
+    terminal().print(
+        f"{key if run else before.job.key}: {outcome}  ·  look at {folder.path / 'report.html'}",
+        soft_wrap=True,
     )
-    if done.same is None:
+    _say_whether_same(done.same, "run" if run else "sweep", gui)
+
+
+def _before(key: str, run: Path | None, sweep: Path | None) -> Before:
+    """Return the episode that is asked for.
+
+    Raises:
+        InputError: there is none such.
+    """
+    from advdiff_sumo.sim.free_folder import RUNS
+    from advdiff_sumo.sweep.repeat import of_run, of_sweep  # late, as above
+
+    if run is not None and sweep is not None:
+        raise ConfigError("--run and --sweep cannot go together; name the folder of one")
+    return of_sweep(key, sweep, RUNS) if run is None else of_run(key, run)
+
+
+def _say_whether_same(same: bool | None, before: str, gui: bool) -> None:
+    console = terminal()
+    if same is None:
         console.print(f"the {before} has no result of it to compare with")
-    elif done.same:
+    elif same:
         console.print(f"the same as in the {before}")
     elif not gui:
         console.print(
             f"[red]not the same as in the {before}: another version, or a planner with a memory[/red]"
         )
         raise typer.Exit(_DIFFERS)
-
-
-def _free(key: str) -> Path:
-    path, number = _RUNS / f"replay-{key}", 2
-    while path.exists():
-        path, number = _RUNS / f"replay-{key}-{number}", number + 1
-    return path

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from advdiff_sumo.cli.sweep_flags import FailIf, JUnit
 from advdiff_sumo.cli.terminal import terminal
 
 
@@ -31,10 +32,8 @@ def results(
         ),
     ] = None,
     form: Annotated[Form, typer.Option("--format", help="Of the answer to --sql.")] = Form.table,
-    junit: Annotated[Path | None, typer.Option(help="Write JUnit XML here, for CI.")] = None,
-    fail_if: Annotated[
-        str | None, typer.Option(help='Exit with code 1 if so, for example "valid_failure_rate > 0".')
-    ] = None,
+    junit: JUnit = None,
+    fail_if: FailIf = None,
 ) -> None:
     """Put a sweep's episodes together and say what they came to.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import sys
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
@@ -85,7 +84,7 @@ def run(
     policy = attacking | {"guide": guide} | files | {"device": device}
     if resume:
         config = config or _begun(out)
-    _check_display(gui)
+    flags.check_display(gui)
     prepared = _prepared(options_given(config, where | what, policy, assign or [], defect), gui)
     notes = prepared.left_out()  # before there is a folder: a log that cannot be read leaves none
     folder = _folder(prepared, out, resume)
@@ -135,12 +134,6 @@ def _tell_outcome(
         print_json(run_object(folder.path))
     if len(failures) == count:
         raise typer.Exit(_FAILED)
-
-
-def _check_display(gui: bool) -> None:
-    """Refuse sumo-gui where there is no display."""
-    if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
 
 
 def print_notes(console: Console, notes: Iterable[str]) -> None:

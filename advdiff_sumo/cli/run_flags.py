@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import typer
+
+from advdiff_sumo.core.errors import ConfigError
 
 Net: TypeAlias = Annotated[
     str | None,
@@ -113,6 +117,12 @@ Quiet: TypeAlias = Annotated[bool, typer.Option("--quiet", "-q", help="Print not
 Json: TypeAlias = Annotated[
     bool, typer.Option("--json", help="Print one JSON object, what it came to, and nothing else.")
 ]
+
+
+def check_display(gui: bool) -> None:
+    """Refuse sumo-gui where there is no display."""
+    if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
 
 
 def weights_of(given: str | None) -> str | None:

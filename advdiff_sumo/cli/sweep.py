@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Mapping
 from contextlib import ExitStack
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
 from rich.console import Console
 
-from advdiff_sumo.cli import run_flags as flags
+from advdiff_sumo.cli import sweep_flags as flags
+from advdiff_sumo.cli import worker_flags as worker
+from advdiff_sumo.cli.run_flags import Json, Quiet
 from advdiff_sumo.cli.terminal import print_json, verb_console
-from advdiff_sumo.cli.worker_flags import (
-    MEMORY_MB,
-    PLAN_TIMEOUT_S,
-    Memory,
-    PlanTimeout,
-    limits_of,
-)
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.threads import one_thread_for_good
 
@@ -33,62 +24,26 @@ if TYPE_CHECKING:
     from advdiff_sumo.sweep.tasks import Failed, Limits
 
 
-class ExecutorName(StrEnum):
-    """Who runs the episodes."""
-
-    serial = "serial"
-    process = "process"
-    ray = "ray"
-
-
 def sweep(
-    file: Annotated[
-        Path | None, typer.Argument(help="Sweep file; may be left out with --resume.", show_default=False)
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Episodes at a time.", show_default="one a core")
-    ] = None,
-    executor: Annotated[
-        ExecutorName, typer.Option(help="This process (to debug), processes, or a Ray cluster.")
-    ] = ExecutorName.process,
-    ray_address: Annotated[
-        str | None, typer.Option(help="Ray cluster, HOST:PORT or auto; without it one is started here.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the results.", show_default="runs/NAME-OF-FILE")
-    ] = None,
-    resume: Annotated[
-        Path | None, typer.Option(help="Go on in this folder: run only what is missing or damaged.")
-    ] = None,
-    timeout: Annotated[
-        float, typer.Option(min=0.1, help="Longest time for one episode, in seconds of the clock.")
-    ] = 300.0,
-    limit: Annotated[int | None, typer.Option(min=1, help="Only the first so many episodes.")] = None,
-    diverse: Annotated[
-        bool,
-        typer.Option(
-            "--diverse", help="Choose attacks and seed scenes, in rounds, for encounters not met yet."
-        ),
-    ] = False,
-    plan_timeout: PlanTimeout = PLAN_TIMEOUT_S,
-    memory: Memory = MEMORY_MB,
-    retries: Annotated[
-        int, typer.Option(min=0, help="Try an episode again so often when its worker died.")
-    ] = 2,
-    retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="With --resume: run failed episodes again.")
-    ] = False,
-    dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="Check everything, count, measure a few episodes, write nothing."),
-    ] = False,
-    report: Annotated[bool, typer.Option("--report/--no-report", help="Draw report.html at the end.")] = True,
-    junit: Annotated[Path | None, typer.Option(help="Write JUnit XML here, for CI.")] = None,
-    fail_if: Annotated[
-        str | None, typer.Option(help='Exit with code 1 if so, for example "valid_failure_rate > 0".')
-    ] = None,
-    quiet: flags.Quiet = False,
-    as_json: flags.Json = False,
+    file: flags.File = None,
+    workers: worker.Workers = None,
+    executor: flags.Executor = flags.ExecutorName.process,
+    ray_address: flags.RayAddress = None,
+    out: flags.Out = None,
+    resume: flags.Resume = None,
+    timeout: worker.Timeout = 300.0,
+    limit: flags.Limit = None,
+    diverse: flags.Diverse = False,
+    plan_timeout: worker.PlanTimeout = worker.PLAN_TIMEOUT_S,
+    memory: worker.Memory = worker.MEMORY_MB,
+    retries: flags.Retries = 2,
+    retry_failed: flags.RetryFailed = False,
+    dry_run: flags.DryRun = False,
+    report: flags.Report = True,
+    junit: flags.JUnit = None,
+    fail_if: flags.FailIf = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
     """Run many episodes in parallel: nets × seed scenes × targets × backgrounds × seeds.
 
@@ -102,13 +57,13 @@ def sweep(
     from advdiff_sumo.cli.sweep_results import conclude, condition_of
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store
 
-    signal.signal(signal.SIGTERM, _as_ctrl_c)
+    worker.end_as_by_ctrl_c()
     console, condition = verb_console(quiet, as_json), condition_of(fail_if)
     begun = _begun(resume)
     plan = _plan(console, file, begun, diverse)
-    slots = workers or _cores()
+    slots = workers or worker.cores()
     with ExitStack() as stack:
-        limits = limits_of(stack, timeout, plan_timeout, memory)
+        limits = worker.limits_of(stack, timeout, plan_timeout, memory)
         if dry_run:
             _tell_estimate(console, plan, RemainingJobs.of(plan, begun, limit, retry_failed), slots, limits)
             return
@@ -131,17 +86,6 @@ def _draw(console: Console, folder: Path) -> None:
         console.print(f"look at {write_report(folder)}", soft_wrap=True)
     except FileError as error:
         console.print(f"[red]no report: {error}[/red]", soft_wrap=True)
-
-
-def _cores() -> int:
-    """Return how many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _as_ctrl_c(*_signal: object) -> None:
-    raise KeyboardInterrupt
 
 
 def _begun(resume: Path | None) -> Store | None:
@@ -188,15 +132,15 @@ def _new_folder(file: Path | None) -> Path:
 
 
 def _executor(
-    name: ExecutorName, workers: int | None, address: str | None, plan: Plan, limits: Limits
+    name: flags.ExecutorName, workers: int | None, address: str | None, plan: Plan, limits: Limits
 ) -> Executor:
     from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
 
-    if address is not None and name is not ExecutorName.ray:
+    if address is not None and name is not flags.ExecutorName.ray:
         raise ConfigError("--ray-address goes with --executor ray; add it, or leave the address out")
-    if name is ExecutorName.serial:
+    if name is flags.ExecutorName.serial:
         return SerialExecutor()
-    if name is ExecutorName.process:
+    if name is flags.ExecutorName.process:
         return ProcessExecutor(workers or 1, limits)
     from advdiff_sumo.sweep.job_plan import needed_nets
     from advdiff_sumo.sweep.on_ray import RayExecutor

@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from advdiff_sumo.cli import train_flags as flags
 from advdiff_sumo.cli.evaluate import judge_and_show
 from advdiff_sumo.cli.terminal import progress_bar
 from advdiff_sumo.core.errors import FileError, UnknownNameError
@@ -20,48 +21,54 @@ if TYPE_CHECKING:
     from advdiff_sumo.training.training_loop import Job, Tell
 
 
+_Init = Annotated[
+    Path | None,
+    typer.Option(
+        help="Weights to begin with: a .safetensors file, the --out of an earlier stage, or shipped."
+    ),
+]
+_Val = Annotated[
+    list[Path] | None,
+    typer.Option(help="Window files to judge on, instead of some drives of --data.", show_default=False),
+]
+_Preset = Annotated[
+    str | None, typer.Option(help="paper or small: a set of hyper-parameters.", show_default="small")
+]
+_Codec = Annotated[
+    str | None, typer.Option(help="What the denoiser works on: latent or trajectory.", show_default="latent")
+]
+_Assign = Annotated[
+    list[str] | None, typer.Option("--set", help="Any hyper-parameter, as NAME=VALUE: --set batch_size=16.")
+]
+_MaxMinutes = Annotated[
+    float, typer.Option(min=0.0, help="Stop after that time; --resume goes on.", show_default="none")
+]
+_Loaders = Annotated[
+    int, typer.Option(min=0, help="Processes that prepare batches; worth having beside a GPU.")
+]
+_Judged = Annotated[
+    int, typer.Option("--judge", min=0, help="Held-out windows for the table at the end; 0: no table.")
+]
+
+
 def train(
     stage: Annotated[
         str, typer.Argument(help="traffic, denoiser, joint or reward, in this order; decoder; or simnet.")
     ],
-    data: Annotated[
-        list[Path], typer.Option(help="Window file, or a folder of them; may be given several times.")
-    ],
+    data: flags.Data,
     out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint, curves and metrics.")],
-    init: Annotated[
-        Path | None,
-        typer.Option(
-            help="Weights to begin with: a .safetensors file, the --out of an earlier stage, or shipped."
-        ),
-    ] = None,
-    val: Annotated[
-        list[Path] | None,
-        typer.Option(help="Window files to judge on, instead of some drives of --data.", show_default=False),
-    ] = None,
-    preset: Annotated[
-        str | None, typer.Option(help="paper or small: a set of hyper-parameters.", show_default="small")
-    ] = None,
-    codec: Annotated[
-        str | None,
-        typer.Option(help="What the denoiser works on: latent or trajectory.", show_default="latent"),
-    ] = None,
-    assign: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="Any hyper-parameter, as NAME=VALUE: --set batch_size=16."),
-    ] = None,
+    init: _Init = None,
+    val: _Val = None,
+    preset: _Preset = None,
+    codec: _Codec = None,
+    assign: _Assign = None,
     seed: Annotated[int, typer.Option(help="Same seed, same bytes (on the CPU).")] = 0,
-    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
-    threads: Annotated[int | None, typer.Option(min=1, help="CPU threads.", show_default="all")] = None,
-    max_minutes: Annotated[
-        float, typer.Option(min=0.0, help="Stop after that time; --resume goes on.", show_default="none")
-    ] = math.inf,
-    loaders: Annotated[
-        int, typer.Option(min=0, help="Processes that prepare batches; worth having beside a GPU.")
-    ] = 0,
-    judged: Annotated[
-        int, typer.Option("--judge", min=0, help="Held-out windows for the table at the end; 0: no table.")
-    ] = 128,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in --out.")] = False,
+    device: flags.Device = "auto",
+    threads: flags.Threads = None,
+    max_minutes: _MaxMinutes = math.inf,
+    loaders: _Loaders = 0,
+    judged: _Judged = 128,
+    resume: flags.Resume = False,
 ) -> None:
     """Train one stage of the model on window files.
 
@@ -72,15 +79,10 @@ def train(
     --out gets weights.safetensors (the best on held-out drives), checkpoint.safetensors (for --resume),
     metrics.jsonl, curves.png, evaluation.json and events for TensorBoard. Ctrl-C saves and leaves.
     """
-    import torch  # late: --help needs no PyTorch
-
-    from advdiff_sumo.models.bundle import load_bundle
-    from advdiff_sumo.training.evaluation import Judging
-    from advdiff_sumo.training.setup import WEIGHTS, Plan, prepare
+    from advdiff_sumo.training.setup import Plan, prepare  # late: --help needs no PyTorch
 
     name = _stage(stage)
-    if threads is not None:
-        torch.set_num_threads(threads)
+    flags.use_threads(threads)
     assignments = [*(assign or []), *([f'codec="{codec}"'] if codec else [])]
     plan = Plan(
         stage=name,
@@ -98,8 +100,17 @@ def train(
     claim(out, resume)
     done = _train(job, resume, Console(stderr=True, highlight=False))
     if done and judged and name != "simnet":  # its own figures are said when it ends
-        bundle = load_bundle(out / WEIGHTS)
-        judge_and_show(bundle, job.held_out, Judging(windows=judged), job.device, out / "evaluation.json")
+        _judge(job, judged)
+
+
+def _judge(job: Job, windows: int) -> None:
+    """Print the table of the trained weights on so many held-out *windows*, and keep it beside them."""
+    from advdiff_sumo.models.bundle import load_bundle
+    from advdiff_sumo.training.evaluation import Judging
+    from advdiff_sumo.training.setup import WEIGHTS
+
+    bundle, judging = load_bundle(job.out / WEIGHTS), Judging(windows=windows)
+    judge_and_show(bundle, job.held_out, judging, job.device, job.out / "evaluation.json")
 
 
 def _stage(asked: str) -> StageName:

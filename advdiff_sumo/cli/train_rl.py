@@ -10,6 +10,7 @@ from rich.console import Console
 
 from advdiff_sumo.cli.terminal import progress_bar
 from advdiff_sumo.cli.train import claim
+from advdiff_sumo.cli.train_flags import Resume
 from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.errors import ConfigError
 
@@ -47,7 +48,7 @@ def train_rl(
             "--set", help="Any other option, as NAME=VALUE: --set ppo.n_steps=128, --set horizon_s=10."
         ),
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in --out.")] = False,
+    resume: Resume = False,
 ) -> None:
     r"""Train the attacker of background adv-rl by PPO in closed loop with SUMO.
 

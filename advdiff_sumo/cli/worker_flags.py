@@ -1,9 +1,12 @@
-"""What a worker may take, as options of the commands that run episodes in one."""
+"""Workers and what they may take, as options of the commands that run episodes in them."""
 
 from __future__ import annotations
 
 import logging
+import math
+import os
 import shutil
+import signal
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
@@ -14,6 +17,12 @@ import typer
 if TYPE_CHECKING:
     from advdiff_sumo.sweep.tasks import Limits
 
+Workers: TypeAlias = Annotated[
+    int | None, typer.Option(min=1, help="Episodes at a time.", show_default="one a core")
+]
+Timeout: TypeAlias = Annotated[
+    float, typer.Option(min=0.1, help="Longest time for one episode, in seconds of the clock.")
+]
 PlanTimeout: TypeAlias = Annotated[
     float,
     typer.Option(
@@ -26,7 +35,25 @@ Memory: TypeAlias = Annotated[
 PLAN_TIMEOUT_S, MEMORY_MB = 300.0, 4000
 
 
-def limits_of(stack: ExitStack, timeout_s: float, plan_timeout_s: float, memory_mb: int) -> Limits:
+def cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def end_as_by_ctrl_c() -> None:
+    """Let SIGTERM end this process as Ctrl-C does: what is finished is kept."""
+
+    def interrupt(*_signal: object) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, interrupt)
+
+
+def limits_of(
+    stack: ExitStack, timeout_s: float, plan_timeout_s: float = math.inf, memory_mb: int = MEMORY_MB
+) -> Limits:
     """Return limits with a folder for logs, which goes when *stack* is left."""
     from advdiff_sumo.sweep.tasks import Limits  # late: --help needs no simulator
 

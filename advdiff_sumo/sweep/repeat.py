@@ -25,6 +25,25 @@ _SAME = ("episodes", "collisions", "states", "plans", "unattacked")
 
 
 @dataclass(frozen=True)
+class Before:
+    """An episode of a sweep or a run, as it is to be run again.
+
+    Attributes:
+        store: where its seed scene may be.
+        plan: that it belongs to.
+        job: the episode.
+        part: what came of it; None where nothing is kept.
+        name: a word for it.
+    """
+
+    store: Store
+    plan: Plan
+    job: Job
+    part: StoredEpisode | None
+    name: str
+
+
+@dataclass(frozen=True)
 class Repeated:
     """An episode that was run again.
 
@@ -39,8 +58,8 @@ class Repeated:
     same: bool | None
 
 
-def sweep_with(key: str, folder: Path | None, among: Path) -> tuple[Store, Plan, Job]:
-    """Return the sweep that has the episode *key*, and the episode.
+def of_sweep(key: str, folder: Path | None, among: Path) -> Before:
+    """Return the episode *key* of a sweep.
 
     Args:
         key: of the episode, or how it begins.
@@ -58,17 +77,21 @@ def sweep_with(key: str, folder: Path | None, among: Path) -> tuple[Store, Plan,
         store = Store.open(folder)
         plan = plan_sweep(store.spec())
         store.must_match(plan.keys)
-        return store, plan, plan.find(key)
+        return _kept(store, plan, plan.find(key))
     for settings_path in sorted(among.glob(f"*/{SETTINGS}")):
         store = Store(settings_path.parent)
         plan = plan_sweep(store.spec())
         if any(job.key.startswith(key) for job in plan.jobs):
-            return store, plan, plan.find(key)
+            return _kept(store, plan, plan.find(key))
     raise ConfigError(f"no sweep in {among} has an episode '{key}'; name its folder with --sweep")
 
 
-def run_with(number: str, folder: Path) -> tuple[RunFolder, Plan, Job]:
-    """Return the run in *folder* as a sweep of one cell, and its episode *number*.
+def _kept(store: Store, plan: Plan, job: Job) -> Before:
+    return Before(store, plan, job, store.read(job.key), job.key)
+
+
+def of_run(number: str, folder: Path) -> Before:
+    """Return episode *number* of the run in *folder*, which is a sweep of one cell.
 
     Raises:
         InputError: it holds no run, or none with such an episode.
@@ -80,30 +103,28 @@ def run_with(number: str, folder: Path) -> tuple[RunFolder, Plan, Job]:
         raise ConfigError(
             f"'{number}' is no episode of {folder}; give a number from 0 to {len(plan.jobs) - 1}"
         )
-    return RunFolder(folder), plan, plan.jobs[int(number)]
+    begun, job = RunFolder(folder), plan.jobs[int(number)]
+    return Before(begun.store, plan, job, begun.part(job.number), f"{folder.resolve().name}-{job.number}")
 
 
-def repeat(store: Store, plan: Plan, job: Job, stored: StoredEpisode | None, gui: bool = False) -> Repeated:
-    """Run *job* again in this process.
+def repeat(before: Before, gui: bool = False) -> Repeated:
+    """Run an episode again in this process.
 
     Args:
-        store: where its seed scene may be.
-        plan: that it belongs to.
-        job: the episode.
-        stored: what came of it before, to compare with; None where nothing is kept.
+        before: the episode, and what came of it.
         gui: show it in sumo-gui.
 
     Raises:
         InputError: its seed scene cannot be made again.
     """
-    run, episode = episode_again(store, plan, job, gui)
+    run, episode = episode_again(before.store, before.plan, before.job, gui)
     record, timing = episode.run()
     part = part_of(run, record, timing)
-    return Repeated(run, part, _same(stored, part))
+    return Repeated(run, part, _same(before.part, part))
 
 
 def episode_again(store: Store, plan: Plan, job: Job, gui: bool = False) -> tuple[Run, Episode]:
-    """Return the run and the episode of *job*, ready to go; arguments and errors as in :func:`repeat`."""
+    """Return the run and the episode of *job*, ready to go; errors as in :func:`repeat`."""
     options = plan.options(job)
     run = replace(run_of(options, file_digest(*net_files(options.net))), gui=gui)
     return run, run.episode(job.number, _scene(store, run, job))

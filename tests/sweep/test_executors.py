@@ -11,7 +11,7 @@ from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.page import report_html
 from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.job_plan import Plan
-from advdiff_sumo.sweep.repeat import repeat, sweep_with
+from advdiff_sumo.sweep.repeat import of_sweep, repeat
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
@@ -67,6 +67,6 @@ def test_a_worker_that_holds_much_is_replaced_before_its_next_task(
 
 def test_an_episode_is_repeated_exactly(plan: Plan, one_by_one: Store) -> None:
     job = plan.jobs[-1]
-    store, found, same_job = sweep_with(job.key[:9], None, one_by_one.path.parent)
-    assert same_job == job
-    assert repeat(store, found, job, store.read(job.key)).same is True
+    before = of_sweep(job.key[:9], None, one_by_one.path.parent)
+    assert before.job == job
+    assert repeat(before).same is True

@@ -27,11 +27,12 @@ from advdiff_sumo.models.decoder import (
     motion_now,
     rollout_of,
 )
-from advdiff_sumo.models.geometry import RELATIVE_FEATURES, into_frame, relative_features
+from advdiff_sumo.models.geometry import RELATIVE_FEATURES, into_frame
 from advdiff_sumo.models.lane_attention import LaneAttention, LanePieces
-from advdiff_sumo.models.losses import road_edges
 from advdiff_sumo.models.model_options import FUTURE_STEPS, ModelOptions
+from advdiff_sumo.models.neighbours import Neighbours, nearest_agents
 from advdiff_sumo.models.proximity import BOX_POINTS, PAIR_FEATURES, box_clearance, pair_features
+from advdiff_sumo.models.road_edges import RoadEdges
 from advdiff_sumo.models.trace import Trace
 
 _MOTION = 6
@@ -53,7 +54,7 @@ class _Surroundings:
     own: SceneBatch
     rows: Tensor
     lanes: LanePieces
-    edges: tuple[Tensor, Tensor, Tensor]
+    edges: RoadEdges
 
 
 class ClosedLoopDecoder(Decoder):
@@ -106,7 +107,7 @@ class ClosedLoopDecoder(Decoder):
         trace: Trace | None = None,
     ) -> tuple[Rollout, Trace]:
         own = batch if trace is None else batch.rows_of(rows)
-        around = _Surroundings(batch, own, rows, LanePieces.of(own), road_edges(own))
+        around = _Surroundings(batch, own, rows, LanePieces.of(own), RoadEdges.of(own))
         memory = torch.tanh(self.start(torch.cat((h[:, rows], z), dim=-1)))
         motion = motion_now(own)
         states, begun, said = [], [], []
@@ -141,26 +142,35 @@ class ClosedLoopDecoder(Decoder):
         place = into_frame(motion[0], own.pose[..., :2], own.pose[..., 2])
         turn = motion[1] - own.pose[..., 2]
         moved = motion_features(*motion, own)
+        state = torch.cat((memory, moved), dim=-1)
         node = self.node(torch.cat((memory, z, moved), dim=-1))
-        node = node + self.lanes(torch.cat((memory, moved), dim=-1), around.lanes.seen_from(place, turn))
+        node = node + self.lanes(state, around.lanes.seen_from(place, turn))
         node = node + self.clearance(box_clearance(place, turn, own.size, around.edges))
-        relative = relative_features(*everybody)[:, rows]
-        pairs = torch.cat((relative, pair_features(*everybody, batch.size, rows)), dim=-1)
-        edges, closer = self.interaction.prepare(relative), self.pairs(pairs)
-        mixed, senders = self._mix(torch.relu(node), [edge + closer for edge in edges], around, others)
-        state, memory = self._drive(mixed, memory, motion, own)
-        return state, memory, senders
+        which = nearest_agents(everybody[0], batch.present, rows, self.options.neighbours)
+        near = Neighbours.of(*everybody, batch.size, rows, which)
+        mixed, senders = self._mix(torch.relu(node), near, around, others)
+        done, memory = self._drive(mixed, memory, motion, own)
+        return done, memory, senders
+
+    def _edges(self, near: Neighbours) -> list[Tensor]:
+        """Return for each graph layer what it adds to the messages (B, R, K, M) how neighbours lie."""
+        relative = near.relative_features()
+        columns = torch.stack((*relative, *pair_features(near)), dim=-1)
+        edges = self.interaction.prepare(columns[..., : len(relative)])
+        closer = self.pairs(columns)
+        return [edge + closer for edge in edges]
 
     def _mix(
-        self, h: Tensor, edges: list[Tensor], around: _Surroundings, others: Tensor | None
+        self, h: Tensor, near: Neighbours, around: _Surroundings, others: Tensor | None
     ) -> tuple[Tensor, Tensor]:
-        said = []
+        said, edges = [], self._edges(near)
+        mask = near.among(around.batch.present)
         for number, (layer, edge) in enumerate(zip(self.interaction.in_order(), edges, strict=True)):
             sent = layer.sender(h)
             if others is not None:
                 sent = others[number].to(sent.dtype).index_copy(1, around.rows, sent)
             said.append(sent)
-            h = layer.receive(h, edge, sent, around.batch.present) * around.own.present[..., None]
+            h = layer.receive(h, edge, near.among(sent), mask) * around.own.present[..., None]
         return h, torch.stack(said)
 
 

@@ -49,20 +49,20 @@ class InteractionLayer(nn.Module):
             edges: (B, A, A, M) what relative poses add to the messages, from :attr:`edge`.
             mask: (B, A) who takes part.
         """
-        return self.receive(h, edges, self.sender(h), mask) * mask[..., None]
+        return self.receive(h, edges, self.sender(h)[:, None], mask[:, None]) * mask[..., None]
 
     def receive(self, h: Tensor, edges: Tensor, sent: Tensor, mask: Tensor) -> Tensor:
-        """Return new embeddings (B, R, D) of receivers, who need not be all agents.
+        """Return new embeddings (B, R, D) of receivers, who need not be all agents, from K senders each.
 
         Args:
             h: (B, R, D) their embeddings.
-            edges: (B, R, A, M) what relative poses add to the messages, from :attr:`edge`.
-            sent: (B, A, M) what the agents add to the messages, from :attr:`sender`.
-            mask: (B, A) which agents take part.
+            edges: (B, R, K, M) what relative poses add to the messages, from :attr:`edge`.
+            sent: (B, R or 1, K, M) what the senders add to the messages, from :attr:`sender`.
+            mask: (B, R or 1, K) which senders take part.
         """
-        message = torch.relu(edges + self.receiver(h)[:, :, None] + sent[:, None])
-        score = self.score(message).masked_fill(~mask[:, None, :, None], ABSENT)
-        weight = torch.softmax(score, dim=2) * mask[:, None, :, None]
+        message = torch.relu_(edges + self.receiver(h)[:, :, None] + sent)
+        score = self.score(message).masked_fill(~mask[..., None], ABSENT)
+        weight = torch.softmax(score, dim=2) * mask[..., None]
         split = message.reshape(*message.shape[:-1], self.heads, -1)
         gathered = (weight[..., None] * split).sum(2).flatten(-2)
         mixed = self.norm(h + self.out(gathered))

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.geometry import from_segments, into_frame
+from advdiff_sumo.models.geometry import from_segments
 from advdiff_sumo.models.model_options import LANES_OF, PIECE_FEATURES, PIECE_POINTS, ModelOptions
 
 NEAREST = 9
@@ -50,25 +50,25 @@ class LanePieces:
             place: (B, R, 2) where they are in their frames at the beginning.
             turn: (B, R) their headings there.
         """
-        with torch.no_grad():
-            which = self._nearest(place, turn)
-        points = which[..., None, None].expand(*which.shape, *self.xy.shape[-2:])
+        cos, sin = torch.cos(turn), torch.sin(turn)
+        into = torch.stack((cos, -sin, sin, cos), dim=-1).reshape(*turn.shape, 2, 2)
+        shape = self.xy.shape
+        xy = ((self.xy.flatten(2, 3) - place[:, :, None]) @ into).view(shape)
+        which = self._nearest(xy.detach())
+        points = which[..., None].expand(*which.shape, 2 * shape[3])
         columns = which[..., None].expand(*which.shape, self.features.shape[-1])
-        xy = _into(self.xy.gather(2, points), place, turn)
-        return LanePieces(xy, self.features.gather(2, columns), self.valid.gather(2, which))
+        return LanePieces(
+            xy.flatten(3).gather(2, points).reshape(*which.shape, *shape[3:]),
+            self.features.gather(2, columns),
+            self.valid.gather(2, which),
+        )
 
-    def _nearest(self, place: Tensor, turn: Tensor) -> Tensor:
-        """Return which pieces (B, R, 9) are near or coming."""
-        xy = _into(self.xy, place, turn)
-        ahead = torch.where(xy[..., 0] > 0.0, _AHEAD * xy[..., 0], xy[..., 0])
-        away = (ahead.square() + xy[..., 1].square()).amin(-1).masked_fill(~self.valid, _FAR_M2)
+    def _nearest(self, xy: Tensor) -> Tensor:
+        """Return which pieces (B, R, 9) of points *xy* (B, R, L, N, 2) in the vehicles' frames are near or coming."""
+        x, y = xy.unbind(-1)
+        ahead = torch.where(x > 0.0, _AHEAD * x, x)
+        away = torch.addcmul(ahead.square(), y, y).amin(-1).masked_fill(~self.valid, _FAR_M2)
         return away.topk(min(NEAREST, away.shape[-1]), dim=-1, largest=False).indices
-
-
-def _into(xy: Tensor, place: Tensor, turn: Tensor) -> Tensor:
-    """Return points (B, R, L, N, 2) in frames at *place* (B, R, 2) that look along *turn* (B, R)."""
-    yaw = turn[:, :, None, None].expand(xy.shape[:-1])
-    return into_frame(xy, place[:, :, None, None], yaw)
 
 
 def closest(xy: Tensor) -> Tensor:
@@ -117,11 +117,15 @@ class LaneAttention(nn.Module):
             pieces: of :meth:`LanePieces.seen_from`.
         """
         columns = (0.05 * pieces.xy.flatten(-2), closest(pieces.xy), pieces.features * self.scale)
-        key, value = self.key_value(self.piece(torch.cat(columns, dim=-1))).chunk(2, dim=-1)
-        key, value = (part.unflatten(-1, (self.heads, -1)) for part in (key, value))  # (B, R, 9, H, W / H)
-        query = self.query(state).unflatten(-1, (self.heads, -1))[:, :, None]
-        score = (query * key).sum(-1) * key.shape[-1] ** -0.5
-        mask = pieces.valid[..., None]
-        weight = torch.softmax(score.masked_fill(~mask, -1e9), dim=2) * mask
-        out: Tensor = self.out((weight[..., None] * value).sum(2).flatten(-2))
+        embedded = self.piece(torch.cat(columns, dim=-1))  # (B, R, 9, W)
+        # keys and values are linear in the pieces: each is asked for and summed up before it is made
+        of_key, of_value = (w.reshape(self.heads, -1, w.shape[1]) for w in self.key_value.weight.chunk(2))
+        query = self.query(state).unflatten(-1, (self.heads, -1)) * of_key.shape[1] ** -0.5
+        asked = torch.einsum("brhd,hdw->brhw", query, of_key)
+        mask = pieces.valid[:, :, None]
+        score = (asked @ embedded.transpose(-1, -2)).masked_fill(~mask, -1e9)  # (B, R, H, 9)
+        weight = torch.softmax(score, dim=-1) * mask
+        pooled = torch.einsum("brhw,hdw->brhd", weight @ embedded, of_value).flatten(-2)
+        bias = self.key_value.bias.chunk(2)[1]  # that of the keys adds the same to every score
+        out: Tensor = self.out(pooled + bias * mask.any(-1))
         return out

@@ -12,15 +12,13 @@ from torch.nn.functional import smooth_l1_loss
 
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.geometry import from_segments, into_frame, wrap_angle
-from advdiff_sumo.models.model_options import LANES_OF
+from advdiff_sumo.models.geometry import into_frame, wrap_angle
+from advdiff_sumo.models.road_edges import CORNER as CORNER  # re-exported for the compiled loops
+from advdiff_sumo.models.road_edges import FAR_M as FAR_M
+from advdiff_sumo.models.road_edges import RoadEdges
+from advdiff_sumo.models.road_edges import road_edges as road_edges
 
 DISCS = 5
-_ROAD_EDGE = 4
-FAR_M = 1e3
-"""Clearance where there is no road edge."""
-CORNER = 1e-3
-"""How much seeing a point from the side counts, where two segments are equally near."""
 _LEAST_REACH_M = 0.1
 
 
@@ -109,46 +107,9 @@ def edge_clearance(xy: Tensor, batch: SceneBatch) -> Tensor:
     return clearance_in_frame(local, batch)
 
 
-def road_edges(batch: SceneBatch) -> tuple[Tensor, Tensor, Tensor]:
-    """Return begins and ends (B, A, S, 2) of road edges' segments in each agent's frame, and which count (B, A, S)."""
-    is_edge = batch.map_valid & (batch.map_features[..., _ROAD_EDGE] > 0.5)
-    some: slice | Tensor
-    if is_edge.is_cuda:  # finding out what is empty would take longer than working on it
-        some = slice(LANES_OF[is_edge.shape[-1]], None)
-    else:
-        some = is_edge.flatten(0, 1).any(0)
-        some[0] |= ~some.any()  # one piece to look at, though it counts for nothing
-    pieces, is_edge = batch.map_xy[:, :, some], is_edge[:, :, some]
-    first, last = pieces[..., :-1, :].flatten(2, 3), pieces[..., 1:, :].flatten(2, 3)
-    usable = is_edge[..., None].expand(*is_edge.shape, pieces.shape[3] - 1).flatten(2)
-    return first, last, usable
-
-
 def clearance_in_frame(local: Tensor, batch: SceneBatch) -> Tensor:
     """Return :func:`edge_clearance` of points (B, A, M, 2) that are already in each agent's own frame now."""
-    return clearance_from(local, *road_edges(batch))
-
-
-def clearance_from(local: Tensor, first: Tensor, last: Tensor, usable: Tensor) -> Tensor:
-    """Return signed distances (B, A, M) of points (B, A, M, 2) to the nearest of the segments of :func:`road_edges`."""
-    along = last - first
-    with torch.no_grad():  # which segment it is has no gradient, and most of the work
-        distance, aside = _to_segments(local[:, :, :, None], first[:, :, None], along[:, :, None])
-        distance = distance.masked_fill(~usable[:, :, None], FAR_M)
-        # both segments of a corner are equally near; the one that sees the point more from the side knows the side
-        which = (distance - CORNER * aside.abs()).argmin(dim=-1)
-    some = usable.gather(2, which)
-    index = which[..., None].expand(*which.shape, 2)
-    nearest, side = _to_segments(local, first.gather(2, index), along.gather(2, index))
-    return torch.where(some, torch.where(side >= 0.0, nearest, -nearest), FAR_M)
-
-
-def _to_segments(points: Tensor, first: Tensor, along: Tensor) -> tuple[Tensor, Tensor]:
-    """Return distances of *points* (…, 2) from segments, and how far they are to the left of their lines."""
-    away, delta, squared = from_segments(points, first, along)
-    distance = torch.sqrt(away.square().sum(-1) + 1e-9)
-    cross = along[..., 0] * delta[..., 1] - along[..., 1] * delta[..., 0]
-    return distance, cross / squared.sqrt()
+    return RoadEdges.of(batch).clearance(local)
 
 
 def off_road(rollout: Rollout, batch: SceneBatch) -> Tensor:

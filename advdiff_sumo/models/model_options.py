@@ -39,6 +39,8 @@ class ModelOptions(Options):
         decoder: "open": it knows the map from the context alone; "closed-loop": it looks at lanes, road edge and
             bodies again at each of its steps, see ``models.closed_loop_decoder``.
         decoder_layers: graph layers at each of the decoder's steps.
+        neighbours: agents, itself among them, that each vehicle looks at in a step of the closed-loop decoder, the
+            nearest ones; 0: all.
         map_view: how much of the map each vehicle sees: "near": 60 m around; "far": what it may drive in 6 s, too.
         denoiser_layers: graph layers through which vehicles see each other's noisy latents; 0: each on its own.
         channels: channels of the denoiser's U-Net at full, half and quarter length.
@@ -57,6 +59,7 @@ class ModelOptions(Options):
     interaction_layers: int = Field(2, ge=1, le=6)
     decoder: DecoderName = "open"
     decoder_layers: int = Field(1, ge=1, le=6)
+    neighbours: int = Field(0, ge=0)
     map_view: MapView = "near"
     denoiser_layers: int = Field(1, ge=0, le=6)
     channels: tuple[int, int, int] = (24, 32, 48)

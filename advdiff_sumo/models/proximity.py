@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
 
-from advdiff_sumo.models.geometry import into_frame, rotate
-from advdiff_sumo.models.losses import DISCS, clearance_from
+from advdiff_sumo.models.geometry import rotate
+from advdiff_sumo.models.losses import DISCS
+from advdiff_sumo.models.neighbours import Neighbours
+from advdiff_sumo.models.road_edges import RoadEdges
 
 CARRIED_S = (0.0, 0.5, 1.0, 1.5, 2.5)
 """Instants to which everybody is carried on at present velocity."""
@@ -19,62 +22,63 @@ _LEAST_M, _LEAST_MPS = 0.5, 1.0
 _MOST_CLEAR_M = 5.0
 
 
-def pair_features(xy: Tensor, yaw: Tensor, speed: Tensor, size: Tensor, rows: Tensor) -> Tensor:
-    """Return (B, R, A, 7) how close the bodies of all agents are to those of *rows*, now and soon.
+def pair_features(near: Neighbours) -> list[Tensor]:
+    """Return 7 columns (B, R, K): how close the bodies of neighbours are to those of the rows, now and soon.
 
     The first columns are exp(−gap / 2 m) of the five discs of each body at ``CARRIED_S``. The last two count where
     the other is ahead in the corridor of the row's body: exp(−headway / 1 s), and the deceleration that would just
     avoid the contact, in units of 8 m/s², at most 2.
-
-    Args:
-        xy: (B, A, 2) box centres.
-        yaw: (B, A) headings.
-        speed: (B, A) speeds.
-        size: (B, A, 2) lengths and widths.
-        rows: (R,) agents that look.
     """
-    close = torch.exp(-carried_gaps(xy, yaw, speed, size, rows).clamp(min=-_GAP_M) / _GAP_M)
-    return torch.cat((close, _following(xy, yaw, speed, size, rows)), dim=-1)
+    close = torch.exp(-carried_gaps(near).clamp(min=-_GAP_M) / _GAP_M)
+    return [*close.unbind(0), *_following(near)]
 
 
-def carried_gaps(xy: Tensor, yaw: Tensor, speed: Tensor, size: Tensor, rows: Tensor) -> Tensor:
-    """Return (B, R, A, T) gaps in metres between discs at ``CARRIED_S``; negative where they overlap."""
-    times = torch.tensor(CARRIED_S, device=xy.device, dtype=xy.dtype)[:, None, None]
-    ahead = torch.stack((torch.cos(yaw), torch.sin(yaw)), dim=-1)
-    places = xy[:, None] + times * (speed[..., None] * ahead)[:, None]  # (B, T, A, 2)
-    radius = 0.5 * size[..., 1]
-    reach = ((0.5 * size[..., 0] - radius).clamp(min=0.0)[..., None] * ahead)[:, None]  # (B, 1, A, 2)
-    mine, yours = _nearest_discs(places, reach, rows)
-    begin = places[:, :, rows][:, :, :, None] + mine[..., None] * reach[:, :, rows][:, :, :, None]
-    end = places[:, :, None] + yours[..., None] * reach[:, :, None]
-    distance = torch.sqrt((begin - end).square().sum(-1) + 1e-6).permute(0, 2, 3, 1)
-    return distance - (radius[:, rows][:, :, None] + radius[:, None])[..., None]
+def carried_gaps(near: Neighbours) -> Tensor:
+    """Return (T, B, R, K) gaps in metres between discs at ``CARRIED_S``; negative where they overlap.
+
+    The squared distance of disc a of the row and b of the other is linear in six numbers of the pair: with *p* the
+    other's place, *u* its heading, *r* how far its outermost discs are from its centre and *own* the row's,
+    |p|² + r² b² + own² a² + 2 r b (p · u) − 2 own a pₓ − 2 own r a b uₓ.
+    """
+    times = near.cos.new_tensor(CARRIED_S)[:, None, None, None]
+    x = torch.addcmul(near.ahead_m, times, near.speed_mps * near.cos - near.own_speed_mps)
+    y = torch.addcmul(near.left_m, times, near.speed_mps * near.sin)  # (T, B, R, K)
+    reach = (near.half_length_m - near.half_width_m).clamp(min=0.0)
+    own = (near.own_half_length_m - near.own_half_width_m).clamp(min=0.0)
+    terms = (
+        torch.addcmul(x * x, y, y),
+        (reach * reach).expand(x.shape),
+        (own * own).expand(x.shape),
+        reach * torch.addcmul(x * near.cos, y, near.sin),
+        own * x,
+        (own * reach * near.cos).expand(x.shape),
+    )
+    squared = torch.stack(terms, dim=-1) @ _disc_products(x.dtype, x.device)
+    distance = torch.sqrt(squared.amin(-1).clamp(min=0.0) + 1e-6)
+    return distance - (near.half_width_m + near.own_half_width_m)
 
 
-@torch.no_grad()
-def _nearest_discs(places: Tensor, reach: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-    """Return where along their boxes, −1 … 1, the nearest discs of rows and agents are, (B, T, R, A) each."""
-    offsets = torch.linspace(-1.0, 1.0, DISCS, device=places.device, dtype=places.dtype)
-    centres = places[..., None, :] + offsets[:, None] * reach[..., None, :]  # (B, T, A, 5, 2)
-    apart = torch.cdist(centres[:, :, rows].flatten(2, 3), centres.flatten(2, 3))  # (B, T, R·5, A·5)
-    shape = (*apart.shape[:2], len(rows), DISCS, places.shape[2], DISCS)
-    which = apart.reshape(shape).transpose(3, 4).flatten(-2).argmin(-1)
-    return offsets[which // DISCS], offsets[which % DISCS]
+@cache
+def _disc_products(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Return (6, 25) what the terms of :func:`carried_gaps` count for each pair of discs."""
+    offset = torch.linspace(-1.0, 1.0, DISCS, dtype=dtype, device=device)
+    mine, yours = (part.flatten() for part in torch.meshgrid(offset, offset, indexing="ij"))
+    one = torch.ones_like(mine)
+    return torch.stack((one, yours * yours, mine * mine, 2.0 * yours, -2.0 * mine, -2.0 * mine * yours))
 
 
-def _following(xy: Tensor, yaw: Tensor, speed: Tensor, size: Tensor, rows: Tensor) -> Tensor:
-    """Return (B, R, A, 2) closeness in time, and the deceleration needed, behind those in the corridor ahead."""
-    lead = lead_gaps(xy, yaw, speed, size, rows)
-    own = speed[:, rows][:, :, None]
+def _following(near: Neighbours) -> tuple[Tensor, Tensor]:
+    """Return (B, R, K) closeness in time, and the deceleration needed, behind those in the corridor ahead."""
+    lead = lead_gaps(near)
     gap = lead.gap_m.clamp(min=0.0)
-    near = torch.exp(-gap / own.clamp(min=_LEAST_MPS) / _HEADWAY_S)
-    brake = lead.closing_mps.clamp(min=0.0).square() / (2.0 * gap.clamp(min=_LEAST_M)) / _BRAKE_MPS2
-    return torch.stack((near, brake.clamp(max=2.0)), dim=-1) * lead.inside[..., None]
+    close = torch.exp(-gap / near.own_speed_mps.clamp(min=_LEAST_MPS) / _HEADWAY_S)
+    brake = lead.closing_mps.clamp(min=0.0).square() / (2.0 * _BRAKE_MPS2 * gap.clamp(min=_LEAST_M))
+    return close * lead.inside, brake.clamp(max=2.0) * lead.inside
 
 
 @dataclass(frozen=True)
 class LeadGaps:
-    """How R vehicles stand to those ahead of them, (B, R, A) each.
+    """How R vehicles stand to those ahead of them, (B, R, K) each.
 
     Attributes:
         gap_m: from front to rear, along the row's heading.
@@ -87,39 +91,35 @@ class LeadGaps:
     inside: Tensor
 
 
-def lead_gaps(xy: Tensor, yaw: Tensor, speed: Tensor, size: Tensor, rows: Tensor) -> LeadGaps:
-    """Return gaps, closing speeds and who is ahead, of all agents as *rows* see them; arguments as above."""
-    place = into_frame(
-        xy[:, None], xy[:, rows][:, :, None], yaw[:, rows][:, :, None].expand(-1, -1, xy.shape[1])
+def lead_gaps(near: Neighbours) -> LeadGaps:
+    """Return gaps, closing speeds and who is ahead."""
+    cos, sin = near.cos.abs(), near.sin.abs()
+    along = torch.addcmul(cos * near.half_length_m, sin, near.half_width_m)
+    across = torch.addcmul(cos * near.half_width_m, sin, near.half_length_m)
+    aside = near.left_m.abs() - near.own_half_width_m - across
+    ahead = (near.ahead_m > 0.0) & ~near.oneself
+    return LeadGaps(
+        gap_m=near.ahead_m - near.own_half_length_m - along,
+        closing_mps=torch.addcmul(near.own_speed_mps, near.speed_mps, near.cos, value=-1.0),
+        inside=torch.sigmoid(-aside / _ASIDE_M) * ahead,
     )
-    turn = yaw[:, None] - yaw[:, rows][:, :, None]
-    cos, sin = torch.cos(turn).abs(), torch.sin(turn).abs()
-    length, width = 0.5 * size[:, None, :, 0], 0.5 * size[:, None, :, 1]
-    gap = place[..., 0] - 0.5 * size[:, rows, None, 0] - (cos * length + sin * width)
-    aside = place[..., 1].abs() - 0.5 * size[:, rows, None, 1] - (cos * width + sin * length)
-    inside = torch.sigmoid(-aside / _ASIDE_M) * (place[..., 0] > 0.0)
-    inside = inside * (torch.arange(xy.shape[1], device=xy.device) != rows[:, None])
-    closing = speed[:, rows][:, :, None] - speed[:, None] * torch.cos(turn)
-    return LeadGaps(gap, closing, inside)
 
 
-def box_clearance(place: Tensor, turn: Tensor, size: Tensor, edges: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+def box_clearance(place: Tensor, turn: Tensor, size: Tensor, edges: RoadEdges) -> Tensor:
     """Return (B, R, 10) signed clearances of both sides of each box to the road's edge, in units of 5 m within ±1.
 
     Args:
         place: (B, R, 2) box centres in the vehicles' frames at the beginning.
         turn: (B, R) headings there.
         size: (B, R, 2) lengths and widths.
-        edges: segments in these frames, of ``losses.road_edges``.
+        edges: segments in these frames.
     """
-    along = torch.linspace(-0.5, 0.5, DISCS, device=place.device, dtype=place.dtype) * size[..., :1]
-    side = torch.stack((size[..., 1], -size[..., 1]), dim=-1) * 0.5
-    points = torch.stack(
-        (
-            along[..., None, :].expand(*side.shape, DISCS),
-            side[..., None].expand(*side.shape, DISCS),
-        ),
-        dim=-1,
-    ).flatten(2, 3)  # (B, R, 10, 2)
-    local = place[:, :, None] + rotate(points, turn[..., None].expand(points.shape[:-1]))
-    return (clearance_from(local, *edges) / _MOST_CLEAR_M).clamp(-1.0, 1.0)
+    local = place[:, :, None] + rotate(_box_points(size), turn[..., None])
+    return (edges.clearance(local) / _MOST_CLEAR_M).clamp(-1.0, 1.0)
+
+
+def _box_points(size: Tensor) -> Tensor:
+    """Return (B, R, 10, 2) five points on each side of boxes of *size* (B, R, 2), the left side first."""
+    share = torch.linspace(-0.5, 0.5, DISCS, device=size.device, dtype=size.dtype)
+    unit = torch.cat([torch.stack((share, torch.full_like(share, side)), -1) for side in (0.5, -0.5)])
+    return size[:, :, None] * unit

@@ -9,6 +9,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.geometry import from_segments, into_frame
 from advdiff_sumo.models.lane_attention import LanePieces
+from advdiff_sumo.models.neighbours import Neighbours
 from advdiff_sumo.models.proximity import lead_gaps
 
 _ALIGNED_COS = 0.5
@@ -58,7 +59,7 @@ def following_penalty(rollout: Rollout, batch: SceneBatch) -> Tensor:
         value.transpose(1, 2).flatten(0, 1) for value in (rollout.xy, rollout.yaw, rollout.speed)
     )
     size = batch.size[:, None].expand(-1, steps, -1, -1).flatten(0, 1)
-    lead = lead_gaps(xy, yaw, speed, size, torch.arange(agents, device=xy.device))
+    lead = lead_gaps(Neighbours.of(xy, yaw, speed, size, torch.arange(agents, device=xy.device)))
     gap, own = lead.gap_m.clamp(min=0.0), speed[:, :, None]
     short = (1.0 - gap / (_STANDSTILL_M + _HEADWAY_S * own)).clamp(min=0.0)
     brake = lead.closing_mps.clamp(min=0.0).square() / (2.0 * gap.clamp(min=_LEAST_M))

@@ -17,8 +17,11 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
 from advdiff_sumo.models.decoder import Decoder
 from advdiff_sumo.models.lane_attention import NEAREST, LanePieces, closest
+from advdiff_sumo.models.losses import discs
 from advdiff_sumo.models.model_options import ModelOptions
+from advdiff_sumo.models.neighbours import Neighbours, nearest_agents
 from advdiff_sumo.models.proximity import CARRIED_S, box_clearance, carried_gaps, lead_gaps, pair_features
+from advdiff_sumo.models.road_edges import RoadEdges
 
 Stir = Callable[[nn.Module], nn.Module]
 SIZE = torch.tensor([[[4.0, 2.0], [4.0, 2.0]]])
@@ -88,28 +91,29 @@ def test_some_rows_are_those_of_the_whole_and_the_only_ones_that_move(
 )
 def test_gaps_of_boxes_in_line(x: float, speed: tuple[float, float], gaps: list[float]) -> None:
     xy, yaw = torch.tensor([[[0.0, 0.0], [x, 0.0]]]), torch.zeros(1, 2)
-    made = carried_gaps(xy, yaw, torch.tensor([speed]), SIZE, torch.tensor([0]))
-    assert made.shape == (1, 1, 2, len(CARRIED_S))
-    assert made[0, 0, 1].tolist() == pytest.approx(gaps, abs=1e-3)
+    made = carried_gaps(Neighbours.of(xy, yaw, torch.tensor([speed]), SIZE, torch.tensor([0])))
+    assert made.shape == (len(CARRIED_S), 1, 1, 2)
+    assert made[:, 0, 0, 1].tolist() == pytest.approx(gaps, abs=1e-3)
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(-15.0, 15.0), st.floats(-15.0, 15.0), st.floats(-math.pi, math.pi), st.floats(0.0, 20.0))
 def test_gaps_are_alike_from_both_sides(x: float, y: float, yaw: float, speed: float) -> None:
     xy, turn = torch.tensor([[[0.0, 0.0], [x, y]]]), torch.tensor([[0.3, yaw]])
-    made = carried_gaps(xy, turn, torch.tensor([[speed, 5.0]]), SIZE, torch.arange(2))
-    torch.testing.assert_close(made[0, 0, 1], made[0, 1, 0], atol=1e-3, rtol=1e-4)
+    made = carried_gaps(Neighbours.of(xy, turn, torch.tensor([[speed, 5.0]]), SIZE, torch.arange(2)))
+    torch.testing.assert_close(made[:, 0, 0, 1], made[:, 0, 1, 0], atol=1e-3, rtol=1e-4)
 
 
 def test_who_drives_ahead_in_the_corridor() -> None:
     """A follower at 10 m/s, a leader at 4 m/s with 16 m between, one beside, one behind."""
     xy = torch.tensor([[[0.0, 0.0], [20.0, 0.0], [10.0, 8.0], [-12.0, 0.0]]])
     speed, size = torch.tensor([[10.0, 4.0, 4.0, 4.0]]), torch.tensor([4.0, 2.0]).expand(1, 4, 2)
-    lead = lead_gaps(xy, torch.zeros(1, 4), speed, size, torch.tensor([0]))
+    near = Neighbours.of(xy, torch.zeros(1, 4), speed, size, torch.tensor([0]))
+    lead = lead_gaps(near)
     assert float(lead.gap_m[0, 0, 1]) == pytest.approx(16.0)
     assert float(lead.closing_mps[0, 0, 1]) == pytest.approx(6.0)
     assert lead.inside[0, 0].tolist() == pytest.approx([0.0, 1.0, 0.0, 0.0], abs=2e-3)
-    headway, brake = pair_features(xy, torch.zeros(1, 4), speed, size, torch.tensor([0]))[0, 0, 1, -2:]
+    headway, brake = (column[0, 0, 1] for column in pair_features(near)[-2:])
     assert float(headway) == pytest.approx(math.exp(-1.6), abs=2e-3)
     assert float(brake) == pytest.approx(36.0 / 32.0 / 8.0, abs=1e-3)
 
@@ -117,7 +121,7 @@ def test_who_drives_ahead_in_the_corridor() -> None:
 def test_clearance_of_both_sides_of_a_box() -> None:
     """Boxes 2 m wide on a road 6 m wide: in its middle, 0.5 m from its left edge, and half beyond that."""
     first, last = (torch.tensor([[[[x, -3.0], [-x, 3.0]]]]).expand(1, 3, 2, 2) for x in (-50.0, 50.0))
-    edges = first, last, torch.ones(1, 3, 2, dtype=torch.bool)
+    edges = RoadEdges.between(first, last, torch.ones(1, 3, 2, dtype=torch.bool))
     place, turn = torch.tensor([[[0.0, 0.0], [5.0, 1.5], [0.0, 3.0]]]), torch.zeros(1, 3)
     made = 5.0 * box_clearance(place, turn, torch.tensor([4.0, 2.0]).expand(1, 3, 2), edges)
     left, right = made[0].unflatten(-1, (2, 5)).unbind(1)  # type: ignore[no-untyped-call] # torch's
@@ -145,3 +149,50 @@ def test_lane_pieces_are_those_that_are_near_where_the_vehicle_is() -> None:
     assert seen.xy.shape == (1, 1, NEAREST, 6, 2)
     assert sorted(seen.features[0, 0, :, 0].tolist()) == [40.0 + 20.0 * k for k in range(9)]
     torch.testing.assert_close(seen.xy[0, 0, :, 0, 0], seen.features[0, 0, :, 0] - 100.0)
+
+
+def test_gaps_are_those_of_the_nearest_discs() -> None:
+    """All 25 pairs of disc centres, worked out one by one at each of the instants."""
+    generator = torch.Generator().manual_seed(4)
+    xy = 10.0 * torch.rand(1, 6, 2, generator=generator, dtype=torch.float64)
+    yaw, speed = (f * torch.rand(1, 6, generator=generator, dtype=torch.float64) for f in (6.0, 15.0))
+    size = torch.tensor([[[4.5, 2.0], [12.0, 2.5], [2.2, 0.8], [4.5, 2.0], [0.6, 0.6], [8.0, 2.3]]]).double()
+    made = carried_gaps(Neighbours.of(xy, yaw, speed, size, torch.arange(6)))
+    for k, after in enumerate(CARRIED_S):
+        ahead = torch.stack((torch.cos(yaw), torch.sin(yaw)), dim=-1)
+        centres, radius = discs(xy + after * speed[..., None] * ahead, yaw, size)
+        apart = torch.cdist(centres[0].flatten(0, 1), centres[0].flatten(0, 1)).reshape(6, 5, 6, 5)
+        wanted = torch.sqrt(apart.amin((1, 3)).square() + 1e-6) - radius[0][:, None] - radius[0]
+        torch.testing.assert_close(made[k, 0], wanted, atol=1e-6, rtol=0.0)
+
+
+def test_neighbours_are_the_nearest_who_are_there() -> None:
+    xy = torch.tensor([[[0.0, 0.0], [9.0, 0.0], [1.0, 0.0], [0.0, 3.0], [0.0, -5.0]]])
+    present = torch.tensor([[True, True, False, True, True]])
+    which = nearest_agents(xy, present, torch.tensor([0, 1]), 3)
+    assert which is not None
+    assert which[0, 0].tolist() == [0, 3, 4]
+    assert which[0, 1].tolist() == [1, 0, 3]
+    near = Neighbours.of(
+        xy, torch.zeros(1, 5), torch.ones(1, 5), torch.ones(1, 5, 2), torch.tensor([0, 1]), which
+    )
+    assert near.oneself[0, 0].tolist() == [True, False, False]
+    assert near.left_m[0, 0].tolist() == [0.0, 3.0, -5.0]
+    assert near.among(xy)[0, 1].tolist() == xy[0, which[0, 1]].tolist()
+    assert nearest_agents(xy, present, torch.tensor([0, 1]), 5) is None
+
+
+def test_as_many_neighbours_as_agents_are_all_of_them(
+    options: ModelOptions, lively: Stir, batch: SceneBatch
+) -> None:
+    torch.manual_seed(0)
+    decoder = cast(ClosedLoopDecoder, lively(ClosedLoopDecoder(options)).requires_grad_(False))
+    given = given_latents(batch, options)
+    everybody = decoder(*given, batch).states()
+    few = ClosedLoopDecoder(options.model_copy(update={"neighbours": batch.agents - 1}))
+    few.load_state_dict(decoder.state_dict())
+    with torch.no_grad():
+        made = few(*given, batch).states()
+    lonely = batch.present.sum(1) < batch.agents  # who is absent is left out first
+    assert bool(lonely.any())
+    torch.testing.assert_close(made[lonely], everybody[lonely])

@@ -13,7 +13,7 @@ import torch
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.window_files import WindowFile
 from advdiff_sumo.maps.vector_map import Feature
-from advdiff_sumo.models import losses, model_options
+from advdiff_sumo.models import model_options, road_edges
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import Jitter, collate, mirrored, model_history, scene_batch
 from advdiff_sumo.models.losses import off_road
@@ -152,7 +152,7 @@ def test_the_window_file_is_left_as_it_was(by_hand: WindowFile) -> None:
 
 
 def test_columns_are_those_of_the_map_table() -> None:
-    assert losses._ROAD_EDGE == Feature.IS_ROAD_EDGE
+    assert road_edges._ROAD_EDGE == Feature.IS_ROAD_EDGE
     assert len(Feature) + 3 == model_options.PIECE_FEATURES
     assert len(AgentClass) == model_options.CLASSES
 

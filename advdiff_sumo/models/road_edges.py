@@ -1,0 +1,92 @@
+"""Segments of the road's edge around vehicles, and how clear of them points are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.model_options import LANES_OF
+
+_ROAD_EDGE = 4
+_LEAST_M = 1e-3
+FAR_M = 1e3
+"""Clearance where there is no road edge."""
+CORNER = 1e-3
+"""How much seeing a point from the side counts, where two segments are equally near."""
+
+
+@dataclass(frozen=True)
+class RoadEdges:
+    """S segments in the frames of R vehicles.
+
+    Attributes:
+        usable: (B, R, S) which count.
+        lines: (B, R, S, 7) unit direction and normal to its left, how far along both the beginning lies, and length.
+        across: (B, R, 3, 2 S) what makes of points (…, x, y, 1) how far along segments they lie, and how far left.
+    """
+
+    usable: Tensor
+    lines: Tensor
+    across: Tensor
+
+    @staticmethod
+    def between(first: Tensor, last: Tensor, usable: Tensor) -> RoadEdges:
+        """Return the segments from *first* to *last*, (B, R, S, 2) each, of which *usable* (B, R, S) count."""
+        along = last - first
+        length = along.norm(dim=-1, keepdim=True)
+        x, y = (along / length.clamp(min=_LEAST_M)).unbind(-1)
+        x = torch.where(length[..., 0] < _LEAST_M, 1.0, x)  # of a point, any direction
+        begin = torch.stack(
+            (x * first[..., 0] + y * first[..., 1], x * first[..., 1] - y * first[..., 0]), -1
+        )
+        lines = torch.cat((torch.stack((x, y, -y, x), -1), begin, length), dim=-1)
+        rows = (torch.cat((x, -y), -1), torch.cat((y, x), -1), -begin.transpose(-1, -2).flatten(-2))
+        return RoadEdges(usable, lines, torch.stack(rows, dim=-2))
+
+    @staticmethod
+    def of(batch: SceneBatch) -> RoadEdges:
+        """Return the road edges around all agents of *batch*, in each agent's frame."""
+        return RoadEdges.between(*road_edges(batch))
+
+    def clearance(self, points: Tensor) -> Tensor:
+        """Return signed distances (B, R, M) of *points* (B, R, M, 2) to the nearest segment, positive to its left.
+
+        ``FAR_M`` where there is none.
+        """
+        which, real = self._nearest(points)
+        line = self.lines.gather(2, which[..., None].expand(*which.shape, self.lines.shape[-1]))
+        along = (points * line[..., :2]).sum(-1) - line[..., 4]
+        left = (points * line[..., 2:4]).sum(-1) - line[..., 5]
+        beyond = along - torch.minimum(along.clamp(min=0.0), line[..., 6])
+        distance = torch.sqrt(left.square() + beyond.square() + 1e-9)
+        return torch.where(real, torch.where(left >= 0.0, distance, -distance), FAR_M)
+
+    @torch.no_grad()
+    def _nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Return which segment is nearest to each point, and whether it counts, (B, R, M) each."""
+        local = torch.cat((points, torch.ones_like(points[..., :1])), dim=-1)
+        along, left = (local @ self.across).chunk(2, dim=-1)  # (B, R, M, S)
+        beyond = along - torch.minimum(along.clamp(min=0.0), self.lines[:, :, None, :, 6])
+        distance = torch.sqrt(torch.addcmul(left.square(), beyond, beyond))
+        # both segments of a corner are equally near; the one that sees the point more from the side knows the side
+        score = distance.sub_(left.abs_(), alpha=CORNER).masked_fill_(~self.usable[:, :, None], FAR_M)
+        which = score.argmin(dim=-1)
+        return which, self.usable.gather(2, which)
+
+
+def road_edges(batch: SceneBatch) -> tuple[Tensor, Tensor, Tensor]:
+    """Return begins and ends (B, A, S, 2) of road edges' segments in each agent's frame, and which count (B, A, S)."""
+    is_edge = batch.map_valid & (batch.map_features[..., _ROAD_EDGE] > 0.5)
+    some: slice | Tensor
+    if is_edge.is_cuda:  # finding out what is empty would take longer than working on it
+        some = slice(LANES_OF[is_edge.shape[-1]], None)
+    else:
+        some = is_edge.flatten(0, 1).any(0)
+        some[0] |= ~some.any()  # one piece to look at, though it counts for nothing
+    pieces, is_edge = batch.map_xy[:, :, some], is_edge[:, :, some]
+    first, last = pieces[..., :-1, :].flatten(2, 3), pieces[..., 1:, :].flatten(2, 3)
+    usable = is_edge[..., None].expand(*is_edge.shape, pieces.shape[3] - 1).flatten(2)
+    return first, last, usable

@@ -21,12 +21,13 @@ import numpy as np
 from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.core.errors import AdvdiffError, InputError
 from advdiff_sumo.core.threads import one_thread_for_good
+from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.experiments.judge_folder import EpisodeTables, open_folder
 from advdiff_sumo.experiments.reference_rerun import ClosedLoop, Driver, close_loop
 from advdiff_sumo.metrics.statistics import cohens_kappa
 from advdiff_sumo.sweep.job_plan import Job, Plan, plan_sweep
 from advdiff_sumo.sweep.repeat import episode_again, of_run
-from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
+from advdiff_sumo.sweep.sweep_store import Store
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def collided(folder: Path) -> Iterator[Candidate]:
     Raises:
         InputError: it holds no run and no sweep, or one of another version.
     """
-    if (folder / SETTINGS).exists():
+    if (folder / SWEEP_SETTINGS).exists():
         store = Store.open(folder)
         plan = plan_sweep(store.spec())
         store.must_match(plan.keys)

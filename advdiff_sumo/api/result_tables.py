@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from advdiff_sumo.api.episode_view import EpisodeView, framed
 from advdiff_sumo.core.errors import FileError, MissingExtraError
+from advdiff_sumo.data.run_tables import RunTables
 from advdiff_sumo.metrics.severity import worst_first
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.run_summary import summary_figures, summary_lines
@@ -75,11 +75,12 @@ class Results:
         Raises:
             FileError: there is no such table.
         """
-        path = self.folder / f"{name}.parquet"
+        tables = RunTables(self.folder)
+        path = tables.path(name)
         if not path.exists():
             known = ", ".join(sorted(p.stem for p in self.folder.glob("*.parquet")))
             raise FileError(path, "no such table", f"known are: {known}")
-        return pq.read_table(path)
+        return tables.rows(name)
 
     @property
     def episodes(self) -> pa.Table:

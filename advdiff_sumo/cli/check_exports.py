@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from rich.console import Console
 from rich.table import Table
 
 from advdiff_sumo.core.record import Controller
+from advdiff_sumo.data.run_tables import RunTables
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.plausibility import Implausibility, implausibilities
 from advdiff_sumo.report.stored_record import stored_record
@@ -18,7 +18,7 @@ from advdiff_sumo.report.stored_record import stored_record
 
 def print_check(console: Console, folder: Path, road: RoadMap) -> None:
     """Print what background vehicles that the policy moved did in the run in *folder*."""
-    states = pq.read_table(folder / "states.parquet")
+    states = RunTables(folder).rows("states")
     findings: list[tuple[int, Implausibility]] = []
     driven = 0
     episodes = np.asarray(states["episode"].to_numpy(), dtype=np.int64)

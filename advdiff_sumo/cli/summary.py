@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow.parquet as pq
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
+from advdiff_sumo.data.run_tables import RunTables
 from advdiff_sumo.report.run_summary import summary_figures, summary_lines
 
 UNEXPLAINED = "neither a plug-in nor the input explains this: please report it, with that command and the net"
@@ -31,8 +31,8 @@ def print_summary(
         missing: episodes that could not be made.
         failures: rows of ``failures.parquet``.
     """
-    rows = pq.read_table(folder / "episodes.parquet").to_pylist()
-    timing = pq.read_table(folder / "timing.parquet").to_pylist()
+    tables = RunTables(folder)
+    rows, timing = tables.rows("episodes").to_pylist(), tables.rows("timing").to_pylist()
     table = Table(
         title=f"{len(rows)} episodes, rates with 95 % Wilson intervals",
         title_justify="left",
@@ -53,7 +53,7 @@ def print_summary(
 
 def run_object(folder: Path) -> dict[str, Any]:
     """Return what ``--json`` prints of a run or sweep: where its results lie and what it came to."""
-    rows = pq.read_table(folder / "episodes.parquet").to_pylist()
+    rows = RunTables(folder).rows("episodes").to_pylist()
     files = {"folder": str(folder.resolve()), "report": str((folder / "report.html").resolve())}
     return files | summary_figures(rows)
 

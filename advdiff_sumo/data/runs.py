@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -10,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from advdiff_sumo.core.errors import LogError, UnknownNameError
 from advdiff_sumo.data.episode_states import STATE_COLUMNS, EpisodeStates, states_of
 from advdiff_sumo.data.log_reader import LogScene
+from advdiff_sumo.data.run_tables import RUN_SETTINGS, RunTables
 
 _REMEDY = "give the folder of a finished run"
 
@@ -28,6 +27,7 @@ class RunReader:
     def __init__(self, folder: str | Path) -> None:
         """Point at a folder with ``run.toml`` and ``states.parquet``."""
         self.folder = Path(folder)
+        self._tables = RunTables(self.folder, LogError, _REMEDY)
 
     @cached_property
     def net(self) -> str:
@@ -36,13 +36,10 @@ class RunReader:
         Raises:
             LogError: the file is missing or damaged.
         """
-        path = self.folder / "run.toml"
         try:
-            settings = tomllib.loads(path.read_text(encoding="utf-8"))
-            return str(settings["options"]["net"])
-        except OSError as error:
-            raise LogError(path, f"cannot be read ({error.strerror})", _REMEDY) from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+            return str(self._tables.settings()["options"]["net"])
+        except (KeyError, TypeError) as error:
+            path = self.folder / RUN_SETTINGS
             raise LogError(path, f"does not say which net the run had ({error})", _REMEDY) from None
 
     def names(self) -> list[str]:
@@ -59,12 +56,10 @@ class RunReader:
         names = self.names()
         if name not in names:
             raise UnknownNameError("episode", name, names)
-        number = int(self._numbers[names.index(name)])
-        path = self.folder / "states.parquet"
+        number, path = self._numbers[names.index(name)], self._tables.path("states")
         try:
-            table = pq.read_table(path, columns=list(STATE_COLUMNS), filters=[("episode", "=", number)])
-            states = _states(table)
-        except (OSError, ValueError, KeyError, pa.ArrowException) as error:
+            states = _states(self._tables.rows("states", STATE_COLUMNS, number))
+        except (ValueError, KeyError) as error:
             raise LogError(path, f"episode {number} cannot be used ({error})", _REMEDY) from None
         parked = np.zeros(states.tracks.agents, dtype=np.bool_)
         return LogScene(name, self.net, states.tracks, states.target, parked, path)
@@ -75,17 +70,11 @@ class RunReader:
 
     @cached_property
     def _numbers(self) -> list[int]:
-        path = self.folder / "states.parquet"
-        try:
-            missing = sorted(set(STATE_COLUMNS) - set(pq.read_schema(path).names))
-            if missing:
-                raise LogError(path, f"lacks the columns {', '.join(missing)}", _REMEDY)
-            column = pq.read_table(path, columns=["episode"])["episode"].to_numpy()
-        except FileNotFoundError:
-            raise LogError(path, "no such table", _REMEDY) from None
-        except (OSError, pa.ArrowException) as error:
-            raise LogError(path, f"is damaged ({' '.join(str(error).split())})", _REMEDY) from None
-        return [int(number) for number in np.unique(column)]
+        self._tables.columns("states", sorted(STATE_COLUMNS))
+        numbers: list[int] = np.unique(
+            self._tables.rows("states", ("episode",))["episode"].to_numpy()
+        ).tolist()
+        return numbers
 
 
 def _states(table: pa.Table) -> EpisodeStates:

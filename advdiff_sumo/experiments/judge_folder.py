@@ -13,11 +13,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.core.worker_pool import futures_of
+from advdiff_sumo.data.run_tables import RUN_SETTINGS, SWEEP_SETTINGS, RunTables
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.arrow_tables import schema_of, table_of
@@ -33,7 +33,7 @@ from advdiff_sumo.sweep.rounds import stored_plan
 from advdiff_sumo.sweep.situation import SITUATION_COLUMNS
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES
-from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
+from advdiff_sumo.sweep.sweep_store import Store
 
 #: What is taken over of an episode's row; the rest stays as it was measured with all that the simulation knew.
 _JUDGED = (
@@ -131,7 +131,7 @@ def open_folder(folder: Path) -> Judging:
     Raises:
         InputError: it is neither, or is damaged.
     """
-    if not (folder / SETTINGS).exists():
+    if not (folder / SWEEP_SETTINGS).exists():
         return _tables(folder, EPISODE_COLUMNS)
     store = Store.open(folder)
     try:
@@ -143,19 +143,18 @@ def open_folder(folder: Path) -> Judging:
 
 def _tables(folder: Path, columns: Mapping[str, Column]) -> Judging:
     """Judge the episodes of the tables in *folder*, whose episodes have *columns*."""
-    settings = folder / (SETTINGS if (folder / SETTINGS).exists() else "run.toml")
-    if not settings.exists():
+    tables = RunTables(folder)
+    if not (tables.is_sweep or (folder / RUN_SETTINGS).exists()):
         raise FileError(folder, "holds no run and no sweep", "give a finished one, or --net with a scenario")
-    net = str(read_toml(settings).get("options", {}).get("net", ""))
-    rows = {int(row["episode"]): row for row in _read(folder / "episodes.parquet").to_pylist()}
+    net = str(tables.settings().get("options", {}).get("net", ""))
+    rows = {int(row["episode"]): row for row in tables.rows("episodes").to_pylist()}
     hits: dict[int, list[dict[str, Any]]] = {number: [] for number in rows}
-    for row in _read(folder / "collisions.parquet").to_pylist():
+    for row in tables.rows("collisions").to_pylist():
         hits[int(row["episode"])].append(row)
 
     def episodes() -> Iterator[tuple[str, EpisodeTables]]:
-        lights = folder / "signals.parquet"
-        signals = _by_episode(_read(lights)) if lights.exists() else None
-        states = _by_episode(_read(folder / "states.parquet"))
+        signals = _by_episode(tables.rows("signals")) if tables.path("signals").exists() else None
+        states = _by_episode(tables.rows("states"))
         for number, row in rows.items():
             if number in states:
                 shown = None if signals is None else signals.get(number)
@@ -166,10 +165,8 @@ def _tables(folder: Path, columns: Mapping[str, Column]) -> Judging:
         rows[int(key)], hits[int(key)] = judged.episode, judged.collisions
 
     def finish() -> None:
-        _replace(folder / "episodes.parquet", list(rows.values()), columns)
-        _replace(
-            folder / "collisions.parquet", [x for some in hits.values() for x in some], COLLISION_COLUMNS
-        )
+        _replace(tables.path("episodes"), list(rows.values()), columns)
+        _replace(tables.path("collisions"), [x for some in hits.values() for x in some], COLLISION_COLUMNS)
 
     return Judging(len(rows), episodes, keep, finish)
 
@@ -285,16 +282,6 @@ def _by_episode(table: pa.Table) -> dict[int, pa.Table]:
     numbers = table["episode"].to_numpy()
     starts = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
     return {int(numbers[a]): table.slice(a, b - a).combine_chunks() for a, b in pairwise(starts) if b > a}
-
-
-def _read(path: Path) -> pa.Table:
-    try:
-        return pq.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        problem = " ".join(str(error).split())
-        raise FileError(
-            path, f"cannot be read ({problem})", "give the folder of a finished run or sweep"
-        ) from None
 
 
 def _replace(path: Path, rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> None:

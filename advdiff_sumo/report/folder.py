@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.data.episode_states import STATE_COLUMNS, EpisodeStates, states_of
+from advdiff_sumo.data.run_tables import RunTables
 from advdiff_sumo.metrics.arrow_tables import upgraded
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, LATER_COLUMNS, Column
 from advdiff_sumo.report.plans import PLAN_COLUMNS, Planned, plans_of
@@ -25,7 +24,6 @@ JOB_COLUMNS = (
     *("background", "background_options", "attack", "root_seed"),
     *("approach", "attacker_manoeuvre", "target_manoeuvre"),
 )
-_REMEDY = "give the folder of a finished run or sweep"
 
 
 @dataclass(frozen=True)
@@ -53,14 +51,18 @@ class FinishedRun:
         Raises:
             FileError: a file of it is missing, damaged or of another version.
         """
-        is_sweep = (folder / "sweep.toml").exists()
-        settings = _settings(folder / ("sweep.toml" if is_sweep else "run.toml"))
-        episodes = _table(folder / "episodes.parquet", EPISODE_COLUMNS, JOB_COLUMNS).to_pylist()
-        collisions = _table(folder / "collisions.parquet", COLLISION_COLUMNS).to_pylist()
-        _require(folder / "states.parquet", STATE_COLUMNS)
+        tables = RunTables(folder)
+        settings = tables.settings()
+        episodes = _rows(tables, "episodes", EPISODE_COLUMNS, JOB_COLUMNS)
+        collisions = _rows(tables, "collisions", COLLISION_COLUMNS)
+        tables.columns("states", STATE_COLUMNS)
         options = _options(settings)
         rows = [_with_job(row, options) for row in sorted(episodes, key=lambda row: int(row["episode"]))]
-        return FinishedRun(folder, settings, is_sweep, tuple(rows), tuple(collisions))
+        return FinishedRun(folder, settings, tables.is_sweep, tuple(rows), tuple(collisions))
+
+    @property
+    def _tables(self) -> RunTables:
+        return RunTables(self.folder)
 
     @property
     def options(self) -> Mapping[str, Any]:
@@ -96,7 +98,7 @@ class FinishedRun:
         Raises:
             FileError: the states are damaged.
         """
-        return self._states(self.folder / "states.parquet", episode)
+        return self._states("states", self._tables.columns("states"), episode)
 
     def natural(self, episode: int) -> EpisodeStates | None:
         """Return what happens in the seed scene of *episode* without attack; None where it was not kept.
@@ -104,11 +106,9 @@ class FinishedRun:
         Raises:
             FileError: the table is damaged.
         """
-        path = self.folder / "unattacked.parquet"
-        if not path.exists():
+        if not self._tables.path("unattacked").exists():
             return None
-        _require(path, STATE_COLUMNS)
-        return self._states(path, episode)
+        return self._states("unattacked", self._tables.columns("unattacked", STATE_COLUMNS), episode)
 
     def signals(self, episode: int) -> pa.Table | None:
         """Return what the traffic lights of *episode* showed; None where the folder was made without.
@@ -116,22 +116,13 @@ class FinishedRun:
         Raises:
             FileError: the table is damaged.
         """
-        path = self.folder / "signals.parquet"
-        if not path.exists():
+        if not self._tables.path("signals").exists():
             return None
-        try:
-            return pq.read_table(path, filters=[("episode", "==", episode)])
-        except (OSError, pa.ArrowException) as error:
-            raise FileError(path, f"is damaged ({_first_line(error)})", _REMEDY) from None
+        return self._tables.rows("signals", episode=episode)
 
-    def _states(self, path: Path, episode: int) -> EpisodeStates | None:
-        try:
-            there = set(pq.read_schema(path).names)
-            columns = [*STATE_COLUMNS, *({"controller"} & there)]
-            table = pq.read_table(path, columns=columns, filters=[("episode", "==", episode)])
-        except (OSError, pa.ArrowException) as error:
-            raise FileError(path, f"is damaged ({_first_line(error)})", _REMEDY) from None
-        return states_of(table)
+    def _states(self, table: str, present: set[str], episode: int) -> EpisodeStates | None:
+        columns = [*STATE_COLUMNS, *({"controller"} & present)]
+        return states_of(self._tables.rows(table, columns, episode))
 
     def plans(self, episode: int) -> tuple[Planned, ...]:
         """Return what was planned in *episode*; nothing where the folder was made without plans.
@@ -139,16 +130,10 @@ class FinishedRun:
         Raises:
             FileError: the plans are damaged.
         """
-        path = self.folder / "plans.parquet"
-        if not path.exists():
+        if not self._tables.path("plans").exists():
             return ()
-        _require(path, ("episode", *PLAN_COLUMNS))
-        try:
-            return plans_of(
-                pq.read_table(path, columns=[*PLAN_COLUMNS], filters=[("episode", "==", episode)])
-            )
-        except (OSError, pa.ArrowException) as error:
-            raise FileError(path, f"is damaged ({_first_line(error)})", _REMEDY) from None
+        self._tables.columns("plans", ("episode", *PLAN_COLUMNS))
+        return plans_of(self._tables.rows("plans", PLAN_COLUMNS, episode))
 
     def logs(self) -> Iterator[tuple[str, str]]:
         """Yield (net, root of the driving log) of all places whose seed scenes came from a log."""
@@ -173,43 +158,14 @@ def _with_job(row: Row, options: Mapping[str, Any]) -> Row:
     return {**row, **own, **blank, "key": "", "scene_key": "", "root_seed": options.get("seed")}
 
 
-def _settings(path: Path) -> Mapping[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FileError(path, "is missing", _REMEDY) from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FileError(path, f"cannot be read ({_first_line(error)})", _REMEDY) from None
-
-
-def _table(path: Path, columns: Mapping[str, Column], welcome: Iterable[str] = ()) -> pa.Table:
+def _rows(
+    tables: RunTables, name: str, columns: Mapping[str, Column], welcome: Iterable[str] = ()
+) -> list[dict[str, Any]]:
     """Return *columns* of a table, and those of *welcome* that it has.
 
     What older versions did not write yet is empty.
     """
-    wanted = list(columns)
-    present = _require(path, [name for name in wanted if name not in LATER_COLUMNS])
-    there = [name for name in wanted if name in present]
-    try:
-        table = pq.read_table(path, columns=[*there, *(name for name in welcome if name in present)])
-    except (OSError, pa.ArrowException) as error:
-        raise FileError(path, f"is damaged ({_first_line(error)})", _REMEDY) from None
-    return upgraded(table, columns)
-
-
-def _require(path: Path, columns: Iterable[str]) -> set[str]:
-    try:
-        present = set(pq.read_schema(path).names)
-    except FileNotFoundError:
-        raise FileError(path, "is missing", _REMEDY) from None
-    except (OSError, pa.ArrowException) as error:
-        raise FileError(path, f"is no Parquet file ({_first_line(error)})", _REMEDY) from None
-    lacking = [name for name in columns if name not in present]
-    if lacking:
-        problem = f"lacks the columns {', '.join(lacking)}"
-        raise FileError(path, problem, "repeat the run with this version of advdiff-sumo")
-    return present
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
+    present = tables.columns(name, [column for column in columns if column not in LATER_COLUMNS])
+    wanted = [column for column in (*columns, *welcome) if column in present]
+    rows: list[dict[str, Any]] = upgraded(tables.rows(name, wanted), columns).to_pylist()
+    return rows

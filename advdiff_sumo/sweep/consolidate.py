@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.data.run_tables import RunTables
 from advdiff_sumo.metrics.arrow_tables import schema_of, table_of, upgraded
 from advdiff_sumo.metrics.columns import Column
 from advdiff_sumo.sweep.job_plan import Job, Plan
@@ -76,11 +75,8 @@ def read_rows(folder: Path, table: str) -> list[dict[str, Any]]:
     Raises:
         FileError: it is missing or damaged.
     """
-    path = folder / f"{table}.parquet"
-    try:
-        rows: list[dict[str, Any]] = pq.read_table(path).to_pylist()
-    except (OSError, pa.ArrowException) as error:
-        raise FileError(path, f"cannot be read ({error})", "repeat advdiff-sumo results") from None
+    tables = RunTables(folder, remedy="repeat advdiff-sumo results")
+    rows: list[dict[str, Any]] = tables.rows(table).to_pylist()
     return rows
 
 

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, FileError, SceneError
+from advdiff_sumo.data.run_tables import RUN_SETTINGS, SWEEP_SETTINGS
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sim.scene_file import scene_from_bytes
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.job_plan import Job, Plan, plan_run, plan_sweep
-from advdiff_sumo.sweep.run_folder import SETTINGS as RUN_SETTINGS
 from advdiff_sumo.sweep.run_folder import RunFolder, read_settings
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
-from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
+from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.work import part_of, run_of
 
 _SHORTEST_KEY = 6
@@ -78,7 +78,7 @@ def of_sweep(key: str, folder: Path | None, among: Path) -> Before:
         plan = plan_sweep(store.spec())
         store.must_match(plan.keys)
         return _kept(store, plan, plan.find(key))
-    for settings_path in sorted(among.glob(f"*/{SETTINGS}")):
+    for settings_path in sorted(among.glob(f"*/{SWEEP_SETTINGS}")):
         store = Store(settings_path.parent)
         plan = plan_sweep(store.spec())
         if any(job.key.startswith(key) for job in plan.jobs):

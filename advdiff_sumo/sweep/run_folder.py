@@ -17,6 +17,7 @@ import tomli_w
 
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.whole_file import ASIDE
+from advdiff_sumo.data.run_tables import RUN_SETTINGS
 from advdiff_sumo.metrics.arrow_tables import schema_of, table_of
 from advdiff_sumo.sim.run_store import LATER_TABLES, TABLES
 from advdiff_sumo.sweep.job_plan import run_key
@@ -27,7 +28,6 @@ from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.table_writer import TableWriter
 from advdiff_sumo.sweep.tasks import Failed
 
-SETTINGS = "run.toml"
 FAILURES = "failures.parquet"
 _PARTS = "parts"
 _BALLAST_BYTES = 8 << 20
@@ -60,7 +60,7 @@ class RunFolder:
             FileError: the folder cannot be written, or holds something else.
             ConfigError: it is of a run with other options.
         """
-        begun = (path / SETTINGS).exists()
+        begun = (path / RUN_SETTINGS).exists()
         new_folders = tuple(folder for folder in (path, *path.parents) if not folder.exists())
         folder = RunFolder(path, new_folders, fresh=not begun)
         if begun:
@@ -70,7 +70,7 @@ class RunFolder:
         try:
             folder._take_apart()
             folder.store.prepare(_BALLAST_BYTES)
-            write_whole(path / SETTINGS, tomli_w.dumps(settings).encode())
+            write_whole(path / RUN_SETTINGS, tomli_w.dumps(settings).encode())
         except (FileError, OSError) as error:
             folder.discard()
             reason = error.strerror if isinstance(error, OSError) else _reason(error)
@@ -87,7 +87,7 @@ class RunFolder:
         if not self.fresh or self.done():
             return
         shutil.rmtree(self.path / _PARTS, ignore_errors=True)
-        for file in (self.path / SETTINGS, *self.path.glob(f"{SETTINGS}*{ASIDE}")):
+        for file in (self.path / RUN_SETTINGS, *self.path.glob(f"{RUN_SETTINGS}*{ASIDE}")):
             with contextlib.suppress(OSError):
                 file.unlink()
         for folder in self.created:
@@ -228,7 +228,7 @@ def read_settings(folder: Path) -> dict[str, Any]:
     Raises:
         FileError: it is missing or damaged.
     """
-    path = folder / SETTINGS
+    path = folder / RUN_SETTINGS
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError:

@@ -16,11 +16,11 @@ import tomli_w
 from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.whole_file import ASIDE
+from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.stored_episode import StoredEpisode, pack, unpack
 from advdiff_sumo.sweep.sweep_files import read_checked, unwritable, write_checked, write_whole
 
-SETTINGS = "sweep.toml"
 _EPISODES, _SCENES, _BALLAST = "episodes", "scenes", "ballast"
 _KEPT_BATCHES = 4
 
@@ -50,7 +50,7 @@ class Store:
         Raises:
             FileError: it holds something, or cannot be written.
         """
-        if (path / SETTINGS).exists():
+        if (path / SWEEP_SETTINGS).exists():
             raise FileError(path, "already holds a sweep", "go on with --resume, or choose a new --out")
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise FileError(path, "is there already and no empty folder", "choose a new --out")
@@ -77,7 +77,7 @@ class Store:
         Raises:
             FileError: it holds no sweep.
         """
-        if not (path / SETTINGS).is_file():
+        if not (path / SWEEP_SETTINGS).is_file():
             raise FileError(path, "holds no sweep", "give the folder that advdiff-sumo sweep wrote")
         return Store(path)
 
@@ -87,13 +87,13 @@ class Store:
         Raises:
             InputError: ``sweep.toml`` is damaged.
         """
-        content = read_toml(self.path / SETTINGS)
+        content = read_toml(self.path / SWEEP_SETTINGS)
         asked = content.get("sweep")
         if not isinstance(asked, dict):
             raise FileError(
-                self.path / SETTINGS, "has no [sweep]", "it is damaged; begin again with a new --out"
+                self.path / SWEEP_SETTINGS, "has no [sweep]", "it is damaged; begin again with a new --out"
             )
-        return SweepSpec.of(asked, str(self.path / SETTINGS))
+        return SweepSpec.of(asked, str(self.path / SWEEP_SETTINGS))
 
     def must_match(self, keys: str) -> None:
         """Refuse the folder when what the keys of its episodes are made of has changed since.
@@ -104,7 +104,7 @@ class Store:
         Raises:
             ConfigError: a net, demand or log is not what it was.
         """
-        begun = read_toml(self.path / SETTINGS).get("keys", keys)
+        begun = read_toml(self.path / SWEEP_SETTINGS).get("keys", keys)
         if begun != keys:
             raise ConfigError(
                 f"{self.path}: a net, demand or log is not what it was when that sweep was begun; "
@@ -113,7 +113,7 @@ class Store:
 
     def _begin(self, settings: Mapping[str, Any], ballast_bytes: int) -> Store:
         self.prepare(ballast_bytes)
-        write_whole(self.path / SETTINGS, tomli_w.dumps(settings).encode())
+        write_whole(self.path / SWEEP_SETTINGS, tomli_w.dumps(settings).encode())
         return self
 
     def prepare(self, ballast_bytes: int) -> None:

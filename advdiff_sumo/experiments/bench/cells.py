@@ -9,6 +9,7 @@ from typing import Any
 
 import tomli_w
 
+from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import SceneList
 from advdiff_sumo.sim.sim_options import SimOptions
@@ -17,7 +18,7 @@ from advdiff_sumo.sweep.job_plan import Job, Plan, plan_sweep
 from advdiff_sumo.sweep.spec import Case, SweepSpec
 from advdiff_sumo.sweep.sweep_files import write_whole
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep, settings_of
-from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
+from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Failed, Limits
 
 _RETRIES = 2
@@ -109,9 +110,9 @@ def open_bench_store(path: Path, plan: Plan, workers: int) -> Store:
     Raises:
         FileError: the folder cannot be written.
     """
-    begun = (path / SETTINGS).exists()
+    begun = (path / SWEEP_SETTINGS).exists()
     if begun:
-        write_whole(path / SETTINGS, tomli_w.dumps(settings_of(plan)).encode())
+        write_whole(path / SWEEP_SETTINGS, tomli_w.dumps(settings_of(plan)).encode())
     return open_store(path, plan, workers, begun)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.experiments.bench import adversarial, defect_cells, fewshot, transfer
 from advdiff_sumo.experiments.bench.adversarial import plan_adversarial, run_adversarial
 from advdiff_sumo.experiments.bench.bench_config import BenchName, Folder, Request
@@ -20,7 +21,7 @@ from advdiff_sumo.experiments.bench.table import Table
 from advdiff_sumo.experiments.bench.table_cache import save
 from advdiff_sumo.experiments.bench.transfer import plan_transfer, run_transfer
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs
-from advdiff_sumo.sweep.sweep_store import SETTINGS, Store
+from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
 
 #: What a bench asks for where the user does not say; together within three hours on two cores.
@@ -82,7 +83,7 @@ def _foretell(
     cells: BenchCells, folder: Folder, workers: int, limits: Limits, teller: ProgressReporter
 ) -> None:
     """Say how many episodes there are, and how long those that are left will take."""
-    store = Store(folder.sweep) if (folder.sweep / SETTINGS).exists() else None
+    store = Store(folder.sweep) if (folder.sweep / SWEEP_SETTINGS).exists() else None
     todo = RemainingJobs.of(cells.plan, store)
     teller.say(f"{len(cells.plan.jobs)} episodes in {len(cells.cells)} cells; {len(todo.jobs)} to do")
     expected = forecast(cells, todo.jobs, folder.request.horizon_s, limits)

@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from advdiff_sumo.core.errors import SimulationError, StartRefusedError
+from advdiff_sumo.maps.sumo_files import sumo_home
 
 _log = logging.getLogger(__name__)
 
@@ -137,8 +138,7 @@ def load_api(gui: bool = False) -> Any:
 
 def _binary(name: str) -> str:
     """Return the path of one of SUMO's programs, from its wheel."""
-    home = Path(importlib.import_module("sumo").SUMO_HOME)
-    path = home / "bin" / name
+    path = sumo_home() / "bin" / name
     return str(path) if path.exists() else name
 
 

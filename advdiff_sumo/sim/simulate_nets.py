@@ -15,6 +15,7 @@ from defusedxml.ElementTree import parse as parse_xml
 
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.maps.sumo_files import drop_header
 from advdiff_sumo.sim.simulate_motorway import motorway_plan
 from advdiff_sumo.sim.simulate_plan import PlanEdge, StreetPlan, bend
 
@@ -180,10 +181,7 @@ def _convert(plan: StreetPlan, folder: Path, path: Path, lefthand: bool, rng: np
         "precision": "3",
     }
     _call("netconvert", [f"--{k}={v}" for k, v in sorted(options.items())], path)
-    text = path.read_text(encoding="utf-8")
-    start, end = text.find("<!--"), text.find("-->")
-    if 0 <= start < end:  # the header holds the time and this machine's paths
-        path.write_text(text[:start].rstrip() + "\n" + text[end + 3 :].lstrip(), encoding="utf-8")
+    drop_header(path)
 
 
 def _call(program: str, options: Sequence[str], made: Path) -> None:

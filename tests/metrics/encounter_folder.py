@@ -11,7 +11,7 @@ from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.sim.episode import Timing
 from advdiff_sumo.sim.run_store import episode_tables
 from advdiff_sumo.sweep.run_folder import RunFolder
-from advdiff_sumo.sweep.stored_episode import Part
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from tests.metrics.encounters import braking, crossing, driven, record_of, signals_of, straight
 
 STEPS = 61
@@ -36,6 +36,6 @@ def encounter_folder(place: Path) -> Path:
     for number, crew in enumerate((late, red, near)):
         record = record_of(*crew, signals=lights, episode_number=number)
         rows = episode_row(record, road), collision_rows(record, road)
-        folder.add(number, Part(episode_tables(record, *rows, Timing(1.0, (), ())), None))
+        folder.add(number, StoredEpisode(episode_tables(record, *rows, Timing(1.0, (), ())), None))
     folder.consolidate(finished=True)
     return folder.path

@@ -9,6 +9,7 @@ from pathlib import Path
 import sumolib
 
 from advdiff_sumo.core.errors import NetError
+from advdiff_sumo.maps.sumo_files import drop_header
 
 PRECISION = "4"
 TIMEOUT_S = 600
@@ -58,16 +59,8 @@ def run_netconvert(
         raise NetError(
             out_net, "netconvert refused the plan: " + " ".join(lines[:3]), "this is a fault of the converter"
         )
-    _drop_date(out_net)
+    drop_header(out_net)
     return tuple(line for line in lines if line.startswith("Warning"))
-
-
-def _drop_date(net: Path) -> None:
-    """Take out netconvert's header, which holds the time and paths, so that equal maps give equal bytes."""
-    text = net.read_text(encoding="utf-8")
-    start, end = text.find("<!--"), text.find("-->")
-    if 0 <= start < end:
-        net.write_text(text[:start].rstrip() + "\n" + text[end + 3 :].lstrip(), encoding="utf-8")
 
 
 EXPLAINED = {

@@ -16,7 +16,7 @@ from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL
-from advdiff_sumo.traffic.manoeuvres.priority_traffic import approaches
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import Approach, approaches
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
@@ -67,18 +67,14 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Newcomer:
-    """Somebody who comes in.
+class Newcomer(Approach):
+    """Somebody who comes in; its way begins where it is now.
 
     Attributes:
-        way: begins where it is now.
-        speed_mps: its speed.
         agent_class: what it is.
         name: its id, once it is sure to come in.
     """
 
-    way: Way
-    speed_mps: float
     agent_class: AgentClass = AgentClass.CAR
     name: str = ""
 

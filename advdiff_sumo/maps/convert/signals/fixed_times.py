@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import subprocess
 import sys
 import tempfile
@@ -15,6 +14,7 @@ from advdiff_sumo.maps.convert.netconvert import TIMEOUT_S
 from advdiff_sumo.maps.convert.signals.change_intervals import LONGEST_ALL_RED_S
 from advdiff_sumo.maps.convert.signals.programs import SHORTEST_GREEN_S
 from advdiff_sumo.maps.read_net import read_root
+from advdiff_sumo.maps.sumo_files import sumo_home
 
 HOUR_S = 3600.0
 SEED = 1
@@ -84,9 +84,8 @@ def _greens(net: Path, folder: Path, vehicles_per_hour: int, lost_s: int) -> dic
 
 
 def _run(net: Path, tool: str, options: dict[str, object]) -> None:
-    home = Path(importlib.import_module("sumo").SUMO_HOME)
     words = [str(word) for option in options.items() for word in option]
-    command = [sys.executable, str(home / "tools" / tool), *words]
+    command = [sys.executable, str(sumo_home() / "tools" / tool), *words]
     done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     if done.returncode != 0:
         reason = next(

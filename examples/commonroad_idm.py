@@ -69,10 +69,10 @@ class CommonRoadIdm:
     def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> tuple[Plan, Any]:
         """Return 2 s of states at 0.1 s; a stop where the route's lane is not found."""
         del rng
-        found = _lane_ahead(road, scene)
-        if found is None:
+        lane = _lane_ahead(road, scene)
+        if lane is None:
             return Controls(np.full(STEPS, -_LOST_BRAKE_MPS2), np.zeros(STEPS), STEP_S), memory
-        line, limit_mps = found
+        line, limit_mps = lane
         speed = self._speeds(scene, line, limit_mps)
         return _driven(scene, line, speed), memory
 

@@ -66,8 +66,10 @@ class Returns(BaseCallback):
 
 def make(net: str, background: str) -> Monitor[np.ndarray, np.ndarray]:
     """Return one environment that keeps the return of each episode."""
-    made = gymnasium.make(ENVIRONMENT, net=net, background=background, horizon_s=HORIZON_S, scenes=SCENES)
-    return Monitor(made)
+    environment = gymnasium.make(
+        ENVIRONMENT, net=net, background=background, horizon_s=HORIZON_S, scenes=SCENES
+    )
+    return Monitor(environment)
 
 
 def train(
@@ -179,7 +181,7 @@ def main() -> None:
     draws = np.random.default_rng(0)
     where = (options.evaluate, options.net, options.background)
     random = evaluate(lambda _: draws.uniform(-1.0, 1.0, 2).astype(np.float32), *where)
-    trained = evaluate(lambda seen: model.predict(seen, deterministic=True)[0], *where)
+    trained = evaluate(lambda observation: model.predict(observation, deterministic=True)[0], *where)
     write(options.out / "evaluation.csv", random=random, trained=trained)
     draw(episodes, random, trained).savefig(options.out / "curve.png", dpi=120)
     first, last = tenths(episodes, options.steps)

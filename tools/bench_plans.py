@@ -71,7 +71,7 @@ def crowd(road: RoadMap, vehicles: int, seed: int) -> Scene:
 
 
 def measure(
-    road: RoadMap, made: DiffusionTraffic, vehicles: int, plans: int, watch: Stopwatch
+    road: RoadMap, policy: DiffusionTraffic, vehicles: int, plans: int, watch: Stopwatch
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (plans,) milliseconds of each plan and (plans, stages) of its parts."""
     rng = np.random.default_rng(vehicles)
@@ -79,10 +79,10 @@ def measure(
     scenes = [crowd(road, vehicles, seed) for seed in range(4)]
     for number in range(plans + 5):
         scene = scenes[number % len(scenes)]
-        memory = made.start(road, scene, None, rng)
+        memory = policy.start(road, scene, None, rng)
         watch.spent.clear()
         begun = watch.clock()
-        made.plan(road, scene, memory, rng)
+        policy.plan(road, scene, memory, rng)
         totals.append(1e3 * (watch.clock() - begun))
         parts.append([1e3 * watch.spent[stage] for stage in STAGES])
     return np.array(totals[5:]), np.array(parts[5:])
@@ -117,14 +117,14 @@ def main() -> None:
     watch.wrap(background_plan, "apply_safeguard", "safeguard")
     console = Console(width=120)
     for guide in arguments.guide:
-        made = DiffusionTraffic(weights=arguments.weights, guide=guide, licence=arguments.licence)
-        how = f"guide {guide}, {arguments.licence}, {made.options.steps} steps"
+        policy = DiffusionTraffic(weights=arguments.weights, guide=guide, licence=arguments.licence)
+        how = f"guide {guide}, {arguments.licence}, {policy.options.steps} steps"
         title = f"one plan in ms ({arguments.clock} time), {road.name}, {how}"
         table = Table(title=title, title_justify="left")
         for name in ("vehicles", "median", "99 %", *STAGES, "SUMO", "× real time"):
             table.add_column(name, justify="right")
         for vehicles in arguments.vehicles:
-            total, parts = measure(road, made, vehicles, arguments.plans, watch)
+            total, parts = measure(road, policy, vehicles, arguments.plans, watch)
             sumo = 5e3 / sumo_rate(road, vehicles)
             share = [f"{value:.1f}" for value in np.median(parts, axis=0)]
             median, late = np.median(total), np.percentile(total, 99)
@@ -134,25 +134,25 @@ def main() -> None:
             )
         console.print(table)
     if arguments.device:
-        made = DiffusionTraffic(weights=arguments.weights, guide="none", device=arguments.device)
-        console.print(batched(road, made, arguments.vehicles, arguments.batches))
+        policy = DiffusionTraffic(weights=arguments.weights, guide="none", device=arguments.device)
+        console.print(batched(road, policy, arguments.vehicles, arguments.batches))
 
 
-def batched(road: RoadMap, made: DiffusionTraffic, vehicles: list[int], batches: list[int]) -> Table:
+def batched(road: RoadMap, policy: DiffusionTraffic, vehicles: list[int], batches: list[int]) -> Table:
     """Return scenes per second, by vehicles and by scenes that are sampled at once."""
-    device = made.networks.device
-    table = Table(title=f"scenes per second on {device}, {made.options.steps} steps", title_justify="left")
+    device = policy.networks.device
+    table = Table(title=f"scenes per second on {device}, {policy.options.steps} steps", title_justify="left")
     for name in ("vehicles", *(f"{count} at once" for count in batches)):
         table.add_column(name, justify="right")
     for number in vehicles:
         batch = look(road, crowd(road, number, 0)).batch.to(device)
-        table.add_row(str(number), *(f"{sampling_rate(made, batch.repeat(n)):.0f}" for n in batches))
+        table.add_row(str(number), *(f"{sampling_rate(policy, batch.repeat(n)):.0f}" for n in batches))
     return table
 
 
-def sampling_rate(made: DiffusionTraffic, batch: SceneBatch, rounds: int = 5) -> float:
+def sampling_rate(policy: DiffusionTraffic, batch: SceneBatch, rounds: int = 5) -> float:
     """Return scenes per second of encoder, denoiser and decoder on *batch*."""
-    networks, generator, times = made.networks, torch.Generator().manual_seed(0), []
+    networks, generator, times = policy.networks, torch.Generator().manual_seed(0), []
     latent = networks.bundle.options.model.latent
     for _ in range(rounds + 2):
         begun = time.perf_counter()

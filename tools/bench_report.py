@@ -66,8 +66,8 @@ def multiplied(source: Path, folder: Path, episodes: int, vehicles: int) -> Path
                 part = _crowded(part, vehicles)
             at = part.column_names.index("episode")
             parts[name].append(part.set_column(at, "episode", pa.array(np.full(part.num_rows, number))))
-    for name, found in parts.items():
-        pq.write_table(pa.concat_tables(found), folder / f"{name}.parquet", compression="zstd")
+    for name, tables in parts.items():
+        pq.write_table(pa.concat_tables(tables), folder / f"{name}.parquet", compression="zstd")
     settings = source / "run.toml"
     if settings.exists():
         shutil.copy(settings, folder)
@@ -84,7 +84,7 @@ def _as_run(folder: Path) -> None:
 def _crowded(states: pa.Table, vehicles: int) -> pa.Table:
     """Add copies of all vehicles but the target, moved by some metres each, until there are enough."""
     others = states.filter(pc.invert(states["is_target"]))
-    found, have, copy = [states], len(pc.unique(states["agent"])), 0
+    copies, have, copy = [states], len(pc.unique(states["agent"])), 0
     each = max(1, have - 1)
     while have < vehicles and others.num_rows:
         copy += 1
@@ -92,9 +92,9 @@ def _crowded(states: pa.Table, vehicles: int) -> pa.Table:
         for name, by in (("x_m", 3.1 * copy), ("y_m", -2.3 * copy)):
             moved = moved.set_column(moved.column_names.index(name), name, pc.add(others[name], by))
         names = pc.binary_join_element_wise(others["agent"], f"c{copy}", "-")
-        found.append(moved.set_column(moved.column_names.index("agent"), "agent", names))
+        copies.append(moved.set_column(moved.column_names.index("agent"), "agent", names))
         have += each
-    return pa.concat_tables(found)
+    return pa.concat_tables(copies)
 
 
 def opened(page_file: Path, program: str) -> dict[str, Any]:
@@ -132,9 +132,9 @@ def main() -> int:
         if program is None:
             print("no Chromium here: not opened")
             return 0
-        found = opened(page, program)
-    gaps, draws = found["gaps_ms"], found["draws_ms"]
-    print(f"opened in {found['load_s']:.2f} s; {found['vehicles']} vehicles in the first episode")
+        timing = opened(page, program)
+    gaps, draws = timing["gaps_ms"], timing["draws_ms"]
+    print(f"opened in {timing['load_s']:.2f} s; {timing['vehicles']} vehicles in the first episode")
     for name, values in (("between frames while playing", gaps), ("to draw an instant", draws)):
         worst = float(np.percentile(values, 95))
         print(f"{name}: median {statistics.median(values):.1f} ms, 95 % {worst:.1f} ms ({len(values)})")

@@ -94,7 +94,7 @@ class Worker:
 def workers_of(rows: list[dict[str, Any]]) -> list[Worker]:
     """Return the workers behind the rows of ``timing``."""
     ordered = sorted(rows, key=lambda row: (row["worker"], row["episode"]))
-    grouped = (list(found) for _, found in groupby(ordered, key=lambda row: row["worker"]))
+    grouped = (list(group) for _, group in groupby(ordered, key=lambda row: row["worker"]))
     return [
         Worker(np.array([row["rss_mb"] for row in own]), max(row["peak_mb"] for row in own))
         for own in grouped
@@ -104,9 +104,9 @@ def workers_of(rows: list[dict[str, Any]]) -> list[Worker]:
 def missed(workers: list[Worker], ratio: float) -> list[str]:
     """Return which of ``BARS`` are missed."""
     grown = max((w.growth_mb for w in workers if w.growth_mb is not None), default=0.0)
-    found = {"growth": grown > BARS["growth"], "rate": ratio < BARS["rate"]}
-    found["peak"] = any(w.peak_mb > BARS["peak"] for w in workers)
-    return [f"{name}: not within {BARS[name]:g}" for name, bad in sorted(found.items()) if bad]
+    misses = {"growth": grown > BARS["growth"], "rate": ratio < BARS["rate"]}
+    misses["peak"] = any(w.peak_mb > BARS["peak"] for w in workers)
+    return [f"{name}: not within {BARS[name]:g}" for name, bad in sorted(misses.items()) if bad]
 
 
 def main() -> int:

@@ -22,17 +22,17 @@ def anchors(text: str) -> set[str]:
 
 def broken(page: Path) -> list[str]:
     """Return a line for each link of *page* that leads nowhere."""
-    found = []
+    problems = []
     for target in _LINK.findall(_FENCE.sub("", page.read_text(encoding="utf-8"))):
         if re.match(r"[a-z]+:", target):
             continue
         name, _, anchor = target.partition("#")
         goal = (page.parent / name) if name else page
         if not goal.exists():
-            found.append(f"{page}: no such file: {target}")
+            problems.append(f"{page}: no such file: {target}")
         elif anchor and goal.suffix == ".md" and anchor not in anchors(goal.read_text(encoding="utf-8")):
-            found.append(f"{page}: no such heading: {target}")
-    return found
+            problems.append(f"{page}: no such heading: {target}")
+    return problems
 
 
 def main() -> int:

@@ -97,11 +97,11 @@ def compared(given: argparse.Namespace, keep: Path) -> tuple[Counter[tuple[str, 
     counts: Counter[tuple[str, bool, bool]] = Counter()
     failed = []
     for (_, record, road), path in zip(scenes, paths, strict=True):
-        told = answers.get(str(path), {"failed": "no answer"})
-        if "failed" in told:
-            failed.append(f"{path.name}: {told['failed']}")
+        answer = answers.get(str(path), {"failed": "no answer"})
+        if "failed" in answer:
+            failed.append(f"{path.name}: {answer['failed']}")
         else:
-            count(counts, record, road, told, obstacles(path))
+            count(counts, record, road, answer, obstacles(path))
     return counts, failed
 
 
@@ -116,15 +116,15 @@ def moving(folder: Path, net: str) -> Iterator[tuple[str, EpisodeRecord, RoadMap
 def obstacles(path: Path) -> dict[str, str]:
     """Return number → name of the obstacles, the target's as "target"."""
     pattern = r'<dynamicObstacle id="(\d+)">\s*<!--\s*(target|agent): (.*?)\s*-->'
-    found = re.findall(pattern, path.read_text(encoding="utf-8"))
-    return {number: "target" if role == "target" else name for number, role, name in found}
+    matches = re.findall(pattern, path.read_text(encoding="utf-8"))
+    return {number: "target" if role == "target" else name for number, role, name in matches}
 
 
 def monitored(python: str, paths: list[Path], keep: Path) -> dict[str, Answers]:
     """Return the monitor's answers by file; those in *keep* are not asked for again."""
     store = keep / "answers.jsonl"
     known = [json.loads(line) for line in store.read_text().splitlines()] if store.exists() else []
-    answers = {told["path"]: told for told in known}
+    answers = {answer["path"]: answer for answer in known}
     asked = [path for path in paths if str(path) not in answers]
     pairs = [text for path in asked for text in (str(path), target_number(path))]
     with store.open("a") as lines:
@@ -132,8 +132,8 @@ def monitored(python: str, paths: list[Path], keep: Path) -> dict[str, Answers]:
         started = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         for line in started.stdout or ():
             if line.startswith("{"):
-                told = json.loads(line)
-                answers[told["path"]] = told
+                answer = json.loads(line)
+                answers[answer["path"]] = answer
                 lines.write(line)
                 lines.flush()
         started.wait()
@@ -149,7 +149,7 @@ def count(
     counts: Counter[tuple[str, bool, bool]],
     record: EpisodeRecord,
     road: RoadMap,
-    told: Answers,
+    answers: Answers,
     names: dict[str, str],
 ) -> None:
     """Add the instants of one scene to *counts*."""
@@ -158,14 +158,14 @@ def count(
     ahead = following(tracks, target, road, record.route)
     speed = tracks.speed_mps[target]
     spare_m = ahead.gap_m - safe_gap_m(speed + 0.0 * ahead.gap_m, speed - ahead.closing_mps)
-    for step in told["steps"]:
+    for step in answers["steps"]:
         ours = {tracks.ids[row] for row in np.flatnonzero(spare_m[:, step] < 0.0).tolist()}  # NaN: not ahead
-        theirs = {names[str(number)] for number in told["unsafe"].get(str(step), ())}
+        theirs = {names[str(number)] for number in answers["unsafe"].get(str(step), ())}
         counts["safe distance", bool(ours), bool(theirs)] += 1
         if bool(ours) != bool(theirs):
             rows = [tracks.index[name] for name in ours | theirs]
             counts[why_apart(spare_m[rows, step], ahead.gap_m[rows, step]), bool(ours), bool(theirs)] += 1
-    for number, steps in told["too_fast"].items():
+    for number, steps in answers["too_fast"].items():
         row = target if names[number] == "target" else tracks.index[names[number]]
         limits, over = road.legal_limits_mps, set(steps)
         for step in np.flatnonzero(tracks.valid[row]).tolist():

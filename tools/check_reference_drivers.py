@@ -112,11 +112,11 @@ def _by_model(
     unknown = sorted(set(columns["model"]) - set(MODELS))
     if unknown:
         raise InputError(f"{path}: no model '{unknown[0]}'; known are {', '.join(MODELS)}")
-    found = {}
+    outcomes = {}
     for name in (x for x in MODELS if x in set(columns["model"])):
         keys = {key: values[key][model == name] for key in names}
-        found[name] = keys, outcome(MODELS[name], keys), values["crash"][model == name] > 0.5
-    return found
+        outcomes[name] = keys, outcome(MODELS[name], keys), values["crash"][model == name] > 0.5
+    return outcomes
 
 
 def _numbers(path: Path, columns: Columns, names: tuple[str, ...]) -> dict[str, FloatArray]:

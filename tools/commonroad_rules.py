@@ -88,10 +88,10 @@ def main():
     for path, own in zip(sys.argv[1::2], sys.argv[2::2], strict=True):
         with contextlib.redirect_stdout(io.StringIO()):
             try:
-                told = judged(path, int(own))
+                answer = judged(path, int(own))
             except Exception as error:  # noqa: BLE001 - whatever it raises is its answer
-                told = {"path": path, "failed": f"{type(error).__name__}: {error}"}
-        print(json.dumps(told), flush=True)
+                answer = {"path": path, "failed": f"{type(error).__name__}: {error}"}
+        print(json.dumps(answer), flush=True)
 
 
 if __name__ == "__main__":

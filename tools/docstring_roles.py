@@ -12,7 +12,7 @@ _ROLE = re.compile(r":(?:class|func|meth|attr|data|mod|exc):`(~?)([\w.]+)`")
 
 def without_roles(text: str) -> str:
     """Return *text* with each role as code; behind ``~`` stands the last part of the name alone."""
-    return _ROLE.sub(lambda found: f"`{found[2].rpartition('.')[2] if found[1] else found[2]}`", text)
+    return _ROLE.sub(lambda match: f"`{match[2].rpartition('.')[2] if match[1] else match[2]}`", text)
 
 
 class DocstringRoles(griffe.Extension):

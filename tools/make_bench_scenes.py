@@ -47,16 +47,16 @@ def main() -> int:
     stale = 0
     for name, (per_net, seed, about, scene, horizon_s) in LISTS.items():
         if asked.only in (None, name):
-            made = make_list(per_net, seed, about, scene=scene, horizon_s=horizon_s)
+            scene_list = make_list(per_net, seed, about, scene=scene, horizon_s=horizon_s)
             path = FOLDER / f"{name}.json"
             with tempfile.TemporaryDirectory() as aside:
-                write_scene_list(Path(aside) / path.name, made)
+                write_scene_list(Path(aside) / path.name, scene_list)
                 content = (Path(aside) / path.name).read_bytes()
             if not asked.check:
                 path.write_bytes(content)
             elif not path.exists() or path.read_bytes() != content:
                 stale += 1
-            print(f"{path.name}: {len(made.scenes)} scenes, sha256 {made.sha256}")
+            print(f"{path.name}: {len(scene_list.scenes)} scenes, sha256 {scene_list.sha256}")
     if stale:
         print(f"{stale} lists are not what this tool makes")
     return min(stale, 1)

@@ -88,14 +88,14 @@ def _value(text: str) -> int | float | str:
 
 def results(cells: BenchCells, store: Store) -> dict[tuple[str, str], Result]:
     """Return the result of each configuration and target."""
-    found: dict[tuple[str, str], list[tuple[dict[str, Any], float]]] = {}
+    rows_of: dict[tuple[str, str], list[tuple[dict[str, Any], float]]] = {}
     for cell, job in cells.jobs():
-        rows = found.setdefault((cell.row, cell.target), [])
+        rows = rows_of.setdefault((cell.row, cell.target), [])
         part = store.read(job.key)
         if part is not None and "episodes" in part.tables:
             (row,), (timing,) = part.tables["episodes"].to_pylist(), part.tables["timing"].to_pylist()
             rows.append((row, timing["wall_s"]))
-    return {key: Result.of(rows) for key, rows in found.items()}
+    return {key: Result.of(rows) for key, rows in rows_of.items()}
 
 
 class Printed:
@@ -129,11 +129,11 @@ def measure(
     folder: Path,
 ) -> dict[tuple[str, str], Result]:
     """Run what *folder* lacks and return all results."""
-    made = [(text, *options_of(text)) for text in configurations]
+    configured = [(text, *options_of(text)) for text in configurations]
     cells = plan_cells(
         [
             BenchCell(text, target, policy, background_options={**policy_row(policy).options, **options})
-            for text, policy, options in made
+            for text, policy, options in configured
             for target in targets
         ],
         scenes,
@@ -145,10 +145,10 @@ def measure(
     return results(cells, store)
 
 
-def write(found: dict[tuple[str, str], Result], path: Path) -> None:
+def write(results: dict[tuple[str, str], Result], path: Path) -> None:
     """Write the table as Markdown."""
     rows = [COLUMNS, ("---",) * len(COLUMNS)]
-    rows += [(f"`{text}`", target, *result.cells()) for (text, target), result in found.items()]
+    rows += [(f"`{text}`", target, *result.cells()) for (text, target), result in results.items()]
     path.write_text("".join(f"| {' | '.join(row)} |\n" for row in rows), encoding="utf-8")
 
 

@@ -128,10 +128,10 @@ def read_keyframes(folder: Path, scenes: Sequence[SceneEntry]) -> list[Keyframes
     return result
 
 
-def _keyframes(found: Sequence[tuple[int, str]]) -> Keyframes:
-    gaps_s = np.diff([time_us for time_us, _ in found]) * 1e-6
+def _keyframes(timed_tokens: Sequence[tuple[int, str]]) -> Keyframes:
+    gaps_s = np.diff([time_us for time_us, _ in timed_tokens]) * 1e-6
     jumps = np.maximum(1, np.rint(gaps_s / KEYFRAME_S)).astype(np.int64)
-    return Keyframes(tuple(token for _, token in found), np.concatenate(([0], np.cumsum(jumps))))
+    return Keyframes(tuple(token for _, token in timed_tokens), np.concatenate(([0], np.cumsum(jumps))))
 
 
 def read_ego_poses(folder: Path, keyframes: Sequence[Keyframes]) -> list[FloatArray]:

@@ -159,8 +159,8 @@ class _Restricted(pickle.Unpickler):
         raise pickle.UnpicklingError(f"it refers to outside data {pid!r}")
 
 
-def _state_of(found: type) -> Any:
-    own = getattr(found, "__setstate__", None)
+def _state_of(kind: type) -> Any:
+    own = getattr(kind, "__setstate__", None)
     return own if own is not None else _no_state
 
 

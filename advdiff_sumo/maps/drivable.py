@@ -116,9 +116,9 @@ class DrivableArea:
         return distance
 
 
-def geometries(made: object) -> NDArray[np.object_]:
+def geometries(shapes: object) -> NDArray[np.object_]:
     """Return what a shapely constructor made as an array (N,), for one geometry too."""
-    return np.atleast_1d(np.asarray(made, dtype=np.object_))
+    return np.atleast_1d(np.asarray(shapes, dtype=np.object_))
 
 
 def _split(part: BaseGeometry, tiles: list[BaseGeometry]) -> None:

@@ -24,14 +24,14 @@ class SumoComparison:
     ours_only: int
 
 
-def background_collisions(record: EpisodeRecord, found: Sequence[Collision]) -> list[Collision]:
-    """Return those of *found* without the target that were not there from the beginning, replayed pairs left out."""
-    return [c for c in _among_background(record, found) if not both_replayed(record, c)]
+def background_collisions(record: EpisodeRecord, contacts: Sequence[Collision]) -> list[Collision]:
+    """Return those of *contacts* without the target that were not there from the beginning, replayed pairs left out."""
+    return [c for c in _among_background(record, contacts) if not both_replayed(record, c)]
 
 
-def replayed_collisions(record: EpisodeRecord, found: Sequence[Collision]) -> list[Collision]:
-    """Return those of *found* in which two road users touch that both follow their log: the log's, not ours."""
-    return [c for c in _among_background(record, found) if both_replayed(record, c)]
+def replayed_collisions(record: EpisodeRecord, contacts: Sequence[Collision]) -> list[Collision]:
+    """Return those of *contacts* in which two road users touch that both follow their log: the log's, not ours."""
+    return [c for c in _among_background(record, contacts) if both_replayed(record, c)]
 
 
 def both_replayed(record: EpisodeRecord, collision: Collision) -> bool:
@@ -39,8 +39,8 @@ def both_replayed(record: EpisodeRecord, collision: Collision) -> bool:
     return bool((record.controller[list(collision.rows), collision.step] == Controller.REPLAYED).all())
 
 
-def _among_background(record: EpisodeRecord, found: Sequence[Collision]) -> list[Collision]:
-    return [c for c in found if record.target not in c.rows and not c.initial]
+def _among_background(record: EpisodeRecord, contacts: Sequence[Collision]) -> list[Collision]:
+    return [c for c in contacts if record.target not in c.rows and not c.initial]
 
 
 def compare_with_sumo(record: EpisodeRecord, touches: Touches | None = None) -> SumoComparison:

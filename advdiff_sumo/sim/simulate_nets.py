@@ -184,12 +184,12 @@ def _convert(plan: StreetPlan, folder: Path, path: Path, lefthand: bool, rng: np
     drop_header(path)
 
 
-def _call(program: str, options: Sequence[str], made: Path) -> None:
+def _call(program: str, options: Sequence[str], net: Path) -> None:
     command = [sumolib.checkBinary(program), *options]
     done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
     if done.returncode != 0:
         lines = [line for line in done.stderr.splitlines() if line.startswith("Error")]
-        raise NetError(made, f"{program} refused a random net: {' '.join(lines[:2])}", "take another --seed")
+        raise NetError(net, f"{program} refused a random net: {' '.join(lines[:2])}", "take another --seed")
 
 
 def _elements(path: Path, tag: str) -> list[ET.Element]:

@@ -77,13 +77,13 @@ STREETS = (
 
 def plan() -> Plan:
     """Lay out the district."""
-    made = Plan("downtown-left", lefthand=True)
+    district = Plan("downtown-left", lefthand=True)
     kinds = dict.fromkeys(SIGNALS, "traffic_light") | dict.fromkeys(ALL_WAY_STOP, "allway_stop")
     kinds |= dict.fromkeys(RIGHT_BEFORE_LEFT, "right_before_left")
     for name, xy in (JUNCTIONS | FRINGE).items():
-        made.add_node(Node(name, xy, kinds.get(name, "priority")))
+        district.add_node(Node(name, xy, kinds.get(name, "priority")))
     for street in STREETS:
-        lay(made, street)
-    lay_roundabout(made, RING, ARMS)
-    connect(made)
-    return made
+        lay(district, street)
+    lay_roundabout(district, RING, ARMS)
+    connect(district)
+    return district

@@ -142,16 +142,16 @@ def _ramps() -> list[Ramp]:
 
 def plan() -> Plan:
     """Lay out both carriageways, the ramps, the roads beside them and the service area."""
-    made = Plan("motorway")
-    lay_carriageway(made, EASTBOUND)
-    lay_carriageway(made, WESTBOUND)
-    motorway_nodes = frozenset(made.nodes)
+    layout = Plan("motorway")
+    lay_carriageway(layout, EASTBOUND)
+    lay_carriageway(layout, WESTBOUND)
+    motorway_nodes = frozenset(layout.nodes)
     kinds = dict.fromkeys(SIGNALS, "traffic_light") | dict.fromkeys(RIGHT_BEFORE_LEFT, "right_before_left")
     for name, (station, offset) in PLACES.items():
         x, y = AXIS.at(station, offset)[0]
-        made.add_node(Node(name, (float(x), float(y)), kinds.get(name, "priority")))
+        layout.add_node(Node(name, (float(x), float(y)), kinds.get(name, "priority")))
     for street in STREETS:
-        lay(made, street)
-    lay_ramps(made, _ramps())
-    connect(made, skip=motorway_nodes)
-    return made
+        lay(layout, street)
+    lay_ramps(layout, _ramps())
+    connect(layout, skip=motorway_nodes)
+    return layout

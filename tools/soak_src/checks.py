@@ -202,7 +202,7 @@ def _contacts(states: States, contacts: list[Mapping[str, Any]]) -> Iterator[str
     """Yield contacts of the target that the record lacks, and recorded ones that no boxes show."""
     boxes = _boxes(states)
     steps = states.yaw_rad.shape[1]
-    told = {
+    recorded = {
         name: round(row["time_s"] / states.step_s)
         for row in contacts
         for name in [row["second"]]
@@ -214,11 +214,11 @@ def _contacts(states: States, contacts: list[Mapping[str, Any]]) -> Iterator[str
         mine, theirs = boxes[states.target], boxes[other]
         touch = np.flatnonzero(shapely.area(shapely.intersection(mine, theirs)) > TOUCH_M2)
         first = int(touch[0]) if len(touch) else None
-        if first is not None and name not in told:
+        if first is not None and name not in recorded:
             yield f"the boxes of target and '{name}' overlap at step {first}, which is not recorded"
-        elif first is not None and abs(told[name] - first) > TOUCH_STEPS:
-            yield f"contact of target and '{name}' is recorded at step {told[name]}, the boxes overlap at {first}"
-    for name, step in told.items():
+        elif first is not None and abs(recorded[name] - first) > TOUCH_STEPS:
+            yield f"contact of target and '{name}' is recorded at step {recorded[name]}, the boxes overlap at {first}"
+    for name, step in recorded.items():
         if name in states.ids:
             around = slice(max(step - 1, 0), min(step + 2, steps))
             gap = shapely.distance(boxes[states.target, around], boxes[states.ids.index(name), around])

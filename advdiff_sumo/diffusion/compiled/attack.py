@@ -55,36 +55,36 @@ class CompiledAttack:
         given = array_of(latents)
         z = given[:, self._rows] * self._scale + self._offset
         run = self._run(len(z))
-        made = run.forward(z)
-        by_z = run.back(self._by_futures(made)) + PRIOR_WEIGHT * (z - self._mean) * self._precision
+        futures = run.forward(z)
+        by_z = run.back(self._by_futures(futures)) + PRIOR_WEIGHT * (z - self._mean) * self._precision
         out = np.zeros_like(given)
         out[:, self._rows] = -self._scale / given.dtype.type(len(self._rows)) * by_z
         return torch.from_numpy(out)
 
-    def _by_futures(self, made: Array) -> Array:
-        """Return the gradient (B, T, R, 6) of the sum of all attackers' costs for what they drive, *made*."""
-        poses = np.ascontiguousarray(made[..., :3].swapaxes(1, 2))
+    def _by_futures(self, futures: Array) -> Array:
+        """Return the gradient (B, T, R, 6) of the sum of all attackers' costs for what they drive, *futures*."""
+        poses = np.ascontiguousarray(futures[..., :3].swapaxes(1, 2))
         values, slopes = self._bodies.met(poses)
-        by_gap, direct = self._by_aim(made, values[0])
+        by_gap, direct = self._by_aim(futures, values[0])
         by_pose = by_gap[..., None] * slopes[0] + OTHERS_WEIGHT * slopes[1] + ROAD_WEIGHT * slopes[2]
-        out = np.zeros_like(made)
+        out = np.zeros_like(futures)
         out[..., :3] = by_pose.swapaxes(1, 2)
         if direct is not None:
             out[..., :4] += direct.swapaxes(1, 2)
         return out
 
-    def _by_aim(self, made: Array, gap: Array) -> tuple[Array, Array | None]:
+    def _by_aim(self, futures: Array, gap: Array) -> tuple[Array, Array | None]:
         """Return the gradients of the kind's own cost for gaps (B, R, T), and for x, y, yaw, speed (B, R, T, 4)."""
         if self._kind == "any":
             return nearest_slope(gap), None
-        scene, rollout = self._scene, rollout_of(made)
+        scene, rollout = self._scene, rollout_of(futures)
         size = scene.batch.size[0]
         free = [torch.from_numpy(gap), rollout.xy, rollout.yaw, rollout.speed]
         with torch.enable_grad():
             gaps, xy, yaw, speed = (part.requires_grad_(True) for part in free)
             driven = Rollout(xy, yaw, speed, rollout.accel, rollout.curvature)
-            seen = encounter(driven, size[scene.rows], scene.natural, size[0], gaps)
-            aim = COSTS[self._kind](seen).sum()
+            met = encounter(driven, size[scene.rows], scene.natural, size[0], gaps)
+            aim = COSTS[self._kind](met).sum()
             by = torch.autograd.grad(aim, (gaps, xy, yaw, speed), allow_unused=True, materialize_grads=True)
         by_gap, by_xy, by_yaw, by_speed = (part.numpy() for part in by)
         return by_gap, np.concatenate((by_xy, by_yaw[..., None], by_speed[..., None]), axis=-1)
@@ -105,5 +105,5 @@ def nearest_slope(gap: Array) -> Array:
     near = np.maximum(gap, TOUCHES_M)
     share = np.exp((near.min(-1, keepdims=True) - near) / SOFT_M)
     share /= share.sum(-1, keepdims=True)
-    made: Array = np.where(gap >= TOUCHES_M, share, gap.dtype.type(0.0))
-    return made
+    slope: Array = np.where(gap >= TOUCHES_M, share, gap.dtype.type(0.0))
+    return slope

@@ -210,5 +210,5 @@ class _Function(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor, None]:
-        made = torch.from_numpy((grad.numpy()[..., None] * ctx.slopes).sum(0))
-        return made[..., :2], made[..., 2], None
+        by_pose = torch.from_numpy((grad.numpy()[..., None] * ctx.slopes).sum(0))
+        return by_pose[..., :2], by_pose[..., 2], None

@@ -126,9 +126,9 @@ class CoupledScenes(NamedTuple):
     def states(self, x: Array, k: int) -> Array:
         """Return embeddings (B, A, D) that know of all noisy latents *x* (B, A, C, L) at step *k*."""
         latents = x.reshape(*x.shape[:2], -1)
-        made = np.empty_like(self.h)
+        embeddings = np.empty_like(self.h)
         for b, edges in enumerate(self.edges):
             begin, heard = self.known[k][b].copy(), room(self.graph, edges)
             given = latents[b], begin, self.attention_bias[b], self.drawn[b], heard, self.h[b]
-            made[b] = couple(self.weights, self.graph, *given)
-        return made
+            embeddings[b] = couple(self.weights, self.graph, *given)
+        return embeddings

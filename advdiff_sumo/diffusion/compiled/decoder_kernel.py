@@ -39,7 +39,7 @@ class CompiledDecoder:
         scenes, agents = z.shape[:2]
         rows = np.arange(agents)
         layers, _, wide = self.edge_weights.edge.shape
-        made = self._blank(scenes, steps, agents, 6)
+        futures = self._blank(scenes, steps, agents, 6)
         motion, senders = (
             self._blank(scenes, steps, agents, 4),
             self._blank(scenes, steps, layers, agents, wide),
@@ -47,15 +47,15 @@ class CompiledDecoder:
         tape, cars, attention_bias = (
             self.tape(1, agents, agents),
             self.cars(batch),
-            attention_biases(batch, made),
+            attention_biases(batch, futures),
         )
         latents, known = array_of(z), array_of(h)
         for b in range(scenes):
             trace = SceneTrace(motion[b], senders[b])
             given = latents[b], known[b], cars[b], rows, attention_bias[b]
-            roll(self.weights, self.edge_weights, self.graph, *given, trace, False, tape, made[b])
+            roll(self.weights, self.edge_weights, self.graph, *given, trace, False, tape, futures[b])
         swapped = Trace(torch.from_numpy(motion).transpose(0, 1), torch.from_numpy(senders).movedim(0, 2))
-        return rollout_of(made), swapped
+        return rollout_of(futures), swapped
 
     def some(
         self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
@@ -68,8 +68,8 @@ class CompiledDecoder:
         """Return (B, A, 6) the vehicles of *batch*."""
         pose = array_of(batch.pose)
         length, moved = batch.size[..., 0].numpy().ravel(), batch.moved.numpy().ravel()
-        made = cars_of(pose.reshape(-1, 4), length, moved, self.options)
-        return made.reshape(*pose.shape[:2], -1)
+        cars = cars_of(pose.reshape(-1, 4), length, moved, self.options)
+        return cars.reshape(*pose.shape[:2], -1)
 
     def tape(self, slots: int, count: int, agents: int) -> Tape:
         """Return room for what roll-outs of *count* vehicles among *agents* leave."""
@@ -121,21 +121,21 @@ class RowsAgainst:
 
     def forward(self, latents: Array) -> Array:
         """Return (B, T, R, 6) what *latents* (B, R, Z) lead to."""
-        made = np.empty((len(latents), self.steps, len(self.rows), 6), latents.dtype)
+        futures = np.empty((len(latents), self.steps, len(self.rows), 6), latents.dtype)
         networks = self.decoder.weights, self.decoder.edge_weights, self.decoder.graph
         for b, trace in enumerate(self.traces):
             given = latents[b], self.h[b], self.cars[b], self.rows, self.attention_bias[b]
-            roll(*networks, *given, trace, True, self.tapes[b], made[b])
-        return made
+            roll(*networks, *given, trace, True, self.tapes[b], futures[b])
+        return futures
 
     def back(self, grad: Array) -> Array:
         """Return the gradient (B, R, Z) of latents for that, *grad* (B, T, R, 6), of what they lead to."""
         weights, graph = self.decoder.weights, self.decoder.graph
-        made = [
+        gradients = [
             roll_back(weights, graph, self.cars[b], self.rows, tape, grad[b])
             for b, tape in enumerate(self.tapes)
         ]
-        return np.stack(made)
+        return np.stack(gradients)
 
 
 class _Function(torch.autograd.Function):
@@ -159,7 +159,7 @@ def attention_biases(batch: SceneBatch, like: Array) -> Array:
     return np.where(batch.present.numpy(), 0.0, ABSENT).astype(like.dtype)
 
 
-def rollout_of(made: Array) -> Rollout:
-    """Return *made* (B, T, A, 6) as futures."""
-    parts = torch.from_numpy(np.ascontiguousarray(made.transpose(3, 0, 2, 1)))  # (6, B, A, T)
+def rollout_of(futures: Array) -> Rollout:
+    """Return *futures* (B, T, A, 6) as futures."""
+    parts = torch.from_numpy(np.ascontiguousarray(futures.transpose(3, 0, 2, 1)))  # (6, B, A, T)
     return Rollout(torch.stack((parts[0], parts[1]), dim=-1), *parts[2:].unbind())

@@ -61,10 +61,10 @@ class CompiledDenoiser:
         state, ones = state_of(norms), torch.ones_like(last.weight)
         none = state[0].new_zeros(len(state[0]), len(ones))
         self._state = array_of(torch.cat((state[0], none), dim=1)), array_of(torch.cat((state[1], ones)))
-        made = {k: modulation(norms, k, weight.device) for k in steps}
+        modulations = {k: modulation(norms, k, weight.device) for k in steps}
         self._steps = {
             k: (array_of(torch.cat((scale, last.weight))), array_of(torch.cat((shift, last.bias))))
-            for k, (scale, shift) in made.items()
+            for k, (scale, shift) in modulations.items()
         }
         self._coupling = CompiledCoupling(denoiser.coupling, steps) if denoiser.coupling else None
 
@@ -80,9 +80,9 @@ class CompiledDenoiser:
             shift = np.empty_like(scale)
             modulate(rows, *self._state, *self._steps[k], scale, shift)
             flat = sample.reshape(-1, *sample.shape[2:])
-            made = np.empty_like(flat)
-            predict(self._weights, self._blocks, flat, about, scale, shift, _SPAN, made)
-            return torch.from_numpy(made.reshape(sample.shape))
+            predicted = np.empty_like(flat)
+            predict(self._weights, self._blocks, flat, about, scale, shift, _SPAN, predicted)
+            return torch.from_numpy(predicted.reshape(sample.shape))
 
         return noise
 

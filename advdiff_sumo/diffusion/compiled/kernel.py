@@ -49,8 +49,8 @@ def _compiled(function: _Function, how: dict[str, Any]) -> _Function:
 
 def array_of(tensor: Tensor) -> Array:
     """Return *tensor*'s numbers as kernels read them, without a copy where they lie so already."""
-    made: Array = np.ascontiguousarray(tensor.detach().numpy())
-    return made
+    numbers: Array = np.ascontiguousarray(tensor.detach().numpy())
+    return numbers
 
 
 @kernel

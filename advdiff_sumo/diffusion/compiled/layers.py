@@ -31,22 +31,22 @@ class CompiledLayers:
 
     def forward(self, h: Tensor) -> tuple[Tensor, list[Heard]]:
         """Return new embeddings (B, A, D) of *h*, and what :meth:`back` needs."""
-        node, made, kept = array_of(h), [], []
+        node, embeddings, kept = array_of(h), [], []
         _, layers, agents, _, wide = self._edges.shape
         for b in range(len(node)):
             senders = np.empty((layers, agents, wide), node.dtype)
             heard = room(self._weights, self._edges[b])
-            made.append(
+            embeddings.append(
                 mix(self._weights, node[b], self._rows, self._attention_bias[b], senders, False, heard)
             )
             kept.append(heard)
-        return torch.from_numpy(np.stack(made)), kept
+        return torch.from_numpy(np.stack(embeddings)), kept
 
     def back(self, grad: Tensor, kept: list[Heard]) -> Tensor:
         """Return the gradient (B, A, D) of the embeddings for that of the new ones."""
         node = array_of(grad)
-        made = [mix_back(self._weights, node[b], self._rows, heard) for b, heard in enumerate(kept)]
-        return torch.from_numpy(np.stack(made))
+        gradients = [mix_back(self._weights, node[b], self._rows, heard) for b, heard in enumerate(kept)]
+        return torch.from_numpy(np.stack(gradients))
 
 
 def room(weights: GraphWeights, edges: Array) -> Heard:

@@ -100,7 +100,7 @@ def come_in(view: SituationView, stage: Stage, kinds: Container[str]) -> tuple[t
         "cut-in": _beside(view, stage),
         "crossing": _with_priority(view, stage),
     }
-    for candidates in (made for kind, made in roles.items() if kind in kinds):
+    for candidates in (newcomers for kind, newcomers in roles.items() if kind in kinds):
         room = min(1, stage.most - stage.count - len(taken))
         taken += islice((one for one in candidates if _is_free(view, one, taken)), room)
     if "cut-out" in kinds and not taken and stage.most - stage.count >= 2:

@@ -34,13 +34,15 @@ class Way:
     def links(self) -> tuple[tuple[float, Link], ...]:
         """(distance from the box centre to the stop line, link) of every junction ahead, nearest first."""
         reach = -self.lane.s_m
-        found: list[tuple[float, Link]] = []
+        links_ahead: list[tuple[float, Link]] = []
         lanes = self.lane.lanes
         for k, lane in enumerate(lanes[:-1]):
             reach += lane.length_m
             if not lane.is_internal:
-                found += [(reach, link) for link in lane.successors if _leads_to(link, lanes[k + 1])][:1]
-        return tuple(found)
+                links_ahead += [(reach, link) for link in lane.successors if _leads_to(link, lanes[k + 1])][
+                    :1
+                ]
+        return tuple(links_ahead)
 
     def poses(self, driven_m: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return box centres (…, T, 2) and headings (…, T) after *driven_m* (…, T) metres at *time_s* (T,).

@@ -149,24 +149,24 @@ def apply_safeguard(
         before: the last plan and how many model steps of it have been driven.
         attack: what the licence makes of the attackers.
     """
-    seen, scene = futures_of(view.now, drawn.rollout), view.scene
+    futures, scene = futures_of(view.now, drawn.rollout), view.scene
     rest = np.setdiff1d(np.flatnonzero(scene.history.valid[:, -1]), view.rows)
     rows = np.concatenate((view.rows, rest))
     watched = _watched(road, view, rows, lanes, drawn.attackers, attack)
-    watched = replace(watched, before=_rests(*before, view, seen.steps))
+    watched = replace(watched, before=_rests(*before, view, futures.steps))
     for row, plan in attack.driven.items():
-        seen.put(row, *plan)
-    back_to_lane(seen, np.array(attack.refused, dtype=np.int64), watched)
+        futures.put(row, *plan)
+    back_to_lane(futures, np.array(attack.refused, dtype=np.int64), watched)
     now = scene.history
     joined = join(
-        seen,
+        futures,
         coasting(
             now.xy_m[rest, -1],
             now.yaw_rad[rest, -1],
             now.speed_mps[rest, -1],
             now.size_m[rest],
-            seen.steps,
-            seen.dt_s,
+            futures.steps,
+            futures.dt_s,
         ),
     )
     go_straight(joined, watched.people & ~_with_rest(view.moved, rest), velocities(now)[rows])

@@ -12,10 +12,10 @@ import shapely
 from defusedxml import ElementTree
 
 from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, NetPlan
 from advdiff_sumo.maps.read_net import marked_requests
 
-BODIES_M = 2.2  # two cars side by side with 0.3 m between them
 LONG_M = 12.0  # a crossing at 20° or more is shorter
 Ends = tuple[str, str]  # edges that a way leaves and enters
 Key = tuple[str, int, str, int]  # the same with lanes

@@ -9,7 +9,8 @@ from dataclasses import replace
 import shapely
 from shapely.geometry import LineString, Polygon
 
-from advdiff_sumo.maps.convert.narrow import BODIES_M, Ends
+from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
+from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, LanePlan, NetPlan
 from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 

@@ -25,16 +25,21 @@ def join_crossing_ways(
     Short lanes between the two are put inside the joined junction, longer ones are divided once they are grouped;
     where neither can be, the junctions stay apart and the crossing is counted. Lanes in *keep* are not put inside.
     """
+    for one, other in crossing_bonds(layout, lines_m):
+        here, there = layout.joints.find(one), layout.joints.find(other)
+        if here != there:
+            _join(layout, {here, there}, keep)
+
+
+def crossing_bonds(layout: Layout, lines_m: Sequence[FloatArray]) -> list[tuple[Hashable, Hashable]]:
+    """Return pairs of ends in the junctions of ways that come near each other."""
     ways = inner_parts(layout)
     if len(ways) < 2:
-        return
+        return []
     lines = [shapely.LineString(polyline.cut(lines_m[p.lane], p.from_m, p.to_m)) for p, _ in ways]
     left, right = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=CLEARANCE_M)
     order = sorted({(int(a), int(b)) for a, b in zip(left, right, strict=True) if a < b})
-    for a, b in order:
-        here, there = layout.joints.find(ways[a][1]), layout.joints.find(ways[b][1])
-        if here != there:
-            _join(layout, {here, there}, keep)
+    return [(ways[a][1], ways[b][1]) for a, b in order]
 
 
 def _join(layout: Layout, junctions: set[Hashable], keep: frozenset[int]) -> None:

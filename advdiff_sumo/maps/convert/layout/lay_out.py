@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
-from collections.abc import Hashable, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.layout.clear_stretches import STUB_M, clear_stretches
 from advdiff_sumo.maps.convert.layout.crossings import join_crossing_ways
 from advdiff_sumo.maps.convert.layout.grouping import KEEP_SHARE, group_pieces
-from advdiff_sumo.maps.convert.layout.lane_paths import find_connections
 from advdiff_sumo.maps.convert.layout.lane_segments import CUT_M, Piece, cut_lanes
-from advdiff_sumo.maps.convert.layout.layout_state import Layout, bonds_of, joints_of
+from advdiff_sumo.maps.convert.layout.layout_state import Layout, joints_of
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide
+from advdiff_sumo.maps.convert.layout.part_junctions import break_loops, part_crossings, part_second_ways
 
 SHORTEST_EDGE_M = 1.0  # netconvert moves the ends of shorter edges
-STUB_M = 2.5  # length of the edge at the open end of a connector
-PROMOTE_M = 4.0  # a connector at least this long may become an edge of its own
 
 
 def lay_out(
@@ -42,8 +41,10 @@ def lay_out(
     layout.counts["lanes cut"] = sum(len(own) > 1 for own in pieces.values())
     _open_ends(layout, is_connector)
     _direct_links(layout, is_connector)
-    _part_second_ways(layout, is_connector)
-    _break_loops(layout, is_connector)
+    clear = clear_stretches(lines_m, is_connector)
+    part_second_ways(layout, clear)
+    break_loops(layout, clear)
+    part_crossings(layout, clear, lines_m)
     layout.joints = joints_of(layout)
     join_crossing_ways(layout, lines_m, frozenset(lane for pair in roads for lane in (pair.left, pair.right)))
     layout.groups = group_pieces(layout, roads)
@@ -79,75 +80,6 @@ def _direct_links(layout: Layout, is_connector: Sequence[bool]) -> None:
             cut = min(0.5 * CUT_M, 0.2 * piece.length_m)
             shorter = (piece.from_m + cut, piece.to_m) if end == 0 else (piece.from_m, piece.to_m - cut)
             layout.pieces[lane][end] = Piece(lane, *shorter)
-
-
-def _part_second_ways(layout: Layout, is_connector: Sequence[bool]) -> None:
-    """Give a connector of each second way between two lanes an edge, as SUMO holds one way between two lanes.
-
-    The edge stays where the junction can be parted for it; see :func:`_break_loops`.
-    """
-    ways, doubles = find_connections(layout)
-    kept = {(way.origin, way.target): set(way.lanes) for way in ways}
-    for double in doubles:
-        own = set(double.lanes) - kept[double.origin, double.target]
-        long = [
-            c for c in own if is_connector[c] and not layout.pieces[c] and layout.lengths_m[c] >= PROMOTE_M
-        ]
-        if long:
-            _promote(layout, max(long, key=lambda c: (layout.lengths_m[c], -c)))
-            layout.counts["connectors made edges as a second way between two lanes"] += 1
-
-
-def _promote(layout: Layout, connector: int) -> None:
-    """Make the middle of a connector an edge: short, so that ways that cross it elsewhere cross an internal lane."""
-    middle = 0.5 * layout.lengths_m[connector]
-    layout.pieces[connector] = [Piece(connector, middle - 0.5 * STUB_M, middle + 0.5 * STUB_M)]
-
-
-def _break_loops(layout: Layout, is_connector: Sequence[bool]) -> None:
-    """Make sure that no piece begins and ends in one junction.
-
-    Where a connector bypasses a lane, the ends of that lane would fall into one junction; the longest connector
-    on the shortest way round becomes an edge of its own. A lane without such a way is put inside the junction.
-    """
-    while True:
-        joints = joints_of(layout)
-        looped = [p for p in layout.all_pieces() if joints.find((p, 0)) == joints.find((p, 1))]
-        if not looped:
-            return
-        piece = min(looped, key=lambda p: (-p.length_m, p))
-        way = _way_round(layout, piece)
-        fit = [
-            c for c in way if is_connector[c] and not layout.pieces[c] and layout.lengths_m[c] >= PROMOTE_M
-        ]
-        if fit:
-            _promote(layout, max(fit, key=lambda c: (layout.lengths_m[c], -c)))
-            layout.counts["connectors made edges to part junctions"] += 1
-        else:
-            layout.pieces[piece.lane].remove(piece)
-            layout.counts["pieces put inside a junction"] += 1
-
-
-def _way_round(layout: Layout, piece: Piece) -> list[int]:
-    """Return the lanes without pieces on the shortest chain that joins the two ends of *piece*."""
-    beside: dict[Hashable, list[Hashable]] = defaultdict(list)
-    for a, b in bonds_of(layout):
-        beside[a].append(b)
-        beside[b].append(a)
-    origin: dict[Hashable, Hashable] = {(piece, 0): (piece, 0)}
-    queue: deque[Hashable] = deque([(piece, 0)])
-    while queue and (piece, 1) not in origin:
-        here = queue.popleft()
-        for there in beside[here]:
-            if there not in origin:
-                origin[there] = here
-                queue.append(there)
-    way, here = [], (piece, 1)
-    while origin[here] != here:
-        here = origin[here]
-        if isinstance(here, tuple) and isinstance(here[0], int) and not layout.pieces[here[0]]:
-            way.append(here[0])
-    return list(dict.fromkeys(way))
 
 
 def _even_out(layout: Layout, pairs: Sequence[SideBySide]) -> None:

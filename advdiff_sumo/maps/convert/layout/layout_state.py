@@ -50,10 +50,10 @@ class Layout:
         return [piece for piece in self.all_pieces() if set(self.junctions(piece)) <= junctions]
 
 
-def joints_of(layout: Layout) -> Joints:
-    """Return which ends of pieces and lanes meet in one junction, before lanes are grouped."""
+def joints_of(layout: Layout, more: Iterable[tuple[Hashable, Hashable]] = ()) -> Joints:
+    """Return which ends of pieces and lanes meet in one junction, before lanes are grouped; *more* pairs meet too."""
     joints = Joints()
-    for first, second in bonds_of(layout):
+    for first, second in (*bonds_of(layout), *more):
         joints.join((first, second))
     for piece in layout.all_pieces():
         joints.find((piece, 0))

@@ -13,7 +13,8 @@ from collections.abc import Collection, Iterable
 import shapely
 from shapely.geometry import LineString, Point
 
-from advdiff_sumo.maps.convert.narrow import BODIES_M, Ends
+from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
+from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.signals.signal_links import SignalLink
 from advdiff_sumo.maps.convert.sources.source_map import Direction
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from advdiff_sumo.core.polylines import concatenate
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import breaches_of, conduct_breaches
@@ -18,7 +19,7 @@ from advdiff_sumo.metrics.collision import collisions, target_collision, tracks_
 from advdiff_sumo.metrics.encounter import encounter
 from advdiff_sumo.metrics.summary import judged
 from advdiff_sumo.metrics.traffic_view import TrafficView
-from tests.metrics.encounters import braking, crossing, driven, record_of, signals_of, straight
+from tests.metrics.encounters import Car, braking, crossing, driven, record_of, signals_of, straight
 
 NORTH = math.pi / 2
 
@@ -125,6 +126,20 @@ def test_overtaking_on_the_wrong_side_and_hit_from_behind_there(road) -> None:
     wrong = straight("wrong", (-100, 1.6), 0, 8)
     fast = straight("fast", (-120, 1.6), 0, 14)
     assert broken(record_of(wrong, fast), road)[0] == []
+
+
+def test_a_lorry_that_follows_its_lane_over_a_junction_keeps_its_side(road) -> None:
+    """Its bumpers keep to the middle of the lane that turns left, so its long box reaches out of it."""
+    names = ("EC_1", "CS_0")
+    link = next(x for x in road.lanes[names[0]].successors if x.to_lane == names[1])
+    line = concatenate([road.lanes[x].line for x in (link.from_lane, *link.via, link.to_lane)])
+    s_m = road.lanes[names[0]].length_m - 15.0 + 6.0 * 0.1 * np.arange(41)
+    front, rear = (line.at(s_m + away_m)[0] for away_m in (6.0, -6.0))
+    yaw = np.arctan2(*(front - rear).T[::-1])
+    lorry = Car("lorry", 0.5 * (front + rear), yaw, np.full(41, 6.0), (12.0, 2.5))
+    ego = straight("ego", (-42, -1.6), 0, 12)
+    assert broken(record_of(ego, lorry), road) == ([], ["right_of_way"])
+    assert broken(record_of(lorry, ego, route=("EC", "CS")), road) == (["right_of_way"], [])
 
 
 # --- entering lanes --------------------------------------------------------------------------------------

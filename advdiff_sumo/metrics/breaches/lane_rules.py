@@ -21,7 +21,8 @@ _DRIFT_MPS = 0.1
 def wrong_side(view: TrafficView, met: Encounter, which: int) -> Breach | None:
     """Return the breach of driving against the lane, or over its edge into oncoming traffic.
 
-    It concerns the contact unless the other ran into its rear, or came over to its side first.
+    It concerns the contact unless the other ran into its rear, or came over to its side first. Where their ways over
+    a junction meet, giving way is the rule: a long vehicle that turns there reaches out of its lane.
     """
     party, other = met.parties[which], met.parties[1 - which]
     if party.is_pedestrian or party.stands or (party.face == "rear" and other.face == "front"):
@@ -33,10 +34,20 @@ def wrong_side(view: TrafficView, met: Encounter, which: int) -> Breach | None:
         return None
     opposed = met.collision.heading_difference_rad > OPPOSITE_RAD and not met.crossing
     over = opposed and party.leaves_lane and party.intrudes
-    entered = entry is not None and entry.oncoming and entry.row == party.row and entry.leaves_lane
+    comes_over = entry is not None and entry.oncoming and entry.row == party.row and entry.leaves_lane
+    entered = comes_over and not _ways_meet(view, met)
     if over or entered or on_opposite_lane(view, party, step):
         return _breach(view, met, BreachKind.WRONG_SIDE, party, "was on the wrong side of the road")
     return None
+
+
+def _ways_meet(view: TrafficView, met: Encounter) -> bool:
+    """Return whether the ways of the two over a common junction cross or join in the net."""
+    first, second = (party.link for party in met.parties)
+    if not met.crossing or first is None or second is None or first.junction_id != second.junction_id:
+        return False
+    foes = view.road.junctions[first.junction_id].foes
+    return second.request_index in foes.get(first.request_index, frozenset())
 
 
 def on_opposite_lane(view: TrafficView, party: Party, step: int) -> bool:

@@ -52,18 +52,18 @@ class Agenda:
         if not self.order:
             return self
         now, order = view.scene.time_s, self.order
-        if now - self.since_s < TURN_S and _is_possible(view, order[0]):
+        if now - self.since_s < TURN_S and is_possible(view, order[0]):
             return self
         if order[0] == "cut-out":
             return replace(self, order=order[1:], since_s=now).at(view)
-        if order[0] == "crossing" and _is_possible(view, "crossing"):
+        if order[0] == "crossing" and is_possible(view, "crossing"):
             return self  # a junction takes as long as it takes to get there
         later = [(*order[k:], *order[:k]) for k in range(1, len(order))]
-        turned = next((one for one in later if _is_possible(view, one[0])), order)
+        turned = next((one for one in later if is_possible(view, one[0])), order)
         return replace(self, order=turned, since_s=now)
 
 
-def _is_possible(view: SituationView, kind: str) -> bool:
+def is_possible(view: SituationView, kind: str) -> bool:
     """Return whether the road and the traffic around the target leave room for *kind*."""
     target = view.target
     if target is None or kind == "hard-stop":
@@ -75,4 +75,4 @@ def _is_possible(view: SituationView, kind: str) -> bool:
         return beside and view.is_first(_SPACE_M)
     ahead = ((reach, link) for reach, link in target.way.links if 0.0 < reach < REACH_M)
     moves = target.speed_mps > _SLOWEST_MPS
-    return moves and any(view.is_first(reach) and bool(goes_first(view, link)) for reach, link in ahead)
+    return moves and any(view.arrives_alone(reach) and bool(goes_first(view, link)) for reach, link in ahead)

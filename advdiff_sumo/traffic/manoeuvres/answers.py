@@ -21,6 +21,10 @@ BRAKING_MPS2 = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
 UNANSWERABLE_MPS2 = 99.0
 """Stands for an encounter that none of them avoids."""
 _ROOM_M = 0.3
+BELIEVED_MPS2, FULL_BRAKING_MPS2 = 4.5, 8.0
+"""Braking with which somebody is believed to stop at its line still; and of a target that finds it will not."""
+_NOTICES_S, _HURRIES_MPS2 = 0.25, 2.0
+_NEARLY_S = (-0.2, 0.0, 0.2)
 LATE_S = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)
 """By how much the target may be early or late."""
 
@@ -56,12 +60,20 @@ class TargetWay:
 
     def brakes(self, braking_mps2: Sequence[float], from_s: float) -> tuple[FloatArray, FloatArray]:
         """Return distances driven and speeds (P, T), at ``CHECK_TIMES_S``, with each braking *from_s* on; 0: none."""
+        speed = self._braked_mps(braking_mps2, from_s)
+        at = slice(FINE, None, FINE)
+        return _driven(speed)[:, at], speed[:, at]
+
+    def ways_out_m(self, from_s: float) -> FloatArray:
+        """Return (2, 121) distances driven at ``FINE_TIMES_S`` if it brakes in full, or hurries, *from_s* on."""
+        hurries = self.goes_on_mps + _HURRIES_MPS2 * np.maximum(FINE_TIMES_S - from_s, 0.0)
+        return _driven(np.vstack((self._braked_mps((FULL_BRAKING_MPS2,), from_s), hurries)))
+
+    def _braked_mps(self, braking_mps2: Sequence[float], from_s: float) -> FloatArray:
         then = float(np.interp(from_s, FINE_TIMES_S, self.goes_on_mps))
         braked = then - np.array(braking_mps2)[:, None] * (FINE_TIMES_S - from_s)
         bound = np.where((from_s >= FINE_TIMES_S) | (np.array(braking_mps2)[:, None] <= 0.0), np.inf, braked)
-        speed = np.minimum(self.goes_on_mps, np.maximum(bound, 0.0))
-        at = slice(FINE, None, FINE)
-        return _driven(speed)[:, at], speed[:, at]
+        return np.minimum(self.goes_on_mps, np.maximum(bound, 0.0))
 
     def answers(self, perceived_s: float) -> tuple[FloatArray, FloatArray]:
         """Return centres (P, T, 2) and headings (P, T) of the target for every entry of ``BRAKING_MPS2``.
@@ -108,10 +120,62 @@ def contact_share(target: TargetWay, xy_m: FloatArray, yaw_rad: FloatArray, size
     A contact that needs no timing survives that the target drives a little otherwise than expected; arguments as in
     :func:`needed_braking`.
     """
-    times = FINE_TIMES_S[:, None] + np.array(LATE_S)
-    driven = np.interp(np.maximum(times, 0.0), FINE_TIMES_S, target.goes_on_m).T[:, FINE::FINE]
-    clear = _clear(target, target.way.poses(driven, CHECK_TIMES_S), xy_m, yaw_rad, size_m)
-    return np.asarray(1.0 - clear.mean(axis=1))
+    poses = target.way.poses(_late_m(target.goes_on_m, LATE_S), CHECK_TIMES_S)
+    return np.asarray(1.0 - _clear(target, poses, xy_m, yaw_rad, size_m).mean(axis=1))
+
+
+def trapped_share(
+    target: TargetWay, xy_m: FloatArray, yaw_rad: FloatArray, size_m: FloatArray, notices_s: FloatArray
+) -> FloatArray:
+    """Return (C,) in which share of times neither full braking nor hurrying keeps the target clear of each future.
+
+    Args:
+        target: the tested vehicle; it goes on until it notices, and is up to 0.2 s early or late.
+        xy_m: (C, T, 2) centres of the other vehicle at ``CHECK_TIMES_S``, one future each.
+        yaw_rad: (C, T) its headings.
+        size_m: (C, 2) its length and width.
+        notices_s: (C,) when it notices each; one that has noticed already brakes.
+    """
+    out = np.zeros(len(xy_m))
+    for when in np.unique(notices_s[np.isfinite(notices_s)]).tolist():
+        rows = notices_s == when
+        touches = [
+            ~_clear(
+                target,
+                target.way.poses(_late_m(driven_m, _NEARLY_S), CHECK_TIMES_S),
+                xy_m[rows],
+                yaw_rad[rows],
+                size_m[rows],
+            )
+            for driven_m in target.ways_out_m(when)[: 2 if when > 0.0 else 1]
+        ]
+        out[rows] = np.all(touches, axis=0).mean(axis=1)
+    return out
+
+
+def _late_m(driven_m: FloatArray, late_s: Sequence[float]) -> FloatArray:
+    """Return (L, T) distances at ``CHECK_TIMES_S`` of *driven_m* (121,), earlier or later by *late_s* (L,)."""
+    times = np.maximum(FINE_TIMES_S[:, None] + np.array(late_s), 0.0)
+    return np.asarray(np.interp(times, FINE_TIMES_S, driven_m).T[:, FINE::FINE])
+
+
+def seen_not_to_stop_s(
+    to_line_m: float, now_mps: float, driven_m: FloatArray, speed_mps: FloatArray
+) -> float:
+    """Return when a target that believes the other to have a red light brakes for it after all.
+
+    That is ``_NOTICES_S`` after the other can no longer stop at its line with ``BELIEVED_MPS2``; now, if it cannot.
+
+    Args:
+        to_line_m: distance of the other's front to its stop line now.
+        now_mps: its speed now.
+        driven_m: (T,) distances that it drives by ``CHECK_TIMES_S``.
+        speed_mps: (T,) its speeds.
+    """
+    if now_mps**2 > 2.0 * BELIEVED_MPS2 * max(to_line_m, 0.0):
+        return 0.0
+    goes = speed_mps**2 > 2.0 * BELIEVED_MPS2 * np.maximum(to_line_m - driven_m, 0.0)
+    return float(CHECK_TIMES_S[int(goes.argmax())]) + _NOTICES_S if goes.any() else np.inf
 
 
 def _clear(

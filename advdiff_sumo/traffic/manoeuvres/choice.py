@@ -8,12 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.traffic.manoeuvres.answers import contact_share, needed_braking
+from advdiff_sumo.traffic.manoeuvres.answers import (
+    TargetWay,
+    contact_share,
+    needed_braking,
+    seen_not_to_stop_s,
+    trapped_share,
+)
 from advdiff_sumo.traffic.manoeuvres.graded import closeness
 from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 HARD_WORTH: Mapping[float, float] = {2.0: 0.05, 3.0: 0.4, 4.0: 0.7, 5.0: 0.9, 6.0: 1.0, 7.0: 0.8}
@@ -23,6 +30,7 @@ SEEN_WORTH: Mapping[float, float] = {1.0: 0.6, 2.0: 0.8, 3.0: 0.8, 4.0: 0.7, 5.0
 CUT_IN_WORTH: Mapping[float, float] = {2.0: 0.4, 3.0: 0.6, 4.0: 0.8, 5.0: 0.9, 6.0: 1.0, 7.0: 0.7}
 """Worth where both count."""
 _LEAST_SEEN_MPS2: Mapping[str, float] = {"blocked-lane": 2.0, "cut-out": 2.0, "crossing": 1.0}
+_TRAPPED = 0.8
 _UNCERTAIN = 0.2
 """Share of its worth that somebody keeps who would meet the target at the very instant alone."""
 SETTING_UP = 0.05
@@ -54,6 +62,7 @@ def rank(
     weights: Mapping[str, float],
     licence: Licence | None = LAWFUL,
     intensity: Intensity = AS_SERVES,
+    begun: bool = False,
 ) -> list[Chosen]:
     """Return those of *proposals* that keep to *licence* and serve at all, best first.
 
@@ -63,6 +72,7 @@ def rank(
         weights: kind → how much it is wanted.
         licence: what they may do; None: anything.
         intensity: where a severity is asked for, a manoeuvre serves by how near it comes.
+        begun: whether they are under way, so that the target has had its time to answer.
     """
     target = view.target
     if target is None or not proposals:
@@ -73,17 +83,20 @@ def rank(
     now = view.scene.history.xy_m[:, -1]
     perceived = np.array([m.enters_s(now[m.row]) for m in proposals])
     needed = needed_braking(target, *_obstacles(view, proposals, futures), perceived)
-    merit = np.array([_merit(m, n) for m, n in zip(proposals, needed.tolist(), strict=True)])
-    timed = np.array([m.kind == "crossing" and not m.sets_up for m in proposals])
-    if timed.any():
-        certain = contact_share(target, futures.xy_m[timed], futures.yaw_rad[timed], size[timed])
+    merit = np.array([_merit(m, n, begun) for m, n in zip(proposals, needed.tolist(), strict=True)])
+    timed = np.flatnonzero([m.kind == "crossing" and not m.sets_up for m in proposals])
+    if len(timed):
+        crossing = [proposals[k] for k in timed.tolist()]
+        certain = _certainty(view, target, crossing, _rows(futures, timed), size[timed], begun)
         merit[timed] *= _UNCERTAIN + (1.0 - _UNCERTAIN) * certain
     for k, manoeuvre in enumerate(proposals):
         near = closeness(view, manoeuvre, futures.driven_m[k], intensity)
         merit[k] = merit[k] if near is None else near
     worth = merit * np.array([weights.get(m.kind, 0.0) for m in proposals])
     useful = np.flatnonzero(worth > 0.0)
-    kept = useful[lawful(view, [proposals[k] for k in useful.tolist()], _rows(futures, useful), licence)]
+    kept = useful[
+        lawful(view, [proposals[k] for k in useful.tolist()], _rows(futures, useful), licence, begun)
+    ]
     order = kept[np.argsort(-worth[kept], kind="stable")].tolist()
     return [
         Chosen(
@@ -109,11 +122,42 @@ def _obstacles(
     return xy, yaw, history.size_m[rows]
 
 
-def _merit(manoeuvre: Manoeuvre, needed_mps2: float) -> float:
+def _certainty(
+    view: SituationView,
+    target: TargetWay,
+    crossing: Sequence[Manoeuvre],
+    futures: ManoeuvreFutures,
+    size_m: FloatArray,
+    begun: bool,
+) -> FloatArray:
+    """Return (C,) how certainly each of *crossing* meets a target that goes on.
+
+    One that goes on over a red light believes that the others stop: where they have *begun*, it counts most whether
+    there is a way out for it when it notices that they no longer can.
+    """
+    share = contact_share(target, futures.xy_m, futures.yaw_rad, size_m)
+    if not begun:
+        return share
+    notices_s = np.full(len(crossing), np.nan)
+    for k, manoeuvre in enumerate(crossing):
+        links = crossing_links(view, manoeuvre.row)
+        if links is not None and view.is_red(links[1]):
+            reach = next(reach for reach, link in manoeuvre.way.links if link is links[0])
+            to_line_m = reach - 0.5 * float(size_m[k, 0])
+            notices_s[k] = seen_not_to_stop_s(
+                to_line_m, view.speed(manoeuvre.row), futures.driven_m[k], futures.speed_mps[k]
+            )
+    trapped = trapped_share(target, futures.xy_m, futures.yaw_rad, size_m, notices_s)
+    return np.where(np.isnan(notices_s), share, _TRAPPED * trapped + (1.0 - _TRAPPED) * share)
+
+
+def _merit(manoeuvre: Manoeuvre, needed_mps2: float, begun: bool) -> float:
     if manoeuvre.sets_up:
         return SETTING_UP if needed_mps2 <= 1.0 else 0.0
     if manoeuvre.kind == "cut-in":
         return CUT_IN_WORTH.get(needed_mps2, 0.0)
+    if manoeuvre.kind == "crossing" and begun:
+        return float(needed_mps2 > 0.0)
     least = _LEAST_SEEN_MPS2.get(manoeuvre.kind)
     if least is None:
         return HARD_WORTH.get(needed_mps2, 0.0)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from advdiff_sumo.core.scene import AgentClass
-from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda
+from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda, is_possible
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
 from advdiff_sumo.traffic.manoeuvres.graded import braking_with, graded, target_brakes
 from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
@@ -17,7 +17,7 @@ from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
-from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
+from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, crossing_on
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, Stage, come_in
 from advdiff_sumo.traffic.manoeuvres.ways import Way
@@ -27,6 +27,7 @@ STANDS = "stands"
 _LONGEST_S: Mapping[str, float] = {STANDS: 60.0, "blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
 _LONGEST_DEFAULT_S = 7.0
 _STOPS = ("hard-stop", "blocked-lane", "cut-in")
+_KEEP_OFF = frozenset(("hard-stop", "blocked-lane", "stop-and-go"))
 _LORRIES, _MOTORCYCLES = 0.4, 0.3
 """Shares of those who come in."""
 _PATIENCE = ((0.5 * TURN_S, 0.5), (2.0 * TURN_S, 0.4))
@@ -45,6 +46,7 @@ class Commitment:
         kind: which.
         profile: its speed, as chosen.
         since_s: when it began.
+        timed_s: when its profile did.
         sets_up: whether it only gets into position.
         delay_s: when, after that, it changes lanes.
         goal_lane: lane that it changes to; "" where it stays.
@@ -53,6 +55,7 @@ class Commitment:
     kind: str
     profile: SpeedProfile
     since_s: float
+    timed_s: float
     sets_up: bool
     delay_s: float = 0.0
     goal_lane: str = ""
@@ -87,7 +90,7 @@ class Commitments:
     @property
     def staged(self) -> tuple[str, ...]:
         """The kinds for which vehicles come in now."""
-        return (self.agenda.now,) if self.agenda.now else tuple(self.weights)
+        return tuple({self.agenda.now: 0, "crossing": 0}) if self.agenda.now else tuple(self.weights)
 
     @property
     def attacking(self) -> tuple[str, ...]:
@@ -149,8 +152,14 @@ def advance(
 def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:
     """Return who comes in now, for the manoeuvres that may begin, and what is remembered of them."""
     busy = {under_way.kind for under_way in kept.active.values() if not under_way.sets_up}
-    newcomers, stage = come_in(view, kept.stage, [kind for kind in kept.staged if kind not in busy])
-    still = Commitment(STANDS, SpeedProfile(then_mps2=-1.0), view.scene.time_s, sets_up=False)
+    kinds = [kind for kind in kept.staged if kind not in busy]
+    if kept.agenda.order and ("crossing" in busy or is_possible(view, "crossing")):
+        kinds = [
+            kind for kind in kinds if kind == "crossing"
+        ]  # a leader would keep the target from the junction
+    newcomers, stage = come_in(view, kept.stage, kinds)
+    now = view.scene.time_s
+    still = Commitment(STANDS, SpeedProfile(then_mps2=-1.0), now, now, sets_up=False)
     standing = {one.name: still for one in newcomers if one.speed_mps == 0.0}
     return newcomers, replace(kept, stage=stage, active={**kept.active, **standing})
 
@@ -164,7 +173,9 @@ def _class_of(draw: float) -> AgentClass:
 
 def _commitment(manoeuvre: Manoeuvre, now_s: float) -> Commitment:
     lane = "" if manoeuvre.goal is None else manoeuvre.goal.present_lane.id
-    return Commitment(manoeuvre.kind, manoeuvre.profile, now_s, manoeuvre.sets_up, manoeuvre.delay_s, lane)
+    return Commitment(
+        manoeuvre.kind, manoeuvre.profile, now_s, now_s, manoeuvre.sets_up, manoeuvre.delay_s, lane
+    )
 
 
 def _begin(
@@ -188,8 +199,10 @@ def _begin(
 
 
 def _go_together(one: Manoeuvre, other: Manoeuvre) -> bool:
-    """Return whether both can be driven: two that cross would meet each other."""
-    return one.row != other.row and not one.kind == other.kind == "crossing"
+    """Return whether both can be driven: two that cross would meet each other, and a leader would stop the target."""
+    if one.row == other.row or one.kind == other.kind == "crossing":
+        return False
+    return "crossing" not in (one.kind, other.kind) or not {one.kind, other.kind} & _KEEP_OFF
 
 
 def _passes(view: SituationView, chosen: Chosen, licence: Licence | None) -> bool:
@@ -214,6 +227,7 @@ def _carry_on(
         manoeuvre = _continued(view, row, under_way, kept.intensity, licence) if row in view.movable else None
         if manoeuvre is not None and (manoeuvre.kind == STANDS or _still_lawful(view, manoeuvre, licence)):
             going.append(manoeuvre)
+            active[name] = replace(under_way, profile=manoeuvre.profile, timed_s=now)
             continue
         del active[name]
         rested[name] = now + (0.0 if under_way.sets_up else pause_s)
@@ -235,15 +249,15 @@ def _continued(
     if under_way.kind in _STOPS and _target_stands(view) and view.speed(row) < _STANDS_MPS:
         return None  # both stand: the question is answered
     if under_way.kind == "crossing":
-        timed = list(KINDS["crossing"](view, row))
-        again = rank(view, timed, {"crossing": 1.0}, licence, intensity)
+        timed = list(crossing_on(view, row))
+        again = rank(view, timed, {"crossing": 1.0}, licence, intensity, begun=True)
         holds = intensity.is_asked_of("crossing") and target_brakes(view)
         if again and not holds:
             return again[0].manoeuvre
         if _target_stands(view):
             return None
     begun = under_way.profile
-    rest = replace(begun, switch_s=max(begun.switch_s - passed, 0.0))
+    rest = replace(begun, switch_s=max(begun.switch_s - (view.scene.time_s - under_way.timed_s), 0.0))
     goal = _goal(view, row, under_way)
     delay_s = max(under_way.delay_s - passed, 0.0)
     return Manoeuvre(under_way.kind, row, view.ways[row], rest, goal, delay_s=delay_s)
@@ -275,4 +289,4 @@ def _still_lawful(view: SituationView, manoeuvre: Manoeuvre, licence: Licence | 
         own_width = float(view.size(manoeuvre.row)[1])
         if across < 0.5 * (goal.present_lane.width_m + own_width) - _OVER_LINE_M:
             manoeuvre = replace(manoeuvre, goal=None)
-    return bool(lawful(view, [manoeuvre], futures, licence)[0])
+    return bool(lawful(view, [manoeuvre], futures, licence, begun=True)[0])

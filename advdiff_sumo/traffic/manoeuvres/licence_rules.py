@@ -12,7 +12,6 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps
-from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, RECKLESS_OVER_LIMIT, Licence
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
@@ -23,7 +22,7 @@ from advdiff_sumo.traffic.planning.people import PEOPLE_SIDE_M
 
 _RED, _STOPS_AT, _YIELDS_ON_GREEN = "ru", "ruy", "g"
 _ROOM_M, _PEOPLE_ROOM_M = np.array([0.5, 0.15]), np.array([0.5, PEOPLE_SIDE_M])
-_SOON_STEPS = 10
+_SOON_STEPS = {False: 10, True: 5}
 _STOPS = ("hard-stop", "blocked-lane")
 
 
@@ -32,14 +31,28 @@ def lawful(
     manoeuvres: Sequence[Manoeuvre],
     futures: ManoeuvreFutures,
     licence: Licence | None = LAWFUL,
+    begun: bool = False,
 ) -> BoolArray:
-    """Return (C,) which of *manoeuvres*, with these *futures*, keep to *licence* and harm nobody but the target."""
-    keeps = [_keeps(view, m, futures, k, licence) for k, m in enumerate(manoeuvres)]
+    """Return (C,) which of *manoeuvres*, with these *futures*, keep to *licence* and harm nobody but the target.
+
+    Args:
+        view: the scene.
+        manoeuvres: C of them.
+        futures: theirs.
+        licence: what they may do; None: anything.
+        begun: whether they are under way, so that who has to give way to somebody who crosses has seen it.
+    """
+    keeps = [_keeps(view, m, futures, k, licence, begun) for k, m in enumerate(manoeuvres)]
     return np.array(keeps, dtype=np.bool_)
 
 
 def _keeps(
-    view: SituationView, manoeuvre: Manoeuvre, futures: ManoeuvreFutures, k: int, licence: Licence | None
+    view: SituationView,
+    manoeuvre: Manoeuvre,
+    futures: ManoeuvreFutures,
+    k: int,
+    licence: Licence | None,
+    begun: bool,
 ) -> bool:
     over_limit = RECKLESS_OVER_LIMIT if licence is None else licence.over_limit
     if not _keeps_limit(manoeuvre, float(futures.speed_mps[k].max()), view.speed(manoeuvre.row), over_limit):
@@ -51,7 +64,8 @@ def _keeps(
         and _leaves_gaps(view, manoeuvre, licence)
     ):
         return False
-    return _has_room(view, manoeuvre, futures, k)
+    soon = _SOON_STEPS[begun] if manoeuvre.kind == "crossing" else None  # beyond, others have given way
+    return _has_room(view, manoeuvre, futures, k, slice(0, soon))
 
 
 def _keeps_limit(manoeuvre: Manoeuvre, fastest_mps: float, speed_mps: float, over_limit: float) -> bool:
@@ -83,13 +97,9 @@ def _has_priority(view: SituationView, row: int) -> bool:
     own, targets = links
     if own.request_index < 0 or targets.request_index < 0:
         return False
-    if _stopped_by_signal(view, targets):
+    if view.is_red(targets):
         return view.signal(own) in ("G", "g")
     return view.gives_way(targets, own) and not (own.must_wait and not view.signal(own))
-
-
-def _stopped_by_signal(view: SituationView, link: Link) -> bool:
-    return view.signal(link) in ("r", "u")
 
 
 def _stops_clear(manoeuvre: Manoeuvre, driven_m: float) -> bool:
@@ -130,8 +140,10 @@ def entry_spare_m(view: SituationView, row: int, other: int, enters_s: float, li
     return gap - (licence.gap_share * safe_gap_m(follower, leader) + licence.spare_m)
 
 
-def _has_room(view: SituationView, manoeuvre: Manoeuvre, futures: ManoeuvreFutures, k: int) -> bool:
-    """Return whether it meets nobody but the target, if all others keep their speeds on their ways.
+def _has_room(
+    view: SituationView, manoeuvre: Manoeuvre, futures: ManoeuvreFutures, k: int, soon: slice
+) -> bool:
+    """Return whether it meets nobody but the target *soon*, if all others keep their speeds on their ways.
 
     Who follows on the same lane is left out: drivers keep their distance to a leader. Who is on foot, or on no lane,
     keeps its velocity, and is given more room.
@@ -144,24 +156,23 @@ def _has_room(view: SituationView, manoeuvre: Manoeuvre, futures: ManoeuvreFutur
         ],
         dtype=np.int64,
     )
-    clear = _clear_of(view, manoeuvre, futures, k, rows, *view.coasting(rows), _ROOM_M)
-    return clear and _clear_of(view, manoeuvre, futures, k, view.astray, *view.straight_on, _PEOPLE_ROOM_M)
+    own = manoeuvre.row, futures.xy_m[k, soon], futures.yaw_rad[k, soon]
+    xy, yaw = view.coasting(rows)
+    clear = _clear_of(view, own, rows, xy[:, soon], yaw[:, soon], _ROOM_M)
+    xy, yaw = view.straight_on
+    return clear and _clear_of(view, own, view.astray, xy[:, soon], yaw[:, soon], _PEOPLE_ROOM_M)
 
 
 def _clear_of(
     view: SituationView,
-    manoeuvre: Manoeuvre,
-    futures: ManoeuvreFutures,
-    k: int,
+    own: tuple[int, FloatArray, FloatArray],
     rows: IntArray,
     xy_m: FloatArray,
     yaw_rad: FloatArray,
     room_m: FloatArray,
 ) -> bool:
-    """Return whether future *k* keeps *room_m* (2,) to *rows* (R,), which will be at (R, T, 2), (R, T)."""
-    soon = slice(0, _SOON_STEPS if manoeuvre.kind == "crossing" else None)  # beyond, others have given way
-    xy_m, yaw_rad = xy_m[:, soon], yaw_rad[:, soon]
-    own_xy, own_yaw = futures.xy_m[k, soon], futures.yaw_rad[k, soon]
+    """Return whether *own* (row, (T, 2), (T,)) keeps *room_m* (2,) to *rows* (R,), at (R, T, 2) with (R, T)."""
+    own_row, own_xy, own_yaw = own
     near = np.linalg.norm(xy_m - own_xy, axis=-1).min(axis=1, initial=np.inf) < 12.0
     if not near.any():
         return True
@@ -169,7 +180,7 @@ def _clear_of(
     gaps = axis_gaps(
         xy_m[near] - own_xy,
         np.broadcast_to(own_yaw, yaw_rad[near].shape),
-        half[manoeuvre.row] + room_m,
+        half[own_row] + room_m,
         yaw_rad[near],
         half[rows[near]][:, None],
     )[0].max(-1)

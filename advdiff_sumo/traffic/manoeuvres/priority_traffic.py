@@ -19,13 +19,13 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 REACH_M = 80.0
 """Distance within which a junction ahead is looked at."""
-_SOONEST_S, _LATEST_S, _RED_S = 2.2, 6.0, 4.0
+_SOONEST_S, _LATEST_S, _RED_S = 2.2, 6.0, 5.0
 _LEAST_ARRIVAL_S = 1.7
 _SLOWEST_MPS, _FASTEST_MPS, _SHARE = 3.0, 12.0, 0.6
 _TIMING_S = (0.0, 0.7, -0.7)
 _TOUCHES_M, _BEYOND_M, _SPACING_M = 2.0, 6.0, 0.5
 _FROM_LINE_M, _ONCOMING_RAD = 8.0, 2.2
-_RED, _GREEN = ("r", "u"), "G"
+_GREEN = "G"
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,7 @@ class Approach:
 def approaches(view: SituationView, oncoming: bool, early_s: float | None = None) -> Iterator[Approach]:
     """Yield who would meet the target at its next junctions and goes first, those wanted most first.
 
-    The target goes on as if it saw nobody. Nobody meets a target that waits behind others, hardly moves, or is about
-    to stop at a red light.
+    The target goes on as if it saw nobody. Nobody meets a target that waits behind others or hardly moves.
 
     Args:
         view: the scene.
@@ -56,13 +55,14 @@ def approaches(view: SituationView, oncoming: bool, early_s: float | None = None
     if target is None or target.speed_mps < _SLOWEST_MPS:
         return
     for reach, link in target.way.links:
-        if not 0.0 < reach < REACH_M or not view.is_first(reach):
+        if not 0.0 < reach < REACH_M or not view.arrives_alone(reach):
             return
-        red = view.signal(link) in _RED
-        for other in sorted(goes_first(view, link), key=lambda one: _preference(view, link, one, oncoming)):
-            places = meeting_m(view.road, link, other)
-            if places is None:
-                continue
+        red = view.is_red(link)
+        foes = sorted(goes_first(view, link), key=lambda one: _preference(view, link, one, oncoming))
+        met = [(other, places) for other in foes if (places := meeting_m(view.road, link, other))]
+        if red:
+            met.sort(key=lambda one: one[1][1])  # who is soon there leaves the least time to see it coming
+        for other, places in met:
             meets_s = target.reaches_s(reach + places[0])
             soonest_s = (
                 _SOONEST_S if early_s is None else MOST_EARLY_S + _LEAST_ARRIVAL_S
@@ -83,7 +83,7 @@ def goes_first(view: SituationView, link: Link) -> list[Link]:
     lanes = (view.road.lanes.get(name) for name in junction.incoming_lanes)
     there = [lane for lane in lanes if lane is not None and lane.is_drivable and not lane.is_internal]
     others = (other for lane in there for other in lane.successors if other.junction_id == junction.id)
-    if view.signal(link) in _RED:
+    if view.is_red(link):
         foes = junction.foes.get(link.request_index, frozenset())
         return [other for other in others if other.request_index in foes and view.signal(other) == _GREEN]
     return [other for other in others if view.gives_way(link, other) and _may_go(view, other)]

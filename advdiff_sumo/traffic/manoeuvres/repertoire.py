@@ -25,11 +25,14 @@ GENTLE_BRAKING_MPS2 = (2.0, 3.0)
 """A vehicle that stops in its lane as at a kerb."""
 AFTER_CUT_IN_MPS2 = (2.0, 3.5, 5.0, 6.5, 8.0)
 """How somebody slows who has just changed lanes and finds the queue."""
-TIMING_MPS2 = (-2.0, -1.0, 0.0, 1.0, 2.0)
-"""How somebody with priority chooses when to arrive."""
+TIMING_MPS2 = (2.0, 1.0, 0.0, -1.0, -2.0)
+"""How somebody with priority chooses when to arrive; of what serves alike, the sooner."""
 _REVEALS_S = (2.0, 2.5, 3.0, 3.5, 4.0)
 _LONGEST_DELAY_S, _STANDS_MPS = 2.0, 0.5
 _TIMING_S = (1.5, 3.0)
+_HESITATES_MPS2, _GOES_MPS2 = (1.0, 2.0, 3.0), 2.5
+_HESITATES_S = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0)
+"""Somebody at a green light slows as if it were to stop, and goes after all."""
 _CRAWLS_SHARE, _STOPS_MPS2 = 0.3, 3.0
 """Who slows harder than this after a change of lanes stops; others go on at a share of the target's speed."""
 _IN_LANE_M, _BESIDE_M = 1.2, 5.5
@@ -102,14 +105,36 @@ def crossing(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     if links is None or target is None or view.speed(row) < _SLOWEST_MPS:
         return
     reach = next((reach for reach, link in target.way.links if link is links[1]), None)
-    if reach is None or not view.is_first(reach):
-        return  # it is on the junction, or waits behind somebody
+    if reach is not None and view.arrives_alone(
+        reach
+    ):  # not on the junction yet, nor waiting behind somebody
+        yield from _timed(view, row, links[1])
+
+
+def crossing_on(view: SituationView, row: int) -> Iterator[Manoeuvre]:
+    """Somebody who has begun to cross goes on: it does not hurry while a target that it lets pass is before it."""
+    links = crossing_links(view, row)
+    if links is None:
+        return
+    on_junction = links[1] is view.target_link
+    for timed in _timed(view, row, links[1]):
+        gains = timed.profile.first_mps2 > 0.0 or timed.profile.then_mps2 > 0.0
+        if not (on_junction and gains) or view.is_red(links[1]):
+            yield timed
+
+
+def _timed(view: SituationView, row: int, link: Link) -> Iterator[Manoeuvre]:
+    """Yield the speeds at which *row* may cross; before a target with a red light it may look as if it stopped."""
     way = view.ways[row]
+    limit = way.lane.speed_mps
     for accel in TIMING_MPS2:
         for until_s in _TIMING_S if accel else _TIMING_S[:1]:
-            slowest = _CROSSES_SHARE * way.lane.speed_mps
-            timed = SpeedProfile(accel, until_s, 0.0, slowest, way.lane.speed_mps)
+            timed = SpeedProfile(accel, until_s, 0.0, _CROSSES_SHARE * limit, limit)
             yield Manoeuvre("crossing", row, way, timed)
+    for slows in _HESITATES_MPS2 if view.is_red(link) else ():
+        for until_s in _HESITATES_S:
+            hesitant = SpeedProfile(-slows, until_s, _GOES_MPS2, _SLOWEST_MPS, limit)
+            yield Manoeuvre("crossing", row, way, hesitant)
 
 
 def cut_out(view: SituationView, row: int) -> Iterator[Manoeuvre]:

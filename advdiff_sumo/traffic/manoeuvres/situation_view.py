@@ -22,6 +22,8 @@ NEAR_M = 70.0
 """Vehicles farther from the target than this do not matter to it."""
 _IN_LANE_M = 1.5
 _GAINS_MPS2 = 3.0
+_CLEARS_S = 1.0
+_RED = ("r", "u")
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,21 @@ class SituationView:
         target = self.target
         return target is not None and not self.anybody_on(target.way, reach_m, _IN_LANE_M)
 
+    def arrives_alone(self, reach_m: float) -> bool:
+        """Return whether whoever is ahead will have left a place *reach_m* ahead of the target when it gets there."""
+        target = self.target
+        if target is None:
+            return False
+        arrives_s = target.reaches_s(reach_m)
+        if not np.isfinite(arrives_s):
+            return self.is_first(reach_m)
+        for row in (row for row in self.ways if row != self.scene.target):
+            ahead, left = self.place_on(target.way, row)
+            then = ahead + self.speed(row) * max(arrives_s - _CLEARS_S, 0.0)
+            if abs(left) < _IN_LANE_M and 0.0 < ahead < reach_m and then < reach_m:
+                return False
+        return True
+
     def anybody_on(self, way: Way, reach_m: float, aside_m: float) -> bool:
         """Return whether anybody but the target is ahead on *way*, within *reach_m*, and within *aside_m* of it."""
         places = (self.place_on(way, row) for row in self.ways if row != self.scene.target)
@@ -107,6 +124,10 @@ class SituationView:
     def signal(self, link: Link) -> str:
         """Return SUMO's letter of the light of *link*; "" where none controls it."""
         return link.signal(self.scene.signals)
+
+    def is_red(self, link: Link) -> bool:
+        """Return whether *link* has a red light now."""
+        return self.signal(link) in _RED
 
     def gives_way(self, link: Link, other: Link) -> bool:
         """Return whether *link* has to give way to *other* of the same junction, and not the other way round."""

@@ -17,6 +17,7 @@ SHOWN_BY = [
     ("tunnel", "give_way", "crossing", SEED),
     ("frozen", "give_way", "crossing", SEED),
     ("blind-oncoming", "turn_across", "crossing", SEED),
+    ("signals", "red_light", "crossing", SEED),
     ("cut-in", "beside", "cut-in", SEED),
     ("late", "beside", "hard-stop", SEED),
     ("blind-heavy", "beside", "hard-stop", SEED),
@@ -29,6 +30,7 @@ SHOWN_BY = [
 def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]:
     folder = tmp_path_factory.mktemp("nets")
     sign, two = crossing(folder, "priority"), two_lanes(folder, 20.0)
+    light = crossing(folder, "traffic_light")
     north = ("south_in", "north_out")
     from_south = Scripted(over(sign, *north), 225.0, 11.0)
     left = ("west_in", "north_out")
@@ -38,6 +40,7 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
         "town": town,
         "give_way": Encounter(sign, from_south, north, (), 12.0),
         "turn_across": Encounter(sign, Scripted(over(sign, *left), 225.0, 11.0), left, (), 12.0),
+        "red_light": Encounter(light, Scripted(over(light, *north), 190.0, 12.0), north, (), 14.0),
         "beside": beside,
     }
 

@@ -44,7 +44,7 @@ def _place(link: Link) -> int:
 
 @pytest.mark.parametrize(("leads_mps", "alone"), [(10.0, True), (2.0, False)])
 def test_who_drives_ahead_is_gone_by_then(motorway: RoadMap, leads_mps: float, alone: bool) -> None:
-    """At 10 m/s, gaining a little, the target is 60 m further on after 5.3 s; a leader 20 m ahead is there 1 s before."""
+    """At 10 m/s, gaining a little, the target has driven 60 m after 5.3 s; a leader 20 m ahead has 1 s before."""
     view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 70.0, leads_mps))
     assert not view.is_first(60.0)
     assert view.arrives_alone(60.0) is alone

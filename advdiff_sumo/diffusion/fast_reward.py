@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from advdiff_sumo.diffusion.graph_layer import GraphLayer, Heard
+from advdiff_sumo.diffusion.graph_layer import Activations, GraphLayer
 from advdiff_sumo.models.interaction import ABSENT, InteractionLayer
 from advdiff_sumo.models.reward import RewardModel, RewardState
 
@@ -21,7 +21,7 @@ class _Pass:
 
     first: Tensor
     second: Tensor
-    heard: Any
+    activations: Any
     hidden: Tensor
 
 
@@ -93,7 +93,7 @@ class FastReward:
         (weight, _), (last, _) = self._values
         read = torch.mm((grad[:, None] * last) * (done.hidden > 0.0), weight)
         node = torch.bmm(self._read.transpose(1, 2), read.reshape(scenes, 2, -1))
-        node = self._layers.back(node, done.heard).flatten(0, 1)
+        node = self._layers.back(node, done.activations).flatten(0, 1)
         second = torch.mm(node * (done.second > 0.0), self._mix[0])
         first = second * (done.first > 0.0) * self._free
         return torch.mm(first, self._action).reshape(scenes, agents, -1)
@@ -130,7 +130,7 @@ class TensorLayers:
         self._layers, self._edges = layers, edges
         self._attention_bias = attention_bias.repeat_interleave(attention_bias.shape[1], dim=0)
 
-    def forward(self, h: Tensor) -> tuple[Tensor, list[Heard]]:
+    def forward(self, h: Tensor) -> tuple[Tensor, list[Activations]]:
         """Return new embeddings (B, A, D) of *h*, and what :meth:`back` needs."""
         scenes, agents = h.shape[:2]
         node, kept = h.flatten(0, 1), []
@@ -138,16 +138,16 @@ class TensorLayers:
             receiver, sender = layer.ends(node)
             message = edges + receiver.reshape(scenes, agents, 1, -1)
             message += sender.reshape(scenes, 1, agents, -1)
-            node, heard = layer.forward(node, message.flatten(0, 1), self._attention_bias)
-            kept.append(heard)
+            node, activations = layer.forward(node, message.flatten(0, 1), self._attention_bias)
+            kept.append(activations)
         return node.reshape(scenes, agents, -1), kept
 
-    def back(self, grad: Tensor, kept: list[Heard]) -> Tensor:
+    def back(self, grad: Tensor, kept: list[Activations]) -> Tensor:
         """Return the gradient (B, A, D) of the embeddings for that of the new ones."""
         scenes, agents = grad.shape[:2]
         node = grad.flatten(0, 1)
-        for layer, heard in zip(reversed(self._layers), reversed(kept), strict=True):
-            past, message = layer.back(node, heard)
+        for layer, activations in zip(reversed(self._layers), reversed(kept), strict=True):
+            past, message = layer.back(node, activations)
             sender = message.reshape(scenes, agents, agents, -1).sum(1).flatten(0, 1)
             node = past + layer.back_ends(message.sum(1), sender)
         return node.reshape(scenes, agents, -1)

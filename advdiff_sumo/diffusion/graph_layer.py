@@ -16,7 +16,7 @@ from advdiff_sumo.models.interaction import InteractionLayer
 
 
 @dataclass(frozen=True)
-class Heard:
+class Activations:
     """What of a layer's pass its gradient needs; G = B R receivers, A senders.
 
     Attributes:
@@ -67,7 +67,7 @@ class GraphLayer:
         projected = torch.addmm(self._ends_bias, h, self._ends_t)
         return projected[:, : self.width], projected[:, self.width :]
 
-    def forward(self, h: Tensor, message: Tensor, blocked: Tensor | None) -> tuple[Tensor, Heard]:
+    def forward(self, h: Tensor, message: Tensor, blocked: Tensor | None) -> tuple[Tensor, Activations]:
         """Return new embeddings (G, D), and what :meth:`back` needs.
 
         Args:
@@ -86,27 +86,33 @@ class GraphLayer:
         mixed, *statistics = torch.native_layer_norm(before, scale.shape, scale, shift, eps)
         hidden = torch.addmm(self._first[1], mixed, self._first_t).relu_()
         new = torch.addmm(self._second[1], hidden, self._second_t).add_(mixed)
-        return new, Heard(message, weight, before, (statistics[0], statistics[1]), hidden)
+        return new, Activations(message, weight, before, (statistics[0], statistics[1]), hidden)
 
-    def back(self, grad: Tensor, heard: Heard) -> tuple[Tensor, Tensor]:
+    def back(self, grad: Tensor, activations: Activations) -> tuple[Tensor, Tensor]:
         """Return the gradients of the embeddings as they go past the messages (G, D), and of the messages.
 
         Args:
             grad: (G, D) gradient of the new embeddings.
-            heard: of the forward pass.
+            activations: of the forward pass.
         """
-        hidden = torch.mm(grad, self._second[0]) * (heard.hidden > 0.0)
+        hidden = torch.mm(grad, self._second[0]) * (activations.hidden > 0.0)
         mixed = torch.addmm(grad, hidden, self._first[0])
         scale, shift, _ = self._norm
         before = torch.ops.aten.native_layer_norm_backward(
-            mixed, heard.before, scale.shape, *heard.statistics, scale, shift, (True, False, False)
+            mixed,
+            activations.before,
+            scale.shape,
+            *activations.statistics,
+            scale,
+            shift,
+            (True, False, False),
         )[0]
         heads = torch.mm(before, self._out[0])[:, None] * self._own  # (G, H, M)
-        weight = torch.bmm(heads, heard.message.transpose(1, 2))  # (G, H, A)
-        score = heard.weight * (weight - (heard.weight * weight).sum(-1, keepdim=True))
-        message = torch.bmm(heard.weight.transpose(1, 2), heads)
+        weight = torch.bmm(heads, activations.message.transpose(1, 2))  # (G, H, A)
+        score = activations.weight * (weight - (activations.weight * weight).sum(-1, keepdim=True))
+        message = torch.bmm(activations.weight.transpose(1, 2), heads)
         message += torch.matmul(score.transpose(1, 2), self._score)
-        return before, message.mul_(heard.message > 0.0)
+        return before, message.mul_(activations.message > 0.0)
 
     def back_ends(self, receiver: Tensor, sender: Tensor) -> Tensor:
         """Return the gradient (G, D) of :meth:`ends` for gradients (G, M) of both."""

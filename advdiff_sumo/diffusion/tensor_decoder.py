@@ -64,11 +64,11 @@ class TensorDecoder:
             edges = self._edge.of(motion) if given_edges is None else given_edges[k]
             node = self._node(memory, given, pose, motion)
             others = None if trace is None else trace.senders[k]
-            mixed, said = self._mix(node, edges, rows, others, blocked)
+            mixed, sent = self._mix(node, edges, rows, others, blocked)
             accel, curvature = controls(net.action(mixed), motion[2], length, net.options)
             accel, curvature = accel * moved, curvature * moved
             edge_features.append(torch.cat((motion[0], motion[1][..., None], motion[2][..., None]), dim=-1))
-            senders.append(said)
+            senders.append(sent)
             motion = step(*motion, accel, curvature, MODEL_STEP_S)
             memory = self._remember(mixed, accel, curvature, memory)
             states.append((*motion, accel, curvature))

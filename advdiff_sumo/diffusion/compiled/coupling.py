@@ -11,7 +11,7 @@ import torch
 from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.diffusion.compiled.kernel import Array, affine, array_of, kernel, product, relu
 from advdiff_sumo.diffusion.compiled.layers import room
-from advdiff_sumo.diffusion.compiled.records import GraphWeights, Heard
+from advdiff_sumo.diffusion.compiled.records import Activations, GraphWeights
 from advdiff_sumo.diffusion.compiled.rollout import mix
 from advdiff_sumo.diffusion.compiled.weights import graph_weights
 from advdiff_sumo.models.context import Context
@@ -35,7 +35,7 @@ def couple(
     begin: Array,
     attention_bias: Array,
     drawn: BoolArray,
-    heard: Heard,
+    activations: Activations,
     h: Array,
 ) -> Array:
     """Return what coupling adds to the embeddings of a scene, and those, (A, D).
@@ -47,14 +47,14 @@ def couple(
         begin: (A, M) what is known without them; overwritten.
         attention_bias: (A,) added to the scores of senders: very negative where nobody is drawn.
         drawn: (A,) whose latents mean something.
-        heard: room of the layers, its messages what relative poses add to them; overwritten.
+        activations: room of the layers, its messages what relative poses add to them; overwritten.
         h: (A, D) embeddings.
     """
     product(x, w.sample, begin)
     relu(begin)
-    layers, agents, _, wide = heard.message.shape
+    layers, agents, _, wide = activations.message.shape
     senders = np.empty((layers, agents, wide), x.dtype)
-    mixed = mix(graph, begin, np.arange(agents), attention_bias, senders, False, heard)
+    mixed = mix(graph, begin, np.arange(agents), attention_bias, senders, False, activations)
     for a in range(agents):
         if not drawn[a]:
             mixed[a] = x.dtype.type(0.0)
@@ -128,7 +128,7 @@ class CoupledScenes(NamedTuple):
         latents = x.reshape(*x.shape[:2], -1)
         embeddings = np.empty_like(self.h)
         for b, edges in enumerate(self.edges):
-            begin, heard = self.known[k][b].copy(), room(self.graph, edges)
-            given = latents[b], begin, self.attention_bias[b], self.drawn[b], heard, self.h[b]
+            begin, activations = self.known[k][b].copy(), room(self.graph, edges)
+            given = latents[b], begin, self.attention_bias[b], self.drawn[b], activations, self.h[b]
             embeddings[b] = couple(self.weights, self.graph, *given)
         return embeddings

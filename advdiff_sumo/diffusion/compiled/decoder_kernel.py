@@ -79,11 +79,11 @@ class CompiledDecoder:
         return Tape(
             first=self._blank(count, width),
             memory=self._blank(slots, count, width),
-            held=self._blank(slots, count, 4 * width),
+            from_memory=self._blank(slots, count, 4 * width),
             node=self._blank(slots, count, width),
             hidden=self._blank(slots, count, width),
             gates=self._blank(slots, count, 3 * width),
-            done=self._blank(slots, count, DONE),
+            driven=self._blank(slots, count, DONE),
             message=self._blank(*each, agents, wide),
             weight=self._blank(*each, heads, agents),
             normal=self._blank(*each, width),

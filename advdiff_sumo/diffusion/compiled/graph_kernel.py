@@ -1,4 +1,4 @@
-"""Interaction layers with their gradient by hand: G receivers of one scene hear its A agents.
+"""Interaction layers with their gradient by hand: G receivers of one scene attend to its A agents.
 
 The same function as ``models.interaction.InteractionLayer``, equal up to rounding.
 """
@@ -22,7 +22,7 @@ from advdiff_sumo.diffusion.compiled.kernel import (
     relu,
     total,
 )
-from advdiff_sumo.diffusion.compiled.records import GraphWeights, Heard
+from advdiff_sumo.diffusion.compiled.records import Activations, GraphWeights
 from advdiff_sumo.diffusion.compiled.smooth import exponential
 
 
@@ -95,7 +95,13 @@ def standard(x: Array, node: Array, eps: float, deviation: Array) -> None:
 
 @kernel
 def graph_attention(
-    w: GraphWeights, layer: int, node: Array, ends: Array, said: Array, attention_bias: Array, heard: Heard
+    w: GraphWeights,
+    layer: int,
+    node: Array,
+    ends: Array,
+    sent: Array,
+    attention_bias: Array,
+    activations: Activations,
 ) -> Array:
     """Return new embeddings (G, D).
 
@@ -104,60 +110,62 @@ def graph_attention(
         layer: which one.
         node: (G, D) embeddings of the receivers.
         ends: (G, 2 M) what they add to messages; the first half is read.
-        said: (A, M) what the senders add.
+        sent: (A, M) what the senders add.
         attention_bias: (A,) added to the scores.
-        heard: to be written; its messages hold what relative poses add to them.
+        activations: to be written; its messages hold what relative poses add to them.
     """
-    receivers, senders, wide = heard.message.shape
+    receivers, senders, wide = activations.message.shape
     zero = node.dtype.type(0.0)
     gathered = np.empty((receivers, wide), node.dtype)
     for g in range(receivers):
         own = ends[g]
         for a in range(senders):
-            row, told = heard.message[g, a], said[a]
+            row, from_sender = activations.message[g, a], sent[a]
             for m in range(wide):
-                both = row[m] + own[m] + told[m]
+                both = row[m] + own[m] + from_sender[m]
                 row[m] = both if both > zero else zero
-        attend(heard.message[g], w.score[layer], attention_bias, heard.weight[g], gathered[g])
-    affine(gathered, w.out[layer], w.out_bias[layer], heard.normal)
-    standard(heard.normal, node, w.eps[layer], heard.deviation)
+        attend(activations.message[g], w.score[layer], attention_bias, activations.weight[g], gathered[g])
+    affine(gathered, w.out[layer], w.out_bias[layer], activations.normal)
+    standard(activations.normal, node, w.eps[layer], activations.deviation)
     new = np.empty(node.shape, node.dtype)
     for g in range(receivers):
-        row = heard.normal[g]
+        row = activations.normal[g]
         for d in range(len(row)):
             new[g, d] = row[d] * w.scale[layer, d] + w.shift[layer, d]
-    affine(new, w.first[layer], w.first_bias[layer], heard.hidden)
-    relu(heard.hidden)
+    affine(new, w.first[layer], w.first_bias[layer], activations.hidden)
+    relu(activations.hidden)
     for g in range(receivers):
         for d in range(len(new[g])):
             new[g, d] += w.second_bias[layer, d]
-    product(heard.hidden, w.second[layer], new)
+    product(activations.hidden, w.second[layer], new)
     return new
 
 
 @kernel
-def listen_back(w: GraphWeights, layer: int, grad: Array, heard: Heard, sender: Array) -> tuple[Array, Array]:
+def graph_attention_back(
+    w: GraphWeights, layer: int, grad: Array, activations: Activations, sender: Array
+) -> tuple[Array, Array]:
     """Return the gradients of embeddings as they go past the messages (G, D), and of what receivers add (G, M).
 
     Args:
         w: weights of all layers.
         layer: which one.
         grad: (G, D) gradient of the new embeddings.
-        heard: of the way forward.
+        activations: of the way forward.
         sender: (A, M) gradient of what the senders add; is added to.
     """
-    hidden, past = np.empty(heard.hidden.shape, grad.dtype), np.empty(grad.shape, grad.dtype)
+    hidden, past = np.empty(activations.hidden.shape, grad.dtype), np.empty(grad.shape, grad.dtype)
     wide = (len(grad), sender.shape[1])
     gathered, receiver = np.empty(wide, grad.dtype), np.empty(wide, grad.dtype)
     clear(hidden)
     clear(gathered)
     clear(receiver)
     product(grad, w.back_second[layer], hidden)
-    keep(hidden, heard.hidden)
+    keep(hidden, activations.hidden)
     place(grad, 0, past, 0, grad.shape[1])
     product(hidden, w.back_first[layer], past)
     for g in range(len(past)):
-        row, normal = past[g], heard.normal[g]
+        row, normal = past[g], activations.normal[g]
         mean = along = 0.0
         for d in range(len(row)):
             row[d] *= w.scale[layer, d]
@@ -165,10 +173,12 @@ def listen_back(w: GraphWeights, layer: int, grad: Array, heard: Heard, sender: 
             along += row[d] * normal[d]
         mean, along = mean / len(row), along / len(row)
         for d in range(len(row)):
-            row[d] = heard.deviation[g] * (row[d] - mean - normal[d] * along)
+            row[d] = activations.deviation[g] * (row[d] - mean - normal[d] * along)
     product(past, w.back_out[layer], gathered)
     for g in range(len(past)):
-        attend_back(gathered[g], w.score[layer], heard.message[g], heard.weight[g], receiver[g], sender)
+        attend_back(
+            gathered[g], w.score[layer], activations.message[g], activations.weight[g], receiver[g], sender
+        )
     return past, receiver
 
 
@@ -201,14 +211,14 @@ def attend_back(
     rows = np.zeros(message.shape, message.dtype)
     product(slope, score, rows)
     for a in range(senders):
-        row, to, heard = rows[a], sender[a], message[a]
+        row, to, sent = rows[a], sender[a], message[a]
         for head in range(heads):
             begin, end, share = head * span, (head + 1) * span, weight[head, a]
             part, by = row[begin:end], gathered[begin:end]
             for m in range(span):
                 part[m] += share * by[m]
         for m in range(len(row)):
-            row[m] = row[m] if heard[m] > zero else zero
+            row[m] = row[m] if sent[m] > zero else zero
         for m in range(len(row)):
             receiver[m] += row[m]
         for m in range(len(row)):

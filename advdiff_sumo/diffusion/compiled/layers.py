@@ -10,7 +10,7 @@ from torch import Tensor
 
 from advdiff_sumo.diffusion.compiled.backward import mix_back
 from advdiff_sumo.diffusion.compiled.kernel import Array, array_of
-from advdiff_sumo.diffusion.compiled.records import GraphWeights, Heard
+from advdiff_sumo.diffusion.compiled.records import Activations, GraphWeights
 from advdiff_sumo.diffusion.compiled.rollout import mix
 
 
@@ -29,27 +29,29 @@ class CompiledLayers:
         self._attention_bias = array_of(attention_bias)
         self._rows = np.arange(attention_bias.shape[1])
 
-    def forward(self, h: Tensor) -> tuple[Tensor, list[Heard]]:
+    def forward(self, h: Tensor) -> tuple[Tensor, list[Activations]]:
         """Return new embeddings (B, A, D) of *h*, and what :meth:`back` needs."""
         node, embeddings, kept = array_of(h), [], []
         _, layers, agents, _, wide = self._edges.shape
         for b in range(len(node)):
             senders = np.empty((layers, agents, wide), node.dtype)
-            heard = room(self._weights, self._edges[b])
+            activations = room(self._weights, self._edges[b])
             embeddings.append(
-                mix(self._weights, node[b], self._rows, self._attention_bias[b], senders, False, heard)
+                mix(self._weights, node[b], self._rows, self._attention_bias[b], senders, False, activations)
             )
-            kept.append(heard)
+            kept.append(activations)
         return torch.from_numpy(np.stack(embeddings)), kept
 
-    def back(self, grad: Tensor, kept: list[Heard]) -> Tensor:
+    def back(self, grad: Tensor, kept: list[Activations]) -> Tensor:
         """Return the gradient (B, A, D) of the embeddings for that of the new ones."""
         node = array_of(grad)
-        gradients = [mix_back(self._weights, node[b], self._rows, heard) for b, heard in enumerate(kept)]
+        gradients = [
+            mix_back(self._weights, node[b], self._rows, activations) for b, activations in enumerate(kept)
+        ]
         return torch.from_numpy(np.stack(gradients))
 
 
-def room(weights: GraphWeights, edges: Array) -> Heard:
+def room(weights: GraphWeights, edges: Array) -> Activations:
     """Return room for what the layers of a scene leave; its messages hold *edges* (L, A, A, M)."""
     layers, agents = edges.shape[:2]
     width, inner = weights.first.shape[1:]
@@ -58,4 +60,4 @@ def room(weights: GraphWeights, edges: Array) -> Heard:
     def blank(*shape: int) -> Array:
         return np.empty((layers, agents, *shape), edges.dtype)
 
-    return Heard(edges.copy(), blank(heads, agents), blank(width), blank(), blank(inner))
+    return Activations(edges.copy(), blank(heads, agents), blank(width), blank(), blank(inner))

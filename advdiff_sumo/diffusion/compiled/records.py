@@ -40,7 +40,7 @@ class GraphWeights(NamedTuple):
     second_bias: Array
 
 
-class Heard(NamedTuple):
+class Activations(NamedTuple):
     """What the gradient of one layer needs.
 
     Attributes:
@@ -64,11 +64,11 @@ class RollWeights(NamedTuple):
     Attributes:
         start_h, start_z, back_start_z, start_bias: the first memory.
         node_z, back_node_z, node_bias: of the latent in the node.
-        held, back_held, held_bias: what is made of the memory: the node's part (D), then the gates' (3 D).
+        from_memory, back_from_memory, from_memory_bias: the memory's part of the node (D), then of the gates (3 D).
         motion, back_motion: of the features of the own motion in the node.
-        told, back_told, told_bias: what is made of the mixed node: the action's hidden part (D), the gates' (3 D).
+        from_mixed, back_from_mixed, from_mixed_bias: mixed node to action's hidden part (D) and gates (3 D).
         act, back_act, act_bias: the action's last product.
-        done, back_done: of both controls in the gates, scaled.
+        controls, back_controls: of both controls in the gates, scaled.
         limits: (3,) of ``vehicle``.
     """
 
@@ -79,19 +79,19 @@ class RollWeights(NamedTuple):
     node_z: Array
     back_node_z: Array
     node_bias: Array
-    held: Array
-    back_held: Array
-    held_bias: Array
+    from_memory: Array
+    back_from_memory: Array
+    from_memory_bias: Array
     motion: Array
     back_motion: Array
-    told: Array
-    back_told: Array
-    told_bias: Array
+    from_mixed: Array
+    back_from_mixed: Array
+    from_mixed_bias: Array
     act: Array
     back_act: Array
     act_bias: Array
-    done: Array
-    back_done: Array
+    controls: Array
+    back_controls: Array
     limits: Array
 
 
@@ -99,7 +99,7 @@ class ActWeights(NamedTuple):
     """Those of :class:`RollWeights` that the gradient of a step's controls needs."""
 
     back_act: Array
-    back_done: Array
+    back_controls: Array
     limits: Array
 
 
@@ -125,12 +125,12 @@ class Tape(NamedTuple):
     Attributes:
         first: (G, D) the first memory.
         memory: (S, G, D) before the step.
-        held: (S, G, 4 D) made of it.
+        from_memory: (S, G, 4 D) the memory's part of node and gates.
         node: (S, G, D) after its ReLU.
         hidden: (S, G, D) the action's.
         gates: (S, G, 3 D) reset, update, and the new memory.
-        done: (S, G, 8) of ``vehicle.drive``.
-        message: (S, L, G, A, M) and the rest as in :class:`Heard`.
+        driven: (S, G, 8) of ``vehicle.drive``.
+        message: (S, L, G, A, M) and the rest as in :class:`Activations`.
         weight: (S, L, G, H, A)
         normal: (S, L, G, D)
         deviation: (S, L, G)
@@ -139,11 +139,11 @@ class Tape(NamedTuple):
 
     first: Array
     memory: Array
-    held: Array
+    from_memory: Array
     node: Array
     hidden: Array
     gates: Array
-    done: Array
+    driven: Array
     message: Array
     weight: Array
     normal: Array
@@ -152,27 +152,27 @@ class Tape(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """Where everybody was at the beginning of each step (T, A, 4), and what he said (T, L, A, M)."""
+    """Where everybody was at the beginning of each step (T, A, 4), and everybody's messages (T, L, A, M)."""
 
     motion: Array
     senders: Array
 
 
 @kernel
-def heard_at(tape: Tape, slot: int) -> Heard:
-    """Return what all layers heard in a step, (L, …)."""
-    return Heard(
+def activations_at(tape: Tape, slot: int) -> Activations:
+    """Return the activations of all layers in a step, (L, …)."""
+    return Activations(
         tape.message[slot], tape.weight[slot], tape.normal[slot], tape.deviation[slot], tape.inner[slot]
     )
 
 
 @kernel
-def heard_in(heard: Heard, layer: int) -> Heard:
+def activations_of(activations: Activations, layer: int) -> Activations:
     """Return one layer's part."""
-    return Heard(
-        heard.message[layer],
-        heard.weight[layer],
-        heard.normal[layer],
-        heard.deviation[layer],
-        heard.hidden[layer],
+    return Activations(
+        activations.message[layer],
+        activations.weight[layer],
+        activations.normal[layer],
+        activations.deviation[layer],
+        activations.hidden[layer],
     )

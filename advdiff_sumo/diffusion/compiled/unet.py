@@ -239,9 +239,9 @@ def predict(
     scale: Array,
     shift: Array,
     span: int,
-    made: Array,
+    noise: Array,
 ) -> None:
-    """Set *made* (M, C, L) to the noise in *x* (M, C, L), *span* vehicles at a time.
+    """Set *noise* (M, C, L) to that in *x* (M, C, L), *span* vehicles at a time.
 
     Args:
         w: weights.
@@ -251,7 +251,7 @@ def predict(
         scale: (M, ΣC) of all norms.
         shift: (M, ΣC) of all norms.
         span: vehicles that the processor's caches hold at once.
-        made: to be written.
+        noise: to be written.
     """
     vehicles, channels, length = x.shape
     for begin in range(0, vehicles, span):
@@ -263,4 +263,4 @@ def predict(
         for c in range(channels):
             beside(columns, channels, c)
         convolve(w.into, columns, y)
-        turn(unet(w, blocks, y, scale[begin:end], shift[begin:end]), made[begin:end])
+        turn(unet(w, blocks, y, scale[begin:end], shift[begin:end]), noise[begin:end])

@@ -30,9 +30,9 @@ def roll_weights(decoder: Decoder) -> RollWeights:
     node_memory, node_z, motion = torch.split(
         node.weight, [width, latent, node.in_features - width - latent], dim=1
     )
-    mixed, done = cell.weight_ih[:, :width], cell.weight_ih[:, width:]
-    done = done * torch.tensor(CONTROL_SCALE, dtype=done.dtype)
-    held_bias = torch.cat((torch.zeros_like(node.bias), cell.bias_hh))
+    mixed, controls = cell.weight_ih[:, :width], cell.weight_ih[:, width:]
+    controls = controls * torch.tensor(CONTROL_SCALE, dtype=controls.dtype)
+    from_memory_bias = torch.cat((torch.zeros_like(node.bias), cell.bias_hh))
     return RollWeights(
         array_of(start_h.t()),
         *_both(start_z),
@@ -40,13 +40,13 @@ def roll_weights(decoder: Decoder) -> RollWeights:
         *_both(node_z),
         array_of(node.bias),
         *_both(torch.cat((node_memory, cell.weight_hh))),
-        array_of(held_bias),
+        array_of(from_memory_bias),
         *_both(motion),
         *_both(torch.cat((first.weight, mixed))),
         array_of(torch.cat((first.bias, cell.bias_ih))),
         *_both(last.weight),
         array_of(last.bias),
-        *_both(done),
+        *_both(controls),
         limits_of(decoder.options, array_of(node.bias)),
     )
 

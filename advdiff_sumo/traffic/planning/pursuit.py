@@ -102,9 +102,14 @@ def move(state: FloatArray, accel: float, curvature: float, dt_s: float) -> None
 
 @kernel
 def pursue(
-    lines: Lines, states: FloatArray, bends: FloatArray, lateral_mps2: float, small_s: float, made: FloatArray
+    lines: Lines,
+    states: FloatArray,
+    bends: FloatArray,
+    lateral_mps2: float,
+    small_s: float,
+    driven: FloatArray,
 ) -> None:
-    """Set *made* (V, T, K, 4) to the states after K small steps for each of T instants.
+    """Set *driven* (V, T, K, 4) to the states after K small steps for each of T instants.
 
     Args:
         lines: of the vehicles.
@@ -112,9 +117,9 @@ def pursue(
         bends: (V,) largest curvatures by steering.
         lateral_mps2: largest lateral acceleration.
         small_s: duration of a small step.
-        made: to be written.
+        driven: to be written.
     """
-    _, instants, small_steps, _ = made.shape
+    _, instants, small_steps, _ = driven.shape
     for row in range(len(states)):
         state, s, at = states[row], 0.0, lines.first[row]
         for t in range(instants):
@@ -123,4 +128,4 @@ def pursue(
                 bound = min(bends[row], lateral_mps2 / max(state[3], 0.1) ** 2)
                 s += state[3] * small_s
                 move(state, accel, min(max(bend, -bound), bound), small_s)
-                made[row, t, k] = state
+                driven[row, t, k] = state

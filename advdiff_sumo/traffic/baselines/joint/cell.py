@@ -35,7 +35,7 @@ class Cell:
     """
 
     def __init__(self, cell: nn.GRUCell) -> None:
-        self._told, self._held = (
+        self._from_input, self._from_memory = (
             Linear(np.ascontiguousarray(weight.T), weight, array_of(bias))
             for weight, bias in (
                 (array_of(cell.weight_ih), cell.bias_ih),
@@ -46,17 +46,17 @@ class Cell:
     def keep(self, inputs: Array, memory: Array) -> tuple[Array, Kept]:
         """Return the memory (A, D) after *inputs* (A, D + 2), and what :meth:`keep_back` needs."""
         wide = memory.shape[1]
-        mine, held = self._told(inputs), self._held(memory)
+        mine, held = self._from_input(inputs), self._from_memory(memory)
         gates = logistic(mine[:, : 2 * wide] + held[:, : 2 * wide])
         reset, update, last = gates[:, :wide], gates[:, wide:], held[:, 2 * wide :]
         new = np.tanh(mine[:, 2 * wide :] + reset * last)
         return new + update * (memory - new), Kept(memory, reset, update, new, last)
 
     def keep_back(self, kept: Kept, grad: Array) -> tuple[Array, Array]:
-        """Return the gradients of what was told (A, D + 2) and of the memory before, for *grad* of that after."""
+        """Return the gradients of the input (A, D + 2) and of the memory before, for *grad* of that after."""
         by_new = grad * (1.0 - kept.update) * (1.0 - kept.new**2)
         by_reset = by_new * kept.held * kept.reset * (1.0 - kept.reset)
         by_update = grad * (kept.before - kept.new) * kept.update * (1.0 - kept.update)
         gradient = np.concatenate((by_reset, by_update, by_new), axis=1)
         held = np.concatenate((by_reset, by_update, by_new * kept.reset), axis=1)
-        return gradient @ self._told.back, grad * kept.update + held @ self._held.back
+        return gradient @ self._from_input.back, grad * kept.update + held @ self._from_memory.back

@@ -16,7 +16,7 @@ from advdiff_sumo.traffic.baselines.joint.cell import Cell, Kept
 from advdiff_sumo.traffic.baselines.joint.edges import Edges, Looks
 from advdiff_sumo.traffic.baselines.joint.ego_features import own_motion, own_motion_back
 from advdiff_sumo.traffic.baselines.joint.joint_arrays import Array, Linear, array_of, relu
-from advdiff_sumo.traffic.baselines.joint.joint_graph import Heard, Layer
+from advdiff_sumo.traffic.baselines.joint.joint_graph import Activations, Layer
 from advdiff_sumo.traffic.baselines.joint.joint_vehicle import Cars, Driven, drive, drive_back
 
 _CONTROL_SCALE = (0.25, 10.0)
@@ -47,7 +47,7 @@ class _Step:
     motion: Array
     node: Array
     looks: Looks
-    heard: list[Heard]
+    activations: list[Activations]
     hidden: Array
     driven: Driven
     kept: Kept
@@ -104,10 +104,10 @@ class JointDecoder:
         for k in range(given.known.shape[1]):
             before, own = motion, own_motion(given.cars.begin, motion)
             node = mixed = relu(memory @ self._node_memory.forth + latent + own @ self._node_own.forth)
-            looks, heard = self._edges.look(motion), []
+            looks, activations = self._edges.look(motion), []
             for layer in self._layers:
-                mixed, one = layer.hear(mixed, looks.embedded)
-                heard.append(one)
+                mixed, one = layer.forward(mixed, looks.embedded)
+                activations.append(one)
             hidden = relu(self._hidden(mixed))
             motion, driven = drive(given.cars, self._act(hidden), motion)
             motion = np.where(given.known[:, k, None], given.states[:, k], motion)
@@ -115,7 +115,7 @@ class JointDecoder:
             trajectory[:, k, :4], trajectory[:, k, 4:] = motion, done
             cell_inputs = np.concatenate((mixed, np.multiply(done, _CONTROL_SCALE, dtype=done.dtype)), axis=1)
             memory, kept = self._cell.keep(cell_inputs, memory)
-            steps.append(_Step(before, node, looks, heard, hidden, driven, kept))
+            steps.append(_Step(before, node, looks, activations, hidden, driven, kept))
         return trajectory, first, steps
 
     def roll_back(self, given: Given, first: Array, steps: list[_Step], grad: Array) -> Array:
@@ -130,8 +130,8 @@ class JointDecoder:
             raw, motion = drive_back(given.cars, step.driven, motion, done + grad[:, k, 4:])
             mixed = mixed + ((raw @ self._act.back) * (step.hidden > 0.0)) @ self._hidden.back
             looks = np.zeros_like(step.looks.embedded)
-            for layer, heard in zip(reversed(self._layers), reversed(step.heard), strict=True):
-                mixed, edge_gradient = layer.hear_back(heard, mixed)
+            for layer, activations in zip(reversed(self._layers), reversed(step.activations), strict=True):
+                mixed, edge_gradient = layer.back(activations, mixed)
                 looks = looks + edge_gradient
             node = mixed * (step.node > 0.0)
             own = own_motion_back(given.cars.begin, step.motion, node @ self._node_own.back)

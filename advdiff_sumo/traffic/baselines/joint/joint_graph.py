@@ -11,7 +11,7 @@ from advdiff_sumo.traffic.baselines.joint.joint_arrays import Array, Linear, arr
 
 
 @dataclass(frozen=True)
-class Heard:
+class Activations:
     """What the gradient of a layer needs.
 
     Attributes:
@@ -47,8 +47,8 @@ class Layer:
         )
         self._first, self._second = Linear.of(layer.mix[0]), Linear.of(layer.mix[2])
 
-    def hear(self, h: Array, embedded: Array) -> tuple[Array, Heard]:
-        """Return new embeddings (A, D) of *h* among looks *embedded* (A, A, E), and what :meth:`hear_back` needs."""
+    def forward(self, h: Array, embedded: Array) -> tuple[Array, Activations]:
+        """Return new embeddings (A, D) of *h* among looks *embedded* (A, A, E), and what :meth:`back` needs."""
         count, heads = len(h), self._heads
         edge = (embedded.reshape(count * count, -1) @ self._edge.forth).reshape(count, count, -1)
         message = relu(edge + self._receiver(h)[:, None] + self._sender(h))
@@ -63,21 +63,25 @@ class Layer:
         normal = into * sharp
         mixed = normal * self._scale + self._shift
         hidden = relu(self._first(mixed))
-        return mixed + self._second(hidden), Heard(message, weight, normal, sharp, hidden)
+        return mixed + self._second(hidden), Activations(message, weight, normal, sharp, hidden)
 
-    def hear_back(self, heard: Heard, grad: Array) -> tuple[Array, Array]:
+    def back(self, activations: Activations, grad: Array) -> tuple[Array, Array]:
         """Return the gradients of embeddings (A, D) and of looks (A, A, E) for *grad* (A, D) of the new embeddings."""
         count = len(grad)
-        mixed = grad + ((grad @ self._second.back) * (heard.hidden > 0.0)) @ self._first.back
+        mixed = grad + ((grad @ self._second.back) * (activations.hidden > 0.0)) @ self._first.back
         by = mixed * self._scale
         by = by - by.mean(axis=1, keepdims=True)
-        into = heard.sharp * (by - heard.normal * (by * heard.normal).mean(axis=1, keepdims=True))
+        into = activations.sharp * (
+            by - activations.normal * (by * activations.normal).mean(axis=1, keepdims=True)
+        )
         gathered = (into @ self._out.back).reshape(count, 1, self._heads, -1)
-        split = heard.message.reshape(count, count, self._heads, -1)
+        split = activations.message.reshape(count, count, self._heads, -1)
         weight = (gathered * split).sum(axis=-1)
-        score = heard.weight * (weight - (heard.weight * weight).sum(axis=1, keepdims=True))
-        message = (heard.weight[..., None] * gathered).reshape(heard.message.shape) + score @ self._score.back
-        message *= heard.message > 0.0
+        score = activations.weight * (weight - (activations.weight * weight).sum(axis=1, keepdims=True))
+        message = (activations.weight[..., None] * gathered).reshape(
+            activations.message.shape
+        ) + score @ self._score.back
+        message *= activations.message > 0.0
         before = into + message.sum(axis=1) @ self._receiver.back + message.sum(axis=0) @ self._sender.back
         looks = message.reshape(count * count, -1) @ self._edge.back
         return before, looks.reshape(count, count, -1)

@@ -29,7 +29,7 @@ UPDATES_PER_STEP = 2
 
 
 @dataclass(frozen=True)
-class Heard:
+class DrawnLatents:
     """A plan of the policy.
 
     Attributes:
@@ -92,10 +92,10 @@ def warm_up(
     stored: list[Experience] = []
     losses: list[float] = []
     episodes, contacts = 0, 0
-    for record, heard in _episodes(run, policy):
+    for record, plans in _episodes(run, policy):
         episodes += 1
         contacts += int(record.end == "collision")
-        fresh = list(experiences(record, heard, reward_options))[: steps - len(stored)]
+        fresh = list(experiences(record, plans, reward_options))[: steps - len(stored)]
         for piece in _cut(fresh, len(stored), marks):
             stored += piece
             losses += learner.fit(stored, UPDATES_PER_STEP * len(piece))
@@ -117,29 +117,31 @@ def _cut(fresh: list[Experience], done: int, marks: Sequence[int]) -> Iterator[l
             yield fresh[start:end]
 
 
-def _episodes(run: Run, policy: DiffusionTraffic) -> Iterator[tuple[EpisodeRecord, list[Heard]]]:
+def _episodes(run: Run, policy: DiffusionTraffic) -> Iterator[tuple[EpisodeRecord, list[DrawnLatents]]]:
     """Yield the records of episodes and the plans that were made in each."""
     for number, scene in enumerate(run.seed_scenes()):
-        heard: list[Heard] = []
+        plans: list[DrawnLatents] = []
 
-        def listen(view: View, drawn: Drawn, into: list[Heard] = heard) -> None:
-            into.append(Heard(view, drawn.latents.cpu()))
+        def keep_plan(view: View, drawn: Drawn, into: list[DrawnLatents] = plans) -> None:
+            into.append(DrawnLatents(view, drawn.latents.cpu()))
 
-        policy.listener = listen
+        policy.listener = keep_plan
         try:
             record, _ = run.episode(number, scene).run()
         finally:
             policy.listener = None
-        yield record, heard
+        yield record, plans
 
 
-def experiences(record: EpisodeRecord, heard: list[Heard], options: RewardOptions) -> Iterator[Experience]:
+def experiences(
+    record: EpisodeRecord, plans: list[DrawnLatents], options: RewardOptions
+) -> Iterator[Experience]:
     """Yield what each plan led to within ``options.execute`` model steps, as the record tells.
 
     A plan counts when the target is still there then, or has been hit; who has gone coasts on. Its scene knows the
     target's drive in the next ``options.look`` steps, where the record goes on for so long.
     """
-    for plan in heard:
+    for plan in plans:
         path = _happened(record, plan.view, options.execute)
         if path is not None:
             target = torch.zeros(1, dtype=torch.long)

@@ -10,7 +10,7 @@ import torch
 from safetensors import safe_open
 
 from advdiff_sumo.core.errors import ConfigError
-from advdiff_sumo.experiments.warmup_run import Heard, WarmedUp, experiences, warm_up
+from advdiff_sumo.experiments.warmup_run import DrawnLatents, WarmedUp, experiences, warm_up
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
 from advdiff_sumo.models.reward_file import load_reward, save_reward
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
@@ -63,13 +63,13 @@ def test_plans_know_the_drive_that_followed(weights: Path) -> None:
     run = Run.prepare(options(weights))
     policy = run.policy
     assert isinstance(policy, DiffusionTraffic)
-    heard: list[Heard] = []
-    policy.listener = lambda view, drawn: heard.append(Heard(view, drawn.latents))
+    plans: list[DrawnLatents] = []
+    policy.listener = lambda view, drawn: plans.append(DrawnLatents(view, drawn.latents))
     record, _ = run.episode(0, next(iter(run.seed_scenes()))).run()
-    made = list(experiences(record, heard, RewardOptions()))
+    made = list(experiences(record, plans, RewardOptions()))
     assert record.end == "horizon"
     assert [int(one.state.future_valid.sum()) for one in made] == [6, *[0] * (len(made) - 1)]
-    tracks, view = record.tracks, heard[0].view
+    tracks, view = record.tracks, plans[0].view
     step = round((view.scene.time_s + 3.0 - tracks.t0_s) / tracks.dt_s)
     last = tracks.xy_m[tracks.index[view.ids[0]], step]
     drive = made[0].state.future[0, 0, 5, :2].numpy() + view.now.xy_m[0, -1]

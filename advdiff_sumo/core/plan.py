@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.core.scene import Tracks
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class Trajectory(KinematicStates):
     """Where the vehicle should be; a tracking controller drives it there through the bicycle model.
 
     Attributes:
@@ -21,9 +22,6 @@ class Trajectory:
         dt_s: spacing.
     """
 
-    xy_m: FloatArray
-    yaw_rad: FloatArray
-    speed_mps: FloatArray
     dt_s: float
 
 

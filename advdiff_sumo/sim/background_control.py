@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.errors import PlanRefusedError
+from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
@@ -26,33 +27,26 @@ from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 
 
 @dataclass(frozen=True)
-class Motion:
+class Motion(KinematicStates):
     """What the moved vehicles do until the next plan; M vehicles, n substeps.
 
     Attributes:
-        rows: (M,) rows of the world.
         xy_m, yaw_rad, speed_mps: (M, n, 2), (M, n), (M, n) states after each substep.
+        rows: (M,) rows of the world.
         valid: (M, n) whether the vehicle is there.
     """
 
     rows: IntArray
-    xy_m: FloatArray
-    yaw_rad: FloatArray
-    speed_mps: FloatArray
     valid: BoolArray
 
     def keep(self, mask: BoolArray) -> Motion:
         """Return the vehicles where *mask* (M,) is True."""
-        return Motion(
-            self.rows[mask], self.xy_m[mask], self.yaw_rad[mask], self.speed_mps[mask], self.valid[mask]
-        )
+        kept = self.mapped(lambda part: part[mask])
+        return replace(kept, rows=self.rows[mask], valid=self.valid[mask])
 
     def span(self, start: int, stop: int) -> Motion:
         """Return substeps *start* to *stop* (exclusive)."""
-        cut = slice(start, stop)
-        return Motion(
-            self.rows, self.xy_m[:, cut], self.yaw_rad[:, cut], self.speed_mps[:, cut], self.valid[:, cut]
-        )
+        return replace(self.mapped(lambda part: part[:, start:stop]), valid=self.valid[:, start:stop])
 
     @staticmethod
     def join(first: Motion, second: Motion) -> Motion:
@@ -65,10 +59,10 @@ class Motion:
     def none(steps: int) -> Motion:
         """Return the motion of no vehicle."""
         return Motion(
-            np.zeros(0, dtype=np.int64),
             np.zeros((0, steps, 2)),
             np.zeros((0, steps)),
             np.zeros((0, steps)),
+            np.zeros(0, dtype=np.int64),
             np.zeros((0, steps), dtype=np.bool_),
         )
 
@@ -169,7 +163,7 @@ class Background:
             )
         self.skipped.update(name for name, away in zip(tracks.ids, far, strict=True) if away)
         dense = self._exact(tracks, steps) if plan.exact else self._driven(tracks, rows, steps)
-        return Motion(rows, *dense).keep(~far)
+        return Motion(*dense[:3], rows, dense[3]).keep(~far)
 
     def row_for(self, tracks: Tracks, k: int) -> int:
         """Return the world's row of agent *k* of *tracks*, a new one if it was never there."""

@@ -77,7 +77,7 @@ class Context:
             _filled(part[agents, cut], steps) for part in (log.xy_m, log.yaw_rad, log.speed_mps)
         )
         rows = np.array([self.background.row_for(log, int(k)) for k in agents], dtype=np.int64)
-        return Motion(rows, xy, yaw, speed, valid)
+        return Motion(xy, yaw, speed, rows, valid)
 
 
 def _filled(part: FloatArray, steps: int) -> FloatArray:

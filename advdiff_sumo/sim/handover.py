@@ -159,7 +159,7 @@ class Handover:
         xy, yaw, speed = track(state, reference, length, self.sim.step_s, Limits())
         rows = [self.world.index[name] for name in np.array(scene.history.ids)[mine].tolist()]
         return Motion(
-            np.array(rows, dtype=np.int64), xy, yaw, speed, np.ones((len(rows), steps), dtype=np.bool_)
+            xy, yaw, speed, np.array(rows, dtype=np.int64), np.ones((len(rows), steps), dtype=np.bool_)
         )
 
     def note_routes(self, routes: Mapping[str, tuple[str, ...]]) -> None:

@@ -128,7 +128,7 @@ class LaneGraphPlanner:
         for v, side in enumerate(sides):
             rows = choice.variant == v
             xy[rows], yaw[rows] = side.poses(s[rows])
-        return Candidates(s, speed, accel, xy, yaw)
+        return Candidates(xy, yaw, speed, s, accel)
 
 
 def _state(scene: Scene, memory: Memory) -> State:

@@ -9,6 +9,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.boxes import corners, separation
+from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.planners.lane_graph.duties import Duties, Foe
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.others import Others, Way
@@ -25,22 +26,19 @@ _ROUTE, _ROUTE_NEAR_M, _ROUTE_FAR_M = 7.0, 40.0, 160.0
 
 
 @dataclass(frozen=True)
-class Candidates:
+class Candidates(KinematicStates):
     """C futures of the target at T instants.
 
     Attributes:
-        s_m: (C, T) centres along the paths.
-        speed_mps: (C, T) speeds.
-        accel_mps2: (C, T) accelerations.
         xy_m: (C, T, 2) centres.
         yaw_rad: (C, T) headings.
+        speed_mps: (C, T) speeds.
+        s_m: (C, T) centres along the paths.
+        accel_mps2: (C, T) accelerations.
     """
 
     s_m: FloatArray
-    speed_mps: FloatArray
     accel_mps2: FloatArray
-    xy_m: FloatArray
-    yaw_rad: FloatArray
 
 
 def collision_cost(

@@ -8,6 +8,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.planners.lane_graph.path import SPACING_M
 from advdiff_sumo.planners.lane_graph.variants import Variant
 from advdiff_sumo.planners.learned.guide import Guide
@@ -19,7 +20,7 @@ _MOST_BRAKE_MPS2 = 8.0
 
 
 @dataclass(frozen=True)
-class Candidates:
+class Candidates(KinematicStates):
     """C futures of the target at T instants.
 
     Attributes:
@@ -30,9 +31,6 @@ class Candidates:
         sample: (C,) the sample whose motion or speed it is; 0 for braking.
     """
 
-    xy_m: FloatArray
-    yaw_rad: FloatArray
-    speed_mps: FloatArray
     line: IntArray
     sample: IntArray
 
@@ -72,13 +70,9 @@ def candidates(
             _straight(now, slowed, dt_s) if guide is None else _along(guide.lines[0], slowed, now[2], dt_s)
         )
         parts.append((*braked, BRAKE, np.zeros(len(slowed), dtype=np.int64)))
-    return Candidates(
-        np.concatenate([p[0] for p in parts]),
-        np.concatenate([p[1] for p in parts]),
-        np.concatenate([p[2] for p in parts]),
-        np.concatenate([np.full(len(p[2]), p[3]) for p in parts]),
-        np.concatenate([p[4] for p in parts]),
-    )
+    xy, yaw, speed = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    lines = np.concatenate([np.full(len(part[2]), part[3]) for part in parts])
+    return Candidates(xy, yaw, speed, lines, np.concatenate([part[4] for part in parts]))
 
 
 def driven_m(speed_mps: FloatArray, now_mps: float, dt_s: float) -> FloatArray:

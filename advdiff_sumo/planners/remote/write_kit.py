@@ -8,7 +8,10 @@ import advdiff_sumo
 from advdiff_sumo.core.errors import FileError
 
 #: What a planner's server imports, relative to this package.
-KIT_FILES = ("__init__.py", "py.typed", "core/__init__.py", "core/arrays.py", "core/plan.py", "core/scene.py")
+KIT_FILES = (
+    *("__init__.py", "py.typed", "core/__init__.py"),
+    *("core/arrays.py", "core/kinematic_states.py", "core/plan.py", "core/scene.py"),
+)
 _PROJECT = """\
 [build-system]
 requires = ["setuptools>=61"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -165,6 +165,4 @@ def _merit(manoeuvre: Manoeuvre, needed_mps2: float, begun: bool) -> float:
 
 
 def _rows(futures: ManoeuvreFutures, rows: FloatArray | np.ndarray) -> ManoeuvreFutures:
-    return ManoeuvreFutures(
-        futures.xy_m[rows], futures.yaw_rad[rows], futures.speed_mps[rows], futures.driven_m[rows]
-    )
+    return replace(futures.mapped(lambda part: part[rows]), driven_m=futures.driven_m[rows])

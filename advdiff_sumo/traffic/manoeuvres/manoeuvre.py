@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.traffic.manoeuvres.profiles import (
     CHECK_DT_S,
     CHECK_TIMES_S,
@@ -58,7 +59,7 @@ class Manoeuvre:
 
 
 @dataclass(frozen=True)
-class ManoeuvreFutures:
+class ManoeuvreFutures(KinematicStates):
     """Futures of C manoeuvres at ``CHECK_TIMES_S``.
 
     Attributes:
@@ -68,9 +69,6 @@ class ManoeuvreFutures:
         driven_m: (C, T) distances along the ways.
     """
 
-    xy_m: FloatArray
-    yaw_rad: FloatArray
-    speed_mps: FloatArray
     driven_m: FloatArray
 
     def at_model_steps(self) -> tuple[FloatArray, FloatArray, FloatArray]:

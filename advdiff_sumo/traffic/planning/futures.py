@@ -8,6 +8,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.core.resample import with_middles
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.models.decoder import Rollout
@@ -15,7 +16,7 @@ from advdiff_sumo.models.model_options import MODEL_STEP_S
 
 
 @dataclass(frozen=True)
-class Futures:
+class Futures(KinematicStates):
     """States of N road users now and at T instants to come.
 
     Attributes:
@@ -26,9 +27,6 @@ class Futures:
         dt_s: spacing.
     """
 
-    xy_m: FloatArray
-    yaw_rad: FloatArray
-    speed_mps: FloatArray
     size_m: FloatArray
     dt_s: float
 
@@ -48,16 +46,11 @@ class Futures:
 
     def copy(self) -> Futures:
         """Return the same with arrays of its own."""
-        return replace(
-            self, xy_m=self.xy_m.copy(), yaw_rad=self.yaw_rad.copy(), speed_mps=self.speed_mps.copy()
-        )
+        return self.mapped(np.copy)
 
     def first(self, steps: int) -> Futures:
         """Return now and the first *steps* instants."""
-        cut = slice(0, steps + 1)
-        return replace(
-            self, xy_m=self.xy_m[:, cut], yaw_rad=self.yaw_rad[:, cut], speed_mps=self.speed_mps[:, cut]
-        )
+        return self.mapped(lambda part: part[:, : steps + 1])
 
     def lasting(self, steps: int) -> Futures:
         """Return now and *steps* instants; who has no plan for so long goes on at its last velocity."""

@@ -7,6 +7,7 @@ paper's "simplistic" model, Sec. III-B): curvature = tan(steer) / wheelbase.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,8 +96,12 @@ def rollout(
             xy_m, yaw_rad, speed_mps, accel_mps2[..., t], curvature_1pm[..., t], dt_s
         )
         states.append((xy_m, yaw_rad, speed_mps))
-    return (
-        np.stack([s[0] for s in states], axis=-2),
-        np.stack([s[1] for s in states], axis=-1),
-        np.stack([s[2] for s in states], axis=-1),
-    )
+    return stacked(states)
+
+
+def stacked(
+    states: Sequence[tuple[FloatArray, FloatArray, FloatArray]],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return *states* of T instants, each (…, 2), (…,), (…,), as (…, T, 2), (…, T), (…, T)."""
+    xy_m, yaw_rad, speed_mps = zip(*states, strict=True)
+    return np.stack(xy_m, axis=-2), np.stack(yaw_rad, axis=-1), np.stack(speed_mps, axis=-1)

@@ -7,7 +7,6 @@ AdvdiffError
 │   ├── MapError          an HD map cannot be converted
 │   ├── LogError          a driving log cannot be read
 │   ├── WeightsError      a checkpoint or weights file cannot be used
-│   ├── DataError         a window file cannot be used
 │   ├── SceneError        no usable seed scene could be made
 │   ├── ConfigError       an option has no such name or value
 │   └── UnknownNameError  no planner, policy, … of that name
@@ -65,10 +64,6 @@ class LogError(FileError):
 
 class WeightsError(FileError):
     """A checkpoint or weights file cannot be used."""
-
-
-class DataError(FileError):
-    """A window file cannot be used."""
 
 
 class SceneError(InputError):

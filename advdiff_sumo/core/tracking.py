@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.bicycle import Limits, clip_controls, step, wheelbase_m
+from advdiff_sumo.core.bicycle import Limits, clip_controls, stacked, step, wheelbase_m
 from advdiff_sumo.core.frames import local_from_world, wrap_angle
 from advdiff_sumo.core.plan import Controls, Trajectory
 
@@ -56,7 +56,7 @@ def drive_controls(
         accel, bend = clip_controls(speed, controls.accel_mps2[held[k]], curvature[k], length_m, limits)
         xy, yaw, speed = step(xy, yaw, speed, accel, bend, step_s)
         out.append((xy, yaw, speed))
-    return _stacked(out)
+    return stacked(out)
 
 
 def track(state: State, reference: State, length_m: FloatArray, step_s: float, limits: Limits) -> State:
@@ -85,7 +85,7 @@ def track(state: State, reference: State, length_m: FloatArray, step_s: float, l
         xy, yaw, speed = step(xy, yaw, speed, accel, bend, step_s)
         out.append((xy, yaw, speed))
         last = goal
-    return _stacked(out)
+    return stacked(out)
 
 
 def _controls(state: State, last: State, goal: State, dt_s: float) -> tuple[FloatArray, FloatArray]:
@@ -100,14 +100,6 @@ def _controls(state: State, last: State, goal: State, dt_s: float) -> tuple[Floa
     bend = feed_bend + near * (_CROSS_GAIN * offset[..., 1] + _HEADING_GAIN * heading) / pace
     accel = (goal[2] - last[2]) / dt_s + _ALONG_GAIN * offset[..., 0] + _SPEED_GAIN * (last[2] - speed)
     return accel, bend
-
-
-def _stacked(states: list[State]) -> State:
-    return (
-        np.stack([s[0] for s in states], axis=-2),
-        np.stack([s[1] for s in states], axis=-1),
-        np.stack([s[2] for s in states], axis=-1),
-    )
 
 
 def densify(state: State, plan: State, dt_s: float, step_s: float, steps: int) -> State:

@@ -14,17 +14,10 @@ import numpy as np
 
 from advdiff_sumo.core.frames import bumper_from_centre, sumo_from_yaw
 from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.core.sumo_classes import VCLASS_OF_CLASS
 from advdiff_sumo.export.export_scene import ExportScene, ImportedScene, number, plain_names, seconds
 from advdiff_sumo.export.importers import fcd_import as importer
 
-VCLASS = {
-    AgentClass.CAR: "passenger",
-    AgentClass.TRUCK: "truck",
-    AgentClass.BUS: "bus",
-    AgentClass.MOTORCYCLE: "motorcycle",
-    AgentClass.BICYCLE: "bicycle",
-    AgentClass.PEDESTRIAN: "pedestrian",
-}
 TARGET_COLOUR, OTHER_COLOUR, PERSON_COLOUR = "214,39,40", "31,119,180", "44,160,44"
 PATH_EVERY_S = 0.5
 PLAIN_NAME = r"[A-Za-z0-9_.:#-]+"
@@ -91,7 +84,13 @@ def _additional(tracks: Tracks, names: list[str], target: int) -> ET.Element:
         colour = TARGET_COLOUR if row == target else PERSON_COLOUR if person else OTHER_COLOUR
         length, width = (number(x) for x in tracks.size_m[row])
         of_agent = ET.SubElement(
-            root, "vType", id=f"type_{name}", vClass=VCLASS[kind], length=length, width=width, minGap="0"
+            root,
+            "vType",
+            id=f"type_{name}",
+            vClass=VCLASS_OF_CLASS[kind],
+            length=length,
+            width=width,
+            minGap="0",
         )
         of_agent.set("color", colour)
         for key, value in (("agent", tracks.ids[row]), ("target", str(row == target).lower())):

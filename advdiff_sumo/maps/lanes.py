@@ -105,10 +105,6 @@ class Lane:
         """The centre line with arc length."""
         return Polyline.of(self.centre_xy_m)
 
-    def sumo_pos_m(self, s_m: float) -> float:
-        """Return SUMO's position on the lane of the place *s_m* along the drawn centre line."""
-        return s_m * self.sumo_length_m / self.length_m
-
 
 @dataclass(frozen=True)
 class Edge:

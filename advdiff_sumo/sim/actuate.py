@@ -20,8 +20,9 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.errors import NotInsertedError
 from advdiff_sumo.core.frames import bumper_from_centre, sumo_from_yaw, unit
 from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.core.sumo_classes import VCLASS_OF_CLASS
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.world import VCLASS_OF_CLASS, World
+from advdiff_sumo.sim.world import World
 
 _ANY_EDGE, _OWN_ROUTE = 2, 3  # moveToXY's keepRoute: exact position; 3 looks for a lane on the own route only
 _FREE_SPEED_FACTOR, _FREE_MAX_SPEED = 20.0, 90.0

@@ -10,11 +10,11 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, fromstring, 
 
 from advdiff_sumo.core.errors import ConfigError, SimulationError
 from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.core.sumo_classes import VCLASS_OF_CLASS
 from advdiff_sumo.planners.planner_protocol import SumoDriver, Target
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import SessionOptions
 from advdiff_sumo.sim.sim_options import SimOptions
-from advdiff_sumo.sim.world import VCLASS_OF_CLASS
 
 TARGET_TYPE = "advdiff.target"
 _CLASS_TYPE = "advdiff.{}"

@@ -12,34 +12,13 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.frames import centre_from_bumper, yaw_from_sumo
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.core.sumo_classes import CLASS_OF_VCLASS
 
 _POSITION, _ANGLE, _SPEED, _LANE, _LATERAL = 0x42, 0x43, 0x40, 0x51, 0xB8  # libsumo.constants.VAR_*
 _VEHICLE = 0xC3  # the vehicle that a person rides in
 PERSON = "person."  # before SUMO's name of somebody on foot, who may be called as a vehicle is
 _NOWHERE = -1e9  # SUMO's INVALID_DOUBLE_VALUE is −2³⁰
 VARIABLES = (_POSITION, _ANGLE, _SPEED, _LANE, _LATERAL)
-
-CLASS_OF_VCLASS = {
-    "truck": AgentClass.TRUCK,
-    "trailer": AgentClass.TRUCK,
-    "delivery": AgentClass.TRUCK,
-    "emergency": AgentClass.TRUCK,
-    "bus": AgentClass.BUS,
-    "coach": AgentClass.BUS,
-    "tram": AgentClass.BUS,
-    "motorcycle": AgentClass.MOTORCYCLE,
-    "moped": AgentClass.MOTORCYCLE,
-    "bicycle": AgentClass.BICYCLE,
-    "pedestrian": AgentClass.PEDESTRIAN,
-}
-VCLASS_OF_CLASS = {
-    AgentClass.CAR: "passenger",
-    AgentClass.TRUCK: "truck",
-    AgentClass.BUS: "bus",
-    AgentClass.MOTORCYCLE: "motorcycle",
-    AgentClass.BICYCLE: "bicycle",
-    AgentClass.PEDESTRIAN: "pedestrian",
-}
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from importlib.metadata import version
 
-from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
+from advdiff_sumo.experiments.bench.bench_config import Folder
 from advdiff_sumo.experiments.bench.bench_rows import (
     NATURAL,
     OURS,
-    REGISTERED,
-    made_policy,
-    made_target,
+    asked_of,
     policy_row,
 )
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
@@ -18,11 +16,9 @@ from advdiff_sumo.experiments.bench.episode_results import Gathered, failures_to
 from advdiff_sumo.experiments.bench.paper import paper_table
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
-from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
+from advdiff_sumo.experiments.bench.scene_list import SceneList
 from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of
-from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sweep.tasks import Limits
-from advdiff_sumo.traffic.policy_registry import POLICIES
 
 PLAN_NOTHING = ("sumo", "replay")
 ATTACKED = {"lane_graph": "lane_graph", "IDM": "IDM"}
@@ -55,31 +51,13 @@ def plan_adversarial(folder: Folder, teller: ProgressReporter) -> BenchCells:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     request = folder.request
-    scenes, targets, names = asked_of(request, teller)
+    scenes, targets, names = asked_of(request, teller, ATTACKED)
     cells = [
         BenchCell(name, target, policy_row(name).background, background_options=policy_row(name).options)
         for target in targets
         for name in names
     ]
     return plan_cells(cells, scenes, request.horizon_s)
-
-
-def asked_of(
-    request: Request, teller: ProgressReporter
-) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
-    """Return the seed scenes, targets and rows that the request asks for.
-
-    Raises:
-        InputError: a name is unknown, or the list of scenes cannot be used.
-    """
-    scenes = choose_scenes(request.scenes)
-    targets, _ = chosen(request.targets, ATTACKED, TARGETS, "--targets", made_target)
-    names, lacking = chosen(request.policies, REGISTERED, POLICIES, "--policies", made_policy)
-    for name in lacking:
-        teller.say(
-            f"row {name} is left out: this installation lacks background '{REGISTERED[name]}' or its weights"
-        )
-    return scenes, targets, names
 
 
 def run_adversarial(

@@ -1,4 +1,4 @@
-"""Rows of the closed-loop tables: background policies by the names that ``--policies`` takes."""
+"""Rows of the closed-loop tables: background policies by the names that ``--policies`` takes, and who meets them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from advdiff_sumo.planners.planner_registry import make_target
-from advdiff_sumo.traffic.policy_registry import make_policy
+from advdiff_sumo.experiments.bench.bench_config import Request, chosen
+from advdiff_sumo.experiments.bench.progress import ProgressReporter
+from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList, choose_scenes
+from advdiff_sumo.planners.planner_registry import TARGETS, make_target
+from advdiff_sumo.traffic.policy_registry import POLICIES, make_policy
 
 
 @dataclass(frozen=True)
@@ -67,3 +70,31 @@ def made_policy(name: str) -> object:
 def made_target(name: str) -> object:
     """Return the target *name* with its defaults; errors as in :func:`made_policy`."""
     return make_target(name, {})
+
+
+def asked_of(
+    request: Request,
+    teller: ProgressReporter,
+    usual_targets: Mapping[str, str],
+    usual_rows: Mapping[str, str] = REGISTERED,
+    scene_list: str = TABLE_LIST,
+) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
+    """Return the seed scenes, targets and rows that the request asks for; say which usual ones are left out.
+
+    Args:
+        request: what is asked.
+        teller: is told what is left out.
+        usual_targets: targets where none are named, by their names in the table.
+        usual_rows: rows where none are named, with their backgrounds.
+        scene_list: shipped list of seed scenes.
+
+    Raises:
+        InputError: a name is unknown, or the list of scenes cannot be used.
+    """
+    scenes = choose_scenes(request.scenes, scene_list)
+    targets, absent = chosen(request.targets, usual_targets, TARGETS, "--targets", made_target)
+    names, lacking = chosen(request.policies, usual_rows, POLICIES, "--policies", made_policy)
+    for what, missing in (("row", lacking), ("target", absent)):
+        for name in missing:
+            teller.say(f"{what} {name} is left out: this installation lacks it or its weights")
+    return scenes, targets, names

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
+from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.bench_rows import (
     PAPERS_LICENCE,
     REGISTERED,
-    made_policy,
-    made_target,
+    asked_of,
     policy_row,
 )
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
-from advdiff_sumo.experiments.bench.scene_list import DEFECTS_LIST, SceneList, choose_scenes
+from advdiff_sumo.experiments.bench.scene_list import DEFECTS_LIST, SceneList
 from advdiff_sumo.planners.defects import DEFECTS, Defect, parse_defects
 from advdiff_sumo.planners.planner_protocol import SumoDriver
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
-from advdiff_sumo.traffic.policy_registry import POLICIES
 
 SOUND, CAREFUL = "sound", "careful"
 _USUAL_TARGET = "lane_graph"
@@ -32,7 +30,7 @@ def plan_defects(folder: Folder, teller: ProgressReporter) -> BenchCells:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     request = folder.request
-    scenes, targets, names = asked_of(request, teller)
+    scenes, targets, names = asked_of_defects(request, teller)
     planted = {target: planted_in(target, request, teller) for target in targets}
     cells = []
     for name in names:
@@ -44,19 +42,16 @@ def plan_defects(folder: Folder, teller: ProgressReporter) -> BenchCells:
     return plan_cells(cells, scenes, request.horizon_s)
 
 
-def asked_of(
+def asked_of_defects(
     request: Request, teller: ProgressReporter
 ) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
     """Return the seed scenes, targets and backgrounds that the request asks for.
 
     Raises:
-        InputError: a name is unknown, or the list of scenes cannot be used.
+        InputError: a name or defect is unknown, or the list of scenes cannot be used.
     """
-    scenes = choose_scenes(request.scenes, DEFECTS_LIST)
-    targets, _ = chosen(request.targets, {_USUAL_TARGET: _USUAL_TARGET}, TARGETS, "--targets", made_target)
-    names, lacking = chosen(request.policies, _BACKGROUNDS, POLICIES, "--policies", made_policy)
-    for name in lacking:
-        teller.say(f"row {name} is left out: this installation lacks that background or its weights")
+    usual = {_USUAL_TARGET: _USUAL_TARGET}
+    scenes, targets, names = asked_of(request, teller, usual, _BACKGROUNDS, DEFECTS_LIST)
     for target in targets:
         planted_in(target, request)
     return scenes, targets, names

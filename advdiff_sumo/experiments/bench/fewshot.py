@@ -71,7 +71,7 @@ def plan_fewshot(folder: Folder, workers: int, teller: ProgressReporter) -> Benc
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     request = folder.request
-    scenes, names = asked_of(request)
+    scenes, names = asked_of_fewshot(request)
     q = folder.path / "adapted"
     wanted = {
         (guide, name, seed): _adaptation(guide, name, seed, folder)
@@ -97,7 +97,7 @@ def _bench_cell(guide: str, name: str, seed: int, mark: int, reward: Path | None
     return BenchCell(row, target.target, "diffusion", target.options, options, like=f"--guide {guide}")
 
 
-def asked_of(request: Request) -> tuple[SceneList, tuple[str, ...]]:
+def asked_of_fewshot(request: Request) -> tuple[SceneList, tuple[str, ...]]:
     """Return the seed scenes and targets that the request asks for.
 
     Raises:

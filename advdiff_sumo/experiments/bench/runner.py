@@ -6,20 +6,20 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
-from advdiff_sumo.experiments.bench import adversarial, defect_cells, fewshot, transfer
-from advdiff_sumo.experiments.bench.adversarial import plan_adversarial, run_adversarial
+from advdiff_sumo.experiments.bench.adversarial import ATTACKED, plan_adversarial, run_adversarial
 from advdiff_sumo.experiments.bench.bench_config import BenchName, Folder, Request
+from advdiff_sumo.experiments.bench.bench_rows import asked_of
 from advdiff_sumo.experiments.bench.cells import BenchCells
-from advdiff_sumo.experiments.bench.defect_cells import plan_defects
+from advdiff_sumo.experiments.bench.defect_cells import asked_of_defects, plan_defects
 from advdiff_sumo.experiments.bench.defect_score import run_defects
-from advdiff_sumo.experiments.bench.fewshot import plan_fewshot, run_fewshot
+from advdiff_sumo.experiments.bench.fewshot import asked_of_fewshot, plan_fewshot, run_fewshot
 from advdiff_sumo.experiments.bench.forecast import forecast
 from advdiff_sumo.experiments.bench.natural_traffic import check_traffic, run_traffic
 from advdiff_sumo.experiments.bench.progress import ProgressReporter, Silent
 from advdiff_sumo.experiments.bench.scene_list import DEFECTS_HORIZON_S
 from advdiff_sumo.experiments.bench.table import Table
 from advdiff_sumo.experiments.bench.table_cache import save
-from advdiff_sumo.experiments.bench.transfer import plan_transfer, run_transfer
+from advdiff_sumo.experiments.bench.transfer import asked_of_transfer, plan_transfer, run_transfer
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
@@ -51,13 +51,13 @@ def check_request(request: Request) -> None:
     if request.bench == "traffic":
         check_traffic(request, Silent())
     elif request.bench == "adversarial":
-        adversarial.asked_of(request, Silent())
+        asked_of(request, Silent(), ATTACKED)
     elif request.bench == "transfer":
-        transfer.asked_of(request, Silent())
+        asked_of_transfer(request, Silent())
     elif request.bench == "defects":
-        defect_cells.asked_of(request, Silent())
+        asked_of_defects(request, Silent())
     else:
-        fewshot.asked_of(request)
+        asked_of_fewshot(request)
 
 
 def run_bench(folder: Folder, workers: int, limits: Limits, teller: ProgressReporter) -> Table:

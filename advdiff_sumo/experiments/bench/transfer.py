@@ -15,9 +15,9 @@ from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
 from advdiff_sumo.experiments.bench.bench_rows import (
     OURS,
     PAPERS_LICENCE,
-    POLICY_ROWS,
+    REGISTERED,
     TARGET_TITLES,
-    made_policy,
+    asked_of,
     made_target,
     policy_row,
 )
@@ -26,12 +26,11 @@ from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gather
 from advdiff_sumo.experiments.bench.paper import paper_table
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
-from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
+from advdiff_sumo.experiments.bench.scene_list import SceneList
 from advdiff_sumo.experiments.bench.statistics import Estimate, Ratio, Sample, difference, draws
 from advdiff_sumo.experiments.bench.table import Gap, Head, RowSamples, Table, lines_of
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sweep.tasks import Limits
-from advdiff_sumo.traffic.policy_registry import POLICIES
 
 SOURCES = ("lane_graph", "simnet", "trafficsim")
 """What a policy is adapted to: the paper's three."""
@@ -56,7 +55,7 @@ def plan_transfer(folder: Folder, workers: int, teller: ProgressReporter) -> Ben
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     request = folder.request
-    scenes, targets, names = asked_of(request, teller)
+    scenes, targets, names = asked_of_transfer(request, teller)
     sources, _ = chosen((), {name: name for name in SOURCES}, TARGETS, "--targets", made_target)
     q = folder.path / "adapted"
     if OURS in names:
@@ -71,7 +70,7 @@ def plan_transfer(folder: Folder, workers: int, teller: ProgressReporter) -> Ben
     return plan_cells(cells, scenes, request.horizon_s)
 
 
-def asked_of(
+def asked_of_transfer(
     request: Request, teller: ProgressReporter
 ) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
     """Return the seed scenes, targets and policies that the request asks for.
@@ -79,14 +78,10 @@ def asked_of(
     Raises:
         InputError: a name is unknown or cannot be adapted, or the list of scenes cannot be used.
     """
-    scenes = choose_scenes(request.scenes)
-    usual = {name: POLICY_ROWS[name].background for name in ADAPTED}
-    names, lacking = chosen(request.policies, usual, POLICIES, "--policies", made_policy)
+    adaptable = {name: REGISTERED[name] for name in ADAPTED}
+    scenes, targets, names = asked_of(request, teller, TARGETS_MET, adaptable)
     if any(name not in ADAPTED for name in names):
         raise ConfigError(f"--policies: bench transfer has {', '.join(ADAPTED)}; only these can be adapted")
-    targets, absent = chosen(request.targets, TARGETS_MET, TARGETS, "--targets", made_target)
-    for name in (*lacking, *absent):
-        teller.say(f"{name} is left out: this installation lacks it or its weights")
     return scenes, targets, names
 
 

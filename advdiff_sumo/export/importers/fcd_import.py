@@ -10,19 +10,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from advdiff_sumo.core.frames import centre_from_bumper, yaw_from_sumo
-from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.core.sumo_classes import VCLASS_OF_CLASS
 from advdiff_sumo.export.export_scene import ImportedScene
 from advdiff_sumo.export.importers.assemble import AgentPart, assemble, reading, spacing_s, steps_of
 from advdiff_sumo.export.importers.xml_file import attribute, read_xml
 
-_KINDS = {
-    "passenger": AgentClass.CAR,
-    "truck": AgentClass.TRUCK,
-    "bus": AgentClass.BUS,
-    "motorcycle": AgentClass.MOTORCYCLE,
-    "bicycle": AgentClass.BICYCLE,
-    "pedestrian": AgentClass.PEDESTRIAN,
-}
+_KINDS = {vclass: kind for kind, vclass in VCLASS_OF_CLASS.items()}
 _WHAT = "SUMO's floating car data"
 
 

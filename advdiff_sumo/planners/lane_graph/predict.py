@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.planners.lane_graph.others import Others, Way
@@ -25,24 +26,21 @@ _EGO_WIDTH_M = 2.0
 
 
 @dataclass(frozen=True)
-class Forecast:
+class Forecast(KinematicStates):
     """Futures of N ways at T instants ``STEP_S`` apart, the first one step from now.
 
     Attributes:
-        other: (N,) index in :class:`Others`.
-        weight: (N,) share of the way.
         xy_m: (N, T, 2) centres.
         yaw_rad: (N, T) headings.
         speed_mps: (N, T) speeds.
+        other: (N,) index in :class:`Others`.
+        weight: (N,) share of the way.
         s_m: (N, T) centres along each way's path; distance driven off the lanes.
         size_m: (N, 2) length and width.
     """
 
     other: IntArray
     weight: FloatArray
-    xy_m: FloatArray
-    yaw_rad: FloatArray
-    speed_mps: FloatArray
     s_m: FloatArray
     size_m: FloatArray
 
@@ -85,11 +83,11 @@ def forecast(
     xy, yaw = _poses(stack, ways, others, driven)
     s0 = np.array([way.s_m for way in ways])
     return Forecast(
-        other=index,
-        weight=np.array([way.weight for way in ways]),
         xy_m=xy,
         yaw_rad=yaw,
         speed_mps=speed,
+        other=index,
+        weight=np.array([way.weight for way in ways]),
         s_m=s0[:, None] + driven,
         size_m=others.size_m[index],
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 
-import numpy as np
 import shapely
 
 from advdiff_sumo.core.arrays import FloatArray
@@ -94,12 +93,3 @@ def inner_parts(layout: Layout) -> list[tuple[Piece, Hashable]]:
             start, end = piece.to_m, (piece, 1)
         parts.append((Piece(lane, start, length), end))
     return [(part, end) for part, end in parts if part.length_m > 1e-6]
-
-
-def unresolved_crossings(layout: Layout, lines_m: Sequence[FloatArray]) -> int:
-    """Return how many edge lanes are crossed by a way or by another edge lane, where nobody yields."""
-    edges = layout.all_pieces()
-    ways = [part for part, _ in inner_parts(layout)]
-    both = [shapely.LineString(polyline.cut(lines_m[p.lane], p.from_m, p.to_m)) for p in (*edges, *ways)]
-    left, right = shapely.STRtree(both).query(both[: len(edges)], predicate="crosses")
-    return len(np.unique(left[right > left]))

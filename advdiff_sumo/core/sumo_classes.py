@@ -1,0 +1,28 @@
+"""SUMO's vehicle classes and ours."""
+
+from __future__ import annotations
+
+from advdiff_sumo.core.scene import AgentClass
+
+CLASS_OF_VCLASS = {
+    "truck": AgentClass.TRUCK,
+    "trailer": AgentClass.TRUCK,
+    "delivery": AgentClass.TRUCK,
+    "emergency": AgentClass.TRUCK,
+    "bus": AgentClass.BUS,
+    "coach": AgentClass.BUS,
+    "tram": AgentClass.BUS,
+    "motorcycle": AgentClass.MOTORCYCLE,
+    "moped": AgentClass.MOTORCYCLE,
+    "bicycle": AgentClass.BICYCLE,
+    "pedestrian": AgentClass.PEDESTRIAN,
+}
+"""Road users of SUMO's classes; all others are cars."""
+VCLASS_OF_CLASS = {
+    AgentClass.CAR: "passenger",
+    AgentClass.TRUCK: "truck",
+    AgentClass.BUS: "bus",
+    AgentClass.MOTORCYCLE: "motorcycle",
+    AgentClass.BICYCLE: "bicycle",
+    AgentClass.PEDESTRIAN: "pedestrian",
+}

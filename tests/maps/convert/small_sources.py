@@ -9,15 +9,12 @@ from __future__ import annotations
 import gzip
 import json
 import math
-import sqlite3
-import struct
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyproj
 import shapely
+from source_writers import write_geopackage
 
 HALF_M = 1.75
 UTM_M = (456_100.0, 5_428_200.0)  # where the road lies in zone 32, in Karlsruhe
@@ -166,43 +163,26 @@ def _tags(**values: str) -> str:
 
 def nuplan(path: Path) -> None:
     """Write the road as a nuPlan map whose projected system is UTM 11 N, about (500000, 4000000)."""
-    back = pyproj.Transformer.from_crs("EPSG:32611", "EPSG:4326", always_xy=True)
-
-    def blob(shape: shapely.Geometry) -> bytes:
-        moved = shapely.transform(
-            shape, lambda xy: np.stack(back.transform(xy[:, 0] + 5e5, xy[:, 1] + 4e6), axis=-1)
-        )
-        return b"GP" + bytes((0, 1)) + struct.pack("<i", 4326) + shapely.to_wkb(moved)
-
     lines, polygons, connectors, areas = [], [], [], []
     for name, (centre, _, inside) in LANES.items():
         left, right = sides(centre)
         ring = shapely.Polygon([*left, *right[::-1]])
+        line = shapely.LineString([p[:2] for p in centre])
         lines.append(
-            (
-                None if inside else name,
-                name if inside else None,
-                blob(shapely.LineString([p[:2] for p in centre])),
-            )
+            {
+                "lane_fid": None if inside else name,
+                "lane_connector_fid": name if inside else None,
+                "geom": line,
+            }
         )
-        areas.append((blob(ring),))
+        areas.append({"geom": ring})
         if inside:
-            connectors.append((int(name), "2", "4", 6.7))
+            ends = {"exit_lane_fid": "2", "entry_lane_fid": "4"}
+            connectors.append({"fid": int(name), **ends, "speed_limit_mps": 6.7, "geom": line})
         else:
-            polygons.append((name, 13.4, blob(ring)))
-    with closing(sqlite3.connect(path)) as base, base:
-        base.execute("CREATE TABLE meta (key TEXT, value TEXT)")
-        base.execute("INSERT INTO meta VALUES ('projectedCoordSystem', 'EPSG:32611')")
-        base.execute("CREATE TABLE baseline_paths (lane_fid TEXT, lane_connector_fid TEXT, geom BLOB)")
-        base.executemany("INSERT INTO baseline_paths VALUES (?, ?, ?)", lines)
-        base.execute("CREATE TABLE lanes_polygons (lane_fid TEXT, speed_limit_mps REAL, geom BLOB)")
-        base.executemany("INSERT INTO lanes_polygons VALUES (?, ?, ?)", polygons)
-        base.execute(
-            "CREATE TABLE lane_connectors (fid INTEGER, exit_lane_fid TEXT, entry_lane_fid TEXT, speed_limit_mps REAL)"
-        )
-        base.executemany("INSERT INTO lane_connectors VALUES (?, ?, ?, ?)", connectors)
-        base.execute("CREATE TABLE generic_drivable_areas (geom BLOB)")
-        base.executemany("INSERT INTO generic_drivable_areas VALUES (?)", areas)
+            polygons.append({"lane_fid": name, "speed_limit_mps": 13.4, "geom": ring})
+    layers = {"baseline_paths": lines, "lanes_polygons": polygons, "lane_connectors": connectors}
+    write_geopackage(path, {**layers, "generic_drivable_areas": areas}, "EPSG:32611")
 
 
 def write(kind: str, folder: Path) -> Path:

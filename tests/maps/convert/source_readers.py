@@ -52,7 +52,50 @@ lanes = {str(row.id): [[p.x, p.y] for p in row.centerline] for row in city.lanel
 links = [[str(row.id), str(n.id)] for row in city.laneletLayer for n in graph.following(row)]
 print(json.dumps({"lanes": lanes, "links": links}))
 """
-SCRIPTS = {"lanelet2": LANELET2, "av2": ARGOVERSE2, "commonroad": COMMONROAD}
+NUPLAN = """
+import json, sys
+import geopandas, pyogrio
+def layer(name):
+    return pyogrio.read_dataframe(sys.argv[1], layer=name, fid_as_index=True)
+zone = dict(zip(layer("meta")["key"], layer("meta")["value"]))["projectedCoordSystem"]
+lanes = {}
+for row in layer("baseline_paths").to_crs(zone).itertuples():
+    name = f"lane_{row.lane_fid}" if isinstance(row.lane_fid, str) else f"connector_{row.lane_connector_fid}"
+    lanes[name] = [[x, y] for x, y, *_ in row.geometry.coords]
+links = []
+for row in layer("lane_connectors").itertuples():
+    name = f"connector_{row.Index}"
+    links += [[f"lane_{row.exit_lane_fid}", name], [name, f"lane_{row.entry_lane_fid}"]]
+print(json.dumps({"lanes": lanes, "links": links}))
+"""
+# Roads of one right lane each, as our exporter writes them; netconvert names the lane of road 7 "-7_0". Ways through
+# junctions have names of netconvert's own, so theirs are "from>to".
+OPENDRIVE = """
+import json, sys
+from pyxodr.road_objects.network import RoadNetwork
+city = RoadNetwork(sys.argv[1], resolution=0.02)  # its arcs fail where they turn by over 6 degrees between two points
+roads = {road.id: road for road in city.get_roads()}
+inside = city.connecting_road_ids
+lanes, links, ways = {}, [], {}
+for name, road in roads.items():
+    (lane,) = road.lane_sections[0].lanes
+    points = lane.traffic_flow_line[:, :2].tolist()
+    if name in inside:
+        (before, _), (after, _) = road.predecessor_data, road.successor_data
+        link = [f"-{before.id}_0", f"-{after.id}_0"]
+        links.append(link)
+        ways[">".join(link)] = points
+    else:
+        lanes[f"-{name}_0"] = points
+print(json.dumps({"lanes": lanes, "links": links, "ways": ways}))
+"""
+SCRIPTS = {
+    "lanelet2": LANELET2,
+    "av2": ARGOVERSE2,
+    "commonroad": COMMONROAD,
+    "nuplan": NUPLAN,
+    "opendrive": OPENDRIVE,
+}
 
 
 def read_outside(reader: str, path: Path) -> dict[str, Any]:

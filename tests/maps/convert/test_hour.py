@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from source_writers import write_lanelet2, write_nuplan
 
 from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.sources.read_map import read_map
@@ -30,6 +31,25 @@ BARS = ("teleports", "collisions_sumo", "collisions_boxes")
 @pytest.mark.parametrize("name", MAPS)
 def test_nobody_is_stuck_and_nobody_collides(name: str, adv_data: Path, tmp_path: Path) -> None:
     result = convert_source(read_map(adv_data / name), tmp_path / "n.net.xml", guess_signals=True)
+    figures = driving_test(result.net, vehicles=300, seed=1)
+    assert {bar: figures[bar] for bar in BARS} == dict.fromkeys(BARS, 0)
+    assert figures["arrived"] >= 250
+
+
+@pytest.mark.parametrize("kind", ["nuplan", "lanelet2", "opendrive"])
+def test_nobody_collides_on_a_city_in_formats_without_genuine_files(
+    kind: str, adv_data: Path, tmp_path: Path
+) -> None:
+    """One-north as nuPlan, Lanelet2 and OpenDRIVE have it."""
+    source = read_map(adv_data / "nuscenes-mini/maps/expansion/singapore-onenorth.json")
+    if kind == "nuplan":
+        write_nuplan(source, path := tmp_path / "map.gpkg")
+    elif kind == "lanelet2":
+        write_lanelet2(source, path := tmp_path / "m.osm")
+    else:
+        convert_source(source, tmp_path / "m.net.xml", opendrive=True)
+        path = tmp_path / "m.xodr"
+    result = convert_source(read_map(path), tmp_path / "n.net.xml", guess_signals=True)
     figures = driving_test(result.net, vehicles=300, seed=1)
     assert {bar: figures[bar] for bar in BARS} == dict.fromkeys(BARS, 0)
     assert figures["arrived"] >= 250

@@ -13,6 +13,7 @@ import shapely
 import small_sources
 from defusedxml import ElementTree
 from source_readers import read_outside
+from source_writers import write_nuplan
 
 from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.sources.read_map import read_map
@@ -38,7 +39,7 @@ def drawn(net: Path) -> tuple[dict[str, list[shapely.LineString]], set[tuple[str
         points = [tuple(map(float, point.split(",")[:2])) for point in row.attrib["shape"].split()]
         shape[row.attrib["id"]] = shapely.LineString(points)
         names = [p.attrib["value"] for p in row.findall("param") if p.attrib["key"] == "source"]
-        source[row.attrib["id"]] = [name.split(":")[0] for value in names for name in value.split()]
+        source[row.attrib["id"]] = [name.rsplit(":", 2)[0] for value in names for name in value.split()]
     lines: dict[str, list[shapely.LineString]] = defaultdict(list)
     for lane, names in source.items():
         for name in names:
@@ -48,7 +49,7 @@ def drawn(net: Path) -> tuple[dict[str, list[shapely.LineString]], set[tuple[str
         if row.attrib["from"].startswith(":"):
             continue
         values = [p.attrib["value"] for p in row.findall("param") if p.attrib["key"] == "source"]
-        inner = [name.split(":")[0] for value in values for name in value.split()]
+        inner = [name.rsplit(":", 2)[0] for value in values for name in value.split()]
         before = source[f"{row.attrib['from']}_{row.attrib['fromLane']}"]
         after = source[f"{row.attrib['to']}_{row.attrib['toLane']}"]
         chain = [name for name, _ in itertools.groupby([*before, *inner, *after])]
@@ -98,3 +99,22 @@ def test_net_holds_what_lanelet2_sees(tmp_path: Path) -> None:
     corner = np.floor((np.array(small_sources.UTM_M) - [0.0, 1.75]) / 1000.0) * 1000.0
     offset = np.array(small_sources.UTM_M) - corner - truth["lanes"]["1"][0]
     assert differences(tmp_path / "n.net.xml", truth, (float(offset[0]), float(offset[1]))) == NONE
+
+
+def test_net_holds_what_gdal_sees_of_a_nuplan_map(tmp_path: Path) -> None:
+    path = small_sources.write("nuplan", tmp_path)
+    check_nuplan(path, tmp_path / "n.net.xml")
+
+
+@pytest.mark.data
+def test_net_holds_what_gdal_sees_of_a_city_as_a_nuplan_map(adv_data: Path, tmp_path: Path) -> None:
+    source = read_map(adv_data / "nuscenes-mini/maps/expansion/singapore-onenorth.json")
+    write_nuplan(source, tmp_path / "map.gpkg")
+    check_nuplan(tmp_path / "map.gpkg", tmp_path / "n.net.xml")
+
+
+def check_nuplan(path: Path, net: Path) -> None:
+    """GDAL counts from the zone's origin, as we do."""
+    truth = read_outside("nuplan", path)
+    convert_source(read_map(path), net)
+    assert differences(net, truth) == NONE

@@ -49,10 +49,13 @@ def test_midline_of_unequal_boundaries() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_small_road(kind: str, tmp_path: Path) -> None:
     source = read_map(small_sources.write(kind, tmp_path))
-    names = [lane.token.split()[-1] for lane in source.lanes]
+    names = [lane.token.rpartition("_")[2] for lane in source.lanes]
     assert sorted(names) == ["1", "2", "3", "4"]
     assert {name: lane.is_connector for name, lane in zip(names, source.lanes, strict=True)}["3"]
-    assert sorted((a.split()[-1], b.split()[-1]) for a, b in source.links) == [("2", "3"), ("3", "4")]
+    assert sorted((a.rpartition("_")[2], b.rpartition("_")[2]) for a, b in source.links) == [
+        ("2", "3"),
+        ("3", "4"),
+    ]
     origin = np.array([5e5, 4e6]) if kind == "nuplan" else np.zeros(2)
     line = source.lanes[names.index("1")].centre_m - origin
     assert line == pytest.approx(np.array([[0.0, 0.0], [50.0, 0.0]]), abs=1e-6)
@@ -90,7 +93,7 @@ def test_lanelet2_in_degrees(tmp_path: Path) -> None:
 
 def test_nuplan_limits_and_areas(tmp_path: Path) -> None:
     source = read_map(small_sources.write("nuplan", tmp_path))
-    assert {lane.token: lane.speed_mps for lane in source.lanes}["connector 3"] == 6.7
+    assert {lane.token: lane.speed_mps for lane in source.lanes}["connector_3"] == 6.7
     lanes = shapely.union_all([lane.polygon for lane in source.lanes if lane.polygon is not None])
     assert source.drivable.area > lanes.area > 300.0  # the connector has no polygon, yet an area
 

@@ -47,8 +47,8 @@ def nuplan_map(path: Path) -> SourceMap:
         raise MapError(path, "holds no lane with a baseline path", REMEDY)
     known = {lane.token for lane in lanes}
     links = list(_links(tables))
-    given = [f"lane {row['lane_fid']}" for row in tables.rows["lanes_polygons"]]
-    given += [f"connector {row['fid']}" for row in tables.rows["lane_connectors"]]
+    given = [f"lane_{row['lane_fid']}" for row in tables.rows["lanes_polygons"]]
+    given += [f"connector_{row['fid']}" for row in tables.rows["lane_connectors"]]
     return SourceMap(
         path=path,
         location=path.parent.parent.name or path.stem,
@@ -141,7 +141,7 @@ def _lanes(tables: _Tables, faults: MapFaults) -> Iterable[SourceLane]:
     }
     for row in tables.rows["lanes_polygons"]:
         name = str(row.get("lane_fid"))
-        lane = _lane(tables, f"lane {name}", paths.get(name), row, tables.shape(row), faults)
+        lane = _lane(tables, f"lane_{name}", paths.get(name), row, tables.shape(row), faults)
         if lane is not None:
             yield lane
 
@@ -155,7 +155,7 @@ def _connectors(tables: _Tables, faults: MapFaults) -> Iterable[SourceLane]:
     for row in tables.rows["lane_connectors"]:
         name = str(row.get("fid"))
         shape = tables.shape(polygons[name]) if name in polygons else None
-        lane = _lane(tables, f"connector {name}", paths.get(name), row, shape, faults)
+        lane = _lane(tables, f"connector_{name}", paths.get(name), row, shape, faults)
         if lane is not None:
             yield lane
 
@@ -177,7 +177,7 @@ def _lane(
     polygon: Polygon | None = max(parts, key=lambda part: part.area, default=None)
     return SourceLane(
         token=token,
-        is_connector=token.startswith("connector"),
+        is_connector=token.startswith("connector_"),
         centre_m=centre,
         polygon=polygon,
         speed_mps=float(speed) if isinstance(speed, int | float) and 0.0 < speed < 100.0 else None,
@@ -186,5 +186,5 @@ def _lane(
 
 def _links(tables: _Tables) -> Iterable[tuple[str, str]]:
     for row in tables.rows["lane_connectors"]:
-        yield f"lane {row.get('exit_lane_fid')}", f"connector {row.get('fid')}"
-        yield f"connector {row.get('fid')}", f"lane {row.get('entry_lane_fid')}"
+        yield f"lane_{row.get('exit_lane_fid')}", f"connector_{row.get('fid')}"
+        yield f"connector_{row.get('fid')}", f"lane_{row.get('entry_lane_fid')}"

@@ -110,14 +110,21 @@ class Tracks:
 
     def window(self, start: int, stop: int) -> Tracks:
         """Return instants *start* to *stop* (exclusive, both in [0, T])."""
-        cut = slice(start, stop)
+        return self._at(slice(start, stop), self.t0_s + self.dt_s * start, self.dt_s)
+
+    def every(self, stride: int, first: int = 0) -> Tracks:
+        """Return every *stride*-th instant, from *first* on."""
+        return self._at(slice(first, None, stride), self.t0_s + self.dt_s * first, self.dt_s * stride)
+
+    def _at(self, instants: slice, t0_s: float, dt_s: float) -> Tracks:
         return replace(
             self,
-            xy_m=self.xy_m[:, cut],
-            yaw_rad=self.yaw_rad[:, cut],
-            speed_mps=self.speed_mps[:, cut],
-            valid=self.valid[:, cut],
-            t0_s=self.t0_s + self.dt_s * start,
+            xy_m=self.xy_m[:, instants],
+            yaw_rad=self.yaw_rad[:, instants],
+            speed_mps=self.speed_mps[:, instants],
+            valid=self.valid[:, instants],
+            t0_s=t0_s,
+            dt_s=dt_s,
         )
 
     def shifted(self, seconds: float) -> Tracks:

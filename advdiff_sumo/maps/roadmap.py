@@ -335,6 +335,13 @@ class RoadMap:
             )
         return self._piece_tables[view]
 
+    def edge_of(self, lane_id: str) -> str:
+        """Return the edge of a lane; of an internal one, the edge that it leads to."""
+        lane = self.lanes[lane_id]
+        while lane.is_internal and lane.successors:
+            lane = self.lanes[lane.successors[0].to_lane]
+        return lane.edge_id
+
     # --- fringe ------------------------------------------------------------------------------------------
 
     def source_edges(self, vclass: str = "passenger") -> tuple[str, ...]:

@@ -91,15 +91,4 @@ def _situation(row: Mapping[str, Any]) -> tuple[str, str, str]:
 
 def thinned(tracks: Tracks, dt_s: float = 0.5) -> Tracks:
     """Return every n-th instant, so that they are about *dt_s* apart."""
-    every = max(1, round(dt_s / tracks.dt_s))
-    return Tracks(
-        ids=tracks.ids,
-        classes=tracks.classes,
-        size_m=tracks.size_m,
-        xy_m=tracks.xy_m[:, ::every],
-        yaw_rad=tracks.yaw_rad[:, ::every],
-        speed_mps=tracks.speed_mps[:, ::every],
-        valid=tracks.valid[:, ::every],
-        t0_s=tracks.t0_s,
-        dt_s=tracks.dt_s * every,
-    )
+    return tracks.every(max(1, round(dt_s / tracks.dt_s)))

@@ -111,7 +111,7 @@ class Actuator:
         point, along = self.road.to_world(pose.lane_id, pose.s_m)
         front = bumper_from_centre(point, along, self.world.size_m[row, 0])
         try:
-            self.api.route.add(f"insert:{name}", [self._edge_of(pose.lane_id)])
+            self.api.route.add(f"insert:{name}", [self.road.edge_of(pose.lane_id)])
             self.api.vehicle.add(name, f"insert:{name}", typeID=type_id, depart="now", departPos="base")
             self.api.vehicle.moveToXY(
                 name, "", -1, *front.tolist(), angle=float(sumo_from_yaw(along)), keepRoute=0
@@ -256,12 +256,6 @@ class Actuator:
         except Exception:  # noqa: BLE001 - libsumo and traci raise different kinds; SUMO then keeps the old route
             return False
         return True
-
-    def _edge_of(self, lane_id: str) -> str:
-        lane = self.road.lanes[lane_id]
-        while lane.is_internal and lane.successors:
-            lane = self.road.lanes[lane.successors[0].to_lane]
-        return lane.edge_id
 
     def _fresh_name(self, row: int) -> str:
         """Return a name that SUMO has not had in this simulation; the first is the vehicle's own."""

@@ -195,18 +195,11 @@ class Handover:
     ) -> tuple[str, ...]:
         if start is None:
             return ()
-        first = self._edge(start)
-        last = self._edge(end) if end is not None else first
+        first = self.road.edge_of(start)
+        last = self.road.edge_of(end) if end is not None else first
         known = self.route(row, routes)
         if first in known and (last in known[known.index(first) :]):
             return known[known.index(first) :]
         joined = (first,) if first == last else self.road.route(first, last) or (first,)
         onward = self.road.random_route(joined[-1], _ROUTE_AHEAD_M, np.random.default_rng(row))
         return (*joined[:-1], *(onward or joined[-1:]))
-
-    def _edge(self, lane_id: str) -> str:
-        """Return the edge of a lane; of an internal one, the edge that it leads to."""
-        lane = self.road.lanes[lane_id]
-        while lane.is_internal and lane.successors:
-            lane = self.road.lanes[lane.successors[0].to_lane]
-        return lane.edge_id

@@ -113,7 +113,7 @@ class LoggedTraffic:
         target = int(np.flatnonzero(np.flatnonzero(near) == drive.ego)[0])
         steps = now - first
         history = log.window(0, steps + 1).rows(log.valid[:, steps])
-        history = _every(history, per_model_step)
+        history = history.every(per_model_step, (history.steps - 1) % per_model_step)
         parked = drive.parked[near] | parked_agents(log.xy_m, log.valid, log.dt_s)  # or parks by now
         parked[target] = False
         routes = {name: route for name, route in self._routes(log, parked, target, steps) if route}
@@ -169,19 +169,3 @@ def _drivable(road: RoadMap, log: Tracks, parked: BoolArray) -> BoolArray:
 def _near_ego(log: Tracks, ego: int, radius_m: float) -> BoolArray:
     gap = np.linalg.norm(log.xy_m - log.xy_m[ego], axis=-1)
     return np.asarray((gap < radius_m).any(axis=1))
-
-
-def _every(tracks: Tracks, stride: int) -> Tracks:
-    """Return every *stride*-th instant, the last one included."""
-    first = (tracks.steps - 1) % stride
-    return Tracks(
-        ids=tracks.ids,
-        classes=tracks.classes,
-        size_m=tracks.size_m,
-        xy_m=tracks.xy_m[:, first::stride],
-        yaw_rad=tracks.yaw_rad[:, first::stride],
-        speed_mps=tracks.speed_mps[:, first::stride],
-        valid=tracks.valid[:, first::stride],
-        t0_s=tracks.t0_s + first * tracks.dt_s,
-        dt_s=tracks.dt_s * stride,
-    )

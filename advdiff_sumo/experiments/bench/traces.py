@@ -120,18 +120,7 @@ def _solvable(states: EpisodeStates, road: RoadMap) -> bool | None:
 
 def at_model_step(tracks: Tracks) -> Tracks:
     """Return every instant of *tracks* that is a multiple of 0.5 s."""
-    stride = round(MODEL_STEP_S / tracks.dt_s)
-    return Tracks(
-        ids=tracks.ids,
-        classes=tracks.classes,
-        size_m=tracks.size_m,
-        xy_m=tracks.xy_m[:, ::stride],
-        yaw_rad=tracks.yaw_rad[:, ::stride],
-        speed_mps=tracks.speed_mps[:, ::stride],
-        valid=tracks.valid[:, ::stride],
-        t0_s=tracks.t0_s,
-        dt_s=stride * tracks.dt_s,
-    )
+    return tracks.every(round(MODEL_STEP_S / tracks.dt_s))
 
 
 def near_target(tracks: Tracks, target: int) -> BoolArray:

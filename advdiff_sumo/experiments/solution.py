@@ -26,7 +26,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.model_options import FUTURE_STEPS, HISTORY_STEPS, MODEL_STEP_S
 from advdiff_sumo.models.view import View, look
 from advdiff_sumo.traffic.baselines.baseline_networks import prior_of
-from advdiff_sumo.traffic.baselines.baseline_options import RivalOptions
+from advdiff_sumo.traffic.baselines.baseline_options import BaselineOptions
 
 BEFORE_S, AFTER_S = 5.0, 1.0
 """The search begins so long before the collision, and ends so long after it."""
@@ -104,7 +104,7 @@ def solve(
     needed = (contact - begin) * tracks.dt_s + AFTER_S
     steps = min(int(np.ceil(needed / MODEL_STEP_S - 1e-9)), FUTURE_STEPS)
     around = surroundings(tracks, episode.target, begin, steps * stride)
-    given = RivalOptions(weights=options.weights, device=options.device)
+    given = BaselineOptions(weights=options.weights, device=options.device)
     prior = prior_of(given, "the solution stage")
     view = look(road, _scene(tracks, episode.target, begin, stride), map_view=prior.map_view)
     outcome = search(

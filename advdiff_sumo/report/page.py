@@ -22,7 +22,7 @@ from advdiff_sumo.report.matrix import matrix_of
 from advdiff_sumo.report.nets import Nets, place_name
 from advdiff_sumo.report.overview import Overview, overview_of
 from advdiff_sumo.report.rate_blocks import headline
-from advdiff_sumo.report.reference_episodes import Naturals
+from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
 from advdiff_sumo.report.sample_pictures import samples_by_background
 from advdiff_sumo.report.sections import Section, Sections
 from advdiff_sumo.report.select import worst_first
@@ -50,7 +50,7 @@ def write_report(folder: Path) -> Path:
 
 def report_html(run: FinishedRun) -> str:
     """Return the page of *run*."""
-    labels, nets, naturals = Labels(run.episodes), Nets(run), Naturals(run)
+    labels, nets, naturals = Labels(run.episodes), Nets(run), ReferenceEpisodes(run)
     ordered = worst_first(run.episodes)
     places = list(dict.fromkeys(str(row["net"]) for row in ordered))
     sections = list(Sections(run, nets, naturals, labels, places).of(ordered))

@@ -19,7 +19,7 @@ NATURAL = ("sumo", "replay")
 _KEPT_DRIVES = 16
 
 
-class Naturals:
+class ReferenceEpisodes:
     """Finds the natural counterpart of each episode.
 
     Where seed scenes come from a driving log, it is the log itself, read again. Otherwise, in a sweep that has

@@ -12,7 +12,7 @@ from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, time_to_collision
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.labels import Labels
-from advdiff_sumo.report.reference_episodes import NATURAL, Naturals, thinned
+from advdiff_sumo.report.reference_episodes import NATURAL, ReferenceEpisodes, thinned
 
 #: Episodes looked at for each background, evenly spaced over all of them.
 MOST_EPISODES = 150
@@ -67,7 +67,9 @@ def samples_of(tracks: Tracks, target: int) -> Samples:
     )
 
 
-def samples_by_background(run: FinishedRun, naturals: Naturals, labels: Labels) -> Mapping[str, Samples]:
+def samples_by_background(
+    run: FinishedRun, naturals: ReferenceEpisodes, labels: Labels
+) -> Mapping[str, Samples]:
     """Return the samples of each background, natural traffic first: SUMO's own, or the log behind the scenes.
 
     Where nothing was run in SUMO's own traffic, it is the traffic that the seed scenes were cut from.
@@ -93,7 +95,7 @@ def _driven(run: FinishedRun, rows: Iterable[Row]) -> Iterable[Samples]:
             yield samples_of(states.tracks, states.target)
 
 
-def _logged(naturals: Naturals, rows: Iterable[Row]) -> Iterable[Samples]:
+def _logged(naturals: ReferenceEpisodes, rows: Iterable[Row]) -> Iterable[Samples]:
     drives = {str(row["scene"]).rpartition("-")[0]: row for row in rows}
     for row in drives.values():
         drive = naturals.drive_of(row)
@@ -101,7 +103,7 @@ def _logged(naturals: Naturals, rows: Iterable[Row]) -> Iterable[Samples]:
             yield samples_of(drive.tracks, drive.ego)
 
 
-def _kept(naturals: Naturals, rows: Iterable[Row]) -> Iterable[Samples]:
+def _kept(naturals: ReferenceEpisodes, rows: Iterable[Row]) -> Iterable[Samples]:
     scenes = {(str(row["net"]), str(row["scene_key"]), str(row["scene"])): row for row in rows}
     for row in scenes.values():
         kept = naturals.kept(row)

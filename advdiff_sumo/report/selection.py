@@ -15,7 +15,7 @@ from advdiff_sumo.report.blocks import departed
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.layer import MapLayer, View
 from advdiff_sumo.report.nets import Nets
-from advdiff_sumo.report.reference_episodes import Naturals
+from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
 from advdiff_sumo.report.select import attacker_of, worst_first
 
 _ATTACKER_NEAR_M = 50.0
@@ -53,7 +53,7 @@ class ChosenEpisode:
         states = run.states(int(row["episode"]))
         if states is None:
             raise FileError(folder, f"holds no states of episode {row['episode']}", "choose another episode")
-        natural_tracks = Naturals(run).of(row)
+        natural_tracks = ReferenceEpisodes(run).of(row)
         natural = None if natural_tracks is None else departed(states, natural_tracks)
         layer = Nets(run).layer(str(row["net"]))
         return ChosenEpisode(row, states, run.collisions_of(int(row["episode"])), layer, natural)

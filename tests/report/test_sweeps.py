@@ -14,7 +14,7 @@ from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.matrix import matrix_of
 from advdiff_sumo.report.nets import place_name
-from advdiff_sumo.report.reference_episodes import Naturals, thinned
+from advdiff_sumo.report.reference_episodes import ReferenceEpisodes, thinned
 from advdiff_sumo.report.sample_pictures import Samples, samples_by_background, samples_of
 from advdiff_sumo.sweep.spec import SweepSpec
 
@@ -80,7 +80,7 @@ def test_labels_name_the_options_that_differ(run: FinishedRun) -> None:
 
 
 def test_natural_counterpart_is_the_same_scene_and_target_in_sumos_traffic(run: FinishedRun) -> None:
-    naturals = Naturals(run)
+    naturals = ReferenceEpisodes(run)
     found = naturals.of(run.row(1))
     assert found is not None
     assert found.dt_s == pytest.approx(0.5)
@@ -97,7 +97,7 @@ def test_a_log_that_is_no_longer_there_is_done_without(
     states = rows.drive(0, "ego", 0.0, 0.0, 10.0, target=True)
     folder = make_folder([rows.episode(0, scene="scene-0061-004")], states, options={"scenes": "/gone"})
     run = FinishedRun.read(folder)
-    assert Naturals(run).of(run.row(0)) is None
+    assert ReferenceEpisodes(run).of(run.row(0)) is None
     assert write_report(folder).is_file()
 
 
@@ -109,7 +109,7 @@ def test_natural_of_a_log_is_the_log_from_the_seed_scene_on(
     options = {"scenes": str(adv_data / "nuscenes-mini")}
     folder = make_folder([rows.episode(0, scene="scene-0061-004")], states, options=options)
     run = FinishedRun.read(folder)
-    naturals = Naturals(run)
+    naturals = ReferenceEpisodes(run)
     found, drive = naturals.of(run.row(0)), naturals.drive_of(run.row(0))
     assert found is not None
     assert drive is not None
@@ -130,7 +130,7 @@ def test_samples_by_hand(run: FinishedRun) -> None:
 
 
 def test_natural_traffic_comes_first(run: FinishedRun) -> None:
-    groups = samples_by_background(run, Naturals(run), Labels(run.episodes))
+    groups = samples_by_background(run, ReferenceEpisodes(run), Labels(run.episodes))
     assert list(groups) == ["sumo", "replay"]
     assert [group.episodes for group in groups.values()] == [1, 2]
 

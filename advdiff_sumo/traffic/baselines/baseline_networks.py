@@ -15,7 +15,7 @@ from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.shipped_weights import device_of, find_weights
 from advdiff_sumo.models.traffic import TrafficModel
-from advdiff_sumo.traffic.baselines.baseline_options import RivalOptions
+from advdiff_sumo.traffic.baselines.baseline_options import BaselineOptions
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Prior:
 
 
 @one_thread()
-def prior_of(options: RivalOptions, whose: str) -> Prior:
+def prior_of(options: BaselineOptions, whose: str) -> Prior:
     """Return the networks that *options* name; read once a process.
 
     Raises:

@@ -10,7 +10,7 @@ from advdiff_sumo.config import Options
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
 
 
-class RivalOptions(Options):
+class BaselineOptions(Options):
     """What every rival takes.
 
     Attributes:
@@ -35,7 +35,7 @@ class RivalOptions(Options):
     device: str = "auto"
 
 
-class StriveOptions(RivalOptions):
+class StriveOptions(BaselineOptions):
     """Options of ``strive``; weights of the loss as published with the paper, latents counted in deviations.
 
     Attributes:
@@ -65,7 +65,7 @@ class StriveOptions(RivalOptions):
     start_attacker: float = Field(0.05, ge=0.0)
 
 
-class AdvSimOptions(RivalOptions):
+class AdvSimOptions(BaselineOptions):
     """Options of ``advsim``.
 
     Attributes:

@@ -19,7 +19,7 @@ from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.baselines.baseline_networks import Prior
-from advdiff_sumo.traffic.baselines.baseline_options import RivalOptions
+from advdiff_sumo.traffic.baselines.baseline_options import BaselineOptions
 from advdiff_sumo.traffic.baselines.surrogate import Answer, Surrogate, ask, imagine, make_surrogate
 from advdiff_sumo.traffic.diffusion.diffusion_policy import Listener
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
@@ -96,10 +96,10 @@ class BaselinePolicy(ABC):
         listener: told of every plan before the safeguard, as of ``diffusion``.
     """
 
-    options: RivalOptions
+    options: BaselineOptions
     prior: Prior
 
-    def __init__(self, options: RivalOptions) -> None:
+    def __init__(self, options: BaselineOptions) -> None:
         self.options = options
         self.surrogate: Surrogate | None = make_surrogate(options.surrogate)
         self.listener: Listener | None = None

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +16,7 @@ from advdiff_sumo.planners.planner_protocol import Planner
 if TYPE_CHECKING:
     from advdiff_sumo.maps.convert import ConversionResult
 
-_MEMORY_MB, _TIMEOUT_S, _RETRIES = 4000, 300.0, 2
+_TIMEOUT_S, _RETRIES = 300.0, 2
 
 
 def run(
@@ -107,25 +105,22 @@ def sweep(
     Raises:
         InputError: one of its kinds; a sentence that names the culprit.
     """
+    from advdiff_sumo.cli.worker_flags import cores, limits_of
     from advdiff_sumo.sim.free_folder import free_folder
     from advdiff_sumo.sweep.executors import ProcessExecutor
     from advdiff_sumo.sweep.job_plan import plan_sweep
     from advdiff_sumo.sweep.spec import SweepSpec
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
-    from advdiff_sumo.sweep.tasks import Limits
 
     asked = SweepSpec.of(spec, "ads.sweep") if isinstance(spec, Mapping) else SweepSpec.read(Path(spec))
     plan = plan_sweep(asked)
     name = "sweep" if isinstance(spec, Mapping) else Path(spec).stem
-    slots = workers or len(os.sched_getaffinity(0))
-    logs = Path(tempfile.mkdtemp(prefix="advdiff-sweep-"))
-    try:
-        executor = ProcessExecutor(slots, Limits(_TIMEOUT_S, _MEMORY_MB, 250, 0.5, logs))
+    slots = workers or cores()
+    with ExitStack() as stack:
+        executor = ProcessExecutor(slots, limits_of(stack, _TIMEOUT_S))
         store = open_store(Path(out) if out is not None else free_folder(name), plan, slots, resume=False)
-        with Progress(plan.wanted, progress) as shown:
-            run_sweep(plan, store, RemainingJobs.of(plan, store), executor, _RETRIES, _tell_row(shown))
-    finally:
-        shutil.rmtree(logs, ignore_errors=True)
+        shown = stack.enter_context(Progress(plan.wanted, progress))
+        run_sweep(plan, store, RemainingJobs.of(plan, store), executor, _RETRIES, _tell_row(shown))
     return Results(store.path)
 
 

@@ -74,8 +74,8 @@ def traffic(
     """
     given = {
         "scenes": scenes,
-        "data": None if data is None else [str(path.resolve()) for path in data],
-        "policies": names_of(policies),
+        "data": [str(path.resolve()) for path in data or ()] or None,
+        "policies": policies,
         "seeds": seeds,
         "samples": samples,
     }
@@ -96,12 +96,7 @@ def adversarial(
 
     advdiff-sumo bench adversarial --scenes 300 --policies diffusion,unguided,replay,sumo --out runs/guided
     """
-    given = {
-        "scenes": scenes,
-        "policies": names_of(policies),
-        "targets": names_of(targets),
-        "horizon_s": horizon,
-    }
+    given = {"scenes": scenes, "policies": policies, "targets": targets, "horizon_s": horizon}
     run_or_print("adversarial", out, workers, timeout, given)
 
 
@@ -122,13 +117,7 @@ def transfer(
 
     advdiff-sumo bench transfer --policies diffusion,strive --targets lane_graph,IDM
     """
-    given = {
-        "scenes": scenes,
-        "policies": names_of(policies),
-        "targets": names_of(targets),
-        "horizon_s": horizon,
-        "steps": steps,
-    }
+    given = {"scenes": scenes, "policies": policies, "targets": targets, "horizon_s": horizon, "steps": steps}
     run_or_print("transfer", out, workers, timeout, given)
 
 
@@ -151,13 +140,7 @@ def fewshot(
 
     advdiff-sumo bench fewshot --targets EIDM --seeds 3
     """
-    given = {
-        "scenes": scenes,
-        "targets": names_of(targets),
-        "seeds": seeds,
-        "steps": steps,
-        "horizon_s": horizon,
-    }
+    given = {"scenes": scenes, "targets": targets, "seeds": seeds, "steps": steps, "horizon_s": horizon}
     run_or_print("fewshot", out, workers, timeout, given)
 
 
@@ -188,9 +171,9 @@ def defects(
     """
     given = {
         "scenes": scenes,
-        "policies": names_of(policies),
-        "targets": names_of(targets),
-        "defects": names_of(planted),
+        "policies": policies,
+        "targets": targets,
+        "defects": planted,
         "severity": severity,
         "horizon_s": horizon,
     }
@@ -200,7 +183,7 @@ def defects(
 def run_or_print(
     name: BenchName, out: Path | None, workers: int | None, timeout_s: float, given: dict[str, Any]
 ) -> None:
-    """Run a bench, or print it where it is finished."""
+    """Run a bench, or print it where it is finished; names with commas between them are taken apart."""
     one_thread_for_good()
     from advdiff_sumo.experiments.bench.bench_config import Folder, open_folder, request_of
     from advdiff_sumo.experiments.bench.print_table import print_table  # late: --help needs no simulator
@@ -210,7 +193,8 @@ def run_or_print(
     end_as_by_ctrl_c()
     console = terminal()
     path = (out or _FOLDER / f"bench-{name}").resolve()
-    request = request_of(name, path, DEFAULTS[name], given)
+    named = {option: _names_of(given.get(option)) for option in ("policies", "targets", "defects")}
+    request = request_of(name, path, DEFAULTS[name], given | named)
     table = finished(Folder(path, request))
     if table is None:
         check_request(request)
@@ -226,14 +210,14 @@ def run_or_print(
     console.print(f"{files}: {path}", soft_wrap=True, markup=False)
 
 
-def names_of(text: str | None) -> list[str] | None:
+def _names_of(text: str | list[str] | None) -> list[str] | None:
     """Return the names in *text*, which has commas between them.
 
     Raises:
         ConfigError: one is empty.
     """
-    if text is None:
-        return None
+    if text is None or isinstance(text, list):
+        return text
     names = [name.strip() for name in text.split(",")]
     if not all(names):
         raise ConfigError(f"'{text}': a name is empty; write them as a,b")

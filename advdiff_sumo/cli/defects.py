@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -57,12 +57,11 @@ def defects(
     if not target.strip():
         raise ConfigError("--target is empty; name a planner, such as lane_graph")
     name = re.sub(r"[^\w.-]+", "-", target)
-    given = {
+    given: dict[str, Any] = {
         "scenes": scenes,
         "policies": background or ["sumo"],
         "targets": [target],
         "defects": defect,
-        "severity": severity,
-        "horizon_s": horizon,
     }
+    given |= {"policies": background or ["sumo"], "severity": severity, "horizon_s": horizon}
     run_or_print("defects", out or _FOLDER / f"defects-{name}", workers, timeout, given)

@@ -27,12 +27,9 @@ _EGO_WIDTH_M = 2.0
 
 @dataclass(frozen=True)
 class Forecast(KinematicStates):
-    """Futures of N ways at T instants ``STEP_S`` apart, the first one step from now.
+    """Futures (N, T) of N ways at T instants ``STEP_S`` apart, the first one step from now.
 
     Attributes:
-        xy_m: (N, T, 2) centres.
-        yaw_rad: (N, T) headings.
-        speed_mps: (N, T) speeds.
         other: (N,) index in :class:`Others`.
         weight: (N,) share of the way.
         s_m: (N, T) centres along each way's path; distance driven off the lanes.

@@ -27,12 +27,9 @@ _ROUTE, _ROUTE_NEAR_M, _ROUTE_FAR_M = 7.0, 40.0, 160.0
 
 @dataclass(frozen=True)
 class Candidates(KinematicStates):
-    """C futures of the target at T instants.
+    """C futures of the target at T instants, (C, T).
 
     Attributes:
-        xy_m: (C, T, 2) centres.
-        yaw_rad: (C, T) headings.
-        speed_mps: (C, T) speeds.
         s_m: (C, T) centres along the paths.
         accel_mps2: (C, T) accelerations.
     """

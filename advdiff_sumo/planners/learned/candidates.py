@@ -21,12 +21,9 @@ _MOST_BRAKE_MPS2 = 8.0
 
 @dataclass(frozen=True)
 class Candidates(KinematicStates):
-    """C futures of the target at T instants.
+    """C futures of the target at T instants, (C, T).
 
     Attributes:
-        xy_m: (C, T, 2) centres.
-        yaw_rad: (C, T) headings.
-        speed_mps: (C, T) speeds.
         line: (C,) index of the guide's line that is driven, ``RAW`` for a sample as it is, ``BRAKE`` for braking.
         sample: (C,) the sample whose motion or speed it is; 0 for braking.
     """

@@ -60,12 +60,9 @@ class Manoeuvre:
 
 @dataclass(frozen=True)
 class ManoeuvreFutures(KinematicStates):
-    """Futures of C manoeuvres at ``CHECK_TIMES_S``.
+    """Futures (C, T) of C manoeuvres at ``CHECK_TIMES_S``.
 
     Attributes:
-        xy_m: (C, T, 2) centres.
-        yaw_rad: (C, T) headings.
-        speed_mps: (C, T) speeds.
         driven_m: (C, T) distances along the ways.
     """
 

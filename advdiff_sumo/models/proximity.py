@@ -37,8 +37,8 @@ def carried_gaps(near: Neighbours) -> Tensor:
     """Return (T, B, R, K) gaps in metres between discs at ``CARRIED_S``; negative where they overlap.
 
     The squared distance of disc a of the row and b of the other is linear in six numbers of the pair: with *p* the
-    other's place, *u* its heading, *r* how far its outermost discs are from its centre and *own* the row's,
-    |p|² + r² b² + own² a² + 2 r b (p · u) − 2 own a pₓ − 2 own r a b uₓ.
+    other's place, *u* its heading, *r* how far its outermost discs are from its centre and *own* the row's, it is
+    p² + r² b² + own² a² + 2 r b (p · u) − 2 own a pₓ − 2 own r a b uₓ.
     """
     times = near.cos.new_tensor(CARRIED_S)[:, None, None, None]
     x = torch.addcmul(near.ahead_m, times, near.speed_mps * near.cos - near.own_speed_mps)

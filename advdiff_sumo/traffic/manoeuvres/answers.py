@@ -21,7 +21,7 @@ BRAKING_MPS2 = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
 UNANSWERABLE_MPS2 = 99.0
 """Stands for an encounter that none of them avoids."""
 _ROOM_M = 0.3
-BELIEVED_MPS2, FULL_BRAKING_MPS2 = 4.5, 8.0
+BELIEVED_MPS2, FULL_BRAKING_MPS2 = 4.5, 9.0
 """Braking with which somebody is believed to stop at its line still; and of a target that finds it will not."""
 _NOTICES_S, _HURRIES_MPS2 = 0.25, 2.0
 _NEARLY_S = (-0.2, 0.0, 0.2)
@@ -146,6 +146,7 @@ def trapped_share(
                 xy_m[rows],
                 yaw_rad[rows],
                 size_m[rows],
+                -_ROOM_M,
             )
             for driven_m in target.ways_out_m(when)[: 2 if when > 0.0 else 1]
         ]
@@ -184,9 +185,10 @@ def _clear(
     xy_m: FloatArray,
     yaw_rad: FloatArray,
     size_m: FloatArray,
+    room_m: float = _ROOM_M,
 ) -> BoolArray:
-    """Return (C, P) which answers of the target stay clear of which future."""
-    half = 0.5 * target.size_m + _ROOM_M * np.array([1.0, 0.0])
+    """Return (C, P) which answers of the target stay clear of which future, by *room_m* before and behind it."""
+    half = 0.5 * target.size_m + room_m * np.array([1.0, 0.0])
     own, theirs = np.broadcast_arrays(answers[1][None], yaw_rad[:, None])
     offset = xy_m[:, None] - answers[0][None]
     gaps = axis_gaps(offset, own, half, theirs, 0.5 * size_m[:, None, None])[0].max(-1)

@@ -30,7 +30,7 @@ SEEN_WORTH: Mapping[float, float] = {1.0: 0.6, 2.0: 0.8, 3.0: 0.8, 4.0: 0.7, 5.0
 CUT_IN_WORTH: Mapping[float, float] = {2.0: 0.4, 3.0: 0.6, 4.0: 0.8, 5.0: 0.9, 6.0: 1.0, 7.0: 0.7}
 """Worth where both count."""
 _LEAST_SEEN_MPS2: Mapping[str, float] = {"blocked-lane": 2.0, "cut-out": 2.0, "crossing": 1.0}
-_TRAPPED = 0.8
+_TRAPPED, _WAITS, _UNNOTICED_S = 0.8, 0.3, 1.0
 _UNCERTAIN = 0.2
 """Share of its worth that somebody keeps who would meet the target at the very instant alone."""
 SETTING_UP = 0.05
@@ -87,8 +87,11 @@ def rank(
     timed = np.flatnonzero([m.kind == "crossing" and not m.sets_up for m in proposals])
     if len(timed):
         crossing = [proposals[k] for k in timed.tolist()]
-        certain = _certainty(view, target, crossing, _rows(futures, timed), size[timed], begun)
-        merit[timed] *= _UNCERTAIN + (1.0 - _UNCERTAIN) * certain
+        of_them = _rows(futures, timed)
+        merit[timed] *= _certain(contact_share(target, of_them.xy_m, of_them.yaw_rad, size[timed]))
+        if begun:
+            at_red = _merit_at_red(view, target, crossing, of_them, size[timed])
+            merit[timed] = np.where(np.isnan(at_red), merit[timed], at_red)
     for k, manoeuvre in enumerate(proposals):
         near = closeness(view, manoeuvre, futures.driven_m[k], intensity)
         merit[k] = merit[k] if near is None else near
@@ -122,22 +125,24 @@ def _obstacles(
     return xy, yaw, history.size_m[rows]
 
 
-def _certainty(
+def _certain(share: FloatArray) -> FloatArray:
+    """Return which share of its worth somebody keeps who meets the target in *share* of the cases."""
+    return _UNCERTAIN + (1.0 - _UNCERTAIN) * share
+
+
+def _merit_at_red(
     view: SituationView,
     target: TargetWay,
     crossing: Sequence[Manoeuvre],
     futures: ManoeuvreFutures,
     size_m: FloatArray,
-    begun: bool,
 ) -> FloatArray:
-    """Return (C,) how certainly each of *crossing* meets a target that goes on.
+    """Return (C,) how well each of *crossing* goes on before a target with a red light; NaN where it has none.
 
-    One that goes on over a red light believes that the others stop: where they have *begun*, it counts most whether
-    there is a way out for it when it notices that they no longer can.
+    A target that goes on over it believes that the others stop: what counts is whether there is a way out when it
+    notices that they no longer can, else that it does not notice yet.
     """
     share = contact_share(target, futures.xy_m, futures.yaw_rad, size_m)
-    if not begun:
-        return share
     notices_s = np.full(len(crossing), np.nan)
     for k, manoeuvre in enumerate(crossing):
         links = crossing_links(view, manoeuvre.row)
@@ -148,7 +153,9 @@ def _certainty(
                 to_line_m, view.speed(manoeuvre.row), futures.driven_m[k], futures.speed_mps[k]
             )
     trapped = trapped_share(target, futures.xy_m, futures.yaw_rad, size_m, notices_s)
-    return np.where(np.isnan(notices_s), share, _TRAPPED * trapped + (1.0 - _TRAPPED) * share)
+    surprise = np.maximum(trapped, np.where(notices_s > _UNNOTICED_S, _WAITS, 0.0))
+    merit = _TRAPPED * surprise + (1.0 - _TRAPPED) * _certain(share)
+    return np.where(np.isnan(notices_s), np.nan, merit)
 
 
 def _merit(manoeuvre: Manoeuvre, needed_mps2: float, begun: bool) -> float:

@@ -252,7 +252,7 @@ def _continued(
         timed = list(crossing_on(view, row))
         again = rank(view, timed, {"crossing": 1.0}, licence, intensity, begun=True)
         holds = intensity.is_asked_of("crossing") and target_brakes(view)
-        if again and not holds:
+        if again and not holds and not (again[0].needed_mps2 == 0.0 and _target_stands(view)):
             return again[0].manoeuvre
         if _target_stands(view):
             return None

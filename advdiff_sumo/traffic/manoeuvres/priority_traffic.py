@@ -22,7 +22,7 @@ REACH_M = 80.0
 _SOONEST_S, _LATEST_S, _RED_S = 2.2, 6.0, 5.0
 _LEAST_ARRIVAL_S = 1.7
 _SLOWEST_MPS, _FASTEST_MPS, _SHARE = 3.0, 12.0, 0.6
-_TIMING_S = (0.0, 0.7, -0.7)
+_TIMING_S, _TIMING_AT_RED_S = (0.0, 0.7, -0.7), (1.0, 0.5, 1.5)
 _TOUCHES_M, _BEYOND_M, _SPACING_M = 2.0, 6.0, 0.5
 _FROM_LINE_M, _ONCOMING_RAD = 8.0, 2.2
 _GREEN = "G"
@@ -68,7 +68,8 @@ def approaches(view: SituationView, oncoming: bool, early_s: float | None = None
                 _SOONEST_S if early_s is None else MOST_EARLY_S + _LEAST_ARRIVAL_S
             )  # room for every severity
             if soonest_s < meets_s < (_RED_S if red else _LATEST_S):
-                timing_s = _TIMING_S if early_s is None else (-early_s,)
+                usual_s = _TIMING_AT_RED_S if red else _TIMING_S
+                timing_s = usual_s if early_s is None else (-early_s,)
                 yield from _meeting(view, other, [meets_s + late for late in timing_s], places[1])
         if red:
             return

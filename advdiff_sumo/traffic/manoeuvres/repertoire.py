@@ -31,7 +31,7 @@ _REVEALS_S = (2.0, 2.5, 3.0, 3.5, 4.0)
 _LONGEST_DELAY_S, _STANDS_MPS = 2.0, 0.5
 _TIMING_S = (1.5, 3.0)
 _HESITATES_MPS2, _GOES_MPS2 = (1.0, 2.0, 3.0), 2.5
-_HESITATES_S = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0)
+_HESITATES_S = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 3.0)
 """Somebody at a green light slows as if it were to stop, and goes after all."""
 _CRAWLS_SHARE, _STOPS_MPS2 = 0.3, 3.0
 """Who slows harder than this after a change of lanes stops; others go on at a share of the target's speed."""
@@ -129,7 +129,8 @@ def _timed(view: SituationView, row: int, link: Link) -> Iterator[Manoeuvre]:
     limit = way.lane.speed_mps
     for accel in TIMING_MPS2:
         for until_s in _TIMING_S if accel else _TIMING_S[:1]:
-            timed = SpeedProfile(accel, until_s, 0.0, _CROSSES_SHARE * limit, limit)
+            slowest = _SLOWEST_MPS if view.is_red(link) else _CROSSES_SHARE * limit
+            timed = SpeedProfile(accel, until_s, 0.0, slowest, limit)
             yield Manoeuvre("crossing", row, way, timed)
     for slows in _HESITATES_MPS2 if view.is_red(link) else ():
         for until_s in _HESITATES_S:

@@ -11,7 +11,7 @@ import re
 import sys
 from pathlib import Path
 
-from advdiff_sumo.experiments.bench.table import Cell, Table
+from advdiff_sumo.experiments.bench.table import Cell, Line, Table
 from advdiff_sumo.experiments.bench.table_cache import read_table
 from advdiff_sumo.planners.defects.catalogue import catalogue_table
 
@@ -27,19 +27,21 @@ def filled(page: str) -> str:
 
 
 def baseline(table: Table) -> str:
-    """Return the shares of *table* in whole percent, one row a defect; bold where it is detected."""
+    """Return the shares of *table* in whole percent, one row a defect, the score in numbers; bold: detected."""
 
-    def shown(cell: Cell | None) -> str:
+    def cell_text(line: Line, cell: Cell | None) -> str:
         if cell is None or cell.found.value is None:
             return "–"
+        if line.key == "score":
+            return f"{cell.found.value * cell.found.n:.0f} of {cell.found.n}"
         text = f"{100.0 * cell.found.value:.0f}"
         return f"**{text}**" if cell.best else text
 
-    several = len({line.group for line in table.lines}) > 1
     text = f"|  | {' | '.join(head.title for head in table.heads)} |\n|---|{'--:|' * len(table.heads)}\n"
     for line in table.lines:
-        name = f"{line.group}: {line.title}" if several else line.title
-        text += f"| {name} | {' | '.join(shown(line.cells.get(head.key)) for head in table.heads)} |\n"
+        name = f"{line.group}, sound" if line.key == "sound" else line.title
+        cells = (cell_text(line, line.cells.get(head.key)) for head in table.heads)
+        text += f"| {name} | {' | '.join(cells)} |\n"
     return f"{table.title}, valid failures in % of the episodes ([CSV](tables/defects.csv)):\n\n{text}"
 
 

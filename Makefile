@@ -46,7 +46,7 @@ test-all: test
 	$(TESTS) -m slow
 
 # other people's programs that read what we export, in environments of their own; tests/export uses them where they are
-readers: build/readers/commonroad/.ready build/readers/asam/.ready build/readers/av2/.ready build/readers/lanelet2/.ready build/readers/nuplan/.ready
+readers: build/readers/commonroad/.ready build/readers/asam/.ready build/readers/av2/.ready build/readers/lanelet2/.ready build/readers/nuplan/.ready build/readers/opendrive/.ready
 
 build/readers/av2/.ready: PIP_FLAGS = --no-deps
 

@@ -68,26 +68,20 @@ for row in layer("lane_connectors").itertuples():
     links += [[f"lane_{row.exit_lane_fid}", name], [name, f"lane_{row.entry_lane_fid}"]]
 print(json.dumps({"lanes": lanes, "links": links}))
 """
-# Roads of one right lane each, as our exporter writes them; netconvert names the lane of road 7 "-7_0". Ways through
-# junctions have names of netconvert's own, so theirs are "from>to".
+# Roads of one right lane and one section each, as our exporter writes them: links are those of their roads.
 OPENDRIVE = """
 import json, sys
 from pyxodr.road_objects.network import RoadNetwork
 city = RoadNetwork(sys.argv[1], resolution=0.02)  # its arcs fail where they turn by over 6 degrees between two points
-roads = {road.id: road for road in city.get_roads()}
-inside = city.connecting_road_ids
-lanes, links, ways = {}, [], {}
-for name, road in roads.items():
-    (lane,) = road.lane_sections[0].lanes
-    points = lane.traffic_flow_line[:, :2].tolist()
-    if name in inside:
+lanes, links = {}, []
+for road in city.get_roads():
+    ((lane,),) = (section.lanes for section in road.lane_sections)
+    name = f"{road.id}_0_{lane.id}"
+    lanes[name] = lane.traffic_flow_line[:, :2].tolist()
+    if road.id in city.connecting_road_ids:
         (before, _), (after, _) = road.predecessor_data, road.successor_data
-        link = [f"-{before.id}_0", f"-{after.id}_0"]
-        links.append(link)
-        ways[">".join(link)] = points
-    else:
-        lanes[f"-{name}_0"] = points
-print(json.dumps({"lanes": lanes, "links": links, "ways": ways}))
+        links += [[f"{before.id}_0_-1", name], [name, f"{after.id}_0_-1"]]
+print(json.dumps({"lanes": lanes, "links": links}))
 """
 SCRIPTS = {
     "lanelet2": LANELET2,

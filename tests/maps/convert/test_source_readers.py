@@ -118,3 +118,20 @@ def check_nuplan(path: Path, net: Path) -> None:
     truth = read_outside("nuplan", path)
     convert_source(read_map(path), net)
     assert differences(net, truth) == NONE
+
+
+def test_net_holds_what_pyxodr_sees_of_an_opendrive_file(tmp_path: Path) -> None:
+    check_opendrive(small_sources.write("argoverse2", tmp_path), tmp_path)
+
+
+@pytest.mark.data
+def test_net_holds_what_pyxodr_sees_of_a_city_as_opendrive(adv_data: Path, tmp_path: Path) -> None:
+    check_opendrive(adv_data / "nuscenes-mini/maps/expansion/singapore-hollandvillage.json", tmp_path)
+
+
+def check_opendrive(path: Path, folder: Path) -> None:
+    """Write the map at *path* as OpenDRIVE, and read that."""
+    convert_source(read_map(path), folder / "m.net.xml", opendrive=True)
+    truth = read_outside("opendrive", folder / "m.xodr")
+    convert_source(read_map(folder / "m.xodr"), folder / "n.net.xml")
+    assert differences(folder / "n.net.xml", truth) == NONE

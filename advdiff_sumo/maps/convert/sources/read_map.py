@@ -11,8 +11,8 @@ from advdiff_sumo.maps.convert.sources.lanelet2_map import lanelet2_map
 from advdiff_sumo.maps.convert.sources.map_files import load_json, load_xml
 from advdiff_sumo.maps.convert.sources.nuplan_map import nuplan_map
 from advdiff_sumo.maps.convert.sources.nuscenes_json import nuscenes_map
+from advdiff_sumo.maps.convert.sources.opendrive_map import opendrive_map
 from advdiff_sumo.maps.convert.sources.source_map import SourceMap
-from advdiff_sumo.maps.convert.sources.sumo_net_map import opendrive_map
 
 FORMATS = (
     "a nuScenes map expansion or an Argoverse 2 log_map_archive (.json), a ScenarioNet record (.pkl), "
@@ -36,7 +36,7 @@ def read_map(path: Path) -> SourceMap:
     if name.endswith(".osm"):
         return lanelet2_map(load_xml(path), path)
     if name.endswith(".xodr"):
-        return opendrive_map(path)
+        return opendrive_map(load_xml(path), path)
     if name.endswith(".gpkg"):
         return nuplan_map(path)
     raise MapError(path, "is of no known map format", f"give {FORMATS}")

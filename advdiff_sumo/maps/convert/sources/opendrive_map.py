@@ -1,0 +1,215 @@
+"""OpenDRIVE maps (ASAM OpenDRIVE 1.4 to 1.8): lanes of an ``.xodr`` file, named ROAD_SECTION_LANE.
+
+Height and superelevation are left out, so places are those of the plan view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import shapely
+from shapely.geometry import Polygon
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
+from advdiff_sumo.maps.convert.sources.bounded_lanes import (
+    BoundedLane,
+    covered_area,
+    lane_links,
+    largest_part,
+    source_lanes,
+)
+from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
+from advdiff_sumo.maps.convert.sources.opendrive_curves import (
+    ReferenceLine,
+    cubics,
+    number,
+    stations,
+    value_at,
+)
+from advdiff_sumo.maps.convert.sources.opendrive_links import lane_successors
+from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceMap, StatedSizes
+
+REMEDY = "give an unchanged OpenDRIVE file (.xodr)"
+STEP_M, CHORD_M = 0.25, 0.001  # places on curves, of which those are left out that lie on the chord
+CAR_TYPES = (
+    *("driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "bidirectional"),
+    *("mwyEntry", "mwyExit"),
+)
+USES = dict.fromkeys(CAR_TYPES, LaneUse.CAR) | {
+    "bus": LaneUse.BUS,
+    "taxi": LaneUse.BUS,
+    "biking": LaneUse.BICYCLE,
+}
+UNITS_MPS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
+Token: TypeAlias = str
+
+
+def opendrive_map(root: Element, path: Path) -> SourceMap:
+    """Return the map in the OpenDRIVE document *root*; roads inside junctions are connectors.
+
+    Raises:
+        MapError: another format, or no lane for vehicles is usable.
+    """
+    if root.tag != "OpenDRIVE":
+        raise MapError(path, f"begins with <{root.tag}>, so it is no OpenDRIVE file", REMEDY)
+    faults = MapFaults(path)
+    roads = [road for row in root.iterfind("road") if (road := _read_road(row, faults))]
+    if any(road.left_hand for road in roads):
+        faults.add("traffic keeps left", "its roads state that traffic keeps left: give '--lefthand'")
+    after = lane_successors(root)
+    rows = [lane for road in roads for lane in road.lanes(after, faults)]
+    lanes = source_lanes(rows, faults)
+    if not lanes:
+        raise MapError(path, "holds no usable lane for vehicles", REMEDY)
+    links, stated = lane_links(rows, lanes, faults)
+    known = {lane.token for lane in lanes}
+    return SourceMap(
+        path=path,
+        location=path.name.removesuffix(".gz").removesuffix(".xodr"),
+        lanes=tuple(lanes),
+        links=tuple(links),
+        drivable=covered_area(lanes),
+        walkways=tuple(area for road in roads for area in road.areas("sidewalk", "walking")),
+        carparks=tuple(area for road in roads for area in road.areas("parking")),
+        stated=StatedSizes(len(rows), stated),
+        left_out=tuple(row.token for row in rows if row.token not in known),
+        notes=faults.notes,
+        warnings=faults.sentences(),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Strip:
+    """A lane of one section between its borders (N, 2), drawn along the reference line."""
+
+    row: Element
+    number: int
+    inner_m: FloatArray
+    outer_m: FloatArray
+    middle_m: FloatArray
+
+
+class _Road:
+    """One road, lane by lane."""
+
+    def __init__(self, row: Element) -> None:
+        self.row, self.id = row, "_".join((row.get("id") or "").split())
+        self.line = ReferenceLine(row.findall("planView/geometry"))
+        self.offset = cubics(row.findall("lanes/laneOffset"), "s")
+        self.sections = sorted(row.findall("lanes/laneSection"), key=lambda section: number(section, "s"))
+        self.left_hand = row.get("rule") == "LHT"
+        self.limits = [(number(kind, "s", 0.0), _speed(kind.find("speed"))) for kind in row.findall("type")]
+        ends = [*(number(section, "s") for section in self.sections[1:]), self.line.length_m]
+        self.strips = [list(self._strips(*pair)) for pair in zip(self.sections, ends, strict=True)]
+
+    def lanes(self, after: dict[Token, tuple[Token, ...]], faults: MapFaults) -> Iterator[BoundedLane]:
+        """Yield the lanes for vehicles, drawn in driving direction."""
+        for number_of_section, strips in enumerate(self.strips):
+            for strip in strips:
+                use = USES.get(strip.row.get("type", ""))
+                if use is None:
+                    continue
+                token = f"{self.id}_{number_of_section}_{strip.number}"
+                if len(drop_repeats(strip.middle_m)) < 2 or not _is_wide(strip):
+                    faults.notes["lanes without width or length left out"] += 1
+                    continue
+                yield self._lane(token, strip, use, number_of_section, after)
+
+    def areas(self, *kinds: str) -> Iterator[Polygon]:
+        """Yield the areas of lanes of *kinds*."""
+        for strip in (strip for strips in self.strips for strip in strips if strip.row.get("type") in kinds):
+            area = largest_part(np.vstack((strip.inner_m, strip.outer_m[::-1])))
+            if area is not None:
+                yield area
+
+    def _strips(self, section: Element, end_m: float) -> Iterator[_Strip]:
+        start = number(section, "s")
+        if end_m - start < 1e-3:
+            return
+        s = stations(self.line, start, end_m, STEP_M)
+        xy, yaw = self.line.at(s)
+        normal = np.stack((-np.sin(yaw), np.cos(yaw)), axis=-1)
+        for side, sign in (("left", 1), ("right", -1)):
+            inner = value_at(self.offset, s)
+            for row in sorted(section.findall(f"{side}/lane"), key=lambda lane: abs(number(lane, "id"))):
+                borders = row.findall("border")
+                if borders and not row.findall("width"):
+                    outer = value_at(self.offset, s) + value_at(cubics(borders, base_m=start), s)
+                else:
+                    outer = inner + sign * value_at(cubics(row.findall("width"), base_m=start), s)
+                drawn = [xy + across[:, None] * normal for across in (inner, outer, 0.5 * (inner + outer))]
+                yield _Strip(row, int(number(row, "id")), drawn[0], drawn[1], drawn[2])
+                inner = outer
+
+    def _lane(
+        self, token: Token, strip: _Strip, use: LaneUse, section: int, after: dict[Token, tuple[Token, ...]]
+    ) -> BoundedLane:
+        """Return a lane in driving direction: lanes on the right of traffic's middle go along the reference line."""
+        along = (strip.number < 0) != self.left_hand
+        lines = [line if along else line[::-1] for line in (strip.inner_m, strip.outer_m, strip.middle_m)]
+        inner, outer, middle = (_thinned(line) for line in lines)
+        marks = {lane.number: lane.row for lane in self.strips[section]} | {0: self._centre(section)}
+        step = 1 if strip.number < 0 else -1
+        own, inside = _dashed(strip.row), _dashed(marks.get(strip.number + step))
+        beside = strip.number + (-step if self.left_hand else step)
+        same_way = beside in marks and beside * strip.number > 0
+        return BoundedLane(
+            token=token,
+            left_m=outer if self.left_hand else inner,
+            right_m=inner if self.left_hand else outer,
+            is_connector=self.row.get("junction", "-1") not in ("-1", ""),
+            use=use,
+            speed_mps=_speed(strip.row.find("speed")) or self._limit(number(self.sections[section], "s")),
+            successors=after.get(token, ()),
+            left_neighbour=f"{self.id}_{section}_{beside}" if same_way else None,
+            left_dashed=own if self.left_hand else inside,
+            right_dashed=inside if self.left_hand else own,
+            centre_m=middle,
+        )
+
+    def _centre(self, section: int) -> Element | None:
+        return self.sections[section].find("center/lane")
+
+    def _limit(self, s_m: float) -> float | None:
+        return next((limit for start, limit in reversed(self.limits) if start <= s_m + 1e-6), None)
+
+
+def _read_road(row: Element, faults: MapFaults) -> _Road | None:
+    try:
+        return _Road(row)
+    except ValueError as error:
+        faults.add("road malformed", f"road {row.get('id', '')!r} is left out: {error}")
+        return None
+
+
+def _is_wide(strip: _Strip) -> bool:
+    return float(np.hypot(*(strip.outer_m - strip.inner_m).T).max()) > 0.1
+
+
+def _thinned(line: FloatArray) -> FloatArray:
+    kept = drop_repeats(line)
+    return np.asarray(shapely.LineString(kept).simplify(CHORD_M).coords) if len(kept) > 1 else line[[0, -1]]
+
+
+def _dashed(lane: Element | None) -> bool | None:
+    """Return whether the marking on the outer border of *lane* may be crossed; None where there is none."""
+    mark = None if lane is None else lane.find("roadMark")
+    kind = "none" if mark is None else mark.get("type", "none")
+    return None if kind == "none" else "broken" in kind
+
+
+def _speed(row: Element | None) -> float | None:
+    """Return a limit in m/s; None for none, ``no limit`` and ``undefined``."""
+    try:
+        value = float("" if row is None else row.get("max", ""))
+        factor = UNITS_MPS["m/s" if row is None else row.get("unit", "m/s")]
+    except (ValueError, KeyError):
+        return None
+    return value * factor if np.isfinite(value) and value > 0.0 else None

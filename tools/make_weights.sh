@@ -23,7 +23,7 @@ stage() { # NAME OPTIONS...
     "$run" train "$name" --out "$folder/$name" "${common[@]}" "${resume[@]}" "$@"
 }
 
-networks='{decoder="closed-loop", hidden=160, message=96, decoder_layers=2, denoiser_layers=2, channels=[32, 48, 64]}'
+networks='{decoder="closed-loop", hidden=160, message=96, decoder_layers=2, neighbours=12, denoiser_layers=2, channels=[32, 48, 64]}'
 stage traffic --set "model=$networks" --set epochs=5 --set batch_size=32 --set elbo.samples=1 \
     --set elbo.kl_anneal_share=0.2 --set decoder.vehicles=2 --set decoder.road=2
 stage denoiser --init "$folder/traffic" --set epochs=2 --set batch_size=64 --set learning_rate=1.5e-3

@@ -2,15 +2,19 @@
 
 It can also roll out a few rows of a scene against the rest of an earlier rollout, which is what guidance needs:
 the gradient for one or two attackers then costs a fraction of that for the whole scene. On the CPU that is done by
-``compiled``, elsewhere by ``tensor_decoder``. A closed-loop decoder rolls out itself, on every device.
+``compiled``, elsewhere by ``tensor_decoder``. A closed-loop decoder rolls out itself, on every device, where there is
+one by the machine code of ``exported_step``.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import torch
 from torch import Tensor
 
+from advdiff_sumo.diffusion.exported_step import ExportedStep, exported_step
 from advdiff_sumo.diffusion.tensor_decoder import TensorDecoder
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
@@ -27,18 +31,20 @@ class FastDecoder:
 
     Args:
         decoder: the trained network; its weights are read when this is made.
-        compiled: roll out by compiled loops; None: where the network is on the CPU. There are none for a closed-loop
-            decoder.
+        compiled: roll out by compiled loops; None: where the network is on the CPU, and for a closed-loop decoder
+            where there is machine code for it.
 
     Attributes:
-        compiled: the compiled form, or None where it is not used.
+        compiled: the compiled form of an open decoder, or None where it is not used.
     """
 
     def __init__(self, decoder: Decoder, compiled: bool | None = None) -> None:
         self.compiled: CompiledDecoder | None = None
-        self._roller: CompiledDecoder | ClosedLoopDecoder | TensorDecoder
+        self._roller: CompiledDecoder | ClosedLoopRoller | TensorDecoder
         if isinstance(decoder, ClosedLoopDecoder):
-            self._roller = decoder
+            self._roller = ClosedLoopRoller(
+                decoder, exported_step(decoder) if compiled is not False else None
+            )
             return
         here = decoder.start.weight.device.type == "cpu" if compiled is None else compiled
         self.compiled = _compiled(decoder) if here else None
@@ -74,6 +80,30 @@ class FastDecoder:
             trace: of the whole scene.
         """
         return self._roller.some(z, h, batch, rows, steps, trace)
+
+
+@dataclass(frozen=True)
+class ClosedLoopRoller:
+    """Rolls out a closed-loop decoder, without gradients by machine code.
+
+    Attributes:
+        decoder: the network.
+        step: its compiled step; None: its own.
+    """
+
+    decoder: ClosedLoopDecoder
+    step: ExportedStep | None
+
+    def whole(self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int) -> tuple[Rollout, Trace]:
+        """As :meth:`FastDecoder.whole`."""
+        return self.decoder.whole(z, h, batch, steps, self.step)
+
+    def some(
+        self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
+    ) -> Rollout:
+        """As :meth:`FastDecoder.some`."""
+        slope = torch.is_grad_enabled() and z.requires_grad
+        return self.decoder.some(z, h, batch, rows, steps, trace, None if slope else self.step)
 
 
 def _compiled(decoder: Decoder) -> CompiledDecoder:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import torch
 from torch import Tensor, nn
@@ -35,11 +36,15 @@ from advdiff_sumo.models.proximity import BOX_POINTS, PAIR_FEATURES, box_clearan
 from advdiff_sumo.models.road_edges import RoadEdges
 from advdiff_sumo.models.trace import Trace
 
+Step: TypeAlias = Callable[
+    [Tensor, Tensor, "Surroundings", Motion, Motion, Tensor | None], tuple[State, Tensor, Tensor]
+]
+"""What :meth:`ClosedLoopDecoder.step` does, or the same in compiled form."""
 _MOTION = 6
 
 
 @dataclass(frozen=True)
-class _Surroundings:
+class Surroundings:
     """What stays the same through a rollout of R rows.
 
     Attributes:
@@ -66,7 +71,7 @@ class ClosedLoopDecoder(Decoder):
         self.lanes = LaneAttention(options, width + _MOTION)
         self.clearance = _from_nothing(BOX_POINTS, options.message, width)
         self.pairs = _from_nothing(RELATIVE_FEATURES + PAIR_FEATURES, options.edge, options.message)
-        self._compiled: Callable[..., tuple[State, Tensor, Tensor]] | None = None
+        self._compiled: Step | None = None
 
     def forward(
         self,
@@ -82,19 +87,31 @@ class ClosedLoopDecoder(Decoder):
 
     @torch.no_grad()
     def whole(
-        self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS
+        self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS, by: Step | None = None
     ) -> tuple[Rollout, Trace]:
-        """Return the futures of all agents, without gradients, and what :meth:`some` needs of them."""
-        return self._roll(z, h, batch, torch.arange(batch.agents, device=z.device), steps)
+        """Return the futures of all agents, without gradients, and what :meth:`some` needs of them.
+
+        *by* takes the place of :meth:`step`.
+        """
+        return self._roll(z, h, batch, torch.arange(batch.agents, device=z.device), steps, by=by)
 
     def some(
-        self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
+        self,
+        z: Tensor,
+        h: Tensor,
+        batch: SceneBatch,
+        rows: Tensor,
+        steps: int,
+        trace: Trace,
+        by: Step | None = None,
     ) -> Rollout:
         """Return the futures (B, R, …) of agents *rows* alone, with gradients to *z* (B, R, Z).
 
+        Those that are made *by* something in the place of :meth:`step` have none.
+
         All others move and say what they did in *trace*; the rows see them, and each other, from where they are.
         """
-        return self._roll(z, h, batch, rows, steps, None, trace)[0]
+        return self._roll(z, h, batch, rows, steps, None, trace, by)[0]
 
     def _roll(
         self,
@@ -105,14 +122,15 @@ class ClosedLoopDecoder(Decoder):
         steps: int,
         forced: Forced | None = None,
         trace: Trace | None = None,
+        by: Step | None = None,
     ) -> tuple[Rollout, Trace]:
         own = batch if trace is None else batch.rows_of(rows)
-        around = _Surroundings(batch, own, rows, LanePieces.of(own), RoadEdges.of(own))
+        around = Surroundings(batch, own, rows, LanePieces.of(own), RoadEdges.of(own))
         memory = torch.tanh(self.start(torch.cat((h[:, rows], z), dim=-1)))
         motion = motion_now(own)
         states, begun, said = [], [], []
-        advance = self._step
-        if self._compiled is not None and trace is None and torch.is_grad_enabled():
+        advance = by or self.step
+        if by is None and self._compiled is not None and trace is None and torch.is_grad_enabled():
             advance = self._compiled
         for k in range(steps):
             everybody = motion if trace is None else _among(trace.motion[k], rows, motion)
@@ -126,13 +144,13 @@ class ClosedLoopDecoder(Decoder):
 
     def compile_step(self) -> None:
         """Let ``torch.compile`` fuse what all agents do at a step of training; worth its minute on a GPU."""
-        self._compiled = torch.compile(self._step, dynamic=False)
+        self._compiled = torch.compile(self.step, dynamic=False)
 
-    def _step(
+    def step(
         self,
         memory: Tensor,
         z: Tensor,
-        around: _Surroundings,
+        around: Surroundings,
         motion: Motion,
         everybody: Motion,
         others: Tensor | None,
@@ -161,7 +179,7 @@ class ClosedLoopDecoder(Decoder):
         return [edge + closer for edge in edges]
 
     def _mix(
-        self, h: Tensor, near: Neighbours, around: _Surroundings, others: Tensor | None
+        self, h: Tensor, near: Neighbours, around: Surroundings, others: Tensor | None
     ) -> tuple[Tensor, Tensor]:
         said, edges = [], self._edges(near)
         mask = near.among(around.batch.present)

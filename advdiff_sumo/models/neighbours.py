@@ -99,7 +99,7 @@ class Neighbours:
         if self.which is None:
             return values[:, None]
         agents = values.shape[1]
-        first = agents * torch.arange(len(values), device=values.device)
+        first = agents * torch.arange(values.shape[0], device=values.device)
         index = (self.which + first[:, None, None]).flatten()
         picked = values.flatten(0, 1).index_select(0, index)
         return picked.reshape(*self.which.shape, *values.shape[2:])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from itertools import product
 
 import torch
 from torch import Tensor
@@ -20,6 +20,9 @@ BOX_POINTS = 2 * DISCS
 _GAP_M, _HEADWAY_S, _BRAKE_MPS2, _ASIDE_M = 2.0, 1.0, 8.0, 0.3
 _LEAST_M, _LEAST_MPS = 0.5, 1.0
 _MOST_CLEAR_M = 5.0
+_ALONG = [2.0 * k / (DISCS - 1) - 1.0 for k in range(DISCS)]
+_DISC_PRODUCTS = [(1.0, b * b, a * a, 2.0 * b, -2.0 * a, -2.0 * a * b) for a, b in product(_ALONG, _ALONG)]
+"""What the six terms of :func:`carried_gaps` count for disc a of the row and b of the other, both −1 … 1."""
 
 
 def pair_features(near: Neighbours) -> list[Tensor]:
@@ -53,18 +56,9 @@ def carried_gaps(near: Neighbours) -> Tensor:
         own * x,
         (own * reach * near.cos).expand(x.shape),
     )
-    squared = torch.stack(terms, dim=-1) @ _disc_products(x.dtype, x.device)
+    squared = torch.stack(terms, dim=-1) @ x.new_tensor(_DISC_PRODUCTS).t()
     distance = torch.sqrt(squared.amin(-1).clamp(min=0.0) + 1e-6)
     return distance - (near.half_width_m + near.own_half_width_m)
-
-
-@cache
-def _disc_products(dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Return (6, 25) what the terms of :func:`carried_gaps` count for each pair of discs."""
-    offset = torch.linspace(-1.0, 1.0, DISCS, dtype=dtype, device=device)
-    mine, yours = (part.flatten() for part in torch.meshgrid(offset, offset, indexing="ij"))
-    one = torch.ones_like(mine)
-    return torch.stack((one, yours * yours, mine * mine, 2.0 * yours, -2.0 * mine, -2.0 * mine * yours))
 
 
 def _following(near: Neighbours) -> tuple[Tensor, Tensor]:

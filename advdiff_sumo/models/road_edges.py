@@ -25,12 +25,14 @@ class RoadEdges:
     Attributes:
         usable: (B, R, S) which count.
         lines: (B, R, S, 7) unit direction and normal to its left, how far along both the beginning lies, and length.
-        across: (B, R, 3, 2 S) what makes of points (…, x, y, 1) how far along segments they lie, and how far left.
+        along: (B, R, 3, S) what makes of points (…, x, y, 1) how far along the segments they lie.
+        left: (B, R, 3, S) the same of how far to their left.
     """
 
     usable: Tensor
     lines: Tensor
-    across: Tensor
+    along: Tensor
+    left: Tensor
 
     @staticmethod
     def between(first: Tensor, last: Tensor, usable: Tensor) -> RoadEdges:
@@ -43,8 +45,10 @@ class RoadEdges:
             (x * first[..., 0] + y * first[..., 1], x * first[..., 1] - y * first[..., 0]), -1
         )
         lines = torch.cat((torch.stack((x, y, -y, x), -1), begin, length), dim=-1)
-        rows = (torch.cat((x, -y), -1), torch.cat((y, x), -1), -begin.transpose(-1, -2).flatten(-2))
-        return RoadEdges(usable, lines, torch.stack(rows, dim=-2))
+        of_along, of_left = (
+            torch.stack(rows, -2) for rows in ((x, y, -begin[..., 0]), (-y, x, -begin[..., 1]))
+        )
+        return RoadEdges(usable, lines, of_along, of_left)
 
     @staticmethod
     def of(batch: SceneBatch) -> RoadEdges:
@@ -68,7 +72,7 @@ class RoadEdges:
     def _nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return which segment is nearest to each point, and whether it counts, (B, R, M) each."""
         local = torch.cat((points, torch.ones_like(points[..., :1])), dim=-1)
-        along, left = (local @ self.across).chunk(2, dim=-1)  # (B, R, M, S)
+        along, left = local @ self.along, local @ self.left  # (B, R, M, S)
         beyond = along - torch.minimum(along.clamp(min=0.0), self.lines[:, :, None, :, 6])
         distance = torch.sqrt(torch.addcmul(left.square(), beyond, beyond))
         # both segments of a corner are equally near; the one that sees the point more from the side knows the side

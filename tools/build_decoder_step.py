@@ -1,0 +1,90 @@
+"""Make the machine code of the closed-loop decoder's step that ships with the package.
+
+    python tools/build_decoder_step.py [WEIGHTS]
+
+AOTInductor compiles ``ClosedLoopDecoder.step`` for the sizes of WEIGHTS ("closed-loop"), this version of PyTorch, and
+any x86-64 machine with AVX2. Needs a C++ compiler and two minutes. Run it after a change to the decoder
+(``tests/diffusion/test_exported_step.py`` says when), to the sizes of the shipped weights, and of PyTorch.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ["TORCHINDUCTOR_CPP_MARCH"] = "x86-64-v3"  # PyTorch reads it when it is imported
+
+import argparse
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.export import Dim, export
+
+from advdiff_sumo.core.map_view import MAP_PIECES
+from advdiff_sumo.diffusion.exported_step import StepOnTensors, least_agents, package_for
+from advdiff_sumo.models.bundle import load_bundle
+from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
+from advdiff_sumo.models.model_options import PIECE_FEATURES, PIECE_POINTS, ModelOptions
+from advdiff_sumo.models.shipped_weights import find_weights
+
+_INDUCTOR = {"cpp.threads": 1, "cpp.simdlen": 256, "always_keep_tensor_constants": True}
+_MOST = {"B": 4096, "R": 1024, "A": 1024, "S": 4096}
+
+
+def arguments_of(options: ModelOptions) -> tuple[Any, Any]:
+    """Return arguments of :class:`StepOnTensors` and which of their dimensions may be of any size.
+
+    B scenes, R rows, A agents, S segments of the road's edge.
+    """
+    sizes = {"B": 5, "R": 11, "A": least_agents(options) + 6, "S": 23}
+    least = {"B": 1, "R": 1, "A": least_agents(options), "S": 1}
+    free = {name: Dim(name, min=least[name], max=most) for name, most in _MOST.items()}
+    dynamic: list[dict[int, Any]] = []
+
+    def tensor(*shape: str | int, kind: torch.dtype = torch.float32) -> Tensor:
+        dynamic.append({k: free[name] for k, name in enumerate(shape) if isinstance(name, str)})
+        return torch.ones([sizes[n] if isinstance(n, str) else n for n in shape], dtype=kind)
+
+    lanes = MAP_PIECES[options.map_view][0]
+    memory, z = tensor("B", "R", options.hidden), tensor("B", "R", options.latent)
+    motion = tensor("B", "R", 2), tensor("B", "R"), tensor("B", "R")
+    everybody = tensor("B", "A", 2), tensor("B", "A"), tensor("B", "A")
+    others = tensor(options.decoder_layers, "B", "A", options.message)
+    rows = torch.arange(sizes["R"])
+    dynamic.append({0: free["R"]})
+    around = (
+        rows,
+        *(tensor("B", "R", 4), tensor("B", "R", 2)),
+        *(tensor("B", "R", kind=torch.bool) for _ in range(2)),
+        *(tensor("B", "A", 2), tensor("B", "A", kind=torch.bool)),
+        *(tensor("B", "R", lanes, PIECE_POINTS, 2), tensor("B", "R", lanes, PIECE_FEATURES)),
+        *(tensor("B", "R", lanes, kind=torch.bool), tensor("B", "R", "S", kind=torch.bool)),
+        *(tensor("B", "R", "S", 7), tensor("B", "R", 3, "S"), tensor("B", "R", 3, "S")),
+    )
+    return (memory, z, motion, everybody, others, around), dynamic
+
+
+def main() -> None:
+    """Compile the step and say where it is."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("weights", nargs="?", default="closed-loop")
+    options = load_bundle(find_weights(parser.parse_args().weights)).options.model
+    decoder = ClosedLoopDecoder(options).eval().requires_grad_(False)
+    for number, weight in enumerate(decoder.parameters()):
+        weight.fill_(
+            number
+        )  # they are given when it is loaded; equal ones would become one, and these compress well
+    given, dynamic = arguments_of(options)
+    free = (*dynamic[:2], tuple(dynamic[2:5]), tuple(dynamic[5:8]), dynamic[8], tuple(dynamic[9:]))
+    with torch.no_grad():
+        program = export(StepOnTensors(decoder), given, dynamic_shapes=free, strict=False)
+        path = torch._inductor.aoti_compile_and_package(
+            program, package_path=str(package_for(options)), inductor_configs=_INDUCTOR
+        )
+    print(path)
+
+
+if __name__ == "__main__":
+    main()

@@ -36,10 +36,12 @@ class FastDecoder:
 
     Attributes:
         compiled: the compiled form of an open decoder, or None where it is not used.
+        closed_loop: whether the network is a closed-loop decoder.
     """
 
     def __init__(self, decoder: Decoder, compiled: bool | None = None) -> None:
         self.compiled: CompiledDecoder | None = None
+        self.closed_loop = isinstance(decoder, ClosedLoopDecoder)
         self._roller: CompiledDecoder | ClosedLoopRoller | TensorDecoder
         if isinstance(decoder, ClosedLoopDecoder):
             self._roller = ClosedLoopRoller(

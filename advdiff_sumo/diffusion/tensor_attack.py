@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -43,7 +44,13 @@ class AttackScene:
 
 
 def tensor_attack(kind: str, scene: AttackScene) -> Objective:
-    """Return what the attackers shall make large: minus the cost of *kind*, of ``COSTS``, and of being implausible.
+    """Return what the attackers shall make large: minus the mean of :func:`attack_losses`."""
+    losses = attack_losses(kind, scene)
+    return lambda latents: -losses(latents).mean(-1)
+
+
+def attack_losses(kind: str, scene: AttackScene) -> Callable[[Tensor], Tensor]:
+    """Return what each attacker shall make small (B, R): the cost of *kind*, of ``COSTS``, and of being implausible.
 
     Implausible is to overlap another vehicle but the target, to leave the road, and what the prior finds unlikely.
     """
@@ -59,8 +66,7 @@ def tensor_attack(kind: str, scene: AttackScene) -> Objective:
         met = bodies(rollout)
         unlikely = PRIOR_WEIGHT * surprise(prior, z)
         aim = cost(encounter(rollout, size[rows], natural, size[0], met.gap))
-        loss = aim + OTHERS_WEIGHT * met.overlap + ROAD_WEIGHT * met.off + unlikely
-        return -loss.mean(-1)
+        return aim + OTHERS_WEIGHT * met.overlap + ROAD_WEIGHT * met.off + unlikely
 
     return value
 

@@ -13,7 +13,7 @@ from advdiff_sumo.traffic.manoeuvres.staging import begins, can_hide
 TURN_S = 7.0
 """For so long an episode is for one kind."""
 _CROSSING_FIRST, _CUT_IN_FIRST, _CUT_OUT_FIRST = 0.5, 0.6, 0.4
-_SPACE_M, _SLOWEST_MPS = 70.0, 3.0
+_SPACE_M, _SLOWEST_MPS = 45.0, 3.0
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps
+from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, RECKLESS_OVER_LIMIT, Licence
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
@@ -22,7 +23,7 @@ from advdiff_sumo.traffic.planning.people import PEOPLE_SIDE_M
 
 _RED, _STOPS_AT, _YIELDS_ON_GREEN = "ru", "ruy", "g"
 _ROOM_M, _PEOPLE_ROOM_M = np.array([0.5, 0.15]), np.array([0.5, PEOPLE_SIDE_M])
-_SOON_STEPS = {False: 10, True: 5}
+_SOON_STEPS, _CROSSED_STEPS = {False: 10, True: 5}, 15
 _STOPS = ("hard-stop", "blocked-lane")
 
 
@@ -57,14 +58,15 @@ def _keeps(
     over_limit = RECKLESS_OVER_LIMIT if licence is None else licence.over_limit
     if not _keeps_limit(manoeuvre, float(futures.speed_mps[k].max()), view.speed(manoeuvre.row), over_limit):
         return False
+    soon = _SOON_STEPS[begun] if manoeuvre.kind == "crossing" else None  # beyond, others have given way
     driven = float(futures.driven_m[k, -1])
+    until_line = driven if soon is None else float(futures.driven_m[k, _CROSSED_STEPS])
     if licence is not None and not (
-        _respects_links(view, manoeuvre, driven, licence)
+        _respects_links(view, manoeuvre, until_line, licence)
         and _stops_clear(manoeuvre, driven)
         and _leaves_gaps(view, manoeuvre, licence)
     ):
         return False
-    soon = _SOON_STEPS[begun] if manoeuvre.kind == "crossing" else None  # beyond, others have given way
     return _has_room(view, manoeuvre, futures, k, slice(0, soon))
 
 
@@ -75,25 +77,23 @@ def _keeps_limit(manoeuvre: Manoeuvre, fastest_mps: float, speed_mps: float, ove
 def _respects_links(view: SituationView, manoeuvre: Manoeuvre, driven_m: float, licence: Licence) -> bool:
     """Return whether every stop line it drives over may be passed: green, and no duty to yield."""
     front = 0.5 * float(view.size(manoeuvre.row)[0])
+    met = crossing_links(view, manoeuvre.row) if manoeuvre.kind == "crossing" else None
     for reach, link in manoeuvre.way.links:
         if reach - front < 0.0 or reach - front > driven_m:
             continue
         signal = view.signal(link)
         if signal and signal.lower() in (_STOPS_AT if licence.stops_at_yellow else _RED):
             return False
-        if manoeuvre.kind == "crossing":
-            if not _has_priority(view, manoeuvre.row):
+        if met is not None and link is met[0]:
+            if not _has_priority(view, met):
                 return False
         elif (link.yields and not signal) or signal == _YIELDS_ON_GREEN:
             return False
     return True
 
 
-def _has_priority(view: SituationView, row: int) -> bool:
-    """Return whether the target has to give way to *row* where their ways cross, and not the other way round."""
-    links = crossing_links(view, row)
-    if links is None:
-        return False
+def _has_priority(view: SituationView, links: tuple[Link, Link]) -> bool:
+    """Return whether the target has to give way to who takes the first of *links*, and not the other way round."""
     own, targets = links
     if own.request_index < 0 or targets.request_index < 0:
         return False

@@ -3,8 +3,9 @@
     python tools/build_decoder_step.py [WEIGHTS]
 
 AOTInductor compiles ``ClosedLoopDecoder.step`` for the sizes of WEIGHTS ("closed-loop"), this version of PyTorch, and
-any x86-64 machine with AVX2. Needs a C++ compiler and two minutes. Run it after a change to the decoder
+any x86-64 machine with AVX2. Needs g++ and two minutes. Run it after a change to the decoder
 (``tests/diffusion/test_exported_step.py`` says when), to the sizes of the shipped weights, and of PyTorch.
+The file holds what running needs: no sources, no symbols, no folders of the machine that made it.
 """
 
 from __future__ import annotations
@@ -14,10 +15,17 @@ import os
 os.environ["TORCHINDUCTOR_CPP_MARCH"] = "x86-64-v3"  # PyTorch reads it when it is imported
 
 import argparse
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import torch
+import torch._inductor.config
 from torch import Tensor
+from torch._inductor.runtime.cache_dir_utils import cache_dir
 from torch.export import Dim, export
 
 from advdiff_sumo.core.map_view import MAP_PIECES
@@ -64,6 +72,32 @@ def arguments_of(options: ModelOptions) -> tuple[Any, Any]:
     return (memory, z, motion, everybody, others, around), dynamic
 
 
+@contextmanager
+def anonymous_compiler() -> Iterator[None]:
+    """Let g++ leave out symbols and write no folder of this machine into the code (PyTorch takes no flags)."""
+    folders = {
+        Path(torch.__file__).parent: "torch",
+        cache_dir(): "step",
+    }
+    maps = " ".join(f"-ffile-prefix-map={folder}={name}" for folder, name in folders.items())
+    with tempfile.TemporaryDirectory() as folder:
+        script = Path(folder) / "g++"
+        script.write_text(f'#!/bin/sh\nexec /usr/bin/env g++ {maps} -s "$@"\n')
+        script.chmod(0o755)
+        with torch._inductor.config.patch({"cpp.cxx": (None, str(script))}):
+            yield
+
+
+def slim(package: Path) -> None:
+    """Write *package* again: packed, without the sources that nobody reads, with the date of nobody's day."""
+    with zipfile.ZipFile(package) as archive:
+        sources = (".cpp", ".kernel_metadata.json")
+        kept = {name: archive.read(name) for name in archive.namelist() if not name.endswith(sources)}
+    with zipfile.ZipFile(package, "w") as archive:
+        for name, content in kept.items():
+            archive.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED, compresslevel=9)
+
+
 def main() -> None:
     """Compile the step and say where it is."""
     parser = argparse.ArgumentParser(
@@ -73,16 +107,15 @@ def main() -> None:
     options = load_bundle(find_weights(parser.parse_args().weights)).options.model
     decoder = ClosedLoopDecoder(options).eval().requires_grad_(False)
     for number, weight in enumerate(decoder.parameters()):
-        weight.fill_(
-            number
-        )  # they are given when it is loaded; equal ones would become one, and these compress well
+        weight.fill_(number)  # they are given when it is loaded; equal ones would become one
     given, dynamic = arguments_of(options)
     free = (*dynamic[:2], tuple(dynamic[2:5]), tuple(dynamic[5:8]), dynamic[8], tuple(dynamic[9:]))
-    with torch.no_grad():
+    with torch.no_grad(), anonymous_compiler():
         program = export(StepOnTensors(decoder), given, dynamic_shapes=free, strict=False)
         path = torch._inductor.aoti_compile_and_package(
             program, package_path=str(package_for(options)), inductor_configs=_INDUCTOR
         )
+    slim(Path(path))
     print(path)
 
 

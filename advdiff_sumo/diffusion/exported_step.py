@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import platform
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from advdiff_sumo.models.lane_attention import LanePieces
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.road_edges import RoadEdges
 
+_LOG = logging.getLogger(__name__)
 _FOLDER = Path(__file__).resolve().parent.parent / "weights"
 _CAPABLE = ("AVX2", "AVX512")
 
@@ -100,7 +102,15 @@ def exported_step(decoder: ClosedLoopDecoder) -> ExportedStep | None:
     """Return the compiled step of *decoder*, or None where there is none for it."""
     package = package_for(decoder.options)
     here = decoder.start.weight.device.type == "cpu" and torch.backends.cpu.get_cpu_capability() in _CAPABLE
-    return ExportedStep(decoder, package) if here and package.exists() else None
+    if not (here and package.exists()):
+        return None
+    try:
+        return ExportedStep(decoder, package)
+    except (
+        RuntimeError
+    ) as error:  # it is unpacked to the folder of temporary files, which may refuse to hold code
+        _LOG.warning("the decoder's machine code cannot be loaded, planning takes twice as long: %s", error)
+        return None
 
 
 def package_for(options: ModelOptions) -> Path:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import zipfile
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 
 import pytest
 import torch
@@ -121,3 +124,22 @@ def test_it_takes_the_weights_that_it_is_given() -> None:
 def test_other_sizes_and_half_of_the_neighbours_have_none() -> None:
     options = bundle().options.model.model_copy(update={"neighbours": 6})
     assert exported_step(ClosedLoopDecoder(options)) is None
+
+
+def test_the_file_holds_no_sources_and_no_folder_of_the_machine_that_made_it() -> None:
+    package = package_for(bundle().options.model)
+    with zipfile.ZipFile(package) as archive:
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    assert sum(name.endswith(".so") for name in contents) == 1
+    assert not [name for name in contents if name.endswith(".cpp")]
+    assert not re.findall(rb"/(?:work|tmp|home|root|usr)/[\w.-]+", b"".join(contents.values()))
+
+
+def test_without_a_folder_that_may_hold_code_the_network_serves(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("advdiff_sumo.diffusion.exported_step.package_for", lambda _: spoiled)
+    spoiled = tmp_path / "step.pt2"
+    spoiled.write_bytes(b"no archive")
+    assert exported_step(shipped()) is None
+    assert "cannot be loaded" in caplog.text

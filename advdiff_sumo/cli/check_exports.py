@@ -31,6 +31,12 @@ def print_check(console: Console, folder: Path, road: RoadMap) -> None:
         console.print(_table(findings))
     vehicles = len({(number, x.vehicle) for number, x in findings})
     console.print(f"check: {vehicles} of {driven} vehicles that the policy moved did something implausible")
+    rows = RunTables(folder).rows("episodes")
+    changed, plans = (int(np.nansum(rows[name].to_numpy())) for name in ("safeguarded_plans", "moved_plans"))
+    if plans:
+        console.print(
+            f"check: the safeguard changed what is driven next of {changed / plans:.1%} of {plans} plans"
+        )
 
 
 def _table(findings: list[tuple[int, Implausibility]]) -> Table:

@@ -68,9 +68,11 @@ class JointPlan:
         exact: poses are applied as they are (logs); otherwise through the bicycle model.
         attack: who can attack; None where the policy attacks nobody, or has not looked anew.
         routes: id → edges that a vehicle which is inserted is going to drive; without it they are guessed.
+        safeguarded: of how many vehicles a safeguard changed what they drive next, and of how many it looked at.
     """
 
     tracks: Tracks
     exact: bool = False
     attack: AttackState | None = None
     routes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    safeguarded: tuple[int, int] = (0, 0)

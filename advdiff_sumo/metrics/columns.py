@@ -108,6 +108,8 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "rough_handovers": _count("times SUMO got a vehicle back askew, not aligned within 8 s"),
     "skipped_agents": _count("agents left to SUMO, out of reach of where their log goes on"),
     "refused_insertions": _later_count("moved vehicles that SUMO would not take in"),
+    "safeguarded_plans": _later_count("of moved_plans, whose next half second it changed by over 0.1 m"),
+    "moved_plans": _later_count("plans of a moved vehicle that the safeguard looked at"),
     "attack_kind": _text("kind of attack asked for; empty without attackers"),
     "in_position": _flag("some vehicle was ever in a position for it", nullable=True),
     "min_ttc_s": _real("s", "least time to collision of boxes, up to 10 s"),
@@ -168,7 +170,7 @@ COLLISION_COLUMNS: Mapping[str, Column] = {
     "penetration_m": _real("m", "deepest overlap within the step of the contact"),
 }
 
-_LATER_COUNTS = ("refused_insertions", "replayed_collisions", "replayed")
+_LATER_COUNTS = ("refused_insertions", "safeguarded_plans", "moved_plans", "replayed_collisions", "replayed")
 LATER_COLUMNS = frozenset(
     ("route", "attack_kind", "in_position", *_LATER_COUNTS, *VERDICT_COLUMNS, *CRITICAL_COLUMNS)
 )

@@ -52,6 +52,8 @@ def episode_row(
         "rough_handovers": record.rough_handovers,
         "skipped_agents": record.skipped_agents,
         "refused_insertions": record.refused_insertions,
+        "safeguarded_plans": record.safeguarded[0],
+        "moved_plans": record.safeguarded[1],
         "attack_kind": record.attack,
         "in_position": record.in_position,
         **_criticality_values(record, m.criticality),

@@ -87,6 +87,7 @@ class Background:
         attack: kind of attack that the policy was asked for; None where it attacks nobody.
         in_position: whether somebody was in a position for it at some time.
         manoeuvres: id → what it did against the target last, and when; None where the policy does not tell.
+        safeguarded: plans of a vehicle of which a safeguard changed what was driven next, and all it looked at.
     """
 
     policy: TrafficPolicy
@@ -104,6 +105,7 @@ class Background:
     attack: str | None = None
     in_position: bool = False
     manoeuvres: dict[str, tuple[str, float]] | None = None
+    safeguarded: tuple[int, int] = (0, 0)
     _memory: Any = None
 
     def start(self, scene: Scene) -> None:
@@ -139,6 +141,10 @@ class Background:
         plan, self._memory = answer
         motion = self.motion(plan, scene.target_id, steps)
         self.planned = plan
+        self.safeguarded = (
+            self.safeguarded[0] + plan.safeguarded[0],
+            self.safeguarded[1] + plan.safeguarded[1],
+        )
         if plan.attack is not None:
             self.attack = plan.attack.kind
             self.in_position |= bool(plan.attack.in_position)

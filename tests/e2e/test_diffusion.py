@@ -27,6 +27,7 @@ def test_a_guided_run_its_check_and_its_repetition(weights: Path, tmp_path: Path
     assert done.code == 0, done.err
     assert "check: " in done.out
     assert "vehicles that the policy moved did something implausible" in " ".join(done.out.split())
+    assert "the safeguard changed what is driven next of" in " ".join(done.out.split())
     settings = (tmp_path / "first" / "run.toml").read_text()
     assert f'weights = "{weights}"' in settings  # where it is, so that the run can be repeated from anywhere
     again = advdiff("run", "--config", "first/run.toml", "--out", "again", cwd=tmp_path, hash_seed=1)

@@ -132,9 +132,10 @@ class BaselinePolicy(ABC):
         if self.listener is not None:
             self.listener(view, proposal.drawn)
         rules = Rules(self.options.licence, self.options.attackers)
-        tracks, _ = plausible_plan(road, view, lanes, proposal.drawn, (memory.plan, memory.driven), rules)
+        plan = plausible_plan(road, view, lanes, proposal.drawn, (memory.plan, memory.driven), rules)
         state = AttackState("any", tuple(proposal.drawn.attackers))
-        return JointPlan(tracks, attack=state), replace(proposal.memory, plan=tracks, driven=1)
+        memory = replace(proposal.memory, plan=plan.tracks, driven=1)
+        return JointPlan(plan.tracks, attack=state, safeguarded=plan.safeguarded), memory
 
     def ask(self, task: Task) -> Answer | None:
         """Return what the surrogate does now; None where the traffic model's prediction stands for the target."""

@@ -111,10 +111,12 @@ class DiffusionTraffic:
             self.listener(view, drawn)
         licence = self.options.licence if self.options.guided else "reckless"
         rules = Rules(licence, self.options.attackers, memory.commitments)
-        tracks, attack = plausible_plan(road, view, lanes, drawn, (memory.plan, memory.driven), rules)
+        plan = plausible_plan(road, view, lanes, drawn, (memory.plan, memory.driven), rules)
+        attack = plan.attack
         state = self._state(drawn.attackers, attack.commitments)
-        memory = Memory(drawn.noise, drawn.shifts, tracks, 1, attack.commitments)
-        return plan_with(tracks, attack.newcomers, state), memory
+        memory = Memory(drawn.noise, drawn.shifts, plan.tracks, 1, attack.commitments)
+        joint = plan_with(plan.tracks, attack.newcomers, state)
+        return replace(joint, safeguarded=plan.safeguarded), memory
 
     def _state(self, guided: Sequence[str], commitments: Commitments | None) -> AttackState | None:
         """Return who is in a position for the attack: who is guided to it, or drives a manoeuvre of its kind."""

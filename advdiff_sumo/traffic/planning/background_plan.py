@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
 
 _LEAVES_M, _LEAVES_S = 12.0, 2.0
+_CHANGED_M = 0.1
 _STANDS_MPS, _WALKS_MPS, _SLIPPED_M = 0.2, 2.0, 0.3
 
 
@@ -55,6 +56,21 @@ class Rules:
     commitments: Commitments | None = None
 
 
+@dataclass(frozen=True)
+class PlausiblePlan:
+    """A plan that licence and safeguard have looked at.
+
+    Attributes:
+        tracks: of who is moved.
+        attack: what the licence made of the attackers.
+        safeguarded: of how many vehicles the next half second was changed, and of how many it was proposed.
+    """
+
+    tracks: Tracks
+    attack: LicensedAttack
+    safeguarded: tuple[int, int]
+
+
 def outlook(
     road: RoadMap, scene: Scene, map_view: MapView = "near"
 ) -> tuple[View, dict[int, LaneAhead | None]]:
@@ -70,8 +86,8 @@ def plausible_plan(
     drawn: Drawn,
     before: tuple[Tracks | None, int],
     rules: Rules,
-) -> tuple[Tracks, LicensedAttack]:
-    """Return the plan of who is moved, out of a proposal, and what the licence made of the attackers.
+) -> PlausiblePlan:
+    """Return the plan of who is moved, out of a proposal.
 
     Args:
         road: the map.
@@ -85,7 +101,11 @@ def plausible_plan(
     attackers = drawn.attackers
     attack = licensed_attack(road, view, futures, attackers, rules.licence, rules.commitments, rules.most)
     guarded = apply_safeguard(road, view, drawn, lanes, before, attack)
-    return tracks_of(view, guarded.futures), attack
+    free = np.setdiff1d(np.flatnonzero(view.moved), list(attack.driven))
+    away = np.linalg.norm(guarded.futures.xy_m[free, 1] - futures.xy_m[free, 1], axis=-1)
+    return PlausiblePlan(
+        tracks_of(view, guarded.futures), attack, (int((away > _CHANGED_M).sum()), len(free))
+    )
 
 
 def nobody(scene: Scene) -> Tracks:

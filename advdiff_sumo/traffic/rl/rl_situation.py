@@ -95,8 +95,8 @@ def joint_plan(
     rows = torch.from_numpy(now.rows)
     rollout = steered(now.natural, now.view.batch, rows, torch.from_numpy(residuals), prior.options)
     drawn = Drawn(rollout, {}, now.attackers, torch.zeros(len(now.view.ids), 0))
-    tracks, _ = plausible_plan(road, now.view, now.lanes, drawn, (before, 1), Rules(licence, len(now.rows)))
-    return JointPlan(tracks, attack=AttackState("any", now.attackers))
+    plan = plausible_plan(road, now.view, now.lanes, drawn, (before, 1), Rules(licence, len(now.rows)))
+    return JointPlan(plan.tracks, attack=AttackState("any", now.attackers), safeguarded=plan.safeguarded)
 
 
 def _actions(natural: Rollout, row: int) -> tuple[float, float]:

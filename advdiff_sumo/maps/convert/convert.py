@@ -18,6 +18,7 @@ from advdiff_sumo.maps.convert.control import with_control
 from advdiff_sumo.maps.convert.dividers import dashed_pairs
 from advdiff_sumo.maps.convert.geometry_checks import check_geometry
 from advdiff_sumo.maps.convert.lane_routes import plan_drivable
+from advdiff_sumo.maps.convert.layout.cut_crossings import cut_at_crossings
 from advdiff_sumo.maps.convert.layout.lane_paths import Connection, find_connections
 from advdiff_sumo.maps.convert.layout.lay_out import lay_out
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
@@ -36,7 +37,7 @@ from advdiff_sumo.maps.convert.signals.programs import write_programs
 from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 from advdiff_sumo.maps.convert.stop_lines import waiting_turns
-from advdiff_sumo.maps.convert.widths import width_between, width_profile
+from advdiff_sumo.maps.convert.widths import width_profile
 from advdiff_sumo.maps.convert.write_sidecar import sidecar_path, write_sidecar
 from advdiff_sumo.maps.on_foot.add_paths import FootPaths, add_foot_paths
 
@@ -135,6 +136,9 @@ def convert_source(
         _numbered_links(source),
         neighbours_of(tracks, dashed_pairs(source)),
     )
+    if crossings != "none":
+        lines, widths = [track.centre_m for track in tracks], [track.width_m for track in tracks]
+        cut_at_crossings(layout, lines, widths, source.crossings)
     ways, doubles = find_connections(layout)
     plan = with_control(plan_drivable(tracks, layout, ways, left), source, guess_signals)
     source = _with_unseen_conflicts(_with_idle_signals(source, plan), plan)
@@ -261,7 +265,7 @@ def _widths(lane: SourceLane) -> FloatArray:
 def neighbours_of(tracks: list[Track], dashed: set[tuple[int, int]]) -> list[SideBySide]:
     """Return the pairs of road lanes (no connectors) that run side by side; *dashed* share a divider."""
     road = [number for number, track in enumerate(tracks) if not track.lane.is_connector]
-    widths = [width_between(tracks[n].widths, 0.0, tracks[n].length_m) for n in road]
+    widths = [tracks[n].width_m for n in road]
     index = {number: position for position, number in enumerate(road)}
     known = {(index[a], index[b]) for a, b in dashed if a in index and b in index}
     pairs = find_side_by_side([tracks[n].centre_m for n in road], widths, known)

@@ -53,6 +53,11 @@ class Track:
         """Length in m."""
         return polyline.length(self.centre_m)
 
+    @property
+    def width_m(self) -> float:
+        """Median width in m."""
+        return width_between(self.widths, 0.0, self.length_m)
+
 
 @dataclass(frozen=True, eq=False)
 class LanePlan:

@@ -121,7 +121,7 @@ def carriageways(band: Band, road: Carriageway) -> list[tuple[float, float]]:
     inside = line.intersection(road.lanes_area)
     spans = []
     for part in shapely.get_parts(inside):
-        if not isinstance(part, LineString):
+        if not isinstance(part, LineString) or part.is_empty:
             continue
         first, last = sorted(((np.asarray(part.coords) - band.middle_m) @ band.along)[[0, -1]].tolist())
         overlap = min(last, band.half_m) - max(first, -band.half_m)

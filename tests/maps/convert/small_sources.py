@@ -9,6 +9,7 @@ from __future__ import annotations
 import gzip
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -161,7 +162,7 @@ def _tags(**values: str) -> str:
     return "".join(f'<tag k="{key}" v="{value}"/>' for key, value in values.items())
 
 
-def nuplan(path: Path) -> None:
+def nuplan(path: Path, crosswalks: Sequence[shapely.Polygon] = ()) -> None:
     """Write the road as a nuPlan map whose projected system is UTM 11 N, about (500000, 4000000)."""
     lines, polygons, connectors, areas = [], [], [], []
     for name, (centre, _, inside) in LANES.items():
@@ -182,6 +183,8 @@ def nuplan(path: Path) -> None:
         else:
             polygons.append({"lane_fid": name, "speed_limit_mps": 13.4, "geom": ring})
     layers = {"baseline_paths": lines, "lanes_polygons": polygons, "lane_connectors": connectors}
+    if crosswalks:
+        layers["crosswalks"] = [{"geom": area} for area in crosswalks]
     write_geopackage(path, {**layers, "generic_drivable_areas": areas}, "EPSG:32611")
 
 

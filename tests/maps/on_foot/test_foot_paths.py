@@ -6,14 +6,13 @@ import itertools
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 from xml.etree.ElementTree import Element
 
 import libsumo
 import numpy as np
 import pytest
-import sumolib
 from defusedxml.ElementTree import parse
+from foot_runs import drive
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
@@ -27,6 +26,7 @@ from advdiff_sumo.maps.on_foot.add_paths import add_foot_paths
 from tests.e2e.commands import Outcome, advdiff
 
 EAST = [(104.0, 96.0), (107.0, 96.0), (107.0, 104.0), (104.0, 104.0)]  # over the way "west-east", 8 m by 3 m
+ROUTE = ("west", "east")  # of the car
 VEHICLE_FREE = {"crossing", "walkingarea"}
 
 
@@ -112,6 +112,7 @@ def test_nothing_changes_for_vehicles(light: bool, tmp_path: Path) -> None:
 
 AWAY = [(205.0, 96.0), (208.0, 96.0), (208.0, 104.0), (205.0, 104.0)]
 ON_LANE = [(135.0, 96.0), (138.0, 96.0), (138.0, 104.0), (135.0, 104.0)]
+NEAR_RIM = [(156.0, 96.0), (159.0, 96.0), (159.0, 104.0), (156.0, 104.0)]
 ALONG = [(96.0, 98.5), (112.0, 98.5), (112.0, 101.5), (96.0, 101.5)]
 
 
@@ -121,7 +122,8 @@ ALONG = [(96.0, 98.5), (112.0, 98.5), (112.0, 101.5), (96.0, 101.5)]
         ([EAST], 1, None),
         ([EAST, EAST], 1, "over another crossing"),
         ([AWAY], 0, "no lane"),
-        ([ON_LANE], 0, "outside the ways of a junction"),
+        ([ON_LANE], 1, None),
+        ([NEAR_RIM], 0, "outside the ways of a junction"),
         ([[(104.0, -96.0), (107.0, -96.0), (107.0, 304.0), (104.0, 304.0)]], 0, "longer than 100 m"),
     ],
 )
@@ -138,53 +140,14 @@ def test_crossings_left_out_have_a_reason(
     libsumo.close()
 
 
-def drive(net: Path, walker_at_s: float | None, seconds: float) -> list[dict[str, Any]]:
-    """Return each half second of a car eastwards and, from *walker_at_s* on, somebody who crosses its way."""
-    read = sumolib.net.readNet(str(net))
-    lanes = {e.getLane(0).getParam("source", "-").split(":")[0]: e.getID() for e in read.getEdges()}
-    walks = sorted(e.getID() for e in read.getEdges() if e.getLane(0).getPermissions() == {"pedestrian"})
-    ends = {name: read.getEdge(name).getShape()[0][1] for name in walks}
-    options = ["--step-length", "0.1", "--collision.check-junctions", "--collision.action", "warn"]
-    libsumo.start(["sumo", "-n", str(net), "--no-step-log", "--no-warnings", *options])
-    steps = []
-    try:
-        libsumo.route.add("on", [lanes["west"], lanes["east"]])
-        libsumo.vehicle.add("car", "on", departPos="0", departSpeed="8")
-        if walker_at_s is not None:
-            south, north = min(ends, key=ends.__getitem__), max(ends, key=ends.__getitem__)
-            libsumo.person.add("walker", south, 0.0, depart=walker_at_s)
-            libsumo.person.appendWalkingStage("walker", [south, north], -1)
-        for step in range(round(seconds * 10)):
-            libsumo.simulationStep()
-            assert not libsumo.simulation.getCollisions()
-            state: dict[str, Any] = {"time_s": 0.1 * step}
-            if "car" in libsumo.vehicle.getIDList():
-                state |= {
-                    "front_m": libsumo.vehicle.getPosition("car")[0],
-                    "speed": libsumo.vehicle.getSpeed("car"),
-                }
-            if "walker" in libsumo.person.getIDList():
-                state |= {
-                    "where": libsumo.person.getRoadID("walker"),
-                    "y": libsumo.person.getPosition("walker")[1],
-                    "pace": libsumo.person.getSpeed("walker"),
-                }
-            for light in libsumo.trafficlight.getIDList():
-                state["lights"] = libsumo.trafficlight.getRedYellowGreenState(light)
-            steps.append(state)
-    finally:
-        libsumo.close()
-    return steps
-
-
 def test_vehicles_wait_for_people_on_a_crossing_without_signals(tmp_path: Path) -> None:
     """The crossing's near side is at x = 104; alone, the car does not stop."""
     result = convert_map(with_crossing(EAST).write(tmp_path / "m.json"), tmp_path / "m.net.xml")
-    alone = drive(result.net, None, 20.0)
+    alone = drive(result.net, ROUTE, None, 20.0)
     assert min(step["speed"] for step in alone if "front_m" in step) > 3.0
     met = 0
     for begin in np.arange(0.0, 12.0, 1.5):
-        steps = drive(result.net, float(begin), 60.0)
+        steps = drive(result.net, ROUTE, float(begin), 60.0)
         crossing = [s for s in steps if "_c0" in s.get("where", "") and 98.0 < s["y"] < 102.0]
         assert crossing
         assert not [s for s in crossing if "front_m" in s and 104.5 < s["front_m"] < 110.0]
@@ -206,7 +169,7 @@ def test_people_wait_at_red(tmp_path: Path) -> None:
     )
     waited = 0
     for begin in np.arange(0.0, 60.0, 7.0):
-        steps = drive(result.net, float(begin), begin + 120.0)
+        steps = drive(result.net, ROUTE, float(begin), begin + 120.0)
         on = next(k for k, s in enumerate(steps) if s.get("where") == name)
         assert steps[on]["lights"][index] == "G"
         assert steps[on]["lights"][over] == "r"

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.metrics.breaches.lane_rules import SAME_WAY_RAD
 from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda, is_possible
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
 from advdiff_sumo.traffic.manoeuvres.graded import braking_with, graded, target_brakes
@@ -33,7 +35,7 @@ _LORRIES, _MOTORCYCLES = 0.4, 0.3
 _PATIENCE = ((0.5 * TURN_S, 0.5), (2.0 * TURN_S, 0.4))
 """Until when (s) an episode waits for a better moment than one of so little merit."""
 _PATIENT_S = _PATIENCE[-1][0]
-_STANDS_MPS, _OVER_LINE_M = 0.5, 0.2
+_STANDS_MPS, _OVER_LINE_M, _IN_WAY_M = 0.5, 0.2, 1.2
 _TRIED = 4
 """Manoeuvres that are checked in full, best first."""
 
@@ -249,6 +251,8 @@ def _continued(
     if under_way.kind in _STOPS and _target_stands(view) and view.speed(row) < _STANDS_MPS:
         return None  # both stand: the question is answered
     if under_way.kind == "crossing":
+        if _is_before(view, row):
+            return None  # who has come out ahead of it is a leader
         timed = list(crossing_on(view, row))
         again = rank(view, timed, {"crossing": 1.0}, licence, intensity, begun=True)
         holds = intensity.is_asked_of("crossing") and target_brakes(view)
@@ -261,6 +265,17 @@ def _continued(
     goal = _goal(view, row, under_way)
     delay_s = max(under_way.delay_s - passed, 0.0)
     return Manoeuvre(under_way.kind, row, view.ways[row], rest, goal, delay_s=delay_s)
+
+
+def _is_before(view: SituationView, row: int) -> bool:
+    """Return whether the target drives ahead of *row* on its way, in the same direction."""
+    target = view.target
+    if target is None:
+        return False
+    ahead, left = view.place_on(view.ways[row], view.scene.target)
+    yaw = view.scene.history.yaw_rad[:, -1]
+    same_way = abs(float(wrap_angle(float(yaw[row] - yaw[view.scene.target])))) < SAME_WAY_RAD
+    return same_way and ahead > 0.0 and abs(left) < _IN_WAY_M
 
 
 def _target_stands(view: SituationView) -> bool:

@@ -9,7 +9,8 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.answers import seen_not_to_stop_s, trapped_share
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments, advance
+from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, crossing_on
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.planners.encounters import Encounter, Scripted, crossing, over
@@ -100,3 +101,12 @@ def test_nobody_hurries_at_a_target_that_it_lets_pass(light: RoadMap) -> None:
         1.0,
         2.0,
     }
+
+
+def test_who_crosses_follows_a_target_that_has_come_out_ahead(motorway: RoadMap) -> None:
+    """On one lane 20 m apart: to go on with the manoeuvre would be to run into the rear of the target."""
+    begun = Commitment("crossing", SpeedProfile(), 0.0, 0.0, sets_up=False)
+    for other_m, goes_on in ((30.0, False), (70.0, True)):
+        view = view_of(motorway, target=(0, 50.0, 5.0), other=(0, other_m, 10.0))
+        driven, _ = advance(view, Commitments({"crossing": 1.0}, {"other": begun}), 1, 8.0)
+        assert bool(driven) is goes_on

@@ -140,8 +140,8 @@ def tell(results: list[tuple[Candidate, ClosedLoop]], differences: bool) -> None
     if differences:
         for one, result in results:
             if result.preventable != result.avoided:
-                said = "avoided" if result.avoided else "not avoided"
-                print(f"    {one.folder}, episode {one.job.key}: {said} where others react")
+                outcome = "avoided" if result.avoided else "not avoided"
+                print(f"    {one.folder}, episode {one.job.key}: {outcome} where others react")
 
 
 if __name__ == "__main__":

@@ -167,14 +167,14 @@ def main() -> None:
     given = parser.parse_args()
     scenes = read_scene_list(given.list).first(given.scenes)
     targets = given.targets.split(",")
-    found = measure(given.configurations, targets, scenes, given.horizon, given.workers, given.out)
+    measured = measure(given.configurations, targets, scenes, given.horizon, given.workers, given.out)
     table = Table(title=f"{given.scenes} seed scenes of {given.list.name}, {given.horizon:g} s")
     for name in COLUMNS:
         table.add_column(name)
-    for (text, target), result in found.items():
+    for (text, target), result in measured.items():
         table.add_row(text, target, *result.cells())
     Console(width=140).print(table)
-    write(found, given.out / "table.md")
+    write(measured, given.out / "table.md")
 
 
 if __name__ == "__main__":

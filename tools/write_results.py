@@ -80,11 +80,11 @@ def picked(lines: list[dict[str, str]], selection: dict[str, Any]) -> str:
     text = f"|  | {' | '.join(column['title'] for column in selection['columns'])} |\n"
     text += "|---|" + "--:|" * len(selection["columns"]) + "\n"
     for row in selection["rows"]:
-        shown = []
+        cells_text = []
         for column in selection["columns"]:
             asked = {"target": "", **row, **column}
-            shown.append(_cell(cells.get(tuple(asked[key] for key in _KEY)), column.get("digits", 1)))
-        text += f"| {row.get('title', row['row'])} | {' | '.join(shown)} |\n"
+            cells_text.append(_cell(cells.get(tuple(asked[key] for key in _KEY)), column.get("digits", 1)))
+        text += f"| {row.get('title', row['row'])} | {' | '.join(cells_text)} |\n"
     return text
 
 

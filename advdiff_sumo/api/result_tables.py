@@ -143,8 +143,8 @@ class Results:
         return f"{self.folder}: {len(self)} episodes\n{self.summary()!r}"
 
     def _repr_html_(self) -> str:
-        shown = self.worst()._repr_html_() if len(self) else ""
-        return f"<p><code>{html.escape(str(self.folder))}</code></p>{self.summary()._repr_html_()}{shown}"
+        worst = self.worst()._repr_html_() if len(self) else ""
+        return f"<p><code>{html.escape(str(self.folder))}</code></p>{self.summary()._repr_html_()}{worst}"
 
 
 def load(folder: str | Path) -> Results:

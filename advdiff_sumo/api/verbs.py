@@ -63,8 +63,8 @@ def run(
     words = run_words(prepared.settings["options"]["net"], *prepared.names, seed)
     path = Path(out) if out is not None else free_folder(*words)
     folder = RunFolder.create(path, run_settings(prepared), resume=False)
-    with Progress(episodes, progress) as shown:
-        run_into(prepared, folder, SerialExecutor(prepared), lambda row, _: shown.tell(row))
+    with Progress(episodes, progress) as bar:
+        run_into(prepared, folder, SerialExecutor(prepared), lambda row, _: bar.tell(row))
     return Results(folder.path)
 
 
@@ -119,13 +119,13 @@ def sweep(
     with ExitStack() as stack:
         executor = ProcessExecutor(slots, limits_of(stack, _TIMEOUT_S))
         store = open_store(Path(out) if out is not None else free_folder(name), plan, slots, resume=False)
-        shown = stack.enter_context(Progress(plan.wanted, progress))
-        run_sweep(plan, store, RemainingJobs.of(plan, store), executor, _RETRIES, _tell_row(shown))
+        bar = stack.enter_context(Progress(plan.wanted, progress))
+        run_sweep(plan, store, RemainingJobs.of(plan, store), executor, _RETRIES, _tell_row(bar))
     return Results(store.path)
 
 
-def _tell_row(shown: Progress) -> Callable[[Any, Any], None]:
-    return lambda row, failed: shown.tell(row if failed is None else None)
+def _tell_row(bar: Progress) -> Callable[[Any, Any], None]:
+    return lambda row, failed: bar.tell(row if failed is None else None)
 
 
 def convert(map_file: str | Path, net: str | Path, *, lefthand: bool | None = None) -> ConversionResult:

@@ -249,8 +249,8 @@ class _Bars:
     def step(self, words: str = "") -> None:
         """Go one step on."""
         if self._task is not None:
-            said = f"{self._what} · {words}" if words else self._what
-            self._bar.update(self._task, advance=1, description=said)
+            description = f"{self._what} · {words}" if words else self._what
+            self._bar.update(self._task, advance=1, description=description)
 
     def say(self, sentence: str) -> None:
         """Print a sentence above the bars."""

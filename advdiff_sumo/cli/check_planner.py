@@ -57,14 +57,14 @@ def check_planner(
     extent = Extent(net=net, episodes=episodes, horizon_s=horizon, within_ms=within_ms, seed=seed)
     with ExitStack() as stack:
         limits = limits_of(stack, timeout, math.inf, memory)
-        verdicts = check_in_worker(name, options, extent, limits, lambda said: typer.echo(said, err=True))
+        verdicts = check_in_worker(name, options, extent, limits, lambda line: typer.echo(line, err=True))
     table = Table(show_header=False, box=None, padding=(0, 1))
     for _ in range(2):
         table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for x in verdicts:
         state = Text("ok", style="green") if x.ok else Text("fails", style="red")
-        table.add_row(state, x.name, Text(x.found))
+        table.add_row(state, x.name, Text(x.detail))
     console = terminal(highlight=False, soft_wrap=True)
     console.print(table)
     failed = sum(not x.ok for x in verdicts)

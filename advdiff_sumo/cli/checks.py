@@ -98,9 +98,9 @@ def _binary(name: str) -> Finding:
             name, State.PROBLEM if needed else State.NOTE, f"does not start ({error})", _INSTALL_AGAIN
         )
     if done.returncode != 0:
-        said = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+        reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         remedy = "install the system libraries that it names" if not needed else _INSTALL_AGAIN
-        return Finding(name, State.PROBLEM if needed else State.NOTE, f"does not start: {said}", remedy)
+        return Finding(name, State.PROBLEM if needed else State.NOTE, f"does not start: {reason}", remedy)
     return Finding(name, State.OK, f"{done.stdout.splitlines()[0]}, {path}")
 
 
@@ -223,11 +223,11 @@ def self_test() -> Iterator[Finding]:
 def _driven(folder: Path, done: subprocess.CompletedProcess[str]) -> Finding:
     """Return what the self-test came to."""
     if done.returncode != 0:
-        said = (done.stderr.strip().splitlines() or ["nothing was said"])[-1]
+        reason = (done.stderr.strip().splitlines() or ["nothing was said"])[-1]
         killed = (
             f"killed by signal {-done.returncode}" if done.returncode < 0 else f"exit code {done.returncode}"
         )
-        return Finding("self-test", State.PROBLEM, f"{killed}: {said}", _INSTALL_AGAIN)
+        return Finding("self-test", State.PROBLEM, f"{killed}: {reason}", _INSTALL_AGAIN)
     import pyarrow.parquet as pq  # late, as above
 
     row = pq.read_table(folder / "episodes.parquet").to_pylist()[0]

@@ -166,8 +166,8 @@ def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits
                 if row and lacking is not None:
                     console.print(f"episode {row['episode']}: no one was in a position to {lacking}")
 
-            def hear(said: str) -> None:
-                sys.stderr.write(f"{said}\n")  # above the bar, which minds it
+            def hear(line: str) -> None:
+                sys.stderr.write(f"{line}\n")  # above the bar, which minds it
 
             return run_into(prepared, folder, executor, tell, hear)
     finally:

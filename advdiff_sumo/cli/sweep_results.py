@@ -57,15 +57,15 @@ def conclude(
     episodes, failures = read_rows(store.path, "episodes"), read_rows(store.path, "failures")
     overall = Figures.of(episodes, failures, missing)
     _print(console, plan, episodes, failures, overall)
-    said = None if condition is None else _verdict(condition, overall)
+    verdict = None if condition is None else _verdict(condition, overall)
     if junit is not None:
         timing = {row["episode"]: row["wall_s"] for row in read_rows(store.path, "timing")}
-        outcome = None if condition is None else (condition.text, said)
+        outcome = None if condition is None else (condition.text, verdict)
         junit.parent.mkdir(parents=True, exist_ok=True)
         write_whole(junit, junit_xml(episodes, failures, timing, outcome))
     console.print(f"results: {store.path}", soft_wrap=True)
-    if said is not None:
-        console.print(f"[red]{said}[/red]", soft_wrap=True)
+    if verdict is not None:
+        console.print(f"[red]{verdict}[/red]", soft_wrap=True)
         raise typer.Exit(CONDITION_MET)
 
 

@@ -193,5 +193,5 @@ def _say(console: Console, job: Job, state: State) -> None:
         console.print(f"stopped in epoch {state.epoch + 1}; go on with --resume --out {job.out}")
         return
     figures = state.history[state.best_epoch - 1]["held_out"]
-    shown = ", ".join(f"{name} {value:.3f}" for name, value in sorted(figures.items()))
-    console.print(f"{job.out / 'weights.safetensors'}: best of epoch {state.best_epoch}: {shown}")
+    text = ", ".join(f"{name} {value:.3f}" for name, value in sorted(figures.items()))
+    console.print(f"{job.out / 'weights.safetensors'}: best of epoch {state.best_epoch}: {text}")

@@ -196,8 +196,8 @@ def _open(path: Path, names: list[str]) -> tuple[dict[str, str], dict[str, Any]]
         with safe_open(path, framework="numpy") as file:
             header = dict(file.metadata() or {})
             if header.get("format") != FORMAT:
-                said = header.get("format", "none")
-                raise FileError(path, f"is no window file (format '{said}', not '{FORMAT}')", _AGAIN)
+                named = header.get("format", "none")
+                raise FileError(path, f"is no window file (format '{named}', not '{FORMAT}')", _AGAIN)
             missing = sorted(set(TENSORS) - set(file.keys()))
             if missing:
                 raise FileError(path, f"lacks the tensors {', '.join(missing)}", _AGAIN)

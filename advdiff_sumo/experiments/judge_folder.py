@@ -157,9 +157,9 @@ def _tables(folder: Path, columns: Mapping[str, Column]) -> Judging:
         states = _by_episode(tables.rows("states"))
         for number, row in rows.items():
             if number in states:
-                shown = None if signals is None else signals.get(number)
+                lights = None if signals is None else signals.get(number)
                 place = _net(str(row.get("net") or net), folder)
-                yield str(number), EpisodeTables(place, row, states[number], hits[number], shown)
+                yield str(number), EpisodeTables(place, row, states[number], hits[number], lights)
 
     def keep(key: str, judged: JudgedRows) -> None:
         rows[int(key)], hits[int(key)] = judged.episode, judged.collisions

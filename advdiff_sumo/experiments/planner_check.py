@@ -37,12 +37,12 @@ class Verdict:
     Attributes:
         name: what is checked.
         ok: whether it holds.
-        found: what was seen; where it fails, the first problem.
+        detail: what was seen; where it fails, the first problem.
     """
 
     name: str
     ok: bool
-    found: str
+    detail: str
 
 
 @dataclass(frozen=True)

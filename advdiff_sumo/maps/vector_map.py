@@ -222,9 +222,9 @@ def build_pieces(
         pieces = _cut(lane.line, max(PIECE_M, limits.piece_s * lane.speed_mps))
         link = through.get(lane.id) if lane.is_internal else _representative(lane.successors)
         for number in range(len(pieces)):
-            said = link if lane.is_internal or number == len(pieces) - 1 else None
-            rows.append(marks.lane(lane, said))
-            signal.append(marks.signal(said))
+            marking = link if lane.is_internal or number == len(pieces) - 1 else None
+            rows.append(marks.lane(lane, marking))
+            signal.append(marks.signal(marking))
         xy += pieces
     for ring in rings:
         pieces = _cut(Polyline.of(ring), limits.edge_piece_m) if len(without_repeats(ring)) > 2 else []

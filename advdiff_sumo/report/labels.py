@@ -34,8 +34,8 @@ class Labels:
         options = _options(own)
         others = [_options(text) for text in variants]
         telling = [key for key in sorted(options) if any(o.get(key) != options[key] for o in others)]
-        said = ", ".join(f"{key} {_text(options[key])}" for key in telling)
-        return f"{name} ({said})" if said else name
+        differences = ", ".join(f"{key} {_text(options[key])}" for key in telling)
+        return f"{name} ({differences})" if differences else name
 
 
 def _options(text: str) -> dict[str, Any]:

@@ -67,10 +67,10 @@ def _signals(table: pa.Table | None, steps: int) -> tuple[Mapping[str, str], ...
     changes: dict[int, dict[str, str]] = {}
     for change in table.to_pylist():
         changes.setdefault(int(change["step"]), {})[change["traffic_light"]] = change["state"]
-    shown: dict[str, str] = {}
+    lights: dict[str, str] = {}
     instants: list[Mapping[str, str]] = []
     for step in range(steps):
         if step in changes:
-            shown = {**shown, **changes[step]}
-        instants.append(shown)
+            lights = {**lights, **changes[step]}
+        instants.append(lights)
     return tuple(instants)

@@ -134,11 +134,11 @@ def _state_columns(tracks: Tracks, episode: int, target: int) -> dict[str, Any]:
 def signals_table(record: EpisodeRecord) -> pa.Table:
     """Return what each traffic light shows at first, and each change, in the order of time."""
     rows: list[dict[str, Any]] = []
-    shown: dict[str, str] = {}
+    lights: dict[str, str] = {}
     for step, states in enumerate(record.signals):
         for name in sorted(states):
-            if shown.get(name) != states[name]:
-                shown[name] = states[name]
+            if lights.get(name) != states[name]:
+                lights[name] = states[name]
                 row = {"episode": record.episode, "step": step, "traffic_light": name, "state": states[name]}
                 rows.append(row)
     return table_of(rows, SIGNAL_COLUMNS)

@@ -97,11 +97,11 @@ class Session:
             raise SimulationError("a second SUMO simulation in one process would end the first one")
         self.api = load_api(self.options.gui)
         program = "sumo-gui" if self.options.gui else "sumo"
-        with _quiet() as said:
+        with _quiet() as output:
             try:
                 self.api.start([_binary(program) if self.options.gui else program, *self.options.arguments()])
             except Exception as error:
-                raise StartRefusedError(f"SUMO does not start: {_cause(said(), error)}") from error
+                raise StartRefusedError(f"SUMO does not start: {_cause(output(), error)}") from error
         Session._open = True
         _log.debug("SUMO began: %s", " ".join(self.options.arguments()))
         return self

@@ -68,12 +68,12 @@ def _case(suite: Element, row: Row, broken: Row | None, timing: Mapping[int, flo
         error = SubElement(case, "error", type=str(broken["kind"]), message=_clean(str(broken["message"])))
         error.text = _clean(f"{broken['log_tail']}\n{broken['command']}")
     elif row["target_collision"]:
-        said = f"{row['collision_type']} after {row['collision_time_s']:.1f} s, at fault: {row['at_fault']}"
-        said = f"{said}. {row.get('verdict') or row['fault_reason'] or ''}".strip()
+        text = f"{row['collision_type']} after {row['collision_time_s']:.1f} s, at fault: {row['at_fault']}"
+        text = f"{text}. {row.get('verdict') or row['fault_reason'] or ''}".strip()
         if fails(row):
-            SubElement(case, "failure", type=str(row["collision_type"]), message=_clean(said))
+            SubElement(case, "failure", type=str(row["collision_type"]), message=_clean(text))
         else:
-            SubElement(case, "system-out").text = _clean(said)
+            SubElement(case, "system-out").text = _clean(text)
 
 
 def fails(row: Row) -> bool:

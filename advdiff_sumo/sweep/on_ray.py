@@ -124,8 +124,8 @@ def _must_answer(address: str | None) -> None:
     try:
         socket.create_connection((host, int(port)), timeout=_ANSWER_S).close()
     except (OSError, OverflowError) as error:
-        said = f"nobody answers ({_first_line(error)})"
-        raise ConfigError(f"--ray-address {address}: no cluster, {said}; see docs/sweeps.md") from None
+        reason = f"nobody answers ({_first_line(error)})"
+        raise ConfigError(f"--ray-address {address}: no cluster, {reason}; see docs/sweeps.md") from None
 
 
 def _holds(path: Path, content: bytes) -> bool:

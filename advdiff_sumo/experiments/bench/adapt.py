@@ -82,6 +82,6 @@ def _warm_up(one: Adaptation, folder: Path) -> None:
     )
     kept = {}
     done = warm_up(options, one.marks[-1], lambda _: None, one.marks, lambda mark, q: kept.update({mark: q}))
-    said = description(options, done)
+    header = description(options, done)
     for mark in one.marks:
-        save_reward(kept[mark], one.path(folder, mark), {**said, "steps": mark})
+        save_reward(kept[mark], one.path(folder, mark), {**header, "steps": mark})

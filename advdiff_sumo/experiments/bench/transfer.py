@@ -173,7 +173,7 @@ def kept_shares(rows: Sequence[RowSamples]) -> tuple[str, ...]:
     pairs, with a bootstrap over seed scenes.
     """
     by_key = {row.key: row for row in rows}
-    said = []
+    sentences = []
     for name in dict.fromkeys(row.key.partition("/")[0] for row in rows):
         pairs = [
             (foreign.samples[f"{target}:av_rate"], own.samples[f"{target}:av_rate"])
@@ -187,10 +187,10 @@ def kept_shares(rows: Sequence[RowSamples]) -> tuple[str, ...]:
         if kept.value is not None:
             between = "" if kept.low is None else f" [{100 * kept.low:.0f}, {100 * (kept.high or 0.0):.0f}]"
             title = policy_row(name).title
-            said.append(
+            sentences.append(
                 f"{title} keeps {100 * kept.value:.0f} %{between} of its AV CR on planners it was not adapted to."
             )
-    return tuple(said)
+    return tuple(sentences)
 
 
 def share_kept(pairs: Sequence[tuple[Sample, Sample]], seed: int = 0) -> Estimate:

@@ -174,9 +174,9 @@ def _rows(value: Any, prefix: str = "") -> list[tuple[str, str]]:
     if isinstance(value, list) and value and isinstance(value[0], Mapping):
         return [row for number, inner in enumerate(value) for row in _rows(inner, f"{prefix}{number + 1} ")]
     if isinstance(value, list):
-        shown = ", ".join(_item(item) for item in value[:LONGEST_LIST])
+        items = ", ".join(_item(item) for item in value[:LONGEST_LIST])
         more = f" … ({len(value)} in all)" if len(value) > LONGEST_LIST else ""
-        return [(prefix.strip(), (shown + more) or "none")]
+        return [(prefix.strip(), (items + more) or "none")]
     return [(prefix.strip(), "not measured" if value is None else str(value))]
 
 

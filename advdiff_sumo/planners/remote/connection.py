@@ -71,18 +71,18 @@ class Connection:
             raise failure from (PlannerSideError(trace.decode(errors="replace")) if trace else None)
 
     def _failure(self, name: str, error: Any, timeout_s: float) -> EpisodeFailure:
-        code, said = error.code(), " ".join((error.details() or "").split())
+        code, details = error.code(), " ".join((error.details() or "").split())
         if code is grpc.StatusCode.DEADLINE_EXCEEDED:
             return PlannerTimeoutError(f"{self.who} did not answer {name} within {timeout_s:g} s")
         if code is grpc.StatusCode.RESOURCE_EXHAUSTED:
-            return OutOfMemoryFailure(f"{self.who} ran out of memory: {said}")
+            return OutOfMemoryFailure(f"{self.who} ran out of memory: {details}")
         if code is grpc.StatusCode.INVALID_ARGUMENT:
-            return PlanRefusedError(f"{self.who}: {said}")
+            return PlanRefusedError(f"{self.who}: {details}")
         if code in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.CANCELLED):
             return PlannerCrashedError(f"{self.who}: no server answered {name}")
         if code is grpc.StatusCode.INTERNAL:
-            return PlannerError(f"{self.who} raised {said}")
-        return PlannerError(f"{self.who} refused {name}: {code.name} {said}")
+            return PlannerError(f"{self.who} raised {details}")
+        return PlannerError(f"{self.who} refused {name}: {code.name} {details}")
 
     def close(self) -> None:
         """Close the channel."""

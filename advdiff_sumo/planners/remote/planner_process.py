@@ -87,10 +87,10 @@ class PlannerProcess:
     def ended(self) -> str:
         """Return how the command ended, as the end of a sentence; "" where it has not within a second."""
         try:
-            said, _ = self._keeper.communicate(timeout=1.0)
+            output, _ = self._keeper.communicate(timeout=1.0)
         except (subprocess.TimeoutExpired, ValueError):
             return ""
-        lines = said.decode().split()
+        lines = output.decode().split()
         return how_it_ended(int(lines[-1])) if lines else "was lost"
 
     def said(self) -> str:

@@ -206,9 +206,9 @@ class RemotePlanner:
         try:
             return connection.call(name, request, timeout_s, wait)
         except (PlannerTimeoutError, PlannerCrashedError) as error:
-            failure, said = self._told(error), self._process.said() if self._process is not None else ""
+            failure, output = self._told(error), self._process.said() if self._process is not None else ""
             self.close()
-            raise failure from (PlannerSideError(said) if said else None)
+            raise failure from (PlannerSideError(output) if output else None)
 
     def _told(self, error: EpisodeFailure) -> EpisodeFailure:
         """Return *error* with how the server's process ended, where it is ours and has."""

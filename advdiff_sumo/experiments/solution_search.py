@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -148,7 +148,7 @@ def _optimised(raw: Tensor, batch: SceneBatch, forced: Forced, rounds: int, mode
     """Return *raw* after *rounds* of Adam on contact, leaving the road, and effort."""
     free = raw.clone().requires_grad_(True)
     adam = torch.optim.Adam([free], lr=_RATE)
-    own = SceneBatch(**{f.name: getattr(batch, f.name)[:, :1] for f in fields(batch)}).repeat(len(raw))
+    own = batch.rows_of(slice(1)).repeat(len(raw))
     for _ in range(rounds):
         rollout = _drive(free, batch, model)
         dense = halves(rollout, own.pose)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import torch
@@ -59,18 +60,20 @@ class SceneBatch:
 
     def to(self, device: torch.device | str) -> SceneBatch:
         """Return the batch on *device*."""
-        return SceneBatch(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
+        return self.mapped(lambda part: part.to(device))
 
     def repeat(self, times: int) -> SceneBatch:
         """Return each scene *times* times in a row: scene b becomes rows b·times … b·times + times − 1."""
-        return SceneBatch(
-            **{f.name: getattr(self, f.name).repeat_interleave(times, dim=0) for f in fields(self)}
-        )
+        return self.mapped(lambda part: part.repeat_interleave(times, dim=0))
 
     def rows(self, rows: Tensor | slice) -> SceneBatch:
         """Return the scenes at *rows*."""
-        return SceneBatch(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+        return self.mapped(lambda part: part[rows])
 
-    def rows_of(self, rows: Tensor) -> SceneBatch:
+    def rows_of(self, rows: Tensor | slice) -> SceneBatch:
         """Return all scenes with agents *rows* alone."""
-        return SceneBatch(**{f.name: getattr(self, f.name)[:, rows] for f in fields(self)})
+        return self.mapped(lambda part: part[:, rows])
+
+    def mapped(self, change: Callable[[Tensor], Tensor]) -> SceneBatch:
+        """Return the batch with each of its tensors as *change* makes it."""
+        return SceneBatch(**{f.name: change(getattr(self, f.name)) for f in fields(self)})

@@ -168,12 +168,12 @@ def nearest(batch: SceneBatch, agents: int) -> SceneBatch:
     """Return the scenes with their first *agents* agents, which are those nearest to the focal one."""
     if batch.agents <= agents:
         return batch
-    return SceneBatch(**{f.name: getattr(batch, f.name)[:, :agents] for f in fields(SceneBatch)})
+    return batch.rows_of(slice(agents))
 
 
 def padded(batch: SceneBatch, agents: int) -> SceneBatch:
     """Return *batch* with padding up to *agents* agents."""
-    return SceneBatch(**{f.name: _padded(getattr(batch, f.name), agents) for f in fields(SceneBatch)})
+    return batch.mapped(lambda part: _padded(part, agents))
 
 
 def _padded(value: Tensor, agents: int) -> Tensor:

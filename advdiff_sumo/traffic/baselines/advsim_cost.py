@@ -7,7 +7,7 @@ and nobody leaves the road.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import torch
@@ -57,9 +57,8 @@ def ground_of(rollout: Rollout, batch: SceneBatch, rows: Tensor, steps: int) -> 
     rest = agents[(agents != 0) & ~torch.isin(agents, rows) & batch.present[0]]
     gap = (states[rest, None, :, :2] - states[rows][None, :, :, :2]).norm(dim=-1).flatten(1).amin(1)
     rest = rest[torch.argsort(gap, stable=True)[:_OTHERS]]
-    own = SceneBatch(**{f.name: getattr(batch, f.name)[:, rows] for f in fields(batch)})
     size = batch.size[0]
-    return Ground(own, size[rows], states[0], size[0], states[rest], size[rest])
+    return Ground(batch.rows_of(rows), size[rows], states[0], size[0], states[rest], size[rest])
 
 
 def attack_cost(rollout: Rollout, ground: Ground) -> Tensor:

@@ -11,14 +11,13 @@ from advdiff_sumo.experiments.bench.bench_rows import (
     asked_of,
     policy_row,
 )
-from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
-from advdiff_sumo.experiments.bench.episode_results import Gathered, failures_told, gather
+from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
+from advdiff_sumo.experiments.bench.episode_results import Gathered, failures_told
 from advdiff_sumo.experiments.bench.paper import paper_table
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
 from advdiff_sumo.experiments.bench.scene_list import SceneList
 from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of
-from advdiff_sumo.sweep.tasks import Limits
 
 PLAN_NOTHING = ("sumo", "replay")
 ATTACKED = {"lane_graph": "lane_graph", "IDM": "IDM"}
@@ -58,19 +57,6 @@ def plan_adversarial(folder: Folder, teller: ProgressReporter) -> BenchCells:
         for name in names
     ]
     return plan_cells(cells, scenes, request.horizon_s)
-
-
-def run_adversarial(
-    folder: Folder, cells: BenchCells, workers: int, limits: Limits, teller: ProgressReporter
-) -> Table:
-    """Run what is missing and return the table.
-
-    Raises:
-        FileError: results cannot be stored.
-    """
-    store = run_cells(cells, folder.sweep, workers, limits, teller)
-    results = gather(cells, store, folder.path / "traces", workers, teller)
-    return adversarial_table(results, cells.scenes, folder)
 
 
 def adversarial_table(results: Gathered, scenes: SceneList, folder: Folder) -> Table:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from advdiff_sumo.experiments.bench.adversarial import notes_of
 from advdiff_sumo.experiments.bench.bench_config import Folder
 from advdiff_sumo.experiments.bench.bench_rows import policy_row
-from advdiff_sumo.experiments.bench.cells import BenchCells, run_cells
+from advdiff_sumo.experiments.bench.cells import BenchCells
 from advdiff_sumo.experiments.bench.defect_cells import SOUND
 from advdiff_sumo.experiments.bench.detection import (
     LEVEL,
@@ -21,12 +21,10 @@ from advdiff_sumo.experiments.bench.detection import (
     detections,
     first_detection,
 )
-from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered, gather_rows
-from advdiff_sumo.experiments.bench.progress import ProgressReporter
+from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.statistics import Estimate, Ratio, difference, estimate, ratio
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
 from advdiff_sumo.sweep.sweep_files import write_whole
-from advdiff_sumo.sweep.tasks import Limits
 
 DETECTIONS, FIRST = "detections.csv", "first_detection.csv"
 SCORE = "detected / planted"
@@ -59,16 +57,12 @@ class Contest:
     first: FirstDetection | None
 
 
-def run_defects(
-    folder: Folder, cells: BenchCells, workers: int, limits: Limits, teller: ProgressReporter
-) -> Table:
-    """Run what is missing, write what is detected, and return the table.
+def defects_of(gathered: Gathered, cells: BenchCells, folder: Folder) -> Table:
+    """Write what is detected, and return the table.
 
     Raises:
-        FileError: results cannot be stored.
+        FileError: it cannot be written.
     """
-    store = run_cells(cells, folder.sweep, workers, limits, teller)
-    gathered = gather_rows(cells, store)
     contests = contests_of(gathered, cells)
     write_whole(folder.path / DETECTIONS, detections_text(contests).encode())
     write_whole(folder.path / FIRST, first_text(contests).encode())

@@ -15,14 +15,13 @@ from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
 from advdiff_sumo.experiments.bench.adversarial import notes_of
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
 from advdiff_sumo.experiments.bench.bench_rows import PAPERS_LICENCE
-from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
-from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered, gather_rows
+from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
+from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
 from advdiff_sumo.experiments.bench.statistics import RESAMPLES, Difference, Estimate, Ratio, estimate
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
-from advdiff_sumo.sweep.tasks import Limits
 
 RUNGS = 3
 
@@ -109,18 +108,6 @@ def asked_of_fewshot(request: Request) -> tuple[SceneList, tuple[str, ...]]:
     usual = {name: one.target for name, one in UNSEEN.items()}
     names, _ = chosen(request.targets, usual, TARGETS, "--targets", _made)
     return scenes, names
-
-
-def run_fewshot(
-    folder: Folder, cells: BenchCells, workers: int, limits: Limits, teller: ProgressReporter
-) -> Table:
-    """Run what is missing and return the table.
-
-    Raises:
-        FileError: results cannot be stored.
-    """
-    store = run_cells(cells, folder.sweep, workers, limits, teller)
-    return fewshot_table(gather_rows(cells, store), cells.scenes, folder)
 
 
 def fewshot_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Table:

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
-from advdiff_sumo.experiments.bench.adversarial import ATTACKED, plan_adversarial, run_adversarial
+from advdiff_sumo.experiments.bench.adversarial import ATTACKED, adversarial_table, plan_adversarial
 from advdiff_sumo.experiments.bench.bench_config import BenchName, Folder, Request
 from advdiff_sumo.experiments.bench.bench_rows import asked_of
-from advdiff_sumo.experiments.bench.cells import BenchCells
+from advdiff_sumo.experiments.bench.cells import BenchCells, run_cells
 from advdiff_sumo.experiments.bench.defect_cells import asked_of_defects, plan_defects
-from advdiff_sumo.experiments.bench.defect_score import run_defects
-from advdiff_sumo.experiments.bench.fewshot import asked_of_fewshot, plan_fewshot, run_fewshot
+from advdiff_sumo.experiments.bench.defect_score import defects_of
+from advdiff_sumo.experiments.bench.episode_results import Gathered, gather, gather_rows
+from advdiff_sumo.experiments.bench.fewshot import asked_of_fewshot, fewshot_table, plan_fewshot
 from advdiff_sumo.experiments.bench.forecast import forecast
 from advdiff_sumo.experiments.bench.natural_traffic import check_traffic, run_traffic
 from advdiff_sumo.experiments.bench.progress import ProgressReporter, Silent
 from advdiff_sumo.experiments.bench.scene_list import DEFECTS_HORIZON_S
 from advdiff_sumo.experiments.bench.table import Table
 from advdiff_sumo.experiments.bench.table_cache import save
-from advdiff_sumo.experiments.bench.transfer import asked_of_transfer, plan_transfer, run_transfer
+from advdiff_sumo.experiments.bench.transfer import asked_of_transfer, plan_transfer, transfer_table
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
@@ -32,13 +34,38 @@ DEFAULTS: Mapping[BenchName, Mapping[str, Any]] = {
     "fewshot": {"scenes": "30", "seeds": 5},
     "defects": {"scenes": "60", "horizon_s": DEFECTS_HORIZON_S},
 }
-_Plan = Callable[[Folder, int, ProgressReporter], BenchCells]
-_Run = Callable[[Folder, BenchCells, int, Limits, ProgressReporter], Table]
-_CLOSED_LOOP: Mapping[BenchName, tuple[_Plan, _Run]] = {
-    "adversarial": (lambda folder, _, teller: plan_adversarial(folder, teller), run_adversarial),
-    "transfer": (plan_transfer, run_transfer),
-    "fewshot": (plan_fewshot, run_fewshot),
-    "defects": (lambda folder, _, teller: plan_defects(folder, teller), run_defects),
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """A bench whose figures come from episodes.
+
+    Attributes:
+        plan: makes warm-ups where there are any, and returns the cells.
+        table: of what was gathered.
+        traced: what is looked at of the background: nothing, its motion, or likelihoods and solutions, too.
+    """
+
+    plan: Callable[[Folder, int, ProgressReporter], BenchCells]
+    table: Callable[[Gathered, BenchCells, Folder], Table]
+    traced: Literal["no", "motion", "all"] = "no"
+
+
+_CLOSED_LOOP: Mapping[BenchName, ClosedLoop] = {
+    "adversarial": ClosedLoop(
+        lambda folder, _, teller: plan_adversarial(folder, teller),
+        lambda gathered, cells, folder: adversarial_table(gathered, cells.scenes, folder),
+        traced="all",
+    ),
+    "transfer": ClosedLoop(
+        plan_transfer,
+        lambda gathered, cells, folder: transfer_table(gathered, cells.scenes, folder),
+        traced="motion",
+    ),
+    "fewshot": ClosedLoop(
+        plan_fewshot, lambda gathered, cells, folder: fewshot_table(gathered, cells.scenes, folder)
+    ),
+    "defects": ClosedLoop(lambda folder, _, teller: plan_defects(folder, teller), defects_of),
 }
 
 
@@ -71,12 +98,23 @@ def run_bench(folder: Folder, workers: int, limits: Limits, teller: ProgressRepo
     if bench == "traffic":
         table = run_traffic(folder, workers, teller)
     else:
-        plan, run = _CLOSED_LOOP[bench]
-        cells = plan(folder, workers, teller)
+        closed_loop = _CLOSED_LOOP[bench]
+        cells = closed_loop.plan(folder, workers, teller)
         _foretell(cells, folder, workers, limits, teller)
-        table = run(folder, cells, workers, limits, teller)
+        store = run_cells(cells, folder.sweep, workers, limits, teller)
+        table = closed_loop.table(
+            _gathered(closed_loop, cells, store, folder, workers, teller), cells, folder
+        )
     save(folder, table)
     return table
+
+
+def _gathered(
+    bench: ClosedLoop, cells: BenchCells, store: Store, folder: Folder, workers: int, teller: ProgressReporter
+) -> Gathered:
+    if bench.traced == "no":
+        return gather_rows(cells, store)
+    return gather(cells, store, folder.path / "traces", workers, teller, judged=bench.traced == "all")
 
 
 def _foretell(

@@ -21,8 +21,8 @@ from advdiff_sumo.experiments.bench.bench_rows import (
     made_target,
     policy_row,
 )
-from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
-from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered, gather
+from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
+from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.paper import paper_table
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
@@ -30,7 +30,6 @@ from advdiff_sumo.experiments.bench.scene_list import SceneList
 from advdiff_sumo.experiments.bench.statistics import Estimate, Ratio, Sample, difference, draws
 from advdiff_sumo.experiments.bench.table import Gap, Head, RowSamples, Table, lines_of
 from advdiff_sumo.planners.planner_registry import TARGETS
-from advdiff_sumo.sweep.tasks import Limits
 
 SOURCES = ("lane_graph", "simnet", "trafficsim")
 """What a policy is adapted to: the paper's three."""
@@ -83,19 +82,6 @@ def asked_of_transfer(
     if any(name not in ADAPTED for name in names):
         raise ConfigError(f"--policies: bench transfer has {', '.join(ADAPTED)}; only these can be adapted")
     return scenes, targets, names
-
-
-def run_transfer(
-    folder: Folder, cells: BenchCells, workers: int, limits: Limits, teller: ProgressReporter
-) -> Table:
-    """Run what is missing and return the table.
-
-    Raises:
-        FileError: results cannot be stored.
-    """
-    store = run_cells(cells, folder.sweep, workers, limits, teller)
-    gathered = gather(cells, store, folder.path / "traces", workers, teller, judged=False)
-    return transfer_table(gathered, cells.scenes, folder)
 
 
 def transfer_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Table:

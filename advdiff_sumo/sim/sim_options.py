@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from advdiff_sumo.config import Options
 
-Situation: TypeAlias = Literal["any", "following", "merging", "yielding", "turning"]
+Situation: TypeAlias = Literal["any", "following", "merging", "yielding", "turning", "red-light"]
 """What a target can be about to do when an episode begins."""
 
 
@@ -74,7 +74,8 @@ class SceneOptions(Options):
         min_neighbours: vehicles that must be within 50 m of the target at the start.
         min_route_m: route that the target must have ahead.
         min_speed_mps: the target must move at least so fast at the start.
-        situation: what the target must be about to do at the start: following, merging, yielding, turning, or any.
+        situation: what the target must be about to do at the start: following, merging, yielding, turning,
+            red-light, or any.
         spacing_s: natural traffic between two scenes that come from one warm-up.
         scenes_per_warmup: scenes taken from one stretch of natural traffic.
         stride_s: spacing of the scenes taken from one driving log.

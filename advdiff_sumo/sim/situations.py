@@ -1,4 +1,4 @@
-"""Situations in which a seed scene may catch its target: following, merging, yielding, turning."""
+"""Situations in which a seed scene may catch its target: following, merging, yielding, turning, before a red light."""
 
 from __future__ import annotations
 
@@ -11,24 +11,35 @@ from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.sim.sim_options import Situation
 from advdiff_sumo.sim.world import Frame, World
 
-_FOLLOWS_S, _BESIDE_M, _JUNCTION_M = 3.5, 20.0, 60.0
+_FOLLOWS_S, _BESIDE_M, _JUNCTION_M, _RED = 3.5, 20.0, 60.0, ("r", "u")
 
 
 def in_situation(
-    situation: Situation, road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]
+    situation: Situation,
+    road: RoadMap,
+    world: World,
+    frame: Frame,
+    row: int,
+    route: Sequence[str],
+    signals: Mapping[str, str],
 ) -> bool:
     """Return whether the vehicle in *row* is in *situation* in *frame*.
 
     Args:
         situation: "following": somebody ahead in its lane, nearer than 3.5 s of its speed; "merging": somebody on a
             lane beside it, within 20 m; "yielding": it is the next one at a junction within 60 m, and has to give
-            way there; "turning": its route turns there; "any": always.
+            way there; "turning": its route turns there; "red-light": it is the next one there, and its light is red;
+            "any": always.
         road: the net.
         world: names and lanes of the rows.
         frame: the states.
         row: of the vehicle.
         route: its edges from the present one on.
+        signals: what every traffic light shows.
     """
+    if situation == "red-light":
+        link = _next_link(road, world, frame, row, route)
+        return link is not None and link.signal(signals) in _RED and _is_next(road, world, frame, row)
     return situation == "any" or _TESTS[situation](road, world, frame, row, route)
 
 
@@ -53,9 +64,12 @@ def _merging(road: RoadMap, world: World, frame: Frame, row: int, route: Sequenc
 
 def _yielding(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:
     link = _next_link(road, world, frame, row, route)
-    if link is None or max(_others_along(road, world, frame, row, world.lane[row]), default=0.0) > 0.0:
-        return False
-    return bool(road.yields_to(link))
+    return link is not None and _is_next(road, world, frame, row) and bool(road.yields_to(link))
+
+
+def _is_next(road: RoadMap, world: World, frame: Frame, row: int) -> bool:
+    """Return whether nobody is ahead of *row* on its lane."""
+    return max(_others_along(road, world, frame, row, world.lane[row]), default=0.0) <= 0.0
 
 
 def _turning(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:

@@ -242,11 +242,15 @@ def _choose(
     gaps = np.linalg.norm(frame.xy_m[rows, None] - frame.xy_m[None, vehicles], axis=-1)
     crowded = rows[(gaps < _NEIGHBOUR_RADIUS_M).sum(-1) - 1 >= scene.min_neighbours]
     api = stretch.session.api
+    lights = api.trafficlight
+    signals = {name: lights.getRedYellowGreenState(name) for name in lights.getIDList()}
     usable = [
         row
         for row in crowded.tolist()
         if _has_route(stretch, road, row, scene.min_route_m)
-        and in_situation(scene.situation, road, world, frame, row, remaining_route(api, world.ids[row]))
+        and in_situation(
+            scene.situation, road, world, frame, row, remaining_route(api, world.ids[row]), signals
+        )
     ]
     return int(rng.choice(usable)) if usable else None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +11,12 @@ import pytest
 from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.planners.planner_registry import make_target
+from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
+from advdiff_sumo.traffic.policy_registry import make_policy
 
 OPTIONS = SceneOptions(warmup_s=20.0, scenes_per_warmup=3, density_per_km=10.0, min_speed_mps=4.0)
 
@@ -22,6 +26,12 @@ def scenes(networks: Path, situation: str) -> tuple[RoadMap, list[SeedScene]]:
     options = SceneOptions.parse({**OPTIONS.model_dump(), "situation": situation})
     source = NaturalTraffic(road, None, options, SimOptions(), 5.0, SeedTree(3))
     return road, source.batch(0)
+
+
+def episode_of(scene: SeedScene, road: RoadMap) -> Any:
+    """Return the record of half a second from *scene* on, and its timing."""
+    target, policy = make_target("careful", {}), make_policy("sumo", {})
+    return Episode(0, scene, road, target, policy, ("careful", "sumo"), SimOptions(), 0.5, SeedTree(1)).run()
 
 
 def test_a_follower_has_somebody_ahead_in_its_lane(networks: Path) -> None:
@@ -48,6 +58,17 @@ def test_who_turns_has_a_turn_ahead(networks: Path) -> None:
             if road.lanes[link.to_lane].edge_id == route[1]
         ]
         assert {link.direction.lower() for link in links} <= {"l", "r"}
+
+
+def test_who_comes_to_a_red_light_is_the_next_one_there(networks: Path) -> None:
+    """One of the links that its route takes at the end of its edge is red in the first step of the episode."""
+    road, found = scenes(networks, "red-light")
+    for scene in found:
+        here, beyond = scene.routes[scene.target][:2]
+        lanes = [road.lanes[name] for name in road.edges[here].lane_ids]
+        links = [x for lane in lanes for x in lane.successors if road.lanes[x.to_lane].edge_id == beyond]
+        record, _ = episode_of(scene, road)
+        assert {"r", "u"} & {link.signal(record.signals[0]) for link in links}
 
 
 @pytest.mark.slow

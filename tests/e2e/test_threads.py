@@ -10,7 +10,7 @@ import pytest
 
 from advdiff_sumo.core.threads import VARIABLES
 
-#: Background and target of each episode; every learned one occurs.
+#: Background, target, and weights that are not the background's default, of each episode; every learned one occurs.
 PAIRS = (
     *(("sumo", "IDM"), ("replay", "lane_graph"), ("diffusion", "lane_graph"), ("strive", "IDM")),
     *(
@@ -19,6 +19,7 @@ PAIRS = (
         ("sumo", "simnet"),
         ("sumo", "trafficsim"),
         ("diffusion", "diffusion"),
+        ("diffusion", "IDM", "closed-loop"),
     ),
 )
 _PROGRAM = """
@@ -30,8 +31,9 @@ from advdiff_sumo.sim.sim_options import SceneOptions
 wide = torch.get_num_threads()
 scene, first = SceneOptions(warmup_s=10.0, scenes_per_warmup=1, min_neighbours=1), None
 for pair in sys.argv[1:]:
-    background, target = pair.split(":")
+    background, target, *weights = pair.split(":")
     options = {"attackers": 2} if background == "diffusion" else {}
+    options |= {"weights": weights[0]} if weights else {}
     run = Run.prepare(RunOptions(background=background, target=target, background_options=options, scene=scene,
                                  horizon_s=2.0, seed=3))
     first = first or next(run.seed_scenes())

@@ -262,6 +262,9 @@ def _continued(
             return None
     begun = under_way.profile
     rest = replace(begun, switch_s=max(begun.switch_s - (view.scene.time_s - under_way.timed_s), 0.0))
+    if under_way.kind == "crossing":  # a lane of a junction may have another limit
+        limit = max(view.ways[row].lane.speed_mps, view.speed(row))
+        rest = replace(rest, highest_mps=min(rest.highest_mps, limit))
     goal = _goal(view, row, under_way)
     delay_s = max(under_way.delay_s - passed, 0.0)
     return Manoeuvre(under_way.kind, row, view.ways[row], rest, goal, delay_s=delay_s)

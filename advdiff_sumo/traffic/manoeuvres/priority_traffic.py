@@ -23,6 +23,8 @@ _SOONEST_S, _LATEST_S, _RED_S = 2.2, 6.0, 5.0
 _LEAST_ARRIVAL_S = 1.7
 _SLOWEST_MPS, _FASTEST_MPS, _SHARE = 3.0, 12.0, 0.6
 _TIMING_S, _TIMING_AT_RED_S = (0.0, 0.7, -0.7), (0.5, 0.0, 1.0)
+_PACE_AT_RED = 0.8
+"""Share of the limit at which somebody comes who may have to hurry, or to hesitate."""
 _TOUCHES_M, _BEYOND_M, _SPACING_M = 2.0, 6.0, 0.5
 _FROM_LINE_M, _ONCOMING_RAD = 8.0, 2.2
 _GREEN = "G"
@@ -70,7 +72,8 @@ def approaches(view: SituationView, oncoming: bool, early_s: float | None = None
             if soonest_s < meets_s < (_RED_S if red else _LATEST_S):
                 usual_s = _TIMING_AT_RED_S if red else _TIMING_S
                 timing_s = usual_s if early_s is None else (-early_s,)
-                yield from _meeting(view, other, [meets_s + late for late in timing_s], places[1])
+                arrivals_s = [meets_s + late for late in timing_s]
+                yield from _meeting(view, other, arrivals_s, places[1], _PACE_AT_RED if red else 1.0)
         if red:
             return
 
@@ -123,10 +126,10 @@ def _over(road: RoadMap, link: Link) -> FloatArray:
 
 
 def _meeting(
-    view: SituationView, link: Link, arrivals_s: Sequence[float], beyond_m: float
+    view: SituationView, link: Link, arrivals_s: Sequence[float], beyond_m: float, pace: float
 ) -> Iterator[Approach]:
-    """Yield vehicles that are *beyond_m* beyond the stop line of *link* at one of *arrivals_s*, best first."""
-    limit = min(view.road.lanes[link.from_lane].speed_mps, _FASTEST_MPS)
+    """Yield who is *beyond_m* beyond the stop line of *link* at one of *arrivals_s*, at a *pace* of the limit."""
+    limit = pace * min(view.road.lanes[link.from_lane].speed_mps, _FASTEST_MPS / pace)
     upstream = _upstream(view, link)
     room = sum(lane.length_m for lane in upstream)
     for arrives_s in arrivals_s:

@@ -59,7 +59,7 @@ def test_small_road(kind: str, tmp_path: Path) -> None:
     origin = np.array([5e5, 4e6]) if kind == "nuplan" else np.zeros(2)
     line = source.lanes[names.index("1")].centre_m - origin
     assert line == pytest.approx(np.array([[0.0, 0.0], [50.0, 0.0]]), abs=1e-6)
-    result = convert_source(source, tmp_path / "n.net.xml")
+    result = convert_source(source, tmp_path / "n.net.xml", crossings="none")
     figures = measure(result).as_dict()
     assert figures["lanes"]["held"] == figures["lanes"]["given"] == 4
     assert figures["connections"]["kept"] == figures["connections"]["given"] == 2

@@ -21,6 +21,7 @@ from advdiff_sumo.maps.convert.sources.bounded_lanes import (
     lane_links,
     largest_part,
     midline_by_length,
+    on_earth,
     source_lanes,
 )
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
@@ -108,13 +109,14 @@ def _dashed(mark: object) -> bool | None:
 
 
 def _points(rows: Sequence[Row]) -> FloatArray:
-    return np.array([[float(row["x"]), float(row["y"])] for row in rows], dtype=np.float64).reshape(-1, 2)
+    places = np.array([[float(row["x"]), float(row["y"])] for row in rows], dtype=np.float64)
+    return on_earth(places.reshape(-1, 2))
 
 
 def _places(rows: Sequence[Row]) -> FloatArray:
     """Return points (N, 3): the official API takes lengths of boundaries in space."""
     heights = [float(row.get("z", 0.0)) for row in rows]
-    return np.column_stack((_points(rows), heights))
+    return on_earth(np.column_stack((_points(rows), heights)))
 
 
 def _drivable(rows: Mapping[str, Any], faults: MapFaults) -> MultiPolygon:

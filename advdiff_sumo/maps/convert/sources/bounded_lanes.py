@@ -16,6 +16,8 @@ from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceLane
 
 WIDEST_M = 30.0  # boundaries farther apart do not bound one lane
+FARTHEST_M = 1e8  # no coordinate is larger
+LONGEST_M = 50_000.0  # a boundary or the rim of an area that is longer has a coordinate that is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,11 @@ class BoundedLane:
     left_dashed: bool | None = None
     right_dashed: bool | None = None
     centre_m: FloatArray | None = None
+
+
+def on_earth(places_m: FloatArray) -> FloatArray:
+    """Return *places_m* (N, D) with NaN for coordinates that are none, so that their lanes are left out."""
+    return np.where(np.abs(places_m) <= FARTHEST_M, places_m, np.nan)
 
 
 def midline(left_m: FloatArray, right_m: FloatArray) -> FloatArray:
@@ -123,7 +130,7 @@ def as_multi(shape: shapely.Geometry) -> MultiPolygon:
 
 def largest_part(ring: FloatArray) -> Polygon | None:
     """Return the polygon of *ring* (N, 2), its largest valid part where it crosses itself, or None."""
-    if len(ring) < 3 or not np.isfinite(ring).all():
+    if len(ring) < 3 or not np.isfinite(ring).all() or not _length_m(ring) <= LONGEST_M:
         return None
     polygon = Polygon(ring)
     if polygon.is_valid:
@@ -138,10 +145,18 @@ def _problem(row: BoundedLane) -> str | None:
             return f"its {side} boundary has fewer than two points"
         if not np.isfinite(line).all():
             return f"a coordinate of its {side} boundary is not finite"
+        if not _length_m(line) <= LONGEST_M:
+            return f"its {side} boundary is {_length_m(line):.0f} m long"
     start, end = math.dist(row.left_m[0], row.right_m[0]), math.dist(row.left_m[-1], row.right_m[-1])
     if max(start, end) > WIDEST_M:
         return f"its boundaries are {max(start, end):.0f} m apart"
     return None
+
+
+def _length_m(line: FloatArray) -> float:
+    """Return the length of a line; infinite where it is too long for a number."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
 
 def _centre(row: BoundedLane) -> FloatArray:

@@ -23,6 +23,7 @@ from advdiff_sumo.maps.convert.sources.bounded_lanes import (
     covered_area,
     lane_links,
     largest_part,
+    on_earth,
     source_lanes,
 )
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
@@ -125,7 +126,10 @@ class _Ways:
         missing = next((node for node in self._nodes[name] if node not in self._xy), None)
         if missing is not None:
             raise ValueError(f"node {missing!r} of way {name!r} does not exist")
-        return np.array([self._xy[node] for node in self._nodes[name]], dtype=np.float64).reshape(-1, 2)
+        places = np.array([self._xy[node] for node in self._nodes[name]], dtype=np.float64).reshape(-1, 2)
+        if np.isnan(on_earth(places)).any():
+            raise ValueError(f"a coordinate of way {name!r} is no place on earth")
+        return places
 
 
 def _places(root: Element, path: Path) -> dict[str, tuple[float, float]]:

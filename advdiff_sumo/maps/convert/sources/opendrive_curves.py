@@ -14,6 +14,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.sources.arcline import MOST_TURNS
 
 LONGEST_M = 200_000.0  # of a road
+LARGEST = 1e8  # no coordinate, length or coefficient is larger
 FINE_M = 0.05  # step at which a cubic's arc length is summed up
 COEFFICIENTS = ("a", "b", "c", "d")
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
@@ -28,10 +29,10 @@ class Cubic:
 
 
 def number(row: Element, name: str, default: float | None = None) -> float:
-    """Return a finite attribute.
+    """Return an attribute.
 
     Raises:
-        ValueError: it is missing without a *default*, or is no finite number.
+        ValueError: it is missing without a *default*, no number, or larger than any.
     """
     text = row.get(name)
     if text is None and default is not None:
@@ -40,7 +41,7 @@ def number(row: Element, name: str, default: float | None = None) -> float:
         value = float(text or "")
     except ValueError:
         raise ValueError(f"{name} of <{row.tag}> is {text!r}") from None
-    if not math.isfinite(value):
+    if not abs(value) <= LARGEST:
         raise ValueError(f"{name} of <{row.tag}> is {text!r}")
     return value
 

@@ -19,6 +19,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
 from advdiff_sumo.maps.convert.sources.bounded_lanes import (
+    WIDEST_M,
     BoundedLane,
     covered_area,
     lane_links,
@@ -37,6 +38,7 @@ from advdiff_sumo.maps.convert.sources.opendrive_links import lane_successors
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceMap, StatedSizes
 
 REMEDY = "give an unchanged OpenDRIVE file (.xodr)"
+NARROWEST_M = 0.1  # where it is widest; lanes of width 0 open or close
 STEP_M, CHORD_M = 0.25, 0.001  # places on curves, of which those are left out that lie on the chord
 CAR_TYPES = (
     *("driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "bidirectional"),
@@ -117,8 +119,8 @@ class _Road:
                 if use is None:
                     continue
                 token = f"{self.id}_{number_of_section}_{strip.number}"
-                if len(drop_repeats(strip.middle_m)) < 2 or not _is_wide(strip):
-                    faults.notes["lanes without width or length left out"] += 1
+                if len(drop_repeats(strip.middle_m)) < 2 or not NARROWEST_M < _width_m(strip) <= WIDEST_M:
+                    faults.notes["lanes without a usable width or length left out"] += 1
                     continue
                 yield self._lane(token, strip, use, number_of_section, after)
 
@@ -189,8 +191,9 @@ def _read_road(row: Element, faults: MapFaults) -> _Road | None:
         return None
 
 
-def _is_wide(strip: _Strip) -> bool:
-    return float(np.hypot(*(strip.outer_m - strip.inner_m).T).max()) > 0.1
+def _width_m(strip: _Strip) -> float:
+    """Return the width where the lane is widest."""
+    return float(np.hypot(*(strip.outer_m - strip.inner_m).T).max())
 
 
 def _thinned(line: FloatArray) -> FloatArray:

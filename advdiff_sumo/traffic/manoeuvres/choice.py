@@ -89,9 +89,11 @@ def rank(
         crossing = [proposals[k] for k in timed.tolist()]
         of_them = _rows(futures, timed)
         merit[timed] *= _certain(contact_share(target, of_them.xy_m, of_them.yaw_rad, size[timed]))
+        at_red = _merit_at_red(view, target, crossing, of_them, size[timed])
         if begun:
-            at_red = _merit_at_red(view, target, crossing, of_them, size[timed])
             merit[timed] = np.where(np.isnan(at_red), merit[timed], at_red)
+        else:
+            merit[timed] *= np.where(at_red < _TRAPPED * _WAITS, _UNCERTAIN, 1.0)  # it is seen to come
     for k, manoeuvre in enumerate(proposals):
         near = closeness(view, manoeuvre, futures.driven_m[k], intensity)
         merit[k] = merit[k] if near is None else near

@@ -130,15 +130,7 @@ def convert_source(
     left = drives_left(source.location) if lefthand is None else lefthand
     given, source = source, repair(check_geometry(source))
     tracks = measure_tracks(source, SPEED_MPS[left])
-    layout = lay_out(
-        [track.centre_m for track in tracks],
-        [track.lane.is_connector for track in tracks],
-        _numbered_links(source),
-        neighbours_of(tracks, dashed_pairs(source)),
-    )
-    if crossings != "none":
-        lines, widths = [track.centre_m for track in tracks], [track.width_m for track in tracks]
-        cut_at_crossings(layout, lines, widths, source.crossings)
+    layout = _laid_out(source, tracks, crossings)
     ways, doubles = find_connections(layout)
     plan = with_control(plan_drivable(tracks, layout, ways, left), source, guess_signals)
     source = _with_unseen_conflicts(_with_idle_signals(source, plan), plan)
@@ -174,6 +166,17 @@ def convert_source(
         warnings,
         foot_paths,
     )
+
+
+def _laid_out(source: SourceMap, tracks: list[Track], crossings: Crossings) -> Layout:
+    """Return the pieces of edges and junctions that *tracks* fall into, cut where crossings shall lie."""
+    lines = [track.centre_m for track in tracks]
+    connectors = [track.lane.is_connector for track in tracks]
+    neighbours = neighbours_of(tracks, dashed_pairs(source))
+    layout = lay_out(lines, connectors, _numbered_links(source), neighbours)
+    if crossings != "none":
+        cut_at_crossings(layout, lines, [track.width_m for track in tracks], source.crossings)
+    return layout
 
 
 def _foot_paths(net: Path, source: SourceMap, crossings: Crossings) -> FootPaths | None:

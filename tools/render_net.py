@@ -11,6 +11,7 @@ import matplotlib as mpl
 mpl.use("Agg")  # a file is drawn, no display is needed
 import matplotlib.pyplot as plt
 import numpy as np
+import shapely
 import sumolib
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
@@ -78,8 +79,8 @@ def _draw_markings(axes: Axes, net: Any, scale: float) -> None:
         for i, lane in enumerate(lanes):
             line = LineString(lane.getShape())
             half = lane.getWidth() / 2
-            solid += [_side(line, kerb_side * half)] if i == 0 else []
-            (solid if i == len(lanes) - 1 else dashed).append(_side(line, -kerb_side * half))
+            solid += _side(line, kerb_side * half) if i == 0 else []
+            (solid if i == len(lanes) - 1 else dashed).extend(_side(line, -kerb_side * half))
     width = max(0.25, 0.14 * scale)
     axes.add_collection(LineCollection(solid, colors="white", linewidths=width, zorder=4))
     dashes = (0, (3.0 * scale / width, 3.0 * scale / width))
@@ -88,14 +89,21 @@ def _draw_markings(axes: Axes, net: Any, scale: float) -> None:
     )
 
 
-def _side(line: LineString, offset_m: float) -> np.ndarray:
-    return np.asarray(line.offset_curve(offset_m, join_style="mitre").coords)
+def _side(line: LineString, offset_m: float) -> list[np.ndarray]:
+    """Return the parts of *line* shifted to the left; a bend narrower than that has several."""
+    return [
+        shapely.get_coordinates(part)
+        for part in shapely.get_parts(line.offset_curve(offset_m, join_style="mitre"))
+    ]
 
 
 def _lefthand(net: Any) -> bool:
-    """Whether lane 0 is the leftmost; sumolib does not keep the net's own flag."""
+    """Whether lane 0 is the leftmost; sumolib does not keep the net's own flag. False where no edge has two."""
     lanes = (edge.getLanes() for edge in net.getEdges(withInternal=False) if edge.getLaneNumber() > 1)
-    kerb, inner = (np.asarray(lane.getShape()[:2]) for lane in next(lanes)[:2])
+    pair = next(lanes, None)
+    if pair is None:
+        return False
+    kerb, inner = (np.asarray(lane.getShape()[:2]) for lane in pair[:2])
     ahead, across = kerb[1] - kerb[0], inner[0] - kerb[0]
     return bool(ahead[0] * across[1] - ahead[1] * across[0] < 0)  # lane 1 lies right of lane 0
 

@@ -1,0 +1,36 @@
+"""The picture of a net, of nets that the shipped ones are unlike."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import sumolib
+
+TOOL = Path(__file__).resolve().parents[2] / "tools" / "render_net.py"
+NOTCHED = """<edges><edge id="e" from="a" to="b" numLanes="2" shape="0,0 40,0 41,-3 42,0 80,0"/></edges>"""
+NODES = """<nodes><node id="a" x="0" y="0"/><node id="b" x="80" y="0"/></nodes>"""
+
+
+def drawn(net: Path) -> bytes:
+    picture = net.with_suffix(".png")
+    command = [sys.executable, str(TOOL), str(net), "-o", str(picture), "--pixels", "300"]
+    subprocess.run(command, check=True, capture_output=True, text=True)
+    return picture.read_bytes()
+
+
+def test_a_net_of_single_lanes(tmp_path: Path) -> None:
+    net = tmp_path / "grid.net.xml"
+    command = [sumolib.checkBinary("netgenerate"), "--grid", "--grid.number", "2", "-L", "1", "-o", str(net)]
+    subprocess.run(command, check=True, capture_output=True)
+    assert drawn(net).startswith(b"\x89PNG")
+
+
+def test_a_lane_with_a_notch_narrower_than_it_is_wide(tmp_path: Path) -> None:
+    (tmp_path / "n.nod.xml").write_text(NODES, encoding="utf-8")
+    (tmp_path / "e.edg.xml").write_text(NOTCHED, encoding="utf-8")
+    net = tmp_path / "notch.net.xml"
+    files = ["-n", str(tmp_path / "n.nod.xml"), "-e", str(tmp_path / "e.edg.xml"), "-o", str(net)]
+    subprocess.run([sumolib.checkBinary("netconvert"), *files], check=True, capture_output=True)
+    assert drawn(net).startswith(b"\x89PNG")

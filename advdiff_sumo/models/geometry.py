@@ -47,12 +47,19 @@ def relative_features(xy: Tensor, yaw: Tensor, speed: Tensor) -> Tensor:
     dy = ci * delta[..., 1] - si * delta[..., 0]
     cj, sj = cos[:, None], sin[:, None]
     turn_cos, turn_sin = ci * cj + si * sj, ci * sj - si * cj
-    vj = 0.1 * speed[:, None]
-    vx, vy = vj * turn_cos, vj * turn_sin
-    vi = (0.1 * speed)[:, :, None].expand_as(vx)
-    near = torch.exp(-0.1 * torch.sqrt(dx * dx + dy * dy + 1e-6))
-    columns = (0.05 * dx, 0.05 * dy, near, turn_cos, turn_sin, vx, vy, vx - vi, vi)
-    return torch.stack(columns, dim=-1)
+    return torch.stack(
+        relative_columns(dx, dy, turn_cos, turn_sin, speed[:, None], speed[:, :, None]), dim=-1
+    )
+
+
+def relative_columns(
+    ahead_m: Tensor, left_m: Tensor, cos: Tensor, sin: Tensor, speed_mps: Tensor, own_speed_mps: Tensor
+) -> tuple[Tensor, ...]:
+    """Return the columns of :func:`relative_features` for others at these places and headings in one's own frame."""
+    vx, vy = 0.1 * speed_mps * cos, 0.1 * speed_mps * sin
+    own = (0.1 * own_speed_mps).expand_as(vx)
+    near = torch.exp(-0.1 * torch.sqrt(ahead_m * ahead_m + left_m * left_m + 1e-6))
+    return 0.05 * ahead_m, 0.05 * left_m, near, cos, sin, vx, vy, vx - own, own
 
 
 def from_segments(points: Tensor, first: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tensor]:

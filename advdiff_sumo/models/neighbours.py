@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from advdiff_sumo.models.geometry import relative_columns
+
 _ABSENT_M2 = 1e10
 
 
@@ -86,13 +88,11 @@ class Neighbours:
             oneself=oneself.expand(east.shape),
         )
 
-    def relative_features(self) -> list[Tensor]:
+    def relative_features(self) -> tuple[Tensor, ...]:
         """Return the columns, (B, R, K) each, of ``geometry.relative_features``."""
-        vx, vy = (0.1 * self.speed_mps * part for part in (self.cos, self.sin))
-        own = (0.1 * self.own_speed_mps).expand(vx.shape)
-        away = torch.sqrt(self.ahead_m.square() + self.left_m.square() + 1e-6)
-        near = torch.exp(-0.1 * away)
-        return [0.05 * self.ahead_m, 0.05 * self.left_m, near, self.cos, self.sin, vx, vy, vx - own, own]
+        return relative_columns(
+            self.ahead_m, self.left_m, self.cos, self.sin, self.speed_mps, self.own_speed_mps
+        )
 
     def among(self, values: Tensor) -> Tensor:
         """Return (B, R or 1, K, …) what the *values* (B, A, …) of these agents are."""

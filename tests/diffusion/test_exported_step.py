@@ -64,7 +64,7 @@ def latents(batch: SceneBatch, options: ModelOptions) -> tuple[Tensor, Tensor]:
     return z, h
 
 
-def same(made: Callable[[FastDecoder], Tensor], decoder: ClosedLoopDecoder) -> None:
+def assert_same(made: Callable[[FastDecoder], Tensor], decoder: ClosedLoopDecoder) -> None:
     """Check that machine code and network do the same, but for rounding that steps in a loop make larger."""
     exported, own = (made(FastDecoder(decoder, compiled=how)) for how in (None, False))
     torch.testing.assert_close(exported, own, atol=1e-4, rtol=1e-5)
@@ -87,8 +87,8 @@ def test_it_rolls_out_as_the_network_does(agents: int) -> None:
     """Where this fails, the decoder has changed: run ``python tools/build_decoder_step.py``, commit what it makes."""
     batch = scenes(agents)
     z, h = latents(batch, bundle().options.model)
-    same(lambda decoder: decoder.whole(z, h, batch, 4)[0].states(), shipped())
-    same(lambda decoder: decoder.whole(z, h, batch, 4)[1].senders, shipped())
+    assert_same(lambda decoder: decoder.whole(z, h, batch, 4)[0].states(), shipped())
+    assert_same(lambda decoder: decoder.whole(z, h, batch, 4)[1].senders, shipped())
 
 
 def test_it_rolls_out_some_rows_as_the_network_does() -> None:
@@ -100,7 +100,7 @@ def test_it_rolls_out_some_rows_as_the_network_does() -> None:
         with torch.no_grad():
             return decoder.some(z[:, rows] + 0.5, h, batch, rows, 4, trace).states()
 
-    same(some, shipped())
+    assert_same(some, shipped())
 
 
 def test_slopes_are_those_of_the_network() -> None:
@@ -118,7 +118,7 @@ def test_it_takes_the_weights_that_it_is_given() -> None:
     for weight in decoder.parameters():  # small ones, too, which a compiler likes to write into the code
         weight += 0.02 * torch.randn(weight.shape, generator=generator)
     z, h = latents(batch, decoder.options)
-    same(lambda rolled: rolled.whole(z, h, batch, 4)[0].states(), decoder)
+    assert_same(lambda rolled: rolled.whole(z, h, batch, 4)[0].states(), decoder)
 
 
 def test_other_sizes_and_half_of_the_neighbours_have_none() -> None:

@@ -10,7 +10,7 @@ import shapely
 from shapely.geometry import LineString, Point, Polygon
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.maps.convert.layout.lane_segments import Piece
+from advdiff_sumo.maps.convert.layout.lane_segments import ROOM_M, Piece
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.on_foot.carriageway import NARROW_M
 from advdiff_sumo.maps.on_foot.crossing_lines import (
@@ -22,9 +22,6 @@ from advdiff_sumo.maps.on_foot.crossing_lines import (
     band_of,
 )
 
-ROOM_M = (
-    7.5  # of the edge between a crossing and a junction, on which a car can wait; else they are one junction
-)
 SHORTEST_M = 5.0  # what is left of an edge
 MARGIN_M = 0.5  # between the end of an edge and a crossing
 

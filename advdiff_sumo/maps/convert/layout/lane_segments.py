@@ -15,6 +15,7 @@ from advdiff_sumo.maps.convert.layout.neighbours import SideBySide
 UNEVEN_M = (
     10.0  # neighbours whose ends differ by less are evened out at the junction, beyond it the longer is cut
 )
+ROOM_M = 7.5  # of an edge on which a car can wait clear of what is at its ends
 CUT_M = 1.0  # length of the internal lane that bridges a cut
 
 

@@ -10,11 +10,10 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.layout.crossings import crossing_bonds
 from advdiff_sumo.maps.convert.layout.joints import Joints
 from advdiff_sumo.maps.convert.layout.lane_paths import find_connections
-from advdiff_sumo.maps.convert.layout.lane_segments import Piece
+from advdiff_sumo.maps.convert.layout.lane_segments import ROOM_M, Piece
 from advdiff_sumo.maps.convert.layout.layout_state import Layout, bonds_of, joints_of
 
 PROMOTE_M = 4.0  # a connector at least this long may become an edge of its own
-ROOM_M = 7.5  # of an edge on which a car can wait clear of both its junctions
 Bonds: TypeAlias = Sequence[tuple[Hashable, Hashable]]
 
 

@@ -18,8 +18,8 @@ from torch import Tensor, nn
 from torch.nn.functional import pad
 
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder, Surroundings
-from advdiff_sumo.models.decoder import Motion, State
+from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder, LanesAndEdges
+from advdiff_sumo.models.decoder import Motion, State, Surroundings
 from advdiff_sumo.models.lane_attention import LanePieces
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.road_edges import RoadEdges
@@ -52,7 +52,7 @@ class StepOnTensors(nn.Module):
         """Return the state after the step, the memory and the senders; *around* is of :func:`tensors_of`."""
         rows, pose, size, present, moved, all_size, all_present, *rest = around
         own, batch = _scene(pose, size, present, moved), _scene(pose, all_size, all_present, moved)
-        surroundings = Surroundings(batch, own, rows, LanePieces(*rest[:3]), RoadEdges(*rest[3:]))
+        surroundings = LanesAndEdges(batch, own, rows, LanePieces(*rest[:3]), RoadEdges(*rest[3:]))
         state, memory, senders = self.decoder.step(memory, z, surroundings, motion, everybody, others)
         return (*state, memory, senders)
 
@@ -129,6 +129,7 @@ def least_agents(options: ModelOptions) -> int:
 
 def tensors_of(around: Surroundings, more: int = 0) -> tuple[Tensor, ...]:
     """Return what stays the same through a rollout, with *more* absent agents."""
+    assert isinstance(around, LanesAndEdges)  # noqa: S101 - tells the type checker what a closed-loop decoder gives
     own, batch, lanes, edges = around.own, around.batch, around.lanes, around.edges
     scene = own.pose, own.size, own.present, own.moved
     everybody = _padded(batch.size, more, 1), _padded(batch.present, more, 1)

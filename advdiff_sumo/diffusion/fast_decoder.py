@@ -2,8 +2,8 @@
 
 It can also roll out a few rows of a scene against the rest of an earlier rollout, which is what guidance needs:
 the gradient for one or two attackers then costs a fraction of that for the whole scene. On the CPU that is done by
-``compiled``, elsewhere by ``tensor_decoder``. A closed-loop decoder rolls out itself, on every device, where there is
-one by the machine code of ``exported_step``.
+``compiled``, elsewhere by the network itself. A closed-loop decoder rolls out itself on every device, where there is
+any by the machine code of ``exported_step``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.diffusion.exported_step import ExportedStep, exported_step
-from advdiff_sumo.diffusion.tensor_decoder import TensorDecoder
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
 from advdiff_sumo.models.decoder import Decoder, Rollout
@@ -42,15 +41,13 @@ class FastDecoder:
     def __init__(self, decoder: Decoder, compiled: bool | None = None) -> None:
         self.compiled: CompiledDecoder | None = None
         self.closed_loop = isinstance(decoder, ClosedLoopDecoder)
-        self._roller: CompiledDecoder | ClosedLoopRoller | TensorDecoder
+        self._roller: CompiledDecoder | NetworkRoller
         if isinstance(decoder, ClosedLoopDecoder):
-            self._roller = ClosedLoopRoller(
-                decoder, exported_step(decoder) if compiled is not False else None
-            )
+            self._roller = NetworkRoller(decoder, exported_step(decoder) if compiled is not False else None)
             return
         here = decoder.start.weight.device.type == "cpu" if compiled is None else compiled
         self.compiled = _compiled(decoder) if here else None
-        self._roller = self.compiled or TensorDecoder(decoder)
+        self._roller = self.compiled or NetworkRoller(decoder)
 
     def whole(
         self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS
@@ -85,16 +82,16 @@ class FastDecoder:
 
 
 @dataclass(frozen=True)
-class ClosedLoopRoller:
-    """Rolls out a closed-loop decoder, without gradients by machine code.
+class NetworkRoller:
+    """Rolls out by the network, without gradients by machine code for its step.
 
     Attributes:
         decoder: the network.
         step: its compiled step; None: its own.
     """
 
-    decoder: ClosedLoopDecoder
-    step: ExportedStep | None
+    decoder: Decoder
+    step: ExportedStep | None = None
 
     def whole(self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int) -> tuple[Rollout, Trace]:
         """As :meth:`FastDecoder.whole`."""

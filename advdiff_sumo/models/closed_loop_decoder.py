@@ -10,9 +10,7 @@ The same network serves training and planning, on every device.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import torch
 from torch import Tensor, nn
@@ -20,44 +18,32 @@ from torch import Tensor, nn
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import (
     Decoder,
-    Forced,
     Motion,
-    Rollout,
     State,
+    Step,
+    Surroundings,
     motion_features,
-    motion_now,
-    rollout_of,
 )
 from advdiff_sumo.models.geometry import RELATIVE_FEATURES, into_frame
 from advdiff_sumo.models.lane_attention import LaneAttention, LanePieces
-from advdiff_sumo.models.model_options import FUTURE_STEPS, ModelOptions
+from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.neighbours import Neighbours, nearest_agents
 from advdiff_sumo.models.proximity import BOX_POINTS, PAIR_FEATURES, box_clearance, pair_features
 from advdiff_sumo.models.road_edges import RoadEdges
 from advdiff_sumo.models.trace import Trace
 
-Step: TypeAlias = Callable[
-    [Tensor, Tensor, "Surroundings", Motion, Motion, Tensor | None], tuple[State, Tensor, Tensor]
-]
-"""What :meth:`ClosedLoopDecoder.step` does, or the same in compiled form."""
 _MOTION = 6
 
 
 @dataclass(frozen=True)
-class Surroundings:
-    """What stays the same through a rollout of R rows.
+class LanesAndEdges(Surroundings):
+    """What stays the same through a rollout of R rows that look at the map.
 
     Attributes:
-        batch: the scenes with all A agents.
-        own: the same with the rows alone.
-        rows: (R,) agents that are rolled out.
         lanes: lane pieces around them.
         edges: segments of the road's edge around them.
     """
 
-    batch: SceneBatch
-    own: SceneBatch
-    rows: Tensor
     lanes: LanePieces
     edges: RoadEdges
 
@@ -73,74 +59,17 @@ class ClosedLoopDecoder(Decoder):
         self.pairs = _from_nothing(RELATIVE_FEATURES + PAIR_FEATURES, options.edge, options.message)
         self._compiled: Step | None = None
 
-    def forward(
-        self,
-        z: Tensor,
-        h: Tensor,
-        batch: SceneBatch,
-        steps: int = FUTURE_STEPS,
-        forced: Forced | None = None,
-    ) -> Rollout:
-        """Return the futures that latents lead to; arguments as :meth:`Decoder.forward`."""
-        everybody = torch.arange(batch.agents, device=z.device)
-        return self._roll(z, h, batch, everybody, steps, forced)[0]
+    def _surroundings(self, batch: SceneBatch, own: SceneBatch, rows: Tensor) -> Surroundings:
+        return LanesAndEdges(batch, own, rows, LanePieces.of(own), RoadEdges.of(own))
 
-    @torch.no_grad()
-    def whole(
-        self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS, by: Step | None = None
-    ) -> tuple[Rollout, Trace]:
-        """Return the futures of all agents, without gradients, and what :meth:`some` needs of them.
+    def _advance(self, trace: Trace | None) -> Step:
+        return self._compiled if self._compiled and trace is None and torch.is_grad_enabled() else self.step
 
-        *by* takes the place of :meth:`step`.
-        """
-        return self._roll(z, h, batch, torch.arange(batch.agents, device=z.device), steps, by=by)
-
-    def some(
-        self,
-        z: Tensor,
-        h: Tensor,
-        batch: SceneBatch,
-        rows: Tensor,
-        steps: int,
-        trace: Trace,
-        by: Step | None = None,
-    ) -> Rollout:
-        """Return the futures (B, R, …) of agents *rows* alone, with gradients to *z* (B, R, Z).
-
-        Those that are made *by* something in the place of :meth:`step` have none.
-
-        All others move and say what they did in *trace*; the rows see them, and each other, from where they are.
-        """
-        return self._roll(z, h, batch, rows, steps, None, trace, by)[0]
-
-    def _roll(
-        self,
-        z: Tensor,
-        h: Tensor,
-        batch: SceneBatch,
-        rows: Tensor,
-        steps: int,
-        forced: Forced | None = None,
-        trace: Trace | None = None,
-        by: Step | None = None,
-    ) -> tuple[Rollout, Trace]:
-        own = batch if trace is None else batch.rows_of(rows)
-        around = Surroundings(batch, own, rows, LanePieces.of(own), RoadEdges.of(own))
-        memory = torch.tanh(self.start(torch.cat((h[:, rows], z), dim=-1)))
-        motion = motion_now(own)
-        states, begun, said = [], [], []
-        advance = by or self.step
-        if by is None and self._compiled is not None and trace is None and torch.is_grad_enabled():
-            advance = self._compiled
-        for k in range(steps):
-            everybody = motion if trace is None else _among(trace.motion[k], rows, motion)
-            others = None if trace is None else trace.senders[k]
-            state, memory, senders = advance(memory, z, around, motion, everybody, others)
-            begun.append(torch.cat((everybody[0], everybody[1][..., None], everybody[2][..., None]), dim=-1))
-            said.append(senders)
-            states.append(state if forced is None else forced.put(k, state))
-            motion = states[-1][:3]
-        return rollout_of(states), Trace(torch.stack(begun), torch.stack(said))
+    def _among(self, traced: Tensor, rows: Tensor, motion: Motion) -> Motion:
+        """Return where *rows* see all agents: where the trace (B, A, 4) had them, the rows where they are now."""
+        mine = torch.cat((motion[0], motion[1][..., None], motion[2][..., None]), dim=-1)
+        advanced = traced.to(mine.dtype).index_copy(1, rows, mine)
+        return advanced[..., :2], advanced[..., 2], advanced[..., 3]
 
     def compile_step(self) -> None:
         """Let ``torch.compile`` fuse what all agents do at a step of training; worth its minute on a GPU."""
@@ -156,6 +85,7 @@ class ClosedLoopDecoder(Decoder):
         others: Tensor | None,
     ) -> tuple[State, Tensor, Tensor]:
         """Return where the rows get to in a step, their memory of it, and what all agents send (layers, B, A, M)."""
+        assert isinstance(around, LanesAndEdges)  # noqa: S101 - tells the type checker what _surroundings gives
         own, batch, rows = around.own, around.batch, around.rows
         place = into_frame(motion[0], own.pose[..., :2], own.pose[..., 2])
         turn = motion[1] - own.pose[..., 2]
@@ -166,7 +96,7 @@ class ClosedLoopDecoder(Decoder):
         node = node + self.clearance(box_clearance(place, turn, own.size, around.edges))
         which = nearest_agents(everybody[0], batch.present, rows, self.options.neighbours)
         near = Neighbours.of(*everybody, batch.size, rows, which)
-        mixed, senders = self._mix(torch.relu(node), near, around, others)
+        mixed, senders = self._mix(torch.relu(node), self._edges(near), around, others, near.among)
         done, memory = self._drive(mixed, memory, motion, own)
         return done, memory, senders
 
@@ -178,19 +108,6 @@ class ClosedLoopDecoder(Decoder):
         closer = self.pairs(columns)
         return [edge + closer for edge in edges]
 
-    def _mix(
-        self, h: Tensor, near: Neighbours, around: Surroundings, others: Tensor | None
-    ) -> tuple[Tensor, Tensor]:
-        said, edges = [], self._edges(near)
-        mask = near.among(around.batch.present)
-        for number, (layer, edge) in enumerate(zip(self.interaction.in_order(), edges, strict=True)):
-            sent = layer.sender(h)
-            if others is not None:
-                sent = others[number].to(sent.dtype).index_copy(1, around.rows, sent)
-            said.append(sent)
-            h = layer.receive(h, edge, near.among(sent), mask) * around.own.present[..., None]
-        return h, torch.stack(said)
-
 
 def _from_nothing(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
     """Return a perceptron of one hidden layer whose output begins as 0."""
@@ -198,10 +115,3 @@ def _from_nothing(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
     nn.init.zeros_(last.weight)
     nn.init.constant_(last.bias, 0.0)
     return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), last)
-
-
-def _among(state: Tensor, rows: Tensor, motion: Motion) -> Motion:
-    """Return the motion of all agents: that of *state* (B, A, 4), with the *rows*' own in its place."""
-    mine = torch.cat((motion[0], motion[1][..., None], motion[2][..., None]), dim=-1)
-    advanced = state.to(mine.dtype).index_copy(1, rows, mine)
-    return advanced[..., :2], advanced[..., 2], advanced[..., 3]

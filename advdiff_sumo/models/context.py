@@ -114,19 +114,12 @@ class ContextEncoder(nn.Module):
 
     def forward(self, batch: SceneBatch) -> Context:
         """Return embeddings and the prior of every agent; the same whatever the world's frame."""
-        h, relative = self.alone(batch)
-        return self.known(self.interaction(h, relative, batch.present), relative, batch)
-
-    def alone(self, batch: SceneBatch) -> tuple[Tensor, Tensor]:
-        """Return what each agent knows without the others (B, A, D), and how they see each other (B, A, A, 9)."""
         state = self.state(past_features(batch))
         h = self.norm(state + self.map(state, batch))
         h = (h + self.mix(h)) * batch.present[..., None]
         pose = batch.pose
-        return h, relative_features(pose[..., :2], pose[..., 2], pose[..., 3])
-
-    def known(self, h: Tensor, relative: Tensor, batch: SceneBatch) -> Context:
-        """Return the context of embeddings *h* (B, A, D) that know of each other."""
+        relative = relative_features(pose[..., :2], pose[..., 2], pose[..., 3])
+        h = self.interaction(h, relative, batch.present)
         return Context(h, gaussian_head(self.prior(h)), relative, batch.moved)
 
 

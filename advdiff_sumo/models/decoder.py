@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -13,12 +13,18 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.geometry import into_frame, relative_features
 from advdiff_sumo.models.interaction import InteractionNet
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
-from advdiff_sumo.models.tensor_bicycle import controls, step
+from advdiff_sumo.models.tensor_bicycle import controls
+from advdiff_sumo.models.tensor_bicycle import step as bicycle_step
+from advdiff_sumo.models.trace import Trace
 
 Motion: TypeAlias = tuple[Tensor, Tensor, Tensor]
 """xy (B, A, 2), yaw (B, A) and speed (B, A)."""
 State: TypeAlias = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 """A motion, with the acceleration (B, A) and curvature (B, A) that led there."""
+Step: TypeAlias = Callable[
+    [Tensor, Tensor, "Surroundings", Motion, Motion, Tensor | None], tuple[State, Tensor, Tensor]
+]
+"""What :meth:`Decoder.step` does, or the same in compiled form."""
 _MOTION = 6
 
 
@@ -71,6 +77,21 @@ class Forced:
         return (*self.applied(k, *state[:3]), *state[3:])
 
 
+@dataclass(frozen=True)
+class Surroundings:
+    """What stays the same through a rollout of R rows.
+
+    Attributes:
+        batch: the scenes with all A agents.
+        own: the same with the rows alone.
+        rows: (R,) agents that are rolled out.
+    """
+
+    batch: SceneBatch
+    own: SceneBatch
+    rows: Tensor
+
+
 class Decoder(nn.Module):
     """Twelve steps of half a second; every vehicle sees where the others have got to in the same rollout."""
 
@@ -103,17 +124,116 @@ class Decoder(nn.Module):
             steps: model steps to roll out.
             forced: agents whose future is given.
         """
-        memory = torch.tanh(self.start(torch.cat((h, z), dim=-1)))
-        motion = motion_now(batch)
-        states = []
+        everybody = torch.arange(batch.agents, device=z.device)
+        return self._roll(z, h, batch, everybody, steps, forced)[0]
+
+    @torch.no_grad()
+    def whole(
+        self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS, by: Step | None = None
+    ) -> tuple[Rollout, Trace]:
+        """Return the futures of all agents, without gradients, and what :meth:`some` needs of them.
+
+        *by* takes the place of :meth:`step`.
+        """
+        return self._roll(z, h, batch, torch.arange(batch.agents, device=z.device), steps, by=by)
+
+    def some(
+        self,
+        z: Tensor,
+        h: Tensor,
+        batch: SceneBatch,
+        rows: Tensor,
+        steps: int,
+        trace: Trace,
+        by: Step | None = None,
+    ) -> Rollout:
+        """Return the futures (B, R, …) of agents *rows* alone, with gradients to *z* (B, R, Z).
+
+        Those that are made *by* something in the place of :meth:`step` have none.
+
+        All others move and say what they did in *trace*.
+        """
+        return self._roll(z, h, batch, rows, steps, None, trace, by)[0]
+
+    def _roll(
+        self,
+        z: Tensor,
+        h: Tensor,
+        batch: SceneBatch,
+        rows: Tensor,
+        steps: int,
+        forced: Forced | None = None,
+        trace: Trace | None = None,
+        by: Step | None = None,
+    ) -> tuple[Rollout, Trace]:
+        own = batch if trace is None else batch.rows_of(rows)
+        around, advance = self._surroundings(batch, own, rows), by or self._advance(trace)
+        memory = torch.tanh(self.start(torch.cat((h[:, rows], z), dim=-1)))
+        motion = motion_now(own)
+        states, begun, said = [], [], []
         for k in range(steps):
-            moved = motion_features(*motion, batch)
-            node = torch.relu(self.node(torch.cat((memory, z, moved), dim=-1)))
-            mixed = self.interaction(node, relative_features(*motion), batch.present)
-            state, memory = self._drive(mixed, memory, motion, batch)
+            everybody = motion if trace is None else self._among(trace.motion[k], rows, motion)
+            others = None if trace is None else trace.senders[k]
+            state, memory, senders = advance(memory, z, around, motion, everybody, others)
+            begun.append(torch.cat((everybody[0], everybody[1][..., None], everybody[2][..., None]), dim=-1))
+            said.append(senders)
             states.append(state if forced is None else forced.put(k, state))
             motion = states[-1][:3]
-        return rollout_of(states)
+        return rollout_of(states), Trace(torch.stack(begun), torch.stack(said))
+
+    def _surroundings(self, batch: SceneBatch, own: SceneBatch, rows: Tensor) -> Surroundings:
+        return Surroundings(batch, own, rows)
+
+    def _advance(self, trace: Trace | None) -> Step:  # noqa: ARG002 - for decoders with another form of their step
+        return self.step
+
+    def _among(self, traced: Tensor, rows: Tensor, motion: Motion) -> Motion:  # noqa: ARG002 - for decoders that use them
+        """Return where *rows* see all agents: where the trace (B, A, 4) had them, the rows themselves too."""
+        return traced[..., :2], traced[..., 2], traced[..., 3]
+
+    def step(
+        self,
+        memory: Tensor,
+        z: Tensor,
+        around: Surroundings,
+        motion: Motion,
+        everybody: Motion,
+        others: Tensor | None,
+    ) -> tuple[State, Tensor, Tensor]:
+        """Return where the rows get to in a step, their memory of it, and what all agents send (layers, B, A, M)."""
+        moved = motion_features(*motion, around.own)
+        node = torch.relu(self.node(torch.cat((memory, z, moved), dim=-1)))
+        relative = relative_features(*everybody)
+        edges = self.interaction.prepare(relative if others is None else relative[:, around.rows])
+        mixed, senders = self._mix(node, edges, around, others, lambda values: values[:, None])
+        state, memory = self._drive(mixed, memory, motion, around.own)
+        return state, memory, senders
+
+    def _mix(
+        self,
+        h: Tensor,
+        edges: list[Tensor],
+        around: Surroundings,
+        others: Tensor | None,
+        among: Callable[[Tensor], Tensor],
+    ) -> tuple[Tensor, Tensor]:
+        """Return the rows' embeddings after the interaction net, and what all agents send.
+
+        Args:
+            h: (B, R, D) the rows' embeddings.
+            edges: for each layer, what relative poses add to the messages.
+            around: the scenes.
+            others: (layers, B, A, M) what was sent by those who are not rolled out; None: everybody is.
+            among: values of all agents (B, A, …) → of those whom each row hears, (B, R or 1, K, …).
+        """
+        said, mask = [], among(around.batch.present)
+        for number, (layer, edge) in enumerate(zip(self.interaction.in_order(), edges, strict=True)):
+            sent = layer.sender(h)
+            if others is not None:
+                sent = others[number].to(sent.dtype).index_copy(1, around.rows, sent)
+            said.append(sent)
+            h = layer.receive(h, edge, among(sent), mask) * around.own.present[..., None]
+        return h, torch.stack(said)
 
     def _drive(
         self, mixed: Tensor, memory: Tensor, motion: Motion, batch: SceneBatch
@@ -121,7 +241,7 @@ class Decoder(nn.Module):
         """Return where agents who see *mixed* (B, A, D) get to in a step, and their memory of it."""
         accel, curvature = controls(self.action(mixed), motion[2], batch.size[..., 0], self.options)
         accel, curvature = accel * batch.moved, curvature * batch.moved
-        motion = step(*motion, accel, curvature, MODEL_STEP_S)
+        motion = bicycle_step(*motion, accel, curvature, MODEL_STEP_S)
         return (*motion, accel, curvature), self._remember(mixed, accel, curvature, memory)
 
     def _remember(self, mixed: Tensor, accel: Tensor, curvature: Tensor, memory: Tensor) -> Tensor:

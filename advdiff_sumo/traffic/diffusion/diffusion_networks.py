@@ -12,7 +12,6 @@ from advdiff_sumo.core.errors import ConfigError, WeightsError
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
-from advdiff_sumo.diffusion.fast_encoder import FastEncoder
 from advdiff_sumo.diffusion.fast_reward import RewardWeights
 from advdiff_sumo.diffusion.noise_schedule import NoiseSchedule
 from advdiff_sumo.diffusion.sampler import Sampling
@@ -33,7 +32,6 @@ class Networks:
         codec: between latents and what is diffused.
         denoiser: for the steps of one ladder.
         decoder: of whole scenes and of some of their rows.
-        encoder: of scenes.
         reward: weights of Q as guidance reads them.
         schedule: what the denoiser was trained with.
         sampling: how plans are drawn.
@@ -44,7 +42,6 @@ class Networks:
     codec: LatentCodec | TrajectoryCodec
     denoiser: FastDenoiser
     decoder: FastDecoder
-    encoder: FastEncoder
     reward: RewardWeights
     schedule: NoiseSchedule
     sampling: Sampling
@@ -99,7 +96,6 @@ def _networks(path: str, reward: str, device: torch.device, sampling: Sampling) 
         codec=bundle.codec,
         denoiser=FastDenoiser(bundle.denoiser, schedule.ladder(sampling.steps, sampling.begin)[:-1]),
         decoder=FastDecoder(bundle.traffic.decoder),
-        encoder=FastEncoder(bundle.traffic.encoder),
         reward=RewardWeights(bundle.reward),
         schedule=schedule,
         sampling=sampling,

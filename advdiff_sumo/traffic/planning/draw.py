@@ -95,9 +95,11 @@ def draw_plan(
     )
 
 
+@torch.no_grad()
 def encode(networks: Networks, batch: SceneBatch) -> Context:
-    """Return embeddings and prior of *batch*."""
-    return networks.encoder(batch)
+    """Return embeddings and prior of *batch*, without gradients."""
+    context: Context = networks.bundle.traffic.encoder(batch)
+    return context
 
 
 def decode(networks: Networks, x: Tensor, context: Context, batch: SceneBatch) -> Rollout:

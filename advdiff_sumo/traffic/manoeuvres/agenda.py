@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import REACH_M, goes_first
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import begins, can_hide
@@ -14,6 +16,8 @@ TURN_S = 7.0
 """For so long an episode is for one kind."""
 _CROSSING_FIRST, _CUT_IN_FIRST, _CUT_OUT_FIRST = 0.5, 0.6, 0.4
 _SPACE_M, _SLOWEST_MPS = 45.0, 3.0
+_LATER = ("cut-in", "hard-stop")
+_FORESEES_S = 8.0
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,9 @@ class Agenda:
         if not self.order:
             return self
         now, order = view.scene.time_s, self.order
+        if order[0] in _LATER and comes_to_yield(view):
+            first = ("crossing", *(kind for kind in order if kind != "crossing"))
+            return replace(self, order=first, since_s=now)
         if now - self.since_s < TURN_S and is_possible(view, order[0]):
             return self
         if order[0] == "cut-out":
@@ -73,6 +80,23 @@ def is_possible(view: SituationView, kind: str) -> bool:
     if kind == "cut-in":
         beside = any(view.neighbour(view.scene.target, side) for side in ("left", "right"))
         return beside and view.is_first(_SPACE_M)
-    ahead = ((reach, link) for reach, link in target.way.links if 0.0 < reach < REACH_M)
-    moves = target.speed_mps > _SLOWEST_MPS
-    return moves and any(view.arrives_alone(reach) and bool(goes_first(view, link)) for reach, link in ahead)
+    return bool(_lets_pass(view, REACH_M))
+
+
+def comes_to_yield(view: SituationView) -> bool:
+    """Return whether the target comes, alone, to where somebody may have the right of way, lights apart.
+
+    That is the rarest of all encounters: nobody may lead the target then, who would keep it from the junction.
+    """
+    target = view.target
+    reach_m = max(_FORESEES_S * target.speed_mps, 0.5 * REACH_M) if target is not None else 0.0
+    return any(not view.is_red(link) for link in _lets_pass(view, reach_m))
+
+
+def _lets_pass(view: SituationView, reach_m: float) -> Sequence[Link]:
+    """Return the links ahead, within *reach_m*, where a target that moves arrives alone and others go first."""
+    target = view.target
+    if target is None or target.speed_mps <= _SLOWEST_MPS:
+        return ()
+    ahead = (link for reach, link in target.way.links if 0.0 < reach < reach_m and view.arrives_alone(reach))
+    return [link for link in ahead if goes_first(view, link)]

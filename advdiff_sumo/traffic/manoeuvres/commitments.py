@@ -10,13 +10,20 @@ import numpy as np
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.metrics.breaches.lane_rules import SAME_WAY_RAD
-from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda, is_possible
+from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda, comes_to_yield, is_possible
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
+from advdiff_sumo.traffic.manoeuvres.follower import (
+    FOLLOWS,
+    braking_behind,
+    follower_of_target,
+    follows_still,
+)
 from advdiff_sumo.traffic.manoeuvres.graded import braking_with, graded, target_brakes
 from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since, is_due, perceived_s
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, crossing_on
@@ -26,6 +33,7 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 STANDS = "stands"
 """What somebody does who has come in to stand: a vehicle that has broken down."""
+_SUPPORTS = (STANDS, FOLLOWS)
 _LONGEST_S: Mapping[str, float] = {STANDS: 60.0, "blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
 _LONGEST_DEFAULT_S = 7.0
 _STOPS = ("hard-stop", "blocked-lane", "cut-in")
@@ -74,6 +82,7 @@ class Commitments:
         stage: who has come in for an encounter, and may.
         agenda: which kind the episode is for now.
         intensity: severities that are asked for.
+        since_s: id → since when it has been near the target.
     """
 
     weights: Mapping[str, float]
@@ -82,6 +91,7 @@ class Commitments:
     stage: Stage = field(default_factory=Stage)
     agenda: Agenda = field(default_factory=Agenda)
     intensity: Intensity = AS_SERVES
+    since_s: Mapping[str, float] = field(default_factory=dict)
 
     def wanted(self, now_s: float) -> tuple[str, ...]:
         """Return the kinds that may begin now: at first the one whose turn it is and crossing, later all."""
@@ -100,13 +110,17 @@ class Commitments:
         return tuple(
             name
             for name, under_way in self.active.items()
-            if not under_way.sets_up and under_way.kind != STANDS
+            if not under_way.sets_up and under_way.kind not in _SUPPORTS
         )
 
     @property
     def manoeuvres(self) -> Mapping[str, str]:
-        """Id → the kind of manoeuvre that it drives; who stands is part of a cut-out."""
-        kinds = {name: under_way.kind for name, under_way in self.active.items() if not under_way.sets_up}
+        """Id → the kind of manoeuvre that it drives; who stands is part of a cut-out, who follows does nothing."""
+        kinds = {
+            name: under_way.kind
+            for name, under_way in self.active.items()
+            if not under_way.sets_up and under_way.kind != FOLLOWS
+        }
         return {name: "cut-out" if kind == STANDS else kind for name, kind in kinds.items()}
 
     @staticmethod
@@ -142,10 +156,11 @@ def advance(
         pause_s: rest of a vehicle after a manoeuvre.
         licence: what they may do; None: anything.
     """
-    kept = replace(kept, agenda=kept.agenda.at(view))
+    kept = replace(kept, agenda=kept.agenda.at(view), since_s=in_view_since(view, kept.since_s))
     going, kept = _carry_on(view, kept, pause_s, licence)
-    room = attackers - sum(m.kind != STANDS for m in going)
+    room = attackers - sum(m.kind not in _SUPPORTS for m in going)
     fresh = _begin(view, kept, going, room, licence) if room > 0 else []
+    fresh += _behind(view, [*going, *fresh], fresh, licence)
     names, now = view.scene.history.ids, view.scene.time_s
     begun = {names[m.row]: _commitment(m, now) for m in fresh}
     return [*going, *fresh], replace(kept, active={**kept.active, **begun})
@@ -155,7 +170,7 @@ def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...]
     """Return who comes in now, for the manoeuvres that may begin, and what is remembered of them."""
     busy = {under_way.kind for under_way in kept.active.values() if not under_way.sets_up}
     kinds = [kind for kind in kept.staged if kind not in busy]
-    if kept.agenda.order and ("crossing" in busy or is_possible(view, "crossing")):
+    if kept.agenda.order and ("crossing" in busy or is_possible(view, "crossing") or comes_to_yield(view)):
         kinds = [
             kind for kind in kinds if kind == "crossing"
         ]  # a leader would keep the target from the junction
@@ -187,15 +202,18 @@ def _begin(
     names, now = view.scene.history.ids, view.scene.time_s
     busy = {m.row for m in going}
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
-    possible = [m for row in free for kind in kept.wanted(now) for m in KINDS[kind](view, row)]
-    proposals = list(graded(view, possible, kept.intensity))
+    keeps_off = _KEEP_OFF if kept.agenda.order and comes_to_yield(view) else frozenset[str]()
+    wanted = [kind for kind in kept.wanted(now) if kind not in keeps_off]
+    possible = [m for row in free for kind in wanted for m in KINDS[kind](view, row)]
+    due = [m for m in possible if is_due(view, m, kept.since_s)]
+    proposals = list(graded(view, due, kept.intensity))
     out: list[Manoeuvre] = []
     least = next((merit for until_s, merit in _PATIENCE if now < until_s), 0.0)
     ranked = rank(view, proposals, kept.weights, licence, kept.intensity)
     worthy = [one for one in ranked if one.manoeuvre.sets_up or one.merit >= least]
     for chosen in worthy[:_TRIED]:
         fits = all(_go_together(chosen.manoeuvre, other) for other in (*going, *out))
-        if len(out) < room and fits and _passes(view, chosen, licence):
+        if len(out) < room and fits and _spares_follower(view, chosen) and _passes(view, chosen, licence):
             out.append(braking_with(chosen.manoeuvre, kept.intensity.braking_mps2))
     return out
 
@@ -205,6 +223,26 @@ def _go_together(one: Manoeuvre, other: Manoeuvre) -> bool:
     if one.row == other.row or one.kind == other.kind == "crossing":
         return False
     return "crossing" not in (one.kind, other.kind) or not {one.kind, other.kind} & _KEEP_OFF
+
+
+def _spares_follower(view: SituationView, chosen: Chosen) -> bool:
+    """Return whether who follows the target can brake for it, too."""
+    behind = follower_of_target(view)
+    if behind is None or behind == chosen.manoeuvre.row or chosen.manoeuvre.sets_up:
+        return True
+    return braking_behind(view, behind, perceived_s(view, chosen.manoeuvre)) is not None
+
+
+def _behind(
+    view: SituationView, busy: Sequence[Manoeuvre], fresh: Sequence[Manoeuvre], licence: Licence | None
+) -> list[Manoeuvre]:
+    """Return what who follows the target drives while it is attacked by one of *fresh*, where it may be moved."""
+    attacks = [m for m in fresh if not m.sets_up]
+    row = follower_of_target(view)
+    if not attacks or row not in view.movable or row in {m.row for m in busy}:
+        return []
+    brakes = braking_behind(view, row, min(perceived_s(view, m) for m in attacks))
+    return [brakes] if brakes is not None and _still_lawful(view, brakes, licence) else []
 
 
 def _passes(view: SituationView, chosen: Chosen, licence: Licence | None) -> bool:
@@ -232,7 +270,10 @@ def _carry_on(
             active[name] = replace(under_way, profile=manoeuvre.profile, timed_s=now)
             continue
         del active[name]
-        rested[name] = now + (0.0 if under_way.sets_up else pause_s)
+        rested[name] = now + (0.0 if under_way.sets_up or under_way.kind == FOLLOWS else pause_s)
+    if all(m.kind in _SUPPORTS for m in going):  # nobody attacks: who follows is its own driver again
+        going = [m for m in going if m.kind != FOLLOWS]
+        active = {name: under_way for name, under_way in active.items() if under_way.kind != FOLLOWS}
     return going, replace(kept, active=active, rested_s=rested)
 
 
@@ -267,7 +308,8 @@ def _continued(
         rest = replace(rest, highest_mps=min(rest.highest_mps, limit))
     goal = _goal(view, row, under_way)
     delay_s = max(under_way.delay_s - passed, 0.0)
-    return Manoeuvre(under_way.kind, row, view.ways[row], rest, goal, delay_s=delay_s)
+    manoeuvre = Manoeuvre(under_way.kind, row, view.ways[row], rest, goal, delay_s=delay_s)
+    return manoeuvre if under_way.kind != FOLLOWS or follows_still(view, manoeuvre) else None
 
 
 def _is_before(view: SituationView, row: int) -> bool:

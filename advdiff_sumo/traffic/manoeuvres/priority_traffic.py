@@ -19,7 +19,7 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 REACH_M = 80.0
 """Distance within which a junction ahead is looked at."""
-_SOONEST_S, _LATEST_S, _RED_S = 2.2, 6.0, 5.0
+_SOONEST_S, _LATEST_S, _RED_S = 3.2, 6.0, 5.0
 _LEAST_ARRIVAL_S = 1.7
 _SLOWEST_MPS, _FASTEST_MPS, _SHARE = 3.0, 12.0, 0.6
 _TIMING_S, _TIMING_AT_RED_S = (0.0, 0.7, -0.7), (0.5, 0.0, 1.0)

@@ -34,8 +34,8 @@ _APART_M, _APART_S = 9.0, 0.6
 _FROM_TARGET_M, _LATER_FROM_TARGET_M = 18.0, 30.0
 _IN_LANE_M, _BESIDE_M = 2.0, 6.0
 _MEETS_S, _CLEAR_M = 4.0, 3.0
-_LEAST_HIDES_M, _STANDS_AT_MOST_M = 18.5, 56.0
-_HIDDEN_S, _LEAST_HIDDEN_S = 4.5, 2.2
+_LEAST_HIDES_M, _STANDS_AT_MOST_M = 18.5, 64.0
+_HIDDEN_S, _LEAST_HIDDEN_S = 5.0, 4.2
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ def _hidden(view: SituationView, stage: Stage) -> Sequence[Newcomer]:
     if not any(way is not None and not view.anybody_on(way, _FARTHEST_M, _IN_LANE_M) for way in aside):
         return ()
     speed = target.speed_mps
-    leads_m = max(speed + 5.0, _LEAST_HIDES_M)
+    leads_m = max(_HEADWAY_S * speed + SIZE_M[AgentClass.CAR][0], _LEAST_HIDES_M)
     stands_m = min(leads_m + _HIDDEN_S * speed + SIZE_M[AgentClass.TRUCK][0], _STANDS_AT_MOST_M)
     if speed < _SLOWEST_MPS or stands_m - leads_m < _LEAST_HIDDEN_S * speed + SIZE_M[AgentClass.CAR][0]:
         return ()

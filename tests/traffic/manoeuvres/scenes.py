@@ -21,8 +21,8 @@ def long_lane(road: RoadMap) -> Lane:
     return road.lanes[longest.lane_ids[0]]
 
 
-def scene_on(lanes: Mapping[str, tuple[Lane, float, float]]) -> Scene:
-    """Return a scene of named vehicles, the target first: name → (lane, place along it, speed)."""
+def scene_on(lanes: Mapping[str, tuple[Lane, float, float]], time_s: float = 0.0) -> Scene:
+    """Return a scene of named vehicles at *time_s*, the target first: name → (lane, place along it, speed)."""
     names = tuple(lanes)
     poses = [lane.line.at(s) for lane, s, _ in lanes.values()]
     count, steps = len(names), 5
@@ -39,15 +39,15 @@ def scene_on(lanes: Mapping[str, tuple[Lane, float, float]]) -> Scene:
         yaw_rad=np.repeat(yaw[:, None], steps, axis=1),
         speed_mps=np.repeat(speed[:, None], steps, axis=1),
         valid=np.ones((count, steps), dtype=np.bool_),
-        t0_s=-2.0,
+        t0_s=time_s - 2.0,
         dt_s=0.5,
     )
     movable = np.arange(count) > 0
     return Scene(history, 0, movable, tuple((lane.edge_id,) for lane, _, _ in lanes.values()), {})
 
 
-def view_of(road: RoadMap, **cars: tuple[int, float, float]) -> SituationView:
-    """Return a view of cars: name → (lanes to the left of the rightmost, place, speed); the target first."""
+def view_of(road: RoadMap, time_s: float = 0.0, **cars: tuple[int, float, float]) -> SituationView:
+    """Return a view of cars at *time_s*: name → (lanes left of the rightmost, place, speed); the target first."""
     right = long_lane(road)
     lanes = [road.lanes[name] for name in road.edges[right.edge_id].lane_ids]
-    return SituationView.of(road, scene_on({n: (lanes[k], s, v) for n, (k, s, v) in cars.items()}))
+    return SituationView.of(road, scene_on({n: (lanes[k], s, v) for n, (k, s, v) in cars.items()}, time_s))

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from tests.traffic.manoeuvres.scenes import view_of
+from tests.traffic.manoeuvres.scenes import scene_on, view_of
 
 ORDER = ("crossing", "cut-in", "hard-stop")
 
@@ -63,3 +64,31 @@ def test_a_cut_out_has_its_turn_at_the_beginning_alone(motorway: RoadMap) -> Non
     assert after.now == "cut-in"
     fast = view_of(motorway, target=(0, 50.0, 20.0))
     assert Agenda(("cut-out", *ORDER)).at(fast).now == "cut-in"
+
+
+def approach(road: RoadMap, to_line_m: float, speed_mps: float) -> SituationView:
+    """Return a target alone, so far before a stop line where it has to give way without lights."""
+    link = next(
+        link
+        for lane in road.lanes.values()
+        for link in lane.successors
+        if not lane.is_internal and link.tls_id is None and link.state == "m" and lane.length_m > 110.0
+    )
+    lane = road.lanes[link.from_lane]
+    scene = scene_on({"target": (lane, lane.length_m - to_line_m, speed_mps)})
+    route = (lane.edge_id, road.lanes[link.to_lane].edge_id)
+    return SituationView.of(road, replace(scene, routes=(route,)))
+
+
+@pytest.mark.parametrize(("speed_mps", "comes"), [(8.0, False), (12.0, True)])
+def test_a_junction_where_the_target_has_to_yield_comes_first(
+    downtown: RoadMap, speed_mps: float, comes: bool
+) -> None:
+    """It foresees 8 s: 90 m before the line somebody leads it at 8 m/s, 64 m in that time, and nobody at 12 m/s."""
+    order = ("hard-stop", "cut-in", "crossing")
+    view = approach(downtown, 90.0, speed_mps)
+    agenda = Agenda(order).at(view)
+    assert agenda.order == (("crossing", "hard-stop", "cut-in") if comes else order)
+    kept = replace(Commitments.start("any", np.random.default_rng(0), 6), agenda=agenda)
+    leaders = [one for one in let_in(view, kept)[0] if one.speed_mps == speed_mps]
+    assert len(leaders) == (not comes)

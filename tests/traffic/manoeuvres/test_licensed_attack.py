@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -69,8 +70,10 @@ def test_who_harms_nobody_is_left_alone(downtown: RoadMap, street: Callable[...,
 def test_a_lawful_manoeuvre_is_driven_beside_guided_plans(
     downtown: RoadMap, street: Callable[..., Scene]
 ) -> None:
+    """The leader has been in view for three seconds."""
     scene = street([(30.0, 0.0), (52.0, 0.0)], [12.0, 12.0])
-    kept = Commitments.start("hard-stop", np.random.default_rng(0))
+    scene = replace(scene, history=replace(scene.history, t0_s=scene.history.t0_s + 3.0 - scene.time_s))
+    kept = replace(Commitments.start("hard-stop", np.random.default_rng(0)), since_s={"v1": 0.0})
     attack = attack_of(downtown, scene, "lawful", kept)
     assert list(attack.driven) == [1]
     assert attack.driven[1][2][-1] == 0.0

@@ -18,17 +18,21 @@ def motorway(networks: object) -> RoadMap:
     return RoadMap.read(f"{networks}/motorway.net.xml")
 
 
-def test_the_leader_stops_and_goes_on_stopping(motorway: RoadMap) -> None:
+def test_the_leader_drives_as_usual_then_stops_and_goes_on_stopping(motorway: RoadMap) -> None:
+    """It does nothing against the target for the first three seconds."""
     lane = long_lane(motorway)
     policy = ScriptedTraffic(attack="hard-stop")
     rng = np.random.default_rng(0)
-    scene = scene_on({"target": (lane, 50.0, 20.0), "leader": (lane, 85.0, 20.0)})
-    memory = policy.start(motorway, scene, None, rng)
-    plan, memory = policy.plan(motorway, scene, memory, rng)
+    cars = {"target": (lane, 50.0, 20.0), "leader": (lane, 85.0, 20.0)}
+    memory = policy.start(motorway, scene_on(cars), None, rng)
+    for time_s in np.arange(0.0, 3.0, 0.5).tolist():
+        plan, memory = policy.plan(motorway, scene_on(cars, time_s), memory, rng)
+        assert plan.attack == AttackState("hard-stop", (), {})
+    plan, memory = policy.plan(motorway, scene_on(cars, 3.0), memory, rng)
     assert plan.tracks.ids == ("leader",)
     assert plan.tracks.speed_mps[0, -1] == 0.0
     assert plan.attack == AttackState("hard-stop", ("leader",), {"leader": "hard-stop"})
-    slower = scene_on({"target": (lane, 60.0, 18.0), "leader": (lane, 94.0, 16.0)})
+    slower = scene_on({"target": (lane, 60.0, 18.0), "leader": (lane, 94.0, 16.0)}, 3.5)
     again, _ = policy.plan(motorway, slower, memory, rng)
     assert again.tracks.ids == ("leader",)
     assert again.tracks.speed_mps[0, -1] == 0.0
@@ -38,11 +42,14 @@ def test_a_stop_is_over_when_both_stand(motorway: RoadMap) -> None:
     lane = long_lane(motorway)
     policy = ScriptedTraffic(attack="hard-stop", staged=0)
     rng = np.random.default_rng(0)
-    scene = scene_on({"target": (lane, 50.0, 20.0), "leader": (lane, 85.0, 20.0)})
-    _, memory = policy.plan(motorway, scene, policy.start(motorway, scene, None, rng), rng)
-    moves = scene_on({"target": (lane, 100.0, 3.0), "leader": (lane, 110.0, 0.0)})
+    cars = {"target": (lane, 50.0, 20.0), "leader": (lane, 85.0, 20.0)}
+    memory = policy.start(motorway, scene_on(cars), None, rng)
+    for time_s in (0.0, 3.0):
+        _, memory = policy.plan(motorway, scene_on(cars, time_s), memory, rng)
+    assert memory.attacking == ("leader",)
+    moves = scene_on({"target": (lane, 100.0, 3.0), "leader": (lane, 110.0, 0.0)}, 3.0)
     assert policy.plan(motorway, moves, memory, rng)[0].tracks.ids == ("leader",)
-    stands = scene_on({"target": (lane, 104.0, 0.0), "leader": (lane, 110.0, 0.0)})
+    stands = scene_on({"target": (lane, 104.0, 0.0), "leader": (lane, 110.0, 0.0)}, 3.0)
     assert policy.plan(motorway, stands, memory, rng)[0].tracks.agents == 0
 
 

@@ -1,0 +1,98 @@
+"""Who follows the target brakes for what it should brake for, on a straight lane of the motorway."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance
+from advdiff_sumo.traffic.manoeuvres.follower import (
+    FOLLOWS,
+    braking_behind,
+    follower_of_target,
+    follows_still,
+)
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
+from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from tests.traffic.manoeuvres.scenes import LENGTH_M, view_of
+
+
+def behind(road: RoadMap, gap_m: float, speed_mps: float = 10.0) -> SituationView:
+    """Return a target at 10 m/s with somebody *gap_m* behind it."""
+    return view_of(road, target=(0, 80.0, 10.0), follower=(0, 80.0 - LENGTH_M - gap_m, speed_mps))
+
+
+@pytest.mark.parametrize(("gap_m", "braking"), [(20.0, 2.0), (10.0, 4.0), (2.0, None)])
+def test_the_mildest_braking_behind_a_careful_driver(
+    motorway: RoadMap, gap_m: float, braking: float | None
+) -> None:
+    """The careful driver goes on for 0.75 s, up to 10.4 m/s: 7.6 m; then stops with 7.59 m/s² in 7.1 m.
+
+    Who follows goes on for 7.5 m. Less a metre of room, gaps of 20, 10 and 2 m leave it 26.2, 16.2 and 8.2 m, for
+    which 1.9, 3.1 and 6.1 m/s² are needed; tried are whole ones, up to 6.
+    """
+    brakes = braking_behind(behind(motorway, gap_m), 1, 0.0)
+    assert (None if brakes is None else -brakes.profile.then_mps2) == braking
+
+
+def test_later_perceived_is_later_braked(motorway: RoadMap) -> None:
+    brakes = braking_behind(behind(motorway, 20.0), 1, 1.5)
+    assert brakes is not None
+    assert brakes.kind == FOLLOWS
+    assert brakes.profile.switch_s == 2.25
+
+
+def test_who_follows_is_the_next_one_behind_on_the_same_lane(motorway: RoadMap) -> None:
+    view = view_of(
+        motorway,
+        target=(0, 100.0, 10.0),
+        far=(0, 60.0, 10.0),
+        near=(0, 80.0, 10.0),
+        beside=(1, 92.0, 10.0),
+        leader=(0, 120.0, 10.0),
+    )
+    assert follower_of_target(view) == view.scene.history.index["near"]
+    assert follower_of_target(view_of(motorway, target=(0, 100.0, 10.0), leader=(0, 120.0, 10.0))) is None
+
+
+def test_it_is_its_own_driver_again_where_the_target_brakes_sooner(motorway: RoadMap) -> None:
+    """10 m apart at 10 m/s: braking at once with 4 m/s² is enough if the target keeps its speed.
+
+    Had the target slowed by 3 m/s in the last half second, it would stand in 8.3 m, and the other not in 12.5 m.
+    """
+    view = behind(motorway, 2.0)
+    brakes = Manoeuvre(FOLLOWS, 1, view.ways[1], SpeedProfile(then_mps2=-4.0))
+    assert follows_still(view, brakes)
+    view.scene.history.speed_mps[0, -2] = 13.0
+    assert not follows_still(view, brakes)
+
+
+def advanced(road: RoadMap, gap_m: float) -> tuple[list[Manoeuvre], Commitments]:
+    """Return what is driven at 3 s behind a leader 22 m ahead, with somebody *gap_m* behind."""
+    cars = {"leader": (0, 80.0 + LENGTH_M + 12.0, 10.0), "follower": (0, 80.0 - LENGTH_M - gap_m, 10.0)}
+    kept = Commitments.start("hard-stop", np.random.default_rng(0))
+    for time_s in (0.0, 3.0):
+        view = view_of(road, time_s=time_s, target=(0, 80.0, 10.0), **cars)
+        driven, kept = advance(view, kept, 2, 8.0)
+    return driven, kept
+
+
+def test_a_leader_stops_and_who_follows_brakes_too(motorway: RoadMap) -> None:
+    driven, kept = advanced(motorway, 15.0)
+    assert {m.kind: m.row for m in driven} == {"hard-stop": 1, FOLLOWS: 2}
+    assert kept.attacking == ("leader",)
+    assert kept.manoeuvres == {"leader": "hard-stop"}
+    stand = view_of(
+        motorway, time_s=6.0, target=(0, 90.0, 0.0), leader=(0, 97.0, 0.0), follower=(0, 80.0, 3.0)
+    )
+    driven, kept = advance(stand, kept, 2, 8.0)
+    assert driven == []
+    assert kept.active == {}
+
+
+def test_nobody_stops_before_a_target_that_is_followed_too_closely(motorway: RoadMap) -> None:
+    driven, kept = advanced(motorway, 2.0)
+    assert [m for m in driven if not m.sets_up] == []
+    assert kept.attacking == ()

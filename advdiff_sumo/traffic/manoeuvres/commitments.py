@@ -291,6 +291,8 @@ def _continued(
         return None
     if under_way.kind in _STOPS and _target_stands(view) and view.speed(row) < _STANDS_MPS:
         return None  # both stand: the question is answered
+    if under_way.kind in _KEEP_OFF and not _is_ahead(view, row):
+        return None  # the target has left its lane, or is past it
     if under_way.kind == "crossing":
         if _is_before(view, row):
             return None  # who has come out ahead of it is a leader
@@ -321,6 +323,15 @@ def _is_before(view: SituationView, row: int) -> bool:
     yaw = view.scene.history.yaw_rad[:, -1]
     same_way = abs(float(wrap_angle(float(yaw[row] - yaw[view.scene.target])))) < SAME_WAY_RAD
     return same_way and ahead > 0.0 and abs(left) < _IN_WAY_M
+
+
+def _is_ahead(view: SituationView, row: int) -> bool:
+    """Return whether *row* is ahead of the target on its way, or not wholly beside it."""
+    target = view.target
+    if target is None:
+        return True
+    ahead, left = view.place_on(target.way, row)
+    return ahead > 0.0 and abs(left) < 0.5 * float(view.size(row)[1] + target.size_m[1])
 
 
 def _target_stands(view: SituationView) -> bool:

@@ -38,7 +38,7 @@ def test_the_leader_drives_as_usual_then_stops_and_goes_on_stopping(motorway: Ro
     assert again.tracks.speed_mps[0, -1] == 0.0
 
 
-def test_a_stop_is_over_when_both_stand(motorway: RoadMap) -> None:
+def test_a_stop_is_over_when_both_stand_or_the_target_is_in_another_lane(motorway: RoadMap) -> None:
     lane = long_lane(motorway)
     policy = ScriptedTraffic(attack="hard-stop", staged=0)
     rng = np.random.default_rng(0)
@@ -51,6 +51,9 @@ def test_a_stop_is_over_when_both_stand(motorway: RoadMap) -> None:
     assert policy.plan(motorway, moves, memory, rng)[0].tracks.ids == ("leader",)
     stands = scene_on({"target": (lane, 104.0, 0.0), "leader": (lane, 110.0, 0.0)}, 3.0)
     assert policy.plan(motorway, stands, memory, rng)[0].tracks.agents == 0
+    aside = motorway.lanes[lane.left_id or ""]
+    passes = scene_on({"target": (aside, 100.0, 8.0), "leader": (lane, 110.0, 0.0)}, 3.0)
+    assert policy.plan(motorway, passes, memory, rng)[0].tracks.agents == 0
 
 
 def test_nobody_is_moved_where_nothing_serves(motorway: RoadMap) -> None:

@@ -46,6 +46,13 @@ _CrossingsOption = Annotated[
 _CloseRim = Annotated[
     bool, typer.Option("--close-rim", help="Lead traffic back from where the map ends to where it begins.")
 ]
+_Osm = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="OpenStreetMap extract of the same place, whose streets lead on where the map ends, and back to it.",
+    ),
+]
 _Drive = Annotated[
     int, typer.Option(min=0, help="Driving test of an hour in which so many vehicles set out; 0: none.")
 ]
@@ -74,6 +81,7 @@ def convert(
     crossings: _CrossingsOption = "map",
     opendrive: Annotated[bool, typer.Option(help="Write NAME.xodr too.")] = False,
     close_rim: _CloseRim = False,
+    osm: _Osm = None,
     drive: _Drive = 0,
     drive_at_once: _DriveAtOnce = 0,
     seed: Annotated[int, typer.Option(help="Seed of the driving tests.")] = 1,
@@ -92,7 +100,9 @@ def convert(
         raise ConfigError(f"--tls {tls}: known are 'guess' and 'map'")
     people = _crossings(crossings)
     for source, net in _jobs(map_file, output, all_of):
-        result = convert_file(source, net, lefthand, tls == "guess", opendrive, close_rim, people, tls_cycle)
+        result = convert_file(
+            source, net, lefthand, tls == "guess", opendrive, close_rim, people, tls_cycle, osm
+        )
         figures = _measured(result, dataroot or all_of)
         write_figures(figures, fidelity_path(net))  # kept where the driving test finds no trip
         figures |= _driven(result.net, drive, drive_at_once, seed)
@@ -139,6 +149,7 @@ def convert_file(
     close_rim: bool = False,
     crossings: Crossings = "map",
     cycle_for: int = 0,
+    osm: Path | None = None,
 ) -> ConversionResult:
     """Convert a map of any kind that the verb takes."""
     from advdiff_sumo.data.pickles import load_plain  # late, as above
@@ -156,6 +167,7 @@ def convert_file(
         close_rim=close_rim,
         crossings=crossings,
         cycle_for=cycle_for,
+        osm=osm,
     )
 
 
@@ -194,6 +206,8 @@ def _say(result: ConversionResult, figures: dict[str, Any]) -> None:
         f"({links['repaired']} repaired), centre lines of these off by {error['median']} m (median), "
         f"{error['max']} m (largest), {len(figures['netconvert_warnings'])} kinds of netconvert warnings"
     )
+    if result.streets is not None:
+        _say_streets(figures["streets_beyond_the_rim"], figures["routability"])
     paths = result.foot_paths
     if paths is not None and paths.given:
         _console.print(
@@ -204,3 +218,20 @@ def _say(result: ConversionResult, figures: dict[str, Any]) -> None:
             _console.print(f"note: {len(places)} of the crossings left out: {reason}", markup=False)
     for sentence in result.source.warnings:
         _console.print(f"note: {sentence}", markup=False)
+
+
+def _say_streets(streets: dict[str, Any], routability: dict[str, Any]) -> None:
+    if not streets["streets"]:
+        _console.print(
+            "note: no street of --osm leads from an end of the map back to it; the net has none of them"
+        )
+        return
+    before, after = (
+        streets["largest_part_share_of_length_without"],
+        routability["largest_part_share_of_length"],
+    )
+    _console.print(
+        f"{streets['streets']} streets of {streets['km']} km lead on from {streets['edges_that_lead_into_streets']} "
+        f"edges and back to {streets['edges_that_streets_lead_into']}, {streets['ends_without_street']} ends stay "
+        f"open: {after:.0%} of the map's length is strongly connected, {before:.0%} without them"
+    )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import gzip
 import xml.etree.ElementTree as ET
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import NetError
 
 SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml")
-RETURN_TYPE = "rim_return"
+BEYOND_TYPE = "beyond_rim"
 """Type of the edges that lead from where a clipped map ends to where it begins; nothing is measured on them."""
 _KEPT_FUNCTIONS = ("", "normal", "internal")
 
@@ -49,9 +49,10 @@ class RawNet:
         lefthand: whether traffic drives on the left.
         location: how the metres relate to the globe.
         edges: id → element with its lanes; crossings and walking areas are left out.
-        junctions: id → element with its requests; internal junctions are left out.
+        junctions: id → element with its requests; internal junctions and those beyond the rim are left out.
         connections: elements in file order, those of crossings and walking areas left out.
         pedestrian_shapes: id → outline (K, 2) of crossings (as a line) and walking areas.
+        beyond_rim: ids of the edges beyond the rim, ways to and from them among them, which are in none of these.
     """
 
     path: Path
@@ -61,6 +62,7 @@ class RawNet:
     junctions: Mapping[str, ET.Element]
     connections: tuple[ET.Element, ...]
     pedestrian_shapes: Mapping[str, FloatArray]
+    beyond_rim: frozenset[str]
 
 
 def read_raw_net(path: Path) -> RawNet:
@@ -72,7 +74,7 @@ def read_raw_net(path: Path) -> RawNet:
     root = read_root(path, "net", "a SUMO net")
     edges: dict[str, ET.Element] = {}
     pedestrian: dict[str, FloatArray] = {}
-    beyond = return_ids(root)
+    beyond = ids_beyond(root)
     for edge in root.iterfind("edge"):
         lane = edge.find("lane")
         if edge.get("id") in beyond:
@@ -86,17 +88,29 @@ def read_raw_net(path: Path) -> RawNet:
         lefthand=root.get("lefthand", "false").lower() in ("true", "1"),
         location=_location(root.find("location")),
         edges=edges,
-        junctions={j.get("id", ""): j for j in root.iterfind("junction") if j.get("type") != "internal"},
+        junctions=_junctions(root, beyond, edges),
         connections=tuple(
             c for c in root.iterfind("connection") if c.get("from") in edges and c.get("to") in edges
         ),
         pedestrian_shapes=pedestrian,
+        beyond_rim=frozenset(beyond),
     )
 
 
-def return_ids(root: ET.Element) -> set[str]:
-    """Return the edges beyond the rim of a net (:data:`RETURN_TYPE`), ways to and from them among them."""
-    edges = {edge.get("id", "") for edge in root.iterfind("edge") if edge.get("type") == RETURN_TYPE}
+def _junctions(
+    root: ET.Element, beyond: Collection[str], edges: Mapping[str, ET.Element]
+) -> dict[str, ET.Element]:
+    """Return the junctions of a net by name, without those at which only edges *beyond* the rim meet."""
+    rows = {j.get("id", ""): j for j in root.iterfind("junction") if j.get("type") != "internal"}
+    if not beyond:
+        return rows
+    on_map = {edge.get(end) for edge in edges.values() for end in ("from", "to")}
+    return {name: row for name, row in rows.items() if name in on_map}
+
+
+def ids_beyond(root: ET.Element) -> set[str]:
+    """Return the edges beyond the rim of a net (:data:`BEYOND_TYPE`), ways to and from them among them."""
+    edges = {edge.get("id", "") for edge in root.iterfind("edge") if edge.get("type") == BEYOND_TYPE}
     if not edges:
         return edges
     ways = [c for c in root.iterfind("connection") if c.get("from") in edges or c.get("to") in edges]

@@ -47,6 +47,7 @@ class RoadMap:
         self.edges: Mapping[str, Edge] = graph.edges
         self.junctions: Mapping[str, Junction] = graph.junctions
         self.links: Mapping[tuple[str, str], Link] = graph.links
+        self.beyond_rim: frozenset[str] = raw.beyond_rim
         self.pedestrian_shapes: Mapping[str, FloatArray] = raw.pedestrian_shapes
         self.projection = Projection(raw.location)
         self._graph = graph

@@ -111,7 +111,7 @@ def _check(path: Path, road: RoadMap) -> float:
         edges = (element.get("edges") or f"{element.get('from') or ''} {element.get('to') or ''}").split()
         if edges:
             routes += 1
-            unknown = next((edge for edge in edges if edge not in road.edges), None)
+            unknown = next((e for e in edges if e not in road.edges and e not in road.beyond_rim), None)
             foreign += unknown is not None
             example = example or unknown or ""
         if routes >= _ROUTES_LOOKED_AT:

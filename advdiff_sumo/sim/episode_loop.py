@@ -41,7 +41,7 @@ class Loop:
     ) -> None:
         self.episode, self.session, self.types = episode, session, type_of_class
         self.sim, self.road, self.api = episode.sim, episode.road, session.api
-        self.world = World()
+        self.world = World(beyond_rim=self.road.beyond_rim)
         self.actuator = Actuator(self.api, self.world, self.road)
         self.recorder = Recorder(self.world, self.sim)
         self.background = Background(
@@ -318,7 +318,7 @@ class Loop:
             return self.handover.route(row, self.episode.scene.routes)
         if row in self.world.on_foot:
             return ()
-        return remaining_route(self.api, self.world.sumo_ids[row])
+        return remaining_route(self.api, self.world.sumo_ids[row], self.road.beyond_rim)
 
     @property
     def time_s(self) -> float:

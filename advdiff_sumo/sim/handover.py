@@ -142,7 +142,7 @@ class Handover:
     def _expected(self, row: int, routes: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
         """Return the edges that *row*, whoever moves it, is expected to drive."""
         if row in self.world.in_sumo and row not in self.actuator.moved:
-            return remaining_route(self.actuator.api, self.world.sumo_ids[row])
+            return remaining_route(self.actuator.api, self.world.sumo_ids[row], self.road.beyond_rim)
         return self.route(row, routes)
 
     def _align(self, scene: Scene, plans: Tracks | None, steps: int) -> Motion:

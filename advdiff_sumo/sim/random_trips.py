@@ -9,7 +9,7 @@ from pathlib import Path
 import sumolib
 
 from advdiff_sumo.core.errors import NetError
-from advdiff_sumo.maps.read_net import RETURN_TYPE, read_root, return_ids
+from advdiff_sumo.maps.read_net import BEYOND_TYPE, ids_beyond, read_root
 
 SHORTEST_TRIPS_M = (200.0, 100.0, 50.0)  # the first that the net has
 SHORTEST_END_M = (
@@ -35,10 +35,10 @@ class RandomTrips:
         self._random = random.Random(seed)  # noqa: S311 - traffic, not secrets
         edges = [edge for edge in self._net.getEdges() if edge.allows("passenger")]
         self._edges = sorted(edges, key=lambda edge: edge.getID())
-        on_map = [edge for edge in self._edges if edge.getType() != RETURN_TYPE]
+        on_map = [edge for edge in self._edges if edge.getType() != BEYOND_TYPE]
         self._ends = [edge for edge in on_map if edge.getLength() >= SHORTEST_END_M]
         self._pool = self._find_pool(net)
-        self.beyond = return_ids(read_root(net, "net", "a SUMO net"))
+        self.beyond = ids_beyond(read_root(net, "net", "a SUMO net"))
 
     @property
     def lane_km(self) -> float:

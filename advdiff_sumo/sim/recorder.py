@@ -58,7 +58,8 @@ class Recorder:
         self.teleports += api.simulation.getStartingTeleportNumber()
         for hit in api.simulation.getCollisions():
             pair = self._name(hit.collider), self._name(hit.victim)
-            self.collisions.append(SumoCollision(len(self.frames), *pair, hit.type, hit.lane))
+            if hit.lane.rpartition("_")[0] not in self.world.beyond_rim:
+                self.collisions.append(SumoCollision(len(self.frames), *pair, hit.type, hit.lane))
 
     def _name(self, sumo_id: str) -> str:
         row = self.world.row_of(sumo_id)

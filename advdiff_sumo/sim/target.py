@@ -62,7 +62,7 @@ class SumoDrive:
 
     def route_ahead(self) -> tuple[str, ...]:
         """Return its remaining edges."""
-        return remaining_route(self.api, self.world.sumo_ids[self.row])
+        return remaining_route(self.api, self.world.sumo_ids[self.row], self.world.beyond_rim)
 
 
 class PlannerDrive:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -95,7 +95,7 @@ class NaturalTraffic:
             begin_s=files.begin_s,
         )
         with Session(options) as session:
-            stretch = _Stretch(session, self.sim, folder)
+            stretch = _Stretch(session, self.sim, folder, self.road.beyond_rim)
             candidates = list(self._look(stretch, seed.child("target").generator()))
             stretch.advance(self.horizon_s)
         routes, extra = ([_content(f) for f in group] for group in (files.routes, files.additional))
@@ -155,9 +155,9 @@ class NaturalTraffic:
 class _Stretch:
     """Natural traffic that is being recorded."""
 
-    def __init__(self, session: Session, sim: SimOptions, folder: Path) -> None:
+    def __init__(self, session: Session, sim: SimOptions, folder: Path, beyond_rim: Collection[str]) -> None:
         self.session, self.sim = session, sim
-        self.world = World(256)
+        self.world = World(256, beyond_rim)
         self.frames: list[Frame] = []
         self._file = folder / "state.xml"
         self._begin_xml = self._state_xml()
@@ -180,7 +180,8 @@ class _Stretch:
         """Save SUMO's state now."""
         api = self.session.api
         state_xml = with_draws_since(self._state_xml(), self._begin_xml)
-        routes = {name: remaining_route(api, name) for name in api.vehicle.getIDList()}
+        beyond = self.world.beyond_rim
+        routes = {name: remaining_route(api, name, beyond) for name in api.vehicle.getIDList()}
         return _SceneChoice(len(self.frames) - 1, self.session.time_s, target, routes, state_xml)
 
     def _state_xml(self) -> bytes:
@@ -217,10 +218,11 @@ def _content(path: Path) -> bytes:
         return file.read()
 
 
-def remaining_route(api: object, name: str) -> tuple[str, ...]:
-    """Return the edges of vehicle *name* from the present one on."""
+def remaining_route(api: object, name: str, beyond_rim: Collection[str]) -> tuple[str, ...]:
+    """Return the edges of vehicle *name* from the present one on, up to the first that lies *beyond_rim*."""
     vehicle = api.vehicle  # type: ignore[attr-defined] # libsumo has no types
-    return tuple(vehicle.getRoute(name)[max(vehicle.getRouteIndex(name), 0) :])
+    ahead = vehicle.getRoute(name)[max(vehicle.getRouteIndex(name), 0) :]
+    return tuple(takewhile(lambda edge: edge not in beyond_rim, ahead))
 
 
 def _choose(
@@ -249,7 +251,13 @@ def _choose(
         for row in crowded.tolist()
         if _has_route(stretch, road, row, scene.min_route_m)
         and in_situation(
-            scene.situation, road, world, frame, row, remaining_route(api, world.ids[row]), signals
+            scene.situation,
+            road,
+            world,
+            frame,
+            row,
+            remaining_route(api, world.ids[row], road.beyond_rim),
+            signals,
         )
     ]
     return int(rng.choice(usable)) if usable else None
@@ -267,7 +275,7 @@ def _has_route(stretch: _Stretch, road: RoadMap, row: int, min_route_m: float) -
     name = world.ids[row]
     if api.vehicle.getVehicleClass(name) != "passenger" or api.vehicle.getStops(name):
         return False
-    route = remaining_route(api, name)
+    route = remaining_route(api, name, road.beyond_rim)
     length = sum(road.edges[edge].length_m for edge in route)
     long_enough = length - float(api.vehicle.getLanePosition(name)) >= min_route_m
     return long_enough and not any(_turns_round(road, a, b) for a, b in pairwise(route))

@@ -48,11 +48,12 @@ class World:
         on_foot: rows of people whom SUMO lets walk; nobody else moves them, and they are in none of the above.
         lane: SUMO's lane of each row at the last read; "" off the road.
         beside_m: how far SUMO had the front bumper of each row beside that lane's centre line, without sign.
+        beyond_rim: edges beyond the rim of a clipped map; who is there is not in the scene.
         xy_m, yaw_rad, speed_mps: present states, (capacity, …); NaN where absent.
         controller: (capacity,) values of :class:`Controller`.
     """
 
-    def __init__(self, capacity: int = 64) -> None:
+    def __init__(self, capacity: int = 64, beyond_rim: Collection[str] = frozenset()) -> None:
         self.ids: list[str] = []
         self.sumo_ids: list[str] = []
         self.index: dict[str, int] = {}
@@ -61,6 +62,7 @@ class World:
         self.on_foot: set[int] = set()
         self.lane: list[str] = []
         self.beside_m: list[float] = []
+        self.beyond_rim = beyond_rim
         self.classes = np.zeros(capacity, dtype=np.int64)
         self.size_m = np.zeros((capacity, 2))
         self.xy_m = np.full((capacity, 2), np.nan)
@@ -159,7 +161,7 @@ def read(world: World, api: Any, ours: Collection[int]) -> IntArray:
         ours: rows whose states are our own; of these only the place on a lane is read.
 
     Returns:
-        Rows that SUMO no longer knows.
+        Rows that SUMO no longer knows, or has beyond the rim of the map.
     """
     # before its first step, libsumo still shows what the simulation before this one was subscribed to
     results = {k: v for k, v in api.vehicle.getAllSubscriptionResults().items() if k in world.index}
@@ -170,8 +172,8 @@ def read(world: World, api: Any, ours: Collection[int]) -> IntArray:
         x, y = values[_POSITION][:2]
         if row in ours:
             continue
-        if x < _NOWHERE:
-            lost.append(row)  # dropped off the road by SUMO, but not arrived
+        if x < _NOWHERE or values[_LANE].rpartition("_")[0] in world.beyond_rim:
+            lost.append(row)  # dropped off the road by SUMO, but not arrived; or beyond the rim
         else:
             rows.append(row)
             states.append((x, y, values[_ANGLE], values[_SPEED]))

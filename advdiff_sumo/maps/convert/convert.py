@@ -27,6 +27,8 @@ from advdiff_sumo.maps.convert.narrow import LONG_M, Ends, unseen_conflicts
 from advdiff_sumo.maps.convert.netconvert import run_netconvert
 from advdiff_sumo.maps.convert.netplan import NetPlan, Track
 from advdiff_sumo.maps.convert.opendrive import write_opendrive
+from advdiff_sumo.maps.convert.osm.add_streets import NO_STREETS, Streets, add_streets
+from advdiff_sumo.maps.convert.osm.import_streets import PREFIX as STREET_PREFIX
 from advdiff_sumo.maps.convert.plain_xml import write_plain_xml
 from advdiff_sumo.maps.convert.projection import drives_left, projection_of
 from advdiff_sumo.maps.convert.repair import repair
@@ -62,6 +64,7 @@ class ConversionResult:
         counts: everything mended, cut or left out.
         netconvert_warnings: netconvert's own warnings.
         foot_paths: what became of the crossings; None where none were wanted.
+        streets: streets beyond the rim; None where none were wanted.
     """
 
     net: Path
@@ -75,6 +78,7 @@ class ConversionResult:
     counts: Counter[str]
     netconvert_warnings: tuple[str, ...]
     foot_paths: FootPaths | None = None
+    streets: Streets | None = None
 
 
 def convert_map(
@@ -119,15 +123,19 @@ def convert_source(
     guess_signals: bool = False,
     opendrive: bool = False,
     close_rim: bool = False,
+    osm: Path | None = None,
     crossings: Crossings = "map",
     cycle_for: int = 0,
 ) -> ConversionResult:
     """Convert a map already read; see :func:`convert_map`.
 
-    With *close_rim*, return edges beside the map lead from where it ends to where it begins (:mod:`.rim`). With
+    With *osm*, an OpenStreetMap extract, its streets lead on where the map ends (:mod:`.osm.add_streets`). With
+    *close_rim*, return edges beside the map lead from where it then ends to where it begins (:mod:`.rim`). With
     *cycle_for*, signals have fixed times for so many vehicles in the hour (:mod:`.signals.fixed_times`).
     """
     left = drives_left(source.location) if lefthand is None else lefthand
+    if source.projection is None:
+        source = replace(source, projection=projection_of(source.location))
     given, source = source, repair(check_geometry(source))
     tracks = measure_tracks(source, SPEED_MPS[left])
     layout = _laid_out(source, tracks, crossings)
@@ -135,17 +143,15 @@ def convert_source(
     plan = with_control(plan_drivable(tracks, layout, ways, left), source, guess_signals)
     source = _with_unseen_conflicts(_with_idle_signals(source, plan), plan)
     _make_folder(out_net)
-    returns = return_edges(plan) if close_rim else ()
-    layout.counts["return edges beyond the rim"] = len(returns)
-    warnings = _build(
-        plan, source.location, out_net, left, layout.counts, returns, waiting_turns(plan, source)
-    )
+    joined, beyond = _beyond(plan, source, osm, close_rim, layout.counts)
+    waiting = [*waiting_turns(plan, source), *beyond.streets.first_to_go]
+    warnings = _build(joined, source, out_net, layout.counts, beyond, waiting)
     if opendrive:
         xodr = out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr")
-        write_opendrive(plan, xodr, source.location, projection_of(source.location))
-    layout.counts["lane shapes put back after netconvert"] = restore_shapes(out_net, plan)
-    if returns:
-        put_aside(out_net, plan, returns)
+        write_opendrive(plan, xodr, source.location, source.projection)
+    layout.counts["lane shapes put back after netconvert"] = restore_shapes(out_net, joined)
+    if beyond.returns:
+        put_aside(out_net, plan, beyond.returns)
     annotate_net(out_net, plan)
     write_programs(out_net, plan)
     if cycle_for:
@@ -165,7 +171,28 @@ def convert_source(
         counts,
         warnings,
         foot_paths,
+        beyond.streets if osm is not None else None,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Beyond:
+    """What lies beyond the rim of a map."""
+
+    returns: tuple[ReturnEdge, ...]
+    streets: Streets
+
+
+def _beyond(
+    plan: NetPlan, source: SourceMap, osm: Path | None, close_rim: bool, counts: Counter[str]
+) -> tuple[NetPlan, _Beyond]:
+    """Return *plan* with what is beyond its rim joined to it, and that."""
+    joined, streets = plan, NO_STREETS
+    if osm is not None:
+        joined, streets = add_streets(plan, source.drivable, osm, source.projection)
+    returns = return_edges(joined, streets.following) if close_rim else ()
+    counts["return edges beyond the rim"] = len(returns)
+    return joined, _Beyond(returns, streets)
 
 
 def _laid_out(source: SourceMap, tracks: list[Track], crossings: Crossings) -> Layout:
@@ -218,11 +245,10 @@ def _with_unseen_conflicts(source: SourceMap, plan: NetPlan) -> SourceMap:
 
 def _build(
     plan: NetPlan,
-    location: str,
+    source: SourceMap,
     out_net: Path,
-    lefthand: bool,
     counts: Counter[str],
-    returns: tuple[ReturnEdge, ...],
+    beyond: _Beyond,
     waiting: list[tuple[Ends, Ends]],
 ) -> tuple[str, ...]:
     """Write the net; a second time where netconvert lets ways go together that are too near each other.
@@ -233,9 +259,16 @@ def _build(
 
         def build(prohibitions: list[tuple[Ends, Ends]]) -> tuple[str, ...]:
             files = write_plain_xml(
-                plan, Path(folder), location, projection_of(location), prohibitions, returns
+                plan,
+                Path(folder),
+                source.location,
+                source.projection,
+                prohibitions,
+                beyond.returns,
+                beyond.streets.rows,
             )
-            return run_netconvert(files, out_net, lefthand=lefthand)
+            warnings = run_netconvert(files, out_net, lefthand=plan.lefthand)
+            return tuple(line for line in warnings if f"'{STREET_PREFIX}" not in line)
 
         warnings = build(waiting)
         unseen = unseen_conflicts(plan, out_net)

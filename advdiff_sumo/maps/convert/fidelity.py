@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +19,7 @@ from advdiff_sumo.maps.convert.dividers import dashed_pairs
 from advdiff_sumo.maps.convert.lane_routes import graph_of_net, undrivable_routes
 from advdiff_sumo.maps.convert.netconvert import EXPLAINED
 from advdiff_sumo.maps.convert.netread import WrittenNet, read_net
+from advdiff_sumo.maps.convert.osm.add_streets import Streets
 from advdiff_sumo.maps.convert.routability import routability
 from advdiff_sumo.maps.convert.widths import width_between
 from advdiff_sumo.maps.on_foot.add_paths import FootPaths
@@ -47,6 +48,7 @@ def measure(result: ConversionResult) -> Fidelity:
     """Return the figures of a conversion, measured on the net as netconvert wrote it."""
     net = read_net(result.net)
     lines = _lines_by_lane(result, net)
+    lengths = {edge.id: edge.length_m for edge in result.plan.edges}
     return Fidelity(
         result.source.location,
         {
@@ -68,9 +70,27 @@ def measure(result: ConversionResult) -> Fidelity:
             "routes_no_lane_follows": [
                 " → ".join(route) for route in undrivable_routes(graph_of_net(result.net))
             ],
-            "routability": routability(net.next_edges, {e.id: e.length_m for e in result.plan.edges}),
+            "routability": routability(net.next_edges, lengths),
+            **({"streets_beyond_the_rim": _streets(result.streets, net, lengths)} if result.streets else {}),
         },
     )
+
+
+def _streets(streets: Streets, net: WrittenNet, length_m: Mapping[str, float]) -> dict[str, Any]:
+    """Return where streets of OpenStreetMap lead on from the map, and what of it is connected without them."""
+    alone = {
+        name: [n for n in after if n in length_m]
+        for name, after in net.next_edges.items()
+        if name in length_m
+    }
+    return {
+        "edges_that_lead_into_streets": streets.left,
+        "edges_that_streets_lead_into": streets.entered,
+        "ends_without_street": streets.open_ends,
+        "streets": streets.edges,
+        "km": round(streets.km, 2),
+        "largest_part_share_of_length_without": routability(alone, length_m)["largest_part_share_of_length"],
+    }
 
 
 def _lines_by_lane(result: ConversionResult, net: WrittenNet) -> dict[int, list[FloatArray]]:

@@ -13,6 +13,7 @@ from defusedxml import ElementTree
 from advdiff_sumo.maps.convert.layout.lane_paths import Connection
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan, Track, plan_net
+from advdiff_sumo.maps.read_net import BEYOND_TYPE
 
 CHANGE_M = 5.0  # on an edge shorter than a car, who merges behind it cannot foresee a lane change
 State = tuple[str, frozenset[int]]
@@ -115,7 +116,7 @@ def graph_of_net(net: Path) -> LaneGraph:
     root: Any = ElementTree.fromstring(net.read_bytes())
     graph = LaneGraph()
     for edge in root.iter("edge"):
-        if edge.get("function", "") == "":
+        if edge.get("function", "") == "" and edge.get("type") != BEYOND_TYPE:
             rows = edge.findall("lane")
             graph.changes[edge.attrib["id"]] = [
                 _beside(

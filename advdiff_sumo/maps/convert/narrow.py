@@ -64,7 +64,10 @@ def _by_junction(plan: NetPlan) -> dict[str, list[ConnectionPlan]]:
     target = {edge.id: edge.target for edge in plan.edges}
     inside: dict[str, list[ConnectionPlan]] = defaultdict(list)
     for connection in plan.connections:
-        inside[target[connection.origin[0]]].append(connection)
+        if (
+            connection.origin[0] in target
+        ):  # those that come from a street beyond the rim have no others beside them
+            inside[target[connection.origin[0]]].append(connection)
     return inside
 
 

@@ -107,7 +107,7 @@ class EdgePlan:
 
 @dataclass(frozen=True, eq=False)
 class ConnectionPlan:
-    """A connection between two lanes with the shape of its internal lane."""
+    """A connection between two lanes with the shape of its internal lane; who *passes* waits for nobody."""
 
     origin: tuple[str, int]
     target: tuple[str, int]
@@ -115,6 +115,7 @@ class ConnectionPlan:
     speed_mps: float
     source: str
     way: Connection
+    passes: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +270,7 @@ def _junctions(edges: list[EdgePlan], connections: list[ConnectionPlan]) -> list
         for lane in edge.lanes:
             for name, shape in ((edge.origin, lane.shape_m), (edge.target, lane.shape_m[::-1])):
                 ends[name].append(shape[0])
-                bars[name].append(_end_bar(shape, lane.width_m))
+                bars[name].append(end_bar(shape, lane.width_m))
                 lines[name].append(LineString(shape))
     inside: dict[str, list[Polygon]] = defaultdict(list)
     for connection in connections:
@@ -287,7 +288,7 @@ def _junctions(edges: list[EdgePlan], connections: list[ConnectionPlan]) -> list
     ]
 
 
-def _end_bar(shape_m: FloatArray, width_m: float) -> Polygon:
+def end_bar(shape_m: FloatArray, width_m: float) -> Polygon:
     """Return a strip across the beginning of a lane: a decimetre of the junction and 5 mm of the lane."""
     along = (shape_m[0] - shape_m[1]) / np.hypot(*(shape_m[0] - shape_m[1]))
     across = 0.5 * width_m * np.array([-along[1], along[0]])

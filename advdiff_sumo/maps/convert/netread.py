@@ -11,7 +11,7 @@ import sumolib
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
-from advdiff_sumo.maps.read_net import RETURN_TYPE
+from advdiff_sumo.maps.read_net import BEYOND_TYPE
 
 ConnectionKey = tuple[str, int, str, int]  # edge and lane that it leaves, edge and lane that it enters
 
@@ -42,14 +42,14 @@ def read_net(path: Path) -> WrittenNet:
         if edge.getFunction() == ""
         and any(lane.getPermissions() - {"pedestrian"} for lane in edge.getLanes())
     ]
-    edges = [edge for edge in roads if edge.getType() != RETURN_TYPE]
+    edges = [edge for edge in roads if edge.getType() != BEYOND_TYPE]
     lanes = {
         (lane.getEdge().getID(), lane.getIndex()): (_line(lane.getShape()), float(lane.getWidth()))
         for edge in edges
         for lane in edge.getLanes()
     }
     targets = [(after, group) for edge in edges for after, group in edge.getOutgoing().items()]
-    connections = [c for after, group in targets if after.getType() != RETURN_TYPE for c in group]
+    connections = [c for after, group in targets if after.getType() != BEYOND_TYPE for c in group]
     ways = {_key(connection): _way(net, connection) for connection in connections}
     following = {edge.getID(): sorted(after.getID() for after in edge.getOutgoing()) for edge in roads}
     return WrittenNet(lanes, ways, following)

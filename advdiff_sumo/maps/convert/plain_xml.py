@@ -12,6 +12,7 @@ import numpy as np
 from advdiff_sumo.maps.convert.lane_routes import CHANGE_M
 from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, JunctionPlan, NetPlan, Ring
+from advdiff_sumo.maps.convert.osm.street_xml import NO_ROWS, StreetRows
 from advdiff_sumo.maps.convert.polyline import shape_text
 from advdiff_sumo.maps.convert.rim import ReturnEdge, return_connections, return_rows
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse
@@ -31,26 +32,35 @@ def write_plain_xml(
     projection: str | None,
     prohibitions: Iterable[tuple[Ends, Ends]] = (),
     returns: Sequence[ReturnEdge] = (),
+    streets: StreetRows = NO_ROWS,
 ) -> dict[str, Path]:
     """Write node, edge and connection files into *folder*; return them by netconvert's option name.
 
     A *projection* goes into the location element, as netconvert's option ``--proj`` would read the coordinates as
-    degrees. *prohibitions* tell pairs of ways of which the second yields to the first.
+    degrees. *prohibitions* tell pairs of ways of which the second yields to the first. *returns* and *streets* lie
+    beyond the rim of the map.
     """
     joined = {name for edge in returns for name in (edge.origin.target, edge.target.origin)}
     junctions = [
         replace(j, kind="priority") if j.id in joined and j.kind == "dead_end" else j for j in plan.junctions
     ]
-    nodes = [*([_location(plan, projection)] if projection else []), *map(_node, junctions)]
+    nodes = [*([_location(plan, projection)] if projection else []), *map(_node, junctions), *streets.nodes]
     return {
         "node-files": _file(folder / "plain.nod.xml", "nodes", nodes),
         "edge-files": _file(
             folder / "plain.edg.xml",
             "edges",
-            [*(_edge(e, location) for e in plan.edges), *return_rows(returns), *map(_roundabout, plan.rings)],
+            [
+                *(_edge(e, location) for e in plan.edges),
+                *return_rows(returns),
+                *streets.edges,
+                *map(_roundabout, plan.rings),
+            ],
         ),
         "connection-files": _file(
-            folder / "plain.con.xml", "connections", _connections(plan, prohibitions, returns)
+            folder / "plain.con.xml",
+            "connections",
+            (*_connections(plan, prohibitions, returns), *streets.connections),
         ),
     }
 
@@ -141,6 +151,8 @@ def _connection(connection: ConnectionPlan) -> ET.Element:
     element.set("contPos", "0")  # who yields waits before the junction, not within reach of those that pass
     for side in ("changeLeft", "changeRight"):  # ways of two lanes may come together inside a junction
         element.set(side, NOBODY)
+    if connection.passes:
+        element.set("pass", "true")
     if np.isfinite(connection.speed_mps):
         element.set("speed", f"{connection.speed_mps:.2f}")
     return element

@@ -32,6 +32,16 @@ def heading(line: FloatArray, s_m: FloatArray) -> FloatArray:
     return np.asarray(np.arctan2(step[:, 1], step[:, 0]))
 
 
+def direction(start: FloatArray, end: FloatArray) -> FloatArray:
+    """Return the unit vector (2,) from one place to another."""
+    return np.asarray((end - start) / np.hypot(*(end - start)))
+
+
+def left_of(along: FloatArray) -> FloatArray:
+    """Return the vector (2,) to the left of *along*."""
+    return np.array([-along[1], along[0]])
+
+
 def cut(line: FloatArray, from_m: float, to_m: float) -> FloatArray:
     """Return the part between two arc lengths, with points exactly there; the ends of the line are kept as is."""
     s = stations(line)

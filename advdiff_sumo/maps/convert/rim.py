@@ -1,6 +1,6 @@
 """Return edges from where a clipped map ends to where it begins, so that traffic flows endlessly.
 
-They lie beside the map, not on it, have the type :data:`RETURN_TYPE`, and nothing is measured on them.
+They lie beside the map, not on it, have the type :data:`BEYOND_TYPE`, and nothing is measured on them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.polyline import shape_text
 from advdiff_sumo.maps.convert.routability import strong_parts
-from advdiff_sumo.maps.read_net import RETURN_TYPE
+from advdiff_sumo.maps.read_net import BEYOND_TYPE
 
 LENGTH_M = 100.0
 SPEED_MPS = 13.89
@@ -40,13 +40,16 @@ class ReturnEdge:
     target: EdgePlan
 
 
-def return_edges(plan: NetPlan) -> tuple[ReturnEdge, ...]:
+def return_edges(
+    plan: NetPlan, following_beyond: Mapping[str, Sequence[str]] | None = None
+) -> tuple[ReturnEdge, ...]:
     """Return edges that join every dead end to a beginning, and every beginning to a dead end.
 
     Each takes the nearest partner that is left; then partners are exchanged until all edges that can reach a dead
-    end can reach each other. Without dead ends or beginnings there is none.
+    end can reach each other. Without dead ends or beginnings there is none. *following_beyond* tells which edges
+    follow each street beyond the rim, where there are any.
     """
-    following = _following(plan)
+    following = _following(plan, following_beyond or {})
     entered = {after for names in following.values() for after in names}
     edges = {edge.id: edge for edge in plan.edges}
     ends = [name for name in edges if not following[name]]
@@ -57,8 +60,9 @@ def return_edges(plan: NetPlan) -> tuple[ReturnEdge, ...]:
     return tuple(ReturnEdge(f"rim{n}", edges[a], edges[b]) for n, (a, b) in enumerate(pairs))
 
 
-def _following(plan: NetPlan) -> dict[str, list[str]]:
+def _following(plan: NetPlan, beyond: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
     following: dict[str, dict[str, None]] = {edge.id: {} for edge in plan.edges}
+    following |= {name: dict.fromkeys(after) for name, after in beyond.items()}
     for connection in plan.connections:
         following[connection.origin[0]][connection.target[0]] = None
     return {name: list(after) for name, after in following.items()}
@@ -107,7 +111,7 @@ def return_rows(edges: Sequence[ReturnEdge]) -> Iterator[ET.Element]:
     for edge in edges:
         yield ET.Element(
             "edge",
-            {"id": edge.id, "from": edge.origin.target, "to": edge.target.origin, "type": RETURN_TYPE},
+            {"id": edge.id, "from": edge.origin.target, "to": edge.target.origin, "type": BEYOND_TYPE},
             numLanes="1",
             speed=f"{SPEED_MPS}",
             length=f"{LENGTH_M}",

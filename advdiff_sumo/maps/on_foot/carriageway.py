@@ -13,7 +13,7 @@ from shapely.geometry import LineString, Point
 from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.maps.build_graph import DEFAULT_LANE_WIDTH_M
-from advdiff_sumo.maps.read_net import return_ids, shape_of
+from advdiff_sumo.maps.read_net import ids_beyond, shape_of
 
 NARROW_M = 1.2  # a gap between lanes narrower than this is no island to stand on
 
@@ -53,7 +53,7 @@ class Carriageway:
     def __init__(self, root: ET.Element, drivable: BaseGeometry | None = None) -> None:
         """Read the net *root*; *drivable* is carriageway where it is near a lane."""
         self.root = root
-        self._beyond = return_ids(root)
+        self._beyond = ids_beyond(root)
         self.links = _links(root)
         self.strips = (*self._lanes(), *self._ways())
         self._drivable = drivable
@@ -79,8 +79,11 @@ class Carriageway:
     @cached_property
     def open_ends(self) -> tuple[tuple[Point, float], ...]:
         """Ends of lanes at which the net ends, each with the lane's width in m."""
-        left = {(c.get("from"), c.get("fromLane")) for c in self.root.iterfind("connection")}
-        entered = {(c.get("to"), c.get("toLane")) for c in self.root.iterfind("connection")}
+        rows = [
+            c for c in self.root.iterfind("connection") if not {c.get("from"), c.get("to")} & self._beyond
+        ]
+        left = {(c.get("from"), c.get("fromLane")) for c in rows}
+        entered = {(c.get("to"), c.get("toLane")) for c in rows}
         ends = []
         for strip in self.strips:
             key = tuple(strip.lane.rsplit("_", 1))

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
-from advdiff_sumo.maps.read_net import read_root, return_ids, shape_of
+from advdiff_sumo.maps.read_net import ids_beyond, read_root, shape_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Footways:
 def read_footways(net: Path) -> Footways:
     """Return the footways of the net at *net*; without crossings and walking areas there are none."""
     root = read_root(net, "net", "a SUMO net")
-    beyond = return_ids(root)
+    beyond = ids_beyond(root)
     lines: dict[str, FloatArray] = {}
     foot_lanes: set[tuple[str, str]] = set()
     for edge in root.iterfind("edge"):

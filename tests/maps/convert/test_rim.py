@@ -16,7 +16,7 @@ from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.fidelity import measure
 from advdiff_sumo.maps.convert.rim import LENGTH_M, WAY_M
 from advdiff_sumo.maps.convert.sources.read_map import read_map
-from advdiff_sumo.maps.read_net import RETURN_TYPE
+from advdiff_sumo.maps.read_net import BEYOND_TYPE
 from tests.e2e.commands import advdiff
 
 MAPS = {"two lanes": two_lane_road, "crossing": crossroads}
@@ -50,7 +50,7 @@ def test_a_car_drives_round_and_is_on_the_map_or_straight_beyond_its_rim(tmp_pat
         read_map(two_lane_road().write(tmp_path / "m.json")), tmp_path / "n.net.xml", close_rim=True
     )
     net = sumolib.net.readNet(str(tmp_path / "n.net.xml"))
-    (back,) = [edge for edge in net.getEdges() if edge.getType() == RETURN_TYPE]
+    (back,) = [edge for edge in net.getEdges() if edge.getType() == BEYOND_TYPE]
     (last,) = [edge.getID() for edge in back.getIncoming()]
     (first,) = [edge.getID() for edge in back.getOutgoing()]
     libsumo.start(["sumo", "-n", str(tmp_path / "n.net.xml"), "--no-step-log", "--step-length", "0.5"])

@@ -60,11 +60,13 @@ def signal_links(root: ET.Element, plan: NetPlan) -> dict[str, list[SignalLink]]
         plan: the plan.
     """
     rows: dict[str, list[ET.Element]] = defaultdict(list)
+    edges = {edge.id: edge for edge in plan.edges}
     for row in root.iterfind("connection"):
-        if row.get("tl") and row.get("via"):
+        if (
+            row.get("tl") and row.get("via") and row.get("from") in edges
+        ):  # not those of streets beyond the rim
             rows[row.attrib["tl"]].append(row)
     conflicts = _Conflicts(root)
-    edges = {edge.id: edge for edge in plan.edges}
     return {
         signal: sorted((_link(row, own, conflicts, plan, edges) for row in own), key=lambda link: link.index)
         for signal, own in rows.items()

@@ -5,6 +5,7 @@ Coordinates are those of the city in m, x east, y north; boundaries run in drivi
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from shapely.geometry import MultiPolygon, Polygon
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.maps.convert.projection import ARGOVERSE_CITIES, argoverse_projection
 from advdiff_sumo.maps.convert.sources.bounded_lanes import (
     BoundedLane,
     as_multi,
@@ -29,6 +31,7 @@ from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceMap, Sta
 
 USES = {"VEHICLE": LaneUse.CAR, "BUS": LaneUse.BUS, "BIKE": LaneUse.BICYCLE}
 LAYERS = ("lane_segments", "pedestrian_crossings", "drivable_areas")
+CITY = re.compile(rf"_({'|'.join(ARGOVERSE_CITIES)})_city_")
 REMEDY = "give an unchanged log_map_archive_*.json"
 Row = Mapping[str, Any]
 
@@ -61,7 +64,14 @@ def argoverse2_map(data: object, path: Path) -> SourceMap:
         left_out=tuple(str(key) for key in layers["lane_segments"] if str(key) not in known),
         notes=faults.notes,
         warnings=faults.sentences(),
+        projection=_projection(path.name),
     )
+
+
+def _projection(name: str) -> str | None:
+    """Return the projection of the city in a file's *name*, as maps of the sensor and lidar data sets have it."""
+    city = CITY.search(name)
+    return argoverse_projection(city[1]) if city else None
 
 
 def _layers(data: object, path: Path) -> dict[str, dict[str, Any]]:

@@ -7,7 +7,7 @@ the south-west corner of the map in full kilometres. Lanelets follow each other 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -18,6 +18,7 @@ from shapely.geometry import LineString, Polygon
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.maps.convert.projection import utm_from
 from advdiff_sumo.maps.convert.sources.bounded_lanes import (
     BoundedLane,
     covered_area,
@@ -40,6 +41,7 @@ USES = {"road": LaneUse.CAR, "highway": LaneUse.CAR, "play_street": LaneUse.CAR,
 USES |= {"bicycle_lane": LaneUse.BICYCLE, "emergency_lane": LaneUse.BUS, "": LaneUse.CAR}
 ON_FOOT = {"crosswalk": "crossings", "walkway": "walkways", "shared_walkway": "walkways"}
 KMH_MPS, MPH_MPS = 1.0 / 3.6, 0.44704
+SAME_PLACE_M = 0.5  # of a node in degrees and in metres
 STOP_LINE_M = 0.25  # half the depth of a painted stop line
 Tags = Mapping[str, str]
 
@@ -92,6 +94,7 @@ def lanelet2_map(root: Element, path: Path) -> SourceMap:
         left_out=tuple(row.id for row in driven if row.id not in known),
         notes=faults.notes,
         warnings=faults.sentences(),
+        projection=ways.projection,
     )
 
 
@@ -105,10 +108,10 @@ def _tags(row: Element) -> Tags:
 
 
 class _Ways:
-    """Places and tags of the ways of a map."""
+    """Places and tags of the ways of a map, and the projection of the places where it is known."""
 
     def __init__(self, root: Element, path: Path) -> None:
-        self._xy = _places(root, path)
+        self._xy, self.projection = _places(root, path)
         self._nodes = {
             row.get("id", ""): [nd.get("ref", "") for nd in row.iterfind("nd")]
             for row in root.iterfind("way")
@@ -132,22 +135,44 @@ class _Ways:
         return places
 
 
-def _places(root: Element, path: Path) -> dict[str, tuple[float, float]]:
+def _places(root: Element, path: Path) -> tuple[dict[str, tuple[float, float]], str | None]:
+    """Return the places of nodes in the map's metres, and the projection of these where it is known."""
     rows = [(row.get("id", ""), row, _tags(row)) for row in root.iterfind("node")]
     try:
         if all("local_x" in tags and "local_y" in tags for *_, tags in rows):
-            return {name: (float(tags["local_x"]), float(tags["local_y"])) for name, _, tags in rows}
+            local = {name: (float(tags["local_x"]), float(tags["local_y"])) for name, _, tags in rows}
+            return local, _projection(rows, np.array(list(local.values())))
         degrees = np.array([[float(row.attrib["lon"]), float(row.attrib["lat"])] for _, row, _ in rows])
     except (KeyError, ValueError) as error:
         raise MapError(path, f"a node has no place ({error})", REMEDY) from None
     if not (np.abs(degrees) <= (180.0, 84.0)).all():
         raise MapError(path, "a node lies at no place on earth where UTM holds", REMEDY)
+    zone, south, xy = _in_utm(degrees)
+    corner = np.floor(xy.min(axis=0) / 1000.0) * 1000.0
+    places = {name: (float(x), float(y)) for (name, _, _), (x, y) in zip(rows, xy - corner, strict=True)}
+    return places, utm_from(zone, *corner.tolist(), south=south)
+
+
+def _in_utm(degrees: FloatArray) -> tuple[int, bool, FloatArray]:
+    """Return the zone of places (N, 2) of longitude and latitude, whether it lies in the south, and (N, 2) metres."""
     zone = int((degrees[:, 0].mean() + 180.0) // 6.0) + 1
-    south = " +south" if degrees[:, 1].mean() < 0.0 else ""
-    project = pyproj.Proj(f"+proj=utm +zone={zone}{south} +ellps=WGS84 +units=m")
-    xy = np.stack(project(degrees[:, 0], degrees[:, 1]), axis=-1)
-    xy -= np.floor(xy.min(axis=0) / 1000.0) * 1000.0
-    return {name: (float(x), float(y)) for (name, _, _), (x, y) in zip(rows, xy, strict=True)}
+    south = bool(degrees[:, 1].mean() < 0.0)
+    project = pyproj.Proj(f"+proj=utm +zone={zone}{' +south' if south else ''} +ellps=WGS84 +units=m")
+    return zone, south, np.stack(project(degrees[:, 0], degrees[:, 1]), axis=-1)
+
+
+def _projection(rows: Sequence[tuple[str, Element, Tags]], local_m: FloatArray) -> str | None:
+    """Return the projection of places (N, 2) that are UTM but for an offset, by their nodes' degrees, else None."""
+    try:
+        degrees = np.array([[float(row.attrib["lon"]), float(row.attrib["lat"])] for _, row, _ in rows])
+    except (KeyError, ValueError):
+        return None
+    if not len(degrees) or not (np.abs(degrees) <= (180.0, 84.0)).all():
+        return None
+    zone, south, xy = _in_utm(degrees)
+    offset = np.median(xy - local_m, axis=0)
+    same = bool((np.abs(xy - local_m - offset) < SAME_PLACE_M).all())
+    return utm_from(zone, *offset.tolist(), south=south) if same else None
 
 
 def _lane(row: _Relation, ways: _Ways, faults: MapFaults) -> BoundedLane | None:

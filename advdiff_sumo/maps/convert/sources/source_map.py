@@ -136,6 +136,7 @@ class SourceMap:
         left_out: tokens of lanes that the file states and that are not here.
         notes: counts of what was mended or left out while reading.
         warnings: one sentence for each thing a user should know.
+        projection: PROJ string whose plane is the frame of the map, where that is known.
     """
 
     path: Path
@@ -154,3 +155,4 @@ class SourceMap:
     left_out: tuple[str, ...] = ()
     notes: Counter[str] = field(default_factory=Counter)
     warnings: tuple[str, ...] = ()
+    projection: str | None = None

@@ -1,0 +1,1 @@
+"""Streets of OpenStreetMap beyond the rim of an HD map."""

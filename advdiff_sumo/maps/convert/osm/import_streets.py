@@ -1,0 +1,226 @@
+"""Import an OpenStreetMap extract in the frame of an HD map, by netconvert."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pyproj
+import sumolib
+from shapely.geometry import LineString, box
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.maps.build_graph import DEFAULT_LANE_WIDTH_M, permissions
+from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.netconvert import PRECISION, TIMEOUT_S
+from advdiff_sumo.maps.convert.sources.map_files import load_xml
+from advdiff_sumo.maps.read_net import shape_of
+from advdiff_sumo.maps.sumo_files import sumo_home
+
+REMEDY = "give an OpenStreetMap extract (.osm, .osm.xml, .osm.gz) of the map's place"
+NO_STREET = "holds no street for cars"
+NEAR_M = 50.0  # an extract that begins farther from the map has nothing to join
+PREFIX = "osm"  # of the names of all edges and junctions
+OPTIONS = (  # what SUMO's own guide to OpenStreetMap data gives netconvert, for cars
+    *("--offset.disable-normalization", "--geometry.remove", "--roundabouts.guess", "--ramps.guess"),
+    *("--junctions.join", "--tls.guess-signals", "--tls.discard-simple", "--tls.join"),
+    *("--keep-edges.by-vclass", "passenger", "--no-turnarounds.except-deadend", "--xml-validation", "never"),
+    *("--no-warnings", "--prefix", PREFIX, "--precision", PRECISION),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Street:
+    """An edge of the extract.
+
+    Attributes:
+        id: its name.
+        origin: node where it begins.
+        target: node where it ends.
+        middle_m: (N, 2) line midway between its outermost lanes.
+        widths_m: of its lanes in SUMO's order (index 0 outermost).
+        for_cars: whether cars may use each lane.
+        clear_m: between which arc lengths of the middle line it lies outside the junctions at its ends.
+        row: the edge as netconvert's plain XML.
+    """
+
+    id: str
+    origin: str
+    target: str
+    middle_m: FloatArray
+    widths_m: tuple[float, ...]
+    for_cars: tuple[bool, ...]
+    clear_m: tuple[float, float]
+    row: ET.Element
+
+    @property
+    def width_m(self) -> float:
+        """Width of all lanes."""
+        return sum(self.widths_m)
+
+    def lane_offsets_m(self, lefthand: bool) -> list[float]:
+        """Return how far left of the middle each lane's centre lies."""
+        inward = np.cumsum(self.widths_m) - 0.5 * np.array(self.widths_m) - 0.5 * self.width_m
+        return [float(value) for value in (-inward if lefthand else inward)]
+
+
+@dataclass(frozen=True, eq=False)
+class StreetNet:
+    """The streets of an extract as netconvert's plain XML.
+
+    Attributes:
+        path: the extract.
+        streets: edges by name.
+        nodes: rows of nodes by name.
+        connections: rows of connections.
+        roundabouts: rows of roundabouts.
+    """
+
+    path: Path
+    streets: Mapping[str, Street]
+    nodes: Mapping[str, ET.Element]
+    connections: tuple[ET.Element, ...]
+    roundabouts: tuple[ET.Element, ...]
+    neighbours: Mapping[str, set[str]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        neighbours: dict[str, set[str]] = defaultdict(set)
+        for street in self.streets.values():
+            neighbours[street.origin].add(street.target)
+            neighbours[street.target].add(street.origin)
+        object.__setattr__(self, "neighbours", neighbours)
+
+    def is_dead_end(self, node: str) -> bool:
+        """Return whether streets lead from *node* to one other node at most."""
+        return len(self.neighbours[node]) < 2
+
+
+def import_streets(
+    path: Path, projection: str | None, bounds_m: FloatArray, folder: Path, *, lefthand: bool
+) -> StreetNet:
+    """Return the streets for cars in the OpenStreetMap file at *path*, in the frame of the HD map.
+
+    Args:
+        path: the extract.
+        projection: PROJ string of the HD map's frame.
+        bounds_m: (2, 2) lower left and upper right corner of the HD map.
+        folder: where netconvert may write.
+        lefthand: whether traffic keeps left.
+
+    Raises:
+        MapError: the file cannot be read, is no OpenStreetMap data, holds no street for cars or lies elsewhere, or
+            nobody knows where on earth the HD map lies.
+    """
+    root = load_xml(path)
+    if root.tag != "osm":
+        raise MapError(path, f"is no OpenStreetMap data: its root element is <{root.tag}>, not <osm>", REMEDY)
+    if projection is None:
+        problem = "cannot be joined: the HD map does not say where on earth it lies"
+        raise MapError(path, problem, "give a map that does (docs/maps.md lists them), or leave --osm out")
+    if root.find("way") is None:
+        raise MapError(path, "holds no way", REMEDY)
+    net = _read(path, _netconvert(path, projection, folder, lefthand), lefthand)
+    if not net.streets:
+        raise MapError(path, NO_STREET, REMEDY)
+    _refuse_elsewhere(net, projection, bounds_m)
+    return net
+
+
+def _netconvert(path: Path, projection: str, folder: Path, lefthand: bool) -> Path:
+    """Run netconvert; return the prefix of the plain XML that it wrote."""
+    prefix, extract = folder / "streets", folder / f"extract{path.suffix}"
+    shutil.copyfile(path, extract)  # netconvert takes a comma in a name for a list
+    types = sumo_home() / "data" / "typemap" / "osmNetconvert.typ.xml"
+    command = [
+        *(sumolib.checkBinary("netconvert"), "--osm-files", str(extract), "--type-files", str(types)),
+        *(*OPTIONS, "--proj", projection, "--lefthand", str(lefthand).lower()),
+        *("--plain-output-prefix", str(prefix), "--output-file", str(folder / "streets.net.xml")),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    if done.returncode != 0 or not prefix.with_name("streets.edg.xml").exists():
+        errors = [line for line in done.stderr.splitlines() if line.startswith("Error: ")]
+        reason = errors[0].removeprefix("Error: ").rstrip(".") if errors else "netconvert failed"
+        empty = reason in ("No edges loaded", "No nodes loaded")
+        raise MapError(path, NO_STREET if empty else f"cannot be imported: {reason}", REMEDY)
+    return prefix
+
+
+def _read(path: Path, prefix: Path, lefthand: bool) -> StreetNet:
+    """Read the plain XML below *prefix*."""
+    nodes, edges, connections = (
+        ET.parse(prefix.with_name(f"{prefix.name}.{kind}.xml")).getroot()  # noqa: S314 - netconvert wrote it
+        for kind in ("nod", "edg", "con")
+    )
+    node_of = {row.attrib["id"]: row for row in nodes.iterfind("node")}
+    net = ET.parse(prefix.with_name(f"{prefix.name}.net.xml")).getroot()  # noqa: S314 - the same
+    lanes_of = {
+        row.get("id"): [shape_of(lane) for lane in row.iterfind("lane")] for row in net.iterfind("edge")
+    }
+    streets = (
+        _street(row, node_of, lanes_of[row.get("id")], lefthand)
+        for row in edges.iterfind("edge")
+        if row.get("id") in lanes_of
+    )
+    return StreetNet(
+        path,
+        {street.id: street for street in streets if any(street.for_cars)},
+        node_of,
+        tuple(row for row in connections.iterfind("connection") if row.get("to")),
+        tuple(edges.iterfind("roundabout")),
+    )
+
+
+def _street(
+    row: ET.Element, nodes: Mapping[str, ET.Element], lanes_m: Sequence[FloatArray], lefthand: bool
+) -> Street:
+    origin, target = row.attrib["from"], row.attrib["to"]
+    line = shape_of(row)
+    if not len(line):
+        line = np.array([[float(nodes[name].attrib[axis]) for axis in "xy"] for name in (origin, target)])
+    own = {int(lane.attrib["index"]): lane for lane in row.iterfind("lane")}
+    lanes = [own.get(index, row) for index in range(int(row.attrib["numLanes"]))]
+    widths = tuple(float(lane.get("width") or row.get("width") or DEFAULT_LANE_WIDTH_M) for lane in lanes)
+    if row.get("spreadType", "right") == "right":
+        line = beside(line, 0.5 * sum(widths) * (1.0 if lefthand else -1.0))
+    starts, ends = (polyline.project(line, np.array([lane[k] for lane in lanes_m]))[0] for k in (0, -1))
+    return Street(
+        row.attrib["id"],
+        origin,
+        target,
+        line,
+        widths,
+        tuple(_for_cars(lane, row) for lane in lanes),
+        (float(starts.max()), float(ends.min())),
+        row,
+    )
+
+
+def _for_cars(lane: ET.Element, row: ET.Element) -> bool:
+    """Return whether cars may use *lane* of the edge *row*."""
+    rules = lane if lane.get("allow") or lane.get("disallow") else row
+    return "passenger" in permissions(rules.get("allow"), rules.get("disallow"))
+
+
+def beside(line: FloatArray, left_m: float) -> FloatArray:
+    """Return *line* moved to its left."""
+    moved = LineString(line).offset_curve(left_m, join_style="mitre")
+    return np.asarray(moved.coords) if isinstance(moved, LineString) and not moved.is_empty else line
+
+
+def _refuse_elsewhere(net: StreetNet, projection: str, bounds_m: FloatArray) -> None:
+    """Refuse an extract of another place."""
+    place = box(*(bounds_m[0] - NEAR_M), *(bounds_m[1] + NEAR_M))
+    if any(LineString(street.middle_m).intersects(place) for street in net.streets.values()):
+        return
+    middle = np.mean([street.middle_m[0] for street in net.streets.values()], axis=0)
+    x_m, y_m = np.array([middle, bounds_m.mean(axis=0)]).T
+    lon_deg, lat_deg = pyproj.Proj(projection)(x_m, y_m, inverse=True)
+    there, here = (f"latitude {y:.4f}, longitude {x:.4f}" for x, y in zip(lon_deg, lat_deg, strict=True))
+    raise MapError(net.path, f"lies elsewhere: streets near {there}, the HD map near {here}", REMEDY)

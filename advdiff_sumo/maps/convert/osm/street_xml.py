@@ -1,0 +1,85 @@
+"""Streets beyond the rim of a map as netconvert's plain XML."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from xml.etree import ElementTree as ET
+
+from advdiff_sumo.maps.convert.osm.cut_streets import Stretch, StretchGraph
+from advdiff_sumo.maps.convert.osm.import_streets import StreetNet
+from advdiff_sumo.maps.convert.polyline import shape_text
+from advdiff_sumo.maps.read_net import BEYOND_TYPE
+
+KEPT = ("priority", "numLanes", "speed", "width", "allow", "disallow")  # of a street's attributes
+LANE_KEPT = ("index", "speed", "width", "allow", "disallow")
+
+
+@dataclass(frozen=True, eq=False)
+class StreetRows:
+    """Rows of nodes, edges (roundabouts among them) and connections."""
+
+    nodes: tuple[ET.Element, ...] = ()
+    edges: tuple[ET.Element, ...] = ()
+    connections: tuple[ET.Element, ...] = ()
+
+
+NO_ROWS = StreetRows()
+
+
+def street_rows(
+    net: StreetNet, stretches: Sequence[Stretch], graph: StretchGraph, joints: Mapping[tuple[str, bool], str]
+) -> StreetRows:
+    """Return the rows of *stretches* of *net*, which follow each other as in *graph*; *joints* name junctions."""
+    ends = {
+        stretch.id: (
+            joints.get((stretch.id, True), stretch.street.origin),
+            joints.get((stretch.id, False), stretch.street.target),
+        )
+        for stretch in stretches
+    }
+    used = dict.fromkeys(name for pair in ends.values() for name in pair)
+    return StreetRows(
+        tuple(net.nodes[name] for name in used if name in net.nodes),
+        (*(_edge(stretch, *ends[stretch.id]) for stretch in stretches), *_roundabouts(net, ends)),
+        tuple(_connections(graph)),
+    )
+
+
+def _edge(stretch: Stretch, origin: str, target: str) -> ET.Element:
+    given = stretch.street.row
+    row = ET.Element("edge", {"id": stretch.id, "from": origin, "to": target, "type": BEYOND_TYPE})
+    for key in KEPT:
+        if key in given.attrib:
+            row.set(key, given.attrib[key])
+    row.set("spreadType", "center")
+    row.set("shape", shape_text(stretch.middle_m))
+    for lane in given.iterfind("lane"):
+        ET.SubElement(row, "lane", {key: lane.attrib[key] for key in LANE_KEPT if key in lane.attrib})
+    return row
+
+
+def _roundabouts(net: StreetNet, ends: Mapping[str, tuple[str, str]]) -> Iterator[ET.Element]:
+    """Yield the roundabouts of which nothing was cut off."""
+    for row in net.roundabouts:
+        if all(name in ends for name in row.get("edges", "").split()):
+            yield row
+
+
+def _connections(graph: StretchGraph) -> Iterator[ET.Element]:
+    """Yield the connections between streets.
+
+    A lane all of whose targets were cut away gets those of the lane nearest to it that has any.
+    """
+    targets: dict[str, dict[int, list[ET.Element]]] = defaultdict(lambda: defaultdict(list))
+    lanes: dict[str, int] = {}
+    for row, origin, target in graph.connections:
+        renamed = ET.Element("connection", row.attrib | {"from": origin.id, "to": target.id})
+        targets[origin.id][int(row.attrib["fromLane"])].append(renamed)
+        lanes[origin.id] = len(origin.street.for_cars)
+    for name, by_lane in targets.items():
+        for lane in range(lanes[name]):
+            nearest = min(by_lane, key=lambda other: (abs(other - lane), other))
+            for row in by_lane[nearest]:
+                yield ET.Element("connection", row.attrib | {"fromLane": str(lane)})

@@ -71,7 +71,6 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
         idle_signals=control.idle,
         lamps=control.lamps,
         apart=frozenset(apart),
-        unseen=tuple(sorted(name for name in long if kinds.get(name) != "traffic_light")),
     )
 
 

@@ -14,6 +14,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.annotate import annotate_net
+from advdiff_sumo.maps.convert.conflict_areas import write_conflicts
 from advdiff_sumo.maps.convert.control import with_control
 from advdiff_sumo.maps.convert.dividers import dashed_pairs
 from advdiff_sumo.maps.convert.geometry_checks import check_geometry
@@ -23,7 +24,7 @@ from advdiff_sumo.maps.convert.layout.lane_paths import Connection, find_connect
 from advdiff_sumo.maps.convert.layout.lay_out import lay_out
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide, find_side_by_side
-from advdiff_sumo.maps.convert.narrow import LONG_M, Ends, unseen_conflicts
+from advdiff_sumo.maps.convert.narrow import Ends, unseen_conflicts
 from advdiff_sumo.maps.convert.netconvert import run_netconvert
 from advdiff_sumo.maps.convert.netplan import NetPlan, Track
 from advdiff_sumo.maps.convert.opendrive import write_opendrive
@@ -141,7 +142,7 @@ def convert_source(
     layout = _laid_out(source, tracks, crossings)
     ways, doubles = find_connections(layout)
     plan = with_control(plan_drivable(tracks, layout, ways, left), source, guess_signals)
-    source = _with_unseen_conflicts(_with_idle_signals(source, plan), plan)
+    source = _with_idle_signals(source, plan)
     _make_folder(out_net)
     joined, beyond = _beyond(plan, source, osm, close_rim, layout.counts)
     waiting = [*waiting_turns(plan, source), *beyond.streets.first_to_go]
@@ -153,6 +154,7 @@ def convert_source(
     if beyond.returns:
         put_aside(out_net, plan, beyond.returns)
     annotate_net(out_net, plan)
+    layout.counts["pairs of ways with stated conflicts"] = write_conflicts(out_net, joined)
     write_programs(out_net, plan)
     if cycle_for:
         layout.counts["signals timed for traffic"] = set_fixed_times(out_net, cycle_for)
@@ -228,19 +230,6 @@ def _with_idle_signals(source: SourceMap, plan: NetPlan) -> SourceMap:
         f"{source.path.name}: {len(plan.idle_signals)} of {len(source.signals)} traffic lights stop no lane: "
     )
     return replace(source, warnings=(*source.warnings, sentence + names))
-
-
-def _with_unseen_conflicts(source: SourceMap, plan: NetPlan) -> SourceMap:
-    """Name the junctions in which SUMO's drivers do not see each other."""
-    if not plan.unseen:
-        return source
-    names = ", ".join(plan.unseen)
-    sentence = (
-        f"{source.path.name}: in {len(plan.unseen)} junctions without signals, ways run along each other for over "
-        f"{LONG_M:.0f} m and SUMO's drivers do not always see who is inside; '--tls guess' puts signals "
-        f"there: {names}"
-    )
-    return replace(source, warnings=(*source.warnings, sentence))
 
 
 def _build(

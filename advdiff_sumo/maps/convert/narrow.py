@@ -33,10 +33,27 @@ def unseen_conflicts(plan: NetPlan, net: Path) -> list[tuple[Ends, Ends]]:
     conflicts: set[tuple[Ends, Ends]] = set()
     for name in sorted(inside):
         for one, other in _near(inside[name]):
-            if frozenset((_key(one), _key(other))) not in known:
+            if frozenset((one.key, other.key)) not in known:
                 first, second = sorted((one, other), key=lambda way: (_turn(way), way.origin, way.target))
                 conflicts.add((_ends(first), _ends(second)))
     return sorted(pair for pair in conflicts if pair[::-1] not in conflicts or pair < pair[::-1])
+
+
+def unseen_pairs(plan: NetPlan) -> list[tuple[ConnectionPlan, ConnectionPlan]]:
+    """Return the pairs of ways to different edges of which SUMO does not see where they are in each other's way.
+
+    They come too near without crossing, or run along each other for long.
+    """
+    return [
+        (one, other)
+        for ways in _by_junction(plan).values()
+        for one, other in _near(ways)
+        if one.target[0] != other.target[0] and (not _cross(one, other) or _shared_m(one, other) > LONG_M)
+    ]
+
+
+def _cross(one: ConnectionPlan, other: ConnectionPlan) -> bool:
+    return bool(shapely.LineString(one.shape_m).crosses(shapely.LineString(other.shape_m)))
 
 
 def long_conflicts(plan: NetPlan) -> set[frozenset[Ends]]:
@@ -109,10 +126,6 @@ def _known_conflicts(net: Path) -> set[frozenset[Key]]:
                 if here is not None and index in own:
                     known.add(frozenset((here, own[index])))
     return known
-
-
-def _key(way: ConnectionPlan) -> Key:
-    return (*way.origin, *way.target)
 
 
 def _turn(way: ConnectionPlan) -> float:

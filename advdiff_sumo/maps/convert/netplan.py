@@ -117,6 +117,11 @@ class ConnectionPlan:
     way: Connection
     passes: bool = False
 
+    @property
+    def key(self) -> tuple[str, int, str, int]:
+        """Edge and lane that it leaves, edge and lane that it enters."""
+        return *self.origin, *self.target
+
 
 @dataclass(frozen=True, eq=False)
 class JunctionPlan:
@@ -146,7 +151,6 @@ class NetPlan:
         idle_signals: lights that stop nobody.
         lamps: of the lights at the end of an edge, where the source tells them.
         apart: pairs of ways, by the edges that they leave and enter, that run along each other for long.
-        unseen: junctions without signals in which there are such.
     """
 
     edges: tuple[EdgePlan, ...]
@@ -158,12 +162,11 @@ class NetPlan:
     idle_signals: tuple[str, ...] = ()
     lamps: Mapping[str, frozenset[Lamp]] = field(default_factory=dict)
     apart: frozenset[frozenset[tuple[str, str]]] = frozenset()
-    unseen: tuple[str, ...] = ()
 
     @cached_property
     def way_of(self) -> dict[tuple[str, int, str, int], ConnectionPlan]:
         """Connections by the edge and lane that they leave and enter."""
-        return {(*connection.origin, *connection.target): connection for connection in self.connections}
+        return {connection.key: connection for connection in self.connections}
 
 
 def plan_net(tracks: list[Track], layout: Layout, ways: list[Connection], lefthand: bool) -> NetPlan:

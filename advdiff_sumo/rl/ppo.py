@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
@@ -36,6 +37,7 @@ def new_ppo(env: VecEnv, options: PpoOptions, seed: int) -> PPO:
         seed=seed,
         device="cpu",
     )
+    model.set_logger(Logger(folder=None, output_formats=[]))  # its own leaves a folder of temporary files
     head = model.policy.action_net
     with torch.no_grad():
         for weight in head.parameters():

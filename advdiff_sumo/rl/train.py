@@ -11,7 +11,6 @@ from typing import Any
 
 import gymnasium
 from stable_baselines3 import PPO
-from stable_baselines3.common.utils import configure_logger
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from advdiff_sumo.core.errors import WeightsError
@@ -98,7 +97,6 @@ def _learn(model: PPO, plan: Plan, progress: checkpoint.Progress, tell: Tell) ->
         write(model, plan, progress)
 
     model.num_timesteps = progress.step
-    model.set_logger(configure_logger(verbose=0, tensorboard_log=None))
     with graceful() as wish:
         watch = Watch(progress.history, save, tell, wish)
         left = plan.steps - progress.step

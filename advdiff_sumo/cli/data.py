@@ -44,6 +44,15 @@ def simulate(
         float, typer.Option(min=0.0, max=1.0, help="Share of the windows on nets made up for them.")
     ] = 0.5,
     map_view: _MapView = "near",
+    driven_by: Annotated[
+        str,
+        typer.Option(
+            metavar="WEIGHTS",
+            help="Let a trained model drive (closed-loop, or a file) before SUMO's drivers take over: windows of what "
+            "to do where its own driving leads.",
+            show_default="SUMO's drivers alone",
+        ),
+    ] = "",
     seed: Annotated[int, typer.Option(help="Same seed, same bytes.")] = 0,
     workers: Annotated[int, typer.Option(min=1, max=256, help="Processes.")] = 2,
 ) -> None:
@@ -63,6 +72,7 @@ def simulate(
             "nets": tuple(net or SHIPPED_NETS),
             "random_share": random_share,
             "view": map_view,
+            "driven_by": driven_by,
             "seed": seed,
         }
     )

@@ -18,6 +18,8 @@ from advdiff_sumo.core.whole_file import whole_file
 
 FORMAT = "advdiff-windows-1"
 SUFFIX = ".safetensors"
+DRIVEN = "driven_by"
+"""Key of the header's further text: sha256 of the weights that drove in the windows up to now."""
 DT_S = 0.5
 PAST, FUTURE = 5, 12
 """H and T: instants of past (now is the last) and of future."""

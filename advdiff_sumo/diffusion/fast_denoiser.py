@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+import torch
+
 from advdiff_sumo.diffusion.sampler import Noise
 from advdiff_sumo.diffusion.tensor_denoiser import TensorDenoiser
 from advdiff_sumo.models.context import Context
@@ -28,12 +30,15 @@ class FastDenoiser:
     """
 
     def __init__(self, denoiser: Denoiser, steps: Iterable[int], compiled: bool | None = None) -> None:
+        self._net = denoiser
         here = denoiser.into.weight.device.type == "cpu" if compiled is None else compiled
         self._predicts = _compiled(denoiser, steps) if here else TensorDenoiser(denoiser, steps)
 
     def condition(self, context: Context) -> Noise:
         """Return ε(x, k) for the scenes of *context*, without gradients."""
-        return self._predicts.condition(context)
+        with torch.no_grad():
+            informed = self._net.informed(context)
+        return self._predicts.condition(informed)
 
 
 def _compiled(denoiser: Denoiser, steps: Iterable[int]) -> CompiledDenoiser:

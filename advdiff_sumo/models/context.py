@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from torch.nn.functional import one_hot
 
 from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.driving_situation import situation_features
 from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.geometry import into_frame, relative_features
 from advdiff_sumo.models.interaction import InteractionNet
@@ -33,12 +34,15 @@ class Context:
         prior: p(z | h), (B, A, Z).
         relative: (B, A, A, 9) how they see each other now, of ``relative_features``.
         drawn: (B, A) whose latents mean something: vehicles.
+        situation: (B, A, 11) lights, vehicles ahead and limits, of ``situation_features``; (B, A, 0) where no network
+            uses them.
     """
 
     h: Tensor
     prior: Gaussian
     relative: Tensor
     drawn: Tensor
+    situation: Tensor
 
     def repeat(self, times: int) -> Context:
         """Return the context of each scene *times* times in a row, as ``SceneBatch.repeat`` does."""
@@ -47,17 +51,18 @@ class Context:
             return value.repeat_interleave(times, dim=0)
 
         prior = Gaussian(many(self.prior.mean), many(self.prior.logvar))
-        return Context(many(self.h), prior, many(self.relative), many(self.drawn))
+        return Context(many(self.h), prior, many(self.relative), many(self.drawn), many(self.situation))
 
     def rows(self, rows: Tensor | slice) -> Context:
         """Return the context of the scenes at *rows*, as ``SceneBatch.rows`` does."""
         prior = Gaussian(self.prior.mean[rows], self.prior.logvar[rows])
-        return Context(self.h[rows], prior, self.relative[rows], self.drawn[rows])
+        return Context(self.h[rows], prior, self.relative[rows], self.drawn[rows], self.situation[rows])
 
     def first(self, agents: int) -> Context:
         """Return all scenes with their first *agents* alone, who know of the others what they did."""
         prior = Gaussian(self.prior.mean[:, :agents], self.prior.logvar[:, :agents])
-        return Context(self.h[:, :agents], prior, self.relative[:, :agents, :agents], self.drawn[:, :agents])
+        relative, drawn = self.relative[:, :agents, :agents], self.drawn[:, :agents]
+        return Context(self.h[:, :agents], prior, relative, drawn, self.situation[:, :agents])
 
 
 class MapEncoder(nn.Module):
@@ -111,6 +116,7 @@ class ContextEncoder(nn.Module):
         self.mix = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width))
         self.interaction = InteractionNet(width, options)
         self.prior = nn.Linear(width, 2 * options.latent)
+        self._tells_situation = options.denoiser_situation
 
     def forward(self, batch: SceneBatch) -> Context:
         """Return embeddings and the prior of every agent; the same whatever the world's frame."""
@@ -120,7 +126,8 @@ class ContextEncoder(nn.Module):
         pose = batch.pose
         relative = relative_features(pose[..., :2], pose[..., 2], pose[..., 3])
         h = self.interaction(h, relative, batch.present)
-        return Context(h, gaussian_head(self.prior(h)), relative, batch.moved)
+        situation = situation_features(batch) if self._tells_situation else h[..., :0]
+        return Context(h, gaussian_head(self.prior(h)), relative, batch.moved, situation)
 
 
 def gaussian_head(raw: Tensor) -> Gaussian:

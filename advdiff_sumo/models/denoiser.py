@@ -8,12 +8,14 @@ drawn as one; it works through the state embedding of AdaGN and begins as nothin
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
 from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.driving_situation import SITUATION_FEATURES
 from advdiff_sumo.models.interaction import InteractionNet
 from advdiff_sumo.models.model_options import GROUPS, ModelOptions
 
@@ -107,6 +109,14 @@ class Coupling(nn.Module):
         return context.h + coupled
 
 
+def _situation(options: ModelOptions) -> nn.Sequential:
+    """Return the perceptron that adds the driving situation to h; its output begins as 0."""
+    last = nn.Linear(options.message, options.hidden)
+    nn.init.zeros_(last.weight)
+    nn.init.constant_(last.bias, 0.0)
+    return nn.Sequential(nn.Linear(SITUATION_FEATURES, options.message), nn.SiLU(), last)
+
+
 class Denoiser(nn.Module):
     """ε(z̃ᵏ, k, z, h), all vehicles of a scene together.
 
@@ -120,6 +130,7 @@ class Denoiser(nn.Module):
         self.shape = shape
         channels, length = shape
         full, half, quarter = options.channels
+        self.situation = _situation(options) if options.denoiser_situation else None
         self.condition = nn.Identity() if length == options.latent else nn.Linear(options.latent, length)
         width = options.hidden
         self.coupling = Coupling(options, channels * length) if options.denoiser_layers else None
@@ -148,12 +159,19 @@ class Denoiser(nn.Module):
             k: (B,) diffusion steps, 1 … K.
             context: its prior's mean is the condition z, its embeddings are h.
         """
+        context = self.informed(context)
         scenes, agents = x.shape[:2]
         step = sinusoidal(k, STEP_WIDTH)
         state = context.h if self.coupling is None else self.coupling(x, step, context)
         condition = self.condition(context.prior.mean).flatten(0, 1)[:, None]
         y = self._unet(torch.cat((x.flatten(0, 1), condition), dim=1), state.flatten(0, 1), step)
         return y.reshape(scenes, agents, *x.shape[2:])
+
+    def informed(self, context: Context) -> Context:
+        """Return *context* as this network uses it: with embeddings that know lights, vehicles ahead and limits."""
+        if self.situation is None:
+            return context
+        return replace(context, h=context.h + self.situation(context.situation))
 
     def _unet(self, x: Tensor, h: Tensor, step: Tensor) -> Tensor:
         first = self.down[0](self.into(x), h, step)

@@ -43,6 +43,8 @@ class ModelOptions(Options):
             nearest ones; 0: all.
         map_view: how much of the map each vehicle sees: "near": 60 m around; "far": what it may drive in 6 s, too.
         denoiser_layers: graph layers through which vehicles see each other's noisy latents; 0: each on its own.
+        denoiser_situation: tell the denoiser outright of lights, vehicles ahead and limits, see
+            ``models.driving_situation``.
         channels: channels of the denoiser's U-Net at full, half and quarter length.
         reward_hidden: width of the reward model.
         accel_mps2: strongest acceleration that the decoder can give.
@@ -62,6 +64,7 @@ class ModelOptions(Options):
     neighbours: int = Field(0, ge=0)
     map_view: MapView = "near"
     denoiser_layers: int = Field(1, ge=0, le=6)
+    denoiser_situation: bool = False
     channels: tuple[int, int, int] = (24, 32, 48)
     reward_hidden: int = Field(64, ge=8, le=1024, multiple_of=4)
     accel_mps2: float = Field(4.0, gt=0.0)

@@ -17,12 +17,13 @@ from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.core.worker_pool import futures_of
 from advdiff_sumo.data.window_arrays import WindowFileBuilder
-from advdiff_sumo.data.window_files import SUFFIX, read_windows, write_windows
+from advdiff_sumo.data.window_files import DRIVEN, SUFFIX, read_windows, write_windows
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.read_net import base_name
 from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, find_net
+from advdiff_sumo.sim.simulate_handback import DrivingModel, record_handbacks
 from advdiff_sumo.sim.simulate_nets import KINDS, write_random_net
-from advdiff_sumo.sim.simulate_run import cut, record
+from advdiff_sumo.sim.simulate_run import Recording, cut, record
 
 SHARD_WINDOWS, RUN_WINDOWS = 300, 200
 _MOST_RUNS, _NET_TRIES = 8, 5
@@ -37,6 +38,8 @@ class SimulateOptions(Options):
         nets: nets given by path or shipped name.
         random_share: share of the windows that come from nets made up for them.
         view: how much of the map the windows show.
+        driven_by: weights, by path or shipped name, of a model that drives before SUMO's drivers take over; "": they
+            drive all the time.
         seed: same seed, same bytes.
     """
 
@@ -44,6 +47,7 @@ class SimulateOptions(Options):
     nets: tuple[str, ...] = SHIPPED_NETS
     random_share: float = Field(0.5, ge=0.0, le=1.0)
     view: MapView = "near"
+    driven_by: str = ""
     seed: int = 0
 
 
@@ -58,6 +62,7 @@ class Shard:
         seed: the shard's node of the seed tree.
         windows: how many.
         view: how much of the map they show.
+        model: that drives before SUMO's drivers take over; None: they drive all the time.
     """
 
     name: str
@@ -66,13 +71,23 @@ class Shard:
     seed: SeedTree
     windows: int
     view: MapView = "near"
+    model: DrivingModel | None = None
 
     @property
     def recipe(self) -> str:
         """What the file's bytes depend on, as text in its header."""
         net = self.net.name if self.net is not None else "random"
         view = [] if self.view == "near" else [self.view]
-        return json.dumps([self.name, net, self.seed.root, *self.seed.path, self.windows, *view])
+        driver = [] if self.model is None else [f"driven by {self.model.digest}"]
+        return json.dumps([self.name, net, self.seed.root, *self.seed.path, self.windows, *view, *driver])
+
+    def stretches(self, road: RoadMap, run: int) -> Iterator[Recording]:
+        """Yield recordings of simulation *run* on *road*."""
+        seed = self.seed.child("run", run)
+        if self.model is None:
+            yield record(road, seed)
+        else:
+            yield from record_handbacks(road, seed, self.model)
 
 
 @dataclass(frozen=True)
@@ -89,7 +104,9 @@ def plan(options: SimulateOptions) -> list[Shard]:
 
     Raises:
         NetError: a net does not exist or cannot be used.
+        WeightsError: there are no such weights, or a model that cannot drive.
     """
+    model = DrivingModel.read(options.driven_by) if options.driven_by else None
     nets = [find_net(net) for net in options.nets] if options.random_share < 1.0 else []
     for given in nets:
         RoadMap.read(given)
@@ -103,7 +120,7 @@ def plan(options: SimulateOptions) -> list[Shard]:
         net = None if after > before else nets[(number - before) % len(nets)]
         kind = KINDS[before % len(KINDS)] if net is None else ""
         name = f"{kind if net is None else base_name(net)}-{options.seed}-{number:04d}"
-        shards.append(Shard(name, net, kind, seed.child(number), size, options.view))
+        shards.append(Shard(name, net, kind, seed.child(number), size, options.view, model))
     return shards
 
 
@@ -158,13 +175,20 @@ def make_shard(shard: Shard, out: Path) -> int:
     """
     road = _road(_random_net(shard, out) if shard.net is None else shard.net)
     table = road.pieces(shard.view)
-    builder = WindowFileBuilder(
-        table, road.name, "advdiff-sumo data simulate", {"recipe": shard.recipe, "net": _said(shard)}
-    )
+    extra = {"recipe": shard.recipe, "net": _said(shard)}
+    if shard.model is not None:
+        extra[DRIVEN] = shard.model.digest
+    builder = WindowFileBuilder(table, road.name, "advdiff-sumo data simulate", extra)
     share = min(RUN_WINDOWS, -(-shard.windows // 2))
     for run in range(_MOST_RUNS):
         seed = shard.seed.child("run", run)
-        windows = list(cut(record(road, seed), table, seed, f"{shard.name}-{run}"))
+        windows = [
+            window
+            for number, recording in enumerate(shard.stretches(road, run))
+            for window in cut(
+                recording, table, seed.child(*((number,) if number else ())), f"{shard.name}-{run}"
+            )
+        ]
         wanted = min(share, shard.windows - len(builder.windows))
         rng = seed.child("choice").generator()
         picked = sorted(rng.permutation(len(windows))[:wanted].tolist())

@@ -46,8 +46,17 @@ class Streets:
         return Streets(tuple(ids), tuple(road.edges[e].length_m * len(road.edges[e].lane_ids) for e in ids))
 
 
-def write_mixed_demand(road: RoadMap, duration_s: float, seed: SeedTree, path: Path) -> Path:
+def write_mixed_demand(
+    road: RoadMap, duration_s: float, seed: SeedTree, path: Path, stops: bool = True
+) -> Path:
     """Write demand that fills the net at once to a random density and keeps it, to *path* (``.rou.xml``).
+
+    Args:
+        road: the net.
+        duration_s: how long vehicles come in.
+        seed: of drivers, trips and stops.
+        path: of the file.
+        stops: whether vehicles park at the kerb or stop on their way.
 
     Raises:
         NetError: the net has no route that a car could drive.
@@ -60,12 +69,15 @@ def write_mixed_demand(road: RoadMap, duration_s: float, seed: SeedTree, path: P
         for key, value in driver.parameters.items():
             SubElement(element, "param", key=key, value=value)
     streets = Streets.of(road)
-    for vehicle in _parked(road, streets, types, rng):
+    for vehicle in _parked(road, streets, types, rng) if stops else ():
         root.append(vehicle)
     trips = sorted(_trips(road, streets, types, duration_s, rng), key=lambda v: float(v.attrib["depart"]))
     if not trips:
         raise NetError(road.path, "holds no drivable route", "give a net in which edges are connected")
     for vehicle in trips:
+        if not stops:
+            for stop in vehicle.findall("stop"):
+                vehicle.remove(stop)
         root.append(vehicle)
     ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
     return path

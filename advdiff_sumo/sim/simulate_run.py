@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,11 +42,17 @@ class Recording:
         tracks: (A, L) states.
         parked: (A,) whether the vehicle stands at the kerb throughout.
         signals: L mappings, traffic light → state string.
+        instants: at which windows may be cut.
+        focal: (A, L) which vehicles may be focal.
+        expert: (A, L) whose states SUMO's drivers led to; what others did is no future to learn.
     """
 
     tracks: Tracks
     parked: BoolArray
     signals: tuple[Mapping[str, str], ...]
+    instants: tuple[int, ...]
+    focal: BoolArray
+    expert: BoolArray
 
 
 def record(road: RoadMap, seed: SeedTree) -> Recording:
@@ -80,7 +86,10 @@ def _recorded(session: Session) -> Recording:
     rows = np.arange(len(world))
     tracks, _ = stack(world, frames, rows, 0.0, DT_S)
     named = np.array([name.startswith(PARKED) for name in tracks.ids], dtype=np.bool_)
-    return Recording(tracks, named & (_extent_m(tracks.xy_m) < 0.5), tuple(signals))
+    parked = named & (_extent_m(tracks.xy_m) < 0.5)
+    instants = tuple(range(PAST - 1, tracks.steps - FUTURE, round(_EVERY_S / DT_S)))
+    focal = tracks.valid & ~parked[:, None]
+    return Recording(tracks, parked, tuple(signals), instants, focal, tracks.valid)
 
 
 def _extent_m(xy_m: FloatArray) -> FloatArray:
@@ -91,7 +100,7 @@ def _extent_m(xy_m: FloatArray) -> FloatArray:
 
 
 def cut(recording: Recording, table: PieceTable, seed: SeedTree, name: str) -> Iterator[WindowArrays]:
-    """Yield windows of *recording*: every 1.5 s some focal vehicles whose crops overlap little.
+    """Yield windows of *recording*: at its instants some focal vehicles whose crops overlap little.
 
     Focal vehicles are drawn, moving ones first. Windows in which hardly anybody moves are thinned. Left out
     are those in which boxes overlap, as SUMO's lane model allows where a driver would not, and those in which
@@ -99,8 +108,7 @@ def cut(recording: Recording, table: PieceTable, seed: SeedTree, name: str) -> I
     """
     rng = seed.child("windows").generator()
     tracks = recording.tracks
-    stride = round(_EVERY_S / DT_S)
-    for now in range(PAST - 1, tracks.steps - FUTURE, stride):
+    for now in recording.instants:
         moving = _moving(tracks, now)
         order = _focal_order(recording, now, moving, rng)
         for rows in crops(tracks.xy_m[:, now], order, _MOST_FOCAL):
@@ -110,7 +118,14 @@ def cut(recording: Recording, table: PieceTable, seed: SeedTree, name: str) -> I
                 continue
             if not _drivable(tracks, rows, now):
                 continue
-            yield window_arrays(tracks, now, rows, recording.parked, table, recording.signals[now], name)
+            window = window_arrays(tracks, now, rows, recording.parked, table, recording.signals[now], name)
+            yield _learnable(window, recording.expert[rows, now + 1 : now + 1 + FUTURE])
+
+
+def _learnable(window: WindowArrays, expert: BoolArray) -> WindowArrays:
+    """Return *window* with futures that end where they are no longer an *expert*'s (A, T)."""
+    known = window.future_valid & np.logical_and.accumulate(expert, axis=1)
+    return replace(window, future=np.where(known[..., None], window.future, 0.0), future_valid=known)
 
 
 def _moving(tracks: Tracks, now: int) -> BoolArray:
@@ -123,7 +138,7 @@ def _moving(tracks: Tracks, now: int) -> BoolArray:
 def _focal_order(recording: Recording, now: int, moving: BoolArray, rng: np.random.Generator) -> IntArray:
     """Return the vehicles that may be focal at instant *now* in a random order, moving ones mostly first."""
     tracks = recording.tracks
-    there = tracks.valid[:, now] & tracks.valid[:, now + 1] & ~recording.parked
+    there = recording.focal[:, now] & tracks.valid[:, now + 1]
     order = rng.permutation(np.flatnonzero(there))
     return np.asarray(order[np.argsort(~moving[order] & (rng.random(len(order)) < 0.9), kind="stable")])
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.map_view import MAP_PIECES, MapView
 from advdiff_sumo.core.seeds import SeedTree
-from advdiff_sumo.data.window_files import WindowFile, read_windows, window_paths
+from advdiff_sumo.data.window_files import DRIVEN, WindowFile, read_windows, window_paths
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import Jitter, collate
 
@@ -49,6 +49,12 @@ class WindowSet:
     def map_view(self) -> MapView:
         """How much of the map the windows show."""
         return _VIEWS[self.files[0].near.shape[1]]
+
+    @property
+    def driven(self) -> NDArray[np.bool_]:
+        """(n,) in which windows a model drove up to now."""
+        of_file = np.array([DRIVEN in file.extra for file in self.files], dtype=np.bool_)
+        return of_file[self.file]
 
     def must_show(self, view: MapView) -> None:
         """Refuse windows that networks of this *view* of the map cannot read.
@@ -141,6 +147,42 @@ def split(windows: WindowSet, share: float, seed: int) -> tuple[WindowSet, Windo
     out = [name for name in ordered[:-1] if rank[name] < share] or ordered[:1]
     held = np.isin(names, out)
     return windows.subset(np.flatnonzero(~held)), windows.subset(np.flatnonzero(held))
+
+
+def of_epoch(windows: WindowSet, count: int, driven_share: float, rng: np.random.Generator) -> IntArray:
+    """Return the numbers of the windows that an epoch looks at.
+
+    Each is taken as often as any other of its kind, give or take one.
+
+    Args:
+        windows: all there are.
+        count: how many; 0: as many as there are.
+        driven_share: share of them in which a model drove up to now; 0: as they come.
+        rng: draws them.
+
+    Raises:
+        ConfigError: a share is asked for, and there are none of one of the kinds.
+    """
+    count = count or len(windows)
+    if not driven_share:
+        return _spread(np.arange(len(windows)), count, rng)
+    kinds = np.flatnonzero(windows.driven), np.flatnonzero(~windows.driven)
+    many = round(count * driven_share)
+    wanted = many, count - many
+    if any(number and not len(kind) for kind, number in zip(kinds, wanted, strict=True)):
+        raise ConfigError(
+            f"driven_share = {driven_share:g}: the windows hold {len(kinds[0])} that a model drove and {len(kinds[1])} "
+            "others; make the former with 'advdiff-sumo data simulate --driven-by'"
+        )
+    return np.concatenate([_spread(kind, number, rng) for kind, number in zip(kinds, wanted, strict=True)])
+
+
+def _spread(numbers: IntArray, count: int, rng: np.random.Generator) -> IntArray:
+    """Return *count* of *numbers*, each as often as any other, give or take one."""
+    if count == len(numbers):
+        return numbers
+    whole = np.tile(numbers, count // max(len(numbers), 1))
+    return np.concatenate((whole, rng.permutation(numbers)[: count - len(whole)]))
 
 
 def batches(windows: WindowSet, size: int, rng: np.random.Generator | None = None) -> list[IntArray]:

@@ -111,7 +111,7 @@ def random_action(
     rows = torch.nonzero(source == 2).squeeze(1).to(out.device)
     if len(rows):
         steps = min(options.sampling_steps, schedule_of(bundle).steps)
-        out[rows] = diffused(bundle, _rows(context, rows), steps, generator)[:, :, 0]
+        out[rows] = diffused(bundle, context.rows(rows), steps, generator)[:, :, 0]
     return out
 
 
@@ -171,8 +171,3 @@ def from_logs(
 
 def _first(path: Rollout, steps: int) -> Rollout:
     return Rollout(*(value[:, :, :steps] for value in vars(path).values()))
-
-
-def _rows(context: Context, rows: Tensor) -> Context:
-    prior = type(context.prior)(context.prior.mean[rows], context.prior.logvar[rows])
-    return Context(context.h[rows], prior, context.relative[rows], context.drawn[rows])

@@ -155,6 +155,8 @@ class TrainOptions(Options):
 
     Attributes:
         epochs: passes over the training windows.
+        epoch_windows: how many of them a pass looks at, drawn anew for each; 0: all.
+        driven_share: share of those in which a model drove up to now (``data simulate --driven-by``); 0: as they come.
         batch_size: windows in a step.
         learning_rate: of Adam, at its highest.
         schedule: how it changes, see ``training.learning_rates``.
@@ -177,6 +179,8 @@ class TrainOptions(Options):
     """
 
     epochs: int = Field(200, ge=1)
+    epoch_windows: int = Field(0, ge=0)
+    driven_share: float = Field(0.0, ge=0.0, le=1.0)
     batch_size: int = Field(8, ge=1)
     learning_rate: float = Field(5e-4, gt=0.0)
     schedule: ScheduleName = "constant"

@@ -89,7 +89,9 @@ def prepare(plan: Plan) -> Job:
     options = plan.options.model_copy(update={"model": bundle.options.model, "codec": bundle.options.codec})
     train, held_out = _sides(plan, windows)
     bundle.to(device)
-    if plan.stage == "denoiser":
+    if (
+        plan.stage == "denoiser" and "denoiser" not in bundle.stages
+    ):  # one that is trained on keeps the scale that it knows
         _measure(bundle, train, options, device)
     stage = _stage(plan.stage, bundle, options, begun)
     if options.compiled and isinstance(bundle.traffic.decoder, ClosedLoopDecoder):
@@ -213,12 +215,21 @@ def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions, windows: WindowSet
             )
         return begun
     if "denoiser" in begun.stages and begun.options.codec == wanted.codec:
-        return begun
+        return _informed(plan, begun)
     options = wanted.model_copy(update={"model": begun.options.model})
     bundle = new_bundle(options, SeedTree(plan.seed, ("weights",)).integer())
     bundle.traffic.load_state_dict(begun.traffic.state_dict())
     bundle.reward.load_state_dict(begun.reward.state_dict())
     return replace(bundle, stages=tuple(name for name in begun.stages if name == "traffic"))
+
+
+def _informed(plan: Plan, begun: Bundle) -> Bundle:
+    """Return *begun*, its denoiser with the parts that the plan asks for; new ones begin as nothing."""
+    if begun.options.model.denoiser_situation or not plan.options.model.denoiser_situation:
+        return begun
+    model = begun.options.model.model_copy(update={"denoiser_situation": True})
+    options = begun.options.model_copy(update={"model": model})
+    return _grown(begun, options, SeedTree(plan.seed, ("weights",)).integer())
 
 
 def with_closed_loop(begun: Bundle, seed: int, view: MapView | None = None) -> Bundle:
@@ -231,6 +242,11 @@ def with_closed_loop(begun: Bundle, seed: int, view: MapView | None = None) -> B
     """
     changed = {"decoder": "closed-loop", "map_view": view or begun.options.model.map_view}
     options = begun.options.model_copy(update={"model": begun.options.model.model_copy(update=changed)})
+    return _grown(begun, options, seed)
+
+
+def _grown(begun: Bundle, options: BundleOptions, seed: int) -> Bundle:
+    """Return networks of *options* with the weights of *begun* where it has them; the others follow from *seed*."""
     fresh = new_bundle(options, seed)
     for name, module in fresh.modules().items():
         module.load_state_dict({**module.state_dict(), **begun.modules()[name].state_dict()})

@@ -24,7 +24,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import Jitter
 from advdiff_sumo.training import checkpoint, history
 from advdiff_sumo.training.checkpoint import Progress
-from advdiff_sumo.training.dataset import IntArray, WindowSet, batches, nearest, padded
+from advdiff_sumo.training.dataset import IntArray, WindowSet, batches, nearest, of_epoch, padded
 from advdiff_sumo.training.ema import Ema
 from advdiff_sumo.training.interrupt import StopRequest, graceful
 from advdiff_sumo.training.learning_rates import rate_factor
@@ -115,7 +115,7 @@ class Trainer:
         self.ema = Ema(job.stage.module, options.ema_decay)
         self.progress = Progress(job.stage.name, options.model_dump(mode="json"), job.source)
         self._drawn = time.monotonic()
-        whole = len(job.train) / options.batch_size
+        whole = (options.epoch_windows or len(job.train)) / options.batch_size
         self.per_epoch = math.floor(whole) if options.compiled else math.ceil(whole)
         self.total = self.per_epoch * options.epochs
 
@@ -181,11 +181,13 @@ class Trainer:
         return True
 
     def _order(self) -> list[IntArray]:
-        rng = self.tree.child("order", self.progress.epoch).generator()
-        order = batches(self.job.train, self.job.options.batch_size, rng)
-        if not self.job.options.compiled:
+        rng, options = self.tree.child("order", self.progress.epoch).generator(), self.job.options
+        numbers = of_epoch(self.job.train, options.epoch_windows, options.driven_share, rng)
+        cut = batches(self.job.train.subset(numbers), options.batch_size, rng)
+        order = [numbers[batch] for batch in cut]
+        if not options.compiled:
             return order
-        return [numbers for numbers in order if len(numbers) == self.job.options.batch_size]  # of one shape
+        return [batch for batch in order if len(batch) == options.batch_size]  # of one shape
 
     def _batches(self, order: list[IntArray]) -> Iterator[SceneBatch]:
         """Yield the epoch's batches that are left, on the CPU; what each one holds follows from its step alone."""

@@ -22,8 +22,8 @@ PIECES = sum(MAP_PIECES["near"])
 SMALL = ModelOptions(hidden=32, latent=8, edge=8, message=16, channels=(8, 16, 24), reward_hidden=16)
 
 
-def bundle(codec: str = "latent", layers: int = 1) -> Bundle:
-    sizes = {**SMALL.model_dump(), "denoiser_layers": layers}
+def bundle(codec: str = "latent", layers: int = 1, situation: bool = False) -> Bundle:
+    sizes = {**SMALL.model_dump(), "denoiser_layers": layers, "denoiser_situation": situation}
     made = new_bundle(BundleOptions.parse({"model": sizes, "codec": codec}))
     generator = torch.Generator().manual_seed(1)
     for module in made.modules().values():
@@ -59,11 +59,13 @@ def scene(scenes: int = 1, agents: int = 6, seed: int = 0) -> SceneBatch:
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-@pytest.mark.parametrize("layers", [0, 1, 2])
+@pytest.mark.parametrize(("layers", "situation"), [(0, False), (1, False), (2, False), (2, True)])
 @pytest.mark.parametrize("codec", ["latent", "trajectory"])
-def test_the_denoiser_at_every_step_of_a_ladder(codec: str, layers: int, compiled: bool) -> None:
+def test_the_denoiser_at_every_step_of_a_ladder(
+    codec: str, layers: int, situation: bool, compiled: bool
+) -> None:
     """For more vehicles than are predicted at a time, some of them on foot."""
-    made, batch = bundle(codec, layers), scene(scenes=2, agents=11)
+    made, batch = bundle(codec, layers, situation), scene(scenes=2, agents=11)
     batch.moved[1, 3:] = False
     context = made.traffic.encoder(batch)
     steps = [100, 75, 50, 25]

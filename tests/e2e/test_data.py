@@ -39,6 +39,7 @@ def test_simulate_then_stats(tmp_path: Path) -> None:
         (("simulate", "--out", "file"), "--out file is a file"),
         (("simulate", "--out", "w", "--windows", "0"), "'--windows'"),
         (("simulate", "--out", "w", "--random-share", "2"), "'--random-share'"),
+        (("simulate", "--out", "w", "--driven-by", "no.safetensors"), "no.safetensors: no such file"),
         (("build", "nowhere", "--out", "w"), "nowhere: no such log"),
         (("build", ".", "--out", "w"), "holds no driving log"),
         (("build", ".", "--out", "w", "--stride", "0.7"), "multiples of 0.5 s"),
@@ -101,6 +102,48 @@ def test_windows_of_the_far_view_need_networks_that_see_as_far(tmp_path: Path) -
     done = advdiff(*words, *sets, "--loaders", 1, "--threads", 1, cwd=tmp_path)
     assert done.code == 0, done.err
     assert load_bundle(tmp_path / "far" / "weights.safetensors").options.model.map_view == "far"
+
+
+@pytest.mark.slow
+def test_windows_in_which_a_model_drove_train_its_denoiser(tmp_path: Path) -> None:
+    words = ("data", "simulate", "--out", "w", "--windows", 8, "--net", "downtown-left", "--random-share", 0)
+    driven = ("--map-view", "far", "--driven-by", "closed-loop", "--seed", 5, "--workers", 1)
+    done = advdiff(*words, *driven, cwd=tmp_path)
+    assert (done.code, done.err) == (0, "")
+    windows = read_window_set([tmp_path / "w"])
+    assert windows.driven.all()
+    assert not all(file.future_valid.all() for file in windows.files)  # what the model did is no future
+    again = advdiff(*words, "--map-view", "far", "--seed", 5, cwd=tmp_path)
+    assert again.code == 2
+    assert "was made with other options" in again.err
+    words = (
+        "train",
+        "denoiser",
+        "--init",
+        "closed-loop",
+        "--data",
+        "w",
+        "--val",
+        "w",
+        "--judge",
+        0,
+        "--threads",
+        1,
+    )
+    settings = (
+        "model.denoiser_situation=true",
+        "epochs=1",
+        "epoch_windows=4",
+        "batch_size=2",
+        "driven_share=1",
+    )
+    sets = [word for setting in settings for word in ("--set", setting)]
+    done = advdiff(*words, *sets, "--out", "told", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert load_bundle(tmp_path / "told" / "weights.safetensors").options.model.denoiser_situation
+    refused = advdiff(*words, "--set", "driven_share=0.5", "--out", "o", cwd=tmp_path)
+    assert refused.code == 2
+    assert "the windows hold 8 that a model drove and 0 others" in refused.err
 
 
 @pytest.mark.parametrize("verb", ["simulate", "build", "stats"])

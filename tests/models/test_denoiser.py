@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.denoiser import AdaGN, Denoiser, sinusoidal
+from advdiff_sumo.models.driving_situation import SITUATION_FEATURES
 from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.geometry import RELATIVE_FEATURES
 from advdiff_sumo.models.model_options import ModelOptions
@@ -90,6 +91,7 @@ def inputs(options: ModelOptions, shape: tuple[int, int]) -> tuple[Tensor, Tenso
         prior=Gaussian(mean, torch.zeros_like(mean)),
         relative=noise(2, 3, 3, RELATIVE_FEATURES, seed=3),
         drawn=torch.ones(2, 3, dtype=torch.bool),
+        situation=noise(2, 3, SITUATION_FEATURES, seed=4),
     )
     return noise(2, 3, *shape), torch.tensor([5, 80]), context
 

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from advdiff_sumo.core.errors import ConfigError, FileError
-from advdiff_sumo.data.window_files import read_windows, write_windows
+from advdiff_sumo.data.window_files import DRIVEN, read_windows, write_windows
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.training.dataset import batches, nearest, read_window_set, split
+from advdiff_sumo.training.dataset import batches, nearest, of_epoch, read_window_set, split
 from tests.training.straight_road import make_windows, write
 
 
@@ -106,3 +106,31 @@ def test_windows_of_two_views_of_the_map_are_refused(window_folder: Path) -> Non
         read_window_set([window_folder])
     path.unlink()
     assert read_window_set([window_folder]).map_view == "far"
+
+
+def test_an_epoch_draws_as_many_windows_of_each_kind_as_asked_for(tmp_path: Path) -> None:
+    write(tmp_path, count=12, drives=4)
+    driven = make_windows(4, drives=4, seed=9)
+    write_windows(tmp_path / "driven.safetensors", replace(driven, map_name="other", extra={DRIVEN: "x"}))
+    windows = read_window_set([tmp_path])
+    assert windows.driven.sum() == 4
+    few = of_epoch(windows, 8, 0.75, np.random.default_rng(0))
+    assert (len(few), windows.driven[few].sum(), len(set(few.tolist()))) == (
+        8,
+        6,
+        6,
+    )  # each of the four, two twice
+    assert of_epoch(windows, 0, 0.0, np.random.default_rng(0)).tolist() == list(range(16))
+    many = np.bincount(of_epoch(windows, 40, 0.0, np.random.default_rng(0)))
+    assert set(many.tolist()) == {2, 3}
+    again, other = (of_epoch(windows, 8, 0.5, np.random.default_rng(seed)).tolist() for seed in (0, 1))
+    assert again == of_epoch(windows, 8, 0.5, np.random.default_rng(0)).tolist()
+    assert again != other
+
+
+def test_a_share_of_windows_that_are_not_there_is_refused(window_folder: Path) -> None:
+    windows = read_window_set([window_folder])
+    with pytest.raises(
+        ConfigError, match=r"0 that a model drove and 12 others; make the former with .* --driven-by"
+    ):
+        of_epoch(windows, 8, 0.5, np.random.default_rng(0))

@@ -1,0 +1,174 @@
+"""Traffic that a trained model drove up to some instant and SUMO's drivers from there on: data aggregation.
+
+A model that is trained on recordings alone never sees the situations into which its own errors lead it. Here it drives
+by itself for a while, then SUMO's drivers take over and show what is to be done from there (DAgger, Ross et al. 2011,
+arXiv:1011.0686, with SUMO as the expert).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from advdiff_sumo.core.errors import EpisodeFailure
+from advdiff_sumo.core.record import Controller
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.data.window_files import DT_S, FUTURE
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.planners.planner_protocol import SumoDriver
+from advdiff_sumo.sim.demand_files import DemandFiles
+from advdiff_sumo.sim.episode import Episode
+from advdiff_sumo.sim.episode_loop import Loop
+from advdiff_sumo.sim.seed_scene import SeedScene
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.simulate_demand import write_mixed_demand
+from advdiff_sumo.sim.simulate_run import WARMUP_S, Recording
+from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
+from advdiff_sumo.sim.world import stack
+from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
+from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
+
+_EPISODE_S = 70.0
+_DRIVES_S = (3.0, 25.0)
+_LATER = (0, 2, 4)
+"""Model steps after the hand-over at which windows are cut."""
+_SIM = SimOptions(stop_at_collision=False, record_plans=0, record_natural=False)
+_SCENE = SceneOptions(
+    warmup_s=WARMUP_S, min_route_m=250.0, min_speed_mps=0.0, spacing_s=8.0, scenes_per_warmup=2
+)
+
+
+@dataclass(frozen=True)
+class DrivingModel:
+    """A trained model that drives the traffic.
+
+    Attributes:
+        weights: file of its networks.
+        digest: sha256 of that file.
+    """
+
+    weights: Path
+    digest: str
+
+    @staticmethod
+    def read(weights: str) -> DrivingModel:
+        """Return the model of *weights*, a path or a shipped name.
+
+        Raises:
+            WeightsError: the file is missing, damaged, or holds other networks.
+        """
+        from advdiff_sumo.models.shipped_weights import find_weights  # brings PyTorch with it
+
+        path = find_weights(weights)
+        model = DrivingModel(path, hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "")
+        model.policy()
+        return model
+
+    def policy(self) -> TrafficPolicy:
+        """Return it as a background without a guide; the networks are read once a process.
+
+        Raises:
+            WeightsError: the file is missing, damaged, or holds other networks.
+        """
+        return _policy(str(self.weights))
+
+
+@lru_cache(maxsize=1)
+def _policy(weights: str) -> TrafficPolicy:
+    # brings PyTorch with it, which traffic of SUMO alone does without
+    from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
+
+    return DiffusionTraffic(guide="none", weights=weights, device="cpu")
+
+
+def record_handbacks(road: RoadMap, seed: SeedTree, model: DrivingModel) -> Iterator[Recording]:
+    """Yield stretches of traffic on *road* that *model* and SUMO drive in turn; *seed* decides all.
+
+    In each, the model moves everybody around one vehicle for 3 to 25 s, SUMO's drivers for the 8 s that follow, and
+    so on for 70 s.
+
+    Raises:
+        SceneError: no vehicle ever has others around it.
+        SimulationError: SUMO refused the net or stopped.
+        NetError: the net has no route.
+    """
+    with tempfile.TemporaryDirectory(prefix="advdiff-") as folder:
+        path = Path(folder) / "demand.rou.xml"
+        duration_s = _SCENE.warmup_s + _SCENE.scenes_per_warmup * _SCENE.spacing_s + _EPISODE_S
+        write_mixed_demand(road, duration_s, seed.child("demand"), path, stops=False)
+        files = DemandFiles((path,), (), 0.0)
+        scenes = NaturalTraffic(road, files, _SCENE, _SIM, DT_S, seed).batch(0)
+    for number, scene in enumerate(scenes):
+        yield driven_in_turn(road, scene, seed.child("handback", number), model.policy())
+
+
+def driven_in_turn(
+    road: RoadMap,
+    scene: SeedScene,
+    seed: SeedTree,
+    policy: TrafficPolicy,
+    duration_s: float = _EPISODE_S,
+    spans_s: tuple[float, float] = _DRIVES_S,
+) -> Recording:
+    """Return traffic around the target of *scene* that *policy* and SUMO's drivers drive in turn.
+
+    Args:
+        road: the map.
+        scene: where it begins.
+        seed: of all that is random.
+        policy: drives first.
+        duration_s: no turn of the policy begins later.
+        spans_s: shortest and longest turn of the policy.
+    """
+    target, names = SumoDriver("IDM"), ("IDM", "a model")
+    episode = Episode(0, scene, road, target, policy, names, _SIM, duration_s, seed)
+    rng = seed.child("spans").generator()
+    handbacks = list[int]()
+    with episode.opened() as loop:
+        try:
+            loop.start()
+            while loop.time_s < duration_s and _in_turn(loop, policy, _span_s(rng, *spans_s), handbacks):
+                pass
+        except EpisodeFailure:
+            pass  # what was recorded until then is as good
+        return _recording(loop, handbacks)
+
+
+def _span_s(rng: np.random.Generator, least_s: float, most_s: float) -> float:
+    """Return how long the policy drives: short turns are as frequent as long ones, by their ratio."""
+    return float(np.exp(rng.uniform(np.log(least_s), np.log(most_s))))
+
+
+def _in_turn(loop: Loop, policy: TrafficPolicy, span_s: float, handbacks: list[int]) -> bool:
+    """Let *policy* drive for *span_s*, and SUMO then; note the instant between; return whether it can go on."""
+    for driver, seconds in ((policy, span_s), (SumoTraffic(), DT_S * (FUTURE + max(_LATER)))):
+        loop.background.policy = driver
+        loop.background.start(loop.scene_now())
+        until = loop.steps + round(seconds / DT_S) * loop.sim.substeps
+        loop.run(until)
+        if loop.steps < until:
+            return False
+        if driver is policy:
+            handbacks.append(len(loop.recorder.model_frames) - 1)
+    return True
+
+
+def _recording(loop: Loop, handbacks: list[int]) -> Recording:
+    """Return what *loop* recorded; windows begin where SUMO's drivers take over, and end where they no longer drive."""
+    frames, sim = loop.recorder.model_frames, loop.sim
+    tracks, who = stack(loop.world, frames, np.arange(len(loop.world)), 0.0, DT_S)
+    focal = np.zeros_like(tracks.valid)
+    for handback in handbacks:
+        later = [handback + steps for steps in _LATER]
+        focal[:, later] = (who[:, handback] == Controller.POLICY)[:, None]
+    before = sim.history_steps - 1
+    signals = [loop.recorder.signals[max(k - before, 0) * sim.substeps] for k in range(len(frames))]
+    instants = tuple(h + k for h in handbacks for k in _LATER if h + k + FUTURE < len(frames))
+    nobody = np.zeros(tracks.agents, dtype=np.bool_)
+    return Recording(tracks, nobody, tuple(signals), instants, focal & tracks.valid, who == Controller.SUMO)

@@ -11,14 +11,17 @@ from advdiff_sumo.diffusion.noise_schedule import NoiseSchedule
 from advdiff_sumo.diffusion.sampler import Noise, Sampling, sample
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.denoiser import Denoiser
 from advdiff_sumo.models.losses import masked_mean
 from advdiff_sumo.training.cvae import modelled
 from advdiff_sumo.training.displacement import displacement
+from advdiff_sumo.training.presets import DenoiserOptions
 from advdiff_sumo.training.stage import Moment, Tally
 
 _JUDGED_STEPS = 10
+_STANDS_MPS = 0.3
 
 
 class DenoiserStage:
@@ -26,13 +29,14 @@ class DenoiserStage:
 
     Args:
         bundle: its denoiser is trained in place, the rest is frozen.
+        options: what counts for how much.
     """
 
     name = "denoiser"
     monitor = "noise"
 
-    def __init__(self, bundle: Bundle) -> None:
-        self._bundle = bundle
+    def __init__(self, bundle: Bundle, options: DenoiserOptions | None = None) -> None:
+        self._bundle, self._options = bundle, options or DenoiserOptions()
         self.schedule = schedule_of(bundle)
         bundle.traffic.eval().requires_grad_(False)
         # the codec's scale is no parameter, but later stages and a resumed run need it
@@ -44,9 +48,11 @@ class DenoiserStage:
         with torch.no_grad():
             context = self._bundle.traffic.encoder(batch)
             x0 = clean(self._bundle, batch, context, moment.generator)
+            weight = loss_weight(self._bundle, batch, context, self._options)
         k = random_steps(batch, self.schedule, moment.generator)
-        loss = noise_loss(self._bundle.denoiser, x0, context, batch, self.schedule, k, moment.generator)
-        return {"loss": loss, "noise": loss}
+        net, generator = self._bundle.denoiser, moment.generator
+        loss = noise_loss(net, x0, context, batch, self.schedule, k, generator, weight)
+        return {"loss": loss}
 
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
         """Return the noise loss at steps spread over the schedule, and the displacement of one sample."""
@@ -107,6 +113,7 @@ def noise_loss(
     schedule: NoiseSchedule,
     k: Tensor,
     generator: torch.Generator,
+    weight: Tensor | None = None,
 ) -> Tensor:
     """Return the mean of ‖ε(x̃ᵏ, k, z, h) − ε‖² over the modelled vehicles and the numbers of x̃ (L_noise).
 
@@ -118,10 +125,34 @@ def noise_loss(
         schedule: of the noise.
         k: (B,) diffusion steps.
         generator: of the noise.
+        weight: (B, A, C, L) what each number of a vehicle counts; None: 1.
     """
     noise = torch.randn(x0.shape, generator=generator).to(x0)
     predicted = denoiser(schedule.noisy(x0, k, noise), k, context)
-    return masked_mean((predicted - noise).square().flatten(2).mean(-1), modelled(batch))
+    error = (predicted - noise).square()
+    if weight is not None:
+        error = weight * error
+    return masked_mean(error.flatten(2).mean(-1), modelled(batch))
+
+
+def loss_weight(bundle: Bundle, batch: SceneBatch, context: Context, options: DenoiserOptions) -> Tensor:
+    """Return (B, A, C, L) what the numbers of a vehicle's x⁰ count in the loss; 1 in the mean of a vehicle's.
+
+    Most of the posterior's numbers say next to nothing: their noise cannot be predicted, and hides what there is to
+    learn of the others. ``options.information`` counts each by its KL divergence from the standard normal, over the
+    modelled vehicles of the batch.
+    """
+    standing = (batch.pose[..., 3].abs() < _STANDS_MPS).to(context.h.dtype)
+    weight = (1.0 + (options.standing - 1.0) * standing)[..., None, None]
+    if not (options.information and isinstance(bundle.codec, LatentCodec)):
+        return weight.expand(-1, -1, *bundle.codec.shape)
+    posterior = bundle.traffic.posterior(batch, context.h)
+    mean = bundle.codec.scale(posterior.mean[:, :, None])[:, :, 0]
+    logvar = posterior.logvar - 2.0 * bundle.codec.std[0].log()
+    known = modelled(batch)
+    nats = 0.5 * (mean.square() + logvar.exp() - logvar - 1.0)[known].mean(0)
+    share = options.information * nats / nats.mean().clamp(min=1e-6) + 1.0 - options.information
+    return weight * share[None, None, None]
 
 
 def diffused(bundle: Bundle, context: Context, steps: int, generator: torch.Generator) -> Tensor:

@@ -140,6 +140,19 @@ class DecoderOptions(Options):
     sampling_steps: int = Field(5, ge=1, le=1000)
 
 
+class DenoiserOptions(Options):
+    """The denoiser's own stage, see ``training.denoiser_stage``.
+
+    Attributes:
+        information: 0: all numbers of a latent count alike, as in the paper; 1: each by the information that the
+            posterior puts into it.
+        standing: what a vehicle that stands counts against one that drives.
+    """
+
+    information: float = Field(0.0, ge=0.0, le=1.0)
+    standing: float = Field(1.0, gt=0.0)
+
+
 class JitterOptions(Options):
     """How far vehicles are put beside their true state, see ``models.collate.Jitter``."""
 
@@ -203,6 +216,7 @@ class TrainOptions(Options):
     elbo: ElboOptions = ElboOptions()
     collision: CollisionOptions = CollisionOptions()
     reward: RewardOptions = RewardOptions()
+    denoiser: DenoiserOptions = DenoiserOptions()
     decoder: DecoderOptions = DecoderOptions()
     simnet: SimnetOptions = SimnetOptions()
 

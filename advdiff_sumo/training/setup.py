@@ -278,7 +278,7 @@ def _stage(name: StageName, bundle: Bundle, options: TrainOptions, begun: Bundle
     if name == "traffic":
         return TrafficStage(bundle, options.elbo, options.decoder, options.compiled)
     if name == "denoiser":
-        return DenoiserStage(bundle)
+        return DenoiserStage(bundle, options.denoiser)
     if name == "joint":
         return JointStage(bundle, options.elbo, options.collision)
     if name == "decoder":

@@ -14,6 +14,7 @@ from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.denoiser import Denoiser
+from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.losses import masked_mean
 from advdiff_sumo.training.cvae import modelled
 from advdiff_sumo.training.displacement import displacement
@@ -146,13 +147,14 @@ def loss_weight(bundle: Bundle, batch: SceneBatch, context: Context, options: De
     weight = (1.0 + (options.standing - 1.0) * standing)[..., None, None]
     if not (options.information and isinstance(bundle.codec, LatentCodec)):
         return weight.expand(-1, -1, *bundle.codec.shape)
-    posterior = bundle.traffic.posterior(batch, context.h)
+    posterior: Gaussian = bundle.traffic.posterior(batch, context.h)
     mean = bundle.codec.scale(posterior.mean[:, :, None])[:, :, 0]
     logvar = posterior.logvar - 2.0 * bundle.codec.std[0].log()
     known = modelled(batch)
     nats = 0.5 * (mean.square() + logvar.exp() - logvar - 1.0)[known].mean(0)
     share = options.information * nats / nats.mean().clamp(min=1e-6) + 1.0 - options.information
-    return weight * share[None, None, None]
+    counts: Tensor = weight * share[None, None, None]
+    return counts
 
 
 def diffused(bundle: Bundle, context: Context, steps: int, generator: torch.Generator) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ FILLS = {
 }
 GROUND = "#e4ebdc"
 FALLBACK = "#6d7278"
+BEYOND_TYPE = "beyond_rim"  # of streets and return edges beyond the rim of a map, which no side-car covers
+BEYOND = "#a9adb2"
 SIGNAL = {"G": "#2fbf4f", "g": "#9ad14b", "y": "#f0c419", "r": "#e0413a", "s": "#e0413a", "o": "#f0c419"}
 
 
@@ -60,14 +63,24 @@ def _draw_area(axes: Axes, net: Any, net_file: Path) -> None:
         for kind, (colour, order) in FILLS.items():
             shapes = [p.shape for p in polygons if p.type == kind]
             axes.add_collection(PolyCollection(shapes, facecolors=colour, linewidths=0, zorder=order))
+        beyond = [edge for edge in net.getEdges(withInternal=False) if edge.getType() == BEYOND_TYPE]
+        nodes = {node for edge in beyond for node in (edge.getFromNode(), edge.getToNode())}
+        _draw_carriageway(axes, beyond, nodes, BEYOND, 0.5)
         return
-    lanes = [lane for edge in net.getEdges() for lane in edge.getLanes()]
+    _draw_carriageway(axes, net.getEdges(), net.getNodes(), FALLBACK, 2.0)
+
+
+def _draw_carriageway(
+    axes: Axes, edges: Iterable[Any], nodes: Iterable[Any], colour: str, order: float
+) -> None:
     bands = [
-        LineString(k.getShape()).buffer(k.getWidth() / 2, cap_style="flat").exterior.coords for k in lanes
+        LineString(lane.getShape()).buffer(lane.getWidth() / 2, cap_style="flat").exterior.coords
+        for edge in edges
+        for lane in edge.getLanes()
     ]
-    shapes = [node.getShape() for node in net.getNodes() if len(node.getShape()) > 2]
+    shapes = [node.getShape() for node in nodes if len(node.getShape()) > 2]
     areas = [np.asarray(a) for a in bands] + [np.asarray(s) for s in shapes]
-    axes.add_collection(PolyCollection(areas, facecolors=FALLBACK, linewidths=0, zorder=2))
+    axes.add_collection(PolyCollection(areas, facecolors=colour, linewidths=0, zorder=order))
 
 
 def _draw_markings(axes: Axes, net: Any, scale: float) -> None:

@@ -221,6 +221,23 @@ def test_two_lanes_lead_to_two_lanes_though_the_street_lies_aside(tmp_path: Path
         assert pairs == {(0, 0), (1, 1)}
 
 
+def test_a_street_that_changes_its_lanes_just_beyond_the_map(tmp_path: Path) -> None:
+    """Two metres outside junctions are left of its first part: the second one takes the joint, either way."""
+    osm = OsmExtract()
+    osm.way((0.0, 101.75), (92.0, 101.75), lanes="4")
+    osm.way((92.0, 101.75), (228.0, 101.75), lanes="2")
+    osm.way((228.0, 101.75), (400.0, 101.75), lanes="4")
+    osm.way((400.0, 101.75), (400.0, 220.0), (0.0, 220.0), (0.0, 101.75), lanes="2")
+    result = convert_source(
+        read_map(road_both_ways(tmp_path)), tmp_path / "n.net.xml", osm=osm.write(tmp_path / "wide.osm")
+    )
+    assert result.streets is not None
+    assert (result.streets.left, result.streets.entered, result.streets.open_ends) == (2, 2, 0)
+    assert min(lane.getLength() for edge in streets(result.net) for lane in edge.getLanes()) > 5.0
+    figures = driving_test(result.net, vehicles=50, duration_s=600.0)
+    assert {bar: figures[bar] for bar in BARS} == dict.fromkeys(BARS, 0)
+
+
 @pytest.mark.parametrize("kind", ["lanelet2", "argoverse2"])
 def test_other_sources(kind: str, tmp_path: Path) -> None:
     """Their road leads eastwards in two lanes, of which the left one turns north and leads out of the map."""

@@ -20,6 +20,7 @@ from advdiff_sumo.maps.convert.osm.import_streets import Street, StreetNet, besi
 
 MARGIN_M = 0.5  # between a street and the HD map
 SHORTEST_M = 2.0  # of what is left of a street
+STUB_M = 5.0  # outside junctions; what is shorter has no room for a joint
 NOTHING_M = 1e-6
 HEADING_M = 5.0  # over which the heading at an end is taken
 
@@ -99,7 +100,41 @@ def stretches_outside(net: StreetNet, area: BaseGeometry) -> list[Stretch]:
             widened[half_m] = area.buffer(half_m)
             shapely.prepare(widened[half_m])
         stretches += _outside(street, net, widened[half_m])
-    return stretches
+    return _without_stubs(stretches, net)
+
+
+def _without_stubs(stretches: Sequence[Stretch], net: StreetNet) -> list[Stretch]:
+    """Return *stretches* without what is left of a street between the map and the next one, too short for a joint.
+
+    That is where a street changes its lanes just beyond the map: the next one takes the joint.
+    """
+    stubs = [s for s in stretches if s.has_start is not s.has_end and s.clear_m < STUB_M]
+    inward = {
+        (s.street.target, s.street.origin): s for s in stubs if s.has_end and _passes(net, s.street.target)
+    }
+    outward = {
+        (s.street.origin, s.street.target): s for s in stubs if s.has_start and _passes(net, s.street.origin)
+    }
+    left_out = {stub.id for stub in (*inward.values(), *outward.values())}
+    return [
+        replace(
+            stretch,
+            begins_open=stretch.begins_open or (stretch.has_start and _beyond(inward, stretch.street, 0)),
+            ends_open=stretch.ends_open or (stretch.has_end and _beyond(outward, stretch.street, 1)),
+        )
+        for stretch in stretches
+        if stretch.id not in left_out
+    ]
+
+
+def _passes(net: StreetNet, node: str) -> bool:
+    return len(net.neighbours[node]) == 2
+
+
+def _beyond(stubs: Collection[tuple[str, str]], street: Street, end: int) -> bool:
+    """Return whether one of *stubs*, by its nodes, lies on the other side of the node at an end of *street*."""
+    node, other = (street.origin, street.target) if end == 0 else (street.target, street.origin)
+    return any(at == node and away != other for at, away in stubs)
 
 
 def _outside(street: Street, net: StreetNet, area: BaseGeometry) -> Iterator[Stretch]:

@@ -13,7 +13,9 @@ from matplotlib.image import imread
 
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "render_net.py"
 NOTCHED = """<edges><edge id="e" from="a" to="b" numLanes="2" shape="0,0 40,0 41,-3 42,0 80,0"/></edges>"""
-AREA = """<additional><poly id="d" type="drivable_area" shape="0,-9 1,-9 1,-8"/></additional>"""
+AREA = """<additional>
+  <poly id="d" type="drivable_area" color="0.4,0.4,0.4" fill="1" layer="0" shape="0,-9 1,-9 1,-8"/>
+</additional>"""
 NODES = """<nodes><node id="a" x="0" y="0"/><node id="b" x="80" y="0"/></nodes>"""
 
 

@@ -133,7 +133,12 @@ def read_root(path: Path, tag: str, what: str) -> ET.Element:
         raise NetError(path, f"cannot be read ({error.strerror or error})") from None
     except (EOFError, zlib.error):
         raise NetError(path, "the gzip data are cut off or damaged", "copy or make the file anew") from None
-    except (ET.ParseError, DefusedXmlException, UnicodeDecodeError) as error:
+    except (
+        ET.ParseError,
+        DefusedXmlException,
+        ValueError,
+        LookupError,
+    ) as error:  # LookupError: unknown encoding
         remedy = "it is truncated or not XML; copy or make it anew"
         raise NetError(path, f"is not readable as XML ({error})", remedy) from None
     if root.tag != tag:

@@ -119,6 +119,7 @@ def _write(path: Path, data: bytes) -> Path:
         ("routes.net.xml", lambda _: b"<routes/>", "root element is <routes>"),
         ("none.net.xml", lambda _: b"<net version='1.20'/>", "no lane that is open to motor vehicles"),
         ("bad.net.xml", lambda net: net.replace(b'speed="14', b'speed="x14'), "malformed value"),
+        ("code.net.xml", lambda _: b"<?xml version='1.0' encoding='x'?><net/>", "unknown encoding: x"),
         ("bomb.net.xml", lambda _: b"<!DOCTYPE a [<!ENTITY b 'c'>]><net>&b;</net>", "not readable as XML"),
     ],
 )

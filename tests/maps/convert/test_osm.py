@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import random
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,9 @@ import small_sources
 import sumolib
 from osm_extracts import OsmExtract, extract_of_net
 from small_maps import MapBuilder
+from test_bad_formats import FILES, VALUE, WRONG
 
+from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.convert import ConversionResult, convert_source
 from advdiff_sumo.maps.convert.fidelity import measure
@@ -279,6 +282,9 @@ BAD = {
     "holds no way": lambda path: path.write_text('<osm version="0.6"></osm>', "utf-8"),
     "is no OpenStreetMap data: its root element is <net>": lambda path: path.write_text("<net/>", "utf-8"),
     "is no XML text": lambda path: path.write_text('<osm version="0.6"><way', "utf-8"),
+    "is no XML text (unknown encoding: x)": lambda path: path.write_text(
+        '<?xml version="1.0" encoding="x"?><osm version="0.6"/>', "utf-8"
+    ),
     "cannot be read": Path.exists,
     "holds no street": lambda path: path.write_text(
         '<osm version="0.6"><way id="1"><nd ref="7"/><nd ref="8"/><tag k="highway" v="service"/></way></osm>',
@@ -300,6 +306,26 @@ def test_extracts_that_cannot_be_used_get_one_sentence(problem: str, tmp_path: P
     assert problem in str(raised.value)
     assert "\n" not in str(raised.value)
     assert not net.exists()
+
+
+@pytest.mark.slow
+def test_wrong_values_anywhere(tmp_path: Path) -> None:
+    source, osm = read_map(road_both_ways(tmp_path)), town().write(tmp_path / "town.osm")
+    text = osm.read_text("utf-8")
+    places = [match.span(1) for match in VALUE.finditer(text)]
+    draw = random.Random(7)  # noqa: S311 - no secret
+    refusals: list[str] = []
+    for number in range(FILES):
+        spoiled = text
+        for first, last in sorted(draw.sample(places, draw.choice((1, 1, 3, 10))), reverse=True):
+            spoiled = spoiled[:first] + draw.choice((*WRONG, "motorway", "no")) + spoiled[last:]
+        osm.write_text(spoiled[: draw.randrange(len(spoiled))] if number % 10 == 9 else spoiled, "utf-8")
+        try:
+            assert convert_source(source, tmp_path / "n.net.xml", osm=osm).streets is not None
+        except MapError as error:
+            refusals.append(str(error))
+    assert 0 < len(refusals) < FILES
+    assert not [text for text in refusals if "\n" in text]
 
 
 def test_command(tmp_path: Path) -> None:

@@ -164,9 +164,9 @@ def _read(path: Path, prefix: Path, lefthand: bool) -> StreetNet:
         row.get("id"): [shape_of(lane) for lane in row.iterfind("lane")] for row in net.iterfind("edge")
     }
     streets = (
-        _street(row, node_of, lanes_of[row.get("id")], lefthand)
+        _street(row, line, lanes_of[row.get("id")], lefthand)
         for row in edges.iterfind("edge")
-        if row.get("id") in lanes_of
+        if row.get("id") in lanes_of and np.isfinite(line := _line(row, node_of)).all()
     )
     return StreetNet(
         path,
@@ -177,13 +177,16 @@ def _read(path: Path, prefix: Path, lefthand: bool) -> StreetNet:
     )
 
 
-def _street(
-    row: ET.Element, nodes: Mapping[str, ET.Element], lanes_m: Sequence[FloatArray], lefthand: bool
-) -> Street:
-    origin, target = row.attrib["from"], row.attrib["to"]
+def _line(row: ET.Element, nodes: Mapping[str, ET.Element]) -> FloatArray:
+    """Return the line (N, 2) that the edge *row* was drawn by."""
     line = shape_of(row)
-    if not len(line):
-        line = np.array([[float(nodes[name].attrib[axis]) for axis in "xy"] for name in (origin, target)])
+    if len(line):
+        return line
+    ends = (nodes[row.attrib[end]] for end in ("from", "to"))
+    return np.array([[float(node.attrib[axis]) for axis in "xy"] for node in ends])
+
+
+def _street(row: ET.Element, line: FloatArray, lanes_m: Sequence[FloatArray], lefthand: bool) -> Street:
     own = {int(lane.attrib["index"]): lane for lane in row.iterfind("lane")}
     lanes = [own.get(index, row) for index in range(int(row.attrib["numLanes"]))]
     widths = tuple(float(lane.get("width") or row.get("width") or DEFAULT_LANE_WIDTH_M) for lane in lanes)
@@ -192,8 +195,8 @@ def _street(
     starts, ends = (polyline.project(line, np.array([lane[k] for lane in lanes_m]))[0] for k in (0, -1))
     return Street(
         row.attrib["id"],
-        origin,
-        target,
+        row.attrib["from"],
+        row.attrib["to"],
         line,
         widths,
         tuple(_for_cars(lane, row) for lane in lanes),

@@ -36,7 +36,12 @@ def load_xml(path: Path) -> Element:
     """
     try:
         root: Element = ElementTree.fromstring(_bytes(path), forbid_dtd=True)
-    except (ParseError, DefusedXmlException, ValueError) as error:
+    except (
+        ParseError,
+        DefusedXmlException,
+        ValueError,
+        LookupError,
+    ) as error:  # LookupError: unknown encoding
         problem = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise MapError(path, f"is no XML text ({problem})", "give an unchanged file") from None
     return root

@@ -121,8 +121,11 @@ def _blob(shape: shapely.Geometry) -> bytes:
     return header + bytes(shapely.to_wkb(shape, byte_order=1))
 
 
-def write_lanelet2(source: SourceMap, path: Path) -> None:
-    """Write the lanes of *source* as lanelets in degrees; linked ones share nodes."""
+def write_lanelet2(source: SourceMap, path: Path, *, uneven: bool = False) -> None:
+    """Write the lanes of *source* as lanelets in degrees; linked ones share nodes.
+
+    With *uneven*, the left boundary keeps every second of its inner points, the right one every third.
+    """
     number = {lane.token: index + 1 for index, lane in enumerate(source.lanes)}
     joints = Joints()
     for a, b in source.links:
@@ -143,7 +146,7 @@ def write_lanelet2(source: SourceMap, path: Path) -> None:
     for lane in source.lanes:
         first, last = (shared[joints.find((lane.token, end))] for end in (0, -1))
         for side, name in enumerate(("left", "right")):
-            inner = bounds[lane.token][side][1:-1]
+            inner = bounds[lane.token][side][1:-1][:: 2 + side if uneven else 1]
             refs = [first[side], *range(len(nodes) + 1, len(nodes) + 1 + len(inner)), last[side]]
             nodes += list(inner)
             way = ET.Element("way", id=str(_way(number[lane.token], name)))

@@ -13,7 +13,7 @@ import shapely
 import small_sources
 from defusedxml import ElementTree
 from source_readers import read_outside
-from source_writers import write_nuplan
+from source_writers import write_lanelet2, write_nuplan
 
 from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.sources.read_map import read_map
@@ -98,6 +98,18 @@ def test_net_holds_what_lanelet2_sees(tmp_path: Path) -> None:
     convert_source(read_map(path), tmp_path / "n.net.xml")
     corner = np.floor((np.array(small_sources.UTM_M) - [0.0, 1.75]) / 1000.0) * 1000.0
     offset = np.array(small_sources.UTM_M) - corner - truth["lanes"]["1"][0]
+    assert differences(tmp_path / "n.net.xml", truth, (float(offset[0]), float(offset[1]))) == NONE
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("uneven", [False, True])
+def test_net_holds_what_lanelet2_sees_of_a_city(uneven: bool, adv_data: Path, tmp_path: Path) -> None:
+    source = read_map(adv_data / "nuscenes-mini/maps/expansion/singapore-onenorth.json")
+    write_lanelet2(source, path := tmp_path / "m.osm", uneven=uneven)
+    truth = read_outside("lanelet2", path)
+    result = convert_source(read_map(path), tmp_path / "n.net.xml")
+    first = result.given.lanes[0]
+    offset = first.centre_m[0] - truth["lanes"][first.token][0]
     assert differences(tmp_path / "n.net.xml", truth, (float(offset[0]), float(offset[1]))) == NONE
 
 

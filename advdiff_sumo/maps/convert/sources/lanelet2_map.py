@@ -20,6 +20,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.maps.convert.projection import utm_from
 from advdiff_sumo.maps.convert.sources.bounded_lanes import (
+    LONGEST_M,
     BoundedLane,
     covered_area,
     lane_links,
@@ -27,6 +28,7 @@ from advdiff_sumo.maps.convert.sources.bounded_lanes import (
     on_earth,
     source_lanes,
 )
+from advdiff_sumo.maps.convert.sources.lanelet_centre import lanelet_centre
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.source_map import (
     LaneUse,
@@ -188,12 +190,18 @@ def _lane(row: _Relation, ways: _Ways, faults: MapFaults) -> BoundedLane | None:
         token=row.id,
         left_m=left,
         right_m=right,
+        centre_m=lanelet_centre(left, right) if _usable(left) and _usable(right) else None,
         is_connector="turn_direction" in row.tags,
         use=USES[row.tags.get("subtype", "")],
         speed_mps=_speed(row.tags.get("speed_limit", "")),
         left_dashed=_dashed(sides[0]),
         right_dashed=_dashed(sides[1]),
     )
+
+
+def _usable(bound_m: FloatArray) -> bool:
+    """Return whether a boundary is one that a centre line can be drawn from; others are left out later, by name."""
+    return bool(np.isfinite(bound_m).all() and np.abs(np.diff(bound_m, axis=0)).sum() < LONGEST_M)
 
 
 def _bounds(row: _Relation, ways: _Ways) -> tuple[FloatArray, FloatArray]:

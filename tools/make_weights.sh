@@ -3,7 +3,7 @@
 # The same command goes on where it was stopped.
 #
 # Usage: tools/make_weights.sh [FOLDER]    FOLDER (build/weights) receives windows, trainings and closed-loop.safetensors
-# From the environment: WINDOWS (102000), WORKERS (all cores), DEVICE (auto), LOADERS (0; 8 is good beside a GPU)
+# From the environment: WINDOWS (102000) and DRIVEN (1800), WORKERS (all cores), DEVICE (auto), LOADERS (0; 8 is good beside a GPU)
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -13,21 +13,31 @@ common=(--data "$folder/windows" --seed 18 --device "${DEVICE:-auto}" --loaders 
 common+=(--set jitter.mirror=0.5 --set held_out=0.02 --set held_out_windows=256)
 mkdir -p "$folder"
 
-"$run" data simulate --out "$folder/windows" --windows "${WINDOWS:-102000}" --seed 911 --random-share 0.6 \
-    --map-view far --workers "${WORKERS:-$(nproc)}"
-
-stage() { # NAME OPTIONS...
-    local name=$1 resume=()
-    shift
-    [ ! -e "$folder/$name/checkpoint.safetensors" ] || resume=(--resume)
-    "$run" train "$name" --out "$folder/$name" "${common[@]}" "${resume[@]}" "$@"
+windows() { # OUT WINDOWS OPTIONS...
+    local out=$1 count=$2
+    shift 2
+    "$run" data simulate --out "$folder/$out" --windows "$count" --map-view far --workers "${WORKERS:-$(nproc)}" "$@"
 }
 
+stage() { # NAME OUT OPTIONS...
+    local name=$1 out=$2 resume=()
+    shift 2
+    [ ! -e "$folder/$out/checkpoint.safetensors" ] || resume=(--resume)
+    "$run" train "$name" --out "$folder/$out" "${common[@]}" "${resume[@]}" "$@"
+}
+
+windows windows "${WINDOWS:-102000}" --seed 911 --random-share 0.6
+
 networks='{decoder="closed-loop", hidden=160, message=96, decoder_layers=2, neighbours=12, denoiser_layers=2, channels=[32, 48, 64]}'
-stage traffic --set "model=$networks" --set epochs=5 --set batch_size=32 --set elbo.samples=1 \
+stage traffic traffic --set "model=$networks" --set epochs=5 --set batch_size=32 --set elbo.samples=1 \
     --set elbo.kl_anneal_share=0.2 --set decoder.vehicles=2 --set decoder.road=2
-stage denoiser --init "$folder/traffic" --set epochs=2 --set batch_size=64 --set learning_rate=1.5e-3
-stage reward --init "$folder/denoiser" --set epochs=1 --set reward.transitions=1
+stage denoiser denoiser --init "$folder/traffic" --set epochs=2 --set batch_size=64 --set learning_rate=1.5e-3
+# what to do where their own traffic leads
+windows driven "${DRIVEN:-1800}" --seed 4001 --driven-by "$folder/denoiser/weights.safetensors"
+stage denoiser informed --init "$folder/denoiser" --data "$folder/driven" --set model.denoiser_situation=true \
+    --set denoiser.information=1 --set denoiser.standing=3 --set driven_share=0.3 --set epoch_windows=51200 \
+    --set epochs=3 --set batch_size=64 --set learning_rate=1e-3
+stage reward reward --init "$folder/informed" --set epochs=1 --set reward.transitions=1
 
 "${PYTHON:-.venv/bin/python}" - "$folder" <<'END'
 import sys

@@ -147,10 +147,15 @@ class DenoiserOptions(Options):
         information: 0: all numbers of a latent count alike, as in the paper; 1: each by the information that the
             posterior puts into it.
         standing: what a vehicle that stands counts against one that drives.
+        samples: weight of a proper score of finished samples, so that few steps draw each number as often as the
+            posterior does; 0: none.
+        sampling_steps: DDIM steps of these samples.
     """
 
     information: float = Field(0.0, ge=0.0, le=1.0)
     standing: float = Field(1.0, gt=0.0)
+    samples: float = Field(0.0, ge=0.0)
+    sampling_steps: int = Field(5, ge=1, le=1000)
 
 
 class JitterOptions(Options):

@@ -10,8 +10,15 @@ import torch
 
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
-from advdiff_sumo.training.denoiser_stage import loss_weight, noise_loss, schedule_of
+from advdiff_sumo.training.denoiser_stage import (
+    DenoiserStage,
+    loss_weight,
+    noise_loss,
+    sample_score,
+    schedule_of,
+)
 from advdiff_sumo.training.presets import DenoiserOptions
+from advdiff_sumo.training.stage import Moment
 
 
 @pytest.fixture
@@ -61,3 +68,37 @@ def test_the_loss_is_the_weighted_mean(telling: Bundle, batch: SceneBatch) -> No
 
     assert loss(torch.full_like(x0, 2.0)) == pytest.approx(2.0 * loss(None))
     assert loss(torch.zeros_like(x0)) == 0.0
+
+
+def test_the_score_of_samples_is_least_for_the_data_s_own_distribution(
+    telling: Bundle, batch: SceneBatch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Data are −1 or 1 by turns; drawn as they are, always −1, and always between."""
+    context = telling.traffic.encoder(batch)
+    signs = torch.tensor([-1.0, 1.0])[torch.arange(batch.scenes) % 2].reshape(-1, 1, 1, 1)
+    x0 = signs.expand(-1, batch.agents, *telling.codec.shape)
+
+    def score(first: float, second: float) -> float:
+        drawn = (
+            torch.tensor([first, second]).repeat(batch.scenes).reshape(-1, 1, 1, 1).expand(-1, *x0.shape[1:])
+        )
+        monkeypatch.setattr("advdiff_sumo.training.denoiser_stage.sample", lambda *_: drawn)
+        chance = torch.Generator().manual_seed(0)
+        return float(sample_score(telling, x0, context, batch, 5, chance, torch.ones_like(x0)))
+
+    assert batch.scenes % 2 == 0
+    as_data = 0.25 * (score(-1, -1) + score(1, 1) + score(-1, 1) + score(1, -1))
+    assert as_data == pytest.approx(0.5, abs=0.1)  # fewer vehicles in some scenes than in others
+    assert score(0.0, 0.0) == pytest.approx(1.0)
+    assert score(-1.0, -1.0) > as_data + 0.3
+
+
+def test_the_score_reaches_the_denoiser_through_all_its_steps(bundle: Bundle, batch: SceneBatch) -> None:
+    stage = DenoiserStage(bundle, DenoiserOptions(samples=1.0, sampling_steps=3))
+    terms = stage.loss(batch, Moment(0, 1, torch.Generator().manual_seed(0)))
+    loss, noise, score = (float(terms[name].detach()) for name in ("loss", "noise", "score"))
+    assert loss == pytest.approx(noise + score)
+    terms["score"].backward()
+    assert bundle.denoiser.out.weight.grad is not None
+    assert bundle.denoiser.out.weight.grad.any()
+    assert all(p.grad is None for p in bundle.traffic.parameters())

@@ -3,7 +3,8 @@
 # The same command goes on where it was stopped.
 #
 # Usage: tools/make_weights.sh [FOLDER]    FOLDER (build/weights) receives windows, trainings and closed-loop.safetensors
-# From the environment: WINDOWS (102000) and DRIVEN (1800), WORKERS (all cores), DEVICE (auto), LOADERS (0; 8 is good beside a GPU)
+# From the environment: WINDOWS (102000) and DRIVEN (1800), WORKERS (all cores), DEVICE (auto),
+#   LOADERS (0; 8 is good beside a GPU)
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -35,9 +36,13 @@ stage denoiser denoiser --init "$folder/traffic" --set epochs=2 --set batch_size
 # what to do where their own traffic leads
 windows driven "${DRIVEN:-1800}" --seed 4001 --driven-by "$folder/denoiser/weights.safetensors"
 stage denoiser informed --init "$folder/denoiser" --data "$folder/driven" --set model.denoiser_situation=true \
-    --set denoiser.information=1 --set denoiser.standing=3 --set driven_share=0.3 --set epoch_windows=51200 \
-    --set epochs=3 --set batch_size=64 --set learning_rate=1e-3
-stage reward reward --init "$folder/informed" --set epochs=1 --set reward.transitions=1
+    --set denoiser.information=1 --set denoiser.standing=3 --set driven_share=0.3 --set epoch_windows=76800 \
+    --set epochs=1 --set batch_size=64 --set learning_rate=1e-3
+# and as often as SUMO's drivers do it, in as few steps as a plan takes
+stage denoiser scored --init "$folder/informed" --data "$folder/driven" --set denoiser.samples=2 --set ema_decay=0.99 \
+    --set denoiser.information=1 --set denoiser.standing=3 --set driven_share=0.4 --set epoch_windows=4800 \
+    --set epochs=1 --set batch_size=16 --set learning_rate=4e-4
+stage reward reward --init "$folder/scored" --set epochs=1 --set reward.transitions=1
 
 "${PYTHON:-.venv/bin/python}" - "$folder" <<'END'
 import sys

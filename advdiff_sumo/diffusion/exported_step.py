@@ -27,6 +27,7 @@ from advdiff_sumo.models.road_edges import RoadEdges
 _LOG = logging.getLogger(__name__)
 _FOLDER = Path(__file__).resolve().parent.parent / "weights"
 _CAPABLE = ("AVX2", "AVX512")
+_NOT_OF_THE_STEP = {"denoiser_situation"}  # networks that differ in it alone share the machine code
 
 
 class StepOnTensors(nn.Module):
@@ -116,7 +117,7 @@ def exported_step(decoder: ClosedLoopDecoder) -> ExportedStep | None:
 def package_for(options: ModelOptions) -> Path:
     """Return where the machine code for networks of these *options* and this PyTorch ships, if it does."""
     version = torch.__version__.split("+")[0]
-    content = json.dumps([version, options.model_dump(mode="json")], sort_keys=True)
+    content = json.dumps([version, options.model_dump(mode="json", exclude=_NOT_OF_THE_STEP)], sort_keys=True)
     digest = hashlib.sha256(content.encode()).hexdigest()[:8]
     system = f"{platform.system()}-{platform.machine()}".lower()
     return _FOLDER / f"decoder-step-{digest}-{system}.pt2"

@@ -98,6 +98,8 @@ def convert(
 
     if tls not in ("guess", "map"):
         raise ConfigError(f"--tls {tls}: known are 'guess' and 'map'")
+    if osm is not None and all_of is not None:
+        raise ConfigError("--osm is an extract of one place: give it with one MAP, not with --all")
     people = _crossings(crossings)
     for source, net in _jobs(map_file, output, all_of):
         result = convert_file(
@@ -226,12 +228,10 @@ def _say_streets(streets: dict[str, Any], routability: dict[str, Any]) -> None:
             "note: no street of --osm leads from an end of the map back to it; the net has none of them"
         )
         return
-    before, after = (
-        streets["largest_part_share_of_length_without"],
-        routability["largest_part_share_of_length"],
-    )
+    before = streets["largest_part_share_of_length_without"]
+    after = routability["largest_part_share_of_length"]
     _console.print(
         f"{streets['streets']} streets of {streets['km']} km lead on from {streets['edges_that_lead_into_streets']} "
-        f"edges and back to {streets['edges_that_streets_lead_into']}, {streets['ends_without_street']} ends stay "
-        f"open: {after:.0%} of the map's length is strongly connected, {before:.0%} without them"
+        f"edges and back to {streets['edges_that_streets_lead_into']}, {streets['ends_without_street']} ends have "
+        f"none: {after:.0%} of the map's length is strongly connected, {before:.0%} without them"
     )

@@ -332,12 +332,15 @@ def test_command(tmp_path: Path) -> None:
     path, osm = road_both_ways(tmp_path), town().write(tmp_path / "town.osm")
     done = advdiff("convert", path, "-o", tmp_path / "n", "--osm", osm, cwd=tmp_path)
     assert done.code == 0, done.err
-    assert "lead on from 2 edges and back to 2, 0 ends stay open: 100% of the map's length" in done.out
+    assert "lead on from 2 edges and back to 2, 0 ends have none: 100% of the map's length" in done.out
     figures = json.loads((tmp_path / "n.fidelity.json").read_text("utf-8"))
     assert figures["routability"]["dead_ends"] == []
     again = advdiff("convert", path, "-o", tmp_path / "m", "--osm", osm, cwd=tmp_path, hash_seed=7)
     assert again.code == 0
     assert (tmp_path / "n.net.xml").read_bytes() == (tmp_path / "m.net.xml").read_bytes()
+    several = advdiff("convert", "--all", tmp_path, "--osm", osm, cwd=tmp_path)
+    assert several.code == 2
+    assert "--osm is an extract of one place: give it with one MAP" in several.err
     unknown = path.rename(tmp_path / "somewhere.json")
     refused = advdiff("convert", unknown, "-o", tmp_path / "x", "--osm", osm, cwd=tmp_path)
     assert refused.code == 2

@@ -98,7 +98,9 @@ Weights: TypeAlias = Annotated[
 ]
 Reward: TypeAlias = Annotated[
     Path | None,
-    typer.Option(help="diffusion: reward model of advdiff-sumo warmup.", show_default="that of the weights"),
+    typer.Option(
+        help="scripted and diffusion: what advdiff-sumo warmup learned of the target.", show_default="none"
+    ),
 ]
 Device: TypeAlias = Annotated[
     str | None, typer.Option(help="diffusion: auto, cpu or cuda.", show_default="auto")

@@ -10,7 +10,7 @@ import torch
 
 from advdiff_sumo.core.errors import ConfigError
 
-ShippedName: TypeAlias = Literal["traffic", "closed-loop", "simnet", "traj2traj"]
+ShippedName: TypeAlias = Literal["traffic", "closed-loop", "simnet", "traj2traj", "failures"]
 
 
 def shipped_weights(name: ShippedName = "traffic") -> Path:
@@ -18,7 +18,8 @@ def shipped_weights(name: ShippedName = "traffic") -> Path:
 
     Args:
         name: "traffic": the bundle of all traffic models; "closed-loop": the same with a decoder that closes the loop
-            and sees the map as far as is driven; SimNet, or traj2traj.
+            and sees the map as far as is driven; SimNet, or traj2traj; "failures": what is
+            believed of any planner's failures in lawful encounters.
     """
     return Path(str(files("advdiff_sumo"))) / "weights" / f"{name}.safetensors"
 

@@ -58,7 +58,9 @@ def test_guiding_needs_a_trained_reward_model(tmp_path: Path) -> None:
 def test_warm_up_and_its_reward_model(weights: Path, tmp_path: Path) -> None:
     words = ("--net", "motorway", "--weights", weights.name, "--horizon", "3")
     made = advdiff(
-        "warmup", *words, "--target", "EIDM", "--steps", "4", "--out", "q.safetensors", cwd=tmp_path
+        *("warmup", *words, "--licence", "reckless", "--target", "EIDM", "--steps", "4"),
+        *("--out", "q.safetensors"),
+        cwd=tmp_path,
     )
     assert made.code == 0, made.err
     assert "4 plans in " in made.out
@@ -80,4 +82,4 @@ def test_warm_up_and_its_reward_model(weights: Path, tmp_path: Path) -> None:
     ],
 )
 def test_a_warm_up_that_cannot_be(weights: Path, tmp_path: Path, words: tuple[str, ...], said: str) -> None:
-    assert said in sentence(advdiff("warmup", *words, cwd=tmp_path))
+    assert said in sentence(advdiff("warmup", "--licence", "reckless", *words, cwd=tmp_path))

@@ -62,7 +62,7 @@ def networks_of(options: DiffusionOptions) -> Networks:
     """
     device = device_of(options.device, "background 'diffusion'")
     sampling = Sampling(options.steps, options.family, options.eta, options.begin)
-    networks = _networks(str(options.path), options.reward, device, sampling)
+    networks = _networks(str(options.path), options.q_file, device, sampling)
     if options.guided and not isinstance(networks.codec, LatentCodec):
         raise WeightsError(
             options.path,
@@ -70,7 +70,7 @@ def networks_of(options: DiffusionOptions) -> Networks:
             "give weights of codec latent, or --guide none",
         )
     trained = networks.bundle.stages
-    if options.guided and not options.reward and trained and "reward" not in trained:
+    if options.guided and not options.q_file and trained and "reward" not in trained:
         raise WeightsError(
             options.path,
             "has no trained reward model, which guides",

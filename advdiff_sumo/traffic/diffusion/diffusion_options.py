@@ -9,7 +9,11 @@ from typing import ClassVar, Literal, Self, TypeAlias
 from pydantic import Field, model_validator
 
 from advdiff_sumo.config import Options
+from advdiff_sumo.core.errors import WeightsError
+from advdiff_sumo.models.failure_predictor import FORMAT
 from advdiff_sumo.models.shipped_weights import find_weights
+from advdiff_sumo.models.stored import stored_format
+from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
 from advdiff_sumo.traffic.manoeuvres.staging import STAGED
 
@@ -62,7 +66,8 @@ class DiffusionOptions(Options):
         replan: model steps of 0.5 s of a plan that are driven before the next one (the paper's l).
         samples: joint futures drawn at once, of which the most plausible is driven.
         weights: a bundle of networks, or "closed-loop" for the shipped one of that name; empty: "traffic".
-        reward: a reward model of ``advdiff-sumo warmup`` in place of the bundle's; empty: none.
+        reward: what ``advdiff-sumo warmup`` has learned of the target: which encounters to go for, or, of a reckless
+            one, a reward model in place of the bundle's; empty: nothing.
         device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
     """
 
@@ -110,6 +115,33 @@ class DiffusionOptions(Options):
     def guided(self) -> bool:
         """Whether anybody is attacked at all."""
         return self.guide != "none" and self.strength > 0.0
+
+    @property
+    def q_file(self) -> str:
+        """The reward model that replaces the bundle's; "" for none."""
+        return "" if self._is_lawful_reward else self.reward
+
+    @property
+    def preference(self) -> EncounterPreference | None:
+        """Which encounters to go for; None where nothing is known.
+
+        Raises:
+            WeightsError: the file cannot be used, or there are no lawful encounters.
+        """
+        if not self._is_lawful_reward:
+            return None
+        path = Path(self.reward)
+        if self.licence == "reckless":
+            raise WeightsError(
+                path,
+                "says which lawful encounters to go for, and --licence reckless has none",
+                "leave --licence out, or give the file of a warm-up with --licence reckless",
+            )
+        return EncounterPreference.read(path)
+
+    @property
+    def _is_lawful_reward(self) -> bool:
+        return bool(self.reward) and stored_format(Path(self.reward)) == FORMAT
 
     @property
     def path(self) -> Path:

@@ -69,6 +69,7 @@ class DiffusionTraffic:
             WeightsError: the networks are missing or unusable.
         """
         self.options = self.Options.parse(options, f"options of background '{self.name}'")
+        self.preference = self.options.preference
         self.networks: Networks = networks_of(self.options)
         self.listener: Listener | None = None
 
@@ -77,7 +78,10 @@ class DiffusionTraffic:
         _ = road.pieces(self.networks.bundle.options.model.map_view)
         memory = Memory()
         if self.options.licence != "reckless" and self.options.guided:
-            memory = Memory(commitments=Commitments.start(self.options.manoeuvre, rng, self.options.staged))
+            options, preference = self.options, self.preference
+            memory = Memory(
+                commitments=Commitments.start(options.manoeuvre, rng, options.staged, preference=preference)
+            )
         if not self._rehearsed:
             self._rehearse(road, scene, memory)
         return memory

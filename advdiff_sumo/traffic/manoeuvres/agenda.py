@@ -14,6 +14,8 @@ from advdiff_sumo.traffic.manoeuvres.staging import begins, can_hide
 
 TURN_S = 7.0
 """For so long an episode is for one kind."""
+TURNING_KINDS = ("cut-out", "hard-stop", "cut-in", "crossing")
+"""Kinds that have turns; a cut-out at the first instant alone."""
 _CROSSING_FIRST, _CUT_IN_FIRST, _CUT_OUT_FIRST = 0.5, 0.6, 0.4
 _SPACE_M, _SLOWEST_MPS = 45.0, 3.0
 _LATER = ("cut-in", "hard-stop")
@@ -27,10 +29,12 @@ class Agenda:
     Attributes:
         order: kinds in the order of their turns, the present one first; empty where all are wanted at any time.
         since_s: when the present turn began.
+        crosses_any_time: whether somebody with priority may come in the turn of another kind.
     """
 
     order: tuple[str, ...] = ()
     since_s: float = 0.0
+    crosses_any_time: bool = True
 
     @staticmethod
     def drawn(rng: np.random.Generator) -> Agenda:
@@ -47,6 +51,11 @@ class Agenda:
         return Agenda(("cut-out", *order) if hides else order)
 
     @property
+    def crosses_first(self) -> bool:
+        """Whether a place where the target may have to yield comes before the kind whose turn it is."""
+        return bool(self.order) and self.crosses_any_time
+
+    @property
     def now(self) -> str:
         """The kind whose turn it is; "" for all."""
         return self.order[0] if self.order else ""
@@ -56,7 +65,7 @@ class Agenda:
         if not self.order:
             return self
         now, order = view.scene.time_s, self.order
-        if order[0] in _LATER and comes_to_yield(view):
+        if order[0] in _LATER and self.crosses_first and comes_to_yield(view):
             first = ("crossing", *(kind for kind in order if kind != "crossing"))
             return replace(self, order=first, since_s=now)
         if now - self.since_s < TURN_S and is_possible(view, order[0]):

@@ -15,6 +15,7 @@ from advdiff_sumo.traffic.manoeuvres.answers import (
     seen_not_to_stop_s,
     trapped_share,
 )
+from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.graded import closeness
 from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
@@ -47,6 +48,7 @@ class Chosen:
         needed_mps2: braking of the target that it needs.
         worth: how well it serves.
         merit: the same, however much its kind is wanted.
+        features: of the encounter, see ``encounter_features``; () where none is preferred.
     """
 
     manoeuvre: Manoeuvre
@@ -54,6 +56,7 @@ class Chosen:
     needed_mps2: float
     worth: float
     merit: float = 1.0
+    features: tuple[float, ...] = ()
 
 
 def rank(
@@ -63,6 +66,7 @@ def rank(
     licence: Licence | None = LAWFUL,
     intensity: Intensity = AS_SERVES,
     begun: bool = False,
+    preference: EncounterPreference | None = None,
 ) -> list[Chosen]:
     """Return those of *proposals* that keep to *licence* and serve at all, best first.
 
@@ -73,6 +77,7 @@ def rank(
         licence: what they may do; None: anything.
         intensity: where a severity is asked for, a manoeuvre serves by how near it comes.
         begun: whether they are under way, so that the target has had its time to answer.
+        preference: of encounters in which the target is predicted to fail; None: nothing is known.
     """
     target = view.target
     if target is None or not proposals:
@@ -98,6 +103,10 @@ def rank(
         near = closeness(view, manoeuvre, futures.driven_m[k], intensity)
         merit[k] = merit[k] if near is None else near
     worth = merit * np.array([weights.get(m.kind, 0.0) for m in proposals])
+    features: Sequence[tuple[float, ...]] = [()] * len(proposals)
+    if preference is not None:
+        features, factors = preference.rated(view, proposals, needed)
+        worth = worth * factors
     useful = np.flatnonzero(worth > 0.0)
     kept = useful[
         lawful(view, [proposals[k] for k in useful.tolist()], _rows(futures, useful), licence, begun)
@@ -105,7 +114,12 @@ def rank(
     order = kept[np.argsort(-worth[kept], kind="stable")].tolist()
     return [
         Chosen(
-            proposals[k], _rows(futures, np.array([k])), float(needed[k]), float(worth[k]), float(merit[k])
+            proposals[k],
+            _rows(futures, np.array([k])),
+            float(needed[k]),
+            float(worth[k]),
+            float(merit[k]),
+            features[k],
         )
         for k in order
     ]

@@ -12,6 +12,7 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.metrics.breaches.lane_rules import SAME_WAY_RAD
 from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda, comes_to_yield, is_possible
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
+from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.follower import (
     FOLLOWS,
     braking_behind,
@@ -39,6 +40,11 @@ _LONGEST_DEFAULT_S = 7.0
 _STOPS = ("hard-stop", "blocked-lane", "cut-in")
 _KEEP_OFF = frozenset(("hard-stop", "blocked-lane", "stop-and-go"))
 _LORRIES, _MOTORCYCLES = 0.4, 0.3
+_SHARES = {
+    AgentClass.CAR: 1.0 - _LORRIES - _MOTORCYCLES,
+    AgentClass.TRUCK: _LORRIES,
+    AgentClass.MOTORCYCLE: _MOTORCYCLES,
+}
 """Shares of those who come in."""
 _PATIENCE = ((0.5 * TURN_S, 0.5), (2.0 * TURN_S, 0.4))
 """Until when (s) an episode waits for a better moment than one of so little merit."""
@@ -60,6 +66,7 @@ class Commitment:
         sets_up: whether it only gets into position.
         delay_s: when, after that, it changes lanes.
         goal_lane: lane that it changes to; "" where it stays.
+        features: of the encounter as it began, see ``encounter_features``; () where nobody prefers any.
     """
 
     kind: str
@@ -69,6 +76,7 @@ class Commitment:
     sets_up: bool
     delay_s: float = 0.0
     goal_lane: str = ""
+    features: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,7 @@ class Commitments:
         agenda: which kind the episode is for now.
         intensity: severities that are asked for.
         since_s: id → since when it has been near the target.
+        preference: of encounters in which the target is predicted to fail; None: nothing is known.
     """
 
     weights: Mapping[str, float]
@@ -92,17 +101,23 @@ class Commitments:
     agenda: Agenda = field(default_factory=Agenda)
     intensity: Intensity = AS_SERVES
     since_s: Mapping[str, float] = field(default_factory=dict)
+    preference: EncounterPreference | None = None
 
     def wanted(self, now_s: float) -> tuple[str, ...]:
         """Return the kinds that may begin now: at first the one whose turn it is and crossing, later all."""
         turn = self.agenda.now
-        early = (turn, "crossing") if turn and now_s < _PATIENT_S else tuple(self.weights)
+        early = self._of_turn if turn and now_s < _PATIENT_S else tuple(self.weights)
         return tuple(kind for kind in self.weights if kind in early)
 
     @property
     def staged(self) -> tuple[str, ...]:
         """The kinds for which vehicles come in now."""
-        return tuple({self.agenda.now: 0, "crossing": 0}) if self.agenda.now else tuple(self.weights)
+        return self._of_turn if self.agenda.now else tuple(self.weights)
+
+    @property
+    def _of_turn(self) -> tuple[str, ...]:
+        """The kind whose turn it is and crossing, which waits for no turn unless it promises too little."""
+        return tuple({self.agenda.now: 0} | ({"crossing": 0} if self.agenda.crosses_any_time else {}))
 
     @property
     def attacking(self) -> tuple[str, ...]:
@@ -125,7 +140,11 @@ class Commitments:
 
     @staticmethod
     def start(
-        attack: str, rng: np.random.Generator, staged: int = 0, intensity: Intensity = AS_SERVES
+        attack: str,
+        rng: np.random.Generator,
+        staged: int = 0,
+        intensity: Intensity = AS_SERVES,
+        preference: EncounterPreference | None = None,
     ) -> Commitments:
         """Return none, with preferences drawn for *attack*, a kind or "any", so that episodes differ.
 
@@ -134,6 +153,7 @@ class Commitments:
             rng: for the draws.
             staged: most vehicles that may come in.
             intensity: severities that are asked for.
+            preference: of encounters, which turns and newcomers follow too where *attack* is "any".
         """
         kinds = list(KINDS) if attack == "any" else [attack]
         weights = dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True))
@@ -141,7 +161,12 @@ class Commitments:
         oncoming = bool(rng.random() < 0.5)
         stage = Stage(staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0)
         agenda = Agenda.drawn(rng) if attack == "any" else Agenda()
-        return Commitments(weights, stage=stage, agenda=agenda, intensity=intensity)
+        if preference is not None and attack == "any":
+            wanted, preference = preference.drawn(rng, _SHARES, len(classes))
+            if wanted is not None:
+                stage = replace(stage, classes=wanted.classes, oncoming=wanted.oncoming)
+                agenda = wanted.agenda
+        return Commitments(weights, stage=stage, agenda=agenda, intensity=intensity, preference=preference)
 
 
 def advance(
@@ -159,10 +184,12 @@ def advance(
     kept = replace(kept, agenda=kept.agenda.at(view), since_s=in_view_since(view, kept.since_s))
     going, kept = _carry_on(view, kept, pause_s, licence)
     room = attackers - sum(m.kind not in _SUPPORTS for m in going)
-    fresh = _begin(view, kept, going, room, licence) if room > 0 else []
+    chosen = _begin(view, kept, going, room, licence) if room > 0 else []
+    features = {one.manoeuvre.row: one.features for one in chosen}
+    fresh = [one.manoeuvre for one in chosen]
     fresh += _behind(view, [*going, *fresh], fresh, licence)
     names, now = view.scene.history.ids, view.scene.time_s
-    begun = {names[m.row]: _commitment(m, now) for m in fresh}
+    begun = {names[m.row]: _commitment(m, now, features.get(m.row, ())) for m in fresh}
     return [*going, *fresh], replace(kept, active={**kept.active, **begun})
 
 
@@ -170,7 +197,8 @@ def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...]
     """Return who comes in now, for the manoeuvres that may begin, and what is remembered of them."""
     busy = {under_way.kind for under_way in kept.active.values() if not under_way.sets_up}
     kinds = [kind for kind in kept.staged if kind not in busy]
-    if kept.agenda.order and ("crossing" in busy or is_possible(view, "crossing") or comes_to_yield(view)):
+    crosses = kept.agenda.crosses_first
+    if crosses and ("crossing" in busy or is_possible(view, "crossing") or comes_to_yield(view)):
         kinds = [
             kind for kind in kinds if kind == "crossing"
         ]  # a leader would keep the target from the junction
@@ -188,33 +216,42 @@ def _class_of(draw: float) -> AgentClass:
     return AgentClass.MOTORCYCLE if draw >= 1.0 - _MOTORCYCLES else AgentClass.CAR
 
 
-def _commitment(manoeuvre: Manoeuvre, now_s: float) -> Commitment:
+def _commitment(manoeuvre: Manoeuvre, now_s: float, features: tuple[float, ...]) -> Commitment:
     lane = "" if manoeuvre.goal is None else manoeuvre.goal.present_lane.id
     return Commitment(
-        manoeuvre.kind, manoeuvre.profile, now_s, now_s, manoeuvre.sets_up, manoeuvre.delay_s, lane
+        manoeuvre.kind,
+        manoeuvre.profile,
+        now_s,
+        now_s,
+        manoeuvre.sets_up,
+        manoeuvre.delay_s,
+        lane,
+        features,
     )
 
 
 def _begin(
     view: SituationView, kept: Commitments, going: Sequence[Manoeuvre], room: int, licence: Licence | None
-) -> list[Manoeuvre]:
+) -> list[Chosen]:
     """Return the best new manoeuvres beside those *going* on, one a vehicle, one that crosses, at most *room*."""
     names, now = view.scene.history.ids, view.scene.time_s
     busy = {m.row for m in going}
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
-    keeps_off = _KEEP_OFF if kept.agenda.order and comes_to_yield(view) else frozenset[str]()
+    keeps_off = _KEEP_OFF if kept.agenda.crosses_first and comes_to_yield(view) else frozenset[str]()
     wanted = [kind for kind in kept.wanted(now) if kind not in keeps_off]
     possible = [m for row in free for kind in wanted for m in KINDS[kind](view, row)]
     due = [m for m in possible if is_due(view, m, kept.since_s)]
     proposals = list(graded(view, due, kept.intensity))
-    out: list[Manoeuvre] = []
+    out: list[Chosen] = []
     least = next((merit for until_s, merit in _PATIENCE if now < until_s), 0.0)
-    ranked = rank(view, proposals, kept.weights, licence, kept.intensity)
+    ranked = rank(view, proposals, kept.weights, licence, kept.intensity, preference=kept.preference)
     worthy = [one for one in ranked if one.manoeuvre.sets_up or one.merit >= least]
     for chosen in worthy[:_TRIED]:
-        fits = all(_go_together(chosen.manoeuvre, other) for other in (*going, *out))
+        others = (*going, *(one.manoeuvre for one in out))
+        fits = all(_go_together(chosen.manoeuvre, other) for other in others)
         if len(out) < room and fits and _spares_follower(view, chosen) and _passes(view, chosen, licence):
-            out.append(braking_with(chosen.manoeuvre, kept.intensity.braking_mps2))
+            driven = braking_with(chosen.manoeuvre, kept.intensity.braking_mps2)
+            out.append(replace(chosen, manoeuvre=driven))
     return out
 
 

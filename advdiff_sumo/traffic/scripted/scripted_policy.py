@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
@@ -12,6 +13,7 @@ from advdiff_sumo.config import Options
 from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance, let_in
+from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.intensity import (
     HARDEST_MPS2,
     MOST_EARLY_S,
@@ -43,6 +45,7 @@ class ScriptedOptions(Options):
             gap and braking that serve best.
         early_s: how long before the target somebody with priority is where their ways meet; None: what serves best.
         staged: most vehicles that come in during an episode where an encounter lacks them; 0: nobody.
+        reward: what ``advdiff-sumo warmup`` has learned of the target, whose failures it goes for; empty: nothing.
     """
 
     attack: Kind = "any"
@@ -53,6 +56,7 @@ class ScriptedOptions(Options):
     spare_gap_m: float | None = Field(None, ge=0.0, le=MOST_SPARE_GAP_M)
     early_s: float | None = Field(None, ge=0.0, le=MOST_EARLY_S)
     staged: int = Field(STAGED, ge=0, le=20)
+    reward: str = ""
 
 
 class ScriptedTraffic:
@@ -65,14 +69,17 @@ class ScriptedTraffic:
 
         Raises:
             ConfigError: an option has no such name or value.
+            WeightsError: ``reward`` cannot be used.
         """
         self.options = self.Options.parse(options, "options of background 'scripted'")
+        reward = self.options.reward
+        self.preference = EncounterPreference.read(Path(reward)) if reward else None
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Commitments:  # noqa: ARG002 - the contract
         """Return which kinds this episode prefers, so that episodes differ."""
         options = self.options
         intensity = Intensity(options.braking_mps2, options.spare_gap_m, options.early_s)
-        return Commitments.start(options.attack, rng, options.staged, intensity)
+        return Commitments.start(options.attack, rng, options.staged, intensity, self.preference)
 
     def plan(
         self,

@@ -1,0 +1,70 @@
+"""A warm-up under a licence from the command line, and traffic that goes for what it found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from advdiff_sumo.models.bundle import BundleOptions, new_bundle
+from advdiff_sumo.models.reward_file import save_reward
+from tests.e2e.commands import SAME_BYTES, advdiff
+from tests.e2e.conftest import sentence
+
+SHORT = ("--net", "motorway", "--target", "lane_graph", "--defect", "weak-brakes:strong", "--horizon", "4")
+SCENE = (
+    "--set",
+    "scene.warmup_s=10",
+    "--set",
+    "scene.min_neighbours=0",
+    "--set",
+    "scene.scenes_per_warmup=2",
+)
+
+
+@pytest.mark.slow
+def test_a_warm_up_and_a_run_that_uses_it(tmp_path: Path) -> None:
+    for name in ("seen", "again"):
+        made = advdiff(
+            "warmup", *SHORT, *SCENE, "--steps", "12", "--out", f"{name}.safetensors", cwd=tmp_path
+        )
+        assert made.code == 0, made.err
+        assert "12 plans in 2 episodes" in made.out
+        assert "expected to fail in: " in made.out
+    first, second = (tmp_path / f"{name}.safetensors" for name in ("seen", "again"))
+    assert first.read_bytes() == second.read_bytes()
+    run = ("run", *SHORT, *SCENE, "--background", "scripted", "--episodes", "1", "--quiet")
+    for name in ("run", "rerun"):
+        done = advdiff(*run, "--reward", "seen.safetensors", "--out", name, cwd=tmp_path)
+        assert done.code == 0, done.err
+    for name in SAME_BYTES:
+        assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "rerun" / name).read_bytes()
+
+
+def test_files_of_the_other_kind_of_warm_up(tmp_path: Path) -> None:
+    """The shipped prior stands for a lawful warm-up; a reward model cannot rank encounters, nor the other way round."""
+    bundle = new_bundle(BundleOptions.parse({}))
+    save_reward(bundle.reward, tmp_path / "q.safetensors")
+    words = ("run", "--net", "motorway", "--target", "lane_graph", "--out", "run")
+    done = advdiff(*words, "--background", "scripted", "--reward", "q.safetensors", cwd=tmp_path)
+    assert done.code == 2
+    assert "q.safetensors: is not of the format advdiff-failures-1" in sentence(done)
+    shipped = Path(__file__).parents[2] / "advdiff_sumo" / "weights" / "failures.safetensors"
+    reckless = ("--background", "diffusion", "--licence", "reckless", "--reward", str(shipped))
+    done = advdiff(*words, *reckless, cwd=tmp_path)
+    assert done.code == 2
+    assert "says which lawful encounters to go for, and --licence reckless has none" in sentence(done)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--background", "sumo"), "a lawful warm-up is for background 'scripted' or 'diffusion'"),
+        (("--background", "scripted", "--strength", "0.5"), "no option 'strength'"),
+        (("--defect", "lat"), "did you mean 'late'?"),
+    ],
+)
+def test_a_warm_up_that_cannot_be(tmp_path: Path, words: tuple[str, ...], said: str) -> None:
+    done = advdiff("warmup", "--target", "lane_graph", *words, "--out", "seen.safetensors", cwd=tmp_path)
+    assert done.code == 2
+    assert said in sentence(done)

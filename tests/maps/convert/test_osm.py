@@ -6,6 +6,7 @@ import json
 import math
 import random
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 import small_sources
 import sumolib
 from osm_extracts import OsmExtract, extract_of_net
+from shapely.geometry import MultiPolygon, box
 from small_maps import MapBuilder
 from test_bad_formats import FILES, VALUE, WRONG
 
@@ -239,6 +241,19 @@ def test_a_street_that_changes_its_lanes_just_beyond_the_map(tmp_path: Path) -> 
     assert min(lane.getLength() for edge in streets(result.net) for lane in edge.getLanes()) > 5.0
     figures = driving_test(result.net, vehicles=50, duration_s=600.0)
     assert {bar: figures[bar] for bar in BARS} == dict.fromkeys(BARS, 0)
+
+
+@pytest.mark.parametrize("on_the_map", [False, True])
+def test_a_gap_to_the_street_may_be_long_where_the_map_is_drivable(on_the_map: bool, tmp_path: Path) -> None:
+    """Streets begin 60 m beyond the last lanes, where they are cut off, or where they begin by themselves."""
+    source = read_map(road_both_ways(tmp_path))
+    osm = OsmExtract()
+    osm.way((160.0 if on_the_map else 280.0, 101.75), (400.0, 101.75))
+    if on_the_map:
+        source = replace(source, drivable=MultiPolygon([box(95.0, 95.0, 277.0, 110.0)]))
+    result = convert_source(source, tmp_path / "n.net.xml", osm=osm.write(tmp_path / "far.osm"))
+    assert result.streets is not None
+    assert (result.streets.left, result.streets.entered) == ((1, 1) if on_the_map else (0, 0))
 
 
 @pytest.mark.parametrize("kind", ["lanelet2", "argoverse2"])

@@ -74,9 +74,10 @@ def add_streets(
     bounds = np.array([lines.min(axis=0), lines.max(axis=0)])
     with tempfile.TemporaryDirectory() as folder:
         net = import_streets(osm, projection, bounds, Path(folder), lefthand=plan.lefthand)
-    stretches = stretches_outside(net, _area(plan, drivable))
+    area = _area(plan, drivable)
+    stretches = stretches_outside(net, area)
     rims = rim_ends(plan)
-    chosen, graph = _chosen(plan, rims, stretches, StretchGraph(net, stretches))
+    chosen, graph = _chosen(plan, candidates(rims, stretches, area), StretchGraph(net, stretches))
     kept = [_trimmed(stretch, chosen) for stretch in stretches if stretch.id in graph.names]
     names: JointNames = {
         (joint.stretch.id, joint.leaves): f"j{number}"
@@ -110,10 +111,9 @@ def _area(plan: NetPlan, drivable: BaseGeometry) -> BaseGeometry:
 
 
 def _chosen(
-    plan: NetPlan, rims: Sequence[RimEnd], stretches: Sequence[Stretch], graph: StretchGraph
+    plan: NetPlan, fits: Mapping[RimEnd, Sequence[Stretch]], graph: StretchGraph
 ) -> tuple[list[Joint], StretchGraph]:
     """Return the joints that streets between them serve, and the graph of these streets."""
-    fits = candidates(rims, stretches)
     entered, left = (
         {stretch.id for rim, own in fits.items() if rim.leaves is leaves for stretch in own}
         for leaves in (True, False)

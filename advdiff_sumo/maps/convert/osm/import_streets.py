@@ -26,7 +26,7 @@ from advdiff_sumo.maps.sumo_files import sumo_home
 
 REMEDY = "give an OpenStreetMap extract (.osm, .osm.xml, .osm.gz) of the map's place"
 NO_STREET = "holds no street for cars"
-NEAR_M = 50.0  # an extract that begins farther from the map has nothing to join
+NEAR_M = 100.0  # an extract that begins farther from the map has nothing to join
 PREFIX = "osm"  # of the names of all edges and junctions
 OPTIONS = (  # what SUMO's own guide to OpenStreetMap data gives netconvert, for cars
     *("--offset.disable-normalization", "--geometry.remove", "--roundabouts.guess", "--ramps.guess"),

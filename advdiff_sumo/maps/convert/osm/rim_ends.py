@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from shapely.geometry import LineString
+from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
@@ -14,7 +16,11 @@ from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.osm.cut_streets import Stretch
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse
 
-AHEAD_M = (-1.0, 30.0)  # a street begins so far ahead of where the map ends, or ends before where it begins
+BEHIND_M, AHEAD_M = (
+    1.0,
+    30.0,
+)  # a street begins so far beyond the end of a lane, or ends before its beginning,
+FARTHEST_M = 100.0  # what of that way lies on the map's own area, where streets are cut away, not counted
 ASIDE_M = 7.0  # and lies so far beside it at most: OpenStreetMap and HD maps differ by 5.3 m at worst
 TURNED_RAD = math.radians(35.0)
 HEADING_M = 2.0  # over which the heading of a lane is taken
@@ -73,8 +79,10 @@ def _rim_end(edge: EdgePlan, leaves: bool) -> RimEnd | None:
     return RimEnd(edge, leaves, lanes, np.array(ends), along)
 
 
-def candidates(rims: Sequence[RimEnd], stretches: Sequence[Stretch]) -> dict[RimEnd, list[Stretch]]:
-    """Return the stretches that fit to each end of the map, best first."""
+def candidates(
+    rims: Sequence[RimEnd], stretches: Sequence[Stretch], area: BaseGeometry
+) -> dict[RimEnd, list[Stretch]]:
+    """Return the stretches that fit to each end of the map of this *area*, best first."""
     fits: dict[RimEnd, list[Stretch]] = {}
     for leaves in (True, False):
         open_ends = [s for s in stretches if (s.begins_open if leaves else s.ends_open)]
@@ -84,16 +92,19 @@ def candidates(rims: Sequence[RimEnd], stretches: Sequence[Stretch]) -> dict[Rim
         along = np.array([s.directions[0 if leaves else 1] for s in open_ends])
         for rim in rims:
             if rim.leaves is leaves:
-                cost = _misfit(rim, at, along)
+                cost = _misfit(rim, at, along, area)
                 fits[rim] = [open_ends[k] for k in np.argsort(cost, kind="stable") if np.isfinite(cost[k])]
     return fits
 
 
-def _misfit(rim: RimEnd, at_m: FloatArray, along: FloatArray) -> FloatArray:
+def _misfit(rim: RimEnd, at_m: FloatArray, along: FloatArray, area: BaseGeometry) -> FloatArray:
     """Return how badly ends of streets (S, 2) of directions (S, 2) fit, in m; infinite where they do not."""
     ahead, aside = away(rim, at_m)
     turned = np.arccos(np.clip(along @ rim.along, -1.0, 1.0))
-    fits = (ahead > AHEAD_M[0]) & (ahead < AHEAD_M[1]) & (aside < ASIDE_M) & (turned < TURNED_RAD)
+    fits = (ahead > -BEHIND_M) & (ahead < FARTHEST_M) & (aside < ASIDE_M) & (turned < TURNED_RAD)
+    for far in np.flatnonzero(fits & (ahead > AHEAD_M)).tolist():
+        gap = LineString((rim.at_m.mean(axis=0), at_m[far]))
+        fits[far] = gap.difference(area).length < AHEAD_M
     return np.where(fits, aside + 0.3 * np.maximum(ahead, 0.0) + 5.0 * turned, np.inf)
 
 

@@ -11,7 +11,7 @@ import pytest
 from tests.e2e.commands import advdiff
 
 SCENE = (
-    *("--net", "motorway", "--target", "lane_graph", "--seed", "3", "--horizon", "8"),
+    *("--net", "motorway", "--target", "lane_graph", "--seed", "2", "--horizon", "10"),
     *("--set", "scene.situation=following", "--set", "scene.min_speed_mps=8"),
     *("--set", "scene.warmup_s=20", "--set", "scene.scenes_per_warmup=1"),
 )

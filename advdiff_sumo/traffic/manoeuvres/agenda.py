@@ -102,6 +102,13 @@ def comes_to_yield(view: SituationView) -> bool:
     return any(not view.is_red(link) for link in _lets_pass(view, reach_m))
 
 
+def waits_at_red(view: SituationView) -> bool:
+    """Return whether the next junction shows the target a red light: only one that runs it meets anybody there."""
+    target = view.target
+    ahead = target.way.links if target is not None else ()
+    return any(view.is_red(link) for reach, link in ahead[:1] if 0.0 < reach < REACH_M)
+
+
 def _lets_pass(view: SituationView, reach_m: float) -> Sequence[Link]:
     """Return the links ahead, within *reach_m*, where a target that moves arrives alone and others go first."""
     target = view.target

@@ -24,18 +24,20 @@ from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFuture
 from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
-HARD_WORTH: Mapping[float, float] = {2.0: 0.05, 3.0: 0.4, 4.0: 0.7, 5.0: 0.9, 6.0: 1.0, 7.0: 0.8}
+HARD_WORTH: Mapping[float, float] = {3.0: 0.4, 4.0: 0.7, 5.0: 0.9, 6.0: 1.0, 7.0: 0.8}
 """Worth of an encounter by the braking that it needs; none where it needs little or more than a driver has."""
 SEEN_WORTH: Mapping[float, float] = {1.0: 0.6, 2.0: 0.8, 3.0: 0.8, 4.0: 0.7, 5.0: 0.5, 6.0: 0.3}
 """Worth where what counts is whether the target sees the other and gives way at all."""
 CUT_IN_WORTH: Mapping[float, float] = {2.0: 0.4, 3.0: 0.6, 4.0: 0.8, 5.0: 0.9, 6.0: 1.0, 7.0: 0.7}
 """Worth where both count."""
 _LEAST_SEEN_MPS2: Mapping[str, float] = {"blocked-lane": 2.0, "cut-out": 2.0, "crossing": 1.0}
+_GENTLE_SHARE = 0.5
+"""Who stops gently asks less than who stops hard a little later."""
 _TRAPPED, _WAITS, _UNNOTICED_S = 0.8, 0.3, 1.0
 _UNCERTAIN = 0.2
 """Share of its worth that somebody keeps who would meet the target at the very instant alone."""
-SETTING_UP = 0.05
-"""Worth of getting into position."""
+SETTING_UP, _ASKS_MPS2 = 0.05, {"hard-stop": 2.0}
+"""Worth of getting into position, and what it may ask of the target: 1 m/s², or as a leader that it closes up to."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +178,7 @@ def _merit_at_red(
 
 def _merit(manoeuvre: Manoeuvre, needed_mps2: float, begun: bool) -> float:
     if manoeuvre.sets_up:
-        return SETTING_UP if needed_mps2 <= 1.0 else 0.0
+        return SETTING_UP if needed_mps2 <= _ASKS_MPS2.get(manoeuvre.kind, 1.0) else 0.0
     if manoeuvre.kind == "cut-in":
         return CUT_IN_WORTH.get(needed_mps2, 0.0)
     if manoeuvre.kind == "crossing" and begun:
@@ -184,7 +186,8 @@ def _merit(manoeuvre: Manoeuvre, needed_mps2: float, begun: bool) -> float:
     least = _LEAST_SEEN_MPS2.get(manoeuvre.kind)
     if least is None:
         return HARD_WORTH.get(needed_mps2, 0.0)
-    return SEEN_WORTH.get(needed_mps2, 0.0) if needed_mps2 >= least else 0.0
+    share = _GENTLE_SHARE if manoeuvre.kind == "blocked-lane" else 1.0
+    return share * SEEN_WORTH.get(needed_mps2, 0.0) if needed_mps2 >= least else 0.0
 
 
 def _rows(futures: ManoeuvreFutures, rows: FloatArray | np.ndarray) -> ManoeuvreFutures:

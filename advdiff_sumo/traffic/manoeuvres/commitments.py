@@ -10,7 +10,7 @@ import numpy as np
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.metrics.breaches.lane_rules import SAME_WAY_RAD
-from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda, comes_to_yield, is_possible
+from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda, comes_to_yield, is_possible, waits_at_red
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.follower import (
@@ -46,10 +46,13 @@ _SHARES = {
     AgentClass.MOTORCYCLE: _MOTORCYCLES,
 }
 """Shares of those who come in."""
-_PATIENCE = ((0.5 * TURN_S, 0.5), (2.0 * TURN_S, 0.4))
+_PATIENCE = ((2.0 * TURN_S, 0.4),)
 """Until when (s) an episode waits for a better moment than one of so little merit."""
+_LEADER_PATIENCE = ((TURN_S, 0.7), (4.0 * TURN_S, 0.4))
+"""The same for a leader that lets the target close up, and which no red light stops soon."""
 _PATIENT_S = _PATIENCE[-1][0]
 _STANDS_MPS, _OVER_LINE_M, _IN_WAY_M = 0.5, 0.2, 1.2
+_NOW_S = 0.5
 _TRIED = 4
 """Manoeuvres that are checked in full, best first."""
 
@@ -103,21 +106,29 @@ class Commitments:
     since_s: Mapping[str, float] = field(default_factory=dict)
     preference: EncounterPreference | None = None
 
-    def wanted(self, now_s: float) -> tuple[str, ...]:
-        """Return the kinds that may begin now: at first the one whose turn it is and crossing, later all."""
+    def wanted(self, view: SituationView) -> tuple[str, ...]:
+        """Return the kinds that may begin now: at first the one whose turn it is and crossing, later all.
+
+        Nobody crosses before a red light out of turn, nor leads a target to where it has to yield.
+        """
         turn = self.agenda.now
-        early = self._of_turn if turn and now_s < _PATIENT_S else tuple(self.weights)
-        return tuple(kind for kind in self.weights if kind in early)
+        if not turn:
+            return tuple(self.weights)
+        kinds = self.staged(view) if view.scene.time_s < _PATIENT_S else tuple(self.weights)
+        off = _KEEP_OFF if self.agenda.crosses_first and comes_to_yield(view) else frozenset[str]()
+        red = {"crossing"} if turn != "crossing" and waits_at_red(view) else set[str]()
+        return tuple(kind for kind in self.weights if kind in kinds and kind not in off | red)
 
-    @property
-    def staged(self) -> tuple[str, ...]:
-        """The kinds for which vehicles come in now."""
-        return self._of_turn if self.agenda.now else tuple(self.weights)
+    def staged(self, view: SituationView) -> tuple[str, ...]:
+        """Return the kinds for which vehicles come in now.
 
-    @property
-    def _of_turn(self) -> tuple[str, ...]:
-        """The kind whose turn it is and crossing, which waits for no turn unless it promises too little."""
-        return tuple({self.agenda.now: 0} | ({"crossing": 0} if self.agenda.crosses_any_time else {}))
+        That is the kind whose turn it is and crossing, which waits for no turn unless it promises too little.
+        """
+        turn = self.agenda.now
+        if not turn:
+            return tuple(self.weights)
+        crosses = self.agenda.crosses_any_time and not waits_at_red(view)
+        return tuple({turn: 0} | ({"crossing": 0} if crosses else {}))
 
     @property
     def attacking(self) -> tuple[str, ...]:
@@ -196,9 +207,9 @@ def advance(
 def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:
     """Return who comes in now, for the manoeuvres that may begin, and what is remembered of them."""
     busy = {under_way.kind for under_way in kept.active.values() if not under_way.sets_up}
-    kinds = [kind for kind in kept.staged if kind not in busy]
-    crosses = kept.agenda.crosses_first
-    if crosses and ("crossing" in busy or is_possible(view, "crossing") or comes_to_yield(view)):
+    kinds = [kind for kind in kept.staged(view) if kind not in busy]
+    possible = "crossing" in kinds and is_possible(view, "crossing")
+    if kept.agenda.crosses_first and ("crossing" in busy or possible or comes_to_yield(view)):
         kinds = [
             kind for kind in kinds if kind == "crossing"
         ]  # a leader would keep the target from the junction
@@ -237,15 +248,15 @@ def _begin(
     names, now = view.scene.history.ids, view.scene.time_s
     busy = {m.row for m in going}
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
-    keeps_off = _KEEP_OFF if kept.agenda.crosses_first and comes_to_yield(view) else frozenset[str]()
-    wanted = [kind for kind in kept.wanted(now) if kind not in keeps_off]
+    wanted = kept.wanted(view)
     possible = [m for row in free for kind in wanted for m in KINDS[kind](view, row)]
     due = [m for m in possible if is_due(view, m, kept.since_s)]
     proposals = list(graded(view, due, kept.intensity))
     out: list[Chosen] = []
-    least = next((merit for until_s, merit in _PATIENCE if now < until_s), 0.0)
     ranked = rank(view, proposals, kept.weights, licence, kept.intensity, preference=kept.preference)
-    worthy = [one for one in ranked if one.manoeuvre.sets_up or one.merit >= least]
+    patience = _LEADER_PATIENCE if kept.agenda.order and not waits_at_red(view) else _PATIENCE
+    least = {kind: _least(patience if kind in _KEEP_OFF else _PATIENCE, now) for kind in kept.weights}
+    worthy = [one for one in ranked if one.manoeuvre.sets_up or one.merit >= least[one.manoeuvre.kind]]
     for chosen in worthy[:_TRIED]:
         others = (*going, *(one.manoeuvre for one in out))
         fits = all(_go_together(chosen.manoeuvre, other) for other in others)
@@ -253,6 +264,11 @@ def _begin(
             driven = braking_with(chosen.manoeuvre, kept.intensity.braking_mps2)
             out.append(replace(chosen, manoeuvre=driven))
     return out
+
+
+def _least(patience: Sequence[tuple[float, float]], now_s: float) -> float:
+    """Return the merit below which an episode waits for a better moment."""
+    return next((merit for until_s, merit in patience if now_s < until_s), 0.0)
 
 
 def _go_together(one: Manoeuvre, other: Manoeuvre) -> bool:
@@ -271,14 +287,19 @@ def _spares_follower(view: SituationView, chosen: Chosen) -> bool:
 
 
 def _behind(
-    view: SituationView, busy: Sequence[Manoeuvre], fresh: Sequence[Manoeuvre], licence: Licence | None
+    view: SituationView, driven: Sequence[Manoeuvre], fresh: Sequence[Manoeuvre], licence: Licence | None
 ) -> list[Manoeuvre]:
-    """Return what who follows the target drives while it is attacked by one of *fresh*, where it may be moved."""
-    attacks = [m for m in fresh if not m.sets_up]
+    """Return what who follows the target drives where it has to answer now, if it may be moved and does not yet.
+
+    It answers one of *fresh*, or of those *driven* somebody who crosses once it is near.
+    """
     row = follower_of_target(view)
-    if not attacks or row not in view.movable or row in {m.row for m in busy}:
+    if row not in view.movable or any(m.row == row or m.kind == FOLLOWS for m in driven):
         return []
-    brakes = braking_behind(view, row, min(perceived_s(view, m) for m in attacks))
+    attacks = [m for m in driven if not m.sets_up and (m in fresh or m.kind == "crossing")]
+    times_s = [(m.kind, perceived_s(view, m)) for m in attacks if m.kind not in _SUPPORTS]
+    soon_s = [time_s for kind, time_s in times_s if kind != "crossing" or time_s < _NOW_S]
+    brakes = braking_behind(view, row, min(soon_s)) if soon_s else None
     return [brakes] if brakes is not None and _still_lawful(view, brakes, licence) else []
 
 

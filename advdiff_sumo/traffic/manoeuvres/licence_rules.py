@@ -23,7 +23,8 @@ from advdiff_sumo.traffic.planning.people import PEOPLE_SIDE_M
 
 _RED, _STOPS_AT, _YIELDS_ON_GREEN = "ru", "ruy", "g"
 _ROOM_M, _PEOPLE_ROOM_M = np.array([0.5, 0.15]), np.array([0.5, PEOPLE_SIDE_M])
-_SOON_STEPS, _CROSSED_STEPS = {False: 10, True: 5}, 15
+_SOON_STEPS, _CROSSED_STEPS, _SET_UP_STEPS = {False: 10, True: 5}, 15, 3
+_STOPS_MPS2 = 3.0
 _STOPS = ("hard-stop", "blocked-lane")
 
 
@@ -61,6 +62,9 @@ def _keeps(
     soon = _SOON_STEPS[begun] if manoeuvre.kind == "crossing" else None  # beyond, others have given way
     driven = float(futures.driven_m[k, -1])
     until_line = driven if soon is None else float(futures.driven_m[k, _CROSSED_STEPS])
+    if manoeuvre.sets_up:  # it is planned anew at once, and can still stop
+        speed = float(futures.speed_mps[k, _SET_UP_STEPS])
+        until_line = min(driven, float(futures.driven_m[k, _SET_UP_STEPS]) + speed**2 / (2.0 * _STOPS_MPS2))
     if licence is not None and not (
         _respects_links(view, manoeuvre, until_line, licence)
         and _stops_clear(manoeuvre, driven)

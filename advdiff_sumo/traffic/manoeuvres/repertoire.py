@@ -42,18 +42,30 @@ _STOPS_FROM_MPS = 5.0
 _CROSSES_SHARE = 0.45
 """Share of the limit below which nobody slows who has priority."""
 _SPARE_M, _CLOSES_PER_S, _SETTLES_S = 2.0, 0.6, 0.8
-_CLOSES_UP_SHARE, _GENTLY_MPS2 = 0.75, 1.0
-"""Share of the limit at which a leader lets the target close up, and how it gets to that speed."""
+_CLOSES_UP_SHARE, _CLOSES_UP_PER_S = 0.75, 0.4
+"""Share of the target's speed at which a leader lets it close up, and share of the way there that it gains a second."""
+_HEADWAY_S, _STANDING_GAP_M = 1.5, 2.0
+"""At which a leader leads, which is what people keep, and on top of it."""
+_GENTLY_MPS2, _GAINS_MPS2 = 1.0, 2.0
 
 
 def hard_stop(view: SituationView, row: int) -> Iterator[Manoeuvre]:
-    """The target's leader brakes hard to a stop, or lets it close up first."""
+    """The target's leader brakes hard to a stop, or leads it at a steady gap until then."""
     yield from _stops(view, row, "hard-stop", HARD_BRAKING_MPS2)
-    if _leads(view, row):
-        slow = max(_CLOSES_UP_SHARE * view.ways[row].lane.speed_mps, _STOPS_FROM_MPS + 1.0)
-        drives = view.speed(row)
-        closing = SpeedProfile(_GENTLY_MPS2 * np.sign(slow - drives), abs(slow - drives), lowest_mps=slow)
-        yield Manoeuvre("hard-stop", row, view.ways[row], closing, sets_up=True)
+    if view.target is not None and _leads(view, row):
+        steady = leads_steadily(view, view.target, row)
+        yield Manoeuvre("hard-stop", row, view.ways[row], steady, sets_up=True)
+
+
+def leads_steadily(view: SituationView, target: TargetWay, row: int) -> SpeedProfile:
+    """Return the speed with which *row* leads the target at the headway that people keep, or gently gets there."""
+    limit, drives = view.ways[row].lane.speed_mps, view.speed(row)
+    gap = view.gap_m(view.place_on(target.way, row)[0], row, view.scene.target)
+    more = gap - (_HEADWAY_S * target.speed_mps + _STANDING_GAP_M)
+    slow = min(max(_CLOSES_UP_SHARE * target.speed_mps, _STOPS_FROM_MPS + 1.0), limit)
+    aims = float(np.clip(target.speed_mps - _CLOSES_UP_PER_S * more, slow, limit))
+    accel = float(np.clip((aims - drives) / _SETTLES_S, -_GENTLY_MPS2, _GAINS_MPS2))
+    return SpeedProfile(accel, _SETTLES_S, 0.0, min(slow, drives), limit)
 
 
 def blocked_lane(view: SituationView, row: int) -> Iterator[Manoeuvre]:

@@ -43,7 +43,7 @@ def test_a_single_kind_has_no_turns(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0))
     begun = Commitments.start("crossing", np.random.default_rng(0), 3)
     assert begun.agenda.at(view).now == ""
-    assert begun.staged == ("crossing",)
+    assert begun.staged(view) == ("crossing",)
 
 
 def test_every_order_holds_every_kind() -> None:

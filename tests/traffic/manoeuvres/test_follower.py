@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments, advance
 from advdiff_sumo.traffic.manoeuvres.follower import (
     FOLLOWS,
     braking_behind,
@@ -16,7 +18,7 @@ from advdiff_sumo.traffic.manoeuvres.follower import (
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from tests.traffic.manoeuvres.scenes import LENGTH_M, view_of
+from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on, view_of
 
 
 def behind(road: RoadMap, gap_m: float, speed_mps: float = 10.0) -> SituationView:
@@ -96,3 +98,40 @@ def test_nobody_stops_before_a_target_that_is_followed_too_closely(motorway: Roa
     driven, kept = advanced(motorway, 2.0)
     assert [m for m in driven if not m.sets_up] == []
     assert kept.attacking == ()
+
+
+@pytest.mark.parametrize(("to_line_m", "brakes"), [(14.0, False), (6.0, True)])
+def test_behind_a_target_that_has_to_yield_it_brakes_once_that_would_have_to(
+    downtown: RoadMap, to_line_m: float, brakes: bool
+) -> None:
+    """A target 14 m before the line, at 8 m/s, is where they meet in 3.75 s, one 6 m before it in under 3 s."""
+    link = next(
+        link
+        for lane in downtown.lanes.values()
+        for link in lane.successors
+        if not lane.is_internal and link.tls_id is None and link.state == "m" and lane.length_m > 90.0
+    )
+    lane = downtown.lanes[link.from_lane]
+    junction = downtown.junctions[link.junction_id]
+    first = next(
+        other
+        for name in junction.incoming_lanes
+        if name in downtown.lanes
+        for other in downtown.lanes[name].successors
+        if other.junction_id == junction.id and downtown.must_yield(link, other) and other.direction == "s"
+    )
+    there = downtown.lanes[first.from_lane]
+    cars = {
+        "target": (lane, lane.length_m - to_line_m, 8.0),
+        "other": (there, max(there.length_m - to_line_m, 5.0), 8.0),
+        "follower": (lane, lane.length_m - to_line_m - 20.0, 8.0),
+    }
+    scene = scene_on(cars, 4.0)
+    to = downtown.lanes[link.to_lane].edge_id
+    across = (there.edge_id, downtown.lanes[first.to_lane].edge_id)
+    view = SituationView.of(downtown, replace(scene, routes=((lane.edge_id, to), across, (lane.edge_id, to))))
+    crosses = Commitment("crossing", SpeedProfile(), 3.5, 4.0, sets_up=False)
+    kept = Commitments({"crossing": 1.0}, active={"other": crosses}, since_s={"other": 0.0})
+    driven, _ = advance(view, kept, 2, 8.0)
+    assert "crossing" in {m.kind for m in driven}
+    assert (FOLLOWS in {m.kind for m in driven}) is brakes

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
+from advdiff_sumo.core.frames import local_from_world
 from advdiff_sumo.experiments.encounter_outcomes import Encounter, EncounterLog, outcomes
 from advdiff_sumo.models.failure_predictor import FailurePredictor, load_failures
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
+from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
 from advdiff_sumo.traffic.manoeuvres.encounter_features import FEATURES
@@ -27,6 +29,8 @@ SCENE = SceneOptions(density_per_km=1.5, min_neighbours=0, min_speed_mps=6.0, sc
 """Seed scenes of a warm-up, if nobody says otherwise: with room for encounters."""
 _TRIES = 2
 """So often an encounter is tried that does not come about."""
+_ROOM_M, _ASIDE_M, _PASSED_OVER = 60.0, 4.0, 20
+"""Seed scenes with somebody so near ahead of the target are passed over, at most so many in a row."""
 _IDLE = 3
 """After so many episodes in a row without a plan a warm-up gives up."""
 
@@ -92,7 +96,7 @@ def meet(
     features, came = np.zeros((0, len(FEATURES))), np.zeros(0)
     believed, made, episodes, idle = prior, 0, 0, 0
     probe, tries = 0, 0
-    for number, scene in enumerate(run.seed_scenes()):
+    for number, scene in enumerate(with_room(run.seed_scenes()) if probes else run.seed_scenes()):
         policy.preference = EncounterPreference(believed, 0.0, probe if probes else None)
         left_s = PLAN_DT_S * (plans - made)
         record, _ = replace(run.episode(number, scene), horizon_s=min(options.horizon_s, left_s)).run()
@@ -111,6 +115,23 @@ def meet(
         if made >= plans:
             break
     return MetEncounters(believed, features, came, made, episodes)
+
+
+def with_room(scenes: Iterable[SeedScene]) -> Iterator[SeedScene]:
+    """Yield those of *scenes* in which nobody is ahead of the target, so that whom a warm-up asks about can come in.
+
+    Where too many have somebody there, one of them is taken all the same.
+    """
+    passed_over = 0
+    for scene in scenes:
+        now, own = scene.history, scene.history.index[scene.target]
+        place = local_from_world(now.xy_m[:, -1], now.xy_m[own, -1], now.yaw_rad[own, -1])
+        near = (place[:, 0] > 0.0) & (place[:, 0] < _ROOM_M) & (np.abs(place[:, 1]) < _ASIDE_M)
+        near[own] = False
+        passed_over += 1
+        if not (near & now.valid[:, -1]).any() or passed_over > _PASSED_OVER:
+            passed_over = 0
+            yield scene
 
 
 def features_of(encounters: Sequence[Encounter]) -> FloatArray:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
+from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.experiments.failure_warmup import (
     EPISODE_S,
     SCENE,
@@ -16,10 +18,12 @@ from advdiff_sumo.experiments.failure_warmup import (
     meet,
     promises,
     warm_up_failures,
+    with_room,
 )
 from advdiff_sumo.models.failure_predictor import FailurePredictor, load_failures
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.sim.run_episodes import RunOptions
+from advdiff_sumo.sim.seed_scene import PlacedTraffic, SeedScene
 from advdiff_sumo.traffic.manoeuvres.encounter_features import FEATURES
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 
@@ -98,3 +102,27 @@ def test_a_planner_that_never_plans_ends_it() -> None:
     scene = {"warmup_s": 8.0, "scenes_per_warmup": 3, "min_neighbours": 0, "density_per_km": 2.0}
     with pytest.raises(EpisodeFailure, match=r"3 episodes without a plan; the last one: .*no map"):
         meet(options(target=target, horizon_s=1.0, scene=scene), prior(), 4, nothing)
+
+
+def test_scenes_with_somebody_ahead_are_passed_over() -> None:
+    """One car 40 m ahead, one 40 m behind; where nothing else comes, the one after twenty is taken all the same."""
+    blocked, free = seed_scene(40.0), seed_scene(-40.0)
+    assert list(with_room([blocked, free, blocked, free])) == [free, free]
+    assert len(list(with_room([blocked] * 42))) == 2
+
+
+def seed_scene(ahead_m: float) -> SeedScene:
+    """Return a scene of a target that heads north, and of somebody *ahead_m* ahead of it, two metres to the left."""
+    history = Tracks(
+        ids=("other", "target"),
+        classes=np.zeros(2, dtype=np.int64),
+        size_m=np.tile([4.5, 1.8], (2, 1)),
+        xy_m=np.array([[[8.0, 5.0 + ahead_m]], [[10.0, 5.0]]]),
+        yaw_rad=np.full((2, 1), 0.5 * np.pi),
+        speed_mps=np.full((2, 1), 8.0),
+        valid=np.ones((2, 1), dtype=np.bool_),
+        t0_s=0.0,
+        dt_s=0.5,
+    )
+    start = PlacedTraffic(np.ones(2, dtype=np.bool_))
+    return SeedScene("made", Path("none"), 0, history, "target", {}, history, start, 10.0)

@@ -42,7 +42,9 @@ stage denoiser informed --init "$folder/denoiser" --data "$folder/driven" --set 
 stage denoiser scored --init "$folder/informed" --data "$folder/driven" --set denoiser.samples=2 --set ema_decay=0.99 \
     --set denoiser.information=1 --set denoiser.standing=3 --set driven_share=0.4 --set epoch_windows=4800 \
     --set epochs=1 --set batch_size=16 --set learning_rate=4e-4
-stage reward reward --init "$folder/scored" --set epochs=1 --set reward.transitions=1
+stage decoder decoder --init "$folder/scored" --data "$folder/driven" --set decoder.vehicles=4 --set decoder.road=2 \
+    --set driven_share=0.2 --set epoch_windows=17600 --set epochs=1 --set batch_size=16 --set learning_rate=3e-4
+stage reward reward --init "$folder/decoder" --set epochs=1 --set reward.transitions=1
 
 "${PYTHON:-.venv/bin/python}" - "$folder" <<'END'
 import sys

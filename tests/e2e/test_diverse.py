@@ -14,7 +14,7 @@ from tests.e2e.commands import Outcome
 
 SWEEP = """
 episodes = {episodes}
-horizon_s = 3.0
+horizon_s = 8.0
 scene = {{ warmup_s = 8.0, scenes_per_warmup = 5, min_neighbours = 1 }}
 
 [grid]

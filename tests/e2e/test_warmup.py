@@ -41,6 +41,7 @@ def test_a_warm_up_and_a_run_that_uses_it(tmp_path: Path) -> None:
         assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "rerun" / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_files_of_the_other_kind_of_warm_up(tmp_path: Path) -> None:
     """The shipped prior stands for a lawful warm-up; a reward model cannot rank encounters, nor the other way round."""
     bundle = new_bundle(BundleOptions.parse({}))

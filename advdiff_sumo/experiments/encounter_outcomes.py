@@ -17,7 +17,7 @@ from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.verdict import judge
 from advdiff_sumo.traffic.diffusion.diffusion_policy import Memory
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.commitments import STANDS, Commitments
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 
 NEAR_S, NEAR_WORTH = 0.5, 0.5
@@ -69,7 +69,7 @@ class EncounterLog:
         self.plans.append(scene.time_s)
         for name, one in _commitments(after).items():
             if one.features and not one.sets_up and before.get(name) != one and one.since_s == scene.time_s:
-                standing = tuple(other for other, stays in before.items() if stays.kind == "stands")
+                standing = tuple(other for other, stays in before.items() if stays.kind == STANDS)
                 names = (name, *standing) if one.kind == "cut-out" else (name,)
                 self.begun.append(Encounter(one.since_s, names, one.features))
         return plan, after

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import (
@@ -24,6 +24,7 @@ from advdiff_sumo.models.decoder import (
     Surroundings,
     motion_features,
 )
+from advdiff_sumo.models.from_nothing import from_nothing
 from advdiff_sumo.models.geometry import RELATIVE_FEATURES, into_frame
 from advdiff_sumo.models.lane_attention import LaneAttention, LanePieces
 from advdiff_sumo.models.model_options import ModelOptions
@@ -55,8 +56,8 @@ class ClosedLoopDecoder(Decoder):
         super().__init__(options)
         width = options.hidden
         self.lanes = LaneAttention(options, width + _MOTION)
-        self.clearance = _from_nothing(BOX_POINTS, options.message, width)
-        self.pairs = _from_nothing(RELATIVE_FEATURES + PAIR_FEATURES, options.edge, options.message)
+        self.clearance = from_nothing(BOX_POINTS, options.message, width)
+        self.pairs = from_nothing(RELATIVE_FEATURES + PAIR_FEATURES, options.edge, options.message)
         self._compiled: Step | None = None
 
     def _surroundings(self, batch: SceneBatch, own: SceneBatch, rows: Tensor) -> Surroundings:
@@ -107,11 +108,3 @@ class ClosedLoopDecoder(Decoder):
         edges = self.interaction.prepare(columns[..., : len(relative)])
         closer = self.pairs(columns)
         return [edge + closer for edge in edges]
-
-
-def _from_nothing(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
-    """Return a perceptron of one hidden layer whose output begins as 0."""
-    last = nn.Linear(hidden, outputs)
-    nn.init.zeros_(last.weight)
-    nn.init.constant_(last.bias, 0.0)
-    return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), last)

@@ -16,6 +16,7 @@ from torch.nn.functional import interpolate
 
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.driving_situation import SITUATION_FEATURES
+from advdiff_sumo.models.from_nothing import from_nothing
 from advdiff_sumo.models.interaction import InteractionNet
 from advdiff_sumo.models.model_options import GROUPS, ModelOptions
 
@@ -109,14 +110,6 @@ class Coupling(nn.Module):
         return context.h + coupled
 
 
-def _situation(options: ModelOptions) -> nn.Sequential:
-    """Return the perceptron that adds the driving situation to h; its output begins as 0."""
-    last = nn.Linear(options.message, options.hidden)
-    nn.init.zeros_(last.weight)
-    nn.init.constant_(last.bias, 0.0)
-    return nn.Sequential(nn.Linear(SITUATION_FEATURES, options.message), nn.SiLU(), last)
-
-
 class Denoiser(nn.Module):
     """ε(z̃ᵏ, k, z, h), all vehicles of a scene together.
 
@@ -130,7 +123,11 @@ class Denoiser(nn.Module):
         self.shape = shape
         channels, length = shape
         full, half, quarter = options.channels
-        self.situation = _situation(options) if options.denoiser_situation else None
+        self.situation = (
+            from_nothing(SITUATION_FEATURES, options.message, options.hidden, nn.SiLU)
+            if options.denoiser_situation
+            else None
+        )
         self.condition = nn.Identity() if length == options.latent else nn.Linear(options.latent, length)
         width = options.hidden
         self.coupling = Coupling(options, channels * length) if options.denoiser_layers else None

@@ -185,9 +185,7 @@ def make_shard(shard: Shard, out: Path) -> int:
         windows = [
             window
             for number, recording in enumerate(shard.stretches(road, run))
-            for window in cut(
-                recording, table, seed.child(*((number,) if number else ())), f"{shard.name}-{run}"
-            )
+            for window in cut(recording, table, seed.child(number) if number else seed, f"{shard.name}-{run}")
         ]
         wanted = min(share, shard.windows - len(builder.windows))
         rng = seed.child("choice").generator()

@@ -66,9 +66,8 @@ class DrivingModel:
         from advdiff_sumo.models.shipped_weights import find_weights  # brings PyTorch with it
 
         path = find_weights(weights)
-        model = DrivingModel(path, hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "")
-        model.policy()
-        return model
+        _policy(str(path))  # refuses what cannot drive
+        return DrivingModel(path, hashlib.sha256(path.read_bytes()).hexdigest())
 
     def policy(self) -> TrafficPolicy:
         """Return it as a background without a guide; the networks are read once a process.

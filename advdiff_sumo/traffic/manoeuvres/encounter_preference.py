@@ -81,9 +81,8 @@ class EncounterPreference:
     @cached_property
     def _most(self) -> float:
         """The failures predicted of the best encounter."""
-        classes = (AgentClass.CAR, AgentClass.TRUCK, AgentClass.MOTORCYCLE)
         return max(
-            self.promise(kind, one, side) for kind in KINDS for one in classes for side in (False, True)
+            self.promise(kind, one, side) for kind in KINDS for one in _CLASSES for side in (False, True)
         )
 
     def promise(self, kind: str, agent_class: AgentClass, oncoming: bool) -> float:

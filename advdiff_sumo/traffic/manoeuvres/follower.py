@@ -9,16 +9,15 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.metrics.reference.driver_models import FULL_BRAKE_MPS2
-from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S
+from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, REACTION_S
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile, drive_profiles
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 FOLLOWS = "follows"
 """What somebody does who brakes behind the target."""
-BRAKING_MPS2 = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
-"""Decelerations that are tried, mildest first."""
-_REACTS_S = 0.75
+_BRAKING_MPS2 = BRAKING_MPS2[:-1]
+"""Decelerations that are tried, mildest first; who only follows brakes no harder."""
 _SAME_LANE_M, _SAME_WAY = 1.5, 0.8
 _ROOM_M = 1.0
 
@@ -49,13 +48,13 @@ def braking_behind(view: SituationView, row: int, perceived_s: float) -> Manoeuv
         perceived_s: when the target can perceive what it has to brake for; it brakes in full ``REACTION_S`` later.
 
     Returns:
-        The manoeuvre, or None where no braking of ``BRAKING_MPS2`` is enough.
+        The manoeuvre, or None where no braking of ``_BRAKING_MPS2`` is enough.
     """
     target = view.target
     if target is None:
         return None
     careful = target.brakes((FULL_BRAKE_MPS2,), perceived_s + REACTION_S)[0][0]
-    profiles = [SpeedProfile(0.0, perceived_s + _REACTS_S, -braking) for braking in BRAKING_MPS2]
+    profiles = [SpeedProfile(0.0, perceived_s + REACTION_S, -braking) for braking in _BRAKING_MPS2]
     clear = np.flatnonzero(_stays_behind(view, row, profiles, careful))
     return Manoeuvre(FOLLOWS, row, view.ways[row], profiles[int(clear[0])]) if len(clear) else None
 

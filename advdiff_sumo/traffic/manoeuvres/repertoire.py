@@ -44,7 +44,7 @@ _CROSSES_SHARE = 0.45
 _SPARE_M, _CLOSES_PER_S, _SETTLES_S = 2.0, 0.6, 0.8
 _CLOSES_UP_SHARE, _CLOSES_UP_PER_S = 0.75, 0.4
 """Share of the target's speed at which a leader lets it close up, and share of the way there that it gains a second."""
-_HEADWAY_S, _STANDING_GAP_M = 1.5, 2.0
+HEADWAY_S, _STANDING_GAP_M = 1.5, 2.0
 """At which a leader leads, which is what people keep, and on top of it."""
 _GENTLY_MPS2, _GAINS_MPS2 = 1.0, 2.0
 
@@ -61,7 +61,7 @@ def leads_steadily(view: SituationView, target: TargetWay, row: int) -> SpeedPro
     """Return the speed with which *row* leads the target at the headway that people keep, or gently gets there."""
     limit, drives = view.ways[row].lane.speed_mps, view.speed(row)
     gap = view.gap_m(view.place_on(target.way, row)[0], row, view.scene.target)
-    more = gap - (_HEADWAY_S * target.speed_mps + _STANDING_GAP_M)
+    more = gap - (HEADWAY_S * target.speed_mps + _STANDING_GAP_M)
     slow = min(max(_CLOSES_UP_SHARE * target.speed_mps, _STOPS_FROM_MPS + 1.0), limit)
     aims = float(np.clip(target.speed_mps - _CLOSES_UP_PER_S * more, slow, limit))
     accel = float(np.clip((aims - drives) / _SETTLES_S, -_GENTLY_MPS2, _GAINS_MPS2))

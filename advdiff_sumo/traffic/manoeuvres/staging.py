@@ -18,6 +18,7 @@ from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import Approach, approaches
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, PLAN_DT_S
+from advdiff_sumo.traffic.manoeuvres.repertoire import HEADWAY_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
@@ -29,7 +30,7 @@ _STEPS = 12
 _AGAIN_S = 2.0
 _SLOWEST_MPS = 3.0
 _AHEAD_M, _LATER_M, _FARTHEST_M = 55.0, 36.0, 72.0
-_HEADWAY_S, _LEAST_AHEAD_M, _SPARE_M = 1.5, 22.0, 3.0
+_LEAST_AHEAD_M, _SPARE_M = 22.0, 3.0
 _APART_M, _APART_S = 9.0, 0.6
 _FROM_TARGET_M, _LATER_FROM_TARGET_M = 18.0, 30.0
 _IN_LANE_M, _BESIDE_M = 2.0, 6.0
@@ -148,7 +149,7 @@ def _leader(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
     if target is None or target.speed_mps < _SLOWEST_MPS or view.anybody_on(target.way, _AHEAD_M, _IN_LANE_M):
         return
     least = _LEAST_AHEAD_M if begins(view) else _LATER_M
-    gap = max(_HEADWAY_S * target.speed_mps + 8.0, least)
+    gap = max(HEADWAY_S * target.speed_mps + 8.0, least)
     yield from _on_way(view, target.way, gap, target.speed_mps, stage.agent_class)
 
 
@@ -188,7 +189,7 @@ def _hidden(view: SituationView, stage: Stage) -> Sequence[Newcomer]:
     if not any(way is not None and not view.anybody_on(way, _FARTHEST_M, _IN_LANE_M) for way in aside):
         return ()
     speed = target.speed_mps
-    leads_m = max(_HEADWAY_S * speed + SIZE_M[AgentClass.CAR][0], _LEAST_HIDES_M)
+    leads_m = max(HEADWAY_S * speed + SIZE_M[AgentClass.CAR][0], _LEAST_HIDES_M)
     stands_m = min(leads_m + _HIDDEN_S * speed + SIZE_M[AgentClass.TRUCK][0], _STANDS_AT_MOST_M)
     if speed < _SLOWEST_MPS or stands_m - leads_m < _LEAST_HIDDEN_S * speed + SIZE_M[AgentClass.CAR][0]:
         return ()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from advdiff_sumo.experiments.bench.scene_list import (
@@ -19,21 +20,41 @@ from advdiff_sumo.experiments.bench.scene_list import (
     TABLE_SEED,
     TUNING_LIST,
     TUNING_SEED,
+    Stratum,
     make_list,
     write_scene_list,
 )
-from advdiff_sumo.sim.sim_options import SceneOptions
+from advdiff_sumo.sim.sim_options import SceneOptions, Situation
 
 FOLDER = Path(__file__).resolve().parents[1] / "scenarios" / "benches"
-LISTS = {
-    TUNING_LIST: (20, TUNING_SEED, "to tune on: no table uses these scenes", SceneOptions(), HORIZON_S),
-    TABLE_LIST: (
-        *(100, TABLE_SEED, "seed scenes of the tables: nothing is tuned on them"),
-        *(SceneOptions(), HORIZON_S),
-    ),
+TOWN, MOTORWAY = ("downtown", "downtown-left"), ("motorway",)
+
+
+def _found(density_per_km: float, situation: Situation, min_speed_mps: float) -> SceneOptions:
+    return SceneOptions(
+        density_per_km=density_per_km,
+        situation=situation,
+        min_speed_mps=min_speed_mps,
+        min_neighbours=5 if situation == "any" else 3,
+        scenes_per_warmup=3,
+    )
+
+
+#: Dense traffic, and thinner traffic in which the target moves and is about to do what a fault shows in.
+STRATA = {
+    "dense": Stratum(nets=(*TOWN, *MOTORWAY), scene=_found(20.0, "any", 3.0)),
+    "yielding": Stratum(nets=TOWN, scene=_found(8.0, "yielding", 3.0)),
+    "turning": Stratum(nets=TOWN, scene=_found(4.0, "turning", 6.0)),
+    "following": Stratum(nets=MOTORWAY, scene=_found(8.0, "following", 15.0)),
+    "merging": Stratum(nets=MOTORWAY, scene=_found(8.0, "merging", 15.0)),
+    "sparse": Stratum(nets=MOTORWAY, scene=_found(4.0, "merging", 15.0)),
+}
+LISTS: dict[str, tuple[int, int, str, float, Mapping[str, Stratum] | None]] = {
+    TUNING_LIST: (20, TUNING_SEED, "to tune on: no table uses these scenes", HORIZON_S, None),
+    TABLE_LIST: (100, TABLE_SEED, "seed scenes of the tables: nothing is tuned on them", HORIZON_S, None),
     DEFECTS_LIST: (
-        *(100, DEFECTS_SEED, "dense seed scenes of bench defects: nothing is tuned on them"),
-        *(SceneOptions(density_per_km=20.0, min_neighbours=5, min_speed_mps=3.0), DEFECTS_HORIZON_S),
+        *(30, DEFECTS_SEED, "seed scenes of bench defects, by situation: nothing is tuned on them"),
+        *(DEFECTS_HORIZON_S, STRATA),
     ),
 }
 
@@ -45,9 +66,9 @@ def main() -> int:
     parser.add_argument("--only", choices=sorted(LISTS), help="this one alone")
     asked = parser.parse_args()
     stale = 0
-    for name, (per_net, seed, about, scene, horizon_s) in LISTS.items():
+    for name, (each, seed, about, horizon_s, strata) in LISTS.items():
         if asked.only in (None, name):
-            scene_list = make_list(per_net, seed, about, scene=scene, horizon_s=horizon_s)
+            scene_list = make_list(each, seed, about, horizon_s=horizon_s, strata=strata)
             path = FOLDER / f"{name}.json"
             with tempfile.TemporaryDirectory() as aside:
                 write_scene_list(Path(aside) / path.name, scene_list)

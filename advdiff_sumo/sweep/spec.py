@@ -85,7 +85,8 @@ class Grid(Options):
 class Case(Options):
     """One entry of the list: the options of ``advdiff-sumo run``; what it leaves out is the sweep's.
 
-    Attributes are those of :class:`~advdiff_sumo.sim.run_episodes.RunOptions`.
+    Attributes are those of :class:`~advdiff_sumo.sim.run_episodes.RunOptions`; what ``scene`` leaves out is the
+    sweep's, too.
     """
 
     net: str = "downtown"
@@ -97,6 +98,7 @@ class Case(Options):
     scenes: str = ""
     seed: int | None = Field(None, ge=0)
     episodes: int | None = Field(None, ge=1)
+    scene: dict[str, Any] | None = None
 
 
 _Place = TypeVar("_Place", NetChoice, Case)
@@ -167,9 +169,10 @@ class SweepSpec(Options):
         if self.grid is not None:
             yield from self._grid_cells(self.grid)
         for case in self.cases:
-            own = case.model_dump(exclude={"seed", "episodes"})
+            own = case.model_dump(exclude={"seed", "episodes", "scene"})
+            scene = self._scene_of(case)
             for seed in self.seeds if case.seed is None else (case.seed,):
-                yield self._cell(seed, case.episodes or self.episodes, own)
+                yield self._cell(seed, case.episodes or self.episodes, {**own, "scene": scene})
 
     def _grid_cells(self, grid: Grid) -> Iterator[RunOptions]:
         for name in ("nets", "targets", "backgrounds"):
@@ -184,6 +187,7 @@ class SweepSpec(Options):
                 "target_options": target[1],
                 "background": background[0],
                 "background_options": background[1],
+                "scene": self.scene,
             }
             yield self._cell(seed, self.episodes, own)
 
@@ -194,8 +198,12 @@ class SweepSpec(Options):
             episodes=episodes,
             horizon_s=self.horizon_s,
             sim=self.sim,
-            scene=self.scene,
         )
+
+    def _scene_of(self, case: Case) -> SceneOptions:
+        if case.scene is None:
+            return self.scene
+        return SceneOptions.parse({**self.scene.model_dump(), **case.scene}, "scene of a case")
 
 
 def _absolute(place: _Place) -> _Place:

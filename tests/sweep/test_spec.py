@@ -37,9 +37,20 @@ def test_a_list_is_taken_as_it_is() -> None:
     assert [(cell.seed, cell.episodes) for cell in cells] == [(0, 10), (1, 10), (9, 3)]
 
 
+def test_a_case_may_have_scenes_of_its_own() -> None:
+    cases = [{"target": "ACC"}, {"target": "ACC", "scene": {"situation": "turning"}}]
+    one, other = SweepSpec.of({"cases": cases, "scene": {"density_per_km": 9.0}}, "x").cells()
+    assert (one.scene.situation, other.scene.situation) == ("any", "turning")
+    assert {one.scene.density_per_km, other.scene.density_per_km} == {9.0}
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
+        (
+            {"cases": [{"scene": {"situatoin": "turning"}}]},
+            ("x.toml: scene of a case: no option 'situatoin'", "did you mean 'situation'"),
+        ),
         ({"grid": GRID, "episods": 3}, ("x.toml: no option 'episods'", "did you mean 'episodes'")),
         ({"grid": {**GRID, "target": []}}, ("no option 'grid.target'", "did you mean")),
         ({"grid": {**GRID, "targets": [{"nme": "IDM"}]}}, ("grid.targets.0", "name")),

@@ -85,9 +85,10 @@ def plan_cells(cells: Sequence[BenchCell], scenes: SceneList, horizon_s: float) 
             background_options=dict(cell.background_options),
             seed=seed,
             episodes=count,
+            scene=scenes.strata[stratum].model_dump(mode="json") if stratum else None,
         )
         for cell in cells
-        for (net, seed), count in scenes.counts().items()
+        for (net, seed, stratum), count in scenes.counts().items()
     ]
     known = {name: value for name, value in _NOT_KEPT.items() if name in SimOptions.model_fields}
     spec = SweepSpec.of(

@@ -86,10 +86,10 @@ def contests_of(gathered: Gathered, cells: BenchCells) -> tuple[Contest, ...]:
 
 
 def scene_order(cells: BenchCells) -> Mapping[str, int]:
-    """Return the place of each seed scene, by its key, in the list, in which the nets take turns."""
+    """Return the place of each seed scene, by its key, in the list, in which nets and strata take turns."""
     places = {scene.place: k for k, scene in enumerate(cells.scenes.scenes)}
-    nets = list(cells.scenes.counts())
-    return {job.scene_key: places[(*nets[job.cell % len(nets)], job.number)] for job in cells.plan.jobs}
+    runs = list(cells.scenes.counts())
+    return {job.scene_key: places[(*runs[job.cell % len(runs)], job.number)] for job in cells.plan.jobs}
 
 
 def defects_table(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, field_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, field_serializer, model_serializer
 
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import ConfigError, FileError
@@ -21,7 +21,7 @@ from advdiff_sumo.sweep.sweep_files import write_whole
 
 FORMAT: Literal["advdiff-scenes-1"] = "advdiff-scenes-1"
 TABLE_LIST, TUNING_LIST, DEFECTS_LIST = "scenes-300", "scenes-tuning", "scenes-defects"
-TABLE_SEED, TUNING_SEED, DEFECTS_SEED = 3001, 7001, 9101
+TABLE_SEED, TUNING_SEED, DEFECTS_SEED = 3001, 7001, 9201
 _LATER, _ALWAYS = {"situation": "any", "pedestrians_per_km": 0.0}, object()
 HORIZON_S, DEFECTS_HORIZON_S = 10.0, 30.0
 
@@ -32,17 +32,35 @@ class ListedScene(Options):
     Attributes:
         net: a shipped net or a path.
         seed: root of the random numbers, as ``run --seed``.
-        number: of the scene on that net with that seed.
+        number: of the scene on that net with that seed in that stratum.
+        stratum: name of the list's options that it is found by; "": the list's own.
     """
 
     net: str
     seed: int = Field(ge=0)
     number: int = Field(ge=0)
+    stratum: str = ""
 
     @property
-    def place(self) -> tuple[str, int, int]:
+    def place(self) -> tuple[str, int, str, int]:
         """What makes it again."""
-        return self.net, self.seed, self.number
+        return self.net, self.seed, self.stratum, self.number
+
+    @model_serializer(mode="wrap")
+    def _without_empty_stratum(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {name: value for name, value in write(self).items() if (name, value) != ("stratum", "")}
+
+
+class Stratum(Options):
+    """A part of a list: seed scenes that are found in one way.
+
+    Attributes:
+        nets: where.
+        scene: how they are found.
+    """
+
+    nets: tuple[str, ...]
+    scene: SceneOptions
 
 
 class SceneList(Options):
@@ -55,8 +73,9 @@ class SceneList(Options):
         sumo: version of SUMO that the list is for; another one may draw other traffic from the same seeds.
         horizon_s: duration of the episodes that it is for; traffic is drawn until their end, so that another one
             draws other traffic from the same seeds, too.
-        scene: how scenes are found.
-        scenes: nets in turn, numbers rising.
+        scene: how scenes are found that are of no stratum.
+        strata: how those of each stratum are found.
+        scenes: strata and nets in turn, numbers rising.
         sha256: of all that precedes, as canonical JSON.
     """
 
@@ -66,14 +85,21 @@ class SceneList(Options):
     sumo: str
     horizon_s: float = HORIZON_S
     scene: SceneOptions = SceneOptions()
+    strata: dict[str, SceneOptions] = Field(default_factory=dict)
     scenes: tuple[ListedScene, ...]
     sha256: str = ""
 
     @field_serializer("scene")
-    def _as_when_made(self, scene: SceneOptions) -> dict[str, Any]:
-        """Return the options as a list writes them: a later option only where it is set."""
-        written = scene.model_dump(mode="json")
-        return {name: value for name, value in written.items() if _LATER.get(name, _ALWAYS) != value}
+    def _scene_as_written(self, scene: SceneOptions) -> dict[str, Any]:
+        return _as_written(scene)
+
+    @field_serializer("strata")
+    def _strata_as_written(self, strata: Mapping[str, SceneOptions]) -> dict[str, Any]:
+        return {name: _as_written(scene) for name, scene in strata.items()}
+
+    @model_serializer(mode="wrap")
+    def _without_empty_strata(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {name: value for name, value in write(self).items() if (name, value) != ("strata", {})}
 
     @property
     def content_digest(self) -> str:
@@ -94,9 +120,9 @@ class SceneList(Options):
         few = self.model_copy(update={"scenes": self.scenes[:count], "sha256": ""})
         return few.model_copy(update={"sha256": few.content_digest})
 
-    def counts(self) -> dict[tuple[str, int], int]:
-        """Return how many scenes each net and seed has, in the list's order."""
-        return dict(Counter((scene.net, scene.seed) for scene in self.scenes))
+    def counts(self) -> dict[tuple[str, int, str], int]:
+        """Return how many scenes each net, seed and stratum has, in the list's order."""
+        return dict(Counter(scene.place[:3] for scene in self.scenes))
 
 
 def read_scene_list(path: Path) -> SceneList:
@@ -159,30 +185,41 @@ def make_list(
     nets: Sequence[str] = SHIPPED_NETS,
     scene: SceneOptions | None = None,
     horizon_s: float = HORIZON_S,
+    strata: Mapping[str, Stratum] | None = None,
 ) -> SceneList:
     """Return a new list; the same arguments give the same list.
 
     Args:
-        per_net: scenes on each net.
-        seed: of all of them.
+        per_net: scenes on each net, of each stratum where there are strata.
+        seed: of all of them; each stratum has one of its own, counted on from it.
         about: what it is for.
-        nets: where.
+        nets: where; strata have their own.
         scene: how scenes are found; None: as ``run`` does.
         horizon_s: duration of the episodes that it is for.
+        strata: parts of the list that are found in different ways; None: one way for all.
 
     Raises:
         InputError: there is no such net.
     """
-    names = [net_name(net) for net in nets]
-    scenes = tuple(ListedScene(net=n, seed=seed, number=k) for k in range(per_net) for n in names)
-    digests = {net: file_digest(*net_files(net)) for net in names}
     scene_options = scene if scene is not None else SceneOptions()
+    parts = strata or {"": Stratum(nets=tuple(nets), scene=scene_options)}
+    places = [
+        (net_name(net), seed + k, name)
+        for k, (name, stratum) in enumerate(parts.items())
+        for net in stratum.nets
+    ]
+    scenes = tuple(
+        ListedScene(net=net, seed=own_seed, number=number, stratum=name)
+        for number in range(per_net)
+        for net, own_seed, name in places
+    )
     whole = SceneList(
         about=about,
-        nets=digests,
+        nets={net: file_digest(*net_files(net)) for net, _, _ in places},
         sumo=version("libsumo"),
         horizon_s=horizon_s,
         scene=scene_options,
+        strata={name: stratum.scene for name, stratum in parts.items() if name},
         scenes=scenes,
     )
     return whole.model_copy(update={"sha256": whole.content_digest})
@@ -200,16 +237,24 @@ def write_scene_list(path: Path, scenes: SceneList) -> None:
     write_whole(path, f'{head[:-2]},\n "scenes": [\n  {rows}\n ]\n}}\n'.encode())
 
 
+def _as_written(scene: SceneOptions) -> dict[str, Any]:
+    """Return the options as a list writes them: a later option only where it is set."""
+    written = scene.model_dump(mode="json")
+    return {name: value for name, value in written.items() if _LATER.get(name, _ALWAYS) != value}
+
+
 def _check_order(scenes: SceneList, path: Path) -> None:
-    """Refuse a list whose scenes of a net and seed are not numbered 0, 1, 2, …; sweeps count like that."""
-    counts: Counter[tuple[str, int]] = Counter()
+    """Refuse unknown strata, and scenes of a net, seed and stratum not numbered 0, 1, 2, …: sweeps count like that."""
+    counts: Counter[tuple[str, int, str]] = Counter()
     for scene in scenes.scenes:
-        if scene.number != counts[scene.net, scene.seed]:
+        if scene.stratum and scene.stratum not in scenes.strata:
+            raise FileError(path, f"has no stratum '{scene.stratum}'", "name one of its strata")
+        if scene.number != counts[scene.place[:3]]:
             raise FileError(
                 path,
                 f"scene {scene.number} of {scene.net}, seed {scene.seed} is out of order",
                 "number them from 0",
             )
-        counts[scene.net, scene.seed] += 1
+        counts[scene.place[:3]] += 1
     if not scenes.scenes:
         raise FileError(path, "holds no scene", "make a list with some")

@@ -3,31 +3,36 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
 import pytest
 
 from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.experiments.bench.cells import BenchCell, plan_cells
+from advdiff_sumo.experiments.bench.defect_score import scene_order
 from advdiff_sumo.experiments.bench.scene_list import (
     DEFECTS_LIST,
-    DEFECTS_SEED,
     TABLE_LIST,
     TABLE_SEED,
     TUNING_LIST,
     TUNING_SEED,
     SceneList,
+    Stratum,
     choose_scenes,
     make_list,
     read_scene_list,
     shipped_list,
     write_scene_list,
 )
+from advdiff_sumo.sim.sim_options import SceneOptions
 
 DIGESTS = {
     TUNING_LIST: "4bc5a5e4ead4aaa472b56f488c7e7bf51ca03c717ad8968f9e5e7645b5ec2a75",
     TABLE_LIST: "c34b7930804bf5646eeff8e9e2dbaec77b4dfaa45c5988e174ed2d2853219cb5",
-    DEFECTS_LIST: "042d9230b3737a38dd0c8b8e57e60762e2cb509dcb509199b1260d523ec33071",
+    DEFECTS_LIST: "3523276600883a28508ddb2a437f59666a15574f6722c8a2e178a2cf2b9ffcdf",
 }
 
 
@@ -100,14 +105,52 @@ def test_numbers_that_make_no_sense_are_refused(asked: str, said: str) -> None:
 
 
 def test_the_shipped_lists_are_what_their_tool_makes(tmp_path: Path) -> None:
-    lists = ((TABLE_LIST, TABLE_SEED, 100), (TUNING_LIST, TUNING_SEED, 20), (DEFECTS_LIST, DEFECTS_SEED, 100))
-    for name, seed, per_net in lists:
+    for name, seed, per_net in ((TABLE_LIST, TABLE_SEED, 100), (TUNING_LIST, TUNING_SEED, 20)):
         shipped = read_scene_list(shipped_list(name))
         made = make_list(per_net, seed, shipped.about, scene=shipped.scene, horizon_s=shipped.horizon_s)
         write_scene_list(tmp_path / name, made)
         assert (tmp_path / name).read_bytes() == shipped_list(name).read_bytes()
 
 
+def test_the_list_by_situation_is_what_its_tool_makes() -> None:
+    tool = Path(__file__).parents[3] / "tools" / "make_bench_scenes.py"
+    done = subprocess.run(
+        [sys.executable, tool, "--check", "--only", DEFECTS_LIST], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, DIGESTS[DEFECTS_LIST] in done.stdout) == (0, True), done.stdout + done.stderr
+
+
+def test_strata_take_turns_with_a_seed_each() -> None:
+    dense, turning = SceneOptions(density_per_km=20.0), SceneOptions(situation="turning")
+    strata = {
+        "dense": Stratum(nets=("downtown", "motorway"), scene=dense),
+        "turning": Stratum(nets=("downtown",), scene=turning),
+    }
+    scenes = make_list(2, 50, "a test", strata=strata)
+    assert scenes.counts() == {
+        ("downtown", 50, "dense"): 2,
+        ("motorway", 50, "dense"): 2,
+        ("downtown", 51, "turning"): 2,
+    }
+    assert [scene.place[::3] for scene in scenes.first(4).scenes] == [
+        *(("downtown", 0), ("motorway", 0), ("downtown", 0), ("downtown", 1)),
+    ]
+    cells = plan_cells([BenchCell("sumo", "IDM", "sumo")], scenes, 10.0)
+    assert [(cell.net, cell.scene, cell.episodes) for cell in cells.plan.cells] == [
+        *(("downtown", dense, 2), ("motorway", dense, 2), ("downtown", turning, 2)),
+    ]
+    assert sorted(scene_order(cells).values()) == list(range(6))
+
+
+def test_a_scene_of_an_unknown_stratum_is_refused(tmp_path: Path) -> None:
+    strata = {"dense": Stratum(nets=("downtown",), scene=SceneOptions())}
+    scenes = make_list(2, 50, "a test", strata=strata).model_copy(update={"strata": {}})
+    path = tmp_path / "list.json"
+    write_scene_list(path, scenes.model_copy(update={"sha256": scenes.content_digest}))
+    with pytest.raises(FileError, match="has no stratum 'dense'; name one of its strata"):
+        read_scene_list(path)
+
+
 def test_the_first_scene_is_the_one_of_a_run_with_that_seed() -> None:
     first = read_scene_list(shipped_list(TUNING_LIST)).scenes[0]
-    assert first.place == ("downtown", TUNING_SEED, 0)
+    assert first.place == ("downtown", TUNING_SEED, "", 0)

@@ -192,8 +192,9 @@ def _beyond(
     joined, streets = plan, NO_STREETS
     if osm is not None:
         joined, streets = add_streets(plan, source.drivable, osm, source.projection)
-    returns = return_edges(joined, streets.following) if close_rim else ()
+    returns, left_open = return_edges(joined, streets.following) if close_rim else ((), [])
     counts["return edges beyond the rim"] = len(returns)
+    counts["beginnings on other lanes, without return edge"] = len(left_open)
     return joined, _Beyond(returns, streets)
 
 

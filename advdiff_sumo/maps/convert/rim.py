@@ -15,6 +15,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert.entry_room import blocked_entries
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.polyline import shape_text
 from advdiff_sumo.maps.convert.routability import strong_parts
@@ -42,22 +43,38 @@ class ReturnEdge:
 
 def return_edges(
     plan: NetPlan, following_beyond: Mapping[str, Sequence[str]] | None = None
-) -> tuple[ReturnEdge, ...]:
-    """Return edges that join every dead end to a beginning, and every beginning to a dead end.
+) -> tuple[tuple[ReturnEdge, ...], list[str]]:
+    """Return edges that join every dead end to a beginning, every beginning to a dead end; and what stays open.
 
     Each takes the nearest partner that is left; then partners are exchanged until all edges that can reach a dead
-    end can reach each other. Without dead ends or beginnings there is none. *following_beyond* tells which edges
-    follow each street beyond the rim, where there are any.
+    end can reach each other. Beginnings that lie on other lanes of the map (:mod:`.entry_room`) stay open. Without
+    dead ends or other beginnings there is no return edge. *following_beyond* tells which edges follow each street
+    beyond the rim, where there are any.
     """
     following = _following(plan, following_beyond or {})
     entered = {after for names in following.values() for after in names}
     edges = {edge.id: edge for edge in plan.edges}
     ends = [name for name in edges if not following[name]]
-    starts = [name for name in edges if name not in entered]
+    beginnings = [name for name in edges if name not in entered]
+    left_open = blocked_entries(plan, beginnings)
+    starts = [name for name in beginnings if name not in left_open]
     if not ends or not starts:
-        return ()
-    pairs = _joined(_nearest(edges, ends, starts), following)
-    return tuple(ReturnEdge(f"rim{n}", edges[a], edges[b]) for n, (a, b) in enumerate(pairs))
+        return (), left_open
+    unused = set(ends) - _reached(starts, following)  # nobody comes there who could serve a beginning
+    served = [name for name in ends if name not in unused] or ends
+    pairs = _joined(_nearest(edges, served, starts), following)
+    rest = [name for name in ends if name not in served]
+    pairs += _to_nearest(edges, rest, starts)
+    return tuple(ReturnEdge(f"rim{n}", edges[a], edges[b]) for n, (a, b) in enumerate(pairs)), left_open
+
+
+def _reached(starts: Sequence[str], following: Mapping[str, Sequence[str]]) -> set[str]:
+    """Return the edges that can be reached from *starts*."""
+    reached, last = set(starts), list(starts)
+    while last:
+        last = [after for name in last for after in following[name] if after not in reached]
+        reached.update(last)
+    return reached
 
 
 def _following(plan: NetPlan, beyond: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
@@ -70,9 +87,7 @@ def _following(plan: NetPlan, beyond: Mapping[str, Sequence[str]]) -> dict[str, 
 
 def _nearest(edges: Mapping[str, EdgePlan], ends: list[str], starts: list[str]) -> list[tuple[str, str]]:
     """Pair ends and starts, nearest first; those of the longer list that are left take any nearest partner."""
-    a = np.array([edges[name].lanes[0].shape_m[-1] for name in ends])
-    b = np.array([edges[name].lanes[0].shape_m[0] for name in starts])
-    gaps = np.linalg.norm(a[:, None] - b, axis=-1)
+    gaps = _gaps_m(edges, ends, starts)
     free_a, free_b = set(range(len(ends))), set(range(len(starts)))
     pairs = []
     for flat in np.argsort(gaps, axis=None, kind="stable").tolist():
@@ -86,6 +101,21 @@ def _nearest(edges: Mapping[str, EdgePlan], ends: list[str], starts: list[str]) 
     pairs += [(i, int(gaps[i].argmin())) for i in sorted(free_a)]
     pairs += [(int(gaps[:, j].argmin()), j) for j in sorted(free_b)]
     return [(ends[i], starts[j]) for i, j in pairs]
+
+
+def _to_nearest(edges: Mapping[str, EdgePlan], ends: list[str], starts: list[str]) -> list[tuple[str, str]]:
+    """Pair each of *ends* with its nearest start."""
+    if not ends:
+        return []
+    gaps = _gaps_m(edges, ends, starts)
+    return [(name, starts[row.argmin()]) for name, row in zip(ends, gaps, strict=True)]
+
+
+def _gaps_m(edges: Mapping[str, EdgePlan], ends: list[str], starts: list[str]) -> FloatArray:
+    """Return the distances (E, S) from ends to starts in m."""
+    a = np.array([edges[name].lanes[0].shape_m[-1] for name in ends])
+    b = np.array([edges[name].lanes[0].shape_m[0] for name in starts])
+    return np.asarray(np.linalg.norm(a[:, None] - b, axis=-1))
 
 
 def _joined(pairs: list[tuple[str, str]], following: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:

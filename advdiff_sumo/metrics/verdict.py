@@ -10,9 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from advdiff_sumo.core.boxes import corners, separation
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import Breach, breaches_of
@@ -138,32 +135,10 @@ def avoids(
     """Return whether *drive* does not collide; being run into from behind by a third does not count.
 
     It does where that third, *pusher*, pushed the target into the collision: the driver would have been pushed, too.
+    Neither does it count when the third comes into its rear after the record's end.
     """
-    if drive.contact_step is None:
-        return True
-    partner = collision.rows[1]
-    pushed = pusher is not None and drive.contact_with == record.tracks.ids[pusher]
-    if pushed or drive.contact_with == record.tracks.ids[partner] or not _struck_from_behind(record, drive):
-        return False
-    tracks, states = record.tracks, drive.states
-    span = slice(drive.takeover_step, min(drive.takeover_step + len(states.speed_mps), tracks.steps))
-    length = span.stop - span.start
-    own_size = np.broadcast_to(tracks.size_m[record.target], (length, 2))
-    size = np.broadcast_to(tracks.size_m[partner], (length, 2))
-    own = corners(states.xy_m[:length], states.yaw_rad[:length], own_size)
-    gap = separation(own, corners(tracks.xy_m[partner, span], tracks.yaw_rad[partner, span], size))
-    return not bool((gap < 0.0).any())  # NaN, where the other is gone, compares as False
-
-
-def _struck_from_behind(record: EpisodeRecord, drive: ReferenceDrive) -> bool:
-    """Return whether the other of the drive's first contact is behind its rear then, in the record."""
-    step, tracks = drive.contact_step, record.tracks
-    if step is None or step >= tracks.steps:
-        return False
-    at, row = step - drive.takeover_step, tracks.index[drive.contact_with or ""]
-    yaw = float(drive.states.yaw_rad[at])
-    ahead = (tracks.xy_m[row, step] - drive.states.xy_m[at]) @ np.array((np.cos(yaw), np.sin(yaw)))
-    return bool(ahead < -0.5 * tracks.size_m[record.target, 0])
+    counted = {record.tracks.ids[row] for row in (collision.rows[1], pusher) if row is not None}
+    return all(touch.from_behind and touch.name not in counted for touch in drive.touches)
 
 
 def _unavoidable(preventable_by: tuple[str, ...], solvable: bool | None) -> bool | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ import pytest
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.offroad import target_leaves_road
-from advdiff_sumo.metrics.verdict import Verdict, judge
+from advdiff_sumo.metrics.reference.drive_contact import Touch
+from advdiff_sumo.metrics.verdict import YARDSTICK, Verdict, avoids, judge
 from tests.metrics.encounters import braking, driven, record_of, signals_of, straight
 
 NORTH = math.pi / 2
@@ -107,3 +109,48 @@ def test_preventable_is_never_unavoidable(road, solvable) -> None:
     assert result.solvable is solvable
     assert result.unavoidable is False
     assert "a drive" not in result.sentence
+
+
+@pytest.mark.parametrize(
+    ("gap_m", "contact_step"),
+    [
+        pytest.param(6.0, 23, id="within the record"),
+        pytest.param(14.0, 38, id="after the record's end"),
+        pytest.param(60.0, None, id="never"),
+    ],
+)
+def test_a_follower_on_the_careful_drivers_tail_is_not_held_against_it(road, gap_m, contact_step) -> None:
+    # 15 m behind at 12 m/s somebody drives 7: contact at 3.0 s, the record ends at 3.1. The careful driver drives
+    # 9.46 m in 0.8 s, 5.34 in 0.5 and 3.07 in 0.4 s, and 6.54 m/s from 1.7 s on: it is 6.0 m nearer to the leader,
+    # and 2.53 m behind who went on with 12 m/s. Who does so gap_m behind it is there at
+    # 1.7 + (gap_m - 2.53) / 5.46 s: 2.34 and 3.80 s. The drive ends 3 s after the record
+    ego, lead = straight("ego", (-150, -1.6), 0, 12, steps=32), straight("lead", (-131, -1.6), 0, 7, steps=32)
+    behind = straight("behind", (-154 - gap_m, -1.6), 0, 12, steps=32)
+    result = verdict(record_of(ego, lead, behind), road)
+    drive = result.drives[YARDSTICK]
+    assert drive.contact_step == contact_step
+    assert [touch.from_behind for touch in drive.touches] == [True] * len(drive.touches)
+    assert result.valid_failure
+    assert result.preventable
+    assert result.spare_m == pytest.approx(9.0, abs=0.6)
+    assert result.sentence.startswith("A careful and competent driver who brakes")
+
+
+def test_who_counts_of_those_that_the_careful_driver_touches(road) -> None:
+    ego, lead = straight("ego", (-150, -1.6), 0, 12, steps=32), straight("lead", (-131, -1.6), 0, 7, steps=32)
+    record = record_of(ego, lead, straight("behind", (-200, -1.6), 0, 12, steps=32))
+    hit = target_collision(record, collisions(record))
+    assert hit is not None
+    clear = judge(record, road, hit).drives[YARDSTICK]
+    by_behind, by_lead = Touch(40, "behind", 5.0, from_behind=True), Touch(50, "lead", 5.0, from_behind=True)
+    in_front = Touch(50, "behind", 5.0, from_behind=False)
+    for touches, pusher, outcome in [
+        ((), None, True),
+        ((by_behind,), None, True),
+        ((by_behind,), 2, False),
+        ((by_lead,), None, False),
+        ((by_behind, by_lead), None, False),
+        ((in_front,), None, False),
+        ((by_behind, replace(in_front, name="another")), None, False),
+    ]:
+        assert avoids(record, hit, replace(clear, touches=touches), pusher) is outcome

@@ -2,16 +2,66 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from advdiff_sumo.core.arrays import BoolArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps, corners, distance
+from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import Trajectory
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact
 
 
-def first_touch(drive: Trajectory, others: Tracks, target: int) -> tuple[int, int, float] | None:
-    """Return instant, row and closing speed of the drive's first contact; None without one."""
+@dataclass(frozen=True)
+class Touch:
+    """The first contact of a drive with one of the others.
+
+    Attributes:
+        step: instant before it, counted as those of the drive's record.
+        name: id of the other.
+        closing_mps: speed at which the boxes approach along their contact normal.
+        from_behind: the other's centre is behind the drive's rear at that instant.
+    """
+
+    step: int
+    name: str
+    closing_mps: float
+    from_behind: bool
+
+
+def touches(drive: Trajectory, others: Tracks, target: int, first_step: int) -> tuple[Touch, ...]:
+    """Return the first contact with each of *others* that the drive touches, in their order.
+
+    Args:
+        drive: (T,) states.
+        others: whoever is there at the same T instants, the target included.
+        target: its row.
+        first_step: count of the first instant in the record.
+    """
+    row, step = _within_reach(drive, others, target)
+    if not row.size:
+        return ()
+    a, b = _sweeps(drive, others, target, row, step)
+    fraction = first_contact(a, b)
+    touched = np.flatnonzero(np.isfinite(fraction))
+    in_order = touched[np.argsort((step + fraction)[touched], kind="stable")]
+    _, firsts = np.unique(row[in_order], return_index=True)
+    behind = _behind(drive, others, target)
+    return tuple(
+        Touch(
+            first_step + int(step[pair]),
+            others.ids[row[pair]],
+            _closing_mps(a, b, pair, float(fraction[pair]), others.dt_s),
+            bool(behind[row[pair], step[pair]]),
+        )
+        for pair in in_order[np.sort(firsts)].tolist()
+    )
+
+
+def _within_reach(drive: Trajectory, others: Tracks, target: int) -> tuple[IntArray, IntArray]:
+    """Return rows and instants of others so near that they might touch the drive before the next instant."""
     size = others.size_m
     offset = others.xy_m[:, :-1] - drive.xy_m[:-1]
     moves = np.hypot(*np.moveaxis(np.diff(others.xy_m, axis=1), -1, 0))
@@ -21,27 +71,34 @@ def first_touch(drive: Trajectory, others: Tracks, target: int) -> tuple[int, in
         near = np.hypot(offset[..., 0], offset[..., 1]) <= reach
     near[target] = False
     row, step = np.nonzero(near)
-    if not row.size:
-        return None
-    a = Sweep.between(
+    return row, step
+
+
+def _sweeps(
+    drive: Trajectory, others: Tracks, target: int, row: IntArray, step: IntArray
+) -> tuple[Sweep, Sweep]:
+    """Return the motion of the drive and of the others of *row* between instants *step* and the next ones."""
+    own = Sweep.between(
         drive.xy_m[step],
         drive.yaw_rad[step],
         drive.xy_m[step + 1],
         drive.yaw_rad[step + 1],
-        np.broadcast_to(size[target], (len(row), 2)),
+        np.broadcast_to(others.size_m[target], (len(row), 2)),
     )
-    b = Sweep.between(
+    theirs = Sweep.between(
         others.xy_m[row, step],
         others.yaw_rad[row, step],
         others.xy_m[row, step + 1],
         others.yaw_rad[row, step + 1],
-        size[row],
+        others.size_m[row],
     )
-    fraction = first_contact(a, b)
-    if np.isnan(fraction).all():
-        return None
-    first = int(np.nanargmin(step + fraction))
-    return int(step[first]), int(row[first]), _closing_mps(a, b, first, float(fraction[first]), others.dt_s)
+    return own, theirs
+
+
+def _behind(drive: Trajectory, others: Tracks, target: int) -> BoolArray:
+    """Return (A, T) whose centre is behind the drive's rear; False for who is not there."""
+    along = ((others.xy_m - drive.xy_m) * unit(drive.yaw_rad)).sum(-1)
+    return np.asarray(along < -0.5 * others.size_m[target, 0])
 
 
 def _closing_mps(a: Sweep, b: Sweep, pair: int, fraction: float, dt_s: float) -> float:
@@ -57,11 +114,8 @@ def _closing_mps(a: Sweep, b: Sweep, pair: int, fraction: float, dt_s: float) ->
 
 def least_gap_m(drive: Trajectory, others: Tracks, target: int, partner: int, length: int) -> float:
     """Return the least distance between the drive's box and that of *partner* over the first *length* instants."""
-    steps = np.arange(length)
-    own = corners(
-        drive.xy_m[steps], drive.yaw_rad[steps], np.broadcast_to(others.size_m[target], (length, 2))
-    )
+    at = slice(0, length)
+    own = corners(drive.xy_m[at], drive.yaw_rad[at], np.broadcast_to(others.size_m[target], (length, 2)))
     size = np.broadcast_to(others.size_m[partner], (length, 2))
-    theirs = corners(others.xy_m[partner, steps], others.yaw_rad[partner, steps], size)
-    gap = distance(own, theirs)
+    gap = distance(own, corners(others.xy_m[partner, at], others.yaw_rad[partner, at], size))
     return float(np.nanmin(gap)) if np.isfinite(gap).any() else float("inf")

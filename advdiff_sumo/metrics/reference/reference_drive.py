@@ -21,7 +21,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.encounter import Encounter
 from advdiff_sumo.metrics.reference.corridor import Corridor, Meeting, corridor_of, demands, meeting
-from advdiff_sumo.metrics.reference.drive_contact import first_touch, least_gap_m
+from advdiff_sumo.metrics.reference.drive_contact import Touch, least_gap_m, touches
 from advdiff_sumo.metrics.reference.driver_models import HUMAN, MODELS, DriverModel
 from advdiff_sumo.metrics.reference.others_paths import PERCEPTION_S, Expected, expected
 from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
@@ -51,23 +51,34 @@ class ReferenceDrive:
         states: (T,) its states, the first of which is the target's at the takeover. They reach beyond the record's
             end until it stands, at most ``AFTER_S``; the others go on as they last did.
         accel_mps2: (T,) acceleration from each instant on.
-        contact_step: instant (of the record's count) before its first contact with anybody; None without one.
-        contact_with: id of who it touches.
-        impact_mps: closing speed at that contact; 0 without one.
+        touches: its first contact with each of those whom it touches, in their order.
         spare_m: least gap to the other party of the collision; 0 on contact.
-        spare_s: least time in which it would have met anybody had all gone on as they did, at most
-            ``PERCEPTION_S``; 0 on contact.
+        spare_s: least time in which it would have met anybody ahead had all gone on as they did, at most
+            ``PERCEPTION_S``.
     """
 
     model: str
     takeover_step: int
     states: Trajectory
     accel_mps2: FloatArray
-    contact_step: int | None
-    contact_with: str | None
-    impact_mps: float
+    touches: tuple[Touch, ...]
     spare_m: float
     spare_s: float
+
+    @property
+    def contact_step(self) -> int | None:
+        """Instant (of the record's count) before its first contact with anybody; None without one."""
+        return self.touches[0].step if self.touches else None
+
+    @property
+    def contact_with(self) -> str | None:
+        """Id of who it touches first."""
+        return self.touches[0].name if self.touches else None
+
+    @property
+    def impact_mps(self) -> float:
+        """Closing speed at its first contact; 0 without one."""
+        return self.touches[0].closing_mps if self.touches else 0.0
 
 
 def drive_reference(
@@ -305,30 +316,33 @@ class ReferenceDrivers:
         tracks, row = self._tracks, self._record.target
         xy, yaw = way.poses(s)
         yaw[0] = tracks.yaw_rad[row, start]
-        drive = Trajectory(xy, yaw, speed, tracks.dt_s)
-        others = tracks.window(start, tracks.steps)
-        contact = first_touch(drive, others, row)
-        length = self._kept(speed, start, contact)
-        cut = slice(0, length)
-        partner = least_gap_m(drive, others, row, self._partner, length)
+        first = self._begin + start
+        drive, others = Trajectory(xy, yaw, speed, tracks.dt_s), tracks.window(start, tracks.steps)
+        touched = touches(drive, others, row, first)
+        hit = any(touch.name == tracks.ids[self._partner] for touch in touched)
+        stands = self._until_standing(speed, start)
+        kept = stands
+        if touched:
+            kept = min(len(speed), max(self._record.tracks.steps - first, touched[0].step - first + 2))
         return ReferenceDrive(
             model=driver.name,
-            takeover_step=self._begin + start,
-            states=Trajectory(xy[cut], yaw[cut], speed[cut], tracks.dt_s),
-            accel_mps2=accel[cut],
-            contact_step=None if contact is None else self._begin + start + contact[0],
-            contact_with=None if contact is None else tracks.ids[contact[1]],
-            impact_mps=0.0 if contact is None else contact[2],
-            spare_m=0.0 if contact is not None else partner,
-            spare_s=0.0 if contact is not None else least_s,
+            takeover_step=first,
+            states=_cut(drive, kept),
+            accel_mps2=accel[:kept],
+            touches=touched,
+            spare_m=0.0 if hit else least_gap_m(drive, others, row, self._partner, stands),
+            spare_s=0.0 if hit else least_s,
         )
 
-    def _kept(self, speed: FloatArray, start: int, contact: tuple[int, int, float] | None) -> int:
-        """Return how many instants of the drive to keep: those of the record, and on until it stands."""
+    def _until_standing(self, speed: FloatArray, start: int) -> int:
+        """Return how many instants the drive lasts: those of the record, and on until it stands."""
         recorded = self._record.tracks.steps - self._begin - start
         standing = np.flatnonzero(speed[recorded - 1 :] <= 0.0)
-        end = recorded + int(standing[0]) if standing.size else len(speed)
-        return end if contact is None else max(recorded, min(contact[0] + 2, len(speed)))
+        return recorded + int(standing[0]) if standing.size else len(speed)
+
+
+def _cut(drive: Trajectory, length: int) -> Trajectory:
+    return Trajectory(drive.xy_m[:length], drive.yaw_rad[:length], drive.speed_mps[:length], drive.dt_s)
 
 
 def _last_safe(safe: BoolArray, spell: int) -> int:

@@ -15,7 +15,8 @@ from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks, networks_of
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions, Traj2TrajOptions
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, let_in
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.schedule import let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, plan_with
 from advdiff_sumo.traffic.planning.background_plan import Rules, nobody, outlook, plausible_plan, rest_of

@@ -11,7 +11,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance, let_in
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.licence import (
     LAWFUL,
     RECKLESS_OVER_LIMIT,
@@ -22,6 +22,7 @@ from advdiff_sumo.traffic.manoeuvres.licence import (
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
+from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer
 from advdiff_sumo.traffic.planning.futures import Futures

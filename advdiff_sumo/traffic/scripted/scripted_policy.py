@@ -12,7 +12,7 @@ from pydantic import Field
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance, let_in
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.intensity import (
     HARDEST_MPS2,
@@ -23,6 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.intensity import (
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName, licence_of
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
+from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import STAGED, plan_with
 

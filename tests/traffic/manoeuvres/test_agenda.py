@@ -9,7 +9,8 @@ import pytest
 
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, let_in
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.schedule import let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
 

@@ -12,10 +12,11 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.failure_predictor import FailurePredictor
 from advdiff_sumo.traffic.manoeuvres.choice import rank
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitments, advance
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.encounter_features import FEATURES
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
+from advdiff_sumo.traffic.manoeuvres.schedule import advance
 from tests.traffic.manoeuvres.scenes import view_of
 
 COUNT = len(FEATURES)

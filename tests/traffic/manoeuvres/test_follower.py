@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments, advance
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.follower import (
     FOLLOWS,
     braking_behind,
@@ -17,6 +17,7 @@ from advdiff_sumo.traffic.manoeuvres.follower import (
 )
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
+from advdiff_sumo.traffic.manoeuvres.schedule import advance
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on, view_of
 

@@ -1,0 +1,70 @@
+"""Manoeuvres over time: carried on while they are lawful and of use, begun, and who comes in for them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from advdiff_sumo.traffic.manoeuvres.agenda import comes_to_yield, is_possible
+from advdiff_sumo.traffic.manoeuvres.beginning import begin, behind_target
+from advdiff_sumo.traffic.manoeuvres.commitments import STANDS, SUPPORTS, Commitment, Commitments
+from advdiff_sumo.traffic.manoeuvres.continuation import carry_on
+from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
+from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since
+from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, come_in
+
+
+def advance(
+    view: SituationView, kept: Commitments, attackers: int, pause_s: float, licence: Licence | None = LAWFUL
+) -> tuple[list[Manoeuvre], Commitments]:
+    """Return the manoeuvres that are driven now, and what is remembered of them.
+
+    Args:
+        view: the scene.
+        kept: from the plan before.
+        attackers: most vehicles that are in a manoeuvre at a time.
+        pause_s: rest of a vehicle after a manoeuvre.
+        licence: what they may do; None: anything.
+    """
+    kept = replace(kept, agenda=kept.agenda.at(view), since_s=in_view_since(view, kept.since_s))
+    going, kept = carry_on(view, kept, pause_s, licence)
+    room = attackers - sum(m.kind not in SUPPORTS for m in going)
+    chosen = begin(view, kept, going, room, licence) if room > 0 else []
+    features = {one.manoeuvre.row: one.features for one in chosen}
+    fresh = [one.manoeuvre for one in chosen]
+    fresh += behind_target(view, [*going, *fresh], fresh, licence)
+    names, now = view.scene.history.ids, view.scene.time_s
+    begun = {names[m.row]: _commitment(m, now, features.get(m.row, ())) for m in fresh}
+    return [*going, *fresh], replace(kept, active={**kept.active, **begun})
+
+
+def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:
+    """Return who comes in now, for the manoeuvres that may begin, and what is remembered of them."""
+    busy = {under_way.kind for under_way in kept.active.values() if not under_way.sets_up}
+    kinds = [kind for kind in kept.staged(view) if kind not in busy]
+    possible = "crossing" in kinds and is_possible(view, "crossing")
+    if kept.agenda.crosses_first and ("crossing" in busy or possible or comes_to_yield(view)):
+        kinds = [
+            kind for kind in kinds if kind == "crossing"
+        ]  # a leader would keep the target from the junction
+    newcomers, stage = come_in(view, kept.stage, kinds)
+    now = view.scene.time_s
+    still = Commitment(STANDS, SpeedProfile(then_mps2=-1.0), now, now, sets_up=False)
+    standing = {one.name: still for one in newcomers if one.speed_mps == 0.0}
+    return newcomers, replace(kept, stage=stage, active={**kept.active, **standing})
+
+
+def _commitment(manoeuvre: Manoeuvre, now_s: float, features: tuple[float, ...]) -> Commitment:
+    lane = "" if manoeuvre.goal is None else manoeuvre.goal.present_lane.id
+    return Commitment(
+        manoeuvre.kind,
+        manoeuvre.profile,
+        now_s,
+        now_s,
+        manoeuvre.sets_up,
+        manoeuvre.delay_s,
+        lane,
+        features,
+    )

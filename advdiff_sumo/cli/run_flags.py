@@ -92,7 +92,7 @@ Guide: TypeAlias = Annotated[
 Weights: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="diffusion: trained networks, or closed-loop for the shipped ones that look again at each step.",
+        help="diffusion: trained networks, or shipped ones: closed-loop (usual), traffic (usual with --licence reckless).",
         show_default="the shipped ones",
     ),
 ]

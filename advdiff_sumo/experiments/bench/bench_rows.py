@@ -32,11 +32,11 @@ class PolicyRow:
 
 NATURAL, UNGUIDED, OURS = "sumo", "unguided", "diffusion"
 PAPERS_LICENCE: Mapping[str, Any] = {"licence": "reckless"}
-"""What attackers may do in the paper's tables: anything that moves like a vehicle."""
+"""What attackers may do in the paper's tables: anything that moves like a vehicle; with its kind of decoder."""
 POLICY_ROWS: Mapping[str, PolicyRow] = {
     NATURAL: PolicyRow("SUMO (natural)", "sumo", {}, True),
     "replay": PolicyRow("Replay", "replay", {}, True),
-    UNGUIDED: PolicyRow("diffusion, unguided", "diffusion", {"guide": "none"}, True),
+    UNGUIDED: PolicyRow("diffusion, unguided", "diffusion", {"guide": "none", **PAPERS_LICENCE}, True),
     "traj2traj": PolicyRow("traj2traj", "traj2traj", {}, True),
     "advsim": PolicyRow("AdvSim", "advsim", PAPERS_LICENCE),
     "strive": PolicyRow("Strive", "strive", PAPERS_LICENCE),

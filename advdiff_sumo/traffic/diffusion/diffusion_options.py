@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar, Literal, Self, TypeAlias
+from typing import Literal, Self, TypeAlias
 
 from pydantic import Field, model_validator
 
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.models.failure_predictor import FORMAT
-from advdiff_sumo.models.shipped_weights import find_weights
+from advdiff_sumo.models.shipped_weights import ShippedName, find_weights
 from advdiff_sumo.models.stored import stored_format
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
@@ -65,13 +65,13 @@ class DiffusionOptions(Options):
         persistence: how much of a vehicle's starting noise, and so of its intention, is kept from plan to plan.
         replan: model steps of 0.5 s of a plan that are driven before the next one (the paper's l).
         samples: joint futures drawn at once, of which the most plausible is driven.
-        weights: a bundle of networks, or "closed-loop" for the shipped one of that name; empty: "traffic".
+        weights: a bundle of networks, or the name of a shipped one; empty: "closed-loop", which drives most like
+            people, or, of a reckless one, "traffic", whose decoder is the paper's.
         reward: what ``advdiff-sumo warmup`` has learned of the target: which encounters to go for, or, of a reckless
             one, a reward model in place of the bundle's; empty: nothing.
         device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
     """
 
-    shipped: ClassVar[Literal["traffic", "traj2traj"]] = "traffic"
     licence: LicenceName = "lawful"
     strength: float = Field(1.0, ge=0.0, le=1.0)
     attackers: int = Field(2, ge=1, le=8)
@@ -146,12 +146,19 @@ class DiffusionOptions(Options):
     @property
     def path(self) -> Path:
         """The networks' file."""
-        return find_weights(self.weights, self.shipped)
+        return find_weights(self.weights, self._shipped)
+
+    @property
+    def _shipped(self) -> ShippedName:
+        return "traffic" if self.licence == "reckless" else "closed-loop"
 
 
 class Traj2TrajOptions(DiffusionOptions):
     """Options of ``traj2traj``: those of ``diffusion``, less the guide, for networks that diffuse trajectories."""
 
-    shipped: ClassVar[Literal["traffic", "traj2traj"]] = "traj2traj"
     guide: Literal["none"] = "none"
     steps: int = Field(10, ge=1, le=1000)
+
+    @property
+    def _shipped(self) -> ShippedName:
+        return "traj2traj"

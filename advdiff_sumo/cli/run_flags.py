@@ -92,7 +92,7 @@ Guide: TypeAlias = Annotated[
 Weights: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="diffusion: trained networks, or shipped ones: closed-loop (usual), traffic (usual with --licence reckless).",
+        help="diffusion: trained networks, or shipped ones: closed-loop (usual) or traffic (usual for a reckless one).",
         show_default="the shipped ones",
     ),
 ]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
+
 import pyproj
+from pyproj.exceptions import CRSError
 
 ORIGINS_DEG = {  # south-west corner, latitude and longitude
     "boston-seaport": (42.336849169438615, -71.05785369873047),
@@ -40,6 +43,49 @@ def utm_from(zone: int, east_m: float, north_m: float, *, south: bool = False) -
     )
 
 
+def projection_from(system: str, offset_m: tuple[float, float] = (0.0, 0.0)) -> str:
+    """Return the PROJ string of a projected *system* with coordinates counted from *offset_m* in it.
+
+    Args:
+        system: PROJ string, WKT or code of an authority ("EPSG:32611"); heights in it are left aside.
+        offset_m: what is to be added to coordinates of the map to get those of the system.
+
+    Raises:
+        ValueError: PROJ does not know the system, or it has no plane in metres; the message says which.
+    """
+    try:
+        with (
+            warnings.catch_warnings()
+        ):  # pyproj warns that PROJ strings hold less than WKT; SUMO takes nothing else
+            warnings.simplefilter("ignore", UserWarning)
+            crs = pyproj.CRS.from_user_input(system.strip())
+            crs = crs.sub_crs_list[0] if crs.is_compound else crs
+            words = str(crs.to_proj4()).split()
+    except CRSError:
+        raise ValueError("is no coordinate system that PROJ knows") from None
+    if not crs.is_projected:
+        raise ValueError("is no projected coordinate system")
+    if any(axis.unit_conversion_factor != 1.0 for axis in crs.axis_info[:2]):
+        raise ValueError("is no coordinate system in metres")
+    values = {key: value for key, _, value in (word.partition("=") for word in words) if key != "+type"}
+    if any(offset_m):
+        values = _counted_from(offset_m, values)
+    return " ".join(f"{key}={value}" if value else key for key, value in values.items())
+
+
+def _counted_from(offset_m: tuple[float, float], values: dict[str, str]) -> dict[str, str]:
+    """Return the parameters of a projection whose coordinates are counted from a place in it."""
+    if values["+proj"] == "utm":  # which admits no false easting but its own
+        own = {"+lat_0": "0", "+lon_0": str(6 * int(values.pop("+zone")) - 183), "+k": "0.9996"}
+        own |= {"+x_0": "500000", "+y_0": "10000000" if "+south" in values else "0"}
+        rest = {key: value for key, value in values.items() if key not in ("+proj", "+south")}
+        values = {"+proj": "tmerc"} | own | rest
+    x_m, y_m = (
+        float(values.get(key, 0.0)) - metres for key, metres in zip(("+x_0", "+y_0"), offset_m, strict=True)
+    )
+    return values | {"+x_0": f"{x_m:.4f}", "+y_0": f"{y_m:.4f}"}
+
+
 def projection_of(location: str) -> str | None:
     """Return the PROJ string whose plane is the frame of *location*, or None for an unknown place.
 
@@ -53,5 +99,5 @@ def projection_of(location: str) -> str | None:
 
 
 def drives_left(location: str) -> bool:
-    """Return whether traffic keeps left there (Singapore)."""
-    return location.startswith("singapore")
+    """Return whether traffic keeps left there: in Singapore, by the names of nuScenes and of nuPlan."""
+    return location.startswith(("singapore", "sg-"))

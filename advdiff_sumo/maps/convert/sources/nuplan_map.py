@@ -1,35 +1,38 @@
-"""nuPlan maps (Caesar et al. 2021, arXiv:2106.11810): ``map.gpkg``, a GeoPackage (OGC 12-128r19) of one city.
+"""nuPlan maps (Caesar et al. 2021, arXiv:2106.11810): ``map.gpkg``, a GeoPackage of one city.
 
 Shapes are in degrees; places are in the projected system that the layer ``meta`` names, in m.
 """
 
 from __future__ import annotations
 
-import sqlite3
-import struct
-from collections.abc import Iterable
-from contextlib import closing
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyproj
 import shapely
-from pyproj.exceptions import CRSError
 from shapely.geometry import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.maps.convert.projection import projection_from
 from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
-from advdiff_sumo.maps.convert.sources.bounded_lanes import as_multi
+from advdiff_sumo.maps.convert.sources.bounded_lanes import LONGEST_M, as_multi
+from advdiff_sumo.maps.convert.sources.geopackage import Row, name_of, read_layers, shape_of
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
-from advdiff_sumo.maps.convert.sources.map_files import MAX_FILE_BYTES
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap, StatedSizes
 
 REMEDY = "give an unchanged map.gpkg of nuPlan"
-NEEDED = ("meta", "baseline_paths", "lanes_polygons", "lane_connectors")
-ENVELOPE_BYTES = (0, 32, 48, 48, 64)  # by the header's envelope code
-Row = dict[str, Any]
+CONNECTOR_AREAS = "gen_lane_connectors_scaled_width_polygons"
+LAYERS = {
+    "meta": ("key", "value"),
+    "baseline_paths": ("lane_fid", "lane_connector_fid"),
+    "lanes_polygons": ("lane_fid",),
+    "lane_connectors": ("fid", "exit_lane_fid", "entry_lane_fid"),
+    **dict.fromkeys((CONNECTOR_AREAS, "generic_drivable_areas", "intersections", "crosswalks"), ()),
+    **dict.fromkeys(("walkways", "carpark_areas"), ()),
+}
 
 
 def nuplan_map(path: Path) -> SourceMap:
@@ -38,153 +41,140 @@ def nuplan_map(path: Path) -> SourceMap:
     Baseline paths are the centre lines; a lane connector joins its exit lane to its entry lane.
 
     Raises:
-        MapError: no such GeoPackage, a layer is missing, or no lane is usable.
+        MapError: no such GeoPackage, a layer or column is missing, or no lane is usable.
     """
-    tables = _Tables(path)
+    rows = read_layers(path, LAYERS, REMEDY)
+    projection = _projection(rows["meta"], path)
+    layers = _Layers(rows, pyproj.Transformer.from_crs("EPSG:4326", projection, always_xy=True))
     faults = MapFaults(path)
-    lanes = [*_lanes(tables, faults), *_connectors(tables, faults)]
+    lanes = list(_lanes(layers, faults))
     if not lanes:
-        raise MapError(path, "holds no lane with a baseline path", REMEDY)
+        raise MapError(path, "holds no lane with a usable baseline path", REMEDY)
     known = {lane.token for lane in lanes}
-    links = list(_links(tables))
-    given = [f"lane_{row['lane_fid']}" for row in tables.rows["lanes_polygons"]]
-    given += [f"connector_{row['fid']}" for row in tables.rows["lane_connectors"]]
+    links = list(_links(rows["lane_connectors"]))
+    given = [token for token, *_ in _stated(rows)]
     return SourceMap(
         path=path,
-        location=path.parent.parent.name or path.stem,
+        location=path.absolute().parent.parent.name or path.stem,
         lanes=tuple(lanes),
-        links=tuple(link for link in links if set(link) <= known),
-        drivable=tables.areas("generic_drivable_areas"),
-        intersections=tuple(tables.areas("intersections").geoms),
-        crossings=tuple(tables.areas("crosswalks").geoms),
-        walkways=tuple(tables.areas("walkways").geoms),
-        carparks=tuple(tables.areas("carpark_areas").geoms),
+        links=tuple(_known_links(links, set(given), known, faults)),
+        drivable=as_multi(shapely.union_all(layers.areas("generic_drivable_areas"))),
+        intersections=layers.areas("intersections"),
+        crossings=layers.areas("crosswalks"),
+        walkways=layers.areas("walkways"),
+        carparks=layers.areas("carpark_areas"),
         stated=StatedSizes(len(given), len(links)),
-        left_out=tuple(token for token in given if token not in known),
+        left_out=tuple(token for token in dict.fromkeys(given) if token not in known),
         notes=faults.notes,
         warnings=faults.sentences(),
+        projection=projection,
     )
 
 
-class _Tables:
-    """The layers of a file; shapes are projected."""
+def _projection(meta: list[Row], path: Path) -> str:
+    names = [row["value"] for row in meta if row["key"] == "projectedCoordSystem"]
+    if not names:
+        raise MapError(path, "layer 'meta' has no projectedCoordSystem", REMEDY)
+    try:
+        return projection_from(str(names[0]))
+    except ValueError as error:
+        raise MapError(
+            path, f"projectedCoordSystem {str(names[0])[:40]!r} in layer 'meta' {error}", REMEDY
+        ) from None
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            size = path.stat().st_size
-        except OSError as error:
-            raise MapError(path, f"cannot be read ({error.strerror})", REMEDY) from None
-        if size > MAX_FILE_BYTES:
-            raise MapError(path, f"{size / 1e6:.0f} MB is more than any map has", REMEDY)
-        try:
-            with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as base:
-                names = [row[0] for row in base.execute("SELECT name FROM sqlite_master WHERE type='table'")]
-                self.rows = {
-                    name: _rows(base, name) for name in names if not name.startswith(("gpkg_", "rtree_"))
-                }
-        except sqlite3.Error as error:
-            raise MapError(path, f"is no GeoPackage ({error})", REMEDY) from None
-        missing = next((name for name in NEEDED if name not in self.rows), None)
-        if missing is not None:
-            raise MapError(path, f"layer '{missing}' is missing", REMEDY)
-        self._project = self._projection()
 
-    def _projection(self) -> pyproj.Transformer:
-        names = [row.get("value") for row in self.rows["meta"] if row.get("key") == "projectedCoordSystem"]
-        try:
-            return pyproj.Transformer.from_crs("EPSG:4326", str(names[0]), always_xy=True)
-        except (IndexError, CRSError):
-            problem = "layer 'meta' names no usable projectedCoordSystem"
-            raise MapError(self.path, problem, REMEDY) from None
+@dataclass(frozen=True, eq=False)
+class _Layers:
+    """Records by layer, and the way from their degrees to m."""
 
-    def shape(self, row: Row) -> BaseGeometry | None:
+    rows: dict[str, list[Row]]
+    from_degrees: pyproj.Transformer
+
+    def shape(self, row: Row | None) -> BaseGeometry | None:
         """Return the shape of a record in m, or None where it is unusable."""
-        value = row.get("geom", row.get("geometry"))
-        try:
-            shape = shapely.from_wkb(_wkb(value))
-        except (shapely.errors.ShapelyError, ValueError, TypeError, struct.error, IndexError):
-            return None
-        if shape.is_empty:
-            return None
-        moved = shapely.transform(shapely.force_2d(shape), self._to_metres)
-        return moved if np.isfinite(shapely.get_coordinates(moved)).all() else None
+        return shape_of(row, self.from_degrees) if row is not None else None
 
-    def _to_metres(self, degrees: Any) -> Any:
-        return np.stack(self._project.transform(degrees[:, 0], degrees[:, 1]), axis=-1)
+    def by_name(self, layer: str, key: str) -> dict[str, Row]:
+        """Return the records of *layer* by what *key* names."""
+        named = ((name_of(row.get(key)), row) for row in self.rows.get(layer, []))
+        return {name: row for name, row in named if name is not None}
 
-    def areas(self, layer: str) -> MultiPolygon:
-        """Return the areas of *layer*; a layer that is absent has none."""
+    def areas(self, layer: str) -> tuple[Polygon, ...]:
+        """Return the areas of *layer*; a layer that is missing has none."""
         shapes = [shape for row in self.rows.get(layer, []) if (shape := self.shape(row)) is not None]
-        whole = [part for shape in shapes for part in as_multi(shapely.make_valid(shape)).geoms]
-        return (
-            MultiPolygon(whole) if layer != "generic_drivable_areas" else as_multi(shapely.union_all(whole))
+        return tuple(part for shape in shapes for part in as_multi(shapely.make_valid(shape)).geoms)
+
+
+def _stated(rows: dict[str, list[Row]]) -> Iterator[tuple[str, str | None, Row]]:
+    """Yield token, name and record of each lane and connector."""
+    for row in rows["lanes_polygons"]:
+        yield f"lane_{name_of(row['lane_fid'])}", name_of(row["lane_fid"]), row
+    for row in rows["lane_connectors"]:
+        yield f"connector_{name_of(row['fid'])}", name_of(row["fid"]), row
+
+
+def _lanes(layers: _Layers, faults: MapFaults) -> Iterator[SourceLane]:
+    """Yield the usable lanes; the others are left out, counted and told."""
+    keys = {"lane": "lane_fid", "connector": "lane_connector_fid"}
+    paths = {kind: layers.by_name("baseline_paths", key) for kind, key in keys.items()}
+    areas = layers.by_name(CONNECTOR_AREAS, keys["connector"])
+    used: set[str] = set()
+    for token, name, row in _stated(layers.rows):
+        kind = token.partition("_")[0]
+        if name is None or token in used:
+            faults.add(
+                "lane id unusable",
+                f"a {kind} is left out: its id is null, no name or occurs twice ({token!r})",
+            )
+            continue
+        used.add(token)
+        lane = _lane(
+            token,
+            layers.shape(paths[kind].get(name)),
+            layers.shape(row if kind == "lane" else areas.get(name)),
+            row.get("speed_limit_mps"),
         )
-
-
-def _rows(base: sqlite3.Connection, name: str) -> list[Row]:
-    cursor = base.execute(f'SELECT * FROM "{name}"')  # noqa: S608 - the name is one of the file's own tables
-    columns = [column[0] for column in cursor.description]
-    return [dict(zip(columns, row, strict=True)) for row in cursor]
-
-
-def _wkb(value: Any) -> bytes:
-    """Return the well-known binary in a GeoPackage's geometry, behind its header."""
-    if not isinstance(value, bytes) or value[:2] != b"GP":
-        raise ValueError("no geometry of a GeoPackage")
-    return value[8 + ENVELOPE_BYTES[(value[3] >> 1) & 7] :]
-
-
-def _lanes(tables: _Tables, faults: MapFaults) -> Iterable[SourceLane]:
-    paths = {
-        str(row["lane_fid"]): row for row in tables.rows["baseline_paths"] if row.get("lane_fid") is not None
-    }
-    for row in tables.rows["lanes_polygons"]:
-        name = str(row.get("lane_fid"))
-        lane = _lane(tables, f"lane_{name}", paths.get(name), row, tables.shape(row), faults)
-        if lane is not None:
-            yield lane
-
-
-def _connectors(tables: _Tables, faults: MapFaults) -> Iterable[SourceLane]:
-    key = "lane_connector_fid"
-    paths = {str(row[key]): row for row in tables.rows["baseline_paths"] if row.get(key) is not None}
-    polygons = {
-        str(row.get(key)): row for row in tables.rows.get("gen_lane_connectors_scaled_width_polygons", [])
-    }
-    for row in tables.rows["lane_connectors"]:
-        name = str(row.get("fid"))
-        shape = tables.shape(polygons[name]) if name in polygons else None
-        lane = _lane(tables, f"connector_{name}", paths.get(name), row, shape, faults)
-        if lane is not None:
+        if lane is None:
+            faults.add("lane without baseline path", f"{token} has no usable baseline path and is left out")
+        else:
             yield lane
 
 
 def _lane(
-    tables: _Tables, token: str, path_row: Row | None, row: Row, shape: BaseGeometry | None, faults: MapFaults
+    token: str, line: BaseGeometry | None, area: BaseGeometry | None, speed: object
 ) -> SourceLane | None:
-    line = tables.shape(path_row) if path_row is not None else None
     if line is not None and line.geom_type == "MultiLineString":
         line = shapely.line_merge(line)
-    centre = (
-        drop_repeats(np.asarray(line.coords)[:, :2]) if isinstance(line, LineString) else np.empty((0, 2))
-    )
-    if len(centre) < 2:
-        faults.add("lane without baseline path", f"{token} has no usable baseline path and is left out")
+    if not isinstance(line, LineString) or line.length > LONGEST_M:
         return None
-    speed = row.get("speed_limit_mps")
-    parts = as_multi(shapely.make_valid(shape)).geoms if shape is not None else ()
-    polygon: Polygon | None = max(parts, key=lambda part: part.area, default=None)
+    centre = drop_repeats(np.asarray(line.coords)[:, :2])
+    if len(centre) < 2:
+        return None
+    parts = as_multi(shapely.make_valid(area)) if area is not None else MultiPolygon()
     return SourceLane(
         token=token,
         is_connector=token.startswith("connector_"),
         centre_m=centre,
-        polygon=polygon,
+        polygon=max(parts.geoms, key=lambda part: part.area, default=None),
         speed_mps=float(speed) if isinstance(speed, int | float) and 0.0 < speed < 100.0 else None,
     )
 
 
-def _links(tables: _Tables) -> Iterable[tuple[str, str]]:
-    for row in tables.rows["lane_connectors"]:
-        yield f"lane_{row.get('exit_lane_fid')}", f"connector_{row.get('fid')}"
-        yield f"connector_{row.get('fid')}", f"lane_{row.get('entry_lane_fid')}"
+def _links(connectors: list[Row]) -> Iterator[tuple[str, str]]:
+    for row in connectors:
+        name = f"connector_{name_of(row['fid'])}"
+        yield f"lane_{name_of(row['exit_lane_fid'])}", name
+        yield name, f"lane_{name_of(row['entry_lane_fid'])}"
+
+
+def _known_links(
+    links: list[tuple[str, str]], given: set[str], known: set[str], faults: MapFaults
+) -> Iterator[tuple[str, str]]:
+    """Yield the links between *known* lanes; those to lanes that the file does not hold are told."""
+    for link in dict.fromkeys(links):
+        stranger = next((token for token in link if token not in given), None)
+        if stranger is not None:
+            other = next(token for token in link if token != stranger)
+            faults.add("link to unknown lane", f"{other} names {stranger}, which is not in the file")
+        elif set(link) <= known:
+            yield link

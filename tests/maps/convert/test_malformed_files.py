@@ -1,0 +1,135 @@
+"""Files that cannot be used: exit code 2 and one sentence that names the file, what is wrong, and what to give."""
+
+from __future__ import annotations
+
+import random
+import re
+import sqlite3
+import tempfile
+from collections import Counter
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+import small_sources
+from malformed_files import NAMES, Malformed, malformed
+from test_bad_formats import FILES
+
+from advdiff_sumo.cli.convert import convert_file
+from advdiff_sumo.core.errors import InputError, MapError
+from advdiff_sumo.maps.convert import convert_source
+from advdiff_sumo.maps.convert.sources.read_map import read_map
+from tests.e2e.commands import advdiff
+
+with tempfile.TemporaryDirectory() as _folder:
+    CASES = list(malformed(Path(_folder)))
+PARAMS = [pytest.param(case, id=f"{case.kind}: {case.fault}") for case in CASES]
+
+
+def is_one_sentence(text: str, path: Path) -> bool:
+    """Return whether *text* says of *path* what is wrong, and after a semicolon what to give."""
+    return text.startswith(f"{path}: ") and "; " in text and "\n" not in text and len(text) < 600
+
+
+def test_there_are_sixty_malformed_files() -> None:
+    by_kind = Counter(case.kind for case in CASES)
+    assert len(CASES[::3]) >= 60  # of which the command is tested
+    assert by_kind.keys() == NAMES.keys()
+    assert min(by_kind.values()) >= 20
+    assert len({(case.kind, case.fault) for case in CASES}) == len(CASES)
+
+
+@pytest.mark.parametrize("case", PARAMS)
+def test_malformed_files_get_one_sentence(case: Malformed, tmp_path: Path) -> None:
+    path = case.put(tmp_path)
+    with pytest.raises(InputError) as caught:
+        convert_file(path, tmp_path / "n.net.xml", None, guess=False, opendrive=False)
+    assert is_one_sentence(str(caught.value), path)
+    assert not (tmp_path / "n.net.xml").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", NAMES)
+def test_the_command_ends_with_2(kind: str, tmp_path: Path) -> None:
+    """Every third file, in a process of its own; all of them take minutes."""
+    cases = [case for case in CASES if case.kind == kind][::3]
+    for number, case in enumerate(cases):
+        (folder := tmp_path / str(number)).mkdir()
+        path = case.put(folder)
+        done = advdiff("convert", path, "-o", folder / "n.net.xml", cwd=folder)
+        assert done.code == 2, case.fault
+        assert is_one_sentence(done.err.strip().removeprefix("error: "), path), case.fault
+        assert done.out == ""
+
+
+WRONG = (None, "", "nan", "x", -1, 3.5, 1e308, float("inf"), 10**18, b"", b"GP", b"\xff" * 60, "1")
+
+
+def _spoil_values(path: Path, draw: random.Random) -> None:
+    """Put wrong values into some cells of any layers."""
+    with closing(sqlite3.connect(path)) as base, base:
+        tables = [row[0] for row in base.execute("SELECT name FROM sqlite_master WHERE type='table'")]
+        layers = [name for name in sorted(tables) if not re.match("gpkg_|rtree_|sqlite_", name)]
+        for _ in range(draw.choice((1, 1, 3, 10))):
+            layer = draw.choice(layers)
+            columns = [row[1] for row in base.execute(f"PRAGMA table_info({layer})")][1:]
+            rows = [row[0] for row in base.execute(f"SELECT rowid FROM {layer}")]  # noqa: S608 - our own names
+            change = f"UPDATE {layer} SET {draw.choice(columns)} = ? WHERE rowid = ?"  # noqa: S608 - as above
+            base.execute(change, (draw.choice(WRONG), draw.choice(rows)))
+
+
+def _spoil_bytes(path: Path, draw: random.Random) -> None:
+    content = bytearray(path.read_bytes())
+    for _ in range(draw.choice((1, 3, 10, 100))):
+        content[draw.randrange(len(content))] = draw.randrange(256)
+    path.write_bytes(content)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spoil", [_spoil_values, _spoil_bytes])
+def test_wrong_values_anywhere_in_nuplan(spoil: object, tmp_path: Path) -> None:
+    assert callable(spoil)
+    draw = random.Random(11)  # noqa: S311 - no secret
+    refusals: list[tuple[str, Path]] = []
+    for number in range(FILES):
+        (folder := tmp_path / str(number)).mkdir()
+        path = small_sources.write("nuplan", folder)
+        spoil(path, draw)
+        try:
+            result = convert_source(read_map(path), folder / "n.net.xml")
+        except MapError as error:
+            refusals.append((str(error), path))
+        else:
+            assert result.source.lanes
+    assert 0 < len(refusals) < FILES
+    assert all(is_one_sentence(text, path) for text, path in refusals)
+
+
+SMALL_FAULTS = {
+    "UPDATE lanes_polygons SET lane_fid = NULL WHERE lane_fid = '1'": "id is null",
+    "UPDATE lanes_polygons SET lane_fid = '2' WHERE lane_fid = '1'": "occurs twice ('lane_2')",
+    "UPDATE lane_connectors SET entry_lane_fid = '99'": "connector_3 names lane_99, which is not in the file",
+    "UPDATE baseline_paths SET geom = NULL WHERE lane_fid = '4'": "lane_4 has no usable baseline path",
+}
+
+
+@pytest.mark.parametrize("change", SMALL_FAULTS)
+def test_small_faults_are_told_and_the_rest_is_converted(change: str, tmp_path: Path) -> None:
+    path = small_sources.write("nuplan", tmp_path)
+    with closing(sqlite3.connect(path)) as base, base:
+        base.execute(change)
+    source = read_map(path)
+    assert [text for text in source.warnings if SMALL_FAULTS[change] in text]
+    assert sum(source.notes.values()) == len(source.warnings)
+    assert len(convert_source(source, tmp_path / "n.net.xml").source.lanes) >= 3
+
+
+def test_ids_are_the_same_as_numbers_and_as_text(tmp_path: Path) -> None:
+    path = small_sources.write("nuplan", tmp_path)
+    whole = read_map(path)
+    with closing(sqlite3.connect(path)) as base, base:
+        base.execute("ALTER TABLE lane_connectors ADD COLUMN way REAL")
+        base.execute("UPDATE lane_connectors SET way = CAST(exit_lane_fid AS REAL)")
+        base.execute("ALTER TABLE lane_connectors DROP COLUMN exit_lane_fid")
+        base.execute("ALTER TABLE lane_connectors RENAME COLUMN way TO exit_lane_fid")
+    assert read_map(path).links == whole.links

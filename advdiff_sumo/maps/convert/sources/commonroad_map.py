@@ -5,6 +5,7 @@ Coordinates are those of the file in m; boundaries run in driving direction, wit
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -21,6 +22,7 @@ from advdiff_sumo.maps.convert.sources.bounded_lanes import (
     largest_part,
     source_lanes,
 )
+from advdiff_sumo.maps.convert.sources.georeference import Moved, stated_projection
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.source_map import (
     CIRCULAR,
@@ -70,6 +72,7 @@ def commonroad_map(root: Element, path: Path) -> SourceMap:
         raise MapError(path, "holds no usable lanelet", REMEDY)
     known = {lane.token for lane in lanes}
     links, stated = lane_links(rows, lanes, faults)
+    projection = _projection(root.find("location/geoTransformation"), faults)
     return SourceMap(
         path=path,
         location=root.get("benchmarkID") or path.name.split(".")[0],
@@ -84,7 +87,21 @@ def commonroad_map(root: Element, path: Path) -> SourceMap:
         left_out=tuple(name for row in drawn if (name := row.get("id", "")) not in known),
         notes=faults.notes,
         warnings=faults.sentences(),
+        projection=projection,
     )
+
+
+def _projection(row: Element | None, faults: MapFaults) -> str | None:
+    """Return the projection that a scenario states; ``gpsLatitude`` alone tells no frame."""
+    if row is None:
+        return None
+    tags = {"x_m": "xTranslation", "y_m": "yTranslation", "turned_rad": "zRotation", "scale": "scaling"}
+    texts = {key: row.findtext(f"additionalTransformation/{tag}") for key, tag in tags.items()}
+    try:
+        moved = Moved(**{key: float(text) for key, text in texts.items() if text})
+    except ValueError:
+        moved = Moved(x_m=math.nan)
+    return stated_projection(row.findtext("geoReference"), moved, faults)
 
 
 def _check(root: Element, path: Path) -> None:

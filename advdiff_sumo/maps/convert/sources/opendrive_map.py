@@ -5,6 +5,7 @@ Height and superelevation are left out, so places are those of the plan view.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ from advdiff_sumo.maps.convert.sources.bounded_lanes import (
     largest_part,
     source_lanes,
 )
+from advdiff_sumo.maps.convert.sources.georeference import Moved, stated_projection
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.opendrive_curves import (
     ReferenceLine,
@@ -72,6 +74,7 @@ def opendrive_map(root: Element, path: Path) -> SourceMap:
         raise MapError(path, "holds no usable lane for vehicles", REMEDY)
     links, stated = lane_links(rows, lanes, faults)
     known = {lane.token for lane in lanes}
+    projection = stated_projection(root.findtext("header/geoReference"), _moved(root), faults)
     return SourceMap(
         path=path,
         location=path.name.removesuffix(".gz").removesuffix(".xodr"),
@@ -84,7 +87,19 @@ def opendrive_map(root: Element, path: Path) -> SourceMap:
         left_out=tuple(row.token for row in rows if row.token not in known),
         notes=faults.notes,
         warnings=faults.sentences(),
+        projection=projection,
     )
+
+
+def _moved(root: Element) -> Moved:
+    """Return how the header's ``offset`` leads from places of the file to those of its ``geoReference``."""
+    row = root.find("header/offset")
+    if row is None:
+        return Moved()
+    try:
+        return Moved(number(row, "x", 0.0), number(row, "y", 0.0), number(row, "hdg", 0.0))
+    except ValueError:
+        return Moved(x_m=math.nan)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.planners.planner_protocol import Planner
 
 if TYPE_CHECKING:
-    from advdiff_sumo.maps.convert import ConversionResult
+    from advdiff_sumo.sim.measured_conversion import MeasuredConversion
 
 _TIMEOUT_S, _RETRIES = 300.0, 2
 
@@ -128,17 +128,25 @@ def _tell_row(bar: Progress) -> Callable[[Any, Any], None]:
     return lambda row, failed: bar.tell(row if failed is None else None)
 
 
-def convert(map_file: str | Path, net: str | Path, *, lefthand: bool | None = None) -> ConversionResult:
-    """Convert an HD map of any kind that ``advdiff-sumo convert`` takes to a SUMO net.
+def convert(map_file: str | Path, net: str | Path, **options: Any) -> MeasuredConversion:
+    """Convert an HD map of any kind that ``advdiff-sumo convert`` takes to a SUMO net, and measure how exact it is.
 
     Args:
         map_file: the map.
-        net: the net to be written, ``NAME.net.xml``; its drivable area is written beside it.
-        lefthand: side of the road; by default by the map's name.
+        net: the net to be written, ``NAME.net.xml``; drivable area and ``NAME.fidelity.json`` come to lie beside it.
+        **options: any field of :class:`~advdiff_sumo.sim.measured_conversion.ConvertOptions`, which are the options of
+            the command: ``lefthand``, ``tls``, ``tls_cycle``, ``crossings``, ``opendrive``, ``close_rim``, ``osm``,
+            ``dataroot``, ``report``, ``drive``, ``drive_at_once``, ``seed``.
+
+    Returns:
+        the net, the figures of ``NAME.fidelity.json``, and all that the conversion made.
 
     Raises:
         InputError: one of its kinds; a sentence that names the culprit.
     """
-    from advdiff_sumo.cli.convert import convert_file
+    from advdiff_sumo.cli.convert import net_path
+    from advdiff_sumo.sim.measured_conversion import ConvertOptions, convert_and_measure
 
-    return convert_file(Path(map_file), Path(net), lefthand, guess=False, opendrive=False)
+    return convert_and_measure(
+        Path(map_file), net_path(Path(net)), ConvertOptions.parse(options, "ads.convert")
+    )

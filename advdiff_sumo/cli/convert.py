@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 from rich.console import Console
 
 from advdiff_sumo.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from advdiff_sumo.maps.convert import ConversionResult
-    from advdiff_sumo.maps.convert.convert import Crossings
+    from advdiff_sumo.sim.measured_conversion import MeasuredConversion
 
 MAP_HELP = (
-    "nuScenes or Argoverse 2 map (.json), ScenarioNet record (.pkl), CommonRoad scenario (.xml, .xml.gz)."
+    "nuScenes or Argoverse 2 map (.json), ScenarioNet record (.pkl), CommonRoad scenario (.xml, .xml.gz), Lanelet2 "
+    "(.osm), OpenDRIVE (.xodr) or nuPlan map (.gpkg)."
 )
 _console = Console(highlight=False, soft_wrap=True)
 
@@ -90,37 +89,30 @@ def convert(
 
     Example: advdiff-sumo convert boston-seaport.json -o networks/boston-seaport.net.xml --report
     """
-    from advdiff_sumo.maps.convert.fidelity_report import (  # late: --help needs neither SUMO nor plots
-        fidelity_path,
-        write_figures,
-        write_page,
+    from advdiff_sumo.sim.measured_conversion import (  # late: --help needs neither SUMO nor plots
+        ConvertOptions,
+        convert_and_measure,
     )
 
-    if tls not in ("guess", "map"):
-        raise ConfigError(f"--tls {tls}: known are 'guess' and 'map'")
     if osm is not None and all_of is not None:
         raise ConfigError("--osm is an extract of one place: give it with one MAP, not with --all")
-    people = _crossings(crossings)
+    values = {
+        "lefthand": lefthand,
+        "tls": tls,
+        "tls_cycle": tls_cycle,
+        "crossings": crossings,
+        "opendrive": opendrive,
+        "close_rim": close_rim,
+        "osm": osm,
+        "dataroot": dataroot or all_of,
+        "report": report,
+        "drive": drive,
+        "drive_at_once": drive_at_once,
+        "seed": seed,
+    }
+    options = ConvertOptions.parse(values, "convert")
     for source, net in _jobs(map_file, output, all_of):
-        result = convert_file(
-            source, net, lefthand, tls == "guess", opendrive, close_rim, people, tls_cycle, osm
-        )
-        figures = _measured(result, dataroot or all_of)
-        write_figures(figures, fidelity_path(net))  # kept where the driving test finds no trip
-        figures |= _driven(result.net, drive, drive_at_once, seed)
-        write_figures(figures, fidelity_path(net))
-        if report:
-            write_page(result, figures, fidelity_path(net, "html"))
-        _say(result, figures)
-
-
-def _crossings(name: str) -> Crossings:
-    """Return what ``--crossings`` says, checked."""
-    from advdiff_sumo.maps.convert.convert import Crossings  # late, as above
-
-    if name not in get_args(Crossings):
-        raise ConfigError(f"--crossings {name}: known are 'map', 'guess' and 'none'")
-    return cast("Crossings", name)
+        _say(convert_and_measure(source, net, options))
 
 
 def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> list[tuple[Path, Path]]:
@@ -130,10 +122,7 @@ def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> li
     if map_file is not None:
         if output is None:
             raise ConfigError("give the net to be written with -o NAME.net.xml")
-        name = (
-            output.name if output.name.endswith(".net.xml") else output.name.removesuffix(".xml") + ".net.xml"
-        )
-        return [(map_file, output.with_name(name))]
+        return [(map_file, net_path(output))]
     assert all_of is not None  # noqa: S101 - one of the two was given
     maps = sorted((all_of / "maps" / "expansion").glob("*.json"))
     if not maps:
@@ -142,64 +131,15 @@ def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> li
     return [(path, folder / f"{path.stem}.net.xml") for path in maps]
 
 
-def convert_file(
-    source: Path,
-    net: Path,
-    lefthand: bool | None,
-    guess: bool,
-    opendrive: bool,
-    close_rim: bool = False,
-    crossings: Crossings = "map",
-    cycle_for: int = 0,
-    osm: Path | None = None,
-) -> ConversionResult:
-    """Convert a map of any kind that the verb takes."""
-    from advdiff_sumo.data.pickles import load_plain  # late, as above
-    from advdiff_sumo.maps.convert import convert_source
-    from advdiff_sumo.maps.convert.sources.read_map import read_map
-    from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
-
-    given = read_record_map(load_plain(source), source) if source.suffix == ".pkl" else read_map(source)
-    return convert_source(
-        given,
-        net,
-        lefthand=lefthand,
-        guess_signals=guess,
-        opendrive=opendrive,
-        close_rim=close_rim,
-        crossings=crossings,
-        cycle_for=cycle_for,
-        osm=osm,
-    )
+def net_path(output: Path) -> Path:
+    """Return *output* with the ending that SUMO nets have."""
+    if output.name.endswith(".net.xml"):
+        return output
+    return output.with_name(output.name.removesuffix(".xml") + ".net.xml")
 
 
-def _measured(result: ConversionResult, dataroot: Path | None) -> dict[str, Any]:
-    """Return how exact the net is, also by the poses that are logged in *dataroot*."""
-    from advdiff_sumo.maps.convert.fidelity import measure  # late, as above
-    from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
-
-    figures: dict[str, Any] = measure(result).as_dict()
-    if dataroot is not None:
-        poses = ego_poses(dataroot, result.source.location)
-        figures["logged_poses"] = compare_poses(
-            result, np.vstack(list(poses.values())) if poses else np.empty((0, 3))
-        )
-    return figures
-
-
-def _driven(net: Path, in_the_hour: int, at_once: int, seed: int) -> dict[str, Any]:
-    """Return what came of the driving tests that are asked for with a number of vehicles."""
-    from advdiff_sumo.sim.driving_test import driving_test  # late, as above
-
-    figures: dict[str, Any] = {}
-    if in_the_hour:
-        figures["driving_test_in_the_hour"] = driving_test(net, vehicles=in_the_hour, seed=seed)
-    if at_once:
-        figures["driving_test_at_once"] = driving_test(net, vehicles=at_once, at_once=True, seed=seed)
-    return figures
-
-
-def _say(result: ConversionResult, figures: dict[str, Any]) -> None:
+def _say(converted: MeasuredConversion) -> None:
+    result, figures = converted.result, converted.figures
     error = figures["centre_line_error_m"]["source_to_net"]
     lanes, links = figures["lanes"], figures["connections"]
     _console.print(
@@ -218,7 +158,7 @@ def _say(result: ConversionResult, figures: dict[str, Any]) -> None:
         )
         for reason, places in sorted(paths.left_out.items()):
             _console.print(f"note: {len(places)} of the crossings left out: {reason}", markup=False)
-    for sentence in result.source.warnings:
+    for sentence in converted.warnings:
         _console.print(f"note: {sentence}", markup=False)
 
 

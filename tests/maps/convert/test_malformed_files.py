@@ -15,10 +15,10 @@ import small_sources
 from malformed_files import NAMES, Malformed, malformed
 from test_bad_formats import FILES
 
-from advdiff_sumo.cli.convert import convert_file
 from advdiff_sumo.core.errors import InputError, MapError
 from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.sources.read_map import read_map
+from advdiff_sumo.sim.measured_conversion import ConvertOptions, convert_and_measure
 from tests.e2e.commands import advdiff
 
 with tempfile.TemporaryDirectory() as _folder:
@@ -43,7 +43,7 @@ def test_there_are_sixty_malformed_files() -> None:
 def test_malformed_files_get_one_sentence(case: Malformed, tmp_path: Path) -> None:
     path = case.put(tmp_path)
     with pytest.raises(InputError) as caught:
-        convert_file(path, tmp_path / "n.net.xml", None, guess=False, opendrive=False)
+        convert_and_measure(path, tmp_path / "n.net.xml", ConvertOptions())
     assert is_one_sentence(str(caught.value), path)
     assert not (tmp_path / "n.net.xml").exists()
 

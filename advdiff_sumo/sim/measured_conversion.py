@@ -1,0 +1,138 @@
+"""Convert an HD map, measure how exact the net is, drive over it: the whole of the verb ``convert`` for one map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from advdiff_sumo.config import Options
+from advdiff_sumo.data.pickles import load_plain
+from advdiff_sumo.maps.convert import ConversionResult, convert_source
+from advdiff_sumo.maps.convert.convert import Crossings
+from advdiff_sumo.maps.convert.fidelity import measure
+from advdiff_sumo.maps.convert.fidelity_report import fidelity_path, write_figures, write_page
+from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
+from advdiff_sumo.maps.convert.sources.read_map import read_map
+from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
+from advdiff_sumo.maps.convert.sources.source_map import SourceMap
+from advdiff_sumo.sim.driving_test import driving_test
+
+
+class ConvertOptions(Options):
+    """What the command line calls by the same names, ``tls`` for ``--tls``.
+
+    Attributes:
+        lefthand: side of the road; None: by the map's name.
+        tls: "map": signals only where the map has them; "guess": also at large junctions.
+        tls_cycle: fixed signal times for so many vehicles an hour; 0: actuated.
+        crossings: "map": those of the map; "guess": guessed ones where it has none; "none".
+        opendrive: write NAME.xodr too.
+        close_rim: lead traffic back from where the map ends to where it begins.
+        osm: OpenStreetMap extract whose streets lead on where the map ends.
+        dataroot: nuScenes data set whose logged poses are compared with the net.
+        report: write the page NAME.fidelity.html.
+        drive: driving test of an hour in which so many vehicles set out; 0: none.
+        drive_at_once: driving test of an hour with so many vehicles at any time; 0: none.
+        seed: of the driving tests.
+    """
+
+    lefthand: bool | None = None
+    tls: Literal["map", "guess"] = "map"
+    tls_cycle: int = Field(0, ge=0)
+    crossings: Crossings = "map"
+    opendrive: bool = False
+    close_rim: bool = False
+    osm: Path | None = None
+    dataroot: Path | None = None
+    report: bool = False
+    drive: int = Field(0, ge=0)
+    drive_at_once: int = Field(0, ge=0)
+    seed: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredConversion:
+    """A net made of an HD map, and how exact it is.
+
+    Attributes:
+        result: what the conversion made.
+        figures: what NAME.fidelity.json holds.
+    """
+
+    result: ConversionResult
+    figures: dict[str, Any]
+
+    @property
+    def net(self) -> Path:
+        """The SUMO net."""
+        return self.result.net
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One sentence for each thing that was left out or mended and that a user should know."""
+        return self.result.source.warnings
+
+
+def convert_and_measure(map_file: Path, net: Path, options: ConvertOptions) -> MeasuredConversion:
+    """Convert *map_file* to *net*, write NAME.fidelity.json beside it, and what else *options* ask for.
+
+    Raises:
+        InputError: one of its kinds; a sentence that names the culprit.
+        SimulationError: SUMO stopped in a driving test.
+    """
+    result = convert_source(
+        read_source(map_file),
+        net,
+        lefthand=options.lefthand,
+        guess_signals=options.tls == "guess",
+        opendrive=options.opendrive,
+        close_rim=options.close_rim,
+        osm=options.osm,
+        crossings=options.crossings,
+        cycle_for=options.tls_cycle,
+    )
+    figures = _measured(result, options.dataroot)
+    write_figures(figures, fidelity_path(net))  # kept where the driving test finds no trip
+    figures |= _driven(net, options)
+    write_figures(figures, fidelity_path(net))
+    if options.report:
+        write_page(result, figures, fidelity_path(net, "html"))
+    return MeasuredConversion(result, figures)
+
+
+def read_source(map_file: Path) -> SourceMap:
+    """Return the map in a file of any kind that the verb takes.
+
+    Raises:
+        InputError: the file cannot be used.
+    """
+    if map_file.suffix == ".pkl":
+        return read_record_map(load_plain(map_file), map_file)
+    return read_map(map_file)
+
+
+def _measured(result: ConversionResult, dataroot: Path | None) -> dict[str, Any]:
+    """Return how exact the net is, also by the poses that are logged in *dataroot*."""
+    figures: dict[str, Any] = measure(result).as_dict()
+    if dataroot is not None:
+        poses = ego_poses(dataroot, result.source.location)
+        figures["logged_poses"] = compare_poses(
+            result, np.vstack(list(poses.values())) if poses else np.empty((0, 3))
+        )
+    return figures
+
+
+def _driven(net: Path, options: ConvertOptions) -> dict[str, Any]:
+    """Return what came of the driving tests that are asked for with a number of vehicles."""
+    figures: dict[str, Any] = {}
+    if options.drive:
+        figures["driving_test_in_the_hour"] = driving_test(net, vehicles=options.drive, seed=options.seed)
+    if options.drive_at_once:
+        figures["driving_test_at_once"] = driving_test(
+            net, vehicles=options.drive_at_once, at_once=True, seed=options.seed
+        )
+    return figures

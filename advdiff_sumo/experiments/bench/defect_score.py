@@ -26,7 +26,7 @@ from advdiff_sumo.experiments.bench.statistics import Estimate, Ratio, differenc
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
 from advdiff_sumo.sweep.sweep_files import write_whole
 
-DETECTIONS, FIRST = "detections.csv", "first_detection.csv"
+DETECTIONS, FIRST, BY_STRATUM = "detections.csv", "first_detection.csv", "by_stratum.csv"
 SCORE = "detected / planted"
 NOTES = (
     "Cells: share of episodes that end in a valid failure of the target, 95 % Wilson interval. Bold: detected, the "
@@ -66,6 +66,7 @@ def defects_of(gathered: Gathered, cells: BenchCells, folder: Folder) -> Table:
     contests = contests_of(gathered, cells)
     write_whole(folder.path / DETECTIONS, detections_text(contests).encode())
     write_whole(folder.path / FIRST, first_text(contests).encode())
+    write_whole(folder.path / BY_STRATUM, by_stratum_text(contests, cells).encode())
     return defects_table(contests, gathered, cells, folder)
 
 
@@ -146,6 +147,21 @@ def first_text(contests: tuple[Contest, ...]) -> str:
         writer.writerow(
             (contest.background, contest.target, detected, len(contest.detections), *cost, f"{every:.1f}")
         )
+    return sink.getvalue()
+
+
+def by_stratum_text(contests: tuple[Contest, ...], cells: BenchCells) -> str:
+    """Return one line a net, stratum of the seed scenes, defect, target and background: its valid failures."""
+    listed = cells.scenes.scenes
+    parts = {key: (listed[place].net, listed[place].stratum) for key, place in scene_order(cells).items()}
+    sink = io.StringIO()
+    writer = csv.writer(sink, lineterminator="\n")
+    writer.writerow(("background", "target", "defect", "net", "stratum", "scenes", "failures"))
+    for contest in contests:
+        for defect, tried in ((SOUND, contest.sound), *contest.defective.items()):
+            for part in dict.fromkeys(parts[scene] for scene in tried):
+                failed = [one.failed for scene, one in tried.items() if parts[scene] == part]
+                writer.writerow((contest.background, contest.target, defect, *part, len(failed), sum(failed)))
     return sink.getvalue()
 
 

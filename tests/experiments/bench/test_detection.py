@@ -16,6 +16,7 @@ from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.bench_figure import draw
 from advdiff_sumo.experiments.bench.defect_cells import SOUND, plan_defects, planted_in
 from advdiff_sumo.experiments.bench.defect_score import (
+    by_stratum_text,
     contests_of,
     defects_table,
     detections_text,
@@ -137,6 +138,12 @@ def test_cells_are_paired_and_ordered_and_their_table_says_what_is_detected(tmp_
         "72.0",
     )
     assert (second["detected"], second["first"]) == ("0", "")
+    # twelve scenes are the first ten parts of the list and two of these again; eight fail, one in each of eight parts
+    parts = list(csv.DictReader(io.StringIO(by_stratum_text(tuple(contests), cells))))  # type: ignore[arg-type] # the cells
+    late = [row for row in parts if (row["background"], row["defect"]) == ("sumo", "late:strong")]
+    assert len({(row["net"], row["stratum"]) for row in late}) == 10
+    assert [row["scenes"] for row in late] == ["2", "2", *["1"] * 8]
+    assert [row["failures"] for row in late] == [*["1"] * 8, "0", "0"]
     table = defects_table(tuple(contests), found, cells, folder)  # type: ignore[arg-type] # the cells
     lines = {line.key: line for line in table.lines}
     assert lines["late:strong"].cells["sumo"].best

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 _Attack = Annotated[
     str,
-    typer.Option(help="How it is attacked: hard-stop, cut-in, stop-and-go, blocked-lane, crossing, or all."),
+    typer.Option(
+        help="How it is attacked: hard-stop, cut-in, stop-and-go, blocked-lane, crossing, cut-out, or all."
+    ),
 ]
 _By = Annotated[
     str | None,
@@ -38,7 +40,7 @@ _Within = Annotated[
         min=0.01,
         max=10.0,
         help="How near the two neighbours shall be.",
-        show_default="0.25 m/s², 1 m, 0.05 s",
+        show_default="0.25 m/s², 1 m, 0.05 s, of cut-out 0.1 s",
     ),
 ]
 

@@ -1,7 +1,8 @@
 """The margin of a seed scene: the least severe encounter that makes a target fail validly, by bisection.
 
 Each kind of attack has severities (``SCALES``): how hard somebody brakes, with what gap somebody cuts in, how long
-before the target somebody crosses. The seed scene, the place and who attacks stay the same.
+before the target somebody crosses, how late a leader reveals somebody who stands. The seed scene, the place and who
+attacks stay the same.
 """
 
 from __future__ import annotations
@@ -11,7 +12,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from advdiff_sumo.core.errors import ConfigError
-from advdiff_sumo.traffic.manoeuvres.intensity import BRAKING_KINDS, MOST_EARLY_S, MOST_SPARE_GAP_M
+from advdiff_sumo.traffic.manoeuvres.intensity import (
+    BRAKING_KINDS,
+    LEAST_REVEALS_S,
+    MOST_EARLY_S,
+    MOST_REVEALS_S,
+    MOST_SPARE_GAP_M,
+)
 
 EVERY_ATTACK = "all"
 
@@ -46,10 +53,20 @@ class Scale:
 BRAKING = Scale("braking", "braking_mps2", "m/s²", 1.0, 8.5, 0.25, "braking of {}")
 GAP = Scale("gap", "spare_gap_m", "m", MOST_SPARE_GAP_M, 0.0, 1.0, "{} beyond the lawful gap")
 TIME = Scale("time", "early_s", "s", MOST_EARLY_S, 0.0, 0.05, "{} before the target")
+REVEAL = Scale(
+    "time",
+    "reveals_s",
+    "s",
+    MOST_REVEALS_S,
+    LEAST_REVEALS_S,
+    0.1,
+    "{} before the leader would reach who stands",
+)
 SCALES: Mapping[str, tuple[Scale, ...]] = {
     **dict.fromkeys(BRAKING_KINDS, (BRAKING,)),
     "cut-in": (GAP, BRAKING),
     "crossing": (TIME,),
+    "cut-out": (REVEAL,),
 }
 """Kind of attack → its severities, the first one unless another is asked for."""
 

@@ -9,7 +9,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from advdiff_sumo.core.errors import ConfigError
-from advdiff_sumo.experiments.margin import BRAKING, GAP, SCALES, TIME, Margin, Scale, Trial, bisect, scale_of
+from advdiff_sumo.experiments.margin import (
+    BRAKING,
+    GAP,
+    REVEAL,
+    SCALES,
+    TIME,
+    Margin,
+    Scale,
+    Trial,
+    bisect,
+    scale_of,
+)
 from advdiff_sumo.traffic.policy_registry import make_policy
 from advdiff_sumo.traffic.scripted.scripted_policy import ScriptedTraffic
 
@@ -73,7 +84,9 @@ def test_what_is_not_the_encounter_is_told() -> None:
 
 
 @given(
-    threshold=st.floats(0.001, 1.0), within=st.floats(0.05, 3.0), scale=st.sampled_from([TO_NINE, GAP, TIME])
+    threshold=st.floats(0.001, 1.0),
+    within=st.floats(0.05, 3.0),
+    scale=st.sampled_from([TO_NINE, GAP, TIME, REVEAL]),
 )
 def test_the_threshold_lies_between_the_neighbours(threshold: float, within: float, scale: Scale) -> None:
     span = scale.severest - scale.mildest
@@ -97,6 +110,7 @@ def test_each_severity_is_an_option_of_the_background_at_both_ends() -> None:
 def test_what_is_no_severity_is_refused() -> None:
     assert scale_of("cut-in") is GAP
     assert scale_of("cut-in", "braking") is BRAKING
+    assert scale_of("cut-out") is scale_of("cut-out", "time") is REVEAL
     with pytest.raises(ConfigError, match="--attack any: a margin is known for"):
         scale_of("any")
     with pytest.raises(ConfigError, match="--by gap: crossing is as severe as its time"):

@@ -36,8 +36,7 @@ def begin(
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
     wanted = kept.wanted(view)
     possible = [m for row in free for kind in wanted for m in KINDS[kind](view, row)]
-    due = [m for m in possible if is_due(view, m, kept.since_s)]
-    proposals = list(graded(view, due, kept.intensity))
+    proposals = [m for m in graded(view, possible, kept.intensity) if is_due(view, m, kept.since_s)]
     out: list[Chosen] = []
     ranked = rank(view, proposals, kept.weights, licence, kept.intensity, preference=kept.preference)
     patience = _LEADER_PATIENCE if kept.agenda.order and not waits_at_red(view) else _PATIENCE

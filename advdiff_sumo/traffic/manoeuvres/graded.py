@@ -14,7 +14,7 @@ from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_spare_m
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import meeting_m
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
-from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links, into_position
+from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links, cut_out_at, into_position
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 AFTER_ENTRY_MPS2 = 6.5
@@ -26,8 +26,12 @@ _BRAKES_MPS2 = 1.0
 
 
 def graded(view: SituationView, proposals: Sequence[Manoeuvre], intensity: Intensity) -> Iterator[Manoeuvre]:
-    """Yield those of *proposals* that can have the asked severity, brought to it where they get into position."""
+    """Yield those of *proposals* that can have the asked severity, brought to it before a change of lanes."""
     target = view.target
+    if intensity.reveals_s is not None:
+        leave = dict.fromkeys(m.row for m in proposals if m.kind == "cut-out")
+        yield from (m for row in leave for m in cut_out_at(view, row, (intensity.reveals_s,)))
+        proposals = [m for m in proposals if m.kind != "cut-out"]
     for manoeuvre in proposals:
         if manoeuvre.kind != "cut-in" or intensity.spare_gap_m is None or target is None:
             yield manoeuvre
@@ -51,6 +55,8 @@ def closeness(
     """
     if manoeuvre.sets_up or not intensity.is_asked_of(manoeuvre.kind):
         return None
+    if manoeuvre.kind == "cut-out":
+        return 1.0
     if intensity.spare_gap_m is not None and manoeuvre.kind == "cut-in":
         enters_s = manoeuvre.enters_s(view.scene.history.xy_m[manoeuvre.row, -1])
         more = entry_spare_m(view, manoeuvre.row, view.scene.target, enters_s, LAWFUL) - intensity.spare_gap_m

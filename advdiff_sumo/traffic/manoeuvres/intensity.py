@@ -12,6 +12,8 @@ MOST_SPARE_GAP_M = 25.0
 """Largest gap beyond the lawful one that a lane change may be asked for."""
 MOST_EARLY_S = 1.5
 """Who crosses so long before the target is there does not bother it."""
+LEAST_REVEALS_S, MOST_REVEALS_S = 1.5, 2.5
+"""A leader that leaves later can hardly get past who stands; for an earlier one that comes in there is no room."""
 
 
 @dataclass(frozen=True)
@@ -22,15 +24,18 @@ class Intensity:
         braking_mps2: with which a manoeuvre is driven; it is chosen, with its time and place, as if nothing were asked.
         spare_gap_m: bumper gap beyond the lawful one at which somebody cuts in, who then stops.
         early_s: how long before the target somebody with priority is where their ways meet.
+        reveals_s: how long before it would reach somebody who stands a leader begins to leave the lane.
     """
 
     braking_mps2: float | None = None
     spare_gap_m: float | None = None
     early_s: float | None = None
+    reveals_s: float | None = None
 
     def is_asked_of(self, kind: str) -> bool:
         """Return whether manoeuvres of *kind* are chosen for a severity, not for what serves best."""
-        return {"cut-in": self.spare_gap_m, "crossing": self.early_s}.get(kind) is not None
+        asked = {"cut-in": self.spare_gap_m, "crossing": self.early_s, "cut-out": self.reveals_s}
+        return asked.get(kind) is not None
 
 
 AS_SERVES = Intensity()

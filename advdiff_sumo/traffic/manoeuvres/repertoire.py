@@ -6,7 +6,7 @@ what it demands of the target in ``answers``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -152,13 +152,18 @@ def _timed(view: SituationView, row: int, link: Link) -> Iterator[Manoeuvre]:
 
 def cut_out(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     """The target's leader changes lanes late and reveals somebody who stands."""
+    yield from cut_out_at(view, row, _REVEALS_S)
+
+
+def cut_out_at(view: SituationView, row: int, reveals_s: Sequence[float]) -> Iterator[Manoeuvre]:
+    """Yield a :func:`cut_out` that begins each of *reveals_s* before *row* would reach who stands, if that is soon."""
     stands = _stands_before(view, row) if _leads(view, row) else None
     if stands is None or view.speed(row) < _SLOWEST_MPS:
         return
     other, gap_m = stands
     for side in ("left", "right"):
         goal = view.neighbour(row, side)
-        for left_s in _REVEALS_S if goal is not None else ():
+        for left_s in reveals_s if goal is not None else ():
             delay_s = gap_m / view.speed(row) - left_s
             if 0.0 <= delay_s <= _LONGEST_DELAY_S:
                 yield Manoeuvre(

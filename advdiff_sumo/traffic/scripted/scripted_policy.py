@@ -16,7 +16,9 @@ from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.intensity import (
     HARDEST_MPS2,
+    LEAST_REVEALS_S,
     MOST_EARLY_S,
+    MOST_REVEALS_S,
     MOST_SPARE_GAP_M,
     Intensity,
 )
@@ -45,6 +47,8 @@ class ScriptedOptions(Options):
         spare_gap_m: bumper gap beyond the lawful one at which somebody cuts in, and then stops at 6.5 m/s²; None: the
             gap and braking that serve best.
         early_s: how long before the target somebody with priority is where their ways meet; None: what serves best.
+        reveals_s: how long before it would reach somebody who stands a leader begins to leave the lane; None: what
+            serves best.
         staged: most vehicles that come in during an episode where an encounter lacks them; 0: nobody.
         reward: what ``advdiff-sumo warmup`` has learned of the target, whose failures it goes for; empty: nothing.
     """
@@ -56,6 +60,7 @@ class ScriptedOptions(Options):
     braking_mps2: float | None = Field(None, ge=0.5, le=HARDEST_MPS2)
     spare_gap_m: float | None = Field(None, ge=0.0, le=MOST_SPARE_GAP_M)
     early_s: float | None = Field(None, ge=0.0, le=MOST_EARLY_S)
+    reveals_s: float | None = Field(None, ge=LEAST_REVEALS_S, le=MOST_REVEALS_S)
     staged: int = Field(STAGED, ge=0, le=20)
     reward: str = ""
 
@@ -79,7 +84,7 @@ class ScriptedTraffic:
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Commitments:  # noqa: ARG002 - the contract
         """Return which kinds this episode prefers, so that episodes differ."""
         options = self.options
-        intensity = Intensity(options.braking_mps2, options.spare_gap_m, options.early_s)
+        intensity = Intensity(options.braking_mps2, options.spare_gap_m, options.early_s, options.reveals_s)
         return Commitments.start(options.attack, rng, options.staged, intensity, self.preference)
 
     def plan(

@@ -72,6 +72,18 @@ def test_who_is_asked_for_a_gap_gets_into_position_for_it_and_stops_alike(motorw
     assert wanted[0].manoeuvre.sets_up
 
 
+def test_a_leader_leaves_so_long_before_it_would_reach_who_stands(motorway: RoadMap) -> None:
+    """Its front is 23.5 m, 2.35 s, behind who stands: it waits 0.85 s to leave 1.5 s before, and is late for 2.5 s."""
+    view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 65.0, 10.0), broken=(0, 93.0, 0.0))
+    leaves = list(KINDS["cut-out"](view, 1))
+    late = list(graded(view, leaves, Intensity(reveals_s=1.5)))
+    assert [m.delay_s for m in late] == pytest.approx([0.85] * len(late))
+    assert [m.reveals for m in late] == [2] * len(late) != []
+    assert closeness(view, late[0], 10.0 * CHECK_TIMES_S, Intensity(reveals_s=1.5)) == 1.0
+    assert list(graded(view, leaves, Intensity(reveals_s=2.5))) == []
+    assert list(graded(view, leaves, Intensity(early_s=0.5))) == leaves
+
+
 def test_a_target_that_brakes(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0))
     assert not target_brakes(view)
@@ -82,10 +94,11 @@ def test_a_target_that_brakes(motorway: RoadMap) -> None:
 @pytest.fixture(scope="module")
 def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]:
     folder = tmp_path_factory.mktemp("nets")
-    sign, two = crossing(folder, "priority"), two_lanes(folder, 20.0)
+    sign, two, town = crossing(folder, "priority"), two_lanes(folder, 20.0), two_lanes(folder, 9.0)
     north = ("south_in", "north_out")
     return {
         "crossing": Encounter(sign, Scripted(over(sign, *north), 205.0, 11.0), north, (), 12.0),
+        "cut-out": Encounter(town, Scripted(("WM_0", "ME_0"), 50.0, 8.8), ("WM", "ME"), (), 14.0),
         "cut-in": Encounter(two, Scripted(("WM_0", "ME_0"), 50.0, 18.0), ("WM", "ME"), (), 20.0),
     }
 
@@ -97,6 +110,7 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
         ("crossing", "early_s", 0.0, 1.5, "blind-crossing:strong"),
         ("crossing", "early_s", 0.0, 1.0, "late:2.0"),
         ("cut-in", "spare_gap_m", 4.0, 20.0, "late:1.0"),
+        ("cut-out", "reveals_s", 1.5, 2.5, "late:3.0"),
     ],
 )
 def test_a_defect_shows_where_it_is_severe_and_not_where_it_is_mild(

@@ -9,7 +9,7 @@ from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, waits_at_red
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
 from advdiff_sumo.traffic.manoeuvres.commitments import KEEP_OFF, PATIENT_S, SUPPORTS, Commitments
 from advdiff_sumo.traffic.manoeuvres.continuation import still_lawful
-from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, braking_behind, follower_of_target
+from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, braking_behind
 from advdiff_sumo.traffic.manoeuvres.graded import braking_with, graded
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
@@ -65,7 +65,7 @@ def _go_together(one: Manoeuvre, other: Manoeuvre) -> bool:
 
 def _spares_follower(view: SituationView, chosen: Chosen) -> bool:
     """Return whether who follows the target can brake for it, too."""
-    behind = follower_of_target(view)
+    behind = view.follower
     if behind is None or behind == chosen.manoeuvre.row or chosen.manoeuvre.sets_up:
         return True
     return braking_behind(view, behind, perceived_s(view, chosen.manoeuvre)) is not None
@@ -78,7 +78,7 @@ def behind_target(
 
     It answers one of *fresh*, or of those *driven* somebody who crosses once it is near.
     """
-    row = follower_of_target(view)
+    row = view.follower
     if row not in view.movable or any(m.row == row or m.kind == FOLLOWS for m in driven):
         return []
     attacks = [m for m in driven if not m.sets_up and (m in fresh or m.kind == "crossing")]

@@ -102,7 +102,7 @@ def _is_ahead(view: SituationView, row: int) -> bool:
     target = view.target
     if target is None:
         return True
-    ahead, left = view.place_on(target.way, row)
+    ahead, left = view.on_target_way[row]
     return ahead > 0.0 and abs(left) < 0.5 * float(view.size(row)[1] + target.size_m[1])
 
 

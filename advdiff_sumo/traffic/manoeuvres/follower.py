@@ -18,25 +18,7 @@ FOLLOWS = "follows"
 """What somebody does who brakes behind the target."""
 _BRAKING_MPS2 = BRAKING_MPS2[:-1]
 """Decelerations that are tried, mildest first; who only follows brakes no harder."""
-_SAME_LANE_M, _SAME_WAY = 1.5, 0.8
 _ROOM_M = 1.0
-
-
-def follower_of_target(view: SituationView) -> int | None:
-    """Return the row of who is next behind the target on its lane; None where nobody is near."""
-    target = view.scene.target
-    if view.target is None:
-        return None
-    yaw = view.scene.history.yaw_rad[:, -1]
-    places = {
-        row: view.place_on(way, target)
-        for row, way in view.ways.items()
-        if row != target and np.cos(yaw[row] - yaw[target]) > _SAME_WAY
-    }
-    behind = [
-        (ahead, row) for row, (ahead, left) in places.items() if ahead > 0.0 and abs(left) < _SAME_LANE_M
-    ]
-    return min(behind)[1] if behind else None
 
 
 def braking_behind(view: SituationView, row: int, perceived_s: float) -> Manoeuvre | None:

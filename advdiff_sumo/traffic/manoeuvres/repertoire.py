@@ -37,6 +37,7 @@ _CRAWLS_SHARE, _STOPS_MPS2 = 0.3, 3.0
 """Who slows harder than this after a change of lanes stops; others go on at a share of the target's speed."""
 _IN_LANE_M, _BESIDE_M = 1.2, 5.5
 _AHEAD_M, _CROSSING_M = 55.0, 60.0
+_NOWHERE = (np.inf, np.inf)
 _SLOWEST_MPS = 2.0
 _STOPS_FROM_MPS = 5.0
 _CROSSES_SHARE = 0.45
@@ -60,7 +61,7 @@ def hard_stop(view: SituationView, row: int) -> Iterator[Manoeuvre]:
 def leads_steadily(view: SituationView, target: TargetWay, row: int) -> SpeedProfile:
     """Return the speed with which *row* leads the target at the headway that people keep, or gently gets there."""
     limit, drives = view.ways[row].lane.speed_mps, view.speed(row)
-    gap = view.gap_m(view.place_on(target.way, row)[0], row, view.scene.target)
+    gap = view.gap_m(view.on_target_way[row][0], row, view.scene.target)
     more = gap - (HEADWAY_S * target.speed_mps + _STANDING_GAP_M)
     slow = min(max(_CLOSES_UP_SHARE * target.speed_mps, _STOPS_FROM_MPS + 1.0), limit)
     aims = float(np.clip(target.speed_mps - _CLOSES_UP_PER_S * more, slow, limit))
@@ -90,7 +91,7 @@ def cut_in(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     if goal is None:
         return
     way, limit = view.ways[row], view.ways[row].lane.speed_mps
-    lateral = abs(view.place_on(target.way, row)[1]) / LATERAL_MPS
+    lateral = abs(view.on_target_way[row][1]) / LATERAL_MPS
     for brake in AFTER_CUT_IN_MPS2:
         lowest = _CRAWLS_SHARE * target.speed_mps if brake < _STOPS_MPS2 else 0.0
         after = SpeedProfile(0.0, 0.6 * lateral, -brake, lowest, limit)
@@ -104,7 +105,7 @@ def into_position(view: SituationView, target: TargetWay, row: int, spare_gap_m:
     safe = safe_gap_m(target.speed_mps + 0.5, drives)
     wanted = LAWFUL.gap_share * safe + LAWFUL.spare_m + _SPARE_M + spare_gap_m
     between = 0.5 * float(view.size(row)[0] + target.size_m[0])
-    lacks = wanted - (view.place_on(target.way, row)[0] - between)
+    lacks = wanted - (view.on_target_way[row][0] - between)
     aims = float(np.clip(target.speed_mps + _CLOSES_PER_S * lacks, 0.6 * target.speed_mps, limit))
     accel = float(np.clip((aims - drives) / _SETTLES_S, -2.0, 2.0))
     return SpeedProfile(accel, _SETTLES_S, 0.0, _SLOWEST_MPS, limit)
@@ -218,17 +219,14 @@ def _leads(view: SituationView, row: int) -> bool:
     target = view.target
     if target is None:
         return False
-    ahead, left = view.place_on(target.way, row)
+    ahead, left = view.on_target_way[row]
     same = np.cos(view.scene.history.yaw_rad[row, -1] - target.way.line.at(target.way.lane.s_m + ahead)[1])
     return bool(0.0 < ahead < _AHEAD_M and abs(left) < _IN_LANE_M and same > 0.9)
 
 
 def _beside(view: SituationView, row: int) -> bool:
-    target = view.target
-    if target is None:
-        return False
-    ahead, left = view.place_on(target.way, row)
-    return bool(-10.0 < ahead < _AHEAD_M and _IN_LANE_M < abs(left) < _BESIDE_M)
+    ahead, left = view.on_target_way.get(row, _NOWHERE)
+    return -10.0 < ahead < _AHEAD_M and _IN_LANE_M < abs(left) < _BESIDE_M
 
 
 def _lane_of_target(view: SituationView, row: int) -> Way | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -20,7 +20,7 @@ from advdiff_sumo.traffic.planning.people import velocities
 
 NEAR_M = 70.0
 """Vehicles farther from the target than this do not matter to it."""
-_IN_LANE_M = 1.5
+_IN_LANE_M, _SAME_WAY = 1.5, 0.8
 _GAINS_MPS2 = 3.0
 _CLEARS_S = 1.0
 _RED = ("r", "u")
@@ -92,14 +92,36 @@ class SituationView:
         s, left = way.line.project(self.scene.history.xy_m[row, -1])
         return float(s) - way.lane.s_m, float(left)
 
+    @cached_property
+    def on_target_way(self) -> Mapping[int, tuple[float, float]]:
+        """Row → how far each other is along the target's way, and to the left of it; empty where it is on no lane."""
+        if self.target is None:
+            return {}
+        return {row: self.place_on(self.target.way, row) for row in self.ways if row != self.scene.target}
+
+    @cached_property
+    def follower(self) -> int | None:
+        """Row of who is next behind the target on its lane; None where nobody is near."""
+        target = self.scene.target
+        if self.target is None:
+            return None
+        yaw = self.scene.history.yaw_rad[:, -1]
+        places = (
+            (*self.place_on(way, target), row)
+            for row, way in self.ways.items()
+            if row != target and np.cos(yaw[row] - yaw[target]) > _SAME_WAY
+        )
+        behind = [(ahead, row) for ahead, left, row in places if ahead > 0.0 and abs(left) < _IN_LANE_M]
+        return min(behind)[1] if behind else None
+
     def gap_m(self, ahead_m: float, first: int, second: int) -> float:
         """Return the bumper gap of two boxes whose centres are *ahead_m* apart on one way."""
         return abs(ahead_m) - 0.5 * float(self.size(first)[0] + self.size(second)[0])
 
     def is_first(self, reach_m: float) -> bool:
         """Return whether nobody is between the target and a place *reach_m* ahead on its way."""
-        target = self.target
-        return target is not None and not self.anybody_on(target.way, reach_m, _IN_LANE_M)
+        on_way = self.on_target_way.values()
+        return self.target is not None and not _anybody(on_way, reach_m, _IN_LANE_M)
 
     def arrives_alone(self, reach_m: float) -> bool:
         """Return whether whoever is ahead will have left a place *reach_m* ahead of the target when it gets there."""
@@ -109,8 +131,7 @@ class SituationView:
         arrives_s = target.reaches_s(reach_m)
         if not np.isfinite(arrives_s):
             return self.is_first(reach_m)
-        for row in (row for row in self.ways if row != self.scene.target):
-            ahead, left = self.place_on(target.way, row)
+        for row, (ahead, left) in self.on_target_way.items():
             then = ahead + self.speed(row) * max(arrives_s - _CLEARS_S, 0.0)
             if abs(left) < _IN_LANE_M and 0.0 < ahead < reach_m and then < reach_m:
                 return False
@@ -119,7 +140,7 @@ class SituationView:
     def anybody_on(self, way: Way, reach_m: float, aside_m: float) -> bool:
         """Return whether anybody but the target is ahead on *way*, within *reach_m*, and within *aside_m* of it."""
         places = (self.place_on(way, row) for row in self.ways if row != self.scene.target)
-        return any(0.0 < ahead < reach_m and abs(left) < aside_m for ahead, left in places)
+        return _anybody(places, reach_m, aside_m)
 
     def signal(self, link: Link) -> str:
         """Return SUMO's letter of the light of *link*; "" where none controls it."""
@@ -163,3 +184,7 @@ class SituationView:
         driven = CHECK_TIMES_S[:, None] * velocities(now)[rows, None]
         yaw = np.repeat(now.yaw_rad[rows, -1:], len(CHECK_TIMES_S), axis=1)
         return now.xy_m[rows, -1:] + driven, yaw
+
+
+def _anybody(places: Iterable[tuple[float, float]], reach_m: float, aside_m: float) -> bool:
+    return any(0.0 < ahead < reach_m and abs(left) < aside_m for ahead, left in places)

@@ -12,7 +12,6 @@ from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.follower import (
     FOLLOWS,
     braking_behind,
-    follower_of_target,
     follows_still,
 )
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
@@ -56,8 +55,8 @@ def test_who_follows_is_the_next_one_behind_on_the_same_lane(motorway: RoadMap) 
         beside=(1, 92.0, 10.0),
         leader=(0, 120.0, 10.0),
     )
-    assert follower_of_target(view) == view.scene.history.index["near"]
-    assert follower_of_target(view_of(motorway, target=(0, 100.0, 10.0), leader=(0, 120.0, 10.0))) is None
+    assert view.follower == view.scene.history.index["near"]
+    assert view_of(motorway, target=(0, 100.0, 10.0), leader=(0, 120.0, 10.0)).follower is None
 
 
 def test_it_is_its_own_driver_again_where_the_target_brakes_sooner(motorway: RoadMap) -> None:

@@ -1,7 +1,7 @@
 """Write the catalogue of docs/defects.md out of the code, or check it: write_defects_doc.py [--check].
 
 With ``--bench FOLDER`` the table of a folder of ``bench defects`` becomes the page's baseline and
-``docs/tables/defects.csv``.
+``docs/tables/defects.csv``, its ``by_stratum.csv`` ``docs/tables/defects-by-stratum.csv``.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import re
 import sys
 from pathlib import Path
 
+from advdiff_sumo.experiments.bench.defect_score import BY_STRATUM
 from advdiff_sumo.experiments.bench.table import Cell, Line, Table
 from advdiff_sumo.experiments.bench.table_cache import read_table
 from advdiff_sumo.planners.defects.catalogue import catalogue_table
@@ -58,6 +59,7 @@ def main() -> int:
         text = baseline(read_table(asked.bench))
         after = _BASELINE.sub(lambda place: f"{place[1]}{text}{place[2]}", after)
         CSV.write_bytes((asked.bench / "table.csv").read_bytes())
+        CSV.with_name("defects-by-stratum.csv").write_bytes((asked.bench / BY_STRATUM).read_bytes())
     if check and after != before:
         print(f"{PAGE.name} is behind the code: run tools/write_defects_doc.py")
         return 1

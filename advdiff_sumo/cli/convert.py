@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 from rich.console import Console
@@ -110,6 +110,10 @@ def convert(
         "drive_at_once": drive_at_once,
         "seed": seed,
     }
+    for name in ("tls", "crossings"):
+        *others, last = map(repr, get_args(ConvertOptions.model_fields[name].annotation))
+        if repr(values[name]) not in (*others, last):
+            raise ConfigError(f"--{name} {values[name]}: known are {', '.join(others)} and {last}")
     options = ConvertOptions.parse(values, "convert")
     for source, net in _jobs(map_file, output, all_of):
         _say(convert_and_measure(source, net, options))

@@ -241,7 +241,7 @@ def test_command(tmp_path: Path) -> None:
     assert not edges_of(tmp_path / "o.net.xml", "crossing")
     wrong = convert(path, "--crossings", "some")
     assert wrong.code == 2
-    assert "crossings = 'some': input should be 'map', 'guess' or 'none'" in " ".join(wrong.err.split())
+    assert "--crossings some: known are 'map', 'guess' and 'none'" in " ".join(wrong.err.split())
 
 
 @pytest.mark.slow

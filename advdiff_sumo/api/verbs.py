@@ -144,9 +144,6 @@ def convert(map_file: str | Path, net: str | Path, **options: Any) -> MeasuredCo
     Raises:
         InputError: one of its kinds; a sentence that names the culprit.
     """
-    from advdiff_sumo.cli.convert import net_path
     from advdiff_sumo.sim.measured_conversion import ConvertOptions, convert_and_measure
 
-    return convert_and_measure(
-        Path(map_file), net_path(Path(net)), ConvertOptions.parse(options, "ads.convert")
-    )
+    return convert_and_measure(Path(map_file), Path(net), ConvertOptions.parse(options, "ads.convert"))

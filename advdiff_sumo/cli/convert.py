@@ -126,20 +126,13 @@ def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> li
     if map_file is not None:
         if output is None:
             raise ConfigError("give the net to be written with -o NAME.net.xml")
-        return [(map_file, net_path(output))]
+        return [(map_file, output)]
     assert all_of is not None  # noqa: S101 - one of the two was given
     maps = sorted((all_of / "maps" / "expansion").glob("*.json"))
     if not maps:
         raise ConfigError(f"{all_of} holds no maps/expansion/*.json; unpack the map expansion v1.3 there")
     folder = output or Path("networks")
     return [(path, folder / f"{path.stem}.net.xml") for path in maps]
-
-
-def net_path(output: Path) -> Path:
-    """Return *output* with the ending that SUMO nets have."""
-    if output.name.endswith(".net.xml"):
-        return output
-    return output.with_name(output.name.removesuffix(".xml") + ".net.xml")
 
 
 def _say(converted: MeasuredConversion) -> None:

@@ -80,12 +80,18 @@ class MeasuredConversion:
 def convert_and_measure(map_file: Path, net: Path, options: ConvertOptions) -> MeasuredConversion:
     """Convert *map_file* to *net*, write NAME.fidelity.json beside it, and what else *options* ask for.
 
+    Args:
+        map_file: of any kind that the verb takes.
+        net: NAME.net.xml; NAME and NAME.xml mean the same.
+        options: what else is asked for.
+
     Raises:
         InputError: one of its kinds; a sentence that names the culprit.
         SimulationError: SUMO stopped in a driving test.
     """
+    net = _net_path(net)
     result = convert_source(
-        read_source(map_file),
+        _read_source(map_file),
         net,
         lefthand=options.lefthand,
         guess_signals=options.tls == "guess",
@@ -104,12 +110,15 @@ def convert_and_measure(map_file: Path, net: Path, options: ConvertOptions) -> M
     return MeasuredConversion(result, figures)
 
 
-def read_source(map_file: Path) -> SourceMap:
-    """Return the map in a file of any kind that the verb takes.
+def _net_path(output: Path) -> Path:
+    """Return *output* with the ending that SUMO nets have."""
+    if output.name.endswith(".net.xml"):
+        return output
+    return output.with_name(output.name.removesuffix(".xml") + ".net.xml")
 
-    Raises:
-        InputError: the file cannot be used.
-    """
+
+def _read_source(map_file: Path) -> SourceMap:
+    """Return the map in a file of any kind that the verb takes; InputError: the file cannot be used."""
     if map_file.suffix == ".pkl":
         return read_record_map(load_plain(map_file), map_file)
     return read_map(map_file)

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, SerializerFunctionWrapHandler, field_serializer, model_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import ConfigError, FileError
@@ -22,7 +22,8 @@ from advdiff_sumo.sweep.sweep_files import write_whole
 FORMAT: Literal["advdiff-scenes-1"] = "advdiff-scenes-1"
 TABLE_LIST, TUNING_LIST, DEFECTS_LIST = "scenes-300", "scenes-tuning", "scenes-defects"
 TABLE_SEED, TUNING_SEED, DEFECTS_SEED = 3001, 7001, 9201
-_LATER, _ALWAYS = {"situation": "any", "pedestrians_per_km": 0.0}, object()
+_LATER = {"situation": "any", "pedestrians_per_km": 0.0, "stratum": "", "strata": {}}
+"""Fields that lists had not from the beginning, and what stands for their absence."""
 HORIZON_S, DEFECTS_HORIZON_S = 10.0, 30.0
 
 
@@ -47,8 +48,8 @@ class ListedScene(Options):
         return self.net, self.seed, self.stratum, self.number
 
     @model_serializer(mode="wrap")
-    def _without_empty_stratum(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {name: value for name, value in write(self).items() if (name, value) != ("stratum", "")}
+    def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _as_when_made(write(self))
 
 
 class Stratum(Options):
@@ -89,17 +90,12 @@ class SceneList(Options):
     scenes: tuple[ListedScene, ...]
     sha256: str = ""
 
-    @field_serializer("scene")
-    def _scene_as_written(self, scene: SceneOptions) -> dict[str, Any]:
-        return _as_written(scene)
-
-    @field_serializer("strata")
-    def _strata_as_written(self, strata: Mapping[str, SceneOptions]) -> dict[str, Any]:
-        return {name: _as_written(scene) for name, scene in strata.items()}
-
     @model_serializer(mode="wrap")
-    def _without_empty_strata(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {name: value for name, value in write(self).items() if (name, value) != ("strata", {})}
+    def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        written = write(self)
+        written["scene"] = _as_when_made(written["scene"])
+        written["strata"] = {name: _as_when_made(scene) for name, scene in written["strata"].items()}
+        return _as_when_made(written)
 
     @property
     def content_digest(self) -> str:
@@ -237,10 +233,9 @@ def write_scene_list(path: Path, scenes: SceneList) -> None:
     write_whole(path, f'{head[:-2]},\n "scenes": [\n  {rows}\n ]\n}}\n'.encode())
 
 
-def _as_written(scene: SceneOptions) -> dict[str, Any]:
-    """Return the options as a list writes them: a later option only where it is set."""
-    written = scene.model_dump(mode="json")
-    return {name: value for name, value in written.items() if _LATER.get(name, _ALWAYS) != value}
+def _as_when_made(written: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields as a list writes them: a later one only where it is set."""
+    return {name: value for name, value in written.items() if name not in _LATER or _LATER[name] != value}
 
 
 def _check_order(scenes: SceneList, path: Path) -> None:

@@ -18,7 +18,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.entry_room import blocked_entries
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.polyline import shape_text
-from advdiff_sumo.maps.convert.routability import strong_parts
+from advdiff_sumo.maps.convert.routability import reached, strong_parts
 from advdiff_sumo.maps.read_net import BEYOND_TYPE
 
 LENGTH_M = 100.0
@@ -60,21 +60,12 @@ def return_edges(
     starts = [name for name in beginnings if name not in left_open]
     if not ends or not starts:
         return (), left_open
-    unused = set(ends) - _reached(starts, following)  # nobody comes there who could serve a beginning
+    unused = set(ends) - reached(starts, following)  # nobody comes there who could serve a beginning
     served = [name for name in ends if name not in unused] or ends
     pairs = _joined(_nearest(edges, served, starts), following)
     rest = [name for name in ends if name not in served]
     pairs += _to_nearest(edges, rest, starts)
     return tuple(ReturnEdge(f"rim{n}", edges[a], edges[b]) for n, (a, b) in enumerate(pairs)), left_open
-
-
-def _reached(starts: Sequence[str], following: Mapping[str, Sequence[str]]) -> set[str]:
-    """Return the edges that can be reached from *starts*."""
-    reached, last = set(starts), list(starts)
-    while last:
-        last = [after for name in last for after in following[name] if after not in reached]
-        reached.update(last)
-    return reached
 
 
 def _following(plan: NetPlan, beyond: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:

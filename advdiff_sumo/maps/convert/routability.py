@@ -1,13 +1,23 @@
-"""Which edges can reach which: strongly connected parts of a net."""
+"""Which edges can reach which: what is reached from some, and strongly connected parts of a net."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
+
+
+def reached(starts: Collection[str], following: Mapping[str, Collection[str]]) -> set[str]:
+    """Return what can be reached from *starts*, these among it."""
+    there, queue = set(starts), list(starts)
+    while queue:
+        new = set(following.get(queue.pop(), ())) - there
+        there |= new
+        queue += new
+    return there
 
 
 def strong_parts(next_edges: Mapping[str, Sequence[str]]) -> list[list[str]]:

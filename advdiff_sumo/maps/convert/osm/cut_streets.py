@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,6 +17,7 @@ from shapely.geometry.base import BaseGeometry
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.osm.import_streets import Street, StreetNet, beside
+from advdiff_sumo.maps.convert.routability import reached
 
 MARGIN_M = 0.5  # between a street and the HD map
 SHORTEST_M = 2.0  # of what is left of a street
@@ -188,7 +189,7 @@ class StretchGraph:
         for _, a, b in self.connections:
             onward[a.id].add(b.id)
             backward[b.id].add(a.id)
-        return _reached(entered, onward) & _reached(left, backward)
+        return reached(entered, onward) & reached(left, backward)
 
     def parted(self, entered: Collection[str], left: Collection[str]) -> StretchGraph:
         """Return the graph in which only the map leads into *entered* stretches, and on from *left* ones."""
@@ -206,13 +207,3 @@ class StretchGraph:
         graph = copy(self)
         graph.names, graph.connections = names, rows
         return graph
-
-
-def _reached(starts: Collection[str], following: Mapping[str, set[str]]) -> set[str]:
-    """Return what can be reached from *starts*, these among it."""
-    reached, queue = set(starts), sorted(starts)
-    while queue:
-        new = following.get(queue.pop(), set()) - reached
-        reached |= new
-        queue += sorted(new)
-    return reached

@@ -1,67 +1,94 @@
-"""Write the catalogue of docs/defects.md out of the code, or check it: write_defects_doc.py [--check].
+"""Write the catalogue of docs/defects.md out of the code and its baseline out of docs/tables, or check them.
 
-With ``--bench FOLDER`` the table of a folder of ``bench defects`` becomes the page's baseline and
-``docs/tables/defects.csv``, its ``by_stratum.csv`` ``docs/tables/defects-by-stratum.csv``.
+    write_defects_doc.py [--check]
+
+The tables are those that ``tools/results_tables.toml`` names under ``defects``; ``tools/write_results.py`` makes them
+of folders of ``bench defects``.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import json
 import re
 import sys
 from pathlib import Path
 
-from advdiff_sumo.experiments.bench.defect_score import BY_STRATUM
-from advdiff_sumo.experiments.bench.table import Cell, Line, Table
-from advdiff_sumo.experiments.bench.table_cache import read_table
+from write_results import PROVENANCE, TABLES, read_selection, tables_of
+
+from advdiff_sumo.experiments.bench.bench_rows import policy_row
+from advdiff_sumo.experiments.bench.defect_cells import SOUND
+from advdiff_sumo.experiments.bench.defect_score import SCORE
+from advdiff_sumo.experiments.bench.detection import LEVEL
 from advdiff_sumo.planners.defects.catalogue import catalogue_table
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "defects.md"
-CSV = PAGE.parent / "tables" / "defects.csv"
 _PLACE = re.compile(r"(<!-- catalogue -->\n).*?(<!-- end -->)", re.DOTALL)
 _BASELINE = re.compile(r"(<!-- baseline -->\n).*?(<!-- end of baseline -->)", re.DOTALL)
 
 
 def filled(page: str) -> str:
-    """Return *page* with the catalogue as it is in the code."""
-    return _PLACE.sub(lambda place: place[1] + catalogue_table() + place[2], page)
+    """Return *page* with the catalogue as it is in the code, and the baseline as it is in docs/tables."""
+    page = _PLACE.sub(lambda place: place[1] + catalogue_table() + place[2], page)
+    return _BASELINE.sub(
+        lambda place: place[1] + baseline(tables_of("defects", read_selection())) + place[2], page
+    )
 
 
-def baseline(table: Table) -> str:
-    """Return the shares of *table* in whole percent, one row a defect, the score in numbers; bold: detected."""
+def baseline(names: list[str]) -> str:
+    """Return the valid failures in the tables *names* in whole percent, one row a defect, and the score.
 
-    def cell_text(line: Line, cell: Cell | None) -> str:
-        if cell is None or cell.found.value is None:
-            return "–"
-        if line.key == "score":
-            return f"{cell.found.value * cell.found.n:.0f} of {cell.found.n}"
-        text = f"{100.0 * cell.found.value:.0f}"
-        return f"**{text}**" if cell.best else text
+    Bold: detected.
+    """
+    provenance = json.loads((TABLES / PROVENANCE).read_text(encoding="utf-8"))
+    cells = {(line["target"], line["row"], line["column"]): line for line in _lines(names, "")}
+    detected = {
+        (line["target"], line["ours"], line["column"])
+        for line in _lines(names, "-differences")
+        if float(line["difference"]) > 0.0 and float(line["p"]) < LEVEL
+    }
+    rows = dict.fromkeys((target, row) for target, row, _ in cells)
+    columns = tuple(dict.fromkeys(column for _, _, column in cells))
+    text = (
+        f"|  | {' | '.join(policy_row(column).title for column in columns)} |\n|---|{'--:|' * len(columns)}\n"
+    )
+    for target, row in rows:
+        shown = (
+            _cell_text(cells.get((target, row, column)), (target, row, column) in detected)
+            for column in columns
+        )
+        text += f"| {f'{target}, {row}' if row == SOUND else row} | {' | '.join(shown)} |\n"
+    links = ", ".join(f"[CSV](tables/{name}.csv)" for name in names)
+    return f"{provenance[names[0]]['title']}, valid failures in % of the episodes ({links}):\n\n{text}"
 
-    text = f"|  | {' | '.join(head.title for head in table.heads)} |\n|---|{'--:|' * len(table.heads)}\n"
-    for line in table.lines:
-        name = f"{line.group}, sound" if line.key == "sound" else line.title
-        cells = (cell_text(line, line.cells.get(head.key)) for head in table.heads)
-        text += f"| {name} | {' | '.join(cells)} |\n"
-    return f"{table.title}, valid failures in % of the episodes ([CSV](tables/defects.csv)):\n\n{text}"
+
+def _lines(names: list[str], which: str) -> list[dict[str, str]]:
+    """Return the lines of all tables *names*."""
+    texts = ((TABLES / f"{name}{which}.csv").read_text(encoding="utf-8") for name in names)
+    return [line for text in texts for line in csv.DictReader(text.splitlines())]
+
+
+def _cell_text(line: dict[str, str] | None, detected: bool) -> str:
+    if line is None or not line["value"]:
+        return "–"
+    value = float(line["value"])
+    if line["row"] == SCORE:
+        return f"{value * int(line['n']) / 100.0:.0f} of {line['n']}"
+    return f"**{value:.0f}**" if detected else f"{value:.0f}"
 
 
 def main() -> int:
     """Write the page, or with ``--check`` return 1 when it is not up to date."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--check", action="store_true", help="write nothing")
-    parser.add_argument("--bench", type=Path, help="folder of the bench whose table is the baseline")
-    asked = parser.parse_args()
-    check = asked.check
+    check = parser.parse_args().check
     before = PAGE.read_text(encoding="utf-8")
     after = filled(before)
-    if asked.bench is not None:
-        text = baseline(read_table(asked.bench))
-        after = _BASELINE.sub(lambda place: f"{place[1]}{text}{place[2]}", after)
-        CSV.write_bytes((asked.bench / "table.csv").read_bytes())
-        CSV.with_name("defects-by-stratum.csv").write_bytes((asked.bench / BY_STRATUM).read_bytes())
     if check and after != before:
-        print(f"{PAGE.name} is behind the code: run tools/write_defects_doc.py")
+        print(f"{PAGE.name} is behind the code or docs/tables: run tools/write_defects_doc.py")
         return 1
     if not check:
         PAGE.write_text(after, encoding="utf-8")

@@ -1,7 +1,9 @@
 """Put figures of finished benches into docs/tables and docs/results.md: write_results.py [--from runs] [--check].
 
-A folder ``bench-NAME`` becomes ``docs/tables/NAME.csv``, ``NAME-differences.csv`` and an entry of ``provenance.json``.
-A place ``<!-- table NAME -->`` of the page shows what ``tools/results_tables.toml`` picks from that CSV.
+A folder ``bench-NAME`` becomes ``docs/tables/NAME.csv``, ``NAME-differences.csv`` and an entry of ``provenance.json``,
+and ``NAME-by-stratum.csv`` where the bench has one. A place ``<!-- table NAME -->`` of the page shows what
+``tools/results_tables.toml`` picks from that CSV and from those that it names under ``also``: further runs of the same
+bench, such as backgrounds that were tried later.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from advdiff_sumo.experiments.bench.defect_score import BY_STRATUM
 from advdiff_sumo.experiments.bench.table_cache import read_table
 from advdiff_sumo.experiments.bench.write_table import csv_text
 
@@ -33,7 +36,7 @@ def bench_files(runs: Path, names: list[str]) -> dict[str, str]:
 
     Args:
         runs: folder of the benches' folders.
-        names: tables of the page.
+        names: tables that the page is made of.
     """
     provenance = json.loads((TABLES / PROVENANCE).read_text(encoding="utf-8"))
     files: dict[str, str] = {}
@@ -43,6 +46,8 @@ def bench_files(runs: Path, names: list[str]) -> dict[str, str]:
             table = read_table(bench)
             files[f"{name}.csv"] = csv_text(table, table.heads)
             files[f"{name}-differences.csv"] = (bench / "differences.csv").read_text(encoding="utf-8")
+            if (bench / BY_STRATUM).is_file():
+                files[f"{name}-by-stratum.csv"] = (bench / BY_STRATUM).read_text(encoding="utf-8")
             provenance[name] = {"command": command(bench), "title": table.title, "notes": list(table.notes)}
     files[PROVENANCE] = json.dumps(provenance, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
     return files
@@ -50,7 +55,7 @@ def bench_files(runs: Path, names: list[str]) -> dict[str, str]:
 
 def filled(page: str, files: dict[str, str]) -> str:
     """Return *page* with every place filled from *files*, or from ``docs/tables`` where these lack it."""
-    selection = tomllib.loads(SELECTION.read_text(encoding="utf-8"))
+    selection = read_selection()
 
     def text(name: str) -> str:
         return files[name] if name in files else (TABLES / name).read_text(encoding="utf-8")
@@ -58,17 +63,30 @@ def filled(page: str, files: dict[str, str]) -> str:
     provenance = json.loads(text(PROVENANCE))
 
     def place(match: re.Match[str]) -> str:
-        name = match[2]
-        lines = list(csv.DictReader(text(f"{name}.csv").splitlines()))
-        pairs = (
-            f", [pairs](tables/{name}-differences.csv)"
-            if (TABLES / f"{name}-differences.csv").is_file()
-            else ""
-        )
-        source = f"[CSV](tables/{name}.csv){pairs}, `{provenance[name]['command']}`"
-        return f"{match[1]}{picked(lines, selection[name])}\n{source}\n{match[3]}"
+        chosen = selection[match[2]]
+        lines, sources = [], []
+        for name in tables_of(match[2], selection):
+            lines += csv.DictReader(text(f"{name}.csv").splitlines())
+            sources.append(_source(name, provenance))
+        return f"{match[1]}{picked(lines, chosen)}\n{'; '.join(sources)}\n{match[3]}"
 
     return _PLACE.sub(place, page)
+
+
+def read_selection() -> dict[str, Any]:
+    """Return what each place of the page shows."""
+    return tomllib.loads(SELECTION.read_text(encoding="utf-8"))
+
+
+def tables_of(name: str, selection: dict[str, Any]) -> list[str]:
+    """Return the names of the tables that the place *name* of the page shows."""
+    return [name, *selection[name].get("also", ())]
+
+
+def _source(name: str, provenance: dict[str, Any]) -> str:
+    differences = f"{name}-differences.csv"
+    pairs = f", [pairs](tables/{differences})" if (TABLES / differences).is_file() else ""
+    return f"[CSV](tables/{name}.csv){pairs}, `{provenance[name]['command']}`"
 
 
 def picked(lines: list[dict[str, str]], selection: dict[str, Any]) -> str:
@@ -120,7 +138,9 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="write nothing")
     options = parser.parse_args()
     before = PAGE.read_text(encoding="utf-8")
-    files = bench_files(options.folder, [match[2] for match in _PLACE.finditer(before)])
+    selection = read_selection()
+    names = [name for match in _PLACE.finditer(before) for name in tables_of(match[2], selection)]
+    files = bench_files(options.folder, names)
     after = {PAGE: filled(before, files), **{TABLES / name: text for name, text in files.items()}}
     stale = [
         path for path, text in after.items() if not path.is_file() or path.read_text(encoding="utf-8") != text

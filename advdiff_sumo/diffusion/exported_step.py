@@ -1,22 +1,13 @@
-"""The step of the closed-loop decoder as machine code, which AOTInductor makes of ``ClosedLoopDecoder.step`` itself.
-
-``tools/build_decoder_step.py`` makes it for the sizes of the shipped weights, PyTorch of one version and x86-64 with
-AVX2. It holds no weights: it is given those of the decoder at hand. Without it, and for other sizes, versions and
-machines, the network's own step is used, which takes three times as long.
-"""
+"""The step of the closed-loop decoder as machine code, made of ``ClosedLoopDecoder.step`` itself."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-import logging
-import platform
 from pathlib import Path
 
-import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
+from advdiff_sumo.diffusion.machine_code import MachineCode, machine_code, package_for
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder, LanesAndEdges
 from advdiff_sumo.models.decoder import Motion, State, Surroundings
@@ -24,9 +15,6 @@ from advdiff_sumo.models.lane_attention import LanePieces
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.road_edges import RoadEdges
 
-_LOG = logging.getLogger(__name__)
-_FOLDER = Path(__file__).resolve().parent.parent / "weights"
-_CAPABLE = ("AVX2", "AVX512")
 _NOT_OF_THE_STEP = {"denoiser_situation"}  # networks that differ in it alone share the machine code
 
 
@@ -62,16 +50,12 @@ class ExportedStep:
     """The machine code with the weights of one decoder; a ``Step`` of the closed-loop decoder, without gradients.
 
     Args:
-        decoder: on the CPU.
-        package: of :func:`package_for`.
+        decoder: whose step it is.
+        code: made of it, with its weights.
     """
 
-    def __init__(self, decoder: ClosedLoopDecoder, package: Path) -> None:
-        self._loader = torch._C._aoti.AOTIModelPackageLoader(str(package), "model", True, 1, -1)
-        needed = set(self._loader.get_constant_fqns())
-        own = {f"decoder.{name}": value for name, value in decoder.state_dict().items()}
-        weights = {name: value for name, value in own.items() if name in needed}
-        self._loader.load_constants(weights, False, False, False, False)
+    def __init__(self, decoder: ClosedLoopDecoder, code: MachineCode) -> None:
+        self._code = code
         self._agents = least_agents(decoder.options)
         self._layers, self._message = decoder.options.decoder_layers, decoder.options.message
         self._around: tuple[Surroundings, list[Tensor]] | None = None
@@ -94,33 +78,21 @@ class ExportedStep:
             self._around = around, [value.contiguous() for value in tensors_of(around, more)]
         seen = [_padded(value, more, 1) for value in everybody]
         given = [memory, z, *motion, *seen, _padded(others, more, 2)]
-        *state, memory, senders = self._loader.boxed_run([v.contiguous() for v in given] + self._around[1])
+        *state, memory, senders = self._code([*given, *self._around[1]])
         xy, yaw, speed, accel, curvature = state
         return (xy, yaw, speed, accel, curvature), memory, senders[:, :, :agents]
 
 
 def exported_step(decoder: ClosedLoopDecoder) -> ExportedStep | None:
     """Return the compiled step of *decoder*, or None where there is none for it."""
-    package = package_for(decoder.options)
-    here = decoder.start.weight.device.type == "cpu" and torch.backends.cpu.get_cpu_capability() in _CAPABLE
-    if not (here and package.exists()):
-        return None
-    try:
-        return ExportedStep(decoder, package)
-    except (
-        RuntimeError
-    ) as error:  # it is unpacked to the folder of temporary files, which may refuse to hold code
-        _LOG.warning("the decoder's machine code cannot be loaded, planning takes twice as long: %s", error)
-        return None
+    weights = {f"decoder.{name}": value for name, value in decoder.state_dict().items()}
+    code = machine_code(step_package(decoder.options), weights)
+    return ExportedStep(decoder, code) if code is not None else None
 
 
-def package_for(options: ModelOptions) -> Path:
-    """Return where the machine code for networks of these *options* and this PyTorch ships, if it does."""
-    version = torch.__version__.split("+")[0]
-    content = json.dumps([version, options.model_dump(mode="json", exclude=_NOT_OF_THE_STEP)], sort_keys=True)
-    digest = hashlib.sha256(content.encode()).hexdigest()[:8]
-    system = f"{platform.system()}-{platform.machine()}".lower()
-    return _FOLDER / f"decoder-step-{digest}-{system}.pt2"
+def step_package(options: ModelOptions) -> Path:
+    """Return where the machine code for networks of these *options* ships, if it does."""
+    return package_for("decoder-step", options.model_dump(mode="json", exclude=_NOT_OF_THE_STEP))
 
 
 def least_agents(options: ModelOptions) -> int:

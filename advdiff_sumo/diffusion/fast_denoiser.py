@@ -1,48 +1,78 @@
-"""The denoiser for run time: the same network as ``models.denoiser``, equal up to rounding.
+"""The denoiser for run time: ``Denoiser.predict``, on a CPU by machine code that is made of it.
 
-What does not depend on the noisy sample is worked out beforehand. On the CPU the rest is done by ``compiled``,
-elsewhere by ``tensor_denoiser``.
+What does not depend on the noisy sample is worked out beforehand.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import torch
+from torch import Tensor, nn
 
+from advdiff_sumo.diffusion.machine_code import machine_code, package_for
 from advdiff_sumo.diffusion.sampler import Noise
-from advdiff_sumo.diffusion.tensor_denoiser import TensorDenoiser
 from advdiff_sumo.models.context import Context
-from advdiff_sumo.models.denoiser import Denoiser
+from advdiff_sumo.models.denoiser import STEP_WIDTH, Denoiser, Prepared, sinusoidal
+from advdiff_sumo.models.model_options import ModelOptions
 
-if TYPE_CHECKING:
-    from advdiff_sumo.diffusion.compiled.denoiser_kernel import CompiledDenoiser
+_SIZES = ("hidden", "latent", "edge", "message", "heads", "channels", "denoiser_layers")
+"""Options that the code of a denoiser depends on."""
+
+
+class PredictionOnTensors(nn.Module):
+    """``Denoiser.predict`` with tensors for arguments.
+
+    Args:
+        denoiser: whose prediction it is.
+    """
+
+    def __init__(self, denoiser: Denoiser) -> None:
+        super().__init__()
+        self.denoiser = denoiser
+
+    def forward(self, x: Tensor, step: Tensor, given: tuple[Tensor, ...]) -> tuple[Tensor]:
+        """Return the predicted noise (B, A, C, L); *given* is a ``Prepared``."""
+        return (self.denoiser.predict(x, step, Prepared(*given)),)
 
 
 class FastDenoiser:
-    """Noise prediction of one network along one ladder of steps.
+    """Noise prediction of one network.
 
     Args:
-        denoiser: the trained network; its weights are read when this is made.
-        steps: the diffusion steps at which it will be asked.
-        compiled: predict by compiled loops; None: where the network is on the CPU.
+        denoiser: the trained network.
+        compiled: use machine code where there is any for it.
     """
 
-    def __init__(self, denoiser: Denoiser, steps: Iterable[int], compiled: bool | None = None) -> None:
+    def __init__(self, denoiser: Denoiser, compiled: bool = True) -> None:
         self._net = denoiser
-        here = denoiser.into.weight.device.type == "cpu" if compiled is None else compiled
-        self._predicts = _compiled(denoiser, steps) if here else TensorDenoiser(denoiser, steps)
+        self._predict = _compiled(denoiser) if compiled else denoiser.predict
 
+    @torch.no_grad()
     def condition(self, context: Context) -> Noise:
         """Return ε(x, k) for the scenes of *context*, without gradients."""
-        with torch.no_grad():
-            informed = self._net.informed(context)
-        return self._predicts.condition(informed)
+        given = self._net.prepare(context)
+        scenes, device = len(context.h), context.h.device
+
+        @torch.no_grad()
+        def noise(x: Tensor, k: int) -> Tensor:
+            step = sinusoidal(torch.full((scenes,), k, device=device), STEP_WIDTH)
+            return self._predict(x, step, given)
+
+        return noise
 
 
-def _compiled(denoiser: Denoiser, steps: Iterable[int]) -> CompiledDenoiser:
-    """Return the compiled form; who never asks for it does not wait for the compiler's import."""
-    from advdiff_sumo.diffusion.compiled.denoiser_kernel import CompiledDenoiser
+def denoiser_package(options: ModelOptions, shape: tuple[int, int]) -> Path:
+    """Return where the machine code for denoisers of *options* and *shape* ships, if it does."""
+    sizes = options.model_dump(mode="json", include=set(_SIZES))
+    return package_for("denoiser", {**sizes, "shape": list(shape)})
 
-    return CompiledDenoiser(denoiser, steps)
+
+def _compiled(denoiser: Denoiser) -> Callable[[Tensor, Tensor, Prepared], Tensor]:
+    """Return the prediction of *denoiser* by machine code, or its own where there is none."""
+    weights = {f"denoiser.{name}": value for name, value in denoiser.state_dict().items()}
+    code = machine_code(denoiser_package(denoiser.options, denoiser.shape), weights)
+    if code is None:
+        return denoiser.predict
+    return lambda x, step, given: code([x, step, *given])[0]

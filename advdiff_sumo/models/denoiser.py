@@ -3,16 +3,20 @@
 The paper's network looks at one vehicle at a time: what two of them draw can then only be made to fit by the
 decoder. Here a graph layer tells each vehicle what the others' noisy latents say at this step, so that a scene is
 drawn as one; it works through the state embedding of AdaGN and begins as nothing at all.
+
+Feature maps are kept channels first, (C, B, A, L): a convolution is then one product of matrices for all vehicles.
+What does not depend on the noisy sample is :meth:`Denoiser.prepare`'s, once a plan.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import interpolate
+from torch.nn.functional import group_norm, pad, silu
 
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.driving_situation import SITUATION_FEATURES
@@ -39,7 +43,6 @@ class AdaGN(nn.Module):
 
     def __init__(self, channels: int, hidden: int) -> None:
         super().__init__()
-        self.norm = nn.GroupNorm(GROUPS, channels, affine=False)
         self.state = nn.Linear(hidden, channels)
         self.step = nn.Sequential(
             nn.Linear(STEP_WIDTH, STEP_WIDTH), nn.SiLU(), nn.Linear(STEP_WIDTH, 2 * channels)
@@ -51,16 +54,16 @@ class AdaGN(nn.Module):
             layer.bias.data = torch.tensor(bias).repeat_interleave(channels)
 
     def forward(self, features: Tensor, h: Tensor, step: Tensor) -> Tensor:
-        """Return normalised features (M, C, L).
+        """Return normalised features (C, B, A, L).
 
         Args:
-            features: (M, C, L) feature maps.
-            h: (M, D) state embeddings.
-            step: (B, 64) encoded diffusion steps; scene b has M / B rows one after the other.
+            features: (C, B, A, L) feature maps.
+            h: (B, A, D) state embeddings.
+            step: (B, 64) encoded diffusion steps.
         """
-        step_features = self.step(step).repeat_interleave(len(features) // len(step), dim=0)
-        scale, shift = step_features[..., None].chunk(2, dim=1)
-        out: Tensor = self.state(h)[..., None] * (scale * self.norm(features) + shift)
+        scale, shift = self.step(step).t()[..., None, None].chunk(2)  # (C, B, 1, 1)
+        state = self.state(h).permute(2, 0, 1)[..., None]  # (C, B, A, 1)
+        out: Tensor = state * (scale * normalised(features) + shift)
         return out
 
 
@@ -76,11 +79,10 @@ class ResidualBlock(nn.Module):
         self.past = nn.Conv1d(before, after, 1) if before != after else nn.Identity()
 
     def forward(self, x: Tensor, h: Tensor, step: Tensor) -> Tensor:
-        """Return (M, after, L)."""
-        y = self.first(nn.functional.silu(self.first_norm(x, h, step)))
-        y = self.second(nn.functional.silu(self.second_norm(y, h, step)))
-        out: Tensor = self.past(x) + y
-        return out
+        """Return (after, B, A, L) for *x* (before, B, A, L), *h* (B, A, D) and *step* (B, 64)."""
+        y = convolved(self.first, silu(self.first_norm(x, h, step)))
+        y = convolved(self.second, silu(self.second_norm(y, h, step)))
+        return (convolved(self.past, x) if isinstance(self.past, nn.Conv1d) else x) + y
 
 
 class Coupling(nn.Module):
@@ -104,10 +106,38 @@ class Coupling(nn.Module):
 
     def forward(self, x: Tensor, step: Tensor, context: Context) -> Tensor:
         """Return (B, A, D) for noisy *x* (B, A, C, L) at encoded steps *step* (B, 64)."""
+        return self.coupled(x, step, context.h, *self.prepare(context), context.drawn)
+
+    def prepare(self, context: Context) -> tuple[Tensor, Tensor]:
+        """Return what the vehicles know (B, A, M) and, by layer, what relative poses say (layers, B, A, A, M)."""
         known = self.known(torch.cat((context.prior.mean, context.h), dim=-1))
+        return known, torch.stack(self.net.prepare(context.relative))
+
+    def coupled(
+        self, x: Tensor, step: Tensor, h: Tensor, known: Tensor, edges: Tensor, drawn: Tensor
+    ) -> Tensor:
+        """Return :meth:`forward` with what :meth:`prepare` gives."""
         begin = torch.relu(self.sample(x.flatten(2)) + known + self.step(step)[:, None])
-        coupled: Tensor = self.out(self.net(begin, context.relative, context.drawn))
-        return context.h + coupled
+        mixed: Tensor = self.out(self.net.mix(begin, list(edges.unbind(0)), drawn))
+        return h + mixed
+
+
+class Prepared(NamedTuple):
+    """What of a noise prediction does not depend on the noisy sample.
+
+    Attributes:
+        h: (B, A, D) state embeddings.
+        condition: (B, A, L) the condition z as the first convolution reads it.
+        known: (B, A, M) what vehicles know, of ``Coupling.prepare``; (B, A, 0) without coupling.
+        edges: (layers, B, A, A, M) what relative poses say.
+        drawn: (B, A) whose latents mean something.
+    """
+
+    h: Tensor
+    condition: Tensor
+    known: Tensor
+    edges: Tensor
+    drawn: Tensor
 
 
 class Denoiser(nn.Module):
@@ -120,7 +150,7 @@ class Denoiser(nn.Module):
 
     def __init__(self, options: ModelOptions, shape: tuple[int, int]) -> None:
         super().__init__()
-        self.shape = shape
+        self.options, self.shape = options, shape
         channels, length = shape
         full, half, quarter = options.channels
         self.situation = (
@@ -156,13 +186,24 @@ class Denoiser(nn.Module):
             k: (B,) diffusion steps, 1 … K.
             context: its prior's mean is the condition z, its embeddings are h.
         """
+        return self.predict(x, sinusoidal(k, STEP_WIDTH), self.prepare(context))
+
+    def prepare(self, context: Context) -> Prepared:
+        """Return what of the prediction does not depend on noisy sample and step."""
         context = self.informed(context)
-        scenes, agents = x.shape[:2]
-        step = sinusoidal(k, STEP_WIDTH)
-        state = context.h if self.coupling is None else self.coupling(x, step, context)
-        condition = self.condition(context.prior.mean).flatten(0, 1)[:, None]
-        y = self._unet(torch.cat((x.flatten(0, 1), condition), dim=1), state.flatten(0, 1), step)
-        return y.reshape(scenes, agents, *x.shape[2:])
+        mean = context.prior.mean
+        known, edges = mean[..., :0], mean[None, :, :, None, :0]
+        if self.coupling is not None:
+            known, edges = self.coupling.prepare(context)
+        return Prepared(context.h, self.condition(mean), known, edges, context.drawn)
+
+    def predict(self, x: Tensor, step: Tensor, given: Prepared) -> Tensor:
+        """Return the predicted noise (B, A, C, L) of *x* at encoded steps *step* (B, 64)."""
+        state = given.h
+        if self.coupling is not None:
+            state = self.coupling.coupled(x, step, state, given.known, given.edges, given.drawn)
+        maps = torch.cat((x.permute(2, 0, 1, 3), given.condition[None]))
+        return self._unet(maps, state, step).permute(1, 2, 0, 3)
 
     def informed(self, context: Context) -> Context:
         """Return *context* as this network uses it: with embeddings that know lights, vehicles ahead and limits."""
@@ -171,11 +212,39 @@ class Denoiser(nn.Module):
         return replace(context, h=context.h + self.situation(context.situation))
 
     def _unet(self, x: Tensor, h: Tensor, step: Tensor) -> Tensor:
-        first = self.down[0](self.into(x), h, step)
-        second = self.down[1](nn.functional.avg_pool1d(first, 2), h, step)
-        third = self.down[2](nn.functional.avg_pool1d(second, 2), h, step)
+        first = self.down[0](convolved(self.into, x), h, step)
+        second = self.down[1](halved(first), h, step)
+        third = self.down[2](halved(second), h, step)
         y = self.middle(third, h, step)
-        y = self.up[0](torch.cat((interpolate(y, scale_factor=2.0), second), dim=1), h, step)
-        y = self.up[1](torch.cat((interpolate(y, scale_factor=2.0), first), dim=1), h, step)
-        out: Tensor = self.out(nn.functional.silu(self.norm(y)))
-        return out
+        y = self.up[0](torch.cat((doubled(y), second)), h, step)
+        y = self.up[1](torch.cat((doubled(y), first)), h, step)
+        return convolved(self.out, silu(normalised(y, self.norm)))
+
+
+def convolved(layer: nn.Conv1d, x: Tensor) -> Tensor:
+    """Return *layer*, which keeps lengths, of maps *x* (C, B, A, L): one product with each place and its neighbours."""
+    weight, reach = layer.weight, layer.kernel_size[0] // 2
+    length = x.shape[-1]
+    wide = pad(x, (reach, reach))
+    columns = torch.cat([wide[..., k : k + length] for k in range(2 * reach + 1)]).flatten(1)
+    bias = layer.bias
+    assert bias is not None  # noqa: S101 - every layer here has one
+    kernel = weight.transpose(1, 2).flatten(1)  # (C', taps · C)
+    return torch.addmm(bias[:, None], kernel, columns).reshape(-1, *x.shape[1:])
+
+
+def normalised(x: Tensor, by: nn.GroupNorm | None = None) -> Tensor:
+    """Return GroupNorm of maps *x* (C, B, A, L), with the weights of *by*."""
+    rows = x.flatten(1, 2).transpose(0, 1)
+    weights = (None, None) if by is None else (by.weight, by.bias)
+    return group_norm(rows, GROUPS, *weights).transpose(0, 1).reshape(x.shape)
+
+
+def halved(x: Tensor) -> Tensor:
+    """Return means of pairs of places (…, L / 2)."""
+    return 0.5 * (x[..., ::2] + x[..., 1::2])
+
+
+def doubled(x: Tensor) -> Tensor:
+    """Return each place twice (…, 2 L)."""
+    return x.repeat_interleave(2, dim=-1)

@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.exported_step import exported_step, package_for
+from advdiff_sumo.diffusion.exported_step import exported_step, step_package
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
@@ -71,8 +71,8 @@ def assert_same(made: Callable[[FastDecoder], Tensor], decoder: ClosedLoopDecode
 
 
 def test_it_ships_for_the_shipped_weights_and_this_pytorch() -> None:
-    """Where this fails, sizes or PyTorch have changed: run ``python tools/build_decoder_step.py``."""
-    assert package_for(bundle().options.model).exists()
+    """Where this fails, sizes or PyTorch have changed: run ``python tools/build_machine_code.py``."""
+    assert step_package(bundle().options.model).exists()
     assert exported_step(shipped()) is not None
 
 
@@ -84,7 +84,7 @@ def shipped() -> ClosedLoopDecoder:
 
 @pytest.mark.parametrize("agents", [2, 13, 30])  # fewer than it looks at, as many as it needs, more
 def test_it_rolls_out_as_the_network_does(agents: int) -> None:
-    """Where this fails, the decoder has changed: run ``python tools/build_decoder_step.py``, commit what it makes."""
+    """Where this fails, the decoder has changed: run ``python tools/build_machine_code.py``, commit what it makes."""
     batch = scenes(agents)
     z, h = latents(batch, bundle().options.model)
     assert_same(lambda decoder: decoder.whole(z, h, batch, 4)[0].states(), shipped())
@@ -126,8 +126,10 @@ def test_other_sizes_and_half_of_the_neighbours_have_none() -> None:
     assert exported_step(ClosedLoopDecoder(options)) is None
 
 
-def test_the_file_holds_no_sources_and_no_folder_of_the_machine_that_made_it() -> None:
-    package = package_for(bundle().options.model)
+@pytest.mark.parametrize(
+    "package", sorted(step_package(ModelOptions()).parent.glob("*.pt2")), ids=lambda p: p.stem
+)
+def test_a_file_holds_no_sources_and_no_folder_of_the_machine_that_made_it(package: Path) -> None:
     with zipfile.ZipFile(package) as archive:
         contents = {name: archive.read(name) for name in archive.namelist()}
     assert sum(name.endswith(".so") for name in contents) == 1
@@ -138,7 +140,7 @@ def test_the_file_holds_no_sources_and_no_folder_of_the_machine_that_made_it() -
 def test_without_a_folder_that_may_hold_code_the_network_serves(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("advdiff_sumo.diffusion.exported_step.package_for", lambda _: spoiled)
+    monkeypatch.setattr("advdiff_sumo.diffusion.exported_step.step_package", lambda _: spoiled)
     spoiled = tmp_path / "step.pt2"
     spoiled.write_bytes(b"no archive")
     assert exported_step(shipped()) is None

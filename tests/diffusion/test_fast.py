@@ -69,7 +69,7 @@ def test_the_denoiser_at_every_step_of_a_ladder(
     batch.moved[1, 3:] = False
     context = made.traffic.encoder(batch)
     steps = [100, 75, 50, 25]
-    noise = FastDenoiser(made.denoiser, steps, compiled).condition(context)
+    noise = FastDenoiser(made.denoiser, compiled).condition(context)
     x = torch.randn(2, 11, *made.codec.shape, generator=torch.Generator().manual_seed(3))
     for k in steps:
         torch.testing.assert_close(

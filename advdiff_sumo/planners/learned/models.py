@@ -138,8 +138,7 @@ class DiffusionModel:
                 f"the networks were trained with {self._schedule.steps}; ask for at most so many"
             )
         self._sampling = Sampling(steps=options.steps, eta=0.0, begin=options.begin)
-        ladder = self._schedule.ladder(options.steps, options.begin)
-        self._denoiser = FastDenoiser(self._bundle.denoiser, ladder[:-1])
+        self._denoiser = FastDenoiser(self._bundle.denoiser)
 
     @torch.no_grad()
     def tell(

@@ -30,7 +30,7 @@ class Networks:
     Attributes:
         bundle: all of them, frozen.
         codec: between latents and what is diffused.
-        denoiser: for the steps of one ladder.
+        denoiser: for run time.
         decoder: of whole scenes and of some of their rows.
         reward: weights of Q as guidance reads them.
         schedule: what the denoiser was trained with.
@@ -94,7 +94,7 @@ def _networks(path: str, reward: str, device: torch.device, sampling: Sampling) 
     return Networks(
         bundle=bundle,
         codec=bundle.codec,
-        denoiser=FastDenoiser(bundle.denoiser, schedule.ladder(sampling.steps, sampling.begin)[:-1]),
+        denoiser=FastDenoiser(bundle.denoiser),
         decoder=FastDecoder(bundle.traffic.decoder),
         reward=RewardWeights(bundle.reward),
         schedule=schedule,

@@ -59,8 +59,14 @@ def baseline(names: list[str]) -> str:
             for column in columns
         )
         text += f"| {f'{target}, {row}' if row == SOUND else row} | {' | '.join(shown)} |\n"
-    links = ", ".join(f"[CSV](tables/{name}.csv)" for name in names)
-    return f"{provenance[names[0]]['title']}, valid failures in % of the episodes ({links}):\n\n{text}"
+    runs = "; ".join(_run_text(name, provenance[name]["title"]) for name in names)
+    return f"Valid failures in % of the episodes. {runs}:\n\n{text}"
+
+
+def _run_text(name: str, title: str) -> str:
+    """Return which columns come from how many seed scenes."""
+    columns = dict.fromkeys(policy_row(line["column"]).title for line in _lines([name], ""))
+    return f"{', '.join(columns)}: {title.partition(': ')[2]} ([CSV](tables/{name}.csv))"
 
 
 def _lines(names: list[str], which: str) -> list[dict[str, str]]:

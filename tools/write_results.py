@@ -64,11 +64,10 @@ def filled(page: str, files: dict[str, str]) -> str:
 
     def place(match: re.Match[str]) -> str:
         chosen = selection[match[2]]
-        lines, sources = [], []
-        for name in tables_of(match[2], selection):
-            lines += csv.DictReader(text(f"{name}.csv").splitlines())
-            sources.append(_source(name, provenance))
-        return f"{match[1]}{picked(lines, chosen)}\n{'; '.join(sources)}\n{match[3]}"
+        first, *also = tables_of(match[2], selection)
+        lines = [line for name in (first, *also) for line in csv.DictReader(text(f"{name}.csv").splitlines())]
+        more = "".join(f"; [more](tables/{name}.csv)" for name in also)
+        return f"{match[1]}{picked(lines, chosen)}\n{_source(first, provenance)}{more}\n{match[3]}"
 
     return _PLACE.sub(place, page)
 

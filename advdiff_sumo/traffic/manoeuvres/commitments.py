@@ -12,6 +12,7 @@ from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda, comes_to_yiel
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS
 from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
+from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -19,7 +20,7 @@ from advdiff_sumo.traffic.manoeuvres.staging import Stage
 
 STANDS = "stands"
 """What somebody does who has come in to stand: a vehicle that has broken down."""
-SUPPORTS = (STANDS, FOLLOWS)
+SUPPORTS = (STANDS, FOLLOWS, WAITS)
 """Kinds that attack nobody."""
 KEEP_OFF = frozenset(("hard-stop", "blocked-lane", "stop-and-go"))
 """Kinds of a leader, who keeps the target from where others would cross it."""
@@ -71,6 +72,7 @@ class Commitments:
         agenda: which kind the episode is for now.
         intensity: severities that are asked for.
         since_s: id → since when it has been near the target.
+        blocked_s: id → since when the target's box has been on its way, where SUMO does not see it.
         preference: of encounters in which the target is predicted to fail; None: nothing is known.
     """
 
@@ -81,6 +83,7 @@ class Commitments:
     agenda: Agenda = field(default_factory=Agenda)
     intensity: Intensity = AS_SERVES
     since_s: Mapping[str, float] = field(default_factory=dict)
+    blocked_s: Mapping[str, float] = field(default_factory=dict)
     preference: EncounterPreference | None = None
 
     def wanted(self, view: SituationView) -> tuple[str, ...]:

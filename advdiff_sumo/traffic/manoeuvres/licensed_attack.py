@@ -20,6 +20,7 @@ from advdiff_sumo.traffic.manoeuvres.licence import (
     licence_of,
 )
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
@@ -91,7 +92,7 @@ def licensed_attack(
         row_of = {row: k for k, row in enumerate(view.rows.tolist()) if view.moved[k]}
         xy, yaw, planned_speed = futures_of_manoeuvres(manoeuvres, speed).at_model_steps()
         for k, manoeuvre in enumerate(manoeuvres):
-            if manoeuvre.row in row_of:
+            if manoeuvre.row in row_of and manoeuvre.kind != WAITS:  # the safeguard sees boxes
                 driven[row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]
         newcomers, kept = let_in(situation, kept)
     guided = [row for row in map(view.ids.index, attackers) if row not in driven]

@@ -10,6 +10,7 @@ from advdiff_sumo.traffic.manoeuvres.commitments import STANDS, SUPPORTS, Commit
 from advdiff_sumo.traffic.manoeuvres.continuation import carry_on
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
+from advdiff_sumo.traffic.manoeuvres.obstruction import blocked_since, waiting
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -30,6 +31,10 @@ def advance(
     """
     kept = replace(kept, agenda=kept.agenda.at(view), since_s=in_view_since(view, kept.since_s))
     going, kept = carry_on(view, kept, pause_s, licence)
+    if licence is not None:
+        kept = replace(kept, blocked_s=blocked_since(view, kept.blocked_s))
+        busy = {m.row for m in going}
+        going += [m for m in waiting(view, kept.blocked_s) if m.row not in busy]
     room = attackers - sum(m.kind not in SUPPORTS for m in going)
     chosen = begin(view, kept, going, room, licence) if room > 0 else []
     features = {one.manoeuvre.row: one.features for one in chosen}

@@ -82,9 +82,9 @@ def _arms(ends: list[_End]) -> Iterator[list[_End]]:
 
 def _one_arm(one: _End, other: _End) -> bool:
     apart = other.place_m - one.place_m
-    ahead = abs(float(apart @ one.out))
+    ahead = abs(_dot(apart, one.out))
     return (
-        float(one.out @ other.out) > _SAME_ARM_COS and ahead < _AHEAD_M and float(np.hypot(*apart)) < _APART_M
+        _dot(one.out, other.out) > _SAME_ARM_COS and ahead < _AHEAD_M and float(np.hypot(*apart)) < _APART_M
     )
 
 
@@ -95,8 +95,13 @@ def _area(arm: list[_End]) -> Polygon | None:
     out = np.sum([end.out for end in arm], axis=0)
     out = out / np.hypot(*out)
     left = np.array([-out[1], out[0]])
-    place = min(float(end.place_m @ out) for end in arm) - INSIDE_M
-    sides = [(float(end.place_m @ left), 0.5 * end.width_m) for end in arm]
+    place = min(_dot(end.place_m, out) for end in arm) - INSIDE_M
+    sides = [(_dot(end.place_m, left), 0.5 * end.width_m) for end in arm]
     low, high = min(at - half for at, half in sides), max(at + half for at, half in sides)
     rows = ((place, low), (place, high), (place + DEPTH_M, high), (place + DEPTH_M, low))
     return Polygon([(forth - 0.5 * DEPTH_M) * out + side * left for forth, side in rows])
+
+
+def _dot(a: FloatArray, b: FloatArray) -> float:
+    """Return the product of two vectors, to the same last bit on every machine, as BLAS's is not."""
+    return float(a[0] * b[0] + a[1] * b[1])

@@ -53,9 +53,8 @@ def bench_files(runs: Path, names: list[str]) -> dict[str, str]:
     return files
 
 
-def filled(page: str, files: dict[str, str]) -> str:
+def filled(page: str, files: dict[str, str], selection: dict[str, Any]) -> str:
     """Return *page* with every place filled from *files*, or from ``docs/tables`` where these lack it."""
-    selection = read_selection()
 
     def text(name: str) -> str:
         return files[name] if name in files else (TABLES / name).read_text(encoding="utf-8")
@@ -140,7 +139,7 @@ def main() -> int:
     selection = read_selection()
     names = [name for match in _PLACE.finditer(before) for name in tables_of(match[2], selection)]
     files = bench_files(options.folder, names)
-    after = {PAGE: filled(before, files), **{TABLES / name: text for name, text in files.items()}}
+    after = {PAGE: filled(before, files, selection), **{TABLES / name: text for name, text in files.items()}}
     stale = [
         path for path, text in after.items() if not path.is_file() or path.read_text(encoding="utf-8") != text
     ]

@@ -85,8 +85,7 @@ class ExportedStep:
 
 def exported_step(decoder: ClosedLoopDecoder) -> ExportedStep | None:
     """Return the compiled step of *decoder*, or None where there is none for it."""
-    weights = {f"decoder.{name}": value for name, value in decoder.state_dict().items()}
-    code = machine_code(step_package(decoder.options), weights)
+    code = machine_code(step_package(decoder.options), "decoder", decoder)
     return ExportedStep(decoder, code) if code is not None else None
 
 

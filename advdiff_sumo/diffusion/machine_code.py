@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 _LOG = logging.getLogger(__name__)
 _FOLDER = Path(__file__).resolve().parent.parent / "weights"
@@ -54,8 +54,15 @@ class MachineCode:
         return results
 
 
-def machine_code(package: Path, weights: Mapping[str, Tensor]) -> MachineCode | None:
-    """Return the code of *package* with *weights*, or None where there is none that runs here."""
+def machine_code(package: Path, name: str, network: nn.Module) -> MachineCode | None:
+    """Return the code of *package* with the weights of *network*, or None where there is none that runs here.
+
+    Args:
+        package: of :func:`package_for`.
+        name: what the code calls the network.
+        network: whose weights it is given.
+    """
+    weights = {f"{name}.{key}": value for key, value in network.state_dict().items()}
     on_cpu = all(value.device.type == "cpu" for value in weights.values())
     if not (on_cpu and package.exists() and torch.backends.cpu.get_cpu_capability() in _CAPABLE):
         return None

@@ -104,19 +104,24 @@ class Coupling(nn.Module):
         nn.init.zeros_(self.out.weight)
         nn.init.constant_(self.out.bias, 0.0)
 
-    def forward(self, x: Tensor, step: Tensor, context: Context) -> Tensor:
-        """Return (B, A, D) for noisy *x* (B, A, C, L) at encoded steps *step* (B, 64)."""
-        return self.coupled(x, step, context.h, *self.prepare(context), context.drawn)
-
     def prepare(self, context: Context) -> tuple[Tensor, Tensor]:
         """Return what the vehicles know (B, A, M) and, by layer, what relative poses say (layers, B, A, A, M)."""
         known = self.known(torch.cat((context.prior.mean, context.h), dim=-1))
         return known, torch.stack(self.net.prepare(context.relative))
 
-    def coupled(
+    def forward(
         self, x: Tensor, step: Tensor, h: Tensor, known: Tensor, edges: Tensor, drawn: Tensor
     ) -> Tensor:
-        """Return :meth:`forward` with what :meth:`prepare` gives."""
+        """Return (B, A, D) for noisy *x* (B, A, C, L) at encoded steps *step* (B, 64).
+
+        Args:
+            x: noisy latents or trajectories.
+            step: encoded diffusion steps.
+            h: (B, A, D) state embeddings.
+            known: (B, A, M) of :meth:`prepare`.
+            edges: (layers, B, A, A, M) of :meth:`prepare`.
+            drawn: (B, A) whose latents mean something.
+        """
         begin = torch.relu(self.sample(x.flatten(2)) + known + self.step(step)[:, None])
         mixed: Tensor = self.out(self.net.mix(begin, list(edges.unbind(0)), drawn))
         return h + mixed
@@ -201,7 +206,7 @@ class Denoiser(nn.Module):
         """Return the predicted noise (B, A, C, L) of *x* at encoded steps *step* (B, 64)."""
         state = given.h
         if self.coupling is not None:
-            state = self.coupling.coupled(x, step, state, given.known, given.edges, given.drawn)
+            state = self.coupling(x, step, state, given.known, given.edges, given.drawn)
         maps = torch.cat((x.permute(2, 0, 1, 3), given.condition[None]))
         return self._unet(maps, state, step).permute(1, 2, 0, 3)
 

@@ -161,7 +161,8 @@ def test_an_untrained_coupling_changes_nothing(options: ModelOptions) -> None:
     x, k, context = inputs(options, SHAPES[0])
     layer = Denoiser(options, SHAPES[0]).coupling
     assert layer is not None
-    torch.testing.assert_close(layer(x, sinusoidal(k, 64), context), context.h)
+    made = layer(x, sinusoidal(k, 64), context.h, *layer.prepare(context), context.drawn)
+    torch.testing.assert_close(made, context.h)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

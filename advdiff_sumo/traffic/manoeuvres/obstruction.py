@@ -19,9 +19,9 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 WAITS = "waits"
 """What somebody does whose way the target blocks."""
-ASIDE_M, CAREFULLY_M = 0.25, 0.05
-"""Room on either side of a box on its way; and of one that has waited for ``PATIENT_S``."""
-PATIENT_S = 8.0
+_ASIDE_M, _CAREFULLY_M = 0.25, 0.05
+"""Room on either side of a box on its way; and of one that has waited for ``_PASSES_AFTER_S``."""
+_PASSES_AFTER_S = 8.0
 _BEGINS_MPS2, _HARDEST_MPS2 = 2.5, 8.5
 _MISSED_MPS2, _NEXT_S = 5.0, 0.5
 """Braking, at the next plan, that tells that SUMO does not follow the target: its drivers brake with 4.5 m/s²."""
@@ -68,7 +68,7 @@ def waiting(view: SituationView, since_s: Mapping[str, float]) -> list[Manoeuvre
 
 def _is_blocked(view: SituationView, row: int, for_s: float) -> bool:
     target, way = view.scene.target, view.ways[row]
-    aside = CAREFULLY_M if for_s >= PATIENT_S else ASIDE_M
+    aside = _CAREFULLY_M if for_s >= _PASSES_AFTER_S else _ASIDE_M
     gap, _, across = _ahead(view, row, target, aside)
     if not np.isfinite(gap) or abs(across) > _ACROSS_MPS:
         return False
@@ -89,9 +89,9 @@ def _may_stop_at(signal: str, yields: bool) -> bool:
 
 def _braking(view: SituationView, row: int) -> float:
     """Return the braking with which *row* stops short of the target and of all else on its way; 0: left to SUMO."""
-    gap, along, _ = _ahead(view, row, view.scene.target, CAREFULLY_M)
+    gap, along, _ = _ahead(view, row, view.scene.target, _CAREFULLY_M)
     if not np.isfinite(gap):
-        gap, along, _ = _ahead(view, row, view.scene.target, ASIDE_M)
+        gap, along, _ = _ahead(view, row, view.scene.target, _ASIDE_M)
     speed, is_leader = view.speed(row), _is_leader(view, row)
     stays = _CLOSE_M if is_leader else _BEFORE_M + _STAYS_M
     if speed < _STANDS_MPS and gap < stays and along < _STANDS_MPS:
@@ -101,7 +101,7 @@ def _braking(view: SituationView, row: int) -> float:
     if (_needed_mps2(speed, next_m, along) < _MISSED_MPS2) if is_leader else (needed < _BEGINS_MPS2):
         return 0.0
     others = (other for other in [*view.ways, *view.astray.tolist()] if other not in (row, view.scene.target))
-    places = (_ahead(view, row, other, CAREFULLY_M) for other in others)
+    places = (_ahead(view, row, other, _CAREFULLY_M) for other in others)
     worst = max((_needed_mps2(view.speed(row), gap, along) for gap, along, _ in places), default=0.0)
     return min(max(needed, worst), _HARDEST_MPS2)
 

@@ -1,4 +1,4 @@
-"""Write the catalogue of docs/defects.md out of the code and its baseline out of docs/tables, or check them.
+"""Write the catalogue of docs/defects.md out of the code, its baseline and findings out of docs/tables, or check them.
 
     write_defects_doc.py [--check]
 
@@ -26,14 +26,15 @@ from advdiff_sumo.planners.defects.catalogue import catalogue_table
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "defects.md"
 _PLACE = re.compile(r"(<!-- catalogue -->\n).*?(<!-- end -->)", re.DOTALL)
 _BASELINE = re.compile(r"(<!-- baseline -->\n).*?(<!-- end of baseline -->)", re.DOTALL)
+_FINDINGS = re.compile(r"(<!-- findings -->\n).*?(<!-- end of findings -->)", re.DOTALL)
 
 
 def filled(page: str) -> str:
-    """Return *page* with the catalogue as it is in the code, and the baseline as it is in docs/tables."""
+    """Return *page* with the catalogue as it is in the code, and the rest as it is in docs/tables."""
+    names = tables_of("defects", read_selection())
     page = _PLACE.sub(lambda place: place[1] + catalogue_table() + place[2], page)
-    return _BASELINE.sub(
-        lambda place: place[1] + baseline(tables_of("defects", read_selection())) + place[2], page
-    )
+    page = _BASELINE.sub(lambda place: place[1] + baseline(names) + place[2], page)
+    return _FINDINGS.sub(lambda place: place[1] + findings(names) + place[2], page)
 
 
 def baseline(names: list[str]) -> str:
@@ -61,6 +62,23 @@ def baseline(names: list[str]) -> str:
         text += f"| {f'{target}, {row}' if row == SOUND else row} | {' | '.join(shown)} |\n"
     runs = "; ".join(_run_text(name, provenance[name]["title"]) for name in names)
     return f"Valid failures in % of the episodes. {runs}:\n\n{text}"
+
+
+def findings(names: list[str]) -> str:
+    """Return what the collisions of ``lane_graph``, sound and with each defect, were worth, a row a background."""
+    heads = ("episodes", "collisions", "valid, %", "the other broke a rule, %", "kinds per 100 episodes")
+    text = (
+        f"|  | {' | '.join(heads)} | first detection of a defect, CPU s |\n|---|{'--:|' * (len(heads) + 1)}\n"
+    )
+    lines = _lines([name for name in names if (TABLES / f"{name}-findings.csv").is_file()], "-findings")
+    for line in lines:
+        if line["target"] == "lane_graph":
+            episodes, collisions = line["episodes"], int(line["collisions"])
+            shares = (f"{100 * int(line[key]) / max(collisions, 1):.1f}" for key in ("valid", "others_broke"))
+            rest = (line["cells_per_100"] or "–", line["median_first_cpu_s"] or "–")
+            cells = (policy_row(line["background"]).title, episodes, str(collisions), *shares, *rest)
+            text += f"| {' | '.join(cells)} |\n"
+    return text
 
 
 def _run_text(name: str, title: str) -> str:

@@ -1,9 +1,9 @@
 """Put figures of finished benches into docs/tables and docs/results.md: write_results.py [--from runs] [--check].
 
 A folder ``bench-NAME`` becomes ``docs/tables/NAME.csv``, ``NAME-differences.csv`` and an entry of ``provenance.json``,
-and ``NAME-by-stratum.csv`` where the bench has one. A place ``<!-- table NAME -->`` of the page shows what
-``tools/results_tables.toml`` picks from that CSV and from those that it names under ``also``: further runs of the same
-bench, such as backgrounds that were tried later.
+and ``NAME-by-stratum.csv`` and ``NAME-findings.csv`` where the bench has them. A place ``<!-- table NAME -->`` of the
+page shows what ``tools/results_tables.toml`` picks from that CSV and from those that it names under ``also``: further
+runs of the same bench, such as backgrounds that were tried later.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from advdiff_sumo.experiments.bench.defect_score import BY_STRATUM
+from advdiff_sumo.experiments.bench.defect_score import BY_STRATUM, FINDINGS
 from advdiff_sumo.experiments.bench.table_cache import read_table
 from advdiff_sumo.experiments.bench.write_table import csv_text
 
@@ -46,8 +46,10 @@ def bench_files(runs: Path, names: list[str]) -> dict[str, str]:
             table = read_table(bench)
             files[f"{name}.csv"] = csv_text(table, table.heads)
             files[f"{name}-differences.csv"] = (bench / "differences.csv").read_text(encoding="utf-8")
-            if (bench / BY_STRATUM).is_file():
-                files[f"{name}-by-stratum.csv"] = (bench / BY_STRATUM).read_text(encoding="utf-8")
+            for more in (BY_STRATUM, FINDINGS):
+                if (bench / more).is_file():
+                    published = f"{name}-{more.replace('_', '-')}"
+                    files[published] = (bench / more).read_text(encoding="utf-8")
             provenance[name] = {"command": command(bench), "title": table.title, "notes": list(table.notes)}
     files[PROVENANCE] = json.dumps(provenance, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
     return files

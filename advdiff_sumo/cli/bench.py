@@ -206,7 +206,7 @@ def run_or_print(
     print_table(console, table)
     files = "table.csv, table.tex, table.md, table.png"
     if name == "defects":
-        files += ", detections.csv, first_detection.csv, by_stratum.csv"
+        files += ", detections.csv, first_detection.csv, by_stratum.csv, findings.csv"
     console.print(f"{files}: {path}", soft_wrap=True, markup=False)
 
 

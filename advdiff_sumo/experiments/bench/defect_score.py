@@ -22,11 +22,13 @@ from advdiff_sumo.experiments.bench.detection import (
     first_detection,
 )
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
+from advdiff_sumo.experiments.bench.finding_counts import findings_text, first_costs
 from advdiff_sumo.experiments.bench.statistics import Estimate, Ratio, difference, estimate, ratio
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
 from advdiff_sumo.sweep.sweep_files import write_whole
 
 DETECTIONS, FIRST, BY_STRATUM = "detections.csv", "first_detection.csv", "by_stratum.csv"
+FINDINGS = "findings.csv"
 SCORE = "detected / planted"
 NOTES = (
     "Cells: share of episodes that end in a valid failure of the target, 95 % Wilson interval. Bold: detected, the "
@@ -67,6 +69,8 @@ def defects_of(gathered: Gathered, cells: BenchCells, folder: Folder) -> Table:
     write_whole(folder.path / DETECTIONS, detections_text(contests).encode())
     write_whole(folder.path / FIRST, first_text(contests).encode())
     write_whole(folder.path / BY_STRATUM, by_stratum_text(contests, cells).encode())
+    costs = {(one.background, one.target): first_costs(one.sound, one.defective) for one in contests}
+    write_whole(folder.path / FINDINGS, findings_text(gathered, costs).encode())
     return defects_table(contests, gathered, cells, folder)
 
 

@@ -32,15 +32,23 @@ Out = Annotated[
 Scenes = Annotated[
     str | None,
     typer.Option(
-        help="So many of the shipped list of seed scenes, or the file of a list.", show_default=False
+        help="So many of the shipped list of seed scenes, the file of a list, or a driving log: a scene a second.",
+        show_default=False,
     ),
 ]
-Horizon = Annotated[float | None, typer.Option(help="Longest duration of an episode, s.", show_default="10")]
+Horizon = Annotated[
+    float | None,
+    typer.Option(help="Longest duration of an episode, s.", show_default="10; from a driving log 6"),
+]
 Policies = Annotated[
     str | None, typer.Option(help="Only these rows, with commas.", show_default="all there are")
 ]
 Targets = Annotated[
     str | None, typer.Option(help="Only these targets, with commas.", show_default="all there are")
+]
+Licence = Annotated[
+    str | None,
+    typer.Option(help="What attackers may do: lawful, careless, reckless.", show_default="reckless"),
 ]
 Severity = Annotated[
     str | None,
@@ -88,6 +96,7 @@ def adversarial(
     policies: Policies = None,
     targets: Targets = None,
     horizon: Horizon = None,
+    licence: Licence = None,
     workers: Workers = None,
     timeout: Timeout = 600.0,
     out: Out = None,
@@ -97,6 +106,7 @@ def adversarial(
     advdiff-sumo bench adversarial --scenes 300 --policies diffusion,unguided,replay,sumo --out runs/guided
     """
     given = {"scenes": scenes, "policies": policies, "targets": targets, "horizon_s": horizon}
+    given["licence"] = licence
     run_or_print("adversarial", out, workers, timeout, given)
 
 
@@ -109,6 +119,7 @@ def transfer(
     steps: Annotated[
         int | None, typer.Option(min=1, help="Steps of each warm-up.", show_default="90")
     ] = None,
+    licence: Licence = None,
     workers: Workers = None,
     timeout: Timeout = 600.0,
     out: Out = None,
@@ -118,6 +129,7 @@ def transfer(
     advdiff-sumo bench transfer --policies diffusion,strive --targets lane_graph,IDM
     """
     given = {"scenes": scenes, "policies": policies, "targets": targets, "horizon_s": horizon, "steps": steps}
+    given["licence"] = licence
     run_or_print("transfer", out, workers, timeout, given)
 
 
@@ -132,6 +144,7 @@ def fewshot(
         int | None, typer.Option(min=1, help="Steps of each warm-up.", show_default="90")
     ] = None,
     horizon: Horizon = None,
+    licence: Licence = None,
     workers: Workers = None,
     timeout: Timeout = 600.0,
     out: Out = None,
@@ -141,6 +154,7 @@ def fewshot(
     advdiff-sumo bench fewshot --targets EIDM --seeds 3
     """
     given = {"scenes": scenes, "targets": targets, "seeds": seeds, "steps": steps, "horizon_s": horizon}
+    given["licence"] = licence
     run_or_print("fewshot", out, workers, timeout, given)
 
 
@@ -161,6 +175,10 @@ def defects(
     horizon: Annotated[
         float | None, typer.Option(help="Longest duration of an episode, s.", show_default="30")
     ] = None,
+    licence: Annotated[
+        str | None,
+        typer.Option(help="What attackers may do: lawful, careless, reckless.", show_default="lawful"),
+    ] = None,
     workers: Workers = None,
     timeout: Timeout = 600.0,
     out: Out = None,
@@ -176,6 +194,7 @@ def defects(
         "defects": planted,
         "severity": severity,
         "horizon_s": horizon,
+        "licence": licence,
     }
     run_or_print("defects", out, workers, timeout, given)
 
@@ -194,7 +213,7 @@ def run_or_print(
     console = terminal()
     path = (out or _FOLDER / f"bench-{name}").resolve()
     named = {option: _names_of(given.get(option)) for option in ("policies", "targets", "defects")}
-    request = request_of(name, path, DEFAULTS[name], given | named)
+    request = request_of(name, path, DEFAULTS[name], given | named | _of_log(given.get("scenes"), given))
     table = finished(Folder(path, request))
     if table is None:
         check_request(request)
@@ -208,6 +227,19 @@ def run_or_print(
     if name == "defects":
         files += ", detections.csv, first_detection.csv, by_stratum.csv, findings.csv"
     console.print(f"{files}: {path}", soft_wrap=True, markup=False)
+
+
+def _of_log(scenes: str | None, given: dict[str, Any]) -> dict[str, Any]:
+    """Return what a bench from a driving log *scenes* has beside what is given: its full path, and its horizon."""
+    from advdiff_sumo.experiments.bench.log_scenes import LOG_HORIZON_S, is_log
+
+    if scenes is None or not is_log(scenes):
+        return {}
+    horizon_s = given.get("horizon_s")
+    return {
+        "scenes": str(Path(scenes).resolve()),
+        "horizon_s": LOG_HORIZON_S if horizon_s is None else horizon_s,
+    }
 
 
 def _names_of(text: str | list[str] | None) -> list[str] | None:

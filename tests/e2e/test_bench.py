@@ -97,6 +97,27 @@ def test_fewshot_and_transfer(scenes: Path, tmp_path: Path) -> None:
         f"{t}:{c}" for t in ("lane_graph", "IDM") for c in ("av_rate", "bv_rate")
     }
 
+    lawful = advdiff(
+        *("bench", "transfer", *small, "--policies", "diffusion", "--targets", "IDM"),
+        *("--steps", "4", "--licence", "lawful", "--out", "lawful"),
+        cwd=tmp_path,
+    )
+    assert lawful.code == 0, lawful.err
+    assert "Licence: lawful." in lawful.out
+
+
+@pytest.mark.data
+def test_a_bench_from_a_driving_log(adv_data: Path, tmp_path: Path) -> None:
+    log = adv_data / "commonroad" / "USA_Lanker-1_3_T-1.xml.gz"
+    done = advdiff(
+        *("bench", "adversarial", "--scenes", str(log), "--policies", "sumo,replay", "--targets", "IDM"),
+        *("--horizon", "1", "--workers", "1", "--out", "log"),
+        cwd=tmp_path,
+    )
+    assert done.code == 0, done.err
+    assert "Seed scenes are of a driving log, one a second of every drive." in done.out
+    assert (tmp_path / "log" / "nets" / "USA_Lanker-1_3_T-1.net.xml").is_file()
+
 
 @pytest.mark.slow
 def test_traffic_on_windows_of_its_own(tmp_path: Path) -> None:
@@ -149,6 +170,8 @@ def test_traffic_on_windows_of_its_own(tmp_path: Path) -> None:
     [
         (("adversarial", "--scenes", "0"), "--scenes 0: give a number above 0, or the file of a list"),
         (("adversarial", "--scenes", "none.json"), "none.json: cannot be read"),
+        (("adversarial", "--scenes", "."), "it begins with <net>, not <commonRoad>"),
+        (("adversarial", "--licence", "legal"), "bench adversarial: licence = 'legal'"),
         (
             ("adversarial", "--policies", "diffusoin"),
             "unknown background 'diffusoin'; did you mean 'diffusion'?",

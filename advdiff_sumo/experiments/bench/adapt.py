@@ -26,7 +26,7 @@ class Adaptation:
         target: what is met, as registered.
         target_options: of it.
         seed: number of the warm-up; it also decides on which shipped net, in turn.
-        marks: plans after which Q is kept.
+        marks: plans after which what was learnt is kept.
         horizon_s: of its episodes.
         background_options: of the policy that is warmed up.
     """
@@ -39,7 +39,7 @@ class Adaptation:
     background_options: Mapping[str, Any] = field(default_factory=dict)
 
     def path(self, folder: Path, mark: int) -> Path:
-        """Return where Q after *mark* plans lies."""
+        """Return where what was learnt in *mark* plans lies: Q, under a licence the belief about encounters."""
         options = (*sorted(self.target_options.items()), *sorted(self.background_options.items()))
         extra = "".join(f"-{key}={value}" for key, value in options)
         return folder / f"{self.target}{extra}-s{self.seed}-{mark:04d}.safetensors".replace("/", "_")
@@ -69,8 +69,6 @@ def surrogate_options(source: str) -> dict[str, Any]:
 
 
 def _warm_up(one: Adaptation, folder: Path) -> None:
-    from advdiff_sumo.experiments.warmup_run import description, warm_up  # late: the worker alone needs it
-
     options = RunOptions(
         net=SHIPPED_NETS[one.seed % len(SHIPPED_NETS)],
         target=one.target,
@@ -80,8 +78,29 @@ def _warm_up(one: Adaptation, folder: Path) -> None:
         seed=TUNING_SEED + 1 + one.seed,
         horizon_s=one.horizon_s,
     )
+    if one.background_options.get("licence") != "reckless":
+        _learn_failures(one, options, folder)
+        return
+    from advdiff_sumo.experiments.warmup_run import description, warm_up  # late: the worker alone needs it
+
     kept = {}
     done = warm_up(options, one.marks[-1], lambda _: None, one.marks, lambda mark, q: kept.update({mark: q}))
     header = description(options, done)
     for mark in one.marks:
         save_reward(kept[mark], one.path(folder, mark), {**header, "steps": mark})
+
+
+def _learn_failures(one: Adaptation, options: RunOptions, folder: Path) -> None:
+    """Learn under a licence in which encounters the target fails; each mark begins anew with the same episodes."""
+    from advdiff_sumo.experiments.failure_warmup import (  # late: as above
+        EPISODE_S,
+        SCENE,
+        header,
+        warm_up_failures,
+    )
+    from advdiff_sumo.models.failure_predictor import save_failures
+
+    options = options.model_copy(update={"scene": SCENE, "horizon_s": min(one.horizon_s, EPISODE_S)})
+    for mark in one.marks:
+        done = warm_up_failures(options, mark, lambda _: None)
+        save_failures(done.predictor, one.path(folder, mark), header(options, done))

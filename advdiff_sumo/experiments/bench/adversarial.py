@@ -9,6 +9,7 @@ from advdiff_sumo.experiments.bench.bench_rows import (
     NATURAL,
     OURS,
     asked_of,
+    licensed,
     policy_row,
 )
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
@@ -50,9 +51,10 @@ def plan_adversarial(folder: Folder, teller: ProgressReporter) -> BenchCells:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     request = folder.request
-    scenes, targets, names = asked_of(request, teller, ATTACKED)
+    scenes, targets, names = asked_of(request, teller, ATTACKED, folder=folder.path)
+    options = {name: licensed(policy_row(name).options, request) for name in names}
     cells = [
-        BenchCell(name, target, policy_row(name).background, background_options=policy_row(name).options)
+        BenchCell(name, target, policy_row(name).background, background_options=options[name])
         for target in targets
         for name in names
     ]
@@ -84,6 +86,7 @@ def notes_of(results: Gathered, scenes: SceneList, folder: Folder, usual: tuple[
     """Return the notes of a closed-loop table: definitions, what failed, and what it was made of."""
     failed = failures_told(results, results.finished)
     other = scenes.sumo != version("libsumo") or scenes.horizon_s != folder.request.horizon_s
+    other = other and not scenes.log
     moved = (
         f"The list of seed scenes is for SUMO {scenes.sumo} and episodes of {scenes.horizon_s:g} s: these are others, "
         "from the same seeds."
@@ -93,4 +96,6 @@ def notes_of(results: Gathered, scenes: SceneList, folder: Folder, usual: tuple[
     scenes_note = (
         f"Seed scenes: sha256 {scenes.sha256[:16]}. Revision: {', '.join(r[:10] for r in folder.revisions)}."
     )
-    return tuple(note for note in (*usual, failed, moved, scenes_note) if note)
+    licence = f"Licence: {folder.request.licence}." if folder.request.licence else ""
+    logged = "Seed scenes are of a driving log, one a second of every drive." if scenes.log else ""
+    return tuple(note for note in (*usual, failed, moved, logged, licence, scenes_note) if note)

@@ -17,6 +17,7 @@ from advdiff_sumo.plugins import Registry, fold
 from advdiff_sumo.sim.run_episodes import versions
 from advdiff_sumo.sweep.fingerprint import digest, file_digest
 from advdiff_sumo.sweep.sweep_files import write_whole
+from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
 
 BenchName: TypeAlias = Literal["traffic", "adversarial", "transfer", "fewshot", "defects"]
 _FILE = "bench.json"
@@ -27,7 +28,7 @@ class Request(Options):
 
     Attributes:
         bench: its verb.
-        scenes: how many of the shipped list's first, or a list's file; windows of ``traffic``.
+        scenes: how many of the shipped list's first, a list's file, or a driving log; windows of ``traffic``.
         horizon_s: longest duration of an episode.
         targets: what is attacked.
         policies: rows.
@@ -37,6 +38,7 @@ class Request(Options):
         samples: joint samples of a scene (traffic).
         defects: what is planted, as ``NAME`` or ``NAME:SEVERITY`` (defects).
         severity: of those that have none.
+        licence: of all that attack; None: the paper's, and of ``defects`` the default one.
     """
 
     bench: BenchName
@@ -50,6 +52,7 @@ class Request(Options):
     samples: int = Field(10, ge=2, le=100)
     defects: tuple[str, ...] = ()
     severity: Literal["weak", "middle", "strong"] = "strong"
+    licence: LicenceName | None = None
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from advdiff_sumo.experiments.bench.bench_config import Request, chosen
+from advdiff_sumo.experiments.bench.log_scenes import bench_scenes
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
-from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList, choose_scenes
+from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
 from advdiff_sumo.traffic.policy_registry import POLICIES, make_policy
 
@@ -57,6 +59,13 @@ def policy_row(name: str) -> PolicyRow:
     return POLICY_ROWS.get(name, PolicyRow(name, name))
 
 
+def licensed(options: Mapping[str, Any], request: Request) -> dict[str, Any]:
+    """Return *options* of a row's background with the licence that is asked for in place of the paper's."""
+    if request.licence is None or "licence" not in options:
+        return dict(options)
+    return {**options, "licence": request.licence}
+
+
 def made_policy(name: str) -> object:
     """Return the policy of the row *name*.
 
@@ -78,6 +87,7 @@ def asked_of(
     usual_targets: Mapping[str, str],
     usual_rows: Mapping[str, str] = REGISTERED,
     scene_list: str = TABLE_LIST,
+    folder: Path | None = None,
 ) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
     """Return the seed scenes, targets and rows that the request asks for; say which usual ones are left out.
 
@@ -87,11 +97,12 @@ def asked_of(
         usual_targets: targets where none are named, by their names in the table.
         usual_rows: rows where none are named, with their backgrounds.
         scene_list: shipped list of seed scenes.
+        folder: of the bench; None: nothing is begun yet.
 
     Raises:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
-    scenes = choose_scenes(request.scenes, scene_list)
+    scenes = bench_scenes(request.scenes, scene_list, folder)
     targets, absent = chosen(request.targets, usual_targets, TARGETS, "--targets", made_target)
     names, lacking = chosen(request.policies, usual_rows, POLICIES, "--policies", made_policy)
     for what, missing in (("row", lacking), ("target", absent)):

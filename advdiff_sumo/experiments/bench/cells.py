@@ -83,6 +83,7 @@ def plan_cells(cells: Sequence[BenchCell], scenes: SceneList, horizon_s: float) 
             target_options=dict(cell.target_options),
             background=cell.background,
             background_options=dict(cell.background_options),
+            scenes=scenes.log,
             seed=seed,
             episodes=count,
             scene=scenes.strata[stratum].model_dump(mode="json") if stratum else None,

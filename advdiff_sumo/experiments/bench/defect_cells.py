@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.bench_rows import (
     PAPERS_LICENCE,
     REGISTERED,
     asked_of,
+    licensed,
     policy_row,
 )
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
@@ -30,28 +33,28 @@ def plan_defects(folder: Folder, teller: ProgressReporter) -> BenchCells:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     request = folder.request
-    scenes, targets, names = asked_of_defects(request, teller)
+    scenes, targets, names = asked_of_defects(request, teller, folder.path)
     planted = {target: planted_in(target, request, teller) for target in targets}
     cells = []
     for name in names:
         if CAREFUL in TARGETS.names() and CAREFUL not in targets:
-            cells.append(_cell(name, CAREFUL))
+            cells.append(_cell(request, name, CAREFUL))
         for target, defects in planted.items():
-            cells.append(_cell(name, target))
-            cells += [_cell(name, target, defect) for defect in defects]
+            cells.append(_cell(request, name, target))
+            cells += [_cell(request, name, target, defect) for defect in defects]
     return plan_cells(cells, scenes, request.horizon_s)
 
 
 def asked_of_defects(
-    request: Request, teller: ProgressReporter
+    request: Request, teller: ProgressReporter, folder: Path | None = None
 ) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
-    """Return the seed scenes, targets and backgrounds that the request asks for.
+    """Return the seed scenes, targets and backgrounds that the request asks for; *folder* of the bench once begun.
 
     Raises:
         InputError: a name or defect is unknown, or the list of scenes cannot be used.
     """
     usual = {_USUAL_TARGET: _USUAL_TARGET}
-    scenes, targets, names = asked_of(request, teller, usual, _BACKGROUNDS, DEFECTS_LIST)
+    scenes, targets, names = asked_of(request, teller, usual, _BACKGROUNDS, DEFECTS_LIST, folder)
     for target in targets:
         planted_in(target, request)
     return scenes, targets, names
@@ -75,17 +78,19 @@ def planted_in(target: str, request: Request, teller: ProgressReporter | None = 
     return tuple(defect for defect in defects if defect.kind.sumo is not None)
 
 
-def _cell(name: str, target: str, defect: Defect | None = None) -> BenchCell:
-    """Return the cell of the row *name*; its attackers keep to the law, whatever they do in the paper's tables."""
+def _cell(request: Request, name: str, target: str, defect: Defect | None = None) -> BenchCell:
+    """Return the cell of the row *name*; its attackers keep to the law unless the request says otherwise."""
     row = policy_row(name)
-    lawful = {key: value for key, value in row.options.items() if key not in PAPERS_LICENCE}
+    allowed = licensed(row.options, request)
+    if request.licence is None:
+        allowed = {key: value for key, value in allowed.items() if key not in PAPERS_LICENCE}
     options = {} if defect is None else {"defects": [defect.name]}
     return BenchCell(
         row=name,
         target=target,
         background=row.background,
         target_options=options,
-        background_options=lawful,
+        background_options=allowed,
         like=name,
         defect=SOUND if defect is None else defect.name,
     )

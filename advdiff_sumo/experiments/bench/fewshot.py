@@ -14,11 +14,12 @@ from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
 from advdiff_sumo.experiments.bench.adversarial import notes_of
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
-from advdiff_sumo.experiments.bench.bench_rows import PAPERS_LICENCE
+from advdiff_sumo.experiments.bench.bench_rows import PAPERS_LICENCE, licensed
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
+from advdiff_sumo.experiments.bench.log_scenes import bench_scenes
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
-from advdiff_sumo.experiments.bench.scene_list import SceneList, choose_scenes
+from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
 from advdiff_sumo.experiments.bench.statistics import RESAMPLES, Difference, Estimate, Ratio, estimate
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
@@ -70,7 +71,7 @@ def plan_fewshot(folder: Folder, workers: int, teller: ProgressReporter) -> Benc
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     request = folder.request
-    scenes, names = asked_of_fewshot(request)
+    scenes, names = asked_of_fewshot(request, folder.path)
     q = folder.path / "adapted"
     wanted = {
         (guide, name, seed): _adaptation(guide, name, seed, folder)
@@ -79,32 +80,33 @@ def plan_fewshot(folder: Folder, workers: int, teller: ProgressReporter) -> Benc
         for seed in range(request.seeds)
     }
     adapt(list(wanted.values()), q, workers, teller)
-    cells = [_bench_cell(guide, name, 0, 0) for guide in GUIDES for name in names]
+    licence = licensed(PAPERS_LICENCE, request)
+    cells = [_bench_cell(licence, guide, name, 0, 0) for guide in GUIDES for name in names]
     cells += [
-        _bench_cell(guide, name, seed, mark, one.path(q, mark))
+        _bench_cell(licence, guide, name, seed, mark, one.path(q, mark))
         for (guide, name, seed), one in wanted.items()
         for mark in one.marks
     ]
     return plan_cells(cells, scenes, request.horizon_s)
 
 
-def _bench_cell(guide: str, name: str, seed: int, mark: int, reward: Path | None = None) -> BenchCell:
-    options = {**PAPERS_LICENCE, "guide": guide} | (
-        {} if reward is None else {"reward": str(reward.resolve())}
-    )
+def _bench_cell(
+    licence: Mapping[str, Any], guide: str, name: str, seed: int, mark: int, reward: Path | None = None
+) -> BenchCell:
+    options = {**licence, "guide": guide} | ({} if reward is None else {"reward": str(reward.resolve())})
     row, target = f"{guide}/{name}/{seed}/{mark}", _of(name)
     return BenchCell(row, target.target, "diffusion", target.options, options, like=f"--guide {guide}")
 
 
-def asked_of_fewshot(request: Request) -> tuple[SceneList, tuple[str, ...]]:
-    """Return the seed scenes and targets that the request asks for.
+def asked_of_fewshot(request: Request, folder: Path | None = None) -> tuple[SceneList, tuple[str, ...]]:
+    """Return the seed scenes and targets that the request asks for; *folder* of the bench where it is begun.
 
     Raises:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     if request.policies:
         raise ConfigError("--policies: bench fewshot is of background diffusion alone; leave it out")
-    scenes = choose_scenes(request.scenes)
+    scenes = bench_scenes(request.scenes, TABLE_LIST, folder)
     usual = {name: one.target for name, one in UNSEEN.items()}
     names, _ = chosen(request.targets, usual, TARGETS, "--targets", _made)
     return scenes, names
@@ -228,5 +230,5 @@ def _made(name: str) -> object:
 
 def _adaptation(guide: str, name: str, seed: int, folder: Folder) -> Adaptation:
     request, one = folder.request, _of(name)
-    options = {**PAPERS_LICENCE, "guide": guide}
+    options = {**licensed(PAPERS_LICENCE, request), "guide": guide}
     return Adaptation(one.target, one.options, seed, marks_of(request.steps), request.horizon_s, options)

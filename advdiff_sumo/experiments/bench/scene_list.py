@@ -22,7 +22,7 @@ from advdiff_sumo.sweep.sweep_files import write_whole
 FORMAT: Literal["advdiff-scenes-1"] = "advdiff-scenes-1"
 TABLE_LIST, TUNING_LIST, DEFECTS_LIST = "scenes-300", "scenes-tuning", "scenes-defects"
 TABLE_SEED, TUNING_SEED, DEFECTS_SEED = 3001, 7001, 9201
-_LATER = {"situation": "any", "pedestrians_per_km": 0.0, "stratum": "", "strata": {}}
+_LATER = {"situation": "any", "pedestrians_per_km": 0.0, "stratum": "", "strata": {}, "log": ""}
 """Fields that lists had not from the beginning, and what stands for their absence."""
 HORIZON_S, DEFECTS_HORIZON_S = 10.0, 30.0
 
@@ -77,6 +77,7 @@ class SceneList(Options):
         scene: how scenes are found that are of no stratum.
         strata: how those of each stratum are found.
         scenes: strata and nets in turn, numbers rising.
+        log: root of the driving log that they come from; "": SUMO traffic.
         sha256: of all that precedes, as canonical JSON.
     """
 
@@ -88,6 +89,7 @@ class SceneList(Options):
     scene: SceneOptions = SceneOptions()
     strata: dict[str, SceneOptions] = Field(default_factory=dict)
     scenes: tuple[ListedScene, ...]
+    log: str = ""
     sha256: str = ""
 
     @model_serializer(mode="wrap")

@@ -18,6 +18,7 @@ from advdiff_sumo.experiments.bench.bench_rows import (
     REGISTERED,
     TARGET_TITLES,
     asked_of,
+    licensed,
     made_target,
     policy_row,
 )
@@ -54,7 +55,7 @@ def plan_transfer(folder: Folder, workers: int, teller: ProgressReporter) -> Ben
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     request = folder.request
-    scenes, targets, names = asked_of_transfer(request, teller)
+    scenes, targets, names = asked_of_transfer(request, teller, folder.path)
     sources, _ = chosen((), {name: name for name in SOURCES}, TARGETS, "--targets", made_target)
     q = folder.path / "adapted"
     if OURS in names:
@@ -70,15 +71,15 @@ def plan_transfer(folder: Folder, workers: int, teller: ProgressReporter) -> Ben
 
 
 def asked_of_transfer(
-    request: Request, teller: ProgressReporter
+    request: Request, teller: ProgressReporter, folder: Path | None = None
 ) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
-    """Return the seed scenes, targets and policies that the request asks for.
+    """Return the seed scenes, targets and policies that the request asks for; *folder* of the bench where it is begun.
 
     Raises:
         InputError: a name is unknown or cannot be adapted, or the list of scenes cannot be used.
     """
     adaptable = {name: REGISTERED[name] for name in ADAPTED}
-    scenes, targets, names = asked_of(request, teller, TARGETS_MET, adaptable)
+    scenes, targets, names = asked_of(request, teller, TARGETS_MET, adaptable, folder=folder)
     if any(name not in ADAPTED for name in names):
         raise ConfigError(f"--policies: bench transfer has {', '.join(ADAPTED)}; only these can be adapted")
     return scenes, targets, names
@@ -123,12 +124,13 @@ def _samples(target: str, results: Sequence[EpisodeResult]) -> dict[str, Sample]
 
 def _warm_up(source: str, folder: Folder) -> Adaptation:
     request = folder.request
-    return Adaptation(source, {}, 0, (request.steps,), request.horizon_s, PAPERS_LICENCE)
+    licence = licensed(PAPERS_LICENCE, request)
+    return Adaptation(source, {}, 0, (request.steps,), request.horizon_s, licence)
 
 
 def _against(name: str, source: str, targets: Sequence[str], folder: Folder, q: Path) -> list[BenchCell]:
     """Return the cells of *name*, adapted to *source*, with each of *targets*."""
-    options = dict(policy_row(name).options)
+    options = licensed(policy_row(name).options, folder.request)
     if name in BY_SURROGATE:
         options |= surrogate_options(source)
     if name == OURS:

@@ -1,0 +1,98 @@
+"""Seed scenes of a bench out of a driving log: the paper's own setting, a window a second of every drive."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from pathlib import Path
+
+from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.data import open_log
+from advdiff_sumo.data.log_reader import LogReader
+from advdiff_sumo.experiments.bench.scene_list import ListedScene, SceneList, choose_scenes
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.log_windows import Nets
+from advdiff_sumo.sim.logs import LoggedTraffic
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sweep.fingerprint import file_digest, net_files
+
+LOG_HORIZON_S = 6.0
+"""Future of a window: with 2 s of history the paper's segments of 8 s (Sec. IV)."""
+LOG_STRIDE_S = 1.0
+NETS = "nets"
+"""Folder of converted nets within a bench's folder."""
+_LOG_FILES = (".pkl", ".parquet", ".xml", ".gz")
+
+
+def is_log(asked: str) -> bool:
+    """Return whether ``--scenes`` names a driving log: a folder, or a file of a kind that logs have."""
+    path = Path(asked)
+    return path.is_dir() or (path.is_file() and path.suffix in _LOG_FILES)
+
+
+def bench_scenes(asked: str, name: str, folder: Path | None) -> SceneList:
+    """Return the seed scenes that ``--scenes`` asks for, of a list or of a driving log.
+
+    Args:
+        asked: a number, the file of a list, or the root of a log.
+        name: shipped list that a number is of.
+        folder: of the bench, where nets are kept; None: of a log it is only looked at whether it can be opened.
+
+    Raises:
+        InputError: there is no such list, number or log, or no drive of the log can be used.
+    """
+    if not is_log(asked):
+        return choose_scenes(asked, name)
+    log = Path(asked).resolve()
+    reader = open_log(log)
+    if folder is None:
+        return SceneList(nets={}, sumo=version("libsumo"), scenes=(), log=str(log))
+    return scenes_of_log(log, reader, folder / NETS)
+
+
+def scenes_of_log(log: Path, reader: LogReader, folder: Path) -> SceneList:
+    """Return a scene a second of every drive, drives and then nets in turn, on nets converted from the log's maps.
+
+    Args:
+        log: root of the log.
+        reader: of it.
+        folder: where the nets are, or are put.
+
+    Raises:
+        InputError: a map cannot be converted, or no drive is on its net.
+    """
+    options = SceneOptions(stride_s=LOG_STRIDE_S)
+    by_net = {net: _usable(road, reader, options) for net, road in _roads(reader, folder).items()}
+    if not any(by_net.values()):
+        raise SceneError(
+            f"{log}: none of its drives can begin an episode on the net of its map; see advdiff-sumo run --scenes"
+        )
+    turns = max(by_net.values())
+    scenes = tuple(
+        ListedScene(net=net, seed=0, number=number)
+        for number in range(turns)
+        for net, count in by_net.items()
+        if number < count
+    )
+    whole = SceneList(
+        about="a window a second of a driving log",
+        nets={net: file_digest(*net_files(net)) for net in by_net},
+        sumo=version("libsumo"),
+        horizon_s=LOG_HORIZON_S,
+        scene=options,
+        scenes=scenes,
+        log=str(log),
+    )
+    return whole.model_copy(update={"sha256": whole.content_digest})
+
+
+def _roads(reader: LogReader, folder: Path) -> dict[str, RoadMap]:
+    """Return the nets of all drives, by path and in its order."""
+    nets = Nets((), folder)
+    roads = [road for drive in reader.scenes() if (road := nets.of(drive, reader)) is not None]
+    return {str(road.path): road for road in sorted(roads, key=lambda road: str(road.path))}
+
+
+def _usable(road: RoadMap, reader: LogReader, options: SceneOptions) -> int:
+    """Return how many episodes can begin on *road*."""
+    return sum(1 for _ in LoggedTraffic(road, reader, options, SimOptions(), SeedTree(0)).scenes())

@@ -1,0 +1,89 @@
+"""Seed scenes of a bench out of real driving logs, and the licence that a bench is run with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from advdiff_sumo.core.errors import ConfigError, LogError
+from advdiff_sumo.experiments.bench.adversarial import plan_adversarial
+from advdiff_sumo.experiments.bench.bench_config import Folder, Request
+from advdiff_sumo.experiments.bench.bench_rows import POLICY_ROWS, licensed
+from advdiff_sumo.experiments.bench.cells import BenchCell, plan_cells
+from advdiff_sumo.experiments.bench.defect_cells import plan_defects
+from advdiff_sumo.experiments.bench.log_scenes import bench_scenes, is_log
+from advdiff_sumo.experiments.bench.progress import Silent
+from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, choose_scenes
+
+
+@pytest.mark.data
+def test_a_drive_gives_a_scene_a_second_on_the_net_of_its_own_map(adv_data: Path, tmp_path: Path) -> None:
+    log = adv_data / "commonroad" / "USA_Lanker-1_3_T-1.xml.gz"
+    scenes = bench_scenes(str(log), TABLE_LIST, tmp_path)
+    (net,) = scenes.nets
+    assert Path(net).is_file()
+    assert Path(net).parent == tmp_path / "nets"
+    assert (scenes.log, scenes.scene.stride_s, scenes.horizon_s) == (str(log), 1.0, 6.0)
+    assert [scene.number for scene in scenes.scenes] == list(range(len(scenes.scenes)))
+    assert bench_scenes(str(log), TABLE_LIST, tmp_path) == scenes  # the net is made once
+    cells = plan_cells([BenchCell("sumo", "IDM", "sumo")], scenes, 2.0)
+    assert len(cells.plan.jobs) == len(scenes.scenes) > 0
+    assert {cells.plan.options(job).scenes for job in cells.plan.jobs} == {str(log)}
+
+
+@pytest.mark.data
+def test_a_log_is_only_opened_before_the_bench_begins(adv_data: Path, tmp_path: Path) -> None:
+    assert bench_scenes(str(adv_data / "nuscenes-mini"), TABLE_LIST, None).scenes == ()
+    with pytest.raises(LogError, match="holds no driving log"):
+        bench_scenes(str(tmp_path), TABLE_LIST, None)
+
+
+def test_numbers_and_lists_are_no_logs(tmp_path: Path) -> None:
+    (tmp_path / "list.json").write_text("{}")
+    assert [is_log(x) for x in ("12", str(tmp_path / "list.json"), "nowhere", str(tmp_path))] == [
+        False,
+        False,
+        False,
+        True,
+    ]
+    assert bench_scenes("3", TABLE_LIST, None) == choose_scenes("3")
+    assert "log" not in choose_scenes("3").model_dump(mode="json")  # lists keep their digests
+
+
+@pytest.mark.parametrize("licence", ["lawful", "careless", "reckless"])
+def test_a_licence_holds_for_all_that_attack_and_for_nobody_else(licence: str, tmp_path: Path) -> None:
+    request = Request(
+        bench="adversarial",
+        scenes="3",
+        policies=("sumo", "unguided", "advsim"),
+        targets=("IDM",),
+        licence=licence,
+    )
+    cells = {
+        cell.row: cell.background_options
+        for cell in plan_adversarial(Folder(tmp_path, request), Silent()).cells
+    }
+    assert cells == {
+        "sumo": {},
+        "unguided": {"guide": "none", "licence": licence},
+        "advsim": {"licence": licence},
+    }
+
+
+def test_without_a_licence_the_papers_tables_are_reckless_and_defects_meet_the_default(
+    tmp_path: Path,
+) -> None:
+    plain = Request(bench="adversarial", scenes="3")
+    assert licensed(POLICY_ROWS["diffusion"].options, plain) == {"licence": "reckless"}
+    request = Request(bench="defects", scenes="3", policies=("advsim",), defects=("late",))
+    cells = plan_defects(Folder(tmp_path, request), Silent()).cells
+    assert {str(cell.background_options) for cell in cells} == {"{}"}
+    reckless = request.model_copy(update={"licence": "reckless"})
+    cells = plan_defects(Folder(tmp_path, reckless), Silent()).cells
+    assert {str(cell.background_options) for cell in cells} == {"{'licence': 'reckless'}"}
+
+
+def test_an_unknown_licence_is_refused() -> None:
+    with pytest.raises(ConfigError, match="licence"):
+        Request.parse({"bench": "adversarial", "licence": "legal"}, "bench adversarial")

@@ -63,10 +63,12 @@ def scenes_of_log(log: Path, reader: LogReader, folder: Path) -> SceneList:
     """
     options = SceneOptions(stride_s=LOG_STRIDE_S)
     by_net = {net: _usable(road, reader, options) for net, road in _roads(reader, folder).items()}
-    if not any(by_net.values()):
+    if not by_net:
         raise SceneError(
-            f"{log}: none of its drives can begin an episode on the net of its map; see advdiff-sumo run --scenes"
+            f"{log}: none of its drives is on a net of its own map; give nuScenes' tables in place of records of them"
         )
+    if not any(by_net.values()):
+        raise SceneError(f"{log}: its ego never drives along a lane with 1.5 s to come; give other drives")
     turns = max(by_net.values())
     scenes = tuple(
         ListedScene(net=net, seed=0, number=number)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from advdiff_sumo.core.errors import ConfigError, LogError
+from advdiff_sumo.core.errors import ConfigError, LogError, SceneError
 from advdiff_sumo.experiments.bench.adversarial import plan_adversarial
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.bench_rows import POLICY_ROWS, licensed
@@ -30,6 +30,18 @@ def test_a_drive_gives_a_scene_a_second_on_the_net_of_its_own_map(adv_data: Path
     cells = plan_cells([BenchCell("sumo", "IDM", "sumo")], scenes, 2.0)
     assert len(cells.plan.jobs) == len(scenes.scenes) > 0
     assert {cells.plan.options(job).scenes for job in cells.plan.jobs} == {str(log)}
+
+
+@pytest.mark.data
+def test_records_of_which_no_episode_can_begin_get_a_sentence(adv_data: Path, tmp_path: Path) -> None:
+    records = adv_data / "scenarionet"
+    nuscenes, waymo = records / "sd_nuscenes_v1.0-mini_scene-0553.pkl", next(records.glob("sd_training*.pkl"))
+    with pytest.raises(
+        SceneError, match=r"scene-0553\.pkl: none of its drives is on a net of its own map; give nuS"
+    ):
+        bench_scenes(str(nuscenes), TABLE_LIST, tmp_path / "a")
+    with pytest.raises(SceneError, match="its ego never drives along a lane with 1.5 s to come"):
+        bench_scenes(str(waymo), TABLE_LIST, tmp_path / "b")
 
 
 @pytest.mark.data

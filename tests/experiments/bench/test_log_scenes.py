@@ -40,7 +40,7 @@ def test_records_of_which_no_episode_can_begin_get_a_sentence(adv_data: Path, tm
         SceneError, match=r"scene-0553\.pkl: none of its drives is on a net of its own map; give nuS"
     ):
         bench_scenes(str(nuscenes), TABLE_LIST, tmp_path / "a")
-    with pytest.raises(SceneError, match="its ego never drives along a lane with 1.5 s to come"):
+    with pytest.raises(SceneError, match="its ego never drives along a lane"):
         bench_scenes(str(waymo), TABLE_LIST, tmp_path / "b")
 
 

@@ -88,7 +88,8 @@ def findings_text(gathered: Gathered, costs: Mapping[tuple[str, str], Sequence[f
     """
     rows: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for cell, episodes in gathered.finished.items():
-        rows.setdefault((cell.row, cell.target), []).extend(one.row for one in episodes)
+        asked = cell.background_options.get("attack", cell.background)  # as in a sweep's table
+        rows.setdefault((cell.row, cell.target), []).extend({**one.row, "attack": asked} for one in episodes)
     sink = io.StringIO()
     writer = csv.writer(sink, lineterminator="\n")
     counts = ("episodes", "collisions", "valid", "others_broke")

@@ -33,8 +33,7 @@ def episode(number: int, valid: bool | None, approach: str = "ahead", broke: str
         "other_breaches": broke,
         "in_position": None,
         "approach": approach,
-        "attack": "any",
-        "attacker_manoeuvre": "hard-stop",
+        "attacker_manoeuvre": "hard-stop" if approach == "ahead" else None,
         "target_manoeuvre": "straight",
         "at_fault": "target" if valid else None,
         "closing_speed_mps": 1.0,
@@ -63,11 +62,14 @@ def test_more_draws_never_hold_fewer_groups(members: list[int], others: int) -> 
 
 def test_collisions_are_counted_by_what_they_are_worth() -> None:
     rows = [
-        episode(0, True),
-        episode(1, True, "from_left"),
-        episode(2, False, "behind", "ran_into, speeding"),
-        episode(3, False, "beside_left", "ran_into"),
-        episode(4, None),
+        {**row, "attack": "any"}
+        for row in (
+            episode(0, True),
+            episode(1, True, "from_left"),
+            episode(2, False, "behind", "ran_into, speeding"),
+            episode(3, False, "beside_left", "ran_into"),
+            episode(4, None),
+        )
     ]
     found = count_findings(rows)
     assert (found.episodes, found.collisions, found.valid, found.others_broke) == (5, 4, 2, 2)
@@ -89,7 +91,7 @@ def test_a_line_a_target_and_background_and_no_median_where_half_are_never_detec
     gathered = Gathered(
         {
             sound: [EpisodeResult("s", episode(k, None), UNTRACED, None) for k in range(99)],
-            late: [EpisodeResult("s", episode(0, True), UNTRACED, None)],
+            late: [EpisodeResult("s", episode(0, True, "from_left"), UNTRACED, None)],
         }
     )
     text = findings_text(gathered, {("sumo", "lane_graph"): [24.0, math.inf]})

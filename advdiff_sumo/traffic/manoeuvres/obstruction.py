@@ -1,7 +1,8 @@
 """Whose way the target's box blocks, although SUMO does not take it for their leader: they see it, and stop short.
 
 SUMO's drivers look along lanes: a vehicle that stands across theirs, or beside its own, is none that they follow. On
-their own lane they are left to SUMO until they would have to brake harder than its drivers ever do for a leader.
+their own lane they are left to SUMO until they would have to brake harder than its drivers ever do for a leader, or
+gain speed towards one that they ought to brake for.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ _PASSES_AFTER_S = 8.0
 _BEGINS_MPS2, _HARDEST_MPS2 = 2.5, 8.5
 _MISSED_MPS2, _NEXT_S = 5.0, 0.5
 """Braking, at the next plan, that tells that SUMO does not follow the target: its drivers brake with 4.5 m/s²."""
+_GAINS_MPS2, _HOLDS_MPS2 = 2.6, 0.5
+"""How fast SUMO's drivers gain speed, and the least braking of who is not to."""
 _BEFORE_M, _STAYS_M, _STANDS_MPS = 1.0, 2.0, 0.3
 _CLOSE_M = 2.0
 """Closer than this nobody stands behind a leader of SUMO's."""
@@ -39,7 +42,7 @@ _OUTLINE: FloatArray = np.concatenate(
 
 
 def blocked_since(view: SituationView, since_s: Mapping[str, float]) -> Mapping[str, float]:
-    """Return id → since when the target's box is on the way of each whom SUMO does not stop for it."""
+    """Return id → since when each has had the target's box on its way."""
     now, ids = view.scene.time_s, view.scene.history.ids
     return {
         ids[row]: since_s.get(ids[row], now)
@@ -50,6 +53,8 @@ def blocked_since(view: SituationView, since_s: Mapping[str, float]) -> Mapping[
 
 def waiting(view: SituationView, since_s: Mapping[str, float]) -> list[Manoeuvre]:
     """Return how those brake, or stand, whose way has been blocked for their reaction time, where they have to.
+
+    Before a line where it may have to stop nobody is taken from SUMO.
 
     Args:
         view: the scene.
@@ -67,14 +72,16 @@ def waiting(view: SituationView, since_s: Mapping[str, float]) -> list[Manoeuvre
 
 
 def _is_blocked(view: SituationView, row: int, for_s: float) -> bool:
-    target, way = view.scene.target, view.ways[row]
     aside = _CAREFULLY_M if for_s >= _PASSES_AFTER_S else _ASIDE_M
-    gap, _, across = _ahead(view, row, target, aside)
-    if not np.isfinite(gap) or abs(across) > _ACROSS_MPS:
-        return False
+    gap, _, across = _ahead(view, row, view.scene.target, aside)
+    return bool(np.isfinite(gap)) and abs(across) <= _ACROSS_MPS
+
+
+def _has_line_before(view: SituationView, row: int, gap_m: float) -> bool:
+    """Return whether *row* comes to a line where it may have to stop within *gap_m*."""
     front = 0.5 * float(view.size(row)[0])
-    lines = ((reach - front, link) for reach, link in way.links)
-    return not any(0.0 < line < gap and _may_stop_at(view.signal(link), link.yields) for line, link in lines)
+    lines = ((reach - front, link) for reach, link in view.ways[row].links)
+    return any(0.0 < line < gap_m and _may_stop_at(view.signal(link), link.yields) for line, link in lines)
 
 
 def _is_leader(view: SituationView, row: int) -> bool:
@@ -92,18 +99,29 @@ def _braking(view: SituationView, row: int) -> float:
     gap, along, _ = _ahead(view, row, view.scene.target, _CAREFULLY_M)
     if not np.isfinite(gap):
         gap, along, _ = _ahead(view, row, view.scene.target, _ASIDE_M)
+    if _has_line_before(view, row, gap):
+        return 0.0
     speed, is_leader = view.speed(row), _is_leader(view, row)
     stays = _CLOSE_M if is_leader else _BEFORE_M + _STAYS_M
     if speed < _STANDS_MPS and gap < stays and along < _STANDS_MPS:
         return _BEGINS_MPS2
     needed = _needed_mps2(speed, gap, along)
-    next_m = gap - _NEXT_S * max(speed - max(along, 0.0), 0.0)
-    if (_needed_mps2(speed, next_m, along) < _MISSED_MPS2) if is_leader else (needed < _BEGINS_MPS2):
+    if _is_left_to_sumo(view, row, gap, along, is_leader):
         return 0.0
     others = (other for other in [*view.ways, *view.astray.tolist()] if other not in (row, view.scene.target))
     places = (_ahead(view, row, other, _CAREFULLY_M) for other in others)
     worst = max((_needed_mps2(view.speed(row), gap, along) for gap, along, _ in places), default=0.0)
-    return min(max(needed, worst), _HARDEST_MPS2)
+    return min(max(needed, worst, _HOLDS_MPS2), _HARDEST_MPS2)
+
+
+def _is_left_to_sumo(view: SituationView, row: int, gap_m: float, along_mps: float, is_leader: bool) -> bool:
+    """Return whether *row* still stops gently at the next plan, however SUMO drives it; a leader it may brake for."""
+    speed, gained = view.speed(row), _GAINS_MPS2 * _NEXT_S
+    heeds = view.gains_mps2(row) <= 0.0 or _needed_mps2(speed, gap_m, along_mps) < _BEGINS_MPS2
+    follows = is_leader and heeds and gap_m >= _CLOSE_M
+    then, limit = (speed, _MISSED_MPS2) if follows else (speed + gained, _BEGINS_MPS2)
+    closing = 0.5 * (speed + then) - max(along_mps, 0.0)
+    return _needed_mps2(then, gap_m - _NEXT_S * max(closing, 0.0), along_mps) < limit
 
 
 def _needed_mps2(speed_mps: float, gap_m: float, along_mps: float) -> float:

@@ -109,3 +109,52 @@ def test_reckless_traffic_waits_for_nobody(motorway: RoadMap) -> None:
 
     assert waits(advance(view, kept, 2, 8.0, LAWFUL)[0]) == [1]
     assert waits(advance(view, kept, 2, 8.0, None)[0]) == []
+
+
+@pytest.mark.parametrize(("at_m", "stays"), [(94.25, True), (92.0, False)])
+def test_who_stands_behind_a_box_that_creeps_stays_until_there_is_room(
+    motorway: RoadMap, at_m: float, stays: bool
+) -> None:
+    """SUMO's driver would be at 1.3 m/s after half a second, the target, at 0.4 m/s, 0.2 m further on.
+
+    Of a gap of 1.25 m 0.125 m are left then beyond the metre that is kept: 3.2 m/s²; of 3.5 m 2.4 m: 0.2 m/s².
+    """
+    assert bool(braked(beside(motorway, 1.5, (at_m, 0.0), speed_mps=0.4))) is stays
+
+
+@pytest.mark.parametrize(("before_mps", "brakes"), [(8.0, False), (7.0, True)])
+def test_who_gains_speed_towards_a_leader_does_not_follow_it(
+    motorway: RoadMap, before_mps: float, brakes: bool
+) -> None:
+    """13.5 m before it, 8 m/s need 2.6 m/s²: SUMO's drivers gain no speed any more, unless they look past it."""
+    lane = long_lane(motorway)
+    view = SituationView.of(motorway, scene_on({"target": (lane, 100.0, 0.0), "other": (lane, 82.0, 8.0)}))
+    view.scene.history.speed_mps[1, -2] = before_mps
+    assert bool(braked(view)) is brakes
+
+
+@pytest.mark.parametrize(("to_line_m", "brakes"), [(1.0, False), (-0.5, True)])
+def test_a_box_beyond_a_line_is_seen_before_it_and_braked_for_behind_it(
+    downtown: RoadMap, to_line_m: float, brakes: bool
+) -> None:
+    """Who has to give way is SUMO's up to the line; behind it nobody needs time to see what was there all along."""
+    link = next(
+        link
+        for lane in downtown.lanes.values()
+        for link in lane.successors
+        if link.state == "m" and link.direction == "s" and link.tls_id is None and lane.length_m > 50.0
+    )
+    own, on = downtown.lanes[link.from_lane], downtown.lanes[link.via[0]]
+    cars = {"target": (on, 8.0, 0.0), "other": (own, own.length_m - 2.25 - to_line_m, 6.0)}
+    scene = replace(scene_on(cars), routes=((), (own.edge_id, downtown.lanes[link.to_lane].edge_id)))
+    view = SituationView.of(downtown, _moved(scene, on.line.at(8.0)[0], np.radians(30.0)))
+    assert blocked_since(view, {"other": -1.0}) == {"other": -1.0}
+    assert bool(braked(view)) is brakes
+
+
+def test_who_stands_closer_behind_a_leader_than_sumo_does_stays_too(motorway: RoadMap) -> None:
+    """A metre behind a target that creeps on its own lane; behind one 3 m ahead SUMO drives."""
+    lane = long_lane(motorway)
+    for gap_m, stays in ((1.0, True), (3.0, False)):
+        cars = {"target": (lane, 100.0, 0.4), "other": (lane, 95.5 - gap_m, 0.0)}
+        assert bool(braked(SituationView.of(motorway, scene_on(cars)))) is stays

@@ -223,6 +223,7 @@ def _watched(
         over_limit=np.concatenate((over_limit, np.ones(len(rest)))),
         lanes=ahead,
         signals=scene.signals,
+        keeps_back=not attack.exempt,
     )
 
 

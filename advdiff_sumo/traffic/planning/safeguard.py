@@ -5,7 +5,8 @@ has no lane), one that is no attacker and plans to drive on the wrong side, and 
 its whole history or plans to stop on one, follows its lane instead, or stops where it is too fast for that; all are
 slowed to their share of the speed limit (``speed_bound``); one that stands and has nowhere to go stands exactly
 still, and one that has stood for its whole history and means to leave within its plan leaves now; who has no plan
-and has stood for as long is taken to stand; plans are braked (``braking``) where boxes would meet or a red light
+and has stood for as long is taken to stand; who follows the target keeps a gap in which it can stop
+(``following_gap``); plans are braked (``braking``) where boxes would meet or a red light
 would be passed. Who could not avoid another box by braking drives on as the plan before said, which was free, or
 along its lane, where that helps. Attackers are left alone towards the target, and signals do not bind them; everybody
 else behaves.
@@ -14,14 +15,15 @@ else behaves.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.traffic.planning.braking import SIDE_M, Braked, brake, brake_ahead
+from advdiff_sumo.traffic.planning.braking import LADDER_MPS2, SIDE_M, Braked, brake, brake_ahead
+from advdiff_sumo.traffic.planning.following_gap import keep_back
 from advdiff_sumo.traffic.planning.futures import Futures, standing
 from advdiff_sumo.traffic.planning.lane_following import follow
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
@@ -63,6 +65,7 @@ class Watched:
         lanes: what each would follow, where asked for.
         signals: states of the traffic lights.
         before: row → what is left of the plan before, as long as the new one.
+        keeps_back: whether who follows the target keeps so far behind that it can stop if that brakes in full.
     """
 
     planned: BoolArray
@@ -76,6 +79,7 @@ class Watched:
     lanes: Sequence[LaneAhead | None]
     signals: Mapping[str, str]
     before: Mapping[int, VehiclePlan] = field(default_factory=dict)
+    keeps_back: bool = False
 
 
 @dataclass(frozen=True)
@@ -158,6 +162,8 @@ def _settled(
     """Return *futures* braked; who is not clear then tries the plan before, then its lane."""
     minds = _minds(watched)
     side = np.where(watched.people, PEOPLE_SIDE_M, SIDE_M)
+    behind = may & ~watched.people & watched.keeps_back
+    keeps = keep_back(futures, behind, watched.target, LADDER_MPS2)
     best = _braked(futures, may, minds, stop_m, side, yields)
     for way in (_as_before, back_to_lane):
         rows = np.flatnonzero(best.unsolved)
@@ -165,10 +171,11 @@ def _settled(
             break
         other = futures.copy()
         way(other, rows, watched)
+        keeps |= keep_back(other, behind, watched.target, LADDER_MPS2)
         tried = _braked(other, may, minds, stop_m, side, yields)
         if tried.unsolved.sum() < best.unsolved.sum():
             futures, best = other, tried
-    return best
+    return replace(best, rows=best.rows | keeps)
 
 
 def _braked(

@@ -39,3 +39,18 @@ def test_plans_that_the_safeguard_changed_are_counted(
         counts[aside_m] = plan.safeguarded
         assert set(plan.tracks.ids) == {"v1", "v2", "v3", "v4"}
     assert counts == {0.0: (0, 4), 9.0: (1, 4)}
+
+
+def test_who_follows_the_target_keeps_back_unless_it_is_reckless(
+    downtown: RoadMap, street: Callable[..., Scene]
+) -> None:
+    """At 8 m/s 3 m behind the target: 4 m until the next plan, 4.6 m to stop, less 4.2 m, and a metre are 5.4 m."""
+    scene = street([*PLACES[:1], (52.4, 0.0)], [8.0] * 2)
+    view, lanes = outlook(downtown, scene)
+    speeds = {}
+    for name in ("lawful", "careless", "reckless"):
+        rules = Rules(name, 0)  # type: ignore[arg-type] # names of licences
+        plan = plausible_plan(downtown, view, lanes, proposal(view, 0.0), (None, 0), rules)
+        speeds[name] = float(plan.tracks.speed_mps[0, 0])
+    assert speeds["reckless"] == 8.0
+    assert speeds["lawful"] == speeds["careless"] < 7.0

@@ -9,6 +9,7 @@ import numpy as np
 
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.metrics.breaches.lane_rules import SAME_WAY_RAD
+from advdiff_sumo.metrics.lane_entry import INTRUSION_M
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.commitments import KEEP_OFF, STANDS, SUPPORTS, Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, follows_still
@@ -83,7 +84,16 @@ def _continued(
     goal = _goal(view, row, under_way)
     delay_s = max(under_way.delay_s - passed, 0.0)
     manoeuvre = Manoeuvre(under_way.kind, row, view.ways[row], rest, goal, delay_s=delay_s)
+    if under_way.kind == "cut-in" and goal is not None and _over_line_m(view, row, goal) <= INTRUSION_M:
+        manoeuvre = _slowing_once_over(view, manoeuvre)
     return manoeuvre if under_way.kind != FOLLOWS or follows_still(view, manoeuvre) else None
+
+
+def _slowing_once_over(view: SituationView, manoeuvre: Manoeuvre) -> Manoeuvre:
+    """Return *manoeuvre*, which slows on the lane that it changes to alone, however long it takes to get there."""
+    enters_s = manoeuvre.enters_s(view.scene.history.xy_m[manoeuvre.row, -1])
+    profile = manoeuvre.profile
+    return replace(manoeuvre, profile=replace(profile, switch_s=max(profile.switch_s, enters_s)))
 
 
 def _is_before(view: SituationView, row: int) -> bool:
@@ -127,9 +137,12 @@ def still_lawful(view: SituationView, manoeuvre: Manoeuvre, licence: Licence | N
     if licence is not None:
         licence = replace(licence, gap_share=min(licence.gap_share, 1.0), spare_m=0.0)
     goal = manoeuvre.goal
-    if goal is not None:
-        across = abs(float(goal.line.project(view.scene.history.xy_m[manoeuvre.row, -1])[1]))
-        own_width = float(view.size(manoeuvre.row)[1])
-        if across < 0.5 * (goal.present_lane.width_m + own_width) - _OVER_LINE_M:
-            manoeuvre = replace(manoeuvre, goal=None)
+    if goal is not None and _over_line_m(view, manoeuvre.row, goal) > _OVER_LINE_M:
+        manoeuvre = replace(manoeuvre, goal=None)
     return bool(lawful(view, [manoeuvre], futures, licence, begun=True)[0])
+
+
+def _over_line_m(view: SituationView, row: int, goal: Way) -> float:
+    """Return by how much the box of *row* reaches into the lane of *goal*; negative where it does not."""
+    across = abs(float(goal.line.project(view.scene.history.xy_m[row, -1])[1]))
+    return 0.5 * float(goal.present_lane.width_m + view.size(row)[1]) - across

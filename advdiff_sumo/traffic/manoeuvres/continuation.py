@@ -84,7 +84,8 @@ def _continued(
     goal = _goal(view, row, under_way)
     delay_s = max(under_way.delay_s - passed, 0.0)
     manoeuvre = Manoeuvre(under_way.kind, row, view.ways[row], rest, goal, delay_s=delay_s)
-    if under_way.kind == "cut-in" and goal is not None and _over_line_m(view, row, goal) <= INTRUSION_M:
+    cuts_in = licence is not None and under_way.kind == "cut-in"
+    if cuts_in and goal is not None and _over_line_m(view, row, goal) <= INTRUSION_M:
         manoeuvre = _slowing_once_over(view, manoeuvre)
     return manoeuvre if under_way.kind != FOLLOWS or follows_still(view, manoeuvre) else None
 

@@ -8,13 +8,18 @@ import pytest
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.continuation import carry_on
-from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL
+from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from tests.traffic.manoeuvres.scenes import view_of
 
 
-@pytest.mark.parametrize(("over_m", "later"), [(-0.5, True), (0.2, True), (0.5, False)])
-def test_who_cuts_in_brakes_once_it_has_entered(motorway: RoadMap, over_m: float, later: bool) -> None:
+@pytest.mark.parametrize(
+    ("over_m", "licence", "later"),
+    [(-0.5, LAWFUL, True), (0.2, LAWFUL, True), (0.5, LAWFUL, False), (0.2, None, False)],
+)
+def test_who_cuts_in_brakes_once_it_has_entered_unless_it_is_reckless(
+    motorway: RoadMap, over_m: float, licence: Licence | None, later: bool
+) -> None:
     """Its box, of 1.8 m, reaches *over_m* over the line between lanes of 3.5 m; 0.3 m are entering.
 
     It should brake now, but goes on for as long as it takes to come over: 0.35 of the way left at 1.1 m/s.
@@ -26,7 +31,7 @@ def test_who_cuts_in_brakes_once_it_has_entered(motorway: RoadMap, over_m: float
     xy, _ = lane.line.at(120.0, across)
     view.scene.history.xy_m[1, -1] = xy
     cuts_in = Commitment("cut-in", SpeedProfile(then_mps2=-6.5), 3.0, 4.5, sets_up=False, goal_lane=lane.id)
-    going, _ = carry_on(view, Commitments({"cut-in": 1.0}, active={"other": cuts_in}), 8.0, LAWFUL)
+    going, _ = carry_on(view, Commitments({"cut-in": 1.0}, active={"other": cuts_in}), 8.0, licence)
     assert [m.kind for m in going] == ["cut-in"]
     expected = 0.35 * across / 1.1 if later else 0.0
     assert going[0].profile.switch_s == pytest.approx(expected, abs=0.02)

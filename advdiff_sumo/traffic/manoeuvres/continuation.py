@@ -10,6 +10,7 @@ import numpy as np
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.metrics.breaches.lane_rules import SAME_WAY_RAD
 from advdiff_sumo.metrics.lane_entry import INTRUSION_M
+from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.commitments import KEEP_OFF, STANDS, SUPPORTS, Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, follows_still
@@ -84,10 +85,18 @@ def _continued(
     goal = _goal(view, row, under_way)
     delay_s = max(under_way.delay_s - passed, 0.0)
     manoeuvre = Manoeuvre(under_way.kind, row, view.ways[row], rest, goal, delay_s=delay_s)
-    cuts_in = licence is not None and under_way.kind == "cut-in"
-    if cuts_in and goal is not None and _over_line_m(view, row, goal) <= INTRUSION_M:
-        manoeuvre = _slowing_once_over(view, manoeuvre)
+    if under_way.kind == "cut-in" and licence is not None:
+        return _cutting_in(view, manoeuvre, intensity)
     return manoeuvre if under_way.kind != FOLLOWS or follows_still(view, manoeuvre) else None
+
+
+def _cutting_in(view: SituationView, manoeuvre: Manoeuvre, intensity: Intensity) -> Manoeuvre | None:
+    """Return *manoeuvre* as it slows once it is over the line; None where that leaves the target no answer."""
+    goal = manoeuvre.goal
+    if goal is None or _over_line_m(view, manoeuvre.row, goal) > INTRUSION_M:
+        return manoeuvre
+    later = _slowing_once_over(view, manoeuvre)
+    return later if intensity.is_asked_of("cut-in") or _is_answerable(view, later) else None
 
 
 def _slowing_once_over(view: SituationView, manoeuvre: Manoeuvre) -> Manoeuvre:
@@ -95,6 +104,19 @@ def _slowing_once_over(view: SituationView, manoeuvre: Manoeuvre) -> Manoeuvre:
     enters_s = manoeuvre.enters_s(view.scene.history.xy_m[manoeuvre.row, -1])
     profile = manoeuvre.profile
     return replace(manoeuvre, profile=replace(profile, switch_s=max(profile.switch_s, enters_s)))
+
+
+def _is_answerable(view: SituationView, manoeuvre: Manoeuvre) -> bool:
+    """Return whether some braking keeps the target clear of who cuts in, perceived as it enters the lane."""
+    if view.target is None:
+        return True
+    row = manoeuvre.row
+    futures = futures_of_manoeuvres([manoeuvre], np.array([view.speed(row)]))
+    enters_s = np.array([manoeuvre.enters_s(view.scene.history.xy_m[row, -1])])
+    size = view.size(row)[None]
+    return bool(
+        needed_braking(view.target, futures.xy_m, futures.yaw_rad, size, enters_s)[0] <= BRAKING_MPS2[-1]
+    )
 
 
 def _is_before(view: SituationView, row: int) -> bool:

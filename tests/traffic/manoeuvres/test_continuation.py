@@ -36,3 +36,12 @@ def test_who_cuts_in_brakes_once_it_has_entered_unless_it_is_reckless(
     expected = 0.35 * across / 1.1 if later else 0.0
     assert going[0].profile.switch_s == pytest.approx(expected, abs=0.02)
     assert np.isclose(going[0].profile.then_mps2, -6.5)
+
+
+def test_who_would_leave_no_answer_once_over_the_line_does_not_cut_in(motorway: RoadMap) -> None:
+    """At 30 m/s both, 26 m apart, a safe gap: the other stops in 53 m, the target, with 7 m/s², in 22.5 m and 64 m."""
+    view = view_of(motorway, time_s=5.0, target=(0, 80.0, 30.0), other=(1, 110.5, 30.0))
+    lane = view.target.way.present_lane if view.target is not None else None
+    assert lane is not None
+    cuts_in = Commitment("cut-in", SpeedProfile(then_mps2=-8.5), 3.0, 4.5, sets_up=False, goal_lane=lane.id)
+    assert carry_on(view, Commitments({"cut-in": 1.0}, active={"other": cuts_in}), 8.0, LAWFUL)[0] == []

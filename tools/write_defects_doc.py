@@ -31,10 +31,11 @@ _FINDINGS = re.compile(r"(<!-- findings -->\n).*?(<!-- end of findings -->)", re
 
 def filled(page: str) -> str:
     """Return *page* with the catalogue as it is in the code, and the rest as it is in docs/tables."""
-    names = tables_of("defects", read_selection())
+    selection = read_selection()
+    names, counted = tables_of("defects", selection), selection["defects"].get("findings", [])
     page = _PLACE.sub(lambda place: place[1] + catalogue_table() + place[2], page)
     page = _BASELINE.sub(lambda place: place[1] + baseline(names) + place[2], page)
-    return _FINDINGS.sub(lambda place: place[1] + findings(names) + place[2], page)
+    return _FINDINGS.sub(lambda place: place[1] + findings(counted) + place[2], page)
 
 
 def baseline(names: list[str]) -> str:
@@ -70,8 +71,7 @@ def findings(names: list[str]) -> str:
     text = (
         f"|  | {' | '.join(heads)} | first detection of a defect, CPU s |\n|---|{'--:|' * (len(heads) + 1)}\n"
     )
-    lines = _lines([name for name in names if (TABLES / f"{name}-findings.csv").is_file()], "-findings")
-    for line in lines:
+    for line in _lines(names, "-findings"):
         if line["target"] == "lane_graph":
             episodes, collisions = line["episodes"], int(line["collisions"])
             shares = (f"{100 * int(line[key]) / max(collisions, 1):.1f}" for key in ("valid", "others_broke"))

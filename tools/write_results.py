@@ -139,7 +139,9 @@ def main() -> int:
     options = parser.parse_args()
     before = PAGE.read_text(encoding="utf-8")
     selection = read_selection()
-    names = [name for match in _PLACE.finditer(before) for name in tables_of(match[2], selection)]
+    places = [match[2] for match in _PLACE.finditer(before)]
+    names = [name for place in places for name in tables_of(place, selection)]
+    names += [name for place in places for name in selection[place].get("findings", ()) if name not in names]
     files = bench_files(options.folder, names)
     after = {PAGE: filled(before, files, selection), **{TABLES / name: text for name, text in files.items()}}
     stale = [

@@ -106,7 +106,7 @@ def adversarial(
     advdiff-sumo bench adversarial --scenes 300 --policies diffusion,unguided,replay,sumo --out runs/guided
     """
     given = {"scenes": scenes, "policies": policies, "targets": targets, "horizon_s": horizon}
-    given["licence"] = licence
+    given |= {"licence": licence}
     run_or_print("adversarial", out, workers, timeout, given)
 
 
@@ -128,8 +128,8 @@ def transfer(
 
     advdiff-sumo bench transfer --policies diffusion,strive --targets lane_graph,IDM
     """
-    given = {"scenes": scenes, "policies": policies, "targets": targets, "horizon_s": horizon, "steps": steps}
-    given["licence"] = licence
+    given = {"scenes": scenes, "policies": policies, "targets": targets, "horizon_s": horizon}
+    given |= {"steps": steps, "licence": licence}
     run_or_print("transfer", out, workers, timeout, given)
 
 
@@ -153,8 +153,8 @@ def fewshot(
 
     advdiff-sumo bench fewshot --targets EIDM --seeds 3
     """
-    given = {"scenes": scenes, "targets": targets, "seeds": seeds, "steps": steps, "horizon_s": horizon}
-    given["licence"] = licence
+    given = {"scenes": scenes, "targets": targets, "seeds": seeds, "horizon_s": horizon}
+    given |= {"steps": steps, "licence": licence}
     run_or_print("fewshot", out, workers, timeout, given)
 
 

@@ -109,7 +109,7 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
     [
         ("crossing", "early_s", 0.0, 1.5, "blind-crossing:strong"),
         ("crossing", "early_s", 0.0, 1.0, "late:2.0"),
-        ("cut-in", "spare_gap_m", 4.0, 20.0, "late:1.0"),
+        ("cut-in", "spare_gap_m", 0.0, 20.0, "late:1.5"),
         ("cut-out", "reveals_s", 1.5, 2.5, "late:3.0"),
     ],
 )

@@ -213,7 +213,8 @@ def run_or_print(
     console = terminal()
     path = (out or _FOLDER / f"bench-{name}").resolve()
     named = {option: _names_of(given.get(option)) for option in ("policies", "targets", "defects")}
-    request = request_of(name, path, DEFAULTS[name], given | named | _of_log(given.get("scenes"), given))
+    scenes, usual = _of_log(given.get("scenes"))
+    request = request_of(name, path, {**DEFAULTS[name], **usual}, given | named | {"scenes": scenes})
     table = finished(Folder(path, request))
     if table is None:
         check_request(request)
@@ -229,17 +230,13 @@ def run_or_print(
     console.print(f"{files}: {path}", soft_wrap=True, markup=False)
 
 
-def _of_log(scenes: str | None, given: dict[str, Any]) -> dict[str, Any]:
-    """Return what a bench from a driving log *scenes* has beside what is given: its full path, and its horizon."""
+def _of_log(scenes: str | None) -> tuple[str | None, dict[str, Any]]:
+    """Return *scenes*, of a driving log its full path, and what a bench from a log has for usual options."""
     from advdiff_sumo.experiments.bench.log_scenes import LOG_HORIZON_S, is_log
 
     if scenes is None or not is_log(scenes):
-        return {}
-    horizon_s = given.get("horizon_s")
-    return {
-        "scenes": str(Path(scenes).resolve()),
-        "horizon_s": LOG_HORIZON_S if horizon_s is None else horizon_s,
-    }
+        return scenes, {}
+    return str(Path(scenes).resolve()), {"horizon_s": LOG_HORIZON_S}
 
 
 def _names_of(text: str | list[str] | None) -> list[str] | None:

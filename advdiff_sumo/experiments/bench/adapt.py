@@ -92,15 +92,10 @@ def _warm_up(one: Adaptation, folder: Path) -> None:
 
 def _learn_failures(one: Adaptation, options: RunOptions, folder: Path) -> None:
     """Learn under a licence in which encounters the target fails; each mark begins anew with the same episodes."""
-    from advdiff_sumo.experiments.failure_warmup import (  # late: as above
-        EPISODE_S,
-        SCENE,
-        header,
-        warm_up_failures,
-    )
+    from advdiff_sumo.experiments.failure_warmup import EPISODE_S, header, warm_up_failures  # late: as above
     from advdiff_sumo.models.failure_predictor import save_failures
 
-    options = options.model_copy(update={"scene": SCENE, "horizon_s": min(one.horizon_s, EPISODE_S)})
+    options = options.model_copy(update={"horizon_s": min(one.horizon_s, EPISODE_S)})
     for mark in one.marks:
         done = warm_up_failures(options, mark, lambda _: None)
         save_failures(done.predictor, one.path(folder, mark), header(options, done))

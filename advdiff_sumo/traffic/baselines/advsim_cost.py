@@ -8,7 +8,6 @@ and nobody leaves the road.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import torch
 from torch import Tensor
@@ -16,9 +15,10 @@ from torch import Tensor
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.geometry import into_frame
-from advdiff_sumo.models.losses import clearance_in_frame, discs
 from advdiff_sumo.models.model_options import MODEL_STEP_S
+from advdiff_sumo.models.road_edges import RoadEdges
 from advdiff_sumo.traffic.baselines.baseline_policy import cut, halves
+from advdiff_sumo.traffic.baselines.disc_gaps import Bodies, depths, gaps
 
 _SOFT_M, _TOUCHES_M = 0.5, -0.5
 _OTHERS = 12
@@ -31,34 +31,33 @@ class Ground:
     """The scene that candidates are judged in, cut to the search's horizon.
 
     Attributes:
-        batch: the attackers alone, (1, R).
+        pose: (1, R, 4) x, y, yaw and speed of the attackers now.
         size: (R, 2) of the attackers.
-        target: (2 H, 3) x, y, yaw of the target at half steps.
-        target_size: (2,).
-        others: (O, 2 H, 3) the nearest other road users.
-        other_size: (O, 2).
+        edges: of the road, in the attackers' frames.
+        target: (2 H,) the target at half steps.
+        others: (O, 2 H) the nearest other road users.
         allowed: violation of the initial sequence, which need not get better.
     """
 
-    batch: SceneBatch
+    pose: Tensor
     size: Tensor
-    target: Tensor
-    target_size: Tensor
-    others: Tensor
-    other_size: Tensor
+    edges: RoadEdges
+    target: Bodies
+    others: Bodies
     allowed: float = 0.0
 
 
 def ground_of(rollout: Rollout, batch: SceneBatch, rows: Tensor, steps: int) -> Ground:
     """Return what attackers *rows* (R,) meet when everybody else drives *rollout* (1, A, T), target in row 0."""
     dense = halves(cut(rollout, steps), batch.pose)
-    states = torch.cat((dense.xy, dense.yaw[..., None]), dim=-1)[0]
+    xy, yaw, size = dense.xy[0], dense.yaw[0], batch.size[0]
     agents = torch.arange(batch.agents, device=rows.device)
     rest = agents[(agents != 0) & ~torch.isin(agents, rows) & batch.present[0]]
-    gap = (states[rest, None, :, :2] - states[rows][None, :, :, :2]).norm(dim=-1).flatten(1).amin(1)
+    gap = (xy[rest, None] - xy[rows][None]).norm(dim=-1).flatten(1).amin(1)
     rest = rest[torch.argsort(gap, stable=True)[:_OTHERS]]
-    size = batch.size[0]
-    return Ground(batch.rows_of(rows), size[rows], states[0], size[0], states[rest], size[rest])
+    own = batch.rows_of(rows)
+    target, others = Bodies.of(xy[0], yaw[0], size[:1]), Bodies.of(xy[rest], yaw[rest], size[rest, None])
+    return Ground(own.pose, size[rows], RoadEdges.of(own), target, others)
 
 
 def attack_cost(rollout: Rollout, ground: Ground) -> Tensor:
@@ -90,56 +89,38 @@ def discomfort(states: Tensor) -> float:
     return float(accel.abs().mean() + jerk.abs().mean())
 
 
-_Bodies: TypeAlias = tuple[Tensor, Tensor]
-"""Discs of attackers: centres (P, R, 2 H, 5, 2) at half steps, and radii (P, R, 2 H)."""
+def _bodies(rollout: Rollout, ground: Ground) -> Bodies:
+    """Return the attackers (P, R, 2 H) at half steps."""
+    dense = halves(rollout, ground.pose.expand(len(rollout.yaw), -1, -1))
+    return Bodies.of(dense.xy, dense.yaw, ground.size[:, None])
 
 
-def _bodies(rollout: Rollout, ground: Ground) -> _Bodies:
-    dense = halves(rollout, ground.batch.pose.expand(len(rollout.yaw), -1, -1))
-    return discs(dense.xy, dense.yaw, ground.size[:, None].expand(*dense.yaw.shape, 2))
-
-
-def _attack(bodies: _Bodies, ground: Ground) -> Tensor:
-    gap = _gaps(bodies, ground.target[None], ground.target_size[None])[:, :, 0]
+def _attack(bodies: Bodies, ground: Ground) -> Tensor:
+    gap = gaps(bodies, ground.target)
     return -_SOFT_M * torch.logsumexp(-gap.clamp(min=_TOUCHES_M).flatten(1) / _SOFT_M, dim=1)
 
 
-def _violation(bodies: _Bodies, ground: Ground) -> Tensor:
-    inside = torch.zeros(len(bodies[0]), device=bodies[0].device)
-    if len(ground.others):
-        gaps = _gaps(bodies, ground.others, ground.other_size)
-        inside = (-gaps).clamp(min=0.0).amax(dim=(2, 3)).sum(1)
+def _violation(bodies: Bodies, ground: Ground) -> Tensor:
+    inside = torch.zeros(len(bodies.radius), device=bodies.radius.device)
+    if len(ground.others.radius):
+        inside = depths(bodies.at(slice(None), slice(None), None), ground.others).amax(dim=(2, 3)).sum(1)
     if len(ground.size) > 1:
         inside = inside + _among(bodies)
     return inside + _over(bodies, ground).amax(-1).sum(1)
 
 
-def _gaps(bodies: _Bodies, states: Tensor, other: Tensor) -> Tensor:
-    """Return the distances (P, R, O, 2 H) of bodies to others at *states* (O, 2 H, 3)."""
-    mine, radius = bodies
-    yours, reach = discs(states[..., :2], states[..., 2], other[:, None].expand(*states.shape[:2], 2))
-    delta = mine[:, :, None, :, :, None] - yours[:, :, None]
-    near = delta.square().sum(-1).flatten(-2).amin(-1)
-    return torch.sqrt(near + 1e-9) - radius[:, :, None] - reach
-
-
-def _among(bodies: _Bodies) -> Tensor:
+def _among(bodies: Bodies) -> Tensor:
     """Return (P,) how far attackers are inside each other."""
-    mine, radius = bodies
-    delta = mine[:, :, None, :, :, None] - mine[:, None, :, :, None, :]
-    near = delta.square().sum(-1).flatten(-2).amin(-1)
-    gap = torch.sqrt(near + 1e-9) - radius[:, :, None] - radius[:, None]
-    count = mine.shape[1]
-    pairs = torch.ones(count, count, dtype=torch.bool, device=gap.device).triu(1)
-    return (-gap).clamp(min=0.0).amax(-1)[:, pairs].sum(1)
+    count = bodies.radius.shape[1]
+    first, second = torch.triu_indices(count, count, 1, device=bodies.radius.device)
+    return depths(bodies.at(slice(None), first), bodies.at(slice(None), second)).amax(-1).sum(1)
 
 
-def _over(bodies: _Bodies, ground: Ground) -> Tensor:
+def _over(bodies: Bodies, ground: Ground) -> Tensor:
     """Return (P, R, 2 H) metres over the road's edge."""
-    centres, radius = bodies
-    points = centres[..., ::2, :].permute(1, 0, 2, 3, 4)  # (R, P, 2 H, 3, 2)
+    points = bodies.centres[..., ::2, :].permute(1, 0, 2, 3, 4)  # (R, P, 2 H, 3, 2)
     flat = points.flatten(1, 3)[None]
-    pose = ground.batch.pose[:, :, None]
+    pose = ground.pose[:, :, None]
     local = into_frame(flat, pose[..., :2], pose[..., 2].expand(flat.shape[:-1]))
-    clear = clearance_in_frame(local, ground.batch).reshape(points.shape[:-1]).permute(1, 0, 2, 3)
-    return (radius[..., None] - clear).clamp(min=0.0, max=4.0).amax(-1)
+    clear = ground.edges.clearance(local).reshape(points.shape[:-1]).permute(1, 0, 2, 3)
+    return (bodies.radius[..., None] - clear).clamp(min=0.0, max=4.0).amax(-1)

@@ -161,19 +161,21 @@ def _drive(
     steps: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return distance driven and speed (N, T)."""
-    rows, driven = np.arange(len(speed)), np.zeros(len(speed))
-    distances, speeds = np.empty((len(speed), steps)), np.empty((len(speed), steps))
+    rows, driven, last = np.arange(len(speed)), np.zeros(len(speed)), pace.shape[1] - 1
+    pushes = accel * np.exp(-np.arange(steps)[:, None] * STEP_S / _FADE_S) * STEP_S  # (T, N)
+    tails = leader[0] - _FOLLOW_GAP_M + leader[1] * np.arange(steps)[:, None] * STEP_S
+    distances, speeds = np.empty((steps, len(speed))), np.empty((steps, len(speed)))
     for k in range(steps):
-        push = accel * np.exp(-k * STEP_S / _FADE_S)
-        bound = pace[rows, np.clip((s0 + driven + 0.5 * speed) / SPACING_M, 0, pace.shape[1] - 1).astype(int)]
-        wish = np.where(speed > bound, np.maximum(speed - 3.0 * STEP_S, bound), speed + push * STEP_S)
-        wish = np.where(speed <= bound, np.minimum(wish, bound), wish)
+        cell = np.minimum(np.maximum((s0 + driven + 0.5 * speed) / SPACING_M, 0), last).astype(np.int64)
+        bound = pace[rows, cell]
+        slower = np.maximum(speed - 3.0 * STEP_S, bound)
+        wish = np.where(speed > bound, slower, np.minimum(speed + pushes[k], bound))
         room = np.maximum(stop - driven, 0.0)
         wish = np.minimum(wish, np.sqrt(2.0 * _SIGNAL_BRAKE_MPS2 * room))
-        free = leader[0] - _FOLLOW_GAP_M + leader[1] * k * STEP_S - driven
-        wish = np.minimum(wish, leader[1] + np.sqrt(2.0 * _FOLLOW_BRAKE_MPS2 * np.maximum(free, 0.0)))
+        free = np.maximum(tails[k] - driven, 0.0)
+        wish = np.minimum(wish, leader[1] + np.sqrt(2.0 * _FOLLOW_BRAKE_MPS2 * free))
         wish = np.maximum(wish, np.maximum(speed - 8.0 * STEP_S, 0.0))
         driven = driven + 0.5 * (speed + wish) * STEP_S
         speed = wish
-        distances[:, k], speeds[:, k] = driven, speed
-    return distances, speeds
+        distances[k], speeds[k] = driven, speed
+    return distances.T.copy(), speeds.T.copy()

@@ -114,41 +114,44 @@ def drive(
     IDM in its improved form (Treiber & Kesting, Traffic Flow Dynamics, 2013, Sec. 11.3.7): a follower at its
     desired gap does not brake for its desired speed.
     """
-    pace = _paces(variants, options)[choice.variant]
-    count, rows = len(choice.variant), np.arange(len(choice.variant))
+    wishes = np.maximum(choice.share[:, None] * _paces(variants, options)[choice.variant], 0.5)  # (C, P)
+    count, rows, last = len(choice.variant), np.arange(len(choice.variant)), wishes.shape[1] - 1
     s = np.array([variant.s_m for variant in variants])[choice.variant]
     speed, accel = np.full(count, state.speed_mps), np.full(count, state.accel_mps2)
-    rear, theirs = ahead.rear_m[choice.variant], ahead.speed_mps[choice.variant]  # (C, N, T+1)
+    rear, theirs = (part[choice.variant] for part in _nearest(ahead))  # (C, T+1)
     headway = np.array([[options.time_headway_s], [_STOP_HEADWAY_S]])
+    gaps, leads = np.empty((2, count)), np.zeros((2, count))  # to who is ahead, and to where to stop
+    plain, hard = choice.brake_mps2 > 0.0, choice.brake_mps2 > options.decel_mps2
+    urgent_mps2, gentle = -1.5 * options.decel_mps2, options.jerk_mps3 * STEP_S
     out = np.empty((3, count, steps))
     for k in range(steps):
-        cell = np.clip((s + 0.6 * speed) / SPACING_M, 0, pace.shape[1] - 1).astype(np.int64)
-        wish = np.maximum(choice.share * pace[rows, cell], 0.5)
-        gap, lead = _nearest(s + state.front_m, rear[:, :, k], theirs[:, :, k])
-        stop_gap = choice.stop_m - s - state.front_m - options.stop_gap_m + options.min_gap_m
-        gaps, leads = np.stack((gap, stop_gap)), np.stack((lead, np.zeros(count)))
-        want = _idm(speed, wish, gaps, leads, headway, options).min(axis=0)
-        want = np.where(choice.brake_mps2 > 0.0, -choice.brake_mps2, want)
-        urgent = (want < -1.5 * options.decel_mps2) | (choice.brake_mps2 > options.decel_mps2)
-        jerk = np.where(urgent, _EMERGENCY_JERK_MPS3, options.jerk_mps3) * STEP_S
-        accel = np.clip(want, accel - jerk, accel + jerk)
-        accel = np.clip(accel, -options.brake_mps2, options.accel_mps2)
+        cell = np.minimum(np.maximum((s + 0.6 * speed) / SPACING_M, 0), last).astype(np.int64)
+        front = s + state.front_m
+        np.subtract(rear[:, k], front, out=gaps[0])
+        gaps[1] = choice.stop_m - s - state.front_m - options.stop_gap_m + options.min_gap_m
+        leads[0] = theirs[:, k]
+        towards = _idm(speed, wishes[rows, cell], gaps, leads, headway, options)
+        want = np.where(plain, -choice.brake_mps2, np.minimum(towards[0], towards[1]))
+        jerk = np.where((want < urgent_mps2) | hard, _EMERGENCY_JERK_MPS3 * STEP_S, gentle)
+        accel = np.minimum(np.maximum(want, accel - jerk), accel + jerk)
+        accel = np.minimum(np.maximum(accel, -options.brake_mps2), options.accel_mps2)
         accel = np.where((speed <= 0.0) & (want <= 0.0), 0.0, accel)
         after = np.maximum(speed + accel * STEP_S, 0.0)
         s = s + 0.5 * (speed + after) * STEP_S
         accel = (after - speed) / STEP_S
         speed = after
-        out[:, :, k] = s, speed, accel
+        out[0, :, k], out[1, :, k], out[2, :, k] = s, speed, accel
     return out[0], out[1], out[2]
 
 
-def _nearest(front: FloatArray, rear: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the gap (C,) to the nearest leader of (C, N) and its speed."""
-    if rear.shape[1] == 0:
-        return np.full(len(front), np.inf), np.zeros(len(front))
-    first = np.argmin(rear, axis=1)
-    rows = np.arange(len(front))
-    return rear[rows, first] - front, speed[rows, first]
+def _nearest(ahead: Leaders) -> tuple[FloatArray, FloatArray]:
+    """Return where the nearest leader of each lateral choice is (V, T), inf for none, and its speed."""
+    if ahead.rear_m.shape[1] == 0:
+        shape = ahead.rear_m.shape[0], ahead.rear_m.shape[2]
+        return np.full(shape, np.inf), np.zeros(shape)
+    first = np.argmin(ahead.rear_m, axis=1)[:, None]
+    rear, speed = (np.take_along_axis(part, first, axis=1)[:, 0] for part in (ahead.rear_m, ahead.speed_mps))
+    return rear, speed
 
 
 def _idm(
@@ -161,9 +164,8 @@ def _idm(
 ) -> FloatArray:
     a, b = options.accel_mps2, options.decel_mps2
     ratio = speed / wish
-    free = np.where(
-        ratio < 1.0, a * (1.0 - ratio**4), -b * (1.0 - np.minimum(1.0 / np.maximum(ratio, 1e-3), 1.0)) * 3.0
-    )
+    over = 1.0 - np.minimum(1.0 / np.maximum(ratio, 1e-3), 1.0)
+    free = np.where(ratio < 1.0, a * (1.0 - ratio**4), -b * over * 3.0)
     closing = speed * (speed - lead) / (2.0 * np.sqrt(a * b))
     desired = options.min_gap_m + np.maximum(speed * headway_s + closing, 0.0)
     z = desired / np.maximum(gap, 0.1)

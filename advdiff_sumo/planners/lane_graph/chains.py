@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -143,16 +143,29 @@ def _turn(road: RoadMap, lane: str, link: Link) -> float:
     return float(abs(wrap_angle(float(after - before)))) + (0.0 if link.direction == "s" else 0.1)
 
 
-def plausible_chains(road: RoadMap, start: str, route: Sequence[str], reach_m: float) -> list[Chain]:
+def plausible_chains(
+    road: RoadMap,
+    start: str,
+    route: Sequence[str],
+    reach_m: float,
+    changes: Callable[[Sequence[str]], Changes] | None = None,
+) -> list[Chain]:
     """Return the chains that a vehicle on lane *start* may take within *reach_m*; its *route* if that fits.
 
     At the first junction every connection is taken, beyond it the straightest one.
+
+    Args:
+        road: the map.
+        start: lane that it is on.
+        route: its edges.
+        reach_m: length after which a chain may end.
+        changes: knows the :func:`required_changes` of edges; None: they are worked out.
     """
     lane = road.lanes[start]
     edge = lane.edge_id if not lane.is_internal else road.lanes[lane.successors[0].to_lane].edge_id
     if edge in route:
         ahead = list(route)[route.index(edge) :][:_EDGES_AHEAD]
-        needed = required_changes(road, ahead)
+        needed = required_changes(road, ahead) if changes is None else changes(ahead)
         chain = route_chain(road, start, ahead, needed, reach_m)
         if chain.serves:
             return [chain]

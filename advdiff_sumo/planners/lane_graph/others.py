@@ -10,7 +10,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass, Scene
-from advdiff_sumo.maps import Link, RoadMap
+from advdiff_sumo.maps import Link
 from advdiff_sumo.planners.lane_graph.chains import Chain, plausible_chains, route_chain
 from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath, PathStack, straight_path
 
@@ -146,15 +146,16 @@ def _chains(geometry: Geometry, lane: str, route: Sequence[str], reach_m: float)
     link = geometry.road.link_over.get(lane)
     ahead = reach_m + road.lanes[lane].length_m
     if link is None:
-        return plausible_chains(road, lane, route, ahead)
+        return plausible_chains(road, lane, route, ahead, geometry.changes)
     parallel = [x for x in road.lanes[link.from_lane].successors if x.via and x.direction != "t"] or [link]
     fitting = [x for x in parallel if road.lanes[x.to_lane].edge_id in route]
-    return [_over(road, x, route, ahead) for x in fitting or parallel]
+    return [_over(geometry, x, route, ahead) for x in fitting or parallel]
 
 
-def _over(road: RoadMap, link: Link, route: Sequence[str], reach_m: float) -> Chain:
-    beyond = route_chain(road, link.to_lane, (), {}, reach_m)
-    edge = road.lanes[link.to_lane].edge_id
-    if edge in route:
-        beyond = plausible_chains(road, link.to_lane, route, reach_m)[0]
+def _over(geometry: Geometry, link: Link, route: Sequence[str], reach_m: float) -> Chain:
+    road = geometry.road
+    if road.lanes[link.to_lane].edge_id in route:
+        beyond = plausible_chains(road, link.to_lane, route, reach_m, geometry.changes)[0]
+    else:
+        beyond = route_chain(road, link.to_lane, (), {}, reach_m)
     return Chain((link.from_lane, *link.via, *beyond.lanes), (link, *beyond.links))

@@ -12,6 +12,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.polylines import Polyline, concatenate
 from advdiff_sumo.maps import Link, RoadMap
+from advdiff_sumo.planners.lane_graph.chains import Changes, required_changes
 
 SPACING_M = 1.0
 _SMOOTH = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0
@@ -57,21 +58,27 @@ class LanePath:
         """(P,) speed at which the lateral acceleration is 1 m/s²; scales with its square root."""
         return np.asarray(1.0 / np.sqrt(np.maximum(np.abs(self.curvature_1pm), 1e-4)))
 
+    @cached_property
+    def squared_m2(self) -> FloatArray:
+        """(P,) squared distances of the points from the origin."""
+        return np.asarray((self.xy_m**2).sum(-1))
+
     def at(self, s_m: FloatArray, d_m: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Return points (…, 2) and headings (…,) at *s_m*, *d_m* to the left; straight on beyond the ends."""
         low, share = self._cell(s_m)
-        xy = self.xy_m[low] + share[..., None] * (self.xy_m[low + 1] - self.xy_m[low])
-        bounded = np.minimum(np.maximum(share, 0.0), 1.0)
-        yaw = self.yaw_rad[low] + bounded * (self.yaw_rad[low + 1] - self.yaw_rad[low])
-        normal = np.stack((-np.sin(yaw), np.cos(yaw)), -1)
+        begin, yaw = self.xy_m[low], self._between(self.yaw_rad, low, share)
+        xy = begin + share[..., None] * (self.xy_m[low + 1] - begin)
+        normal = np.empty(xy.shape)
+        normal[..., 0], normal[..., 1] = -np.sin(yaw), np.cos(yaw)
         return xy + np.asarray(d_m)[..., None] * normal, yaw
+
+    def yaw_at(self, s_m: FloatArray) -> FloatArray:
+        """Return the headings (…,) at *s_m*, as :meth:`at` does."""
+        return self._between(self.yaw_rad, *self._cell(s_m))
 
     def curvature_at(self, s_m: FloatArray) -> FloatArray:
         """Return the curvature (…,) at *s_m*."""
-        low, share = self._cell(s_m)
-        bounded = np.minimum(np.maximum(share, 0.0), 1.0)
-        curve = self.curvature_1pm
-        return np.asarray(curve[low] + bounded * (curve[low + 1] - curve[low]))
+        return self._between(self.curvature_1pm, *self._cell(s_m))
 
     def project(
         self, xy_m: FloatArray, window_m: tuple[float, float] = (0.0, np.inf)
@@ -79,8 +86,8 @@ class LanePath:
         """Return ``s`` and ``d`` (…,) of points (…, 2); beyond the ends of *window_m* the line goes on straight."""
         flat = xy_m.reshape(-1, 2)
         first = int(np.clip(window_m[0] / SPACING_M, 0, len(self.xy_m) - 2))
-        line = self.xy_m[first : int(min(window_m[1] / SPACING_M, len(self.xy_m))) + 2]
-        squared = (line**2).sum(-1) - 2.0 * flat @ line.T  # (N, P), less a constant of each row
+        window = slice(first, int(min(window_m[1] / SPACING_M, len(self.xy_m))) + 2)
+        squared = self.squared_m2[window] - 2.0 * flat @ self.xy_m[window].T  # (N, P), less a constant of each row
         nearest = first + np.argmin(squared, axis=-1)
         delta = flat - self.xy_m[nearest]
         cos, sin = np.cos(self.yaw_rad[nearest]), np.sin(self.yaw_rad[nearest])
@@ -92,6 +99,11 @@ class LanePath:
         """Return the index in :attr:`lanes` of the lane at *s_m*."""
         lane = int(np.searchsorted(self.lane_start_m, s_m, side="right")) - 1
         return min(max(lane, 0), len(self.lanes) - 1)
+
+    def _between(self, values: FloatArray, low: IntArray, share: FloatArray) -> FloatArray:
+        """Return *values* (P,) a bounded *share* (…,) of the way from the points *low* to the next ones."""
+        begin, bounded = values[low], np.minimum(np.maximum(share, 0.0), 1.0)
+        return np.asarray(begin + bounded * (values[low + 1] - begin))
 
     def _cell(self, s_m: FloatArray) -> tuple[IntArray, FloatArray]:
         scaled = np.asarray(s_m, dtype=np.float64) / SPACING_M
@@ -107,8 +119,10 @@ class PathStack:
         longest = int(self.count.max(initial=2))
         self.xy_m = np.full((len(paths), longest, 2), _FAR_AWAY_M)
         self.yaw_rad = np.zeros((len(paths), longest))
+        self.squared_m2 = np.full((len(paths), longest), 2.0 * _FAR_AWAY_M**2)
         for n, path in enumerate(paths):
             self.xy_m[n, : self.count[n]], self.yaw_rad[n, : self.count[n]] = path.xy_m, path.yaw_rad
+            self.squared_m2[n, : self.count[n]] = path.squared_m2
 
     def at(self, s_m: FloatArray, d_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return points (N, T, 2) and headings (N, T) at *s_m* (N, T), *d_m* (N, T) to the left."""
@@ -124,7 +138,7 @@ class PathStack:
 
     def project(self, xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return ``s`` and ``d`` (N, K) of points (K, 2), or (N, K, 2), on every line; the ends go on straight."""
-        squared = (self.xy_m**2).sum(-1)[:, None] - 2.0 * xy_m @ self.xy_m.transpose(0, 2, 1)  # (N, K, P)
+        squared = self.squared_m2[:, None] - 2.0 * xy_m @ self.xy_m.transpose(0, 2, 1)  # (N, K, P)
         nearest = np.argmin(squared, axis=-1)
         rows = np.arange(len(self.count))[:, None]
         delta, yaw = xy_m - self.xy_m[rows, nearest], self.yaw_rad[rows, nearest]
@@ -159,12 +173,20 @@ class Geometry:
 
     road: RoadMap
     conflicts: dict[tuple[str, str, str, str], Zone | None] = field(default_factory=dict)
+    _changes: dict[tuple[str, ...], Changes] = field(default_factory=dict)
     _paths: dict[tuple[str, ...], LanePath] = field(default_factory=dict)
 
     @staticmethod
     def of(road: RoadMap) -> Geometry:
         """Return the empty store for *road*."""
         return Geometry(road)
+
+    def changes(self, edges: Sequence[str]) -> Changes:
+        """Return the :func:`required_changes` of *edges*."""
+        key = tuple(edges)
+        if key not in self._changes:
+            self._changes[key] = required_changes(self.road, key)
+        return self._changes[key]
 
     def path(self, lanes: Sequence[str], links: Sequence[Link]) -> LanePath:
         """Return the reference line along *lanes*, which *links* connect."""

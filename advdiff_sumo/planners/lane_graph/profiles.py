@@ -88,7 +88,7 @@ def leaders(variants: Sequence[Variant], state: State, future: Forecast, now: Fo
     for v, variant in enumerate(variants):
         if id(variant.path) not in projected:
             s, d = variant.path.project(xy, (variant.s_m - _BEHIND_M, variant.s_m + reach))
-            turn = yaw - variant.path.at(s)[1]
+            turn = yaw - variant.path.yaw_at(s)
             cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
             along = half[:, :1] * cos + half[:, 1:] * sin
             across = half[:, :1] * sin + half[:, 1:] * cos

@@ -57,7 +57,7 @@ def collision_cost(
     cost = np.zeros(len(candidates.s_m))
     delta = candidates.xy_m[:, None] - future.xy_m[None]  # (C, N, T, 2)
     reach = 0.5 * (np.hypot(*future.size_m.T) + np.hypot(state.length_m, state.width_m))
-    near = (delta**2).sum(-1) < (reach[None, :, None] + options.courtesy_m) ** 2
+    near = delta[..., 0] ** 2 + delta[..., 1] ** 2 < (reach[None, :, None] + options.courtesy_m) ** 2
     near &= ~ignored[:, :, None]
     c, n, t = np.nonzero(near)
     if not len(c):
@@ -86,10 +86,13 @@ def followers(
     behind = np.zeros((len(variants), len(future.other)), dtype=np.bool_)
     unsafe = np.zeros(len(variants))
     for v, variant in enumerate(variants):
+        if v > 0 and variant.side == 0 and variants[0].path is variant.path:  # beside the same vehicles as the first
+            behind[v] = behind[0]
+            continue
         s, d = variant.path.project(others.xy_m)
         gap = variant.s_m - s - 0.5 * (state.length_m + others.size_m[:, 0])
         beside = np.abs(d - variant.d_m) < 0.5 * (state.width_m + others.size_m[:, 1])
-        heading = np.cos(others.yaw_rad - variant.path.at(s)[1]) > 0.5
+        heading = np.cos(others.yaw_rad - variant.path.yaw_at(s)) > 0.5
         behind[v] = (beside & heading & (s < variant.s_m - 0.25 * state.length_m))[future.other]
         if variant.side == 0:
             continue

@@ -14,7 +14,6 @@ from advdiff_sumo.planners.lane_graph.chains import (
     Chain,
     Changes,
     detour,
-    required_changes,
     route_ahead,
     route_chain,
 )
@@ -135,7 +134,7 @@ def locate(
     if lane is None:
         return None
     ahead = _edges_ahead(geometry.road, lane, tuple(route) or memory.route, memory, waited_s)[:_EDGES_AHEAD]
-    return Place(lane, ahead, required_changes(geometry.road, ahead), geometry.road.link_over.get(lane))
+    return Place(lane, ahead, geometry.changes(ahead), geometry.road.link_over.get(lane))
 
 
 def _edges_ahead(
@@ -176,7 +175,7 @@ def _tracked(
         return None
     path = geometry.path(memory.lanes, memory.links)
     s, d = (float(x) for x in path.project(state.xy_m))
-    error = abs(float(wrap_angle(state.yaw_rad - float(path.at(np.asarray(s))[1]))))
+    error = abs(float(wrap_angle(state.yaw_rad - float(path.yaw_at(np.asarray(s))))))
     if abs(d) > offset_m or error > across_rad or s > path.length_m + 1.0:
         return None
     lane = geometry.road.lanes[path.lanes[path.lane_at(s)]]
@@ -197,12 +196,12 @@ def variants(
     road, lane = geometry.road, geometry.road.lanes[place.lane_id]
     reach = state.speed_mps * (options.horizon_s + 4.0) + 60.0
     keep = _with_back(_chain(road, place.lane_id, place, reach), place, memory)
-    kept = [_variant(geometry, state, keep, 0, target, options) for target in (0.0, *_NUDGES_M)]
+    kept = _variants(geometry, state, keep, 0, (0.0, *_NUDGES_M), options)
     if place.over is None:
         for side, beside in ((1, lane.left_id), (-1, lane.right_id)):
             if beside is not None and road.lanes[beside].permits("passenger"):
                 chain = _chain(road, beside, place, reach)
-                kept.append(_variant(geometry, state, chain, side, 0.0, options))
+                kept += _variants(geometry, state, chain, side, (0.0,), options)
     return kept
 
 
@@ -226,16 +225,29 @@ def _with_back(chain: Chain, place: Place, memory: Memory) -> Chain:
     return chain
 
 
-def _variant(
-    geometry: Geometry, state: State, chain: Chain, side: int, target_m: float, options: LaneGraphOptions
-) -> Variant:
+def _variants(
+    geometry: Geometry,
+    state: State,
+    chain: Chain,
+    side: int,
+    targets_m: Sequence[float],
+    options: LaneGraphOptions,
+) -> list[Variant]:
+    """Return the blends from where the target is beside *chain* to each of *targets_m*."""
     path = geometry.path(chain.lanes, chain.links)
     s, d = (float(x) for x in path.project(state.xy_m))
     at = np.asarray(s)
-    yaw, bend = float(path.at(at)[1]), float(path.curvature_at(at))
+    yaw, bend = float(path.yaw_at(at)), float(path.curvature_at(at))
     error = float(np.clip(wrap_angle(state.yaw_rad - yaw), -1.0, 1.0))
     lever = max(1.0 - bend * d, 0.2)
-    share = float(np.clip(abs(target_m - d) / 3.2, 0.4, 1.2))
-    blend = max(state.speed_mps * options.lane_change_s * share, _MIN_BLEND_M * max(share, 0.6))
     second = float(np.clip(state.curvature_1pm - bend, -0.1, 0.1))
-    return Variant(chain, path, side, s, d, lever * np.tan(error), second, target_m, blend)
+    slope = lever * np.tan(error)
+    blends = [_blend_m(state, target - d, options) for target in targets_m]
+    pairs = zip(targets_m, blends, strict=True)
+    return [Variant(chain, path, side, s, d, slope, second, target, blend) for target, blend in pairs]
+
+
+def _blend_m(state: State, across_m: float, options: LaneGraphOptions) -> float:
+    """Return the length of a blend that moves the target by *across_m*."""
+    share = float(np.clip(abs(across_m) / 3.2, 0.4, 1.2))
+    return max(state.speed_mps * options.lane_change_s * share, _MIN_BLEND_M * max(share, 0.6))

@@ -78,7 +78,12 @@ class LaneGraphPlanner:
         future = forecast(road, scene, others, ways, ego, steps)
         # 3. what may I do
         sides = variants(geometry, state, place, memory, self.options)
-        rules = [duties(geometry, scene, state, side, others, ways, memory, self.options) for side in sides]
+        rules = list[Duties]()
+        for side in sides:
+            if rules and side.chain is sides[0].chain:  # shifts within the lane: the same duties
+                rules.append(rules[0])
+            else:
+                rules.append(duties(geometry, scene, state, side, others, ways, memory, self.options))
         choice = modes(sides, rules, self.options)
         candidates = self._candidates(sides, choice, state, others, future, steps)
         # 4. which of it is best

@@ -176,9 +176,10 @@ def _idm(
 
 def _paces(variants: Sequence[Variant], options: LaneGraphOptions) -> FloatArray:
     """Return (V, P) the desired speed along each path, slow enough early enough for every bend."""
-    rows = [_pace(variant.path, options) for variant in variants]
-    out = np.empty((len(rows), max(len(row) for row in rows)))
-    for v, row in enumerate(rows):
+    pace = {path: _pace(path, options) for path in {variant.path for variant in variants}}
+    out = np.empty((len(variants), max(len(row) for row in pace.values())))
+    for v, variant in enumerate(variants):
+        row = pace[variant.path]
         out[v, : len(row)], out[v, len(row) :] = row, row[-1]
     return out
 

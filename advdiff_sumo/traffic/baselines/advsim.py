@@ -15,7 +15,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
-import cmaes
 import numpy as np
 import torch
 from torch import Tensor
@@ -46,6 +45,7 @@ from advdiff_sumo.traffic.baselines.baseline_policy import (
     parts,
     with_target,
 )
+from advdiff_sumo.traffic.baselines.evolution import Evolution
 from advdiff_sumo.traffic.baselines.surrogate import Answer
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
 from advdiff_sumo.traffic.planning.attackers import choose
@@ -164,7 +164,8 @@ class AdvSim(BaselinePolicy):
         for _ in range(rounds):
             asked = np.stack([optimiser.ask() for _ in range(optimiser.population_size)])
             changes = torch.from_numpy(asked.reshape(-1, *shape)).to(case.rollout.xy)
-            cost = search_cost(self._cut(case, changes), ground, changes, self.options.effort)
+            with torch.inference_mode():
+                cost = search_cost(self._cut(case, changes), ground, changes, self.options.effort)
             values = cost.cpu().numpy().astype(np.float64)
             optimiser.tell(list(zip(asked, values.tolist(), strict=True)))
             first = int(values.argmin())
@@ -197,7 +198,7 @@ class AdvSim(BaselinePolicy):
 
     def _optimiser(self, case: _Case, mean: Tensor) -> Any:
         size = mean.numel()
-        return cmaes.CMA(
+        return Evolution(
             mean=mean.cpu().numpy().astype(np.float64).ravel(),
             sigma=self.options.spread,
             bounds=np.tile([-1.0, 1.0], (size, 1)),

@@ -35,6 +35,10 @@ class Bodies:
         """Return the bodies at *index*, which does not reach their discs."""
         return Bodies(self.centres[index], self.radius[index])
 
+    def spread(self, shape: torch.Size) -> Bodies:
+        """Return the bodies broadcast to *shape*."""
+        return Bodies(self.centres.expand(*shape, *self.centres.shape[-2:]), self.radius.expand(shape))
+
     def halves(self) -> Tensor:
         """Return (…,) how far the bodies reach from their middles, in metres."""
         return (self.centres[..., -1, :] - self.centres[..., _MIDDLE, :]).norm(dim=-1) + self.radius
@@ -48,27 +52,27 @@ def gaps(mine: Bodies, yours: Bodies) -> Tensor:
 def depths(mine: Bodies, yours: Bodies) -> Tensor:
     """Return (…,) how far bodies are inside each other in metres, 0 outside: :func:`gaps` where any could touch."""
     apart = _squared(mine.centres[..., _MIDDLE, :], yours.centres[..., _MIDDLE, :])
-    near = ~(apart > (mine.halves() + yours.halves() + _ROUNDING_M).square())  # who is nowhere is near
+    far = apart > (mine.halves() + yours.halves() + _ROUNDING_M).square_()
+    near = far.logical_not_().nonzero(as_tuple=True)  # who is nowhere is near
     depth = torch.zeros_like(apart)
-    if near.any():
-        pair = (_where(body, near) for body in (mine, yours))
-        depth[near] = (-gaps(*pair)).clamp(min=0.0)
+    if len(near[0]):
+        first, second = (body.spread(apart.shape).at(*near) for body in (mine, yours))
+        depth[near] = (-gaps(first, second)).clamp_(min=0.0)
     return depth
 
 
-def _where(bodies: Bodies, near: Tensor) -> Bodies:
-    """Return the bodies (N,) of *bodies*, broadcast, that are *near* (…,)."""
-    discs_shape = (*near.shape, *bodies.centres.shape[-2:])
-    return Bodies(bodies.centres.expand(discs_shape)[near], bodies.radius.expand(near.shape)[near])
-
-
 def _nearest(mine: Tensor, yours: Tensor) -> Tensor:
-    """Return the least squared distance (…,) of discs (…, 5, 2), a pair of them at a time."""
-    first, second = (body.movedim(-2, 0).contiguous() for body in (mine, yours))
-    least = _squared(first[0], second[0])
-    for n in range(1, DISCS * DISCS):
-        least = torch.minimum(least, _squared(first[n // DISCS], second[n % DISCS]))
-    return least
+    """Return the least squared distance (…,) of discs (…, 5, 2)."""
+    x, y = (_of_pairs(mine[..., axis], yours[..., axis]) for axis in (0, 1))
+    return x.square_().add_(y.square_()).flatten(0, 1).amin(0)
+
+
+def _of_pairs(mine: Tensor, yours: Tensor) -> Tensor:
+    """Return the differences (5, 5, …) of all pairs of a coordinate (…, 5) of discs."""
+    first, second = (body.movedim(-1, 0).contiguous() for body in (mine, yours))
+    more = mine.dim() - yours.dim()
+    first = first.reshape(DISCS, 1, *[1] * max(-more, 0), *first.shape[1:])
+    return first - second.reshape(1, DISCS, *[1] * max(more, 0), *second.shape[1:])
 
 
 def _squared(first: Tensor, second: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.planners.lane_graph.duties import Duties
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.path import SPACING_M, LanePath
@@ -119,23 +119,24 @@ def drive(
     s = np.array([variant.s_m for variant in variants])[choice.variant]
     speed, accel = np.full(count, state.speed_mps), np.full(count, state.accel_mps2)
     rear, theirs = (part[choice.variant] for part in _nearest(ahead))  # (C, T+1)
-    headway = np.array([[options.time_headway_s], [_STOP_HEADWAY_S]])
+    idm = Idm.of(options)
     gaps, leads = np.empty((2, count)), np.zeros((2, count))  # to who is ahead, and to where to stop
+    free = np.isinf(np.stack((rear, np.broadcast_to(choice.stop_m[:, None], rear.shape))))  # (2, C, T+1)
     plain, hard = choice.brake_mps2 > 0.0, choice.brake_mps2 > options.decel_mps2
-    urgent_mps2, gentle = -1.5 * options.decel_mps2, options.jerk_mps3 * STEP_S
+    braking, urgent_mps2 = -choice.brake_mps2, -1.5 * options.decel_mps2
+    gentle, sudden = options.jerk_mps3 * STEP_S, _EMERGENCY_JERK_MPS3 * STEP_S
     out = np.empty((3, count, steps))
     for k in range(steps):
         cell = np.minimum(np.maximum((s + 0.6 * speed) / SPACING_M, 0), last).astype(np.int64)
-        front = s + state.front_m
-        np.subtract(rear[:, k], front, out=gaps[0])
+        np.subtract(rear[:, k], s + state.front_m, out=gaps[0])
         gaps[1] = choice.stop_m - s - state.front_m - options.stop_gap_m + options.min_gap_m
         leads[0] = theirs[:, k]
-        towards = _idm(speed, wishes[rows, cell], gaps, leads, headway, options)
-        want = np.where(plain, -choice.brake_mps2, np.minimum(towards[0], towards[1]))
-        jerk = np.where((want < urgent_mps2) | hard, _EMERGENCY_JERK_MPS3 * STEP_S, gentle)
+        towards = idm.accelerations(speed, wishes[rows, cell], gaps, leads, free[:, :, k])
+        want = np.where(plain, braking, np.minimum(towards[0], towards[1]))
+        jerk = np.where((want < urgent_mps2) | hard, sudden, gentle)
         accel = np.minimum(np.maximum(want, accel - jerk), accel + jerk)
         accel = np.minimum(np.maximum(accel, -options.brake_mps2), options.accel_mps2)
-        accel = np.where((speed <= 0.0) & (want <= 0.0), 0.0, accel)
+        accel[(speed <= 0.0) & (want <= 0.0)] = 0.0
         after = np.maximum(speed + accel * STEP_S, 0.0)
         s = s + 0.5 * (speed + after) * STEP_S
         accel = (after - speed) / STEP_S
@@ -154,24 +155,55 @@ def _nearest(ahead: Leaders) -> tuple[FloatArray, FloatArray]:
     return rear, speed
 
 
-def _idm(
-    speed: FloatArray,
-    wish: FloatArray,
-    gap: FloatArray,
-    lead: FloatArray,
-    headway_s: FloatArray,
-    options: LaneGraphOptions,
-) -> FloatArray:
-    a, b = options.accel_mps2, options.decel_mps2
-    ratio = speed / wish
-    over = 1.0 - np.minimum(1.0 / np.maximum(ratio, 1e-3), 1.0)
-    free = np.where(ratio < 1.0, a * (1.0 - ratio**4), -b * over * 3.0)
-    closing = speed * (speed - lead) / (2.0 * np.sqrt(a * b))
-    desired = options.min_gap_m + np.maximum(speed * headway_s + closing, 0.0)
-    z = desired / np.maximum(gap, 0.1)
-    limit = np.maximum(a * (1.0 - np.minimum(z, 10.0) ** 2), -options.brake_mps2)
-    follow = np.where(z < 1.0, np.maximum(free, 0.0) * (1.0 - z**4) + np.minimum(free, 0.0), limit)
-    return np.where(np.isinf(gap), free, np.minimum(free, follow))
+@dataclass(frozen=True)
+class Idm:
+    """The improved Intelligent Driver Model towards what is ahead, and towards where to stop.
+
+    Attributes:
+        accel_mps2: strongest acceleration.
+        decel_mps2: comfortable deceleration.
+        brake_mps2: strongest deceleration.
+        min_gap_m: gap at standstill.
+        headway_s: (2, 1) gap in time to what is ahead, and to where to stop.
+        closing_mps2: what the square of speeds is divided by.
+    """
+
+    accel_mps2: float
+    decel_mps2: float
+    brake_mps2: float
+    min_gap_m: float
+    headway_s: FloatArray
+    closing_mps2: float
+
+    @staticmethod
+    def of(options: LaneGraphOptions) -> Idm:
+        """Return the model of *options*."""
+        a, b = options.accel_mps2, options.decel_mps2
+        headway = np.array([[options.time_headway_s], [_STOP_HEADWAY_S]])
+        return Idm(a, b, options.brake_mps2, options.min_gap_m, headway, float(2.0 * np.sqrt(a * b)))
+
+    def accelerations(
+        self, speed: FloatArray, wish: FloatArray, gap: FloatArray, lead: FloatArray, alone: BoolArray
+    ) -> FloatArray:
+        """Return accelerations (2, C).
+
+        Args:
+            speed: (C,) own speeds.
+            wish: (C,) desired ones.
+            gap: (2, C) gaps.
+            lead: (2, C) speeds of what is ahead.
+            alone: (2, C) where nothing is.
+        """
+        a = self.accel_mps2
+        ratio = speed / wish
+        over = 1.0 - np.minimum(1.0 / np.maximum(ratio, 1e-3), 1.0)
+        free = np.where(ratio < 1.0, a * (1.0 - ratio**4), -self.decel_mps2 * over * 3.0)
+        closing = speed * (speed - lead) / self.closing_mps2
+        desired = self.min_gap_m + np.maximum(speed * self.headway_s + closing, 0.0)
+        z = desired / np.maximum(gap, 0.1)
+        limit = np.maximum(a * (1.0 - np.minimum(z, 10.0) ** 2), -self.brake_mps2)
+        follow = np.where(z < 1.0, np.maximum(free, 0.0) * (1.0 - z**4) + np.minimum(free, 0.0), limit)
+        return np.where(alone, free, np.minimum(free, follow))
 
 
 def _paces(variants: Sequence[Variant], options: LaneGraphOptions) -> FloatArray:

@@ -23,7 +23,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.model_options import ModelOptions
+from advdiff_sumo.models.model_options import FUTURE_STEPS, ModelOptions
 from advdiff_sumo.models.simnet_file import load_simnet
 from advdiff_sumo.traffic.baselines.advsim_actions import Initial, driven, initial_of
 from advdiff_sumo.traffic.baselines.advsim_cost import (
@@ -182,11 +182,11 @@ class AdvSim(BaselinePolicy):
             changes: to be judged.
             allowed: violation of the constraints that the first sequence has; None: this is the first one.
         """
-        planned = self._with(case, changes)
+        planned = self._with(case, changes, HORIZON_STEPS)
         forced = self.react(case.task, case.answer, planned)
         answered = with_target(planned, forced)
         ground = ground_of(answered, case.batch, case.rows, HORIZON_STEPS)
-        own = cut(Rollout(*(part[:, case.rows] for part in parts(planned))), HORIZON_STEPS)
+        own = Rollout(*(part[:, case.rows] for part in parts(planned)))
         over = float(violation(own, ground))
         ground = replace(ground, allowed=over if allowed is None else allowed)
         states = torch.cat((case.batch.pose[0, :1], answered.states()[0, 0, :HORIZON_STEPS]))
@@ -215,10 +215,10 @@ class AdvSim(BaselinePolicy):
                 out[number, :-1] = old.reshape(HORIZON_STEPS, 2)[1:]
         return torch.from_numpy(out).to(case.rollout.xy)
 
-    def _with(self, case: _Case, changes: Tensor) -> Rollout:
-        """Return everybody's future (1, A, T) with the attackers' *changes* (R, H, 2)."""
-        own = driven(changes[None], case.initial, self.options, self.model)
-        pairs = zip(parts(case.rollout), parts(own), strict=True)
+    def _with(self, case: _Case, changes: Tensor, steps: int = FUTURE_STEPS) -> Rollout:
+        """Return everybody's future (1, A, T) with the attackers' *changes* (R, H, 2), T no more than *steps*."""
+        own = driven(changes[None], case.initial, self.options, self.model, steps)
+        pairs = zip(parts(cut(case.rollout, steps)), parts(own), strict=True)
         return Rollout(*(whole.index_copy(1, case.rows, part) for whole, part in pairs))
 
     def _cut(self, case: _Case, changes: Tensor) -> Rollout:

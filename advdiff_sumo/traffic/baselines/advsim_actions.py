@@ -78,13 +78,13 @@ def driven(
     jump = _jumps(initial.accel, initial.last[:, 0]).clamp(min=options.jerk_mps3 * MODEL_STEP_S)
     turn, bent = options.steer_share * wish[..., 1], _jumps(initial.curvature, initial.last[:, 1])
     tightest = tightest_curvature(initial.length, model)
+    rows = (part.unbind(-1) for part in (push, turn, initial.curvature[:, :steps], jump, bent))
     states = []
-    for k in range(steps):
-        accel = _within(push[..., k], accel, jump[:, k]).clamp(-model.brake_mps2, model.accel_mps2)
+    for push_k, turn_k, curvature_k, jump_k, bent_k in zip(*rows, strict=False):
+        accel = _within(push_k, accel, jump_k).clamp(-model.brake_mps2, model.accel_mps2)
         limit = torch.minimum(tightest, model.lateral_mps2 / speed.clamp(min=_SLOW_MPS) ** 2)
         swerve = options.swerve_mps3 * MODEL_STEP_S / speed.clamp(min=_CRAWL_MPS) ** 2
-        wanted = initial.curvature[:, k] + limit * turn[..., k]
-        curvature = _within(wanted, curvature, torch.maximum(bent[:, k], swerve))
+        curvature = _within(curvature_k + limit * turn_k, curvature, torch.maximum(bent_k, swerve))
         curvature = torch.minimum(torch.maximum(curvature, -limit), limit)
         xy, yaw, speed = step(xy, yaw, speed, accel, curvature, MODEL_STEP_S)
         states.append((xy, yaw, speed, accel, curvature))

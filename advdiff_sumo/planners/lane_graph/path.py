@@ -87,7 +87,9 @@ class LanePath:
         flat = xy_m.reshape(-1, 2)
         first = int(np.clip(window_m[0] / SPACING_M, 0, len(self.xy_m) - 2))
         window = slice(first, int(min(window_m[1] / SPACING_M, len(self.xy_m))) + 2)
-        squared = self.squared_m2[window] - 2.0 * flat @ self.xy_m[window].T  # (N, P), less a constant of each row
+        squared = (
+            self.squared_m2[window] - 2.0 * flat @ self.xy_m[window].T
+        )  # (N, P), less a constant of each row
         nearest = first + np.argmin(squared, axis=-1)
         delta = flat - self.xy_m[nearest]
         cos, sin = np.cos(self.yaw_rad[nearest]), np.sin(self.yaw_rad[nearest])

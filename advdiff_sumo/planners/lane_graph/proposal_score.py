@@ -86,7 +86,9 @@ def followers(
     behind = np.zeros((len(variants), len(future.other)), dtype=np.bool_)
     unsafe = np.zeros(len(variants))
     for v, variant in enumerate(variants):
-        if v > 0 and variant.side == 0 and variants[0].path is variant.path:  # beside the same vehicles as the first
+        if (
+            v > 0 and variant.side == 0 and variants[0].path is variant.path
+        ):  # beside the same vehicles as the first
             behind[v] = behind[0]
             continue
         s, d = variant.path.project(others.xy_m)

@@ -41,7 +41,8 @@ class Bodies:
 
     def halves(self) -> Tensor:
         """Return (…,) how far the bodies reach from their middles, in metres."""
-        return (self.centres[..., -1, :] - self.centres[..., _MIDDLE, :]).norm(dim=-1) + self.radius
+        half: Tensor = (self.centres[..., -1, :] - self.centres[..., _MIDDLE, :]).norm(dim=-1)
+        return half + self.radius
 
 
 def gaps(mine: Bodies, yours: Bodies) -> Tensor:

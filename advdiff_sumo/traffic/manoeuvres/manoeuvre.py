@@ -21,9 +21,9 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way, facing, settling
 LATERAL_MPS = 1.1
 """Mean lateral speed of a lane change: 3 to 3.5 s for a lane, as people drive (Toledo and Zohar 2007,
 doi:10.3141/1999-08, give 1 to 13 s with a mean of 4 to 6)."""
-_ENTERS_SHARE = 0.72
-"""Share of the distance between the lanes' centres at which a vehicle that changes between them is over the line, and
-perceived as intruding."""
+_ENTERS_SHARE = 0.67
+"""Share of the distance between the lanes' centres at which a vehicle that changes between them is 0.3 m over the line
+(1.8 m wide, lanes of 3.5 m), and perceived as intruding."""
 _FINE_S: FloatArray = 0.05 * np.arange(160.0)
 _NARROW_M = 0.3
 _EVERY = round(PLAN_DT_S / CHECK_DT_S)

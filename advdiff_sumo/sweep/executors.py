@@ -213,6 +213,8 @@ def _context() -> BaseContext:
     """Return how workers are started: from a clean process that has the modules loaded, where there is one."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
+    from advdiff_sumo.core.fork_server import SharedContext  # not there on every system
+
+    context = SharedContext()
     context.set_forkserver_preload(["advdiff_sumo.sweep.worker_sandbox"])
     return context

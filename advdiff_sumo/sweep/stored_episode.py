@@ -42,7 +42,7 @@ class StoredEpisode:
         """Return the part of :meth:`to_bytes`."""
         entries = unpack(content)
         failure = entries.pop(_FAILURE, None)
-        tables = {name.removesuffix(".parquet"): pq.read_table(io.BytesIO(e)) for name, e in entries.items()}
+        tables = {name.removesuffix(".parquet"): _table(entry) for name, entry in entries.items()}
         return StoredEpisode(tables, None if failure is None else Failed(**json.loads(failure)))
 
     @staticmethod
@@ -52,7 +52,7 @@ class StoredEpisode:
             names = set(archive.namelist())
             row = failed = None
             if _EPISODES in names:
-                (row,) = pq.read_table(io.BytesIO(archive.read(_EPISODES))).to_pylist()
+                (row,) = _table(archive.read(_EPISODES)).to_pylist()
             if _FAILURE in names:
                 failed = Failed(**json.loads(archive.read(_FAILURE)))
         return row, failed
@@ -77,3 +77,11 @@ def _parquet(table: pa.Table) -> bytes:
     sink = io.BytesIO()
     pq.write_table(table, sink, compression="zstd")
     return sink.getvalue()
+
+
+def _table(content: bytes) -> pa.Table:
+    """Return what :func:`_parquet` was made of.
+
+    ``pq.read_table`` imports more of PyArrow when it is first called, and loses a Ctrl-C that comes meanwhile.
+    """
+    return pq.ParquetFile(io.BytesIO(content)).read()

@@ -16,14 +16,16 @@ from advdiff_sumo.traffic.manoeuvres.profiles import (
     SpeedProfile,
     drive_profiles,
 )
-from advdiff_sumo.traffic.manoeuvres.ways import Way, smooth_step
+from advdiff_sumo.traffic.manoeuvres.ways import Way, facing, settling
 
 LATERAL_MPS = 1.1
 """Mean lateral speed of a lane change: 3 to 3.5 s for a lane, as people drive (Toledo and Zohar 2007,
 doi:10.3141/1999-08, give 1 to 13 s with a mean of 4 to 6)."""
-ENTERS_SHARE = 0.35
-"""Share of the way across after which a vehicle that changes lanes is over the line, and perceived as intruding."""
-_TURNS_MPS = 0.5
+_ENTERS_SHARE = 0.67
+"""Share of the distance between the lanes' centres at which a vehicle that changes between them is 0.3 m over the line
+(1.8 m wide, lanes of 3.5 m), and perceived as intruding."""
+_FINE_S: FloatArray = 0.05 * np.arange(160.0)
+_NARROW_M = 0.3
 _EVERY = round(PLAN_DT_S / CHECK_DT_S)
 
 
@@ -55,7 +57,15 @@ class Manoeuvre:
         """Return when the vehicle, which is at *xy_m* (2,) now, enters the lane that it changes to; 0 if it stays."""
         if self.goal is None:
             return 0.0
-        return self.delay_s + ENTERS_SHARE * abs(float(self.goal.line.project(xy_m)[1])) / LATERAL_MPS
+        apart, across = self.goal.line.project(np.stack((self.way.line.at(self.way.lane.s_m)[0], xy_m)))[1]
+        over = np.abs(self.offsets(float(across), _FINE_S)) <= _ENTERS_SHARE * abs(float(apart))
+        return self.delay_s + float(_FINE_S[np.argmax(over)])
+
+    def offsets(self, across_m: float, since_s: FloatArray) -> FloatArray:
+        """Return offsets (T,) from the goal's line, *since_s* (T,) after a change began that has *across_m* to go."""
+        lasts_s = max(abs(across_m), _NARROW_M) / LATERAL_MPS
+        drift_mps = self.way.drift_mps if self.delay_s == 0.0 else 0.0
+        return settling(across_m, drift_mps, since_s / lasts_s, lasts_s)
 
 
 @dataclass(frozen=True)
@@ -82,25 +92,17 @@ def futures_of_manoeuvres(manoeuvres: Sequence[Manoeuvre], speed_mps: FloatArray
     for k, manoeuvre in enumerate(manoeuvres):
         xy[k], yaw[k] = manoeuvre.way.poses(driven[k], CHECK_TIMES_S)
         if manoeuvre.goal is not None:
-            xy[k], yaw[k] = _changing(manoeuvre, manoeuvre.goal, driven[k], speed[k], (xy[k], yaw[k]))
+            xy[k], yaw[k] = _changing(manoeuvre, manoeuvre.goal, driven[k])
     return ManoeuvreFutures(xy, yaw, speed, driven)
 
 
-def _changing(
-    manoeuvre: Manoeuvre,
-    goal: Way,
-    driven_m: FloatArray,
-    speed_mps: FloatArray,
-    own: tuple[FloatArray, FloatArray],
-) -> tuple[FloatArray, FloatArray]:
+def _changing(manoeuvre: Manoeuvre, goal: Way, driven_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return centres (T, 2) and headings (T,) of a change from the own way to *goal*."""
-    here = manoeuvre.way.line.at(manoeuvre.way.lane.s_m, manoeuvre.way.lane.offset_m)[0]
+    way = manoeuvre.way
+    here = way.line.at(way.lane.s_m, way.lane.offset_m)[0]
     begin, across = goal.line.project(here)
     there, along = goal.line.at(float(begin) + driven_m, extrapolate=True)
-    since = np.maximum(CHECK_TIMES_S - manoeuvre.delay_s, 0.0)
-    share = smooth_step(since * LATERAL_MPS / max(abs(float(across)), 0.3))
-    xy = own[0] + share[:, None] * (there - own[0])
-    stride = np.gradient(np.vstack((here, xy)), axis=0)[1:]
-    moving = speed_mps > _TURNS_MPS
-    drift = np.arctan2(stride[:, 1], stride[:, 0])
-    return xy, np.where(moving & (np.hypot(*stride.T) > _TURNS_MPS * CHECK_DT_S), drift, along)
+    beside = way.line.at(way.lane.s_m + driven_m, way.lane.offset_m, extrapolate=True)[0]
+    left = manoeuvre.offsets(float(across), np.maximum(CHECK_TIMES_S - manoeuvre.delay_s, 0.0))
+    xy = there + (left / across if across else 0.0 * left)[:, None] * (beside - there)
+    return xy, facing(here, xy, driven_m, along)

@@ -24,6 +24,7 @@ _IN_LANE_M, _SAME_WAY = 1.5, 0.8
 _GAINS_MPS2 = 3.0
 _CLEARS_S = 1.0
 _RED = ("r", "u")
+_PAST = 3  # places that tell how fast somebody moves sideways
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,11 @@ class SituationView:
         )
         walks = now.classes[rows] == AgentClass.PEDESTRIAN
         pairs = zip(rows.tolist(), lanes, walks.tolist(), strict=True)
-        ways = {row: Way(lane) for row, lane, on_foot in pairs if lane is not None and not on_foot}
+        ways = {
+            row: Way(lane).moving(now.xy_m[row, -_PAST:], now.dt_s)
+            for row, lane, on_foot in pairs
+            if lane is not None and not on_foot
+        }
         return SituationView(road, scene, ways, np.setdiff1d(rows, [*ways, scene.target]))
 
     @cached_property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,9 @@ from advdiff_sumo.maps.lanes import Lane, Link
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 
 _SETTLES_S = 2.0
+_DRIFTS_MPS = 0.2
+_TURNS_M = 0.12
+"""Least stride from one instant to the next that tells where somebody faces."""
 
 
 @dataclass(frozen=True)
@@ -21,9 +24,11 @@ class Way:
 
     Attributes:
         lane: the lanes it follows and its place on them.
+        drift_mps: how fast it moves to the left of them.
     """
 
     lane: LaneAhead
+    drift_mps: float = 0.0
 
     @cached_property
     def line(self) -> Polyline:
@@ -47,10 +52,27 @@ class Way:
     def poses(self, driven_m: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return box centres (…, T, 2) and headings (…, T) after *driven_m* (…, T) metres at *time_s* (T,).
 
-        The lateral offset that the vehicle has now decays within ``_SETTLES_S``.
+        The lateral offset and drift that the vehicle has now decay within ``_SETTLES_S``; who drifts faces its course.
         """
-        left = self.lane.offset_m * (1.0 - smooth_step(time_s / _SETTLES_S))
-        return self.line.at(self.lane.s_m + driven_m, np.broadcast_to(left, driven_m.shape), extrapolate=True)
+        left = settling(self.lane.offset_m, self.drift_mps, time_s / _SETTLES_S, _SETTLES_S)
+        xy, along = self.line.at(
+            self.lane.s_m + driven_m, np.broadcast_to(left, driven_m.shape), extrapolate=True
+        )
+        if abs(self.drift_mps) < _DRIFTS_MPS:
+            return xy, along
+        return xy, facing(self.line.at(self.lane.s_m, self.lane.offset_m)[0], xy, driven_m, along)
+
+    def moving(self, past_xy_m: FloatArray, dt_s: float) -> Way:
+        """Return this way with the drift of who was at *past_xy_m* (P, 2), *dt_s* apart, the last of them now.
+
+        Second-order backward difference of the offsets; first-order where two places lie on the line, and 0 for one.
+        """
+        s, left = self.line.project(past_xy_m[::-1], extrapolate=True)
+        known = int(np.argmin(np.append(np.isfinite(s) & (s >= 0.0), False)))
+        if known < 2:
+            return replace(self, drift_mps=0.0)
+        rise = (3.0 * left[0] - 4.0 * left[1] + left[2]) / 2.0 if known > 2 else left[0] - left[1]
+        return replace(self, drift_mps=float(rise) / dt_s)
 
     @property
     def present_lane(self) -> Lane:
@@ -58,10 +80,35 @@ class Way:
         return self.lane.lanes[0]
 
 
-def smooth_step(share: FloatArray) -> FloatArray:
-    """Return a rise from 0 to 1 with zero slope at both ends, clamped: 3 x² − 2 x³."""
+def settling(offset_m: float, drift_mps: float, share: FloatArray, lasts_s: float) -> FloatArray:
+    """Return offsets (T,) on the way to a line: the cubic that begins as now and ends on the line and along it.
+
+    Args:
+        offset_m: now.
+        drift_mps: how fast the offset grows now; where it shrinks so fast that the cubic would cross the line, less.
+        share: (T,) of the time that has passed; 1 and more: it is on the line.
+        lasts_s: the whole time.
+    """
     x = np.clip(share, 0.0, 1.0)
-    return np.asarray(x * x * (3.0 - 2.0 * x))
+    side = np.sign(offset_m)
+    begins = side * max(side * drift_mps * lasts_s, -3.0 * abs(offset_m)) if side else drift_mps * lasts_s
+    return np.asarray((1.0 - x) ** 2 * (offset_m * (1.0 + 2.0 * x) + begins * x))
+
+
+def facing(here_m: FloatArray, xy_m: FloatArray, driven_m: FloatArray, along_rad: FloatArray) -> FloatArray:
+    """Return headings (…, T) along the course from *here_m* (2,) through *xy_m* (…, T, 2).
+
+    Args:
+        here_m: where it begins.
+        xy_m: where it leads.
+        driven_m: (…, T) distances driven, without what is driven sideways.
+        along_rad: (…, T) headings where next to nothing is driven.
+    """
+    begin = np.broadcast_to(here_m, (*xy_m.shape[:-2], 1, 2))
+    stride = np.gradient(np.concatenate((begin, xy_m), axis=-2), axis=-2)[..., 1:, :]
+    forward = np.diff(driven_m, axis=-1, prepend=0.0)
+    moves = (forward > _TURNS_M) & (np.hypot(stride[..., 0], stride[..., 1]) > _TURNS_M)
+    return np.where(moves, np.arctan2(stride[..., 1], stride[..., 0]), along_rad)
 
 
 def _leads_to(link: Link, lane: Lane) -> bool:

@@ -10,6 +10,7 @@ from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.continuation import carry_on
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.traffic.manoeuvres.scenes import view_of
 
 
@@ -22,19 +23,24 @@ def test_who_cuts_in_brakes_once_it_has_entered_unless_it_is_reckless(
 ) -> None:
     """Its box, of 1.8 m, reaches *over_m* over the line between lanes of 3.5 m; 0.3 m are entering.
 
-    It should brake now, but goes on for as long as it takes to come over: 0.35 of the way left at 1.1 m/s.
+    It should brake now, but goes on for as long as it takes to come over. It does not move sideways yet: of the way
+    left, at 1.1 m/s in the mean, 3 x² − 2 x³ are behind it after x of the time, and 0.67 of 3.5 m are before it when it
+    enters.
     """
     view = view_of(motorway, time_s=5.0, target=(0, 80.0, 15.0), other=(1, 120.0, 15.0))
     lane = view.target.way.present_lane if view.target is not None else None
     assert lane is not None
     across = 0.5 * (lane.width_m + 1.8) - over_m
-    xy, _ = lane.line.at(120.0, across)
-    view.scene.history.xy_m[1, -1] = xy
+    beside = lane.line.at(120.0, across)[0] - view.scene.history.xy_m[1, -1]
+    view.scene.history.xy_m[1] += beside
+    view = SituationView.of(motorway, view.scene)
     cuts_in = Commitment("cut-in", SpeedProfile(then_mps2=-6.5), 3.0, 4.5, sets_up=False, goal_lane=lane.id)
     going, _ = carry_on(view, Commitments({"cut-in": 1.0}, active={"other": cuts_in}), 8.0, licence)
     assert [m.kind for m in going] == ["cut-in"]
-    expected = 0.35 * across / 1.1 if later else 0.0
-    assert going[0].profile.switch_s == pytest.approx(expected, abs=0.02)
+    x = np.linspace(0.0, 1.0, 1001)
+    share = float(np.interp(1.0 - 0.67 * lane.width_m / across, 3.0 * x**2 - 2.0 * x**3, x))
+    expected = share * across / 1.1 if later else 0.0
+    assert going[0].profile.switch_s == pytest.approx(expected, abs=0.06)  # it looks every 0.05 s
     assert np.isclose(going[0].profile.then_mps2, -6.5)
 
 

@@ -1,0 +1,111 @@
+"""Changes of lanes that are planned anew each half second: they go on, and take as long as the first plan says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import LATERAL_MPS, Manoeuvre, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
+from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.ways import settling
+from tests.traffic.manoeuvres.scenes import LENGTH_M, view_of
+
+SPEED_MPS, PLANS = 20.0, 12
+
+
+def test_half_of_a_change_by_hand() -> None:
+    """3 m in 3 s from rest: half way after 1.5 s, there at one and a half times the mean speed, at the end at rest."""
+    share = np.array([0.0, 0.5, 1.0, 2.0])
+    np.testing.assert_allclose(settling(3.0, 0.0, share, 3.0), [3.0, 1.5, 0.0, 0.0])
+    np.testing.assert_allclose(settling(1.5, -1.5, share, 1.5), [1.5, 0.46875, 0.0, 0.0])
+
+
+@given(st.floats(0.1, 4.0), st.floats(-3.0, 3.0), st.floats(0.5, 4.0), st.floats(0.0, 0.9))
+def test_the_rest_of_a_change_is_what_was_planned(
+    offset_m: float, drift_mps: float, lasts_s: float, passed: float
+) -> None:
+    whole = settling(offset_m, drift_mps, np.linspace(0.0, 1.0, 1001), lasts_s)
+    assert whole.min() >= 0.0  # it does not cross the line
+    begin = round(1000 * passed)
+    left_s = lasts_s * (1.0 - begin / 1000)
+    slope = float(np.gradient(whole, lasts_s / 1000)[begin]) if begin else drift_mps
+    rest = settling(float(whole[begin]), slope, np.linspace(0.0, 1.0, 1001 - begin), left_s)
+    np.testing.assert_allclose(rest, whole[begin:], atol=0.02)
+    np.testing.assert_allclose(
+        settling(-offset_m, -drift_mps, np.array([passed]), lasts_s), -whole[[begin]], atol=0.02
+    )
+
+
+def next_scene(scene: Scene, xy_m: FloatArray, yaw_rad: FloatArray) -> Scene:
+    """Return *scene* half a second later: the target goes straight on, the other is where it planned to be."""
+    now = scene.history
+    stride = PLAN_DT_S * now.speed_mps[0, -1]
+    target = now.xy_m[0, -1] + stride * np.array([np.cos(now.yaw_rad[0, -1]), np.sin(now.yaw_rad[0, -1])])
+    xy = np.concatenate((now.xy_m[:, 1:], np.stack((target, xy_m))[:, None]), axis=1)
+    yaw = np.concatenate((now.yaw_rad[:, 1:], np.array([now.yaw_rad[0, -1], yaw_rad])[:, None]), axis=1)
+    later: Tracks = replace(now, xy_m=xy, yaw_rad=yaw, t0_s=now.t0_s + PLAN_DT_S)
+    return replace(scene, history=later)
+
+
+def driven(view: SituationView) -> tuple[list[float], list[float], list[float]]:
+    """Return how far the other is beside the target's line after each plan, where it faces, when it says it enters."""
+    beside, facing, enters = [], [], []
+    target = view.target
+    assert target is not None
+    line = target.way.line
+    along = float(view.scene.history.yaw_rad[0, -1])
+    for _ in range(PLANS):
+        goal = next((m.goal for m in KINDS["cut-in"](view, 1) if m.goal is not None), None)
+        manoeuvre = Manoeuvre("cut-in", 1, view.ways[1], goal=goal)
+        enters.append(manoeuvre.enters_s(view.scene.history.xy_m[1, -1]))
+        futures = futures_of_manoeuvres([manoeuvre], np.array([SPEED_MPS]))
+        xy, yaw, _ = futures.at_model_steps()
+        beside.append(abs(float(line.project(xy[0, 0])[1])))
+        facing.append(abs(float(wrap_angle(float(yaw[0, 0]) - along))))
+        view = SituationView.of(view.road, next_scene(view.scene, xy[0, 0], yaw[0, 0]))
+    return beside, facing, enters
+
+
+def test_a_change_carried_out_in_plans_takes_what_the_first_one_says(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, SPEED_MPS), other=(1, 80.0 + LENGTH_M, SPEED_MPS))
+    across = abs(view.on_target_way[1][1])
+    beside, facing, enters = driven(view)
+    assert all(after <= before for before, after in pairwise(beside))
+    there = PLAN_DT_S * (1 + next(k for k, left in enumerate(beside) if left < 0.3))
+    assert there == pytest.approx(across / LATERAL_MPS, abs=PLAN_DT_S)
+    steepest = 1.5 * LATERAL_MPS / SPEED_MPS
+    assert 0.8 * steepest < max(facing) < 1.2 * steepest
+    assert max(facing[-3:]) < 0.02  # the lane bends by as much
+    begun = [now for now in enters if now > 0.0]
+    assert len(begun) == pytest.approx(begun[0] / PLAN_DT_S, abs=1.0)  # each plan says half a second less
+    for before, after in pairwise(begun):
+        assert before - after == pytest.approx(PLAN_DT_S, abs=0.25)
+
+
+def test_who_stands_still_sideways_has_no_drift(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, SPEED_MPS), other=(1, 80.0, SPEED_MPS))
+    assert view.ways[1].drift_mps == pytest.approx(0.0, abs=0.05)
+
+
+def test_drift_is_told_by_places_on_the_lane_alone(motorway: RoadMap) -> None:
+    way = view_of(motorway, target=(0, 50.0, SPEED_MPS)).ways[0]
+    places = np.array([20.0, 25.0, 30.0])
+    left = np.array([1.6, 0.9, 0.4])  # 0.7 m, then 0.5 m: at 0.8 m/s now
+    past = way.line.at(places, left)[0]
+    assert way.moving(past, 0.5).drift_mps == pytest.approx((3 * 0.4 - 4 * 0.9 + 1.6) / 1.0)
+    assert way.moving(past[1:], 0.5).drift_mps == pytest.approx(-1.0)
+    assert way.moving(past[2:], 0.5).drift_mps == 0.0
+    before = way.line.at(np.array([-15.0, -5.0, 5.0]), left, extrapolate=True)[0]
+    assert way.moving(before, 0.5).drift_mps == 0.0
+    assert way.moving(np.full((3, 2), np.nan), 0.5).drift_mps == 0.0

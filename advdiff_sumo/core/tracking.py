@@ -9,9 +9,9 @@ from advdiff_sumo.core.bicycle import Limits, clip_controls, stacked, step, whee
 from advdiff_sumo.core.frames import local_from_world, wrap_angle
 from advdiff_sumo.core.plan import Controls, Trajectory
 
-CROSS_GAIN = 0.6  # 1/(m s): curvature × speed per metre of lateral error
-HEADING_GAIN = 2.4  # 1/s: curvature × speed per radian of heading error
-ALONG_GAIN, SPEED_GAIN = 1.0, 2.0  # 1/s², 1/s
+_CROSS_GAIN = 0.6  # 1/(m s): curvature × speed per metre of lateral error
+_HEADING_GAIN = 2.4  # 1/s: curvature × speed per radian of heading error
+_ALONG_GAIN, _SPEED_GAIN = 1.0, 2.0  # 1/s², 1/s
 
 State = tuple[FloatArray, FloatArray, FloatArray]  # xy (…, 2), yaw (…,), speed (…,)
 
@@ -97,8 +97,8 @@ def _controls(state: State, last: State, goal: State, dt_s: float) -> tuple[Floa
     heading = wrap_angle(last[1] - yaw)
     near = np.minimum(1.0, speed / 2.0)  # a standing vehicle cannot correct sideways
     pace = np.maximum(speed, 1.0)
-    bend = feed_bend + near * (CROSS_GAIN * offset[..., 1] + HEADING_GAIN * heading) / pace
-    accel = (goal[2] - last[2]) / dt_s + ALONG_GAIN * offset[..., 0] + SPEED_GAIN * (last[2] - speed)
+    bend = feed_bend + near * (_CROSS_GAIN * offset[..., 1] + _HEADING_GAIN * heading) / pace
+    accel = (goal[2] - last[2]) / dt_s + _ALONG_GAIN * offset[..., 0] + _SPEED_GAIN * (last[2] - speed)
     return accel, bend
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.frames import wrap_angle
-from advdiff_sumo.core.one_vehicle import track_one
 from advdiff_sumo.core.plan import Plan, Trajectory
 from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.tracking import track
 from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.planners.lane_graph.chains import route_ahead
 from advdiff_sumo.planners.lane_graph.duties import Duties, duties
@@ -171,8 +171,8 @@ def _driven(side: Variant, candidates: Candidates, best: int, state: State) -> T
     before = np.append(state.speed_mps, speed[:-1])
     s = side.s_m + np.cumsum(0.5 * (speed + before) * _PLAN_STEP_S)
     xy, yaw = side.poses(s)
-    start = (float(state.xy_m[0]), float(state.xy_m[1]), state.yaw_rad, state.speed_mps)
-    driven = track_one(start, (xy, wrap_angle(yaw), speed), state.length_m, _PLAN_STEP_S, Limits())
+    start = (state.xy_m, np.asarray(state.yaw_rad), np.asarray(state.speed_mps))
+    driven = track(start, (xy, wrap_angle(yaw), speed), np.asarray(state.length_m), _PLAN_STEP_S, Limits())
     return Trajectory(*driven, dt_s=_PLAN_STEP_S)
 
 

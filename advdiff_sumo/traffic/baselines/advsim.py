@@ -15,6 +15,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
+import cmaes
 import numpy as np
 import torch
 from torch import Tensor
@@ -45,7 +46,6 @@ from advdiff_sumo.traffic.baselines.baseline_policy import (
     parts,
     with_target,
 )
-from advdiff_sumo.traffic.baselines.evolution import Evolution
 from advdiff_sumo.traffic.baselines.surrogate import Answer
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
 from advdiff_sumo.traffic.planning.attackers import choose
@@ -198,7 +198,7 @@ class AdvSim(BaselinePolicy):
 
     def _optimiser(self, case: _Case, mean: Tensor) -> Any:
         size = mean.numel()
-        return Evolution(
+        return cmaes.CMA(
             mean=mean.cpu().numpy().astype(np.float64).ravel(),
             sigma=self.options.spread,
             bounds=np.tile([-1.0, 1.0], (size, 1)),

@@ -88,7 +88,7 @@ def rank(
     futures = futures_of_manoeuvres(proposals, speed)
     size = view.scene.history.size_m[[m.row for m in proposals]]
     now = view.scene.history.xy_m[:, -1]
-    perceived = np.array([m.enters_s(now[m.row]) for m in proposals])
+    perceived = np.array([m.asks_s(now[m.row]) for m in proposals])
     needed = needed_braking(target, *_obstacles(view, proposals, futures), perceived)
     merit = np.array([_merit(m, n, begun) for m, n in zip(proposals, needed.tolist(), strict=True)])
     timed = np.flatnonzero([m.kind == "crossing" and not m.sets_up for m in proposals])

@@ -91,11 +91,12 @@ def _continued(
 
 
 def _cutting_in(view: SituationView, manoeuvre: Manoeuvre, intensity: Intensity) -> Manoeuvre | None:
-    """Return *manoeuvre* as it slows once it is over the line; None where that leaves the target no answer."""
+    """Return *manoeuvre* as it slows once it is over the line; None where that would leave the target no answer."""
     goal = manoeuvre.goal
-    if goal is None or _over_line_m(view, manoeuvre.row, goal) > INTRUSION_M:
+    over = goal is None or _over_line_m(view, manoeuvre.row, goal) > INTRUSION_M
+    if goal is None or (over and manoeuvre.profile.switch_s == 0.0):
         return manoeuvre
-    later = _slowing_once_over(view, manoeuvre)
+    later = manoeuvre if over else _slowing_once_over(view, manoeuvre)
     return later if intensity.is_asked_of("cut-in") or _is_answerable(view, later) else None
 
 
@@ -107,15 +108,15 @@ def _slowing_once_over(view: SituationView, manoeuvre: Manoeuvre) -> Manoeuvre:
 
 
 def _is_answerable(view: SituationView, manoeuvre: Manoeuvre) -> bool:
-    """Return whether some braking keeps the target clear of who cuts in, perceived as it enters the lane."""
+    """Return whether some braking keeps the target clear of who cuts in, from when it is there and slows on."""
     if view.target is None:
         return True
     row = manoeuvre.row
     futures = futures_of_manoeuvres([manoeuvre], np.array([view.speed(row)]))
-    enters_s = np.array([manoeuvre.enters_s(view.scene.history.xy_m[row, -1])])
+    asks_s = np.array([manoeuvre.asks_s(view.scene.history.xy_m[row, -1])])
     size = view.size(row)[None]
     return bool(
-        needed_braking(view.target, futures.xy_m, futures.yaw_rad, size, enters_s)[0] <= BRAKING_MPS2[-1]
+        needed_braking(view.target, futures.xy_m, futures.yaw_rad, size, asks_s)[0] <= BRAKING_MPS2[-1]
     )
 
 

@@ -61,6 +61,15 @@ class Manoeuvre:
         over = np.abs(self.offsets(float(across), _FINE_S)) <= _ENTERS_SHARE * abs(float(apart))
         return self.delay_s + float(_FINE_S[np.argmax(over)])
 
+    def asks_s(self, xy_m: FloatArray) -> float:
+        """Return when the target can perceive that the vehicle, at *xy_m* (2,) now, asks something of it; 0: now.
+
+        Who changes into its lane asks nothing before it is there and, where it means to slow, slows.
+        """
+        slows_later = self.profile.then_mps2 < 0.0 <= self.profile.first_mps2
+        slows_s = self.profile.switch_s if self.goal is not None and slows_later else 0.0
+        return max(self.enters_s(xy_m), slows_s)
+
     def offsets(self, across_m: float, since_s: FloatArray) -> FloatArray:
         """Return offsets (T,) from the goal's line, *since_s* (T,) after a change began that has *across_m* to go."""
         lasts_s = max(abs(across_m), _NARROW_M) / LATERAL_MPS

@@ -15,7 +15,7 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import LATERAL_MPS, Manoeuvre, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
+from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S, SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import settling
@@ -109,3 +109,20 @@ def test_drift_is_told_by_places_on_the_lane_alone(motorway: RoadMap) -> None:
     before = way.line.at(np.array([-15.0, -5.0, 5.0]), left, extrapolate=True)[0]
     assert way.moving(before, 0.5).drift_mps == 0.0
     assert way.moving(np.full((3, 2), np.nan), 0.5).drift_mps == 0.0
+
+
+def test_a_lane_change_asks_something_once_it_slows(motorway: RoadMap) -> None:
+    """3.5 m at 1.1 m/s: it enters after 1.2 s; to slow later than that is asked later, to slow before is not."""
+    view = view_of(motorway, target=(0, 50.0, SPEED_MPS), other=(1, 80.0 + LENGTH_M, SPEED_MPS))
+    xy = view.scene.history.xy_m[1, -1]
+    change = next(m for m in KINDS["cut-in"](view, 1) if m.goal is not None)
+    enters = change.enters_s(xy)
+    assert enters == pytest.approx(1.2, abs=0.1)
+    for profile, asks in (
+        (SpeedProfile(), enters),
+        (SpeedProfile(switch_s=2.0, then_mps2=-5.0), 2.0),
+        (SpeedProfile(switch_s=0.5, then_mps2=-5.0), enters),
+        (SpeedProfile(first_mps2=-2.0, switch_s=2.0, then_mps2=-5.0), enters),
+    ):
+        assert replace(change, profile=profile).asks_s(xy) == asks
+    assert replace(change, goal=None, profile=SpeedProfile(switch_s=2.0, then_mps2=-5.0)).asks_s(xy) == 0.0

@@ -16,9 +16,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.fast_reward import FastReward, RewardWeights
 from advdiff_sumo.diffusion.sampler import SamplingStep
-from advdiff_sumo.models.reward import RewardState
 
 MOST = 2.0
 """Longest shift of a last step that begins where the one before ended, in what one plan makes."""
@@ -125,8 +123,3 @@ def _gradient(objective: Objective, latents: Tensor) -> Tensor:
     with torch.enable_grad():
         free = latents.requires_grad_(True)
         return torch.autograd.grad(objective(free).sum(), free)[0]
-
-
-def reward_objective(weights: RewardWeights, state: RewardState) -> Objective:
-    """Return Q(h, z, ·), the discounted adversarial reward of the scenes in *state*."""
-    return FastReward(weights, state)

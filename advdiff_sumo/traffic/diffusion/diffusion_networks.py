@@ -12,7 +12,7 @@ from advdiff_sumo.core.errors import ConfigError, WeightsError
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
-from advdiff_sumo.diffusion.fast_reward import RewardWeights
+from advdiff_sumo.diffusion.fast_reward import FastReward
 from advdiff_sumo.diffusion.noise_schedule import NoiseSchedule
 from advdiff_sumo.diffusion.sampler import Sampling
 from advdiff_sumo.models.bundle import Bundle, load_bundle
@@ -32,7 +32,7 @@ class Networks:
         codec: between latents and what is diffused.
         denoiser: for run time.
         decoder: of whole scenes and of some of their rows.
-        reward: weights of Q as guidance reads them.
+        reward: Q for run time.
         schedule: what the denoiser was trained with.
         sampling: how plans are drawn.
         device: where they are.
@@ -42,14 +42,14 @@ class Networks:
     codec: LatentCodec | TrajectoryCodec
     denoiser: FastDenoiser
     decoder: FastDecoder
-    reward: RewardWeights
+    reward: FastReward
     schedule: NoiseSchedule
     sampling: Sampling
     device: torch.device
 
     def guided_by(self, reward: RewardModel) -> Networks:
         """Return the same networks with *reward* as it is now; what is trained further has to be given again."""
-        return replace(self, bundle=replace(self.bundle, reward=reward), reward=RewardWeights(reward))
+        return replace(self, bundle=replace(self.bundle, reward=reward), reward=FastReward(reward))
 
 
 @one_thread()
@@ -96,7 +96,7 @@ def _networks(path: str, reward: str, device: torch.device, sampling: Sampling) 
         codec=bundle.codec,
         denoiser=FastDenoiser(bundle.denoiser),
         decoder=FastDecoder(bundle.traffic.decoder),
-        reward=RewardWeights(bundle.reward),
+        reward=FastReward(bundle.reward),
         schedule=schedule,
         sampling=sampling,
         device=device,

@@ -163,7 +163,9 @@ class Slope(nn.Module):
             return [gradient.contiguous() for gradient in gradients]
 
         weights = dict(network.named_parameters())
-        self.traced = make_fx(slope, tracing_mode="symbolic", _allow_non_fake_inputs=True)(weights, free, held, by)
+        self.traced = make_fx(slope, tracing_mode="symbolic", _allow_non_fake_inputs=True)(
+            weights, free, held, by
+        )
 
     def forward(self, free: Any, held: Any, by: Any) -> list[Tensor]:
         """Return the gradients of *free* for gradients *by* of the results."""
@@ -206,7 +208,9 @@ def build(network: nn.Module, example: Example, package: Path, slope: bool = Tru
         _compile(network, given, example.any_size(given), package)
         if slope:
             by = tuple(torch.ones_like(result) for result in network(*given))
-            _compile(Slope(network, *given, by), (*given, by), example.any_size((*given, by)), slope_of(package))
+            _compile(
+                Slope(network, *given, by), (*given, by), example.any_size((*given, by)), slope_of(package)
+            )
 
 
 def numbered(network: _Network) -> _Network:
@@ -219,9 +223,7 @@ def numbered(network: _Network) -> _Network:
 
 def _compile(network: nn.Module, given: Any, free: Any, package: Path) -> None:
     program = export(network, given, dynamic_shapes=free, strict=False)
-    torch._inductor.aoti_compile_and_package(
-        program, package_path=str(package), inductor_configs=_INDUCTOR
-    )
+    torch._inductor.aoti_compile_and_package(program, package_path=str(package), inductor_configs=_INDUCTOR)
     slim(package)
     print(package)
 

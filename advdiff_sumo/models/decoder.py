@@ -207,7 +207,9 @@ class Decoder(nn.Module):
         """Return where the rows get to in a step, their memory of it, and what all agents send (layers, B, A, M)."""
         moved = motion_features(*motion, around.own)
         node = torch.relu(self.node(torch.cat((memory, z, moved), dim=-1)))
-        edges = self.interaction.prepare(relative_features(*everybody, None if others is None else around.rows))
+        edges = self.interaction.prepare(
+            relative_features(*everybody, None if others is None else around.rows)
+        )
         mixed, senders = self._mix(node, edges, around, others, lambda values: values[:, None])
         state, memory = self._drive(mixed, memory, motion, around.own)
         return state, memory, senders

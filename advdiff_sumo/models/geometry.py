@@ -49,9 +49,7 @@ def relative_features(xy: Tensor, yaw: Tensor, speed: Tensor, rows: Tensor | Non
     dy = ci * delta[..., 1] - si * delta[..., 0]
     cj, sj = cos[:, None], sin[:, None]
     turn_cos, turn_sin = ci * cj + si * sj, ci * sj - si * cj
-    return torch.stack(
-        relative_columns(dx, dy, turn_cos, turn_sin, speed[:, None], own[:, :, None]), dim=-1
-    )
+    return torch.stack(relative_columns(dx, dy, turn_cos, turn_sin, speed[:, None], own[:, :, None]), dim=-1)
 
 
 def relative_columns(

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from advdiff_sumo.diffusion.attack import OTHERS_WEIGHT, PRIOR_WEIGHT, ROAD_WEIGHT, surprise
 from advdiff_sumo.diffusion.attack_costs import nearest
 from advdiff_sumo.diffusion.guides import direction
-from advdiff_sumo.diffusion.attack import OTHERS_WEIGHT, PRIOR_WEIGHT, ROAD_WEIGHT, surprise
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context

@@ -52,7 +52,7 @@ def segments(lines: Lines, row_m: FloatArray, s_m: FloatArray) -> IntArray:
     *row_m* is of :func:`in_a_row`.
     """
     asked = np.minimum(np.maximum(s_m, 0.0), 0.5 * _APART_M) + _APART_M * np.arange(len(lines.first))
-    return np.minimum(np.searchsorted(row_m, asked, side="right") - 1, lines.last)
+    return np.asarray(np.minimum(np.searchsorted(row_m, asked, side="right") - 1, lines.last))
 
 
 def aim(

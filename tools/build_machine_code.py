@@ -16,11 +16,12 @@ import os
 os.environ["TORCHINDUCTOR_CPP_MARCH"] = "x86-64-v3"  # PyTorch reads it when it is imported
 
 import argparse
+import json
 import tempfile
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,18 +32,22 @@ from torch._inductor.runtime.cache_dir_utils import cache_dir
 from torch.export import Dim, export
 from torch.func import functional_call
 from torch.fx.experimental.proxy_tensor import make_fx
+from torch.utils._pytree import tree_leaves
 
 from advdiff_sumo.core.map_view import MAP_PIECES
 from advdiff_sumo.diffusion.attack import CostsOnTensors, costs_package
 from advdiff_sumo.diffusion.attack_costs import COSTS
+from advdiff_sumo.diffusion.attack_slope import AttackOnTensors, attack_package
 from advdiff_sumo.diffusion.exported_step import StepOnTensors, least_agents, step_package
 from advdiff_sumo.diffusion.fast_denoiser import PredictionOnTensors, denoiser_package
 from advdiff_sumo.diffusion.fast_reward import RewardOnTensors, reward_package
-from advdiff_sumo.diffusion.machine_code import slope_of
+from advdiff_sumo.diffusion.machine_code import FITTING, Fitting, slope_of
 from advdiff_sumo.models.bundle import Bundle, load_bundle
+from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.denoiser import STEP_WIDTH, Denoiser
 from advdiff_sumo.models.model_options import PIECE_FEATURES, PIECE_POINTS, ModelOptions
 from advdiff_sumo.models.shipped_weights import find_weights
+from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS, NEAR_STEPS
 
 _INDUCTOR = {
     "cpp.threads": 1,
@@ -56,7 +61,7 @@ WEIGHTS = ("closed-loop", "traffic", "traj2traj")
 #: Sizes that may be any: scenes, rows, agents, segments of the road's edge, instants; in the example all differ from
 #: each other and from all widths, or the compiler takes them for the same, and what is the most.
 SIZES = {"B": (17, 4096), "R": (11, 1024), "A": (19, 1024), "S": (23, 4096), "T": (29, 1024)}
-
+_NAMES = {size: name for name, (size, _) in SIZES.items()}
 
 #: What stays the same through a roll-out: shapes, and what is no real number.
 _AROUND = (("R",), ("B", "R", 4), ("B", "R", 2), ("B", "R"), ("B", "R"), ("B", "A", 2), ("B", "A"))
@@ -85,15 +90,21 @@ class Example:
         held = (_tensor(shape, self.kinds.get(k, torch.float32)) for k, shape in enumerate(self.held))
         return free, tuple(held)
 
+    def fitting(self, given: Any) -> Fitting:
+        """Return what code for the tensors in *given* is for."""
+        leaves = tree_leaves(given)
+        arguments = [(str(value.dtype), [_NAMES.get(size, size) for size in value.shape]) for value in leaves]
+        return Fitting(arguments, {name: (self._least(name), most) for name, (_, most) in SIZES.items()})
+
     def any_size(self, given: Any) -> Any:
         """Return which dimensions of the tensors in *given* may be of any size."""
         if not isinstance(given, Tensor):
             return tuple(self.any_size(part) for part in given)
-        names = {size: name for name, (size, _) in SIZES.items()}
-        return {k: self._dim(names[size]) for k, size in enumerate(given.shape) if size in names}
+        named = {k: _NAMES[size] for k, size in enumerate(given.shape) if size in _NAMES}
+        return {k: Dim(name, min=self._least(name), max=SIZES[name][1]) for k, name in named.items()}
 
-    def _dim(self, name: str) -> Any:
-        return Dim(name, min=self.least_agents if name == "A" else 1, max=SIZES[name][1])
+    def _least(self, name: str) -> int:
+        return self.least_agents if name == "A" else 1
 
 
 def _tensor(shape: Sequence[int | str], kind: torch.dtype) -> Tensor:
@@ -132,11 +143,26 @@ def reward_example(options: ModelOptions) -> Example:
 
 def costs_example() -> Example:
     """Return arguments of :class:`CostsOnTensors`."""
-    everybody = [("A", 2), ("A",), ("A", "T", 2), ("A", "T"), ("A", "T")]
-    edges = [(1, "R", "S"), (1, "R", "S", 7), (1, "R", 3, "S"), (1, "R", 3, "S")]
-    held = [(len(COSTS),), *everybody, ("R", 2), ("R", 4), ("R",), *edges]
     free = [("B", "R", "T", 2), ("B", "R", "T"), ("B", "R", "T")]
+    held = [(len(COSTS),), *_placed("T")]
     return Example(free, held, kinds=dict.fromkeys((2, 8, 9), torch.bool))
+
+
+def attack_example(options: ModelOptions, steps: int) -> Example:
+    """Return arguments of :class:`AttackOnTensors`."""
+    codec, prior = [(options.latent,)] * 2, [("R", options.latent)] * 2
+    said = (steps, options.decoder_layers, "A", options.message)
+    seen = [("R",), ("A",), ("R",), (*said[:2], "R", *said[2:]), said]
+    held = [(len(COSTS),), *codec, *prior, ("R", options.hidden), *seen, *_placed(steps)]
+    kinds = {6: torch.long} | dict.fromkeys((7, 8, 12, 18, 19), torch.bool)
+    return Example([("B", "R", options.latent)], held, kinds=kinds)
+
+
+def _placed(steps: int | str) -> list[tuple[int | str, ...]]:
+    """Return the shapes of a ``Placed``."""
+    everybody = [("A", 2), ("A",), ("A", steps, 2), ("A", steps), ("A", steps)]
+    edges = [(1, "R", "S"), (1, "R", "S", 7), (1, "R", 3, "S"), (1, "R", 3, "S")]
+    return [*everybody, ("R", 2), ("R", 4), ("R",), *edges]
 
 
 class Slope(nn.Module):
@@ -190,11 +216,13 @@ def anonymous_compiler() -> Iterator[None]:
             yield
 
 
-def slim(package: Path) -> None:
-    """Write *package* again: packed, without the sources that nobody reads, with the date of nobody's day."""
+def slim(package: Path, fitting: Fitting) -> None:
+    """Write *package* again: packed, without sources, with the date of nobody's day, and with what it is for."""
     with zipfile.ZipFile(package) as archive:
         sources = (".cpp", ".kernel_metadata.json")
         kept = {name: archive.read(name) for name in archive.namelist() if not name.endswith(sources)}
+    (told,) = (name for name in kept if name.endswith("metadata.json"))
+    kept[told] = json.dumps({**json.loads(kept[told]), FITTING: json.dumps(asdict(fitting))}).encode()
     with zipfile.ZipFile(package, "w") as archive:
         for name, content in kept.items():
             archive.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED, compresslevel=9)
@@ -203,14 +231,18 @@ def slim(package: Path) -> None:
 def build(network: nn.Module, example: Example, package: Path, slope: bool = True) -> None:
     """Compile *network*, a function (free, held) → results of tensors, and its slope."""
     numbered(network)
-    with torch.no_grad(), anonymous_compiler():
+    _compile(network, example, example.tensors(), package)
+    if slope:
+        build_slope(network, example, slope_of(package))
+
+
+def build_slope(network: nn.Module, example: Example, package: Path) -> None:
+    """Compile the slope of *network*."""
+    numbered(network)
+    with torch.no_grad():
         given = example.tensors()
-        _compile(network, given, example.any_size(given), package)
-        if slope:
-            by = tuple(torch.ones_like(result) for result in network(*given))
-            _compile(
-                Slope(network, *given, by), (*given, by), example.any_size((*given, by)), slope_of(package)
-            )
+        by = tuple(torch.ones_like(result) for result in network(*given))
+        _compile(Slope(network, *given, by), example, (*given, by), package)
 
 
 def numbered(network: _Network) -> _Network:
@@ -221,21 +253,29 @@ def numbered(network: _Network) -> _Network:
     return network
 
 
-def _compile(network: nn.Module, given: Any, free: Any, package: Path) -> None:
-    program = export(network, given, dynamic_shapes=free, strict=False)
-    torch._inductor.aoti_compile_and_package(program, package_path=str(package), inductor_configs=_INDUCTOR)
-    slim(package)
+def _compile(network: nn.Module, example: Example, given: Any, package: Path) -> None:
+    with torch.no_grad(), anonymous_compiler():
+        program = export(network, given, dynamic_shapes=example.any_size(given), strict=False)
+        torch._inductor.aoti_compile_and_package(
+            program, package_path=str(package), inductor_configs=_INDUCTOR
+        )
+    slim(package, example.fitting(given))
     print(package)
 
 
 def build_all(bundle: Bundle) -> None:
     """Compile what the networks of *bundle* have."""
-    options, denoiser = bundle.options.model, bundle.denoiser
+    options, denoiser, decoder = bundle.options.model, bundle.denoiser, bundle.traffic.decoder
     prediction = PredictionOnTensors(Denoiser(options, denoiser.shape))
     example = prediction_example(options, denoiser.shape)
     build(prediction, example, denoiser_package(options, denoiser.shape), slope=False)
-    build(StepOnTensors(bundle.traffic.decoder), step_example(options), step_package(options))
+    build(StepOnTensors(decoder), step_example(options), step_package(options))
+    if not isinstance(bundle.codec, LatentCodec):
+        return  # nothing guides it
     build(RewardOnTensors(bundle.reward), reward_example(options), reward_package(options))
+    if options.decoder == "open":
+        for steps in (NEAR_STEPS, HORIZON_STEPS):
+            build_slope(AttackOnTensors(decoder, steps), attack_example(options, steps), attack_package(options, steps))
 
 
 def main() -> None:

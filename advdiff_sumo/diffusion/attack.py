@@ -75,7 +75,7 @@ class CostsOnTensors(nn.Module):
             held: (6,) how much each kind of ``COSTS`` counts, then the parts of a ``Placed``.
         """
         kinds, *parts = held
-        return (_costs(_motions(*free), Placed.from_tensors(tuple(parts)), kinds),)
+        return (costs(_motions(*free), Placed.from_tensors(tuple(parts)), kinds),)
 
 
 def plain_objective(kind: str, scene: AttackScene, compiled: bool = True) -> Objective:
@@ -90,12 +90,12 @@ def attack_losses(kind: str, scene: AttackScene, compiled: bool = True) -> Calla
     Implausible is to overlap another vehicle but the target, to leave the road, and what the prior finds unlikely.
     """
     rows, whole = scene.rows, scene.context.prior
-    costs = _costs_of(kind, Placed.of(scene.batch, rows, scene.natural.rollout), compiled)
+    cost_of = _costs_of(kind, Placed.of(scene.batch, rows, scene.natural.rollout), compiled)
     prior = Gaussian(whole.mean[:, rows], whole.logvar[:, rows])
 
     def value(latents: Tensor) -> Tensor:
         z = scene.codec.unscale(latents[:, rows, None])[:, :, 0]
-        return costs(_futures(scene, z)) + PRIOR_WEIGHT * surprise(prior, z)
+        return cost_of(_futures(scene, z)) + PRIOR_WEIGHT * surprise(prior, z)
 
     return value
 
@@ -107,7 +107,7 @@ def costs_package() -> Path:
 
 @cache
 def _compiled_costs() -> MachineCode | None:
-    return machine_code(costs_package(), "", CostsOnTensors())
+    return machine_code(costs_package(), CostsOnTensors())
 
 
 def _costs_of(kind: str, placed: Placed, compiled: bool) -> Callable[[Rollout], Tensor]:
@@ -115,12 +115,12 @@ def _costs_of(kind: str, placed: Placed, compiled: bool) -> Callable[[Rollout], 
     here = placed.xy.device.type == "cpu" and placed.xy.dtype == torch.float32
     code = _compiled_costs() if compiled and here else None
     if code is None:
-        return lambda rollout: _costs(rollout, placed, kind)
+        return lambda rollout: costs(rollout, placed, kind)
     held = [kinds, *placed.tensors()]
     return lambda rollout: code([rollout.xy, rollout.yaw, rollout.speed], held)[0]
 
 
-def _costs(rollout: Rollout, placed: Placed, kind: str | Tensor) -> Tensor:
+def costs(rollout: Rollout, placed: Placed, kind: str | Tensor) -> Tensor:
     """Return costs (B, R) of *kind*, or of all kinds together, each counted as a tensor says."""
     met = met_by(rollout, placed)
     seen = encounter(rollout, met.gap, placed)

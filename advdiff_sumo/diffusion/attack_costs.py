@@ -79,6 +79,11 @@ def _during(e: Encounter, cost: Tensor, begin_s: float, end_s: float) -> Tensor:
     return (cost * within).sum(-1) / within.sum().clamp(min=1.0)
 
 
+def _meeting(e: Encounter, within_m: float) -> Tensor:
+    """Return how much each instant counts (B, R, T), more the nearer they are; held back: nearer is not worse."""
+    return torch.exp(-(e.gap.detach().clamp(min=0.0) / within_m))
+
+
 def _any(e: Encounter) -> Tensor:
     return nearest(e.gap)
 
@@ -106,13 +111,13 @@ def _rear_end(e: Encounter) -> Tensor:
 
 def _head_on(e: Encounter) -> Tensor:
     """Into the target's lane against its heading."""
-    meeting = torch.exp(-(e.gap.detach().clamp(min=0.0) / 15.0))
+    meeting = _meeting(e, 15.0)
     return nearest(e.gap) + (meeting * (0.5 * e.left.abs() + (1.0 + e.same))).mean(-1)
 
 
 def _junction(e: Encounter) -> Tensor:
     """Across the target's way at the same place and time."""
-    meeting = torch.exp(-(e.gap.detach().clamp(min=0.0) / 5.0))
+    meeting = _meeting(e, 5.0)
     return nearest(e.gap) + (meeting * e.same.square()).mean(-1)
 
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.diffusion.attack import AttackScene, attack_losses, plain_objective
+from advdiff_sumo.diffusion.attack_slope import SlopedAttack, attack_code
 from advdiff_sumo.diffusion.guides import Objective
 
 WIDEST = 4
@@ -24,7 +25,10 @@ def attack_objective(kind: str, scene: AttackScene) -> Objective:
 
     Gradients through a closed-loop decoder take 40 ms each; there it is differenced.
     """
-    return DifferencedAttack(kind, scene) if scene.decoder.closed_loop else plain_objective(kind, scene)
+    if scene.decoder.closed_loop:
+        return DifferencedAttack(kind, scene)
+    code = attack_code(scene.decoder, scene.natural.steps)
+    return plain_objective(kind, scene) if code is None else SlopedAttack(kind, scene, code)
 
 
 class DifferencedAttack:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -60,6 +61,7 @@ class ExportedStep:
         self._decoder, self._code = decoder, code
         self._agents = least_agents(decoder.options)
         self._around: tuple[Surroundings, list[Tensor]] | None = None
+        self._fits = False
 
     def __call__(
         self,
@@ -70,31 +72,35 @@ class ExportedStep:
         everybody: Motion,
         others: Tensor | None,
     ) -> tuple[State, Tensor, Tensor]:
-        """Return what the decoder's step does, up to rounding; itself where there is no code for gradients."""
-        if not self._code.has_slope and torch.is_grad_enabled() and (z.requires_grad or memory.requires_grad):
-            return self._decoder.step(memory, z, around, motion, everybody, others)
+        """Return what the decoder's step does, up to rounding."""
         options, agents = self._decoder.options, around.batch.agents
         more = max(self._agents - agents, 0)
         if others is None:
             others = memory.new_zeros(options.decoder_layers, len(memory), agents, options.message)
-        if self._around is None or self._around[0] is not around:
+        free = [memory, z, *motion, *(_padded(value, more, 1) for value in everybody)]
+        others = _padded(others, more, 2)
+        if self._around is None or self._around[0] is not around:  # sizes stay the same through a rollout
             self._around = around, [value.contiguous() for value in tensors_of(around, more)]
-        seen = [_padded(value, more, 1) for value in everybody]
-        held = [_padded(others, more, 2), *self._around[1]]
-        *state, memory, senders = self._code([memory, z, *motion, *seen], held)
+            self._fits = self._code.fits([*free, others, *self._around[1]])
+        *state, memory, senders = self._code(free, [others, *self._around[1]], self._fits)
         xy, yaw, speed, accel, curvature = state
         return (xy, yaw, speed, accel, curvature), memory, senders[:, :, :agents]
 
 
 def exported_step(decoder: Decoder) -> ExportedStep | None:
     """Return the compiled step of *decoder*, or None where there is none for it."""
-    code = machine_code(step_package(decoder.options), "decoder", decoder)
+    code = machine_code(step_package(decoder.options), StepOnTensors(decoder))
     return ExportedStep(decoder, code) if code is not None else None
 
 
 def step_package(options: ModelOptions) -> Path:
     """Return where the machine code for networks of these *options* ships, if it does."""
-    return package_for("decoder-step", options.model_dump(mode="json", exclude=_NOT_OF_THE_STEP))
+    return package_for("decoder-step", step_sizes(options))
+
+
+def step_sizes(options: ModelOptions) -> dict[str, Any]:
+    """Return the options that the machine code of a step depends on."""
+    return options.model_dump(mode="json", exclude=_NOT_OF_THE_STEP)
 
 
 def least_agents(options: ModelOptions) -> int:
@@ -121,13 +127,13 @@ def _padded(value: Tensor, more: int, dim: int) -> Tensor:
 def _around(parts: Sequence[Tensor]) -> Surroundings:
     """Return what :func:`tensors_of` was made of, as far as a step reads it."""
     rows, pose, size, present, moved, all_size, all_present, *rest = parts
-    own, batch = _scene(pose, size, present, moved), _scene(pose, all_size, all_present, moved)
+    own, batch = scene_of_tensors(pose, size, present, moved), scene_of_tensors(pose, all_size, all_present, moved)
     if not rest:
         return Surroundings(batch, own, rows)
     return LanesAndEdges(batch, own, rows, LanePieces(*rest[:3]), RoadEdges(*rest[3:]))
 
 
-def _scene(pose: Tensor, size: Tensor, present: Tensor, moved: Tensor) -> SceneBatch:
+def scene_of_tensors(pose: Tensor, size: Tensor, present: Tensor, moved: Tensor) -> SceneBatch:
     """Return a batch that holds what a step reads, and nothing else."""
     nothing = pose.new_zeros(0)
     return SceneBatch(

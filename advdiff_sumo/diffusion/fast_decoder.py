@@ -24,12 +24,15 @@ class FastDecoder:
         compiled: step by machine code where there is any for it.
 
     Attributes:
+        network: the same.
+        compiled: the same.
         closed_loop: whether the network is a closed-loop decoder.
     """
 
     def __init__(self, decoder: Decoder, compiled: bool = True) -> None:
         self.closed_loop = isinstance(decoder, ClosedLoopDecoder)
-        self._decoder, self._step = decoder, exported_step(decoder) if compiled else None
+        self.network, self.compiled = decoder, compiled
+        self._step = exported_step(decoder) if compiled else None
 
     def __call__(
         self,
@@ -40,7 +43,7 @@ class FastDecoder:
         forced: Forced | None = None,
     ) -> Rollout:
         """Return the futures of all agents, with the whole gradient; see ``Decoder.forward``."""
-        return self._decoder.forward(z, h, batch, steps, forced, self._step)
+        return self.network.forward(z, h, batch, steps, forced, self._step)
 
     def whole(
         self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS
@@ -53,7 +56,7 @@ class FastDecoder:
             batch: the scenes.
             steps: model steps to roll out.
         """
-        return self._decoder.whole(z, h, batch, steps, self._step)
+        return self.network.whole(z, h, batch, steps, self._step)
 
     def some(
         self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
@@ -71,4 +74,4 @@ class FastDecoder:
             steps: model steps, at most those of the trace.
             trace: of the whole scene.
         """
-        return self._decoder.some(z, h, batch, rows, steps, trace, self._step)
+        return self.network.some(z, h, batch, rows, steps, trace, self._step)

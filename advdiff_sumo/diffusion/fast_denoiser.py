@@ -72,7 +72,7 @@ def denoiser_package(options: ModelOptions, shape: tuple[int, int]) -> Path:
 
 def _compiled(denoiser: Denoiser) -> Callable[[Tensor, Tensor, Prepared], Tensor]:
     """Return the prediction of *denoiser* by machine code, or its own where there is none."""
-    code = machine_code(denoiser_package(denoiser.options, denoiser.shape), "denoiser", denoiser)
+    code = machine_code(denoiser_package(denoiser.options, denoiser.shape), PredictionOnTensors(denoiser))
     if code is None:
         return denoiser.predict
     return lambda x, step, given: code([x, step], given)[0]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
+import torch
 from torch import Tensor, nn
 
-from advdiff_sumo.diffusion.machine_code import machine_code, package_for
+from advdiff_sumo.diffusion.guides import autograd_slope
+from advdiff_sumo.diffusion.machine_code import MachineCode, machine_code, package_for
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.reward import RewardModel, RewardState
 
@@ -42,14 +44,39 @@ class FastReward:
 
     def __init__(self, reward: RewardModel, compiled: bool = True) -> None:
         self._net = reward
-        self._code = machine_code(reward_package(reward.options), "reward", reward) if compiled else None
+        package = reward_package(reward.options)
+        self._code = machine_code(package, RewardOnTensors(reward)) if compiled else None
 
-    def condition(self, state: RewardState) -> Callable[[Tensor], Tensor]:
-        """Return Q (B,) of actions (B, A, Z) in *state*, with gradients to them."""
-        code, held = self._code, tensors_of(state)
-        if code is None:
-            return lambda mu: self._net.value_of(state, mu)
-        return lambda mu: code([mu], held)[0]
+    def condition(self, state: RewardState) -> RewardObjective:
+        """Return Q (B,) of actions (B, A, Z) in *state*, which knows its own slope."""
+        return RewardObjective(self._net, self._code, state)
+
+
+class RewardObjective:
+    """Q in one state.
+
+    Args:
+        net: the network.
+        code: its machine code, where there is any.
+        state: of :meth:`RewardModel.prepare`.
+    """
+
+    def __init__(self, net: RewardModel, code: MachineCode | None, state: RewardState) -> None:
+        self._net, self._code, self._state = net, code, state
+        self._held = tensors_of(state)
+
+    def __call__(self, mu: Tensor) -> Tensor:
+        """Return Q (B,) of actions (B, A, Z), with gradients to them."""
+        if self._code is None:
+            return self._net.value_of(self._state, mu)
+        return self._code([mu], self._held)[0]
+
+    @torch.no_grad()
+    def slope(self, mu: Tensor) -> Tensor:
+        """Return the gradient (B, A, Z) at actions *mu* (B, A, Z)."""
+        if self._code is None or not self._code.fits([mu, *self._held]):
+            return autograd_slope(self, mu)
+        return self._code.slope([mu, *self._held, mu.new_ones(len(mu))])[0]
 
 
 def tensors_of(state: RewardState) -> tuple[Tensor, ...]:

@@ -120,6 +120,11 @@ def direction(objective: Objective, latents: Tensor, attackers: Tensor) -> Tenso
 def _gradient(objective: Objective, latents: Tensor) -> Tensor:
     if isinstance(objective, SlopedObjective):
         return objective.slope(latents)
-    with torch.enable_grad():
-        free = latents.requires_grad_(True)
-        return torch.autograd.grad(objective(free).sum(), free)[0]
+    return autograd_slope(objective, latents)
+
+
+@torch.enable_grad()
+def autograd_slope(objective: Objective, latents: Tensor) -> Tensor:
+    """Return the gradient (B, A, Z) of *objective* at *latents* (B, A, Z) by autograd."""
+    free = latents.detach().requires_grad_(True)
+    return torch.autograd.grad(objective(free).sum(), free)[0]

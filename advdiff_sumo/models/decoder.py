@@ -172,7 +172,7 @@ class Decoder(nn.Module):
         All others move and say what they did in *trace*; None: the rows are everybody.
         """
         advance, rows = by or self._advance(trace), around.rows
-        memory = torch.tanh(self.start(torch.cat((h, z), dim=-1)))
+        memory = self.begin(z, h)
         motion = motion_now(around.own)
         states, begun, said = [], [], []
         for k in range(steps):
@@ -205,11 +205,29 @@ class Decoder(nn.Module):
         others: Tensor | None,
     ) -> tuple[State, Tensor, Tensor]:
         """Return where the rows get to in a step, their memory of it, and what all agents send (layers, B, A, M)."""
+        edges = self.edges(everybody, None if others is None else around.rows)
+        return self.advance(memory, z, around, motion, edges, others)
+
+    def edges(self, everybody: Motion, rows: Tensor | None) -> list[Tensor]:
+        """Return for each graph layer what it adds to the messages (B, R, A, M) how *rows* (None: all) see all."""
+        return self.interaction.prepare(relative_features(*everybody, rows))
+
+    def begin(self, z: Tensor, h: Tensor) -> Tensor:
+        """Return the memory (B, R, D) that a rollout begins with."""
+        return torch.tanh(self.start(torch.cat((h, z), dim=-1)))
+
+    def advance(
+        self,
+        memory: Tensor,
+        z: Tensor,
+        around: Surroundings,
+        motion: Motion,
+        edges: list[Tensor],
+        others: Tensor | None,
+    ) -> tuple[State, Tensor, Tensor]:
+        """Return :meth:`step` of rows that see what *edges* hold."""
         moved = motion_features(*motion, around.own)
         node = torch.relu(self.node(torch.cat((memory, z, moved), dim=-1)))
-        edges = self.interaction.prepare(
-            relative_features(*everybody, None if others is None else around.rows)
-        )
         mixed, senders = self._mix(node, edges, around, others, lambda values: values[:, None])
         state, memory = self._drive(mixed, memory, motion, around.own)
         return state, memory, senders

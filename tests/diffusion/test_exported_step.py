@@ -38,7 +38,8 @@ def scenes(agents: int, count: int = 2) -> SceneBatch:
 
     there = torch.ones(count, agents, dtype=torch.bool)
     present, moved = there.clone(), there.clone()
-    present[0, -1] = moved[0, -1] = moved[-1, 1] = False
+    if agents > 1:
+        present[0, -1] = moved[0, -1] = moved[-1, 1] = False
     features = draw(64, 13)
     features[:, :, :44, 4], features[:, :, 44:, 4] = 0.0, 1.0
     return SceneBatch(

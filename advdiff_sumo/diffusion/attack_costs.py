@@ -80,7 +80,7 @@ def _during(e: Encounter, cost: Tensor, begin_s: float, end_s: float) -> Tensor:
 
 
 def _meeting(e: Encounter, within_m: float) -> Tensor:
-    """Return how much each instant counts (B, R, T), more the nearer they are; held back: nearer is not worse."""
+    """Return how much each instant counts (B, R, T): more the nearer they are, which has no slope of its own."""
     return torch.exp(-(e.gap.detach().clamp(min=0.0) / within_m))
 
 

@@ -58,7 +58,7 @@ class ExportedStep:
     """
 
     def __init__(self, decoder: Decoder, code: MachineCode) -> None:
-        self._decoder, self._code = decoder, code
+        self._decoder, self.code = decoder, code
         self._agents = least_agents(decoder.options)
         self._around: tuple[Surroundings, list[Tensor]] | None = None
         self._fits = False
@@ -81,8 +81,8 @@ class ExportedStep:
         others = _padded(others, more, 2)
         if self._around is None or self._around[0] is not around:  # sizes stay the same through a rollout
             self._around = around, [value.contiguous() for value in tensors_of(around, more)]
-            self._fits = self._code.fits([*free, others, *self._around[1]])
-        *state, memory, senders = self._code(free, [others, *self._around[1]], self._fits)
+            self._fits = self.code.fits([*free, others, *self._around[1]])
+        *state, memory, senders = self.code(free, [others, *self._around[1]], self._fits)
         xy, yaw, speed, accel, curvature = state
         return (xy, yaw, speed, accel, curvature), memory, senders[:, :, :agents]
 

@@ -58,6 +58,7 @@ class MachineCode:
     Attributes:
         package: the same.
         network: the same.
+        fitting: what it is for.
 
     Raises:
         RuntimeError: it cannot be loaded.
@@ -67,11 +68,11 @@ class MachineCode:
         weights, slope = network.state_dict(), slope_of(package)
         self.package, self.network, self._value = package, network, _loaded(package, weights)
         self._slope = _loaded(slope, weights) if slope.exists() else None
-        self._fitting = Fitting.of(self._value)
+        self.fitting = Fitting.of(self._value)
 
     def fits(self, given: Sequence[Tensor]) -> bool:
         """Return whether the code is for arguments of such kinds and sizes."""
-        return self._fitting.holds(given)
+        return self.fitting.holds(given)
 
     def __call__(
         self, free: Sequence[Tensor], held: Sequence[Tensor], fits: bool | None = None

@@ -5,19 +5,19 @@ from __future__ import annotations
 import pytest
 import torch
 
-from advdiff_sumo.diffusion.attack import AttackScene, Natural, costs_package, plain_objective
+from advdiff_sumo.diffusion.attack import AttackScene, Natural, plain_objective
 from advdiff_sumo.diffusion.attack_costs import COSTS
+from advdiff_sumo.diffusion.attack_slope import SlopedAttack
+from advdiff_sumo.diffusion.differenced_attack import attack_objective
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.guides import direction
-from advdiff_sumo.diffusion.machine_code import runs_here
+from advdiff_sumo.diffusion.guides import autograd_slope, direction
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.shipped_weights import shipped_weights
-from tests.diffusion.test_by_hand import double, made
-from tests.diffusion.test_fast import SMALL, scene
-
-__all__ = ["made"]
+from tests.diffusion.test_by_hand import double
+from tests.diffusion.shipped_code import assert_close, checked_against_networks, needs_code
+from tests.diffusion.test_fast import scene
 
 
 def dense() -> SceneBatch:
@@ -35,41 +35,37 @@ def attackers(networks: Bundle, rows: list[int], compiled: bool) -> AttackScene:
     batch = dense()
     if networks.traffic.decoder.start.weight.dtype == torch.float64:
         batch = double(batch)
-    context = networks.traffic.encoder(batch)
+    with torch.no_grad():
+        context = networks.traffic.encoder(batch)
     decoder = FastDecoder(networks.traffic.decoder, compiled)
     natural = Natural(*decoder.whole(context.prior.mean, context.h, batch, 6))
     assert isinstance(networks.codec, LatentCodec)
     return AttackScene(decoder, networks.codec, context, batch, torch.tensor(rows), natural)
 
 
-@pytest.mark.skipif(not runs_here(costs_package()), reason="no machine code for this PyTorch and processor")
+@needs_code
 @pytest.mark.parametrize("count", [1, 3])
 @pytest.mark.parametrize("rows", [[2], [5, 1]])
 @pytest.mark.parametrize("kind", sorted(COSTS))
 def test_machine_code_has_the_slope_of_every_kind(kind: str, rows: list[int], count: int) -> None:
+    """By one package for all, and by packages for steps and costs."""
     networks = load_bundle(shipped_weights("traffic")).frozen()
     generator = torch.Generator().manual_seed(7)
     latents = torch.randn(count, 8, networks.options.model.latent, generator=generator)
-    results = []
-    for compiled in (True, False):
-        free = latents.clone().requires_grad_()
-        value = plain_objective(kind, attackers(networks, rows, compiled), compiled)(free)
-        results.append((value.detach(), torch.autograd.grad(value.sum(), free)[0]))
-    (value, slope), (wanted_value, wanted) = results
-    assert wanted[:, rows].abs().max() > 1e-4
-    torch.testing.assert_close(value, wanted_value, atol=1e-3, rtol=1e-4)
-    torch.testing.assert_close(slope, wanted, atol=2e-3 * float(wanted.abs().max()), rtol=1e-2)
-
-
-@pytest.mark.parametrize("rows", [[2], [5, 1]])
-@pytest.mark.parametrize("kind", sorted(set(COSTS) - {"head-on", "junction"}))  # those hold a weight back
-def test_the_slope_against_differences(made: Bundle, kind: str, rows: list[int]) -> None:
-    generator = torch.Generator().manual_seed(7)
-    latents = torch.randn(1, 8, SMALL.latent, generator=generator, dtype=torch.float64)
-    objective = plain_objective(kind, attackers(made, rows, compiled=False))
-    assert torch.autograd.gradcheck(
-        objective, (latents.requires_grad_(),), fast_mode=True, atol=1e-4, rtol=1e-3
-    )
+    with checked_against_networks() as errors:
+        by_code = attackers(networks, rows, compiled=True)
+        objective, steps = attack_objective(kind, by_code), plain_objective(kind, by_code)
+        assert isinstance(objective, SlopedAttack)
+        slope, value = objective.slope(latents), objective(latents)
+        slope_of_steps = autograd_slope(steps, latents)
+    assert_close(errors, "attack-slope", "attack-costs", "decoder-step")
+    plain = plain_objective(kind, attackers(networks, rows, compiled=False), compiled=False)
+    wanted = autograd_slope(plain, latents)
+    largest = float(wanted.abs().max())
+    assert largest > 1e-4
+    torch.testing.assert_close(value, plain(latents), atol=1e-5, rtol=1e-5)
+    for made in (slope, slope_of_steps):
+        torch.testing.assert_close(made, wanted, atol=1e-5 * largest, rtol=0.0)
 
 
 def test_a_direction_takes_the_slope_where_there_is_one() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 from torch import Tensor
@@ -9,9 +11,10 @@ from torch import Tensor
 from advdiff_sumo.diffusion.attack import CostsOnTensors, costs_package
 from advdiff_sumo.diffusion.attack_costs import COSTS
 from advdiff_sumo.diffusion.bodies import Placed, met_by
-from advdiff_sumo.diffusion.machine_code import machine_code
+from advdiff_sumo.diffusion.machine_code import machine_code, slope_of
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
+from tests.diffusion.shipped_code import assert_close, checked_against_networks, needs_code
 from tests.diffusion.test_by_hand import double
 from tests.diffusion.test_fast import scene
 
@@ -40,6 +43,7 @@ def crowd(edges: bool) -> SceneBatch:
     return batch
 
 
+@needs_code
 @pytest.mark.parametrize("edges", [True, False])
 @pytest.mark.parametrize("rows", [[2], [4, 1], [1, 2, 3, 4, 5, 6]])
 def test_values_and_gradients(rows: list[int], edges: bool) -> None:
@@ -49,19 +53,15 @@ def test_values_and_gradients(rows: list[int], edges: bool) -> None:
     met = met_by(driven, placed)
     assert (met.off > 0.0).any() == edges
     assert (met.overlap > 0.0).any() == (len(rows) < 6)
-    plain, results = CostsOnTensors(), []
-    code = machine_code(costs_package(), "", plain)
-    if code is None:
-        pytest.skip("no machine code for this PyTorch and processor")
+    code = machine_code(costs_package(), CostsOnTensors())
+    assert code is not None
     shares = torch.linspace(0.1, 1.0, len(COSTS))
     held = [shares, *(x.float() if x.is_floating_point() else x for x in placed.tensors())]
     weight = torch.randn(3, len(rows), generator=torch.Generator().manual_seed(3))
-    for costs in (code, plain):
-        free = [x.float().requires_grad_() for x in (driven.xy, driven.yaw, driven.speed)]
-        (made,) = costs(free, held)
-        results.append((made, *torch.autograd.grad((weight * made).sum(), free)))
-    for mine, theirs in zip(*results, strict=True):
-        torch.testing.assert_close(mine, theirs, atol=1e-3, rtol=1e-4)
+    free = [x.float().requires_grad_() for x in (driven.xy, driven.yaw, driven.speed)]
+    with checked_against_networks() as errors:
+        torch.autograd.grad((weight * code(free, held)[0]).sum(), free)
+    assert_close(errors, *(package(costs_package()).stem for package in (Path, slope_of)))
 
 
 def test_in_line_the_slope_is_the_mean_of_all_nearest_discs() -> None:

@@ -8,13 +8,16 @@ import pytest
 import torch
 from torch import Tensor
 
+from advdiff_sumo.diffusion.exported_step import step_package
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.fast_reward import FastReward
+from advdiff_sumo.diffusion.fast_reward import FastReward, reward_package
+from advdiff_sumo.diffusion.machine_code import slope_of
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.shipped_weights import shipped_weights
+from tests.diffusion.shipped_code import assert_close, checked_against_networks, needs_code
 from tests.diffusion.test_exported_step import scenes
 from tests.diffusion.test_fast import SMALL, bundle, scene
 
@@ -60,6 +63,19 @@ def weighed(rollout: Rollout) -> Tensor:
     return total
 
 
+def assert_used(errors: dict[str, list[float]], weights: str) -> None:
+    """Check that the step's code and that of its slope served, and were near the network."""
+    step = step_package(load_bundle(shipped_weights(weights)).options.model)
+    assert_close(errors, step.stem, slope_of(step).stem)
+
+
+def assert_near(*pairs: tuple[Tensor, ...]) -> None:
+    """Check that states and slopes differ by what rounding has become over the steps."""
+    for (mine, theirs), share in zip(pairs, (1e-5, 1e-4), strict=True):
+        torch.testing.assert_close(mine, theirs, atol=share * float(theirs.abs().max()), rtol=0.0)
+
+
+@needs_code
 @pytest.mark.parametrize("weights", ["traffic", "closed-loop"])
 @pytest.mark.parametrize("rows", [[5, 2], [2], [1, 3, 7]])
 def test_some_rows_by_machine_code_as_by_the_network(rows: list[int], weights: str) -> None:
@@ -68,18 +84,19 @@ def test_some_rows_by_machine_code_as_by_the_network(rows: list[int], weights: s
     batch, picked = scenes(8), torch.tensor(rows)
     z, h = (torch.randn(2, 8, n, generator=generator) for n in (sizes.latent, sizes.hidden))
     results = []
-    for compiled in (True, False):
-        fast = FastDecoder(networks.traffic.decoder, compiled)
-        _, trace = fast.whole(z, h, batch, 6)
-        free = (z[:, picked] + 0.3).requires_grad_()
-        some = fast.some(free, h, batch, picked, 6, trace)
-        results.append((some.states().detach(), torch.autograd.grad(weighed(some).sum(), free)[0]))
-    (states, slope), (wanted_states, wanted) = results
-    assert wanted.abs().max() > 1e-3
-    torch.testing.assert_close(states, wanted_states, atol=1e-3, rtol=1e-4)
-    torch.testing.assert_close(slope, wanted, atol=2e-3 * float(wanted.abs().max()), rtol=1e-2)
+    with checked_against_networks() as errors:
+        for compiled in (True, False):
+            fast = FastDecoder(networks.traffic.decoder, compiled)
+            _, trace = fast.whole(z, h, batch, 6)
+            free = (z[:, picked] + 0.3).requires_grad_()
+            some = fast.some(free, h, batch, picked, 6, trace)
+            results.append((some.states().detach(), torch.autograd.grad(weighed(some).sum(), free)[0]))
+    assert_used(errors, weights)
+    assert results[1][1].abs().max() > 1e-3
+    assert_near(*zip(*results, strict=True))
 
 
+@needs_code
 @pytest.mark.parametrize("forced", [False, True], ids=["free", "the target is given"])
 @pytest.mark.parametrize("weights", ["traffic", "closed-loop"])
 def test_everybody_by_machine_code_as_by_the_network(weights: str, forced: bool) -> None:
@@ -91,14 +108,14 @@ def test_everybody_by_machine_code_as_by_the_network(weights: str, forced: bool)
     mask[:, 0] = True
     given = Forced(torch.randn(2, 8, 6, 4, generator=generator).abs(), mask) if forced else None
     results = []
-    for compiled in (True, False):
-        free = z.clone().requires_grad_()
-        made = FastDecoder(networks.traffic.decoder, compiled)(free, h, batch, 6, given)
-        results.append((made.states().detach(), torch.autograd.grad(weighed(made).sum(), free)[0]))
-    (states, slope), (wanted_states, wanted) = results
-    there = batch.present
-    torch.testing.assert_close(states[there], wanted_states[there], atol=1e-3, rtol=1e-4)
-    torch.testing.assert_close(slope, wanted, atol=2e-3 * float(wanted.abs().max()), rtol=1e-2)
+    with checked_against_networks() as errors:
+        for compiled in (True, False):
+            free = z.clone().requires_grad_()
+            made = FastDecoder(networks.traffic.decoder, compiled)(free, h, batch, 6, given)
+            states = made.states()[batch.present].detach()
+            results.append((states, torch.autograd.grad(weighed(made).sum(), free)[0]))
+    assert_used(errors, weights)
+    assert_near(*zip(*results, strict=True))
 
 
 def test_some_rows_against_differences(made: Bundle) -> None:
@@ -114,6 +131,7 @@ def test_some_rows_against_differences(made: Bundle) -> None:
     assert torch.autograd.gradcheck(value, (free,), fast_mode=True, atol=1e-5, rtol=1e-4)
 
 
+@needs_code
 @pytest.mark.parametrize("weights", ["traffic", "closed-loop"])
 def test_q_by_machine_code_and_its_gradient(weights: str) -> None:
     networks = load_bundle(shipped_weights(weights)).frozen()
@@ -123,12 +141,16 @@ def test_q_by_machine_code_and_its_gradient(weights: str) -> None:
     h, z, mu = (torch.randn(2, 8, n, generator=generator) for n in (sizes.hidden, sizes.latent, sizes.latent))
     state, weight = networks.reward.prepare(h, z, batch, target), torch.tensor([1.0, -2.0])
     results = []
-    for compiled in (True, False):
-        free = mu.clone().requires_grad_()
-        value = FastReward(networks.reward, compiled).condition(state)(free)
-        results.append((value.detach(), torch.autograd.grad((value * weight).sum(), free)[0]))
+    with checked_against_networks() as errors:
+        for compiled in (True, False):
+            free, objective = mu.clone().requires_grad_(), FastReward(networks.reward, compiled).condition(state)
+            value = objective(free)
+            slope = torch.autograd.grad((value * weight).sum(), free)[0]
+            results.append((value.detach(), slope, objective.slope(mu)))
+    package = reward_package(sizes)
+    assert_close(errors, package.stem, slope_of(package).stem)
     for mine, theirs in zip(*results, strict=True):
-        torch.testing.assert_close(mine, theirs, atol=1e-5, rtol=1e-4)
+        torch.testing.assert_close(mine, theirs, atol=1e-6 * float(theirs.abs().max()), rtol=0.0)
     assert results[0][1][0].abs().sum(-1).gt(0.0).tolist() == [False] + [True] * 7
 
 

@@ -275,7 +275,11 @@ def build_all(bundle: Bundle) -> None:
     build(RewardOnTensors(bundle.reward), reward_example(options), reward_package(options))
     if options.decoder == "open":
         for steps in (NEAR_STEPS, HORIZON_STEPS):
-            build_slope(AttackOnTensors(decoder, steps), attack_example(options, steps), attack_package(options, steps))
+            build_slope(
+                AttackOnTensors(decoder, steps),
+                attack_example(options, steps),
+                attack_package(options, steps),
+            )
 
 
 def main() -> None:

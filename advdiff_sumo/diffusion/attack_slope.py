@@ -48,7 +48,10 @@ class AttackOnTensors(nn.Module):
         rows, present, own_present, edges, senders, *parts = around
         placed, z = Placed.from_tensors(tuple(parts)), free[0] * scale + offset
         own = scene_of_tensors(
-            *(part.expand(z.shape[0], *part.shape) for part in (placed.own_pose, placed.own_size, own_present, placed.moved))
+            *(
+                part.expand(z.shape[0], *part.shape)
+                for part in (placed.own_pose, placed.own_size, own_present, placed.moved)
+            )
         )
         batch = scene_of_tensors(own.pose, own.size, present[None], own.moved)
         rollout = self._roll(z, h, Surroundings(batch, own, rows), edges, senders)
@@ -117,7 +120,9 @@ def tensors_of(kind: str, scene: AttackScene) -> list[Tensor]:
     prior = context.prior.mean[0, rows], context.prior.logvar[0, rows]
     codec = scene.codec.std[0], scene.codec.mean[0]
     motion = trace.motion[:, 0]
-    edges = torch.stack(scene.decoder.network.edges((motion[..., :2], motion[..., 2], motion[..., 3]), rows), dim=1)
+    edges = torch.stack(
+        scene.decoder.network.edges((motion[..., :2], motion[..., 2], motion[..., 3]), rows), dim=1
+    )
     seen = rows, scene.batch.present[0], scene.batch.present[0, rows], edges, trace.senders[:, :, 0]
     placed = Placed.of(scene.batch, rows, scene.natural.rollout)
     return [kinds, *codec, *prior, context.h[0, rows], *seen, *placed.tensors()]

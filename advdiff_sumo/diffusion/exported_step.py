@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
@@ -127,7 +126,10 @@ def _padded(value: Tensor, more: int, dim: int) -> Tensor:
 def _around(parts: Sequence[Tensor]) -> Surroundings:
     """Return what :func:`tensors_of` was made of, as far as a step reads it."""
     rows, pose, size, present, moved, all_size, all_present, *rest = parts
-    own, batch = scene_of_tensors(pose, size, present, moved), scene_of_tensors(pose, all_size, all_present, moved)
+    own, batch = (
+        scene_of_tensors(pose, size, present, moved),
+        scene_of_tensors(pose, all_size, all_present, moved),
+    )
     if not rest:
         return Surroundings(batch, own, rows)
     return LanesAndEdges(batch, own, rows, LanePieces(*rest[:3]), RoadEdges(*rest[3:]))

@@ -2,8 +2,8 @@
 
 ``tools/build_machine_code.py`` makes it for the sizes of the shipped weights, PyTorch of one version and x86-64 with
 AVX2. Without it, and for other sizes, versions and machines, the networks do the same by themselves, in two to three
-times the time. The code itself looks at no size of what it is given, and would compute something or other; it comes with
-what it is for, and everything else is the network's.
+times the time. The code itself looks at no size of what it is given, and would compute something or other: it comes
+with what it is for, and everything else is the network's.
 """
 
 from __future__ import annotations
@@ -161,7 +161,9 @@ def machine_code(package: Path, network: nn.Module) -> MachineCode | None:
         return None
     try:
         return MachineCode(package, network)
-    except RuntimeError as error:  # the folder of temporary files, where it is unpacked, may refuse to hold code
+    except (
+        RuntimeError
+    ) as error:  # the folder of temporary files, where it is unpacked, may refuse to hold code
         _LOG.warning("machine code cannot be loaded, planning takes twice as long: %s", error)
         return None
 

@@ -15,8 +15,8 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.shipped_weights import shipped_weights
-from tests.diffusion.test_by_hand import double
 from tests.diffusion.shipped_code import assert_close, checked_against_networks, needs_code
+from tests.diffusion.test_by_hand import double
 from tests.diffusion.test_fast import scene
 
 

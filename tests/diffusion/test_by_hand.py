@@ -143,7 +143,10 @@ def test_q_by_machine_code_and_its_gradient(weights: str) -> None:
     results = []
     with checked_against_networks() as errors:
         for compiled in (True, False):
-            free, objective = mu.clone().requires_grad_(), FastReward(networks.reward, compiled).condition(state)
+            free, objective = (
+                mu.clone().requires_grad_(),
+                FastReward(networks.reward, compiled).condition(state),
+            )
             value = objective(free)
             slope = torch.autograd.grad((value * weight).sum(), free)[0]
             results.append((value.detach(), slope, objective.slope(mu)))

@@ -97,7 +97,9 @@ def attack(kind: str, batch: SceneBatch) -> tuple[Tensor, Tensor]:
     (latents,) = drawn(batch, bundle("traffic").options.model.latent)
     code = attack_code(given.decoder, given.natural.steps)
     assert code is not None
-    return SlopedAttack(kind, given, code).slope(latents), autograd_slope(plain_objective(kind, given), latents)
+    return SlopedAttack(kind, given, code).slope(latents), autograd_slope(
+        plain_objective(kind, given), latents
+    )
 
 
 @pytest.mark.parametrize(("count", "agents"), SIZES)
@@ -160,13 +162,17 @@ def test_the_most_scenes_and_one_more(count: int, uses: bool) -> None:
     assert_close(errors)
     (mu,) = drawn(batch, networks.options.model.latent)
     state = networks.reward.prepare(*drawn(batch, 128, 32), batch, torch.zeros(count, dtype=torch.long))
-    torch.testing.assert_close(FastReward(networks.reward).condition(state)(mu), networks.reward.value_of(state, mu))
+    torch.testing.assert_close(
+        FastReward(networks.reward).condition(state)(mu), networks.reward.value_of(state, mu)
+    )
 
 
 def test_beyond_the_limits_every_network_serves_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if all were for six agents at most: for seven of them nothing is asked of the code, and all is as without."""
     holds, few = Fitting.holds, {"A": (1, 6)}
-    monkeypatch.setattr(Fitting, "holds", lambda own, given: holds(replace(own, sizes={**own.sizes, **few}), given))
+    monkeypatch.setattr(
+        Fitting, "holds", lambda own, given: holds(replace(own, sizes={**own.sizes, **few}), given)
+    )
     for agents, uses in ((6, True), (7, False)):
         batch = scenes(agents, 2)
         with checked_against_networks() as errors:
@@ -189,11 +195,12 @@ def test_gradients_without_a_package_for_slopes_are_the_networks() -> None:
     net = bundle("traffic").denoiser
     batch = scenes(3, 1)
     given = net.prepare(bundle("traffic").traffic.encoder(batch))
-    (x,) = (part.reshape(1, 3, *net.shape).requires_grad_() for part in drawn(batch, net.shape[0] * net.shape[1]))
+    (x,) = (
+        part.reshape(1, 3, *net.shape).requires_grad_() for part in drawn(batch, net.shape[0] * net.shape[1])
+    )
     step = torch.zeros(1, STEP_WIDTH)
     code = machine_code(denoiser_package(net.options, net.shape), PredictionOnTensors(net))
     assert code is not None
-    mine, theirs = (
-        torch.autograd.grad(noise.square().sum(), x)[0] for noise in (code([x, step], given)[0], net.predict(x, step, given))
-    )
+    results = code([x, step], given)[0], net.predict(x, step, given)
+    mine, theirs = (torch.autograd.grad(noise.square().sum(), x)[0] for noise in results)
     torch.testing.assert_close(mine, theirs)

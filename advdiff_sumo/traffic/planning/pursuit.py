@@ -57,7 +57,7 @@ class Row(NamedTuple):
 
 def in_a_row(lines: Lines) -> Row:
     """Return *lines* as one row."""
-    begin = _APART_M * np.arange(len(lines.first))
+    begin = _APART_M * np.arange(len(lines.first), dtype=np.float64)
     return Row(lines.s_m + np.repeat(begin, lines.last - lines.first + 1), begin)
 
 

@@ -1,4 +1,4 @@
-"""The roll-out of everybody by machine code, as Strive searches with, against the network's own: values and gradients."""
+"""The roll-out of everybody by machine code, which Strive searches with, against the network's own, with gradients."""
 
 from __future__ import annotations
 

@@ -3,11 +3,12 @@
     python tools/build_machine_code.py [NAME ...]
 
 AOTInductor compiles a denoiser's prediction, a decoder's step, the value of a reward model, and the costs of attacks,
-of all but the first their slopes, which are traced through autograd, and the slopes of whole attacks: for the sizes of the shipped weights NAME
-(all), this version of PyTorch, and any x86-64 machine with AVX2. Needs g++ and some minutes. Run it after a change to
-these networks (``tests/diffusion`` says when), to the sizes of the shipped weights, and of PyTorch. The files hold what
-running needs: no weights, sources or symbols, and no folders of the machine that made them, and say what sizes the code
-is for. Made again they hold the same instructions, but other names of files and numbers of the build.
+of all but the first their slopes, which are traced through autograd, and the slopes of whole attacks: for the sizes of
+the shipped weights NAME (all), this version of PyTorch, and any x86-64 machine with AVX2. Needs g++ and some minutes.
+Run it after a change to these networks (``tests/diffusion`` says when), to the sizes of the shipped weights, and of
+PyTorch. The files hold what running needs: no weights, sources or symbols, and no folders of the machine that made
+them, and say what sizes the code is for. Made again they hold the same instructions, but other names of files and
+numbers of the build.
 """
 
 from __future__ import annotations

@@ -8,7 +8,8 @@ the shipped weights NAME (all), this version of PyTorch, and any x86-64 machine 
 Run it after a change to these networks (``tests/diffusion`` says when), to the sizes of the shipped weights, and of
 PyTorch. The files hold what running needs: no weights, sources or symbols, and no folders of the machine that made
 them, and say what sizes the code is for. Made again they hold the same instructions, but other names of files and
-numbers of the build.
+numbers of the build; the denoisers that ship are of an earlier form of this script, with other
+instructions and the same numbers.
 """
 
 from __future__ import annotations

@@ -79,22 +79,23 @@ class SlopedAttack:
     """
 
     def __init__(self, kind: str, scene: AttackScene, code: MachineCode) -> None:
-        self._plain, self._rows, self._code = plain_objective(kind, scene), scene.rows, code
+        self._kind, self._scene, self._code = kind, scene, code
         self._held = tensors_of(kind, scene)
 
     def __call__(self, latents: Tensor) -> Tensor:
         """Return the objective (B,) of scaled *latents* (B, A, Z), with gradients to them."""
-        return self._plain(latents)
+        return plain_objective(self._kind, self._scene)(latents)
 
     @torch.no_grad()
     def slope(self, latents: Tensor) -> Tensor:
         """Return the slope (B, A, Z) of the objective at scaled *latents* (B, A, Z)."""
-        share = latents.new_full((len(latents), len(self._rows)), -1.0 / len(self._rows))
-        given = [latents[:, self._rows], *self._held, share]
+        rows = self._scene.rows
+        share = latents.new_full((len(latents), len(rows)), -1.0 / len(rows))
+        given = [latents[:, rows], *self._held, share]
         if not self._code.fits(given):
-            return autograd_slope(self._plain, latents)
+            return autograd_slope(self, latents)
         out = torch.zeros_like(latents)
-        out[:, self._rows] = self._code.value(given)[0]
+        out[:, rows] = self._code.value(given)[0]
         return out
 
 

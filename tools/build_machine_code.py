@@ -2,11 +2,14 @@
 
     python tools/build_machine_code.py [NAME ...]
 
-AOTInductor compiles ``Denoiser.predict`` and, for a closed-loop decoder, ``ClosedLoopDecoder.step`` for the sizes of
-the shipped weights NAME (all), this version of PyTorch, and any x86-64 machine with AVX2. Needs g++ and two minutes
-each. Run it after a change to these networks (``tests/diffusion`` says when), to the sizes of the shipped weights, and
-of PyTorch. The files hold what running needs: no weights, sources or symbols, and no folders of the machine that made
-them.
+AOTInductor compiles a denoiser's prediction, a decoder's step, the value of a reward model, and the costs of attacks,
+of all but the first their slopes, which are traced through autograd, and the slopes of whole attacks: for the sizes of
+the shipped weights NAME (all), this version of PyTorch, and any x86-64 machine with AVX2. Needs g++ and some minutes.
+Run it after a change to these networks (``tests/diffusion`` says when), to the sizes of the shipped weights, and of
+PyTorch. The files hold what running needs: no weights, sources or symbols, and no folders of the machine that made
+them, and say what sizes the code is for. Made again they hold the same instructions, but other names of files and
+numbers of the build; the denoisers that ship are of an earlier form of this script, with other
+instructions and the same numbers.
 """
 
 from __future__ import annotations
@@ -16,10 +19,12 @@ import os
 os.environ["TORCHINDUCTOR_CPP_MARCH"] = "x86-64-v3"  # PyTorch reads it when it is imported
 
 import argparse
+import json
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -28,15 +33,24 @@ import torch._inductor.config
 from torch import Tensor, nn
 from torch._inductor.runtime.cache_dir_utils import cache_dir
 from torch.export import Dim, export
+from torch.func import functional_call
+from torch.fx.experimental.proxy_tensor import make_fx
+from torch.utils._pytree import tree_leaves
 
 from advdiff_sumo.core.map_view import MAP_PIECES
+from advdiff_sumo.diffusion.attack import CostsOnTensors, costs_package
+from advdiff_sumo.diffusion.attack_costs import COSTS
+from advdiff_sumo.diffusion.attack_slope import AttackOnTensors, attack_package
 from advdiff_sumo.diffusion.exported_step import StepOnTensors, least_agents, step_package
 from advdiff_sumo.diffusion.fast_denoiser import PredictionOnTensors, denoiser_package
-from advdiff_sumo.models.bundle import load_bundle
-from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
+from advdiff_sumo.diffusion.fast_reward import RewardOnTensors, reward_package
+from advdiff_sumo.diffusion.machine_code import FITTING, Fitting, slope_of
+from advdiff_sumo.models.bundle import Bundle, load_bundle
+from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.denoiser import STEP_WIDTH, Denoiser
 from advdiff_sumo.models.model_options import PIECE_FEATURES, PIECE_POINTS, ModelOptions
 from advdiff_sumo.models.shipped_weights import find_weights
+from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS, NEAR_STEPS
 
 _INDUCTOR = {
     "cpp.threads": 1,
@@ -45,57 +59,148 @@ _INDUCTOR = {
     "joint_graph_constant_folding": False,  # it writes a bias of one number into the code
 }
 _Network = TypeVar("_Network", bound=nn.Module)
-_MOST = {"B": 4096, "R": 1024, "A": 1024, "S": 4096}
-
-
 WEIGHTS = ("closed-loop", "traffic", "traj2traj")
 
+#: Sizes that may be any: scenes, rows, agents, segments of the road's edge, instants; in the example all differ from
+#: each other and from all widths, or the compiler takes them for the same, and what is the most.
+SIZES = {"B": (17, 4096), "R": (11, 1024), "A": (19, 1024), "S": (23, 4096), "T": (29, 1024)}
+_NAMES = {size: name for name, (size, _) in SIZES.items()}
 
-def step_arguments(options: ModelOptions) -> tuple[Any, Any]:
-    """Return arguments of :class:`StepOnTensors` and which of their dimensions may be of any size.
+#: What stays the same through a roll-out: shapes, and what is no real number.
+_AROUND = (("R",), ("B", "R", 4), ("B", "R", 2), ("B", "R"), ("B", "R"), ("B", "A", 2), ("B", "A"))
+_AROUND_KINDS = {0: torch.long, 3: torch.bool, 4: torch.bool, 6: torch.bool}
 
-    B scenes, R rows, A agents, S segments of the road's edge.
+
+@dataclass(frozen=True)
+class Example:
+    """Arguments of a function with tensors for arguments.
+
+    Attributes:
+        free: shapes of those with gradients, by numbers and names of ``SIZES``.
+        held: shapes of the others.
+        least_agents: for which there is to be code.
+        kinds: numbers of arguments in *held* that hold something else than real numbers.
     """
-    sizes = {"B": 5, "R": 11, "A": least_agents(options) + 6, "S": 23}
-    least = {"B": 1, "R": 1, "A": least_agents(options), "S": 1}
-    free = {name: Dim(name, min=least[name], max=most) for name, most in _MOST.items()}
-    dynamic: list[dict[int, Any]] = []
 
-    def tensor(*shape: str | int, kind: torch.dtype = torch.float32) -> Tensor:
-        dynamic.append({k: free[name] for k, name in enumerate(shape) if isinstance(name, str)})
-        return torch.ones([sizes[n] if isinstance(n, str) else n for n in shape], dtype=kind)
+    free: Sequence[tuple[int | str, ...]]
+    held: Sequence[tuple[int | str, ...]]
+    least_agents: int = 1
+    kinds: dict[int, torch.dtype] = field(default_factory=dict)
 
+    def tensors(self) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+        """Return the arguments."""
+        free = tuple(_tensor(shape, torch.float32) for shape in self.free)
+        held = (_tensor(shape, self.kinds.get(k, torch.float32)) for k, shape in enumerate(self.held))
+        return free, tuple(held)
+
+    def fitting(self, given: Any) -> Fitting:
+        """Return what code for the tensors in *given* is for."""
+        leaves = tree_leaves(given)
+        arguments = [(str(value.dtype), [_NAMES.get(size, size) for size in value.shape]) for value in leaves]
+        return Fitting(arguments, {name: (self._least(name), most) for name, (_, most) in SIZES.items()})
+
+    def any_size(self, given: Any) -> Any:
+        """Return which dimensions of the tensors in *given* may be of any size."""
+        if not isinstance(given, Tensor):
+            return tuple(self.any_size(part) for part in given)
+        named = {k: _NAMES[size] for k, size in enumerate(given.shape) if size in _NAMES}
+        return {k: Dim(name, min=self._least(name), max=SIZES[name][1]) for k, name in named.items()}
+
+    def _least(self, name: str) -> int:
+        return self.least_agents if name == "A" else 1
+
+
+def _tensor(shape: Sequence[int | str], kind: torch.dtype) -> Tensor:
+    sizes = [SIZES[n][0] if isinstance(n, str) else n for n in shape]
+    return torch.arange(sizes[0]) if shape == ("R",) and kind == torch.long else torch.ones(sizes, dtype=kind)
+
+
+def step_example(options: ModelOptions) -> Example:
+    """Return arguments of :class:`StepOnTensors`."""
     lanes = MAP_PIECES[options.map_view][0]
-    memory, z = tensor("B", "R", options.hidden), tensor("B", "R", options.latent)
-    motion = tensor("B", "R", 2), tensor("B", "R"), tensor("B", "R")
-    everybody = tensor("B", "A", 2), tensor("B", "A"), tensor("B", "A")
-    others = tensor(options.decoder_layers, "B", "A", options.message)
-    rows = torch.arange(sizes["R"])
-    dynamic.append({0: free["R"]})
-    around = (
-        rows,
-        *(tensor("B", "R", 4), tensor("B", "R", 2)),
-        *(tensor("B", "R", kind=torch.bool) for _ in range(2)),
-        *(tensor("B", "A", 2), tensor("B", "A", kind=torch.bool)),
-        *(tensor("B", "R", lanes, PIECE_POINTS, 2), tensor("B", "R", lanes, PIECE_FEATURES)),
-        *(tensor("B", "R", lanes, kind=torch.bool), tensor("B", "R", "S", kind=torch.bool)),
-        *(tensor("B", "R", "S", 7), tensor("B", "R", 3, "S"), tensor("B", "R", 3, "S")),
-    )
-    return (memory, z, motion, everybody, others, around), dynamic
+    motion, everybody = ([("B", name, 2), ("B", name), ("B", name)] for name in ("R", "A"))
+    held: list[tuple[int | str, ...]] = [(options.decoder_layers, "B", "A", options.message), *_AROUND]
+    kinds = {1 + k: kind for k, kind in _AROUND_KINDS.items()}
+    if options.decoder == "closed-loop":
+        held += [("B", "R", lanes, PIECE_POINTS, 2), ("B", "R", lanes, PIECE_FEATURES), ("B", "R", lanes)]
+        held += [("B", "R", "S"), ("B", "R", "S", 7), ("B", "R", 3, "S"), ("B", "R", 3, "S")]
+        kinds |= {10: torch.bool, 11: torch.bool}
+    free = [("B", "R", options.hidden), ("B", "R", options.latent), *motion, *everybody]
+    return Example(free, held, least_agents(options), kinds)
 
 
-def prediction_arguments(options: ModelOptions, shape: tuple[int, int]) -> tuple[Any, Any]:
-    """Return arguments of :class:`PredictionOnTensors` and which of their dimensions may be of any size."""
-    scenes, agents, layers = 3, 7, options.denoiser_layers
-    some, many = Dim("B", min=1, max=_MOST["B"]), Dim("A", min=1, max=_MOST["A"])
-    by_agent = {0: some, 1: many}
-    sizes = (shape, (options.hidden,), (shape[1],), (options.message,))
-    x, h, condition, known = (torch.ones(scenes, agents, *size) for size in sizes)
-    edges = torch.ones(layers, scenes, agents, agents, options.message)
-    drawn = torch.ones(scenes, agents, dtype=torch.bool)
-    given = (h, condition, known, edges, drawn)
-    free = (by_agent, by_agent, by_agent, {1: some, 2: many, 3: many}, by_agent)
-    return (x, torch.ones(scenes, STEP_WIDTH), given), (by_agent, {0: some}, free)
+def prediction_example(options: ModelOptions, shape: tuple[int, int]) -> Example:
+    """Return arguments of :class:`PredictionOnTensors`."""
+    given = [("B", "A", *size) for size in (shape, (options.hidden,), (shape[1],), (options.message,))]
+    edges = (options.denoiser_layers, "B", "A", "A", options.message)
+    held = [*given[1:], edges, ("B", "A")]
+    return Example([given[0], ("B", STEP_WIDTH)], held, kinds={4: torch.bool})
+
+
+def reward_example(options: ModelOptions) -> Example:
+    """Return arguments of :class:`RewardOnTensors`."""
+    edges = [("B", "A", "A", options.message)] * options.interaction_layers
+    held = [("B", "A", options.reward_hidden), ("B", "A"), ("B",), *edges]
+    return Example([("B", "A", options.latent)], held, kinds={1: torch.bool, 2: torch.long})
+
+
+def costs_example() -> Example:
+    """Return arguments of :class:`CostsOnTensors`."""
+    free = [("B", "R", "T", 2), ("B", "R", "T"), ("B", "R", "T")]
+    held = [(len(COSTS),), *_placed("T")]
+    return Example(free, held, kinds=dict.fromkeys((2, 8, 9), torch.bool))
+
+
+def attack_example(options: ModelOptions, steps: int) -> Example:
+    """Return arguments of :class:`AttackOnTensors`."""
+    codec, prior = [(options.latent,)] * 2, [("R", options.latent)] * 2
+    said = (steps, options.decoder_layers, "A", options.message)
+    seen = [("R",), ("A",), ("R",), (*said[:2], "R", *said[2:]), said]
+    held = [(len(COSTS),), *codec, *prior, ("R", options.hidden), *seen, *_placed(steps)]
+    kinds = {6: torch.long} | dict.fromkeys((7, 8, 12, 18, 19), torch.bool)
+    return Example([("B", "R", options.latent)], held, kinds=kinds)
+
+
+def _placed(steps: int | str) -> list[tuple[int | str, ...]]:
+    """Return the shapes of a ``Placed``."""
+    everybody = [("A", 2), ("A",), ("A", steps, 2), ("A", steps), ("A", steps)]
+    edges = [(1, "R", "S"), (1, "R", "S", 7), (1, "R", 3, "S"), (1, "R", 3, "S")]
+    return [*everybody, ("R", 2), ("R", 4), ("R",), *edges]
+
+
+class Slope(nn.Module):
+    """Autograd's product of a vector and the Jacobian of *network*, traced.
+
+    Args:
+        network: a function (free, held) → results of tensors.
+        free: example of the arguments that there are gradients to.
+        held: of the others.
+        by: of the gradients of the results.
+    """
+
+    def __init__(self, network: nn.Module, free: Any, held: Any, by: Any) -> None:
+        super().__init__()
+        for name, part in network.named_children():  # weights keep their names
+            self.add_module(name, part)
+        self._weights = [name for name, _ in network.named_parameters()]
+
+        def slope(weights: Any, free: Any, held: Any, by: Any) -> list[Tensor]:
+            leaves = [value.detach().requires_grad_() for value in free]
+            with torch.enable_grad():
+                results = functional_call(network, weights, (leaves, held))
+                gradients = torch.autograd.grad(results, leaves, by, materialize_grads=True)
+            return [gradient.contiguous() for gradient in gradients]
+
+        weights = dict(network.named_parameters())
+        self.traced = make_fx(slope, tracing_mode="symbolic", _allow_non_fake_inputs=True)(
+            weights, free, held, by
+        )
+
+    def forward(self, free: Any, held: Any, by: Any) -> list[Tensor]:
+        """Return the gradients of *free* for gradients *by* of the results."""
+        weights = {name: self.get_parameter(name) for name in self._weights}
+        gradients: list[Tensor] = self.traced(weights, free, held, by)
+        return gradients
 
 
 @contextmanager
@@ -114,30 +219,36 @@ def anonymous_compiler() -> Iterator[None]:
             yield
 
 
-def slim(package: Path) -> None:
-    """Write *package* again: packed, without the sources that nobody reads, with the date of nobody's day."""
+def slim(package: Path, fitting: Fitting) -> None:
+    """Write *package* again: packed, without sources, with the date of nobody's day, and with what it is for."""
     with zipfile.ZipFile(package) as archive:
         sources = (".cpp", ".kernel_metadata.json")
         kept = {name: archive.read(name) for name in archive.namelist() if not name.endswith(sources)}
+    (told,) = (name for name in kept if name.endswith("metadata.json"))
+    kept[told] = json.dumps({**json.loads(kept[told]), FITTING: json.dumps(asdict(fitting))}).encode()
     with zipfile.ZipFile(package, "w") as archive:
         for name, content in kept.items():
             archive.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED, compresslevel=9)
 
 
-def compile_step(options: ModelOptions) -> Path:
-    """Compile the step of a closed-loop decoder of *options* and return where it is."""
-    given, dynamic = step_arguments(options)
-    free = (*dynamic[:2], tuple(dynamic[2:5]), tuple(dynamic[5:8]), dynamic[8], tuple(dynamic[9:]))
-    return _compiled(StepOnTensors(_numbered(ClosedLoopDecoder(options))), given, free, step_package(options))
+def build(network: nn.Module, example: Example, package: Path, slope: bool = True) -> None:
+    """Compile *network*, a function (free, held) → results of tensors, and its slope."""
+    numbered(network)
+    _compile(network, example, example.tensors(), package)
+    if slope:
+        build_slope(network, example, slope_of(package))
 
 
-def compile_prediction(options: ModelOptions, shape: tuple[int, int]) -> Path:
-    """Compile the prediction of a denoiser and return where it is."""
-    net = PredictionOnTensors(_numbered(Denoiser(options, shape)))
-    return _compiled(net, *prediction_arguments(options, shape), denoiser_package(options, shape))
+def build_slope(network: nn.Module, example: Example, package: Path) -> None:
+    """Compile the slope of *network*."""
+    numbered(network)
+    with torch.no_grad():
+        given = example.tensors()
+        by = tuple(torch.ones_like(result) for result in network(*given))
+        _compile(Slope(network, *given, by), example, (*given, by), package)
 
 
-def _numbered(network: _Network) -> _Network:
+def numbered(network: _Network) -> _Network:
     """Return *network* with weights that all differ: they are given when it is loaded; equal ones would become one."""
     network.eval().requires_grad_(False)
     for number, weight in enumerate(network.parameters()):
@@ -145,14 +256,33 @@ def _numbered(network: _Network) -> _Network:
     return network
 
 
-def _compiled(network: nn.Module, given: Any, free: Any, package: Path) -> Path:
+def _compile(network: nn.Module, example: Example, given: Any, package: Path) -> None:
     with torch.no_grad(), anonymous_compiler():
-        program = export(network, given, dynamic_shapes=free, strict=False)
-        path = torch._inductor.aoti_compile_and_package(
+        program = export(network, given, dynamic_shapes=example.any_size(given), strict=False)
+        torch._inductor.aoti_compile_and_package(
             program, package_path=str(package), inductor_configs=_INDUCTOR
         )
-    slim(Path(path))
-    return Path(path)
+    slim(package, example.fitting(given))
+    print(package)
+
+
+def build_all(bundle: Bundle) -> None:
+    """Compile what the networks of *bundle* have."""
+    options, denoiser, decoder = bundle.options.model, bundle.denoiser, bundle.traffic.decoder
+    prediction = PredictionOnTensors(Denoiser(options, denoiser.shape))
+    example = prediction_example(options, denoiser.shape)
+    build(prediction, example, denoiser_package(options, denoiser.shape), slope=False)
+    build(StepOnTensors(decoder), step_example(options), step_package(options))
+    if not isinstance(bundle.codec, LatentCodec):
+        return  # nothing guides it
+    build(RewardOnTensors(bundle.reward), reward_example(options), reward_package(options))
+    if options.decoder == "open":
+        for steps in (NEAR_STEPS, HORIZON_STEPS):
+            build_slope(
+                AttackOnTensors(decoder, steps),
+                attack_example(options, steps),
+                attack_package(options, steps),
+            )
 
 
 def main() -> None:
@@ -162,10 +292,8 @@ def main() -> None:
     )
     parser.add_argument("weights", nargs="*", default=WEIGHTS, metavar="NAME")
     for name in parser.parse_args().weights:
-        bundle = load_bundle(find_weights(name))
-        print(compile_prediction(bundle.options.model, bundle.denoiser.shape))
-        if isinstance(bundle.traffic.decoder, ClosedLoopDecoder):
-            print(compile_step(bundle.options.model))
+        build_all(load_bundle(find_weights(name)))
+    build(CostsOnTensors(), costs_example(), costs_package())
 
 
 if __name__ == "__main__":

@@ -150,20 +150,16 @@ def weights() -> Iterator[Finding]:
 
 
 def loops() -> Iterator[Finding]:
-    """Look whether the machine code of the planning loops that came with the package is for this machine."""
-    from advdiff_sumo.diffusion.compiled.kernel_cache import (
-        aim_at_level,
-        own_folder,
-        runs_shipped,
-        shipped_code,
-    )
+    """Look whether the machine code of the networks that came with the package is for this machine."""
+    from advdiff_sumo.diffusion.attack import costs_package  # late, as above
+    from advdiff_sumo.diffusion.machine_code import runs_here
 
-    aim_at_level()
-    if runs_shipped():
-        yield Finding("planning loops", State.OK, shipped_code().name)
+    package = costs_package()
+    if runs_here(package):
+        yield Finding("machine code", State.OK, f"for this PyTorch and processor, such as {package.name}")
     else:
-        hint = f"the first guided plan compiles for half a minute, once; kept in {own_folder()}"
-        yield Finding("planning loops", State.NOTE, f"no {shipped_code().name} for this processor", hint)
+        hint = "plans take two to three times as long; constraints.txt has the PyTorch that it is for"
+        yield Finding("machine code", State.NOTE, "none for this PyTorch and processor", hint)
 
 
 def data() -> Iterator[Finding]:

@@ -55,7 +55,7 @@ def step(
     All arrays are (…,) but *xy_m*, which is (…, 2).
     """
     stop_s = np.where(accel_mps2 < 0.0, speed_mps / np.maximum(-accel_mps2, 1e-9), np.inf)
-    moving_s = np.clip(stop_s, 0.0, dt_s)
+    moving_s = np.minimum(np.maximum(stop_s, 0.0), dt_s)
     travelled = speed_mps * moving_s + 0.5 * accel_mps2 * moving_s**2
     turn = curvature_1pm * travelled
     half = 0.5 * turn

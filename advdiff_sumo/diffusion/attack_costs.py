@@ -12,33 +12,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.tensor_bodies import distance
+from advdiff_sumo.diffusion.bodies import Placed
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.geometry import into_frame
 from advdiff_sumo.models.model_options import MODEL_STEP_S
-from advdiff_sumo.models.trace import Trace
 
 SOFT_M = 1.0
 TOUCHES_M = -0.5
 """Nearer than this does not count as more."""
-
-
-@dataclass(frozen=True)
-class Natural:
-    """Where everybody would go without an attack, one scene; target in row 0.
-
-    Attributes:
-        rollout: futures of all agents, (1, A, T).
-        trace: for rollouts of some of them.
-    """
-
-    rollout: Rollout
-    trace: Trace
-
-    @property
-    def steps(self) -> int:
-        """Instants of the rollout."""
-        return int(self.rollout.yaw.shape[2])
 
 
 @dataclass(frozen=True)
@@ -66,33 +47,19 @@ class Encounter:
     time_s: Tensor
 
 
-def encounter(
-    rollout: Rollout, size: Tensor, natural: Natural, target_size: Tensor, gap: Tensor | None = None
-) -> Encounter:
-    """Return how *rollout* (B, R, T) of vehicles of *size* (R, 2) meets the target of *target_size* (2,).
-
-    Args:
-        rollout: of the attackers.
-        size: their length and width.
-        natural: where the target goes.
-        target_size: its length and width.
-        gap: (B, R, T) distance of the bodies where it is known.
-    """
-    target = natural.rollout
-    xy, yaw, speed = target.xy[0, 0], target.yaw[0, 0], target.speed[0, 0]
-    steps = rollout.yaw.shape[2]
-    offset = into_frame(rollout.xy, xy[:steps], yaw[:steps].expand(rollout.yaw.shape))
-    if gap is None:
-        gap = distance(rollout, size, xy[:steps], yaw[:steps], target_size)
+def encounter(rollout: Rollout, gap: Tensor, placed: Placed) -> Encounter:
+    """Return how *rollout* (B, R, T) of attackers, *gap* (B, R, T) away, meets the target of *placed*."""
+    xy, yaw, speed = placed.xy[0], placed.yaw[0], placed.speed[0]
+    offset = into_frame(rollout.xy, xy, yaw.expand(rollout.yaw.shape))
     return Encounter(
         gap=gap,
         ahead=offset[..., 0],
         left=offset[..., 1],
-        same=torch.cos(rollout.yaw - yaw[:steps]),
+        same=torch.cos(rollout.yaw - yaw),
         speed=rollout.speed,
-        target_speed=speed[:steps],
-        reach=0.5 * (size[:, :1] + target_size[0]),
-        time_s=MODEL_STEP_S * torch.arange(1, steps + 1, device=xy.device),
+        target_speed=speed,
+        reach=0.5 * (placed.own_size[:, :1] + placed.size[0, 0]),
+        time_s=MODEL_STEP_S * torch.arange(1, yaw.shape[0] + 1, device=xy.device),
     )
 
 
@@ -110,6 +77,11 @@ def _during(e: Encounter, cost: Tensor, begin_s: float, end_s: float) -> Tensor:
     """Return the mean (B, R) of *cost* (B, R, T) over a span."""
     within = ((e.time_s >= begin_s) & (e.time_s <= end_s)).to(cost.dtype)
     return (cost * within).sum(-1) / within.sum().clamp(min=1.0)
+
+
+def _meeting(e: Encounter, within_m: float) -> Tensor:
+    """Return how much each instant counts (B, R, T): more the nearer they are, which has no slope of its own."""
+    return torch.exp(-(e.gap.detach().clamp(min=0.0) / within_m))
 
 
 def _any(e: Encounter) -> Tensor:
@@ -139,13 +111,13 @@ def _rear_end(e: Encounter) -> Tensor:
 
 def _head_on(e: Encounter) -> Tensor:
     """Into the target's lane against its heading."""
-    meeting = torch.exp(-(e.gap.detach().clamp(min=0.0) / 15.0))
+    meeting = _meeting(e, 15.0)
     return nearest(e.gap) + (meeting * (0.5 * e.left.abs() + (1.0 + e.same))).mean(-1)
 
 
 def _junction(e: Encounter) -> Tensor:
     """Across the target's way at the same place and time."""
-    meeting = torch.exp(-(e.gap.detach().clamp(min=0.0) / 5.0))
+    meeting = _meeting(e, 5.0)
     return nearest(e.gap) + (meeting * e.same.square()).mean(-1)
 
 

@@ -10,7 +10,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.tensor_attack import AttackScene, attack_losses
+from advdiff_sumo.diffusion.attack import AttackScene, attack_losses, plain_objective
+from advdiff_sumo.diffusion.attack_slope import SlopedAttack, attack_code
+from advdiff_sumo.diffusion.guides import Objective
 
 WIDEST = 4
 """Latents along which the objective is differenced."""
@@ -18,8 +20,19 @@ STEP = 0.25
 """How far to each side, in deviations of the latents."""
 
 
+def attack_objective(kind: str, scene: AttackScene) -> Objective:
+    """Return what the attackers of *scene* shall make large for *kind*, of ``COSTS``.
+
+    Gradients through a closed-loop decoder take 40 ms each; there it is differenced.
+    """
+    if scene.decoder.closed_loop:
+        return DifferencedAttack(kind, scene)
+    code = attack_code(scene.decoder, scene.natural.steps)
+    return plain_objective(kind, scene) if code is None else SlopedAttack(kind, scene, code)
+
+
 class DifferencedAttack:
-    """What the attackers of a scene shall make large, as ``tensor_attack``.
+    """What the attackers of a scene shall make large, as ``attack``.
 
     Args:
         kind: a key of ``COSTS``.

@@ -1,64 +1,66 @@
-"""The step of the closed-loop decoder as machine code, made of ``ClosedLoopDecoder.step`` itself."""
+"""The decoders' step as machine code, made of ``Decoder.step`` and ``ClosedLoopDecoder.step`` themselves."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
 from advdiff_sumo.diffusion.machine_code import MachineCode, machine_code, package_for
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder, LanesAndEdges
-from advdiff_sumo.models.decoder import Motion, State, Surroundings
+from advdiff_sumo.models.closed_loop_decoder import LanesAndEdges
+from advdiff_sumo.models.decoder import Decoder, Motion, State, Surroundings
 from advdiff_sumo.models.lane_attention import LanePieces
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.road_edges import RoadEdges
 
-_NOT_OF_THE_STEP = {"denoiser_situation"}  # networks that differ in it alone share the machine code
+_NOT_OF_THE_STEP = {
+    *("denoiser_situation", "denoiser_layers", "channels", "interaction_layers", "reward_hidden"),
+}
+"""Options in which networks may differ that share the machine code."""
 
 
 class StepOnTensors(nn.Module):
-    """``ClosedLoopDecoder.step`` with tensors for arguments and results.
+    """A decoder's step with tensors for arguments and results.
 
     Args:
         decoder: whose step it is.
     """
 
-    def __init__(self, decoder: ClosedLoopDecoder) -> None:
+    def __init__(self, decoder: Decoder) -> None:
         super().__init__()
         self.decoder = decoder
 
-    def forward(
-        self,
-        memory: Tensor,
-        z: Tensor,
-        motion: Motion,
-        everybody: Motion,
-        others: Tensor,
-        around: tuple[Tensor, ...],
-    ) -> tuple[Tensor, ...]:
-        """Return the state after the step, the memory and the senders; *around* is of :func:`tensors_of`."""
-        rows, pose, size, present, moved, all_size, all_present, *rest = around
-        own, batch = _scene(pose, size, present, moved), _scene(pose, all_size, all_present, moved)
-        surroundings = LanesAndEdges(batch, own, rows, LanePieces(*rest[:3]), RoadEdges(*rest[3:]))
-        state, memory, senders = self.decoder.step(memory, z, surroundings, motion, everybody, others)
+    def forward(self, free: Sequence[Tensor], held: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """Return the state after the step, the memory and the senders.
+
+        Args:
+            free: memory, latents, motion of the rows and of everybody.
+            held: senders of the others, then what :func:`tensors_of` gives.
+        """
+        memory, z, *motions = free
+        others, *around = held
+        motion, everybody = (motions[0], motions[1], motions[2]), (motions[3], motions[4], motions[5])
+        state, memory, senders = self.decoder.step(memory, z, _around(around), motion, everybody, others)
         return (*state, memory, senders)
 
 
 class ExportedStep:
-    """The machine code with the weights of one decoder; a ``Step`` of the closed-loop decoder, without gradients.
+    """The machine code with the weights of one decoder; a ``Step`` of it.
 
     Args:
         decoder: whose step it is.
         code: made of it, with its weights.
     """
 
-    def __init__(self, decoder: ClosedLoopDecoder, code: MachineCode) -> None:
-        self._code = code
+    def __init__(self, decoder: Decoder, code: MachineCode) -> None:
+        self._decoder, self.code = decoder, code
         self._agents = least_agents(decoder.options)
-        self._layers, self._message = decoder.options.decoder_layers, decoder.options.message
         self._around: tuple[Surroundings, list[Tensor]] | None = None
+        self._fits = False
 
     def __call__(
         self,
@@ -69,29 +71,35 @@ class ExportedStep:
         everybody: Motion,
         others: Tensor | None,
     ) -> tuple[State, Tensor, Tensor]:
-        """Return what ``ClosedLoopDecoder.step`` does, up to rounding."""
-        agents = around.batch.agents
+        """Return what the decoder's step does, up to rounding."""
+        options, agents = self._decoder.options, around.batch.agents
         more = max(self._agents - agents, 0)
         if others is None:
-            others = memory.new_zeros(self._layers, len(memory), agents, self._message)
-        if self._around is None or self._around[0] is not around:
+            others = memory.new_zeros(options.decoder_layers, len(memory), agents, options.message)
+        free = [memory, z, *motion, *(_padded(value, more, 1) for value in everybody)]
+        others = _padded(others, more, 2)
+        if self._around is None or self._around[0] is not around:  # sizes stay the same through a rollout
             self._around = around, [value.contiguous() for value in tensors_of(around, more)]
-        seen = [_padded(value, more, 1) for value in everybody]
-        given = [memory, z, *motion, *seen, _padded(others, more, 2)]
-        *state, memory, senders = self._code([*given, *self._around[1]])
+            self._fits = self.code.fits([*free, others, *self._around[1]])
+        *state, memory, senders = self.code(free, [others, *self._around[1]], self._fits)
         xy, yaw, speed, accel, curvature = state
         return (xy, yaw, speed, accel, curvature), memory, senders[:, :, :agents]
 
 
-def exported_step(decoder: ClosedLoopDecoder) -> ExportedStep | None:
+def exported_step(decoder: Decoder) -> ExportedStep | None:
     """Return the compiled step of *decoder*, or None where there is none for it."""
-    code = machine_code(step_package(decoder.options), "decoder", decoder)
+    code = machine_code(step_package(decoder.options), StepOnTensors(decoder))
     return ExportedStep(decoder, code) if code is not None else None
 
 
 def step_package(options: ModelOptions) -> Path:
     """Return where the machine code for networks of these *options* ships, if it does."""
-    return package_for("decoder-step", options.model_dump(mode="json", exclude=_NOT_OF_THE_STEP))
+    return package_for("decoder-step", step_sizes(options))
+
+
+def step_sizes(options: ModelOptions) -> dict[str, Any]:
+    """Return the options that the machine code of a step depends on."""
+    return options.model_dump(mode="json", exclude=_NOT_OF_THE_STEP)
 
 
 def least_agents(options: ModelOptions) -> int:
@@ -101,10 +109,12 @@ def least_agents(options: ModelOptions) -> int:
 
 def tensors_of(around: Surroundings, more: int = 0) -> tuple[Tensor, ...]:
     """Return what stays the same through a rollout, with *more* absent agents."""
-    assert isinstance(around, LanesAndEdges)  # noqa: S101 - tells the type checker what a closed-loop decoder gives
-    own, batch, lanes, edges = around.own, around.batch, around.lanes, around.edges
+    own, batch = around.own, around.batch
     scene = own.pose, own.size, own.present, own.moved
     everybody = _padded(batch.size, more, 1), _padded(batch.present, more, 1)
+    if not isinstance(around, LanesAndEdges):
+        return (around.rows, *scene, *everybody)
+    lanes, edges = around.lanes, around.edges
     pieces = lanes.xy, lanes.features, lanes.valid, edges.usable, edges.lines, edges.along, edges.left
     return (around.rows, *scene, *everybody, *pieces)
 
@@ -113,7 +123,19 @@ def _padded(value: Tensor, more: int, dim: int) -> Tensor:
     return pad(value, (0, 0) * (value.dim() - 1 - dim) + (0, more)) if more else value
 
 
-def _scene(pose: Tensor, size: Tensor, present: Tensor, moved: Tensor) -> SceneBatch:
+def _around(parts: Sequence[Tensor]) -> Surroundings:
+    """Return what :func:`tensors_of` was made of, as far as a step reads it."""
+    rows, pose, size, present, moved, all_size, all_present, *rest = parts
+    own, batch = (
+        scene_of_tensors(pose, size, present, moved),
+        scene_of_tensors(pose, all_size, all_present, moved),
+    )
+    if not rest:
+        return Surroundings(batch, own, rows)
+    return LanesAndEdges(batch, own, rows, LanePieces(*rest[:3]), RoadEdges(*rest[3:]))
+
+
+def scene_of_tensors(pose: Tensor, size: Tensor, present: Tensor, moved: Tensor) -> SceneBatch:
     """Return a batch that holds what a step reads, and nothing else."""
     nothing = pose.new_zeros(0)
     return SceneBatch(

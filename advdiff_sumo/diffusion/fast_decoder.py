@@ -1,53 +1,49 @@
-"""The decoder for run time: the same network as ``models.decoder``, equal up to rounding, in fewer operations.
+"""The decoder for run time: ``models.decoder`` and ``models.closed_loop_decoder``, on a CPU by machine code for a step.
 
 It can also roll out a few rows of a scene against the rest of an earlier rollout, which is what guidance needs:
-the gradient for one or two attackers then costs a fraction of that for the whole scene. On the CPU that is done by
-``compiled``, elsewhere by the network itself. A closed-loop decoder rolls out itself on every device, where there is
-any by the machine code of ``exported_step``.
+the gradient for one or two attackers then costs a fraction of that for the whole scene.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.exported_step import ExportedStep, exported_step
+from advdiff_sumo.diffusion.exported_step import exported_step
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
-from advdiff_sumo.models.decoder import Decoder, Rollout
+from advdiff_sumo.models.decoder import Decoder, Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
 from advdiff_sumo.models.trace import Trace
-
-if TYPE_CHECKING:
-    from advdiff_sumo.diffusion.compiled.decoder_kernel import CompiledDecoder
 
 
 class FastDecoder:
     """Rolls out scenes of one plan.
 
     Args:
-        decoder: the trained network; its weights are read when this is made.
-        compiled: roll out by compiled loops; None: where the network is on the CPU, and for a closed-loop decoder
-            where there is machine code for it.
+        decoder: the trained network; machine code takes its weights as they are now.
+        compiled: step by machine code where there is any for it.
 
     Attributes:
-        compiled: the compiled form of an open decoder, or None where it is not used.
+        network: the same.
+        compiled: the same.
         closed_loop: whether the network is a closed-loop decoder.
     """
 
-    def __init__(self, decoder: Decoder, compiled: bool | None = None) -> None:
-        self.compiled: CompiledDecoder | None = None
+    def __init__(self, decoder: Decoder, compiled: bool = True) -> None:
         self.closed_loop = isinstance(decoder, ClosedLoopDecoder)
-        self._roller: CompiledDecoder | NetworkRoller
-        if isinstance(decoder, ClosedLoopDecoder):
-            self._roller = NetworkRoller(decoder, exported_step(decoder) if compiled is not False else None)
-            return
-        here = decoder.start.weight.device.type == "cpu" if compiled is None else compiled
-        self.compiled = _compiled(decoder) if here else None
-        self._roller = self.compiled or NetworkRoller(decoder)
+        self.network, self.compiled = decoder, compiled
+        self._step = exported_step(decoder) if compiled else None
+
+    def __call__(
+        self,
+        z: Tensor,
+        h: Tensor,
+        batch: SceneBatch,
+        steps: int = FUTURE_STEPS,
+        forced: Forced | None = None,
+    ) -> Rollout:
+        """Return the futures of all agents, with the whole gradient; see ``Decoder.forward``."""
+        return self.network.forward(z, h, batch, steps, forced, self._step)
 
     def whole(
         self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS
@@ -60,7 +56,7 @@ class FastDecoder:
             batch: the scenes.
             steps: model steps to roll out.
         """
-        return self._roller.whole(z, h, batch, steps)
+        return self.network.whole(z, h, batch, steps, self._step)
 
     def some(
         self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
@@ -78,37 +74,4 @@ class FastDecoder:
             steps: model steps, at most those of the trace.
             trace: of the whole scene.
         """
-        return self._roller.some(z, h, batch, rows, steps, trace)
-
-
-@dataclass(frozen=True)
-class NetworkRoller:
-    """Rolls out by the network, without gradients by machine code for its step.
-
-    Attributes:
-        decoder: the network.
-        step: its compiled step; None: its own.
-    """
-
-    decoder: Decoder
-    step: ExportedStep | None = None
-
-    def whole(self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int) -> tuple[Rollout, Trace]:
-        """As :meth:`FastDecoder.whole`."""
-        return self.decoder.whole(z, h, batch, steps, self.step)
-
-    def some(
-        self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
-    ) -> Rollout:
-        """As :meth:`FastDecoder.some`."""
-        slope = torch.is_grad_enabled() and z.requires_grad
-        return self.decoder.some(z, h, batch, rows, steps, trace, None if slope else self.step)
-
-
-def _compiled(decoder: Decoder) -> CompiledDecoder:
-    """Return the compiled form; who never asks for it does not wait for the compiler's import."""
-    from advdiff_sumo.diffusion.compiled.decoder_kernel import CompiledDecoder
-    from advdiff_sumo.diffusion.compiled.kernel_cache import link_shipped
-
-    link_shipped()
-    return CompiledDecoder(decoder)
+        return self.network.some(z, h, batch, rows, steps, trace, self._step)

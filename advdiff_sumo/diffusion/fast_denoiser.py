@@ -5,7 +5,7 @@ What does not depend on the noisy sample is worked out beforehand.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
@@ -32,9 +32,10 @@ class PredictionOnTensors(nn.Module):
         super().__init__()
         self.denoiser = denoiser
 
-    def forward(self, x: Tensor, step: Tensor, given: tuple[Tensor, ...]) -> tuple[Tensor]:
-        """Return the predicted noise (B, A, C, L); *given* is a ``Prepared``."""
-        return (self.denoiser.predict(x, step, Prepared(*given)),)
+    def forward(self, free: Sequence[Tensor], held: Sequence[Tensor]) -> tuple[Tensor]:
+        """Return the predicted noise (B, A, C, L) of noisy samples and steps; *held* is a ``Prepared``."""
+        x, step = free
+        return (self.denoiser.predict(x, step, Prepared(*held)),)
 
 
 class FastDenoiser:
@@ -71,7 +72,7 @@ def denoiser_package(options: ModelOptions, shape: tuple[int, int]) -> Path:
 
 def _compiled(denoiser: Denoiser) -> Callable[[Tensor, Tensor, Prepared], Tensor]:
     """Return the prediction of *denoiser* by machine code, or its own where there is none."""
-    code = machine_code(denoiser_package(denoiser.options, denoiser.shape), "denoiser", denoiser)
+    code = machine_code(denoiser_package(denoiser.options, denoiser.shape), PredictionOnTensors(denoiser))
     if code is None:
         return denoiser.predict
-    return lambda x, step, given: code([x, step, *given])[0]
+    return lambda x, step, given: code([x, step], given)[0]

@@ -16,9 +16,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.fast_reward import FastReward, RewardWeights
 from advdiff_sumo.diffusion.sampler import SamplingStep
-from advdiff_sumo.models.reward import RewardState
 
 MOST = 2.0
 """Longest shift of a last step that begins where the one before ended, in what one plan makes."""
@@ -122,11 +120,11 @@ def direction(objective: Objective, latents: Tensor, attackers: Tensor) -> Tenso
 def _gradient(objective: Objective, latents: Tensor) -> Tensor:
     if isinstance(objective, SlopedObjective):
         return objective.slope(latents)
-    with torch.enable_grad():
-        free = latents.requires_grad_(True)
-        return torch.autograd.grad(objective(free).sum(), free)[0]
+    return autograd_slope(objective, latents)
 
 
-def reward_objective(weights: RewardWeights, state: RewardState) -> Objective:
-    """Return Q(h, z, ·), the discounted adversarial reward of the scenes in *state*."""
-    return FastReward(weights, state)
+@torch.enable_grad()
+def autograd_slope(objective: Objective, latents: Tensor) -> Tensor:
+    """Return the gradient (B, A, Z) of *objective* at *latents* (B, A, Z) by autograd."""
+    free = latents.detach().requires_grad_(True)
+    return torch.autograd.grad(objective(free).sum(), free)[0]

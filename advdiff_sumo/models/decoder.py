@@ -24,7 +24,7 @@ State: TypeAlias = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 Step: TypeAlias = Callable[
     [Tensor, Tensor, "Surroundings", Motion, Motion, Tensor | None], tuple[State, Tensor, Tensor]
 ]
-"""What :meth:`Decoder.step` does, or the same in compiled form."""
+"""What :meth:`Decoder.step` does, or the same as machine code."""
 _MOTION = 6
 
 
@@ -112,6 +112,7 @@ class Decoder(nn.Module):
         batch: SceneBatch,
         steps: int = FUTURE_STEPS,
         forced: Forced | None = None,
+        by: Step | None = None,
     ) -> Rollout:
         """Return the futures that latents lead to.
 
@@ -123,9 +124,10 @@ class Decoder(nn.Module):
             batch: the scenes.
             steps: model steps to roll out.
             forced: agents whose future is given.
+            by: takes the place of :meth:`step`.
         """
         everybody = torch.arange(batch.agents, device=z.device)
-        return self._roll(z, h, batch, everybody, steps, forced)[0]
+        return self.roll(z, h, self._surroundings(batch, batch, everybody), steps, forced, by=by)[0]
 
     @torch.no_grad()
     def whole(
@@ -135,7 +137,8 @@ class Decoder(nn.Module):
 
         *by* takes the place of :meth:`step`.
         """
-        return self._roll(z, h, batch, torch.arange(batch.agents, device=z.device), steps, by=by)
+        everybody = torch.arange(batch.agents, device=z.device)
+        return self.roll(z, h, self._surroundings(batch, batch, everybody), steps, by=by)
 
     def some(
         self,
@@ -149,27 +152,28 @@ class Decoder(nn.Module):
     ) -> Rollout:
         """Return the futures (B, R, …) of agents *rows* alone, with gradients to *z* (B, R, Z).
 
-        Those that are made *by* something in the place of :meth:`step` have none.
-
-        All others move and say what they did in *trace*.
+        All others move and say what they did in *trace*. *by* takes the place of :meth:`step`.
         """
-        return self._roll(z, h, batch, rows, steps, None, trace, by)[0]
+        around = self._surroundings(batch, batch.rows_of(rows), rows)
+        return self.roll(z, h[:, rows], around, steps, None, trace, by)[0]
 
-    def _roll(
+    def roll(
         self,
         z: Tensor,
         h: Tensor,
-        batch: SceneBatch,
-        rows: Tensor,
+        around: Surroundings,
         steps: int,
         forced: Forced | None = None,
         trace: Trace | None = None,
         by: Step | None = None,
     ) -> tuple[Rollout, Trace]:
-        own = batch if trace is None else batch.rows_of(rows)
-        around, advance = self._surroundings(batch, own, rows), by or self._advance(trace)
-        memory = torch.tanh(self.start(torch.cat((h[:, rows], z), dim=-1)))
-        motion = motion_now(own)
+        """Return the futures of the rows of *around* and their trace, from their own *z* (B, R, Z) and *h* (B, R, D).
+
+        All others move and say what they did in *trace*; None: the rows are everybody.
+        """
+        advance, rows = by or self._advance(trace), around.rows
+        memory = self.begin(z, h)
+        motion = motion_now(around.own)
         states, begun, said = [], [], []
         for k in range(steps):
             everybody = motion if trace is None else self._among(trace.motion[k], rows, motion)
@@ -201,10 +205,29 @@ class Decoder(nn.Module):
         others: Tensor | None,
     ) -> tuple[State, Tensor, Tensor]:
         """Return where the rows get to in a step, their memory of it, and what all agents send (layers, B, A, M)."""
+        edges = self.edges(everybody, None if others is None else around.rows)
+        return self.advance(memory, z, around, motion, edges, others)
+
+    def edges(self, everybody: Motion, rows: Tensor | None) -> list[Tensor]:
+        """Return for each graph layer what it adds to the messages (B, R, A, M) how *rows* (None: all) see all."""
+        return self.interaction.prepare(relative_features(*everybody, rows))
+
+    def begin(self, z: Tensor, h: Tensor) -> Tensor:
+        """Return the memory (B, R, D) that a rollout begins with."""
+        return torch.tanh(self.start(torch.cat((h, z), dim=-1)))
+
+    def advance(
+        self,
+        memory: Tensor,
+        z: Tensor,
+        around: Surroundings,
+        motion: Motion,
+        edges: list[Tensor],
+        others: Tensor | None,
+    ) -> tuple[State, Tensor, Tensor]:
+        """Return :meth:`step` of rows that see what *edges* hold."""
         moved = motion_features(*motion, around.own)
         node = torch.relu(self.node(torch.cat((memory, z, moved), dim=-1)))
-        relative = relative_features(*everybody)
-        edges = self.interaction.prepare(relative if others is None else relative[:, around.rows])
         mixed, senders = self._mix(node, edges, around, others, lambda values: values[:, None])
         state, memory = self._drive(mixed, memory, motion, around.own)
         return state, memory, senders

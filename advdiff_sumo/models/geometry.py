@@ -28,28 +28,28 @@ def into_frame(xy: Tensor, origin: Tensor, yaw: Tensor) -> Tensor:
 RELATIVE_FEATURES = 9
 
 
-def relative_features(xy: Tensor, yaw: Tensor, speed: Tensor) -> Tensor:
+def relative_features(xy: Tensor, yaw: Tensor, speed: Tensor, rows: Tensor | None = None) -> Tensor:
     """Return how every agent looks from every other, free of the world's frame.
 
     Args:
         xy: (B, A, 2) positions.
         yaw: (B, A) headings.
         speed: (B, A) speeds.
+        rows: (R,) who looks; None: all A.
 
     Returns:
-        (B, A, A, 9); entry [b, i, j] is agent j seen from i: position / 20 m, its compressed distance, unit
+        (B, R, A, 9); entry [b, i, j] is agent j seen from i: position / 20 m, its compressed distance, unit
         heading, velocity and velocity difference / 10 m/s in i's frame.
     """
     cos, sin = torch.cos(yaw), torch.sin(yaw)
-    delta = xy[:, None] - xy[:, :, None]
-    ci, si = cos[:, :, None], sin[:, :, None]
+    place, ci, si, own = (x if rows is None else x[:, rows] for x in (xy, cos, sin, speed))
+    ci, si = ci[:, :, None], si[:, :, None]
+    delta = xy[:, None] - place[:, :, None]
     dx = ci * delta[..., 0] + si * delta[..., 1]
     dy = ci * delta[..., 1] - si * delta[..., 0]
     cj, sj = cos[:, None], sin[:, None]
     turn_cos, turn_sin = ci * cj + si * sj, ci * sj - si * cj
-    return torch.stack(
-        relative_columns(dx, dy, turn_cos, turn_sin, speed[:, None], speed[:, :, None]), dim=-1
-    )
+    return torch.stack(relative_columns(dx, dy, turn_cos, turn_sin, speed[:, None], own[:, :, None]), dim=-1)
 
 
 def relative_columns(

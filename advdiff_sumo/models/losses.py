@@ -13,10 +13,7 @@ from torch.nn.functional import smooth_l1_loss
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.geometry import into_frame, wrap_angle
-from advdiff_sumo.models.road_edges import CORNER as CORNER  # re-exported for the compiled loops
-from advdiff_sumo.models.road_edges import FAR_M as FAR_M
 from advdiff_sumo.models.road_edges import RoadEdges
-from advdiff_sumo.models.road_edges import road_edges as road_edges
 
 DISCS = 5
 _LEAST_REACH_M = 0.1
@@ -114,10 +111,16 @@ def clearance_in_frame(local: Tensor, batch: SceneBatch) -> Tensor:
 
 def off_road(rollout: Rollout, batch: SceneBatch) -> Tensor:
     """Return (B, A, T) how far a vehicle's discs are over the road's edge, as a share of its width, at most 2."""
+    over = beyond_edge(rollout, batch.size, batch.pose, RoadEdges.of(batch))
+    return torch.where(batch.moved[..., None], over, 0.0)
+
+
+def beyond_edge(rollout: Rollout, size: Tensor, pose: Tensor, edges: RoadEdges) -> Tensor:
+    """Return :func:`off_road` of vehicles of *size* (B, A, 2), with *edges* in the frames of *pose* (B, A, 4)."""
     steps = rollout.xy.shape[2]
-    size = batch.size[:, :, None].expand(-1, -1, steps, -1)
-    centres, radius = discs(rollout.xy, rollout.yaw, size)
-    clear = edge_clearance(centres[..., ::2, :].flatten(2, 3), batch)
-    clear = clear.reshape(*radius.shape, -1)
+    centres, radius = discs(rollout.xy, rollout.yaw, size[:, :, None].expand(-1, -1, steps, -1))
+    points, origin = centres[..., ::2, :].flatten(2, 3), pose[:, :, None]
+    local = into_frame(points, origin[..., :2], origin[..., 2].expand(points.shape[:-1]))
+    clear = edges.clearance(local).reshape(*radius.shape, -1)
     over = ((radius[..., None] - clear) / (2.0 * radius[..., None].clamp(min=0.1))).clamp(0.0, 2.0)
-    return torch.where(batch.moved[..., None], over.amax(-1), 0.0)
+    return over.amax(-1)

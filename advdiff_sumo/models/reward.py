@@ -42,6 +42,7 @@ class RewardModel(nn.Module):
 
     def __init__(self, options: ModelOptions) -> None:
         super().__init__()
+        self.options = options
         width = options.reward_hidden
         self.state = nn.Linear(options.hidden + options.latent + _LABELS, width)
         self.action = nn.Linear(options.latent, width, bias=False)
@@ -73,7 +74,7 @@ class RewardModel(nn.Module):
         free = (rows != state.target[:, None]) & state.present
         node = self.mix(state.node + self.action(mu) * free[..., None])
         node = self.interaction.mix(node * state.present[..., None], state.edges, state.present)
-        own = node[torch.arange(len(node), device=node.device), state.target]
+        own = node[torch.arange(node.shape[0], device=node.device), state.target]
         count = state.present.sum(1, keepdim=True).clamp(min=1)
         pooled = (node * state.present[..., None]).sum(1) / count
         out: Tensor = self.value(torch.cat((own, pooled), dim=-1)).squeeze(-1)

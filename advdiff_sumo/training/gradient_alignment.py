@@ -2,7 +2,7 @@
 
 One number an experience tells little about which of several hundred latents matter. So the direction of ∂Q/∂aᵢ of
 each vehicle near the target is held against that of −∂cᵢ/∂aᵢ through the decoder, while the target drives as it
-then did; c is the objective of ``diffusion.tensor_attack`` of kind "any": the least gap in the next seconds, overlap
+then did; c is the objective of ``diffusion.attack`` of kind "any": the least gap in the next seconds, overlap
 with others, what is over the road's edge, and how unlikely the prior finds the latent. Only the direction counts
 (gradients as labels: Sobolev training, Czarnecki et al. 2017, arXiv:1706.04859), as guidance takes no more of it.
 """
@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from advdiff_sumo.diffusion.attack import OTHERS_WEIGHT, PRIOR_WEIGHT, ROAD_WEIGHT, surprise
 from advdiff_sumo.diffusion.attack_costs import nearest
 from advdiff_sumo.diffusion.guides import direction
-from advdiff_sumo.diffusion.tensor_attack import OTHERS_WEIGHT, PRIOR_WEIGHT, ROAD_WEIGHT, surprise
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context

@@ -1,15 +1,20 @@
-"""What attackers meet, by compiled loops and by tensors: the same values and gradients."""
+"""What attackers meet, by machine code and by tensors: the same costs and gradients; and by hand."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.fast_bodies import bodies_of
-from advdiff_sumo.diffusion.tensor_bodies import Met, Placed
+from advdiff_sumo.diffusion.attack import CostsOnTensors, costs_package
+from advdiff_sumo.diffusion.attack_costs import COSTS
+from advdiff_sumo.diffusion.bodies import Placed, met_by
+from advdiff_sumo.diffusion.machine_code import machine_code, slope_of
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
+from tests.diffusion.shipped_code import assert_close, checked_against_networks, needs_code
 from tests.diffusion.test_by_hand import double
 from tests.diffusion.test_fast import scene
 
@@ -38,23 +43,25 @@ def crowd(edges: bool) -> SceneBatch:
     return batch
 
 
+@needs_code
 @pytest.mark.parametrize("edges", [True, False])
 @pytest.mark.parametrize("rows", [[2], [4, 1], [1, 2, 3, 4, 5, 6]])
 def test_values_and_gradients(rows: list[int], edges: bool) -> None:
     """With somebody on foot, with edges and without, and where nobody else is there."""
-    placed = Placed(crowd(edges), torch.tensor(rows), futures(1, 7, 1))
+    placed = Placed.of(crowd(edges), torch.tensor(rows), futures(1, 7, 1))
     driven = futures(3, len(rows), 2)
-    weight = torch.randn(3, len(rows), STEPS + 2, generator=torch.Generator().manual_seed(3)).double()
-    results = []
-    for compiled in (True, False):
-        xy, yaw = driven.xy.clone().requires_grad_(), driven.yaw.clone().requires_grad_()
-        met = bodies_of(placed, compiled)(Rollout(xy, yaw, driven.speed, driven.accel, driven.curvature))
-        made = torch.cat((met.gap, met.overlap[..., None], met.off[..., None]), dim=-1)
-        results.append((made, *torch.autograd.grad((weight * made).sum(), (xy, yaw))))
-    for mine, theirs in zip(*results, strict=True):
-        torch.testing.assert_close(mine, theirs, atol=1e-9, rtol=1e-7)
-    assert (results[0][0][..., -1] > 0.0).any() == edges
-    assert (results[0][0][..., -2] > 0.0).any() == (len(rows) < 6)
+    met = met_by(driven, placed)
+    assert (met.off > 0.0).any() == edges
+    assert (met.overlap > 0.0).any() == (len(rows) < 6)
+    code = machine_code(costs_package(), CostsOnTensors())
+    assert code is not None
+    shares = torch.linspace(0.1, 1.0, len(COSTS))
+    held = [shares, *(x.float() if x.is_floating_point() else x for x in placed.tensors())]
+    weight = torch.randn(3, len(rows), generator=torch.Generator().manual_seed(3))
+    free = [x.float().requires_grad_() for x in (driven.xy, driven.yaw, driven.speed)]
+    with checked_against_networks() as errors:
+        torch.autograd.grad((weight * code(free, held)[0]).sum(), free)
+    assert_close(errors, *(package(costs_package()).stem for package in (Path, slope_of)))
 
 
 def test_in_line_the_slope_is_the_mean_of_all_nearest_discs() -> None:
@@ -65,7 +72,7 @@ def test_in_line_the_slope_is_the_mean_of_all_nearest_discs() -> None:
     driven.xy[:] = torch.tensor([0.0, 3.0], dtype=torch.float64)
     yaw = torch.zeros_like(driven.yaw).requires_grad_()
     xy = driven.xy.requires_grad_()
-    met: Met = bodies_of(Placed(batch, torch.tensor([1]), natural), True)(Rollout(xy, yaw, yaw, yaw, yaw))
+    met = met_by(Rollout(xy, yaw, yaw, yaw, yaw), Placed.of(batch, torch.tensor([1]), natural))
     by_xy, by_yaw = torch.autograd.grad(met.gap.sum(), (xy, yaw))
     torch.testing.assert_close(met.gap.detach(), torch.full((1, 1, STEPS), 1.1).double(), atol=1e-6, rtol=0.0)
     torch.testing.assert_close(by_xy, torch.tensor([0.0, 1.0]).double().expand_as(by_xy))

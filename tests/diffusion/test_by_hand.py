@@ -1,23 +1,24 @@
-"""Gradients written by hand, against autograd and against differences, in double precision."""
+"""Gradients of the forms for run time, against those of the networks and against differences."""
 
 from __future__ import annotations
 
 from dataclasses import fields
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.compiled.vehicle_kernel import DONE, cars_of, drive, drive_back, limits_of
+from advdiff_sumo.diffusion.exported_step import step_package
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.fast_reward import FastReward, RewardWeights
-from advdiff_sumo.models import tensor_bicycle
+from advdiff_sumo.diffusion.fast_reward import FastReward, reward_package
+from advdiff_sumo.diffusion.machine_code import slope_of
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.context import Context
-from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.model_options import MODEL_STEP_S
+from advdiff_sumo.models.decoder import Forced, Rollout
+from advdiff_sumo.models.shipped_weights import shipped_weights
+from tests.diffusion.shipped_code import assert_close, checked_against_networks, needs_code
+from tests.diffusion.test_exported_step import scenes
 from tests.diffusion.test_fast import SMALL, bundle, scene
 
 PARTS = ("xy", "yaw", "speed", "accel", "curvature")
@@ -37,45 +38,84 @@ def made() -> Bundle:
 
 
 def two_scenes(networks: Bundle) -> tuple[SceneBatch, Context]:
+    """Return two scenes of eight in double precision, and their context."""
+    batch = double(crowded())
+    return batch, networks.traffic.encoder(batch)
+
+
+def crowded() -> SceneBatch:
     """Return two scenes of eight, with somebody absent, on foot, and standing."""
-    batch = double(scene(scenes=2, agents=8))
+    batch = scene(scenes=2, agents=8)
     batch.present[1, 6:] = False
     batch.moved[1, 6:] = False
     batch.moved[0, 5] = False
     batch.past[0, 2, :, 3] = 0.05
-    return batch, networks.traffic.encoder(batch)
+    return batch
 
 
 def weighed(rollout: Rollout) -> Tensor:
     """Return a sum in which every number of a roll-out counts differently."""
     generator = torch.Generator().manual_seed(5)
-    total = torch.zeros((), dtype=torch.float64)
+    total = torch.zeros((), dtype=rollout.yaw.dtype)
     for name in PARTS:
         part = getattr(rollout, name)
         total = total + (part * torch.randn(part.shape, generator=generator, dtype=part.dtype)).sum()
     return total
 
 
+def assert_used(errors: dict[str, list[float]], weights: str) -> None:
+    """Check that the step's code and that of its slope served, and were near the network."""
+    step = step_package(load_bundle(shipped_weights(weights)).options.model)
+    assert_close(errors, step.stem, slope_of(step).stem)
+
+
+def assert_near(*pairs: tuple[Tensor, ...]) -> None:
+    """Check that states and slopes differ by what rounding has become over the steps."""
+    for (mine, theirs), share in zip(pairs, (1e-5, 1e-4), strict=True):
+        torch.testing.assert_close(mine, theirs, atol=share * float(theirs.abs().max()), rtol=0.0)
+
+
+@needs_code
+@pytest.mark.parametrize("weights", ["traffic", "closed-loop"])
 @pytest.mark.parametrize("rows", [[5, 2], [2], [1, 3, 7]])
-def test_some_rows_against_autograd(made: Bundle, rows: list[int]) -> None:
-    batch, context = two_scenes(made)
-    picked, z = torch.tensor(rows), context.prior.mean
+def test_some_rows_by_machine_code_as_by_the_network(rows: list[int], weights: str) -> None:
+    networks = load_bundle(shipped_weights(weights)).frozen()
+    generator, sizes = torch.Generator().manual_seed(4), networks.options.model
+    batch, picked = scenes(8), torch.tensor(rows)
+    z, h = (torch.randn(2, 8, n, generator=generator) for n in (sizes.latent, sizes.hidden))
     results = []
-    for compiled in (True, False):
-        fast = FastDecoder(made.traffic.decoder, compiled)
-        whole, trace = fast.whole(z, context.h, batch, 6)
-        free = (z[:, picked] + 0.3).requires_grad_()
-        some = fast.some(free, context.h, batch, picked, 6, trace)
-        (gradient,) = torch.autograd.grad(weighed(some), free)
-        there = batch.present
-        results.append((*(getattr(whole, n)[there] for n in PARTS), trace.motion, trace.senders, gradient))
-        assert gradient.abs().max() > 1e-3
-    for array, tensor in zip(*results, strict=True):
-        if array.dim() == 5:  # what absent agents say is heard by nobody
-            array, tensor = (x[..., :6, :] for x in (array, tensor))
-        if array.shape[-1] == 4:
-            array, tensor = (x[..., :6, :] for x in (array, tensor))
-        torch.testing.assert_close(array, tensor, atol=1e-9, rtol=1e-7)
+    with checked_against_networks() as errors:
+        for compiled in (True, False):
+            fast = FastDecoder(networks.traffic.decoder, compiled)
+            _, trace = fast.whole(z, h, batch, 6)
+            free = (z[:, picked] + 0.3).requires_grad_()
+            some = fast.some(free, h, batch, picked, 6, trace)
+            results.append((some.states().detach(), torch.autograd.grad(weighed(some).sum(), free)[0]))
+    assert_used(errors, weights)
+    assert results[1][1].abs().max() > 1e-3
+    assert_near(*zip(*results, strict=True))
+
+
+@needs_code
+@pytest.mark.parametrize("forced", [False, True], ids=["free", "the target is given"])
+@pytest.mark.parametrize("weights", ["traffic", "closed-loop"])
+def test_everybody_by_machine_code_as_by_the_network(weights: str, forced: bool) -> None:
+    """As Strive searches: what one does changes what the others see."""
+    networks = load_bundle(shipped_weights(weights)).frozen()
+    generator, sizes, batch = torch.Generator().manual_seed(4), networks.options.model, scenes(8)
+    z, h = (torch.randn(2, 8, n, generator=generator) for n in (sizes.latent, sizes.hidden))
+    mask = torch.zeros(2, 8, 6, dtype=torch.bool)
+    mask[:, 0] = True
+    given = Forced(torch.randn(2, 8, 6, 4, generator=generator).abs(), mask) if forced else None
+    results = []
+    with checked_against_networks() as errors:
+        for compiled in (True, False):
+            free = z.clone().requires_grad_()
+            made = FastDecoder(networks.traffic.decoder, compiled)(free, h, batch, 6, given)
+            states = made.states()[batch.present].detach()
+            results.append((states, torch.autograd.grad(weighed(made).sum(), free)[0]))
+    assert_used(errors, weights)
+    assert_near(*zip(*results, strict=True))
 
 
 def test_some_rows_against_differences(made: Bundle) -> None:
@@ -91,57 +131,35 @@ def test_some_rows_against_differences(made: Bundle) -> None:
     assert torch.autograd.gradcheck(value, (free,), fast_mode=True, atol=1e-5, rtol=1e-4)
 
 
-@pytest.mark.parametrize("speed", [0.0, 0.4, 9.0, 30.0])
-def test_one_step_against_the_bicycle_on_tensors(speed: float) -> None:
-    """Standing, about to stop within the step, in town, and where grip bounds the curvature."""
-    rng = np.random.default_rng(3)
-    pose = rng.normal(size=(6, 4))
-    pose[:, 3] = speed
-    length, moved = np.full(6, 4.6), np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
-    raw = rng.normal(size=(6, 2)) * (3.0, 1.0)
-    raw[0, 0] = -9.0
-    cars, limits = cars_of(pose, length, moved, SMALL), limits_of(SMALL, pose)
-    motion, done = pose.copy(), np.empty((6, DONE))
-    for row in range(6):
-        drive(cars[row], limits, raw[row], motion[row], done[row])
-    leaves = [torch.tensor(x, requires_grad=True) for x in (pose[:, :2], pose[:, 2], pose[:, 3], raw)]
-    xy, yaw, v, controls = leaves
-    accel, curvature = tensor_bicycle.controls(controls, v, torch.tensor(length), SMALL)
-    accel, curvature = accel * torch.tensor(moved), curvature * torch.tensor(moved)
-    to, turned, fast = tensor_bicycle.step(xy, yaw, v, accel, curvature, MODEL_STEP_S)
-    mine = (*motion.T, done[:, 4], done[:, 5])
-    theirs = (to[:, 0], to[:, 1], turned, fast, accel, curvature)
-    for a, b in zip(mine, theirs, strict=True):
-        np.testing.assert_allclose(a, b.detach(), atol=1e-12)
-    weights = rng.normal(size=(6, 6))
-    total = sum((torch.tensor(w) * part).sum() for w, part in zip(weights, theirs, strict=True))
-    assert isinstance(total, Tensor)
-    wanted = torch.autograd.grad(total, leaves)
-    before, by_raw = np.ascontiguousarray(weights[:4].T), np.empty((6, 2))
-    controls_by = np.ascontiguousarray(weights[4:].T)
-    for row in range(6):
-        drive_back(cars[row], limits, done[row], before[row], controls_by[row], by_raw[row])
-    for a, b in zip((*before.T[:3], by_raw), (*wanted[0].T, *wanted[1::2]), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-7, rtol=1e-6)
-    if speed > 0.1:  # at a standstill the way has a corner
-        np.testing.assert_allclose(before[:, 3], wanted[2], atol=1e-7, rtol=1e-6)
+@needs_code
+@pytest.mark.parametrize("weights", ["traffic", "closed-loop"])
+def test_q_by_machine_code_and_its_gradient(weights: str) -> None:
+    networks = load_bundle(shipped_weights(weights)).frozen()
+    generator, sizes = torch.Generator().manual_seed(4), networks.options.model
+    batch, target = scene(scenes=2, agents=8), torch.tensor([0, 3])
+    batch.present[1, 6:] = batch.moved[1, 6:] = False
+    h, z, mu = (torch.randn(2, 8, n, generator=generator) for n in (sizes.hidden, sizes.latent, sizes.latent))
+    state, weight = networks.reward.prepare(h, z, batch, target), torch.tensor([1.0, -2.0])
+    results = []
+    with checked_against_networks() as errors:
+        for compiled in (True, False):
+            free, objective = (
+                mu.clone().requires_grad_(),
+                FastReward(networks.reward, compiled).condition(state),
+            )
+            value = objective(free)
+            slope = torch.autograd.grad((value * weight).sum(), free)[0]
+            results.append((value.detach(), slope, objective.slope(mu)))
+    package = reward_package(sizes)
+    assert_close(errors, package.stem, slope_of(package).stem)
+    for mine, theirs in zip(*results, strict=True):
+        torch.testing.assert_close(mine, theirs, atol=1e-6 * float(theirs.abs().max()), rtol=0.0)
+    assert results[0][1][0].abs().sum(-1).gt(0.0).tolist() == [False] + [True] * 7
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_q_and_its_gradient(made: Bundle, compiled: bool) -> None:
+def test_q_against_differences(made: Bundle) -> None:
     batch, context = two_scenes(made)
-    target = torch.tensor([0, 3])
-    state = made.reward.prepare(context.h, context.prior.mean, batch, target)
-    fast = FastReward(RewardWeights(made.reward, compiled), state)
+    state = made.reward.prepare(context.h, context.prior.mean, batch, torch.tensor([0, 3]))
     mu = torch.randn(2, 8, SMALL.latent, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
-    weight = torch.tensor([1.0, -2.0], dtype=torch.float64)
-    gradients = []
-    for value_of in (fast, lambda x: made.reward.value_of(state, x)):
-        free = mu.clone().requires_grad_()
-        value = value_of(free)
-        (gradient,) = torch.autograd.grad((value * weight).sum(), free)
-        gradients.append((value.detach(), gradient))
-    for mine, theirs in zip(*gradients, strict=True):
-        torch.testing.assert_close(mine, theirs, atol=1e-12, rtol=1e-9)
-    assert gradients[0][1][0].abs().sum(-1).gt(0.0).tolist() == [False] + [True] * 7
-    assert torch.autograd.gradcheck(fast, (mu.clone().requires_grad_(),), fast_mode=True)
+    value_of = FastReward(made.reward).condition(state)
+    assert torch.autograd.gradcheck(value_of, (mu.requires_grad_(),), fast_mode=True)

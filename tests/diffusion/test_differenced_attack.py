@@ -9,10 +9,9 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.diffusion import differenced_attack
-from advdiff_sumo.diffusion.differenced_attack import WIDEST, DifferencedAttack
-from advdiff_sumo.diffusion.fast_attack import attack_objective
+from advdiff_sumo.diffusion.attack import AttackScene, plain_objective
+from advdiff_sumo.diffusion.differenced_attack import WIDEST, DifferencedAttack, attack_objective
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.tensor_attack import AttackScene, tensor_attack
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
 from tests.diffusion.test_attack import attackers
@@ -40,7 +39,7 @@ def drawn() -> Tensor:
 def slopes(objective: DifferencedAttack, given: AttackScene, latents: Tensor) -> tuple[Tensor, Tensor]:
     """Return the slope by differences, and that of autograd."""
     free = latents.clone().requires_grad_()
-    (wanted,) = torch.autograd.grad(tensor_attack("any", given)(free).sum(), free)
+    (wanted,) = torch.autograd.grad(plain_objective("any", given)(free).sum(), free)
     return objective.slope(latents), wanted
 
 
@@ -71,5 +70,5 @@ def test_its_value_has_gradients(made: Bundle) -> None:
     given = scene(made, [2])
     latents = torch.zeros(1, 8, SMALL.latent, dtype=torch.float64, requires_grad=True)
     value = attack_objective("any", given)(latents)
-    torch.testing.assert_close(value, tensor_attack("any", given)(latents))
+    torch.testing.assert_close(value, plain_objective("any", given)(latents))
     assert bool(torch.autograd.grad(value.sum(), latents)[0].any())

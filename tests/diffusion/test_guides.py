@@ -6,14 +6,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.attack_costs import COSTS, Encounter, Natural, encounter
+from advdiff_sumo.diffusion.attack_costs import COSTS, Encounter, encounter
+from advdiff_sumo.diffusion.bodies import Placed, met_by
 from advdiff_sumo.diffusion.guides import FLOOR, Guidance, Term, direction
 from advdiff_sumo.diffusion.sampler import SamplingStep
 from advdiff_sumo.models.decoder import Rollout
-from advdiff_sumo.models.trace import Trace
+from advdiff_sumo.models.road_edges import RoadEdges
 
 SIZE = torch.tensor([4.0, 2.0])
-NOTHING = Trace(torch.empty(0), torch.empty(0))
 
 
 def test_the_direction_has_unit_length_and_only_attackers_move() -> None:
@@ -116,8 +116,22 @@ def straight(x: float, y: float, yaw: float, speed: float, steps: int = 8) -> Ro
 
 def met(attacker: Rollout) -> Encounter:
     """Return the encounter with a target that drives north at 10 m/s from (5, 0)."""
-    target = straight(5.0, 0.0, torch.pi / 2, 10.0)
-    return encounter(attacker, SIZE[None].double(), Natural(target, NOTHING), SIZE.double())
+    return between(attacker, straight(5.0, 0.0, torch.pi / 2, 10.0))
+
+
+def between(attacker: Rollout, target: Rollout) -> Encounter:
+    """Return the encounter of two vehicles far from any road's edge."""
+    size = SIZE.double().expand(2, 2)
+    nowhere = torch.zeros(1, 1, 1, 2, dtype=torch.float64)
+    edges = RoadEdges.between(nowhere, nowhere, torch.zeros(1, 1, 1, dtype=torch.bool))
+    states = (torch.cat((a[0], b[0])) for a, b in zip(_motion(target), _motion(attacker), strict=True))
+    pose, moved = torch.zeros(1, 4, dtype=torch.float64), torch.ones(1, dtype=torch.bool)
+    placed = Placed(size, torch.zeros(2, dtype=torch.bool), *states, size[:1], pose, moved, edges)
+    return encounter(attacker, met_by(attacker, placed).gap, placed)
+
+
+def _motion(rollout: Rollout) -> tuple[Tensor, Tensor, Tensor]:
+    return rollout.xy, rollout.yaw, rollout.speed
 
 
 def test_an_encounter_by_hand() -> None:
@@ -167,9 +181,6 @@ def test_costs_do_not_depend_on_the_worlds_frame(kind: str) -> None:
         return Rollout(xy, r.yaw + angle, r.speed, r.accel, r.curvature)
 
     attacker, target = straight(8.0, 14.0, 1.9, 7.0), straight(5.0, 0.0, NORTH, 10.0)
-    costs = []
-    for change in (lambda r: r, turned):
-        natural = Natural(change(target), NOTHING)
-        e = encounter(change(attacker), SIZE[None].double(), natural, SIZE.double())
-        costs.append(float(COSTS[kind](e)))
+    changes = (lambda r: r, turned)
+    costs = [float(COSTS[kind](between(change(attacker), change(target)))) for change in changes]
     assert costs[0] == pytest.approx(costs[1], abs=1e-9)

@@ -20,8 +20,8 @@ from torch import Tensor
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.diffusion.adam import Adam
+from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
@@ -34,7 +34,6 @@ from advdiff_sumo.traffic.baselines.baseline_policy import (
     Task,
     with_target,
 )
-from advdiff_sumo.traffic.baselines.joint.joint_decoder import JointDecoder
 from advdiff_sumo.traffic.baselines.strive_loss import Terms, strive_loss
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
 from advdiff_sumo.traffic.planning.attackers import FARTHEST_M, closest_m
@@ -101,9 +100,7 @@ class Strive(BaselinePolicy):
         """
         super().__init__(StriveOptions.parse(options, "options of background 'strive'"))
         self.prior: Prior = prior_of(self.options, "background 'strive'")
-        decoder = self.prior.traffic.decoder
-        by_hand = self.prior.device.type == "cpu" and not isinstance(decoder, ClosedLoopDecoder)
-        self.decoder = JointDecoder(decoder) if by_hand else decoder
+        self.decoder = FastDecoder(self.prior.traffic.decoder)
 
     def search(self, task: Task) -> SearchResult:
         """Return the futures of the latents that lower the loss most within the rounds."""
@@ -172,8 +169,7 @@ class Strive(BaselinePolicy):
         self, start: _Start, epsilon: Tensor, forced: Forced | None, steps: int = FUTURE_STEPS
     ) -> Rollout:
         z = self._latents(start, epsilon)[None]
-        rollout: Rollout = self.decoder(z, start.context.h, start.batch, steps, forced)
-        return with_target(rollout, forced)
+        return with_target(self.decoder(z, start.context.h, start.batch, steps, forced), forced)
 
     def _attackers(self, task: Task, rollout: Rollout, share: FloatArray) -> tuple[str, ...]:
         """Return who is most of the attacker, among those who come near the target at all."""

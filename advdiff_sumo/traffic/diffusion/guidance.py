@@ -9,10 +9,9 @@ import numpy as np
 import torch
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.diffusion.attack_costs import Natural
-from advdiff_sumo.diffusion.fast_attack import attack_objective
-from advdiff_sumo.diffusion.guides import Guidance, Term, reward_objective
-from advdiff_sumo.diffusion.tensor_attack import AttackScene
+from advdiff_sumo.diffusion.attack import AttackScene, Natural
+from advdiff_sumo.diffusion.differenced_attack import attack_objective
+from advdiff_sumo.diffusion.guides import Guidance, Term
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
@@ -84,7 +83,7 @@ def guidance(
             scenes.many,
             torch.zeros(count, dtype=torch.long, device=networks.device),
         )
-    terms = [Term(reward_objective(networks.reward, state), _REWARD_WEIGHT, _REWARD_RUNGS)]
+    terms = [Term(networks.reward.condition(state), _REWARD_WEIGHT, _REWARD_RUNGS)]
     if options.guide == "reward":
         assert isinstance(networks.codec, LatentCodec)  # noqa: S101 - networks_of refuses others where there is a guide
         scene = AttackScene(networks.decoder, networks.codec, scenes.context, scenes.one, attackers, natural)

@@ -41,10 +41,10 @@ def follow(
     """
     limits = Limits()
     states = np.column_stack((xy_m, yaw_rad, np.maximum(speed_mps, 0.0)))
-    states_ahead = np.empty((len(lanes), steps, _SUBSTEPS, 4))
     bends = np.tan(limits.steer_rad) / wheelbase_m(length_m)
-    pursue(lines_of(lanes), states, bends, limits.lateral_mps2, dt_s / _SUBSTEPS, states_ahead)
-    last = states_ahead[:, :, -1]
+    small_s, count = dt_s / _SUBSTEPS, _SUBSTEPS * steps
+    driven = pursue(lines_of(lanes), states, bends, limits.lateral_mps2, small_s, count)
+    last = driven[:, _SUBSTEPS - 1 :: _SUBSTEPS]
     return last[..., :2], last[..., 2], last[..., 3]
 
 

@@ -1,0 +1,97 @@
+"""How attackers' bodies lie among others and on the road: distances, overlap, and what is over the road's edge.
+
+Distances are between five discs a vehicle (``models.losses``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.losses import beyond_edge, discs
+from advdiff_sumo.models.road_edges import RoadEdges
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Who is where, one scene; target in row 0.
+
+    Attributes:
+        size: (A, 2) lengths and widths.
+        others: (A,) who is neither target nor attacker.
+        xy: (A, T, 2) where everybody goes without an attack.
+        yaw: (A, T) headings.
+        speed: (A, T) speeds.
+        own_size: (R, 2) sizes of the attackers.
+        own_pose: (R, 4) their poses now.
+        moved: (R,) which of them are vehicles.
+        edges: segments of the road's edge around each of them, of one scene.
+    """
+
+    size: Tensor
+    others: Tensor
+    xy: Tensor
+    yaw: Tensor
+    speed: Tensor
+    own_size: Tensor
+    own_pose: Tensor
+    moved: Tensor
+    edges: RoadEdges
+
+    @staticmethod
+    def of(batch: SceneBatch, rows: Tensor, natural: Rollout) -> Placed:
+        """Return who is where in the one scene of *batch*, with attackers *rows* (R,) and *natural* futures."""
+        agents, own = torch.arange(batch.agents, device=rows.device), batch.rows_of(rows)
+        others = (agents != 0) & ~torch.isin(agents, rows)
+        states = natural.xy[0], natural.yaw[0], natural.speed[0]
+        return Placed(
+            batch.size[0], others, *states, own.size[0], own.pose[0], own.moved[0], RoadEdges.of(own)
+        )
+
+    @staticmethod
+    def from_tensors(parts: tuple[Tensor, ...]) -> Placed:
+        """Return what :meth:`tensors` was made of."""
+        size, others, xy, yaw, speed, own_size, own_pose, moved, *edges = parts
+        return Placed(size, others, xy, yaw, speed, own_size, own_pose, moved, RoadEdges(*edges))
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """Return all parts."""
+        own, edges = (self.own_size, self.own_pose, self.moved), self.edges
+        seen = edges.usable, edges.lines, edges.along, edges.left
+        return (self.size, self.others, self.xy, self.yaw, self.speed, *own, *seen)
+
+
+@dataclass(frozen=True)
+class Met:
+    """What attackers meet.
+
+    Attributes:
+        gap: (B, R, T) distance of the bodies from the target's.
+        overlap: (B, R) how far their discs are inside those of others than the target, summed over time.
+        off: (B, R) how far they are over the road's edge, as a share of their width, summed over time.
+    """
+
+    gap: Tensor
+    overlap: Tensor
+    off: Tensor
+
+
+def met_by(rollout: Rollout, placed: Placed) -> Met:
+    """Return what the attackers of *rollout* (B, R, T) meet, with gradients to it."""
+    mine, radius = discs(rollout.xy, rollout.yaw, placed.own_size[:, None].expand(*rollout.yaw.shape, 2))
+    yours, reach = discs(placed.xy, placed.yaw, placed.size[:, None].expand(*placed.yaw.shape, 2))
+    delta = mine[:, :, None, :, :, None] - yours[None, None, :, :, None, :]
+    distance = torch.sqrt(delta.square().sum(-1).flatten(-2).amin(-1) + 1e-9)  # (B, R, A, T)
+    wide = radius[:, :, None] + reach
+    inside = (1.0 - distance / wide).clamp(min=0.0).sum(-1)
+    return Met(distance[:, :, 0] - wide[:, :, 0], (inside * placed.others).sum(-1), _off(rollout, placed))
+
+
+def _off(rollout: Rollout, placed: Placed) -> Tensor:
+    size, pose = (part.expand(rollout.yaw.shape[0], -1, -1) for part in (placed.own_size, placed.own_pose))
+    over = beyond_edge(rollout, size, pose, placed.edges.expand(rollout.yaw.shape[0]))
+    return over.sum(-1) * placed.moved

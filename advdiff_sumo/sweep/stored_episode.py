@@ -82,6 +82,7 @@ def _parquet(table: pa.Table) -> bytes:
 def _table(content: bytes) -> pa.Table:
     """Return what :func:`_parquet` was made of.
 
-    ``pq.read_table`` imports more of PyArrow when it is first called, and loses a Ctrl-C that comes meanwhile.
+    ``pq.read_table`` imports more of PyArrow when it is first called, and loses a Ctrl-C that comes meanwhile; threads
+    that have just read can abort a process that ends (apache/arrow#34314).
     """
-    return pq.ParquetFile(io.BytesIO(content)).read()
+    return pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +17,16 @@ from advdiff_sumo.models.reward_file import load_reward, save_reward
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
 from advdiff_sumo.training.presets import RewardOptions
+from tests.diffusion.test_fast import scene
 
-MODEL = {"hidden": 32, "latent": 8, "edge": 8, "message": 16, "channels": (8, 16, 24), "reward_hidden": 16}
+MODEL: dict[str, Any] = {
+    "hidden": 32,
+    "latent": 8,
+    "edge": 8,
+    "message": 16,
+    "channels": (8, 16, 24),
+    "reward_hidden": 16,
+}
 STEPS = 7
 
 
@@ -109,8 +118,13 @@ def test_the_guide_follows_the_new_q(weights: Path, monkeypatch: pytest.MonkeyPa
     done = warm_up(options(weights), STEPS, [].append)
     policy = made[0].policy
     assert isinstance(policy, DiffusionTraffic)
-    assert torch.equal(policy.networks.reward.action, done.reward.action.weight)
-    assert not torch.equal(policy.networks.reward.action, load_bundle(weights).reward.action.weight)
+    batch, target = scene(scenes=2, agents=4), torch.tensor([0, 0])
+    generator = torch.Generator().manual_seed(3)
+    h, z, mu = (torch.randn(2, 4, MODEL[n], generator=generator) for n in ("hidden", "latent", "latent"))
+    state = done.reward.prepare(h, z, batch, target)
+    guided_by = policy.networks.reward.condition(state)
+    assert torch.equal(guided_by(mu), done.reward.value_of(state, mu))
+    assert not torch.equal(guided_by(mu), load_bundle(weights).reward.value_of(state, mu))
 
 
 def test_a_file_holds_q_alone(warmed: tuple[WarmedUp, list[int]], weights: Path, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-most_bytes=16000000
+most_bytes=18000000
 python=${PYTHON:-.venv/bin/python}
 folder=${1:-$(mktemp -d)}
 mkdir -p "$folder"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,15 +17,8 @@ from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
 from advdiff_sumo.training.presets import RewardOptions
 from tests.diffusion.test_fast import scene
+from tests.traffic.small_networks import MODEL
 
-MODEL: dict[str, Any] = {
-    "hidden": 32,
-    "latent": 8,
-    "edge": 8,
-    "message": 16,
-    "channels": (8, 16, 24),
-    "reward_hidden": 16,
-}
 STEPS = 7
 
 
@@ -120,7 +112,8 @@ def test_the_guide_follows_the_new_q(weights: Path, monkeypatch: pytest.MonkeyPa
     assert isinstance(policy, DiffusionTraffic)
     batch, target = scene(scenes=2, agents=4), torch.tensor([0, 0])
     generator = torch.Generator().manual_seed(3)
-    h, z, mu = (torch.randn(2, 4, MODEL[n], generator=generator) for n in ("hidden", "latent", "latent"))
+    sizes = done.reward.options
+    h, z, mu = (torch.randn(2, 4, n, generator=generator) for n in (sizes.hidden, sizes.latent, sizes.latent))
     state = done.reward.prepare(h, z, batch, target)
     guided_by = policy.networks.reward.condition(state)
     assert torch.equal(guided_by(mu), done.reward.value_of(state, mu))

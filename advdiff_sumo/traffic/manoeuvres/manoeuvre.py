@@ -74,7 +74,7 @@ class Manoeuvre:
         """Return offsets (T,) from the goal's line, *since_s* (T,) after a change began that has *across_m* to go."""
         lasts_s = max(abs(across_m), _NARROW_M) / LATERAL_MPS
         drift_mps = self.way.drift_mps if self.delay_s == 0.0 else 0.0
-        return settling(across_m, drift_mps, since_s / lasts_s, lasts_s)
+        return settling(across_m, drift_mps, since_s, lasts_s)
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ class Way:
 
         The lateral offset and drift that the vehicle has now decay within ``_SETTLES_S``; who drifts faces its course.
         """
-        left = settling(self.lane.offset_m, self.drift_mps, time_s / _SETTLES_S, _SETTLES_S)
+        left = settling(self.lane.offset_m, self.drift_mps, time_s, _SETTLES_S)
         xy, along = self.line.at(
             self.lane.s_m + driven_m, np.broadcast_to(left, driven_m.shape), extrapolate=True
         )
@@ -80,16 +80,16 @@ class Way:
         return self.lane.lanes[0]
 
 
-def settling(offset_m: float, drift_mps: float, share: FloatArray, lasts_s: float) -> FloatArray:
+def settling(offset_m: float, drift_mps: float, since_s: FloatArray, lasts_s: float) -> FloatArray:
     """Return offsets (T,) on the way to a line: the cubic that begins as now and ends on the line and along it.
 
     Args:
         offset_m: now.
         drift_mps: how fast the offset grows now; where it shrinks so fast that the cubic would cross the line, less.
-        share: (T,) of the time that has passed; 1 and more: it is on the line.
-        lasts_s: the whole time.
+        since_s: (T,) times from now.
+        lasts_s: when it is on the line.
     """
-    x = np.clip(share, 0.0, 1.0)
+    x = np.clip(since_s / lasts_s, 0.0, 1.0)
     side = np.sign(offset_m)
     begins = side * max(side * drift_mps * lasts_s, -3.0 * abs(offset_m)) if side else drift_mps * lasts_s
     return np.asarray((1.0 - x) ** 2 * (offset_m * (1.0 + 2.0 * x) + begins * x))

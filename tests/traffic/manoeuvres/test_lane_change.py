@@ -27,23 +27,23 @@ SPEED_MPS, PLANS = 20.0, 12
 def test_half_of_a_change_by_hand() -> None:
     """3 m in 3 s from rest: half way after 1.5 s, there at one and a half times the mean speed, at the end at rest."""
     share = np.array([0.0, 0.5, 1.0, 2.0])
-    np.testing.assert_allclose(settling(3.0, 0.0, share, 3.0), [3.0, 1.5, 0.0, 0.0])
-    np.testing.assert_allclose(settling(1.5, -1.5, share, 1.5), [1.5, 0.46875, 0.0, 0.0])
+    np.testing.assert_allclose(settling(3.0, 0.0, 3.0 * share, 3.0), [3.0, 1.5, 0.0, 0.0])
+    np.testing.assert_allclose(settling(1.5, -1.5, 1.5 * share, 1.5), [1.5, 0.46875, 0.0, 0.0])
 
 
 @given(st.floats(0.1, 4.0), st.floats(-3.0, 3.0), st.floats(0.5, 4.0), st.floats(0.0, 0.9))
 def test_the_rest_of_a_change_is_what_was_planned(
     offset_m: float, drift_mps: float, lasts_s: float, passed: float
 ) -> None:
-    whole = settling(offset_m, drift_mps, np.linspace(0.0, 1.0, 1001), lasts_s)
+    whole = settling(offset_m, drift_mps, np.linspace(0.0, lasts_s, 1001), lasts_s)
     assert whole.min() >= 0.0  # it does not cross the line
     begin = round(1000 * passed)
     left_s = lasts_s * (1.0 - begin / 1000)
     slope = float(np.gradient(whole, lasts_s / 1000)[begin]) if begin else drift_mps
-    rest = settling(float(whole[begin]), slope, np.linspace(0.0, 1.0, 1001 - begin), left_s)
+    rest = settling(float(whole[begin]), slope, np.linspace(0.0, left_s, 1001 - begin), left_s)
     np.testing.assert_allclose(rest, whole[begin:], atol=0.02)
     np.testing.assert_allclose(
-        settling(-offset_m, -drift_mps, np.array([passed]), lasts_s), -whole[[begin]], atol=0.02
+        settling(-offset_m, -drift_mps, np.array([passed * lasts_s]), lasts_s), -whole[[begin]], atol=0.02
     )
 
 

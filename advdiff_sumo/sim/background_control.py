@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -20,10 +18,10 @@ from advdiff_sumo.core.tracking import State, densify, track
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.entries import completed, presence
 from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
+from advdiff_sumo.sim.plan_memo import PlanSource
 from advdiff_sumo.sim.plan_validation import check_joint_form, check_joint_plan
 from advdiff_sumo.sim.plug_in_guard import PlugInGuard
 from advdiff_sumo.sim.world import World
-from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,7 @@ class Background:
     """The policy of an episode and what it is doing.
 
     Attributes:
-        policy: moves the vehicles.
+        source: of the plans; its policy moves the vehicles.
         road: the map.
         world: rows and states.
         log: of the seed scene.
@@ -90,7 +88,7 @@ class Background:
         safeguarded: plans of a vehicle of which a safeguard changed what was driven next, and all it looked at.
     """
 
-    policy: TrafficPolicy
+    source: PlanSource
     road: RoadMap
     world: World
     log: Tracks
@@ -106,11 +104,10 @@ class Background:
     in_position: bool = False
     manoeuvres: dict[str, tuple[str, float]] | None = None
     safeguarded: tuple[int, int] = (0, 0)
-    _memory: Any = None
 
     def start(self, scene: Scene) -> None:
         """Let the policy prepare for an episode that begins in *scene*."""
-        self._memory = self._guard.call(lambda: self.policy.start(self.road, scene, self.log, self.rng))
+        self._guard.call(lambda: self.source.start(self.road, scene, self.log, self.rng))
 
     def replan(self, scene: Scene, steps: int) -> Motion:
         """Return what the policy does in the coming *steps*.
@@ -128,17 +125,11 @@ class Background:
 
     @property
     def _guard(self) -> PlugInGuard:
-        return PlugInGuard(self.policy, f"background '{self.name}'", Phase.BACKGROUND, self.heartbeat)
+        return PlugInGuard(self.source.policy, f"background '{self.name}'", Phase.BACKGROUND, self.heartbeat)
 
     def _plan(self, scene: Scene, steps: int) -> Motion:
-        begun = time.perf_counter()
-        answer: Any = self.policy.plan(self.road, scene, self._memory, self.rng)
-        self.planning_s.append(time.perf_counter() - begun)
-        if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], JointPlan)):
-            raise PlanRefusedError(
-                f"background '{self.name}' returned {type(answer).__name__}, not (JointPlan, memory)"
-            )
-        plan, self._memory = answer
+        plan, took_s = self.source.plan(self.road, scene, self.rng, f"background '{self.name}'")
+        self.planning_s.append(took_s)
         motion = self.motion(plan, scene.target_id, steps)
         self.planned = plan
         self.safeguarded = (

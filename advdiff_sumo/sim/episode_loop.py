@@ -19,6 +19,7 @@ from advdiff_sumo.sim.episode_context import Context
 from advdiff_sumo.sim.episode_setup import EpisodeSetup
 from advdiff_sumo.sim.handover import Handover
 from advdiff_sumo.sim.heartbeat import Phase
+from advdiff_sumo.sim.plan_memo import PlanSource
 from advdiff_sumo.sim.planned import natural_course
 from advdiff_sumo.sim.recorder import Recorder
 from advdiff_sumo.sim.seed_scene import PlacedTraffic, SavedTraffic, SeedScene
@@ -45,7 +46,7 @@ class Loop:
         self.actuator = Actuator(self.api, self.world, self.road)
         self.recorder = Recorder(self.world, self.sim)
         self.background = Background(
-            policy=episode.policy,
+            source=PlanSource(episode.policy, episode.memo),
             road=self.road,
             world=self.world,
             log=_to_follow(episode.scene),

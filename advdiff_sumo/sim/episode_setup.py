@@ -8,6 +8,7 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.sim.heartbeat import Heartbeat
+from advdiff_sumo.sim.plan_memo import PlanMemo
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy, moves_everywhere
@@ -29,6 +30,7 @@ class EpisodeSetup:
         seed: the episode's node of the seed tree.
         gui: open sumo-gui.
         heartbeat: told of each phase and step.
+        memo: plans of the policy that this process has made before; None: each is made.
     """
 
     number: int
@@ -42,6 +44,7 @@ class EpisodeSetup:
     seed: SeedTree
     gui: bool = field(default=False)
     heartbeat: Heartbeat = field(default_factory=Heartbeat)
+    memo: PlanMemo | None = field(default=None)
 
     @property
     def steps(self) -> int:

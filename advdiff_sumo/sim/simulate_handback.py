@@ -25,6 +25,7 @@ from advdiff_sumo.planners.planner_protocol import SumoDriver
 from advdiff_sumo.sim.demand_files import DemandFiles
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.episode_loop import Loop
+from advdiff_sumo.sim.plan_memo import PlanSource
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.simulate_demand import write_mixed_demand
@@ -147,7 +148,7 @@ def _span_s(rng: np.random.Generator, least_s: float, most_s: float) -> float:
 def _in_turn(loop: Loop, policy: TrafficPolicy, span_s: float, handbacks: list[int]) -> bool:
     """Let *policy* drive for *span_s*, and SUMO then; note the instant between; return whether it can go on."""
     for driver, seconds in ((policy, span_s), (SumoTraffic(), DT_S * (FUTURE + max(_LATER)))):
-        loop.background.policy = driver
+        loop.background.source = PlanSource(driver)
         loop.background.start(loop.scene_now())
         until = loop.steps + round(seconds / DT_S) * loop.sim.substeps
         loop.run(until)

@@ -24,8 +24,10 @@ from advdiff_sumo.metrics.columns import Column
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.metrics.summary import summarise
 from advdiff_sumo.planners.planner_protocol import Target
+from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.episode import Timing
 from advdiff_sumo.sim.heartbeat import Heartbeat
+from advdiff_sumo.sim.plan_memo import PlanMemo
 from advdiff_sumo.sim.run_episodes import Run, RunOptions, policy_of, read_road, target_of
 from advdiff_sumo.sim.run_store import episode_tables
 from advdiff_sumo.sim.scene_file import scene_from_bytes, scene_to_bytes
@@ -35,6 +37,7 @@ from advdiff_sumo.sweep.situation import SITUATION_COLUMNS, situation
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Outcome, SceneTask, Task
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
+from advdiff_sumo.traffic.policy_registry import POLICIES
 
 WORKER_COLUMNS: Mapping[str, Column] = {
     "worker": Column("int64", "", "process number of the worker", False),
@@ -43,6 +46,7 @@ WORKER_COLUMNS: Mapping[str, Column] = {
 }
 #: Kind of failure that ends the sweep: there is no room for SUMO's own files.
 NO_ROOM = "no_room"
+_MEMO = PlanMemo()
 
 
 def perform(task: Task, heartbeat: Heartbeat | None = None, run: Run | None = None) -> Outcome:
@@ -123,9 +127,19 @@ def _scenes(task: SceneTask) -> tuple[bytes, ...]:
 def _episode(task: EpisodeTask, heartbeat: Heartbeat, run: Run | None) -> bytes:
     run = run or run_of(task.options, task.net_digest)
     scene: SeedScene = scene_from_bytes(task.scene, run.road.path)
-    episode = replace(run.episode(task.number, scene), heartbeat=heartbeat)
+    episode = replace(run.episode(task.number, scene), heartbeat=heartbeat, memo=_memo_of(task))
     record, timing = episode.run(task.ended)
     return part_of(run, record, timing).to_bytes()
+
+
+def _memo_of(task: EpisodeTask) -> PlanMemo | None:
+    """Return the plans that this process has made; None where somebody else's code may keep something between calls."""
+    name, own = task.options.background, task.options.background_options
+    surrogate = str(own.get("surrogate", "lane_graph"))
+    ours = surrogate in TARGETS.builtins or surrogate.startswith("advdiff_sumo.")
+    if not ours or POLICIES.canonical(name) not in POLICIES.builtins:
+        return None
+    return _MEMO.of(task.net_digest, name, repr(sorted(own.items())))
 
 
 def _kind(error: AdvdiffError) -> str:

@@ -1,0 +1,155 @@
+"""Plans of a background that this process has made before.
+
+A policy keeps nothing between calls: its plan follows from the scenes of the episode so far and its random numbers.
+So episodes of one seed scene against a planner and the same planner with a defect have the same plans until the
+defect shows, and the second takes them from here.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from hashlib import blake2b
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.errors import PlanRefusedError
+from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
+
+_MOST = 2048  # of 24 episodes of 60 plans each, and some more; a plan of 24 vehicles takes some 10 kB
+
+
+@dataclass(frozen=True)
+class MadePlan:
+    """A plan with all that its making changed.
+
+    Attributes:
+        plan: as the policy returned it.
+        memory: of the policy afterwards.
+        random: state of the policy's random numbers afterwards.
+        wall_s: wall-clock that it took.
+        cpu_s: processor time that it took.
+    """
+
+    plan: JointPlan
+    memory: Any
+    random: Mapping[str, Any]
+    wall_s: float
+    cpu_s: float
+
+
+@dataclass(frozen=True)
+class PlanMemo:
+    """The plans made last, by all that they follow from.
+
+    Attributes:
+        about: what does not change in an episode: the net, the policy and its options.
+        most: plans that are kept.
+    """
+
+    about: tuple[str, ...] = ()
+    most: int = _MOST
+    _made: OrderedDict[bytes, MadePlan] = field(default_factory=OrderedDict)
+
+    def of(self, *about: str) -> PlanMemo:
+        """Return the same memo for the episodes of a net and policy."""
+        return replace(self, about=about)
+
+    def get(self, key: bytes) -> MadePlan | None:
+        """Return the plan of *key*, if it is kept."""
+        made = self._made.get(key)
+        if made is not None:
+            self._made.move_to_end(key)
+        return made
+
+    def keep(self, key: bytes, made: MadePlan) -> None:
+        """Keep *made* under *key*, and drop what was used longest ago where there is no room."""
+        self._made[key] = made
+        if len(self._made) > self.most:
+            self._made.popitem(last=False)
+
+
+@dataclass
+class PlanSource:
+    """What an episode's plans come from: the memo, or else the policy.
+
+    Attributes:
+        policy: makes the plans.
+        memo: of this process; None: each plan is made.
+        memory: of the policy; None before the start.
+        spared_s: wall-clock that the plans took which were not made again.
+        spared_cpu_s: the same in processor time.
+    """
+
+    policy: TrafficPolicy
+    memo: PlanMemo | None = None
+    memory: Any = None
+    spared_s: float = 0.0
+    spared_cpu_s: float = 0.0
+    _key: bytes = field(default=b"", init=False)
+
+    def start(self, road: RoadMap, scene: Scene, log: Tracks, rng: np.random.Generator) -> None:
+        """Let the policy prepare for an episode that begins in *scene*."""
+        if self.memo is not None:
+            begins = repr(self.memo.about).encode(), *_of_tracks(log), *_of_scene(scene), _of_random(rng)
+            self._key = _digest(begins)
+        self.memory = self.policy.start(road, scene, log, rng)
+
+    def plan(
+        self, road: RoadMap, scene: Scene, rng: np.random.Generator, who: str
+    ) -> tuple[JointPlan, float]:
+        """Return the plan for *scene*, and the wall-clock that it took when it was made.
+
+        Raises:
+            PlanRefusedError: the policy, *who* in the message, returned something else.
+        """
+        if self.memo is not None:
+            self._key = _digest((self._key, *_of_scene(scene), _of_random(rng)))
+            made = self.memo.get(self._key)
+            if made is not None:
+                return self._again(made, rng)
+        begun, used = time.perf_counter(), time.process_time()
+        answer: Any = self.policy.plan(road, scene, self.memory, rng)
+        wall_s, cpu_s = time.perf_counter() - begun, time.process_time() - used
+        if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], JointPlan)):
+            raise PlanRefusedError(f"{who} returned {type(answer).__name__}, not (JointPlan, memory)")
+        plan, self.memory = answer
+        if self.memo is not None:
+            made = MadePlan(plan, self.memory, rng.bit_generator.state, wall_s, cpu_s)
+            self.memo.keep(self._key, made)
+        return plan, wall_s
+
+    def _again(self, made: MadePlan, rng: np.random.Generator) -> tuple[JointPlan, float]:
+        self.memory, rng.bit_generator.state = made.memory, dict(made.random)
+        self.spared_s += made.wall_s
+        self.spared_cpu_s += made.cpu_s
+        return made.plan, made.wall_s
+
+
+def _digest(parts: Iterable[bytes]) -> bytes:
+    summed = blake2b(digest_size=16)
+    for part in parts:
+        summed.update(len(part).to_bytes(8, "little"))
+        summed.update(part)
+    return summed.digest()
+
+
+def _of_scene(scene: Scene) -> Iterable[bytes]:
+    yield from _of_tracks(scene.history)
+    yield scene.movable.tobytes()
+    yield repr((scene.target, scene.routes, sorted(scene.signals.items()))).encode()
+
+
+def _of_tracks(tracks: Tracks) -> Iterable[bytes]:
+    for part in (getattr(tracks, one.name) for one in fields(tracks)):
+        yield part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode()
+
+
+def _of_random(rng: np.random.Generator) -> bytes:
+    return repr(rng.bit_generator.state).encode()

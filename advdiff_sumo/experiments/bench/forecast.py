@@ -36,7 +36,7 @@ class Forecast:
 
 
 def forecast(cells: BenchCells, todo: tuple[Job, ...], horizon_s: float, limits: Limits) -> Forecast | None:
-    """Try one short episode of each background, twice, as the first one loads its networks.
+    """Try two short episodes of each background, of which the first loads its networks.
 
     Returns:
         None where there is too little left, or where no seed scene can be made.
@@ -62,7 +62,7 @@ def forecast(cells: BenchCells, todo: tuple[Job, ...], horizon_s: float, limits:
             tries = [
                 _do(
                     executor,
-                    EpisodeTask(f"{name}-{k}".replace("/", "_"), options, 0, outcome.product[0], net),
+                    EpisodeTask(f"{name}-{k}".replace("/", "_"), options, k, outcome.product[0], net),
                 )
                 for k in (0, 1)
             ]

@@ -9,7 +9,8 @@ import pytest
 
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.page import report_html
-from advdiff_sumo.sweep.executors import ProcessExecutor
+from advdiff_sumo.sweep.consolidate import read_rows
+from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
 from advdiff_sumo.sweep.job_plan import Plan
 from advdiff_sumo.sweep.repeat import of_sweep, repeat
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
@@ -70,3 +71,55 @@ def test_an_episode_is_repeated_exactly(plan: Plan, one_by_one: Store) -> None:
     before = of_sweep(job.key[:9], None, one_by_one.path.parent)
     assert before.job == job
     assert repeat(before).same is True
+
+
+def test_workers_that_know_plans_from_before_change_nothing(
+    place: Path, limits: Limits, tmp_path: Path
+) -> None:
+    late = {"name": "lane_graph", "options": {"defects": ["late:strong"]}}
+    grid = {
+        "nets": [str(place / "small.net.xml")],
+        "targets": ["lane_graph", late],
+        "backgrounds": ["scripted"],
+    }
+    plan = planned(place, grid=grid)
+    fresh = open_store(tmp_path / "fresh", plan, 1, resume=False)
+    each_anew = ProcessExecutor(1, replace(limits, tasks=1))
+    assert run_sweep(plan, fresh, RemainingJobs.of(plan, fresh), each_anew, 0, lambda *_: None) == 0
+    assert bytes_of(serially(plan, tmp_path / "serial")) == bytes_of(fresh)
+
+
+COUNTS = '''
+from advdiff_sumo.core.plan import JointPlan
+from advdiff_sumo.core.scene import Tracks
+
+
+class Counts:
+    """Moves nobody, and keeps what no policy should: how often it was asked."""
+
+    def __init__(self):
+        self.asked = 0
+
+    def start(self, road, scene, log, rng):
+        return None
+
+    def plan(self, road, scene, memory, rng):
+        self.asked += 1
+        if self.asked > 8:
+            raise RuntimeError("asked again")
+        return JointPlan(Tracks.empty(12)), memory
+'''
+
+
+def test_somebody_elses_policy_is_asked_for_every_plan(place: Path, tmp_path: Path) -> None:
+    (place / "counting_policies.py").write_text(COUNTS)
+    grid = {
+        "nets": [str(place / "small.net.xml")],
+        "targets": ["lane_graph", {"name": "lane_graph", "options": {"defects": ["signals:strong"]}}],
+        "backgrounds": ["counting_policies:Counts"],
+    }
+    store = open_store(tmp_path / "s", plan := planned(place, grid=grid), 1, resume=False)
+    run_sweep(plan, store, RemainingJobs.of(plan, store), SerialExecutor(), 0, lambda *_: None)
+    failures = read_rows(store.path, "failures")
+    assert len(failures) == 3  # six plans each, and eight before it gives up
+    assert all("asked again" in row["message"] for row in failures)

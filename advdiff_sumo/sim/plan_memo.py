@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from hashlib import blake2b
 from typing import Any
 
@@ -22,7 +22,7 @@ from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 
-_MOST = 2048  # of 24 episodes of 60 plans each, and some more; a plan of 24 vehicles takes some 10 kB
+_MOST = 50_000  # of some 0.5 kB each: 24 episodes of 60 plans for 30 vehicles
 
 
 @dataclass(frozen=True)
@@ -44,22 +44,16 @@ class MadePlan:
     cpu_s: float
 
 
-@dataclass(frozen=True)
-class PlanMemo:
+class MadePlans:
     """The plans made last, by all that they follow from.
 
-    Attributes:
-        about: what does not change in an episode: the net, the policy and its options.
-        most: plans that are kept.
+    Args:
+        most: futures of vehicles that are kept.
     """
 
-    about: tuple[str, ...] = ()
-    most: int = _MOST
-    _made: OrderedDict[bytes, MadePlan] = field(default_factory=OrderedDict)
-
-    def of(self, *about: str) -> PlanMemo:
-        """Return the same memo for the episodes of a net and policy."""
-        return replace(self, about=about)
+    def __init__(self, most: int = _MOST) -> None:
+        self._most, self._futures = most, 0
+        self._made = OrderedDict[bytes, MadePlan]()
 
     def get(self, key: bytes) -> MadePlan | None:
         """Return the plan of *key*, if it is kept."""
@@ -69,10 +63,24 @@ class PlanMemo:
         return made
 
     def keep(self, key: bytes, made: MadePlan) -> None:
-        """Keep *made* under *key*, and drop what was used longest ago where there is no room."""
+        """Keep *made* under *key*, which is not kept, and drop what was used longest ago where there is no room."""
         self._made[key] = made
-        if len(self._made) > self.most:
-            self._made.popitem(last=False)
+        self._futures += made.plan.tracks.agents + 1
+        while self._futures > self._most:
+            self._futures -= self._made.popitem(last=False)[1].plan.tracks.agents + 1
+
+
+@dataclass(frozen=True)
+class PlanMemo:
+    """The plans of a policy with its options on a net.
+
+    Attributes:
+        about: net, policy and options.
+        made: by this process, with those of other policies and nets.
+    """
+
+    about: tuple[str, ...]
+    made: MadePlans
 
 
 @dataclass
@@ -111,7 +119,7 @@ class PlanSource:
         """
         if self.memo is not None:
             self._key = _digest((self._key, *_of_scene(scene), _of_random(rng)))
-            made = self.memo.get(self._key)
+            made = self.memo.made.get(self._key)
             if made is not None:
                 return self._again(made, rng)
         begun, used = time.perf_counter(), time.process_time()
@@ -122,7 +130,7 @@ class PlanSource:
         plan, self.memory = answer
         if self.memo is not None:
             made = MadePlan(plan, self.memory, rng.bit_generator.state, wall_s, cpu_s)
-            self.memo.keep(self._key, made)
+            self.memo.made.keep(self._key, made)
         return plan, wall_s
 
     def _again(self, made: MadePlan, rng: np.random.Generator) -> tuple[JointPlan, float]:

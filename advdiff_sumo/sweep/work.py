@@ -27,7 +27,7 @@ from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.episode import Timing
 from advdiff_sumo.sim.heartbeat import Heartbeat
-from advdiff_sumo.sim.plan_memo import PlanMemo
+from advdiff_sumo.sim.plan_memo import MadePlans, PlanMemo
 from advdiff_sumo.sim.run_episodes import Run, RunOptions, policy_of, read_road, target_of
 from advdiff_sumo.sim.run_store import episode_tables
 from advdiff_sumo.sim.scene_file import scene_from_bytes, scene_to_bytes
@@ -46,7 +46,8 @@ WORKER_COLUMNS: Mapping[str, Column] = {
 }
 #: Kind of failure that ends the sweep: there is no room for SUMO's own files.
 NO_ROOM = "no_room"
-_MEMO = PlanMemo()
+_MADE = MadePlans()
+_AT_HAND = {"sumo", "replay"}
 
 
 def perform(task: Task, heartbeat: Heartbeat | None = None, run: Run | None = None) -> Outcome:
@@ -133,13 +134,16 @@ def _episode(task: EpisodeTask, heartbeat: Heartbeat, run: Run | None) -> bytes:
 
 
 def _memo_of(task: EpisodeTask) -> PlanMemo | None:
-    """Return the plans that this process has made; None where somebody else's code may keep something between calls."""
+    """Return the plans that this process has made; None where somebody else's code may keep something between calls.
+
+    None, too, where plans are no work.
+    """
     name, own = task.options.background, task.options.background_options
     surrogate = str(own.get("surrogate", "lane_graph"))
     ours = surrogate in TARGETS.builtins or surrogate.startswith("advdiff_sumo.")
-    if not ours or POLICIES.canonical(name) not in POLICIES.builtins:
+    if not ours or POLICIES.canonical(name) not in set(POLICIES.builtins) - _AT_HAND:
         return None
-    return _MEMO.of(task.net_digest, name, repr(sorted(own.items())))
+    return PlanMemo((task.net_digest, name, repr(sorted(own.items()))), _MADE)
 
 
 def _kind(error: AdvdiffError) -> str:

@@ -13,7 +13,7 @@ from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_registry import make_target
-from advdiff_sumo.sim.plan_memo import MadePlan, PlanMemo, PlanSource
+from advdiff_sumo.sim.plan_memo import MadePlan, MadePlans, PlanMemo, PlanSource
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 from advdiff_sumo.traffic.policy_registry import make_policy
@@ -22,6 +22,11 @@ from tests.sim.scenes import episode
 SOUND: dict[str, Any] = {}
 LATE = {"defects": ["late:strong"]}
 SEARCHES = {"rounds": 2}
+
+
+def memo_of() -> PlanMemo:
+    """Return a memo of its own."""
+    return PlanMemo(("net", "policy", "options"), MadePlans())
 
 
 class Counted:
@@ -78,7 +83,7 @@ def same(first: EpisodeRecord, second: EpisodeRecord) -> bool:
 def test_with_the_memo_episodes_are_the_same_and_plans_are_made_once(
     background: str, options: dict[str, Any], scene: SeedScene, road: RoadMap
 ) -> None:
-    policy, memo = Counted(make_policy(background, options)), PlanMemo()
+    policy, memo = Counted(make_policy(background, options)), memo_of()
     alone = [driven(scene, road, policy, planner, None) for planner in (SOUND, LATE)]
     assert not same(*alone)
     before = policy.plans
@@ -94,22 +99,22 @@ def test_with_the_memo_episodes_are_the_same_and_plans_are_made_once(
 
 
 def test_another_policy_net_or_option_has_plans_of_its_own(scene: SeedScene, road: RoadMap) -> None:
-    policy, memo = Counted(make_policy("scripted", {})), PlanMemo()
+    policy, made = Counted(make_policy("scripted", {})), MadePlans()
     for about in (("net", "scripted", "[]"), ("net", "scripted", "[1]"), ("other", "scripted", "[]")):
         before = policy.plans
-        driven(scene, road, policy, SOUND, memo.of(*about))
+        driven(scene, road, policy, SOUND, PlanMemo(about, made))
         assert policy.plans == before + 8
 
 
 def test_a_plan_of_the_memo_counts_with_what_it_took_then(scene: SeedScene, road: RoadMap) -> None:
-    policy, memo = make_policy("scripted", {}), PlanMemo()
+    policy, memo = make_policy("scripted", {}), memo_of()
     runs = [replace(episode(scene, road, "lane_graph", policy, 2.0), memo=memo).run()[1] for _ in range(2)]
     assert runs[1].background_plans_s == runs[0].background_plans_s
     assert runs[1].wall_s > sum(runs[0].background_plans_s)
 
 
 def test_a_full_memo_forgets_what_was_used_longest_ago() -> None:
-    memo, made = PlanMemo(most=2), MadePlan(JointPlan(Tracks.empty()), None, {}, 0.1, 0.1)
+    memo, made = MadePlans(most=2), MadePlan(JointPlan(Tracks.empty()), None, {}, 0.1, 0.1)
     memo.keep(b"first", made)
     memo.keep(b"second", made)
     assert memo.get(b"first") is made
@@ -135,7 +140,7 @@ def test_random_numbers_go_on_where_the_plan_left_them(scene: SeedScene, road: R
         ) -> tuple[JointPlan, int]:
             return JointPlan(Tracks.empty(12)), memory + int(rng.integers(100))
 
-    memo, ends = PlanMemo(), []
+    memo, ends = memo_of(), []
     for _ in range(2):
         rng, source = np.random.default_rng(4), PlanSource(Drawing(), memo)
         now = Scene(scene.history, 0, np.zeros(scene.history.agents, dtype=np.bool_), ((),), {})

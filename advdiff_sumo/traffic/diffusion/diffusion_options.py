@@ -63,6 +63,8 @@ class DiffusionOptions(Options):
         family: transition of the denoising, see ``diffusion.sampler``.
         eta: share of fresh noise in each denoising step; the family "printed" has 1.
         persistence: how much of a vehicle's starting noise, and so of its intention, is kept from plan to plan.
+        temperature: of that noise: 1 draws as the networks were trained, 0 what they hold for likeliest; None: 1 under
+            "reckless", as in the paper, else 0.4, with which traffic keeps going and drives more smoothly.
         replan: model steps of 0.5 s of a plan that are driven before the next one (the paper's l).
         samples: joint futures drawn at once, of which the most plausible is driven.
         weights: a bundle of networks, or the name of a shipped one; empty: "closed-loop", which drives most like
@@ -83,6 +85,7 @@ class DiffusionOptions(Options):
     family: Literal["printed", "consistent"] = "consistent"
     eta: float = Field(0.0, ge=0.0, le=1.0)
     persistence: float = Field(0.9, ge=0.0, le=1.0)
+    temperature: float | None = Field(None, ge=0.0, le=1.0)
     replan: int = Field(1, ge=1, le=12)
     samples: int = Field(1, ge=1, le=64)
     weights: str = ""
@@ -115,6 +118,13 @@ class DiffusionOptions(Options):
     def guided(self) -> bool:
         """Whether anybody is attacked at all."""
         return self.guide != "none" and self.strength > 0.0
+
+    @property
+    def noise(self) -> float:
+        """Temperature of the noise that a plan begins with."""
+        if self.temperature is not None:
+            return self.temperature
+        return 1.0 if self.licence == "reckless" else 0.4
 
     @property
     def q_file(self) -> str:
@@ -158,6 +168,7 @@ class Traj2TrajOptions(DiffusionOptions):
 
     guide: Literal["none"] = "none"
     steps: int = Field(10, ge=1, le=1000)
+    temperature: float | None = Field(1.0, ge=0.0, le=1.0)
 
     @property
     def _shipped(self) -> ShippedName:

@@ -77,7 +77,7 @@ def draw_plan(
         guide, chosen = guidance(networks, options, view, Scenes(batch, many, context), before)
     x = sample(
         networks.denoiser.condition(several),
-        start.to(networks.device),
+        options.noise * start.to(networks.device),
         networks.schedule,
         networks.sampling,
         generator,

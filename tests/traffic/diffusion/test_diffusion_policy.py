@@ -148,6 +148,23 @@ def test_an_attack_goes_on_from_the_shift_of_the_plan_before(
     assert max(lengths) <= most + 1e-5
 
 
+def test_temperature_scales_the_noise_that_a_plan_begins_with(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
+    """At 0 every seed draws the same; reckless plans are drawn as the networks were trained, others are calmer."""
+    view, drawn = look(downtown, street(PLACES, SPEEDS)), {}
+    for temperature in (0.0, 0.4, 1.0, None):
+        policy = DiffusionTraffic(weights=weights, guide="none", temperature=temperature)
+        drawn[temperature] = [
+            draw_plan(policy.networks, policy.options, view, {}, {}, seed).latents.numpy() for seed in (1, 2)
+        ]
+    apart = {name: float(np.abs(one - two).mean()) for name, (one, two) in drawn.items()}
+    assert apart[0.0] == 0.0
+    assert 0.0 < apart[0.4] < apart[1.0]
+    assert np.array_equal(drawn[None][0], drawn[0.4][0])
+    assert DiffusionTraffic(weights=weights, licence="reckless").options.noise == 1.0
+
+
 def test_the_plan_does_not_depend_on_where_the_world_begins(
     weights: str, networks: Path, downtown: RoadMap, street: Street, tmp_path: Path
 ) -> None:
@@ -160,7 +177,7 @@ def test_the_plan_does_not_depend_on_where_the_world_begins(
     scene = street(PLACES, SPEEDS)
     there = replace(scene, history=replace(scene.history, xy_m=scene.history.xy_m + shift))
     moved = RoadMap.read(_shifted(networks / "downtown.net.xml", tmp_path, shift))
-    policy = DiffusionTraffic(weights=weights, guide="none")
+    policy = DiffusionTraffic(weights=weights, guide="none", temperature=1.0)
     away_m, faster_mps = [], []
     for seed in range(8):
         one, two = planned(policy, downtown, scene, seed)[0], planned(policy, moved, there, seed)[0]

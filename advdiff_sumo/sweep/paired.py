@@ -20,6 +20,7 @@ Row: TypeAlias = Mapping[str, Any]
 _KIND = ("target", "target_options", "background", "background_options")
 _VALUES = ("min_ttc_s", "min_pet_s", "min_clearance_m", "max_drac_mps2", "brake_max_mps2", "route_progress_m")
 _RESAMPLES = 10_000
+_SHOWN = 4
 
 
 #: What is compared, and the column without which it cannot be: folders of earlier versions have no verdicts.
@@ -173,8 +174,9 @@ def _choices(rows: Sequence[Row], one: Row, other: Row, side: str) -> str:
     for column in _KIND:
         if one[column] != other[column]:
             alike = [row for row in rows if all(row[c] == one[c] for c in _KIND[: _KIND.index(column)])]
-            values = dict.fromkeys(str(row[column]) for row in alike)
-            return ": add " + " or ".join(f"{side} {shlex.quote(f'{column}={value}')}" for value in values)
+            values = list(dict.fromkeys(str(row[column]) for row in alike))
+            some = [f"{side} {shlex.quote(f'{column}={value}')}" for value in values[:_SHOWN]]
+            return f": add {' or '.join(some)}{', …' if len(values) > _SHOWN else ''}"
     return ""
 
 

@@ -6,11 +6,17 @@ import reprlib
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self, get_args
+from typing import Annotated, Any, Self, TypeAlias, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from advdiff_sumo.core.errors import ConfigError, FileError, did_you_mean
+from advdiff_sumo.core.errors import ConfigError, FileError, did_you_mean, nearest
+
+Seed: TypeAlias = Annotated[int, Field(ge=0, lt=2**63)]
+"""Root of random numbers; tables hold it in 64 bits."""
+
+#: Two names as alike as "background" and "backgrounds" are one that was misspelt, wherever else the same one is known.
+_MISSPELT = 0.85
 
 
 class Options(BaseModel):
@@ -55,13 +61,14 @@ def _sentence(model: type[BaseModel], error: ValidationError) -> str:
 
 
 def _remedy(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
-    """Return the nearest name, which is the same one in another group where there is such."""
+    """Return the nearest name: one of the group that is hardly another, the same one in another group, or any."""
     same = [name for name in _leaves(model) if name.rpartition(".")[2] == str(path[-1]).rpartition(".")[2]]
     if _dotted(path) in same:
         return "write it without quotation marks: a name with a dot in quotation marks is another one"
-    if same:
+    beside = _known(model, path[:-1])
+    if same and nearest(str(path[-1]), beside, _MISSPELT) is None:
         return did_you_mean(_dotted(path), same)
-    return did_you_mean(str(path[-1]), _known(model, path[:-1]))
+    return did_you_mean(str(path[-1]), beside)
 
 
 def _dotted(path: tuple[int | str, ...]) -> str:

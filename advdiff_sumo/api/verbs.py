@@ -62,7 +62,7 @@ def run(
         prepared = _with_planner(prepared, target)
     words = run_words(prepared.settings["options"]["net"], *prepared.names, seed)
     path = Path(out) if out is not None else free_folder(*words)
-    folder = RunFolder.create(path, run_settings(prepared), resume=False)
+    folder = RunFolder.create(path, run_settings(prepared), False, "give a new out")
     with Progress(episodes, progress) as bar:
         run_into(prepared, folder, SerialExecutor(prepared), lambda row, _: bar.tell(row))
     return Results(folder.path)

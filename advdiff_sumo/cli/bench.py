@@ -227,7 +227,7 @@ def run_or_print(
     files = "table.csv, table.tex, table.md, table.png"
     if name == "defects":
         files += ", detections.csv, first_detection.csv, by_stratum.csv, findings.csv"
-    console.print(f"{files}: {path}", soft_wrap=True, markup=False)
+    console.print(f"{files}: {path}", soft_wrap=True)
 
 
 def _of_log(scenes: str | None) -> tuple[str | None, dict[str, Any]]:
@@ -283,4 +283,4 @@ class _Bars:
 
     def say(self, sentence: str) -> None:
         """Print a sentence above the bars."""
-        self._bar.console.print(sentence, markup=False, soft_wrap=True)
+        self._bar.console.print(sentence, soft_wrap=True)

@@ -57,7 +57,7 @@ def _print(console: Console, comparison: Comparison) -> None:
             rate_text(change.b),
             str(change.only_a),
             str(change.only_b),
-            f"{100 * gap:+.1f} \\[{100 * change.low:+.1f}, {100 * change.high:+.1f}]",
+            f"{100 * gap:+.1f} [{100 * change.low:+.1f}, {100 * change.high:+.1f}]",
             f"{change.p:.4f}",
         )
     console.print(table)
@@ -65,9 +65,7 @@ def _print(console: Console, comparison: Comparison) -> None:
     for name in ("", "pairs", "mean", "95 % bootstrap"):
         values.add_column(name)
     for name, value in comparison.values.items():
-        values.add_row(
-            name, str(value.pairs), f"{value.mean:+.3f}", f"\\[{value.low:+.3f}, {value.high:+.3f}]"
-        )
+        values.add_row(name, str(value.pairs), f"{value.mean:+.3f}", f"[{value.low:+.3f}, {value.high:+.3f}]")
     if comparison.values:
         console.print(values)
     if comparison.unpaired:

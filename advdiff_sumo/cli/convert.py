@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
-from rich.console import Console
 
+from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ MAP_HELP = (
     "nuScenes or Argoverse 2 map (.json), ScenarioNet record (.pkl), CommonRoad scenario (.xml, .xml.gz), Lanelet2 "
     "(.osm), OpenDRIVE (.xodr) or nuPlan map (.gpkg)."
 )
-_console = Console(highlight=False, soft_wrap=True)
+_console = terminal(highlight=False, soft_wrap=True)
 
 
 _Lefthand = Annotated[
@@ -154,9 +154,9 @@ def _say(converted: MeasuredConversion) -> None:
             f"with {paths.sidewalk_m / 1000.0:.1f} km of sidewalks"
         )
         for reason, places in sorted(paths.left_out.items()):
-            _console.print(f"note: {len(places)} of the crossings left out: {reason}", markup=False)
+            _console.print(f"note: {len(places)} of the crossings left out: {reason}")
     for sentence in converted.warnings:
-        _console.print(f"note: {sentence}", markup=False)
+        _console.print(f"note: {sentence}")
 
 
 def _say_streets(streets: dict[str, Any], routability: dict[str, Any]) -> None:

@@ -85,13 +85,13 @@ def simulate(
         def tell(result: ShardResult) -> None:
             progress.update(task, advance=result.windows)
             if result.problem:
-                progress.console.print(f"note: {result.problem}", markup=False)
+                progress.console.print(f"note: {result.problem}")
 
         results = simulated(shards, out, workers, tell)
     total = sum(result.windows for result in results)
-    _say.print(f"{out}: {total} windows in {len(results)} files", markup=False)
+    _say.print(f"{out}: {total} windows in {len(results)} files")
     if total < windows:
-        _say.print("note: traffic on small nets brought fewer windows than asked for", markup=False)
+        _say.print("note: traffic on small nets brought fewer windows than asked for")
 
 
 @data.command()
@@ -168,10 +168,10 @@ def _is_window_file(out: Path) -> bool:
 
 def _print_counts(counts: Built) -> None:
     for path, count in counts.files.items():
-        _say.print(f"{path}: {count} windows", markup=False)
+        _say.print(f"{path}: {count} windows")
     if counts.skipped:
         names = ", ".join(counts.skipped[:5]) + (", …" if len(counts.skipped) > 5 else "")
-        _say.print(f"note: {len(counts.skipped)} drives are on none of the nets: {names}", markup=False)
+        _say.print(f"note: {len(counts.skipped)} drives are on none of the nets: {names}")
 
 
 @data.command()

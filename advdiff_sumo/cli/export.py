@@ -56,7 +56,7 @@ def export(
         ) from None
     for files in written:
         for path in files:
-            _console.print(str(path), markup=False)
+            _console.print(str(path))
 
 
 def scene_of(folder: Path, episode: int | None) -> ExportScene:

@@ -35,7 +35,7 @@ def list_names(
     wide = max(map(len, names))
     console = terminal(highlight=False, soft_wrap=True)
     for name, words in names.items():
-        console.print(f"{name:<{wide}}  {words}".rstrip(), markup=False)
+        console.print(f"{name:<{wide}}  {words}".rstrip())
 
 
 def _names(kind: Kind) -> dict[str, str]:

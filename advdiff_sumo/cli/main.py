@@ -8,7 +8,6 @@ import sys
 from typing import Annotated, NoReturn
 
 import typer
-from rich.console import Console
 
 from advdiff_sumo import __version__
 from advdiff_sumo.cli.bench import bench
@@ -21,6 +20,7 @@ from advdiff_sumo.cli.doctor import doctor
 from advdiff_sumo.cli.evaluate import evaluate
 from advdiff_sumo.cli.export import export
 from advdiff_sumo.cli.figure import figure
+from advdiff_sumo.cli.interruption import Interrupted
 from advdiff_sumo.cli.list_names import list_names
 from advdiff_sumo.cli.margin import margin
 from advdiff_sumo.cli.planner_kit import planner_kit
@@ -29,6 +29,7 @@ from advdiff_sumo.cli.report import report
 from advdiff_sumo.cli.results import results
 from advdiff_sumo.cli.run import run
 from advdiff_sumo.cli.sweep import sweep
+from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.cli.train import train
 from advdiff_sumo.cli.train_rl import train_rl
 from advdiff_sumo.cli.verdict import verdict
@@ -99,6 +100,7 @@ def main() -> None:
     """Run the command line; an error that the user can mend is one sentence on stderr and exit code 2."""
     if os.getcwd() not in sys.path:  # noqa: PTH109 - sys.path holds text
         sys.path.insert(0, os.getcwd())  # noqa: PTH109 - a user's own planner may lie here, as with python -m
+    said = KEPT
     try:
         code = app(prog_name="advdiff-sumo", standalone_mode=False)
     except AdvdiffError as error:
@@ -107,17 +109,21 @@ def main() -> None:
         _refuse(_usage(error))
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
+    except Interrupted as left:
+        code, said = INTERRUPTED, str(left)
     if code == INTERRUPTED:
-        Console(stderr=True, highlight=False).print(KEPT, style="yellow")
+        _tell(said, "yellow")
     sys.exit(code)
+
+
+def _tell(sentence: str, style: str) -> None:
+    terminal(stderr=True, soft_wrap=True, highlight=False).print(sentence, style=style)
 
 
 def _refuse(sentence: str) -> NoReturn:
     line = " ".join(sentence.split())
     if line:  # empty where typer has printed the help already
-        Console(stderr=True, soft_wrap=True, highlight=False).print(
-            f"error: {line}", markup=False, style="red"
-        )
+        _tell(f"error: {line}", "red")
     sys.exit(INPUT_ERROR)
 
 

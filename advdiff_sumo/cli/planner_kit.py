@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
+
+from advdiff_sumo.cli.terminal import terminal
 
 
 def planner_kit(
@@ -20,8 +21,6 @@ def planner_kit(
 
     written = write_kit(folder)
     proto = next(path for path in written if path.suffix == ".proto")
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(
-        f"{folder}: {len(written)} files; in the planner's environment: pip install {folder}", markup=False
-    )
-    console.print(f"other languages: {proto}", markup=False)
+    console = terminal(highlight=False, soft_wrap=True)
+    console.print(f"{folder}: {len(written)} files; in the planner's environment: pip install {folder}")
+    console.print(f"other languages: {proto}")

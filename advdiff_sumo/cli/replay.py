@@ -89,6 +89,6 @@ def _say_whether_same(same: bool | None, before: str, gui: bool) -> None:
         console.print(f"the same as in the {before}")
     elif not gui:
         console.print(
-            f"[red]not the same as in the {before}: another version, or a planner with a memory[/red]"
+            f"not the same as in the {before}: another version, or a planner with a memory", style="red"
         )
         raise typer.Exit(_DIFFERS)

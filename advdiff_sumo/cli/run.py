@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import sys
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
@@ -13,6 +14,7 @@ import typer
 from rich.console import Console
 
 from advdiff_sumo.cli import run_flags as flags
+from advdiff_sumo.cli.interruption import says_how_to_go_on
 from advdiff_sumo.cli.terminal import print_json, progress_bar, verb_console
 from advdiff_sumo.cli.worker_flags import (
     MEMORY_MB,
@@ -22,7 +24,7 @@ from advdiff_sumo.cli.worker_flags import (
     limits_of,
 )
 from advdiff_sumo.config import read_toml, set_dotted
-from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from advdiff_sumo.sweep.tasks import Failed, Limits
 
 _FAILED = 1
+_NEW_OR_RESUME = "choose a new --out, or add --resume to go on with it"
 
 
 def run(
@@ -91,6 +94,7 @@ def run(
     console = verb_console(quiet, as_json)
     print_notes(console, notes)
     with ExitStack() as stack:
+        stack.enter_context(says_how_to_go_on(lambda: _to_go_on(folder)))
         count = _episodes(prepared, folder, console, limits_of(stack, math.inf, plan_timeout, memory))
     _tell_outcome(console, folder, prepared, count, check, as_json)
 
@@ -116,7 +120,13 @@ def _folder(prepared: Run, out: Path | None, resume: bool) -> RunFolder:
     from advdiff_sumo.sweep.run_folder import RunFolder
 
     words = run_words(prepared.settings["options"]["net"], *prepared.names, prepared.options.seed)
-    return RunFolder.create(out or free_folder(*words), run_settings(prepared), resume)
+    return RunFolder.create(out or free_folder(*words), run_settings(prepared), resume, _NEW_OR_RESUME)
+
+
+def _to_go_on(folder: RunFolder) -> str | None:
+    """Return the command that goes on with the run; None where nothing had finished, and it is gone."""
+    there = (folder.path / "run.toml").exists()
+    return f"advdiff-sumo run --resume --out {shlex.quote(str(folder.path))}" if there else None
 
 
 def _tell_outcome(
@@ -139,7 +149,7 @@ def _tell_outcome(
 def print_notes(console: Console, notes: Iterable[str]) -> None:
     """Say what of the logs and of the demand is left out."""
     for note in notes:
-        console.print(f"note: {note}", markup=False, soft_wrap=True)
+        console.print(f"note: {note}", soft_wrap=True)
 
 
 def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits) -> int:
@@ -175,12 +185,14 @@ def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits
             write_report(folder.path)
 
 
-def _begun(out: Path | None) -> Path | None:
-    """Return the options of the interrupted run in *out*, if it came so far as to write them."""
+def _begun(out: Path | None) -> Path:
+    """Return the options of the run in *out* that is to go on."""
     if out is None:
         raise ConfigError("--resume does not say which run; add its folder with --out")
     settings = out / "run.toml"
-    return settings if settings.exists() else None
+    if not settings.is_file():
+        raise FileError(out, "holds no run to go on with", "name the folder of one, or leave --resume out")
+    return settings
 
 
 def options_given(

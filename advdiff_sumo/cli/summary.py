@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
@@ -39,15 +38,15 @@ def print_summary(
         show_header=False,
     )
     for name, value in summary_lines(rows, timing):
-        table.add_row(name, escape(value))
+        table.add_row(name, value)
     console.print(table)
     if missing > 0:
-        console.print(f"[yellow]the log held {missing} seed scenes fewer than asked for[/yellow]")
+        console.print(f"the log held {missing} seed scenes fewer than asked for", style="yellow")
     for failure, count in _distinct(failures):
         sentence = f"failed, {count} of {len(rows)}: {failure['kind']}: {failure['message']}"
         report = f"\n  {UNEXPLAINED}" if failure["kind"] in UNEXPLAINED_KINDS else ""
         again = f"\n  again: {failure['command']}{report}"
-        console.print(sentence + again, style="red", markup=False, soft_wrap=True)
+        console.print(sentence + again, style="red", soft_wrap=True)
     console.print(f"results: {folder}  ·  look at {folder / 'report.html'}", soft_wrap=True)
 
 

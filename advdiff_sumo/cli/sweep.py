@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -11,6 +12,7 @@ from rich.console import Console
 
 from advdiff_sumo.cli import sweep_flags as flags
 from advdiff_sumo.cli import worker_flags as worker
+from advdiff_sumo.cli.interruption import says_how_to_go_on
 from advdiff_sumo.cli.run_flags import Json, Quiet
 from advdiff_sumo.cli.terminal import print_json, verb_console
 from advdiff_sumo.core.errors import ConfigError, FileError
@@ -69,6 +71,9 @@ def sweep(
             return
         done_by = _executor(executor, workers if ray_address else slots, ray_address, plan, limits)
         store = open_store(resume or out or _new_folder(file), plan, done_by.slots, resume is not None)
+        stack.enter_context(
+            says_how_to_go_on(lambda: f"advdiff-sumo sweep --resume {shlex.quote(str(store.path))}")
+        )
         todo = RemainingJobs.of(plan, store, limit, retry_failed)
         missing = _episodes(console, plan, store, todo, done_by, retries)
     if report:
@@ -85,7 +90,7 @@ def _draw(console: Console, folder: Path) -> None:
     try:
         console.print(f"look at {write_report(folder)}", soft_wrap=True)
     except FileError as error:
-        console.print(f"[red]no report: {error}[/red]", soft_wrap=True)
+        console.print(f"no report: {error}", style="red", soft_wrap=True)
 
 
 def _begun(resume: Path | None) -> Store | None:

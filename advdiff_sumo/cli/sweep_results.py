@@ -53,19 +53,19 @@ def conclude(
     condition: Condition | None,
     junit: Path | None,
 ) -> None:
-    """Print what the sweep came to, write JUnit XML, and leave with code 1 where the condition is met."""
+    """Write JUnit XML, print what the sweep came to, and leave with code 1 where the condition is met."""
     episodes, failures = read_rows(store.path, "episodes"), read_rows(store.path, "failures")
     overall = Figures.of(episodes, failures, missing)
-    _print(console, plan, episodes, failures, overall)
     verdict = None if condition is None else _verdict(condition, overall)
     if junit is not None:
         timing = {row["episode"]: row["wall_s"] for row in read_rows(store.path, "timing")}
         outcome = None if condition is None else (condition.text, verdict)
         junit.parent.mkdir(parents=True, exist_ok=True)
         write_whole(junit, junit_xml(episodes, failures, timing, outcome))
+    _print(console, plan, episodes, failures, overall)
     console.print(f"results: {store.path}", soft_wrap=True)
     if verdict is not None:
-        console.print(f"[red]{verdict}[/red]", soft_wrap=True)
+        console.print(verdict, style="red", soft_wrap=True)
         raise typer.Exit(CONDITION_MET)
 
 
@@ -89,7 +89,7 @@ def _print(
     for what, where in position_lines([row for row in episodes if not is_failure(row)]):
         console.print(f"{what} {where}", soft_wrap=True)
     if overall.missing:
-        console.print(f"[yellow]{overall.missing} episodes have not been run[/yellow]")
+        console.print(f"{overall.missing} episodes have not been run", style="yellow")
     if failures:
         _print_failures(console, failures)
     clusters = findings(episodes)
@@ -149,7 +149,7 @@ def rate_text(rate: Rate) -> str:
     """Return a rate with its interval, in percent."""
     if rate.share is None or rate.low is None or rate.high is None:
         return "–"
-    return f"{100 * rate.share:.1f} \\[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
+    return f"{100 * rate.share:.1f} [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
 
 
 def _print_failures(console: Console, failures: Sequence[Row]) -> None:

@@ -20,10 +20,13 @@ PIPED_WIDTH = 1000
 def terminal(**options: Any) -> Console:
     """Return a console; *options* are those of :class:`rich.console.Console`.
 
+    What is printed is plain text: names, paths and messages may hold ``[brackets]`` and ``:colons:``, in which Rich
+    would see colours and pictures. Colours are given as ``style`` or as :class:`rich.text.Text`.
+
     Rich takes a pipe for 80 columns and breaks tables in it, within words, too. Here they are broken only where
     a person looks at them, or where the variable ``COLUMNS`` says how wide the output is to be.
     """
-    console = Console(**options)
+    console = Console(markup=False, emoji=False, **options)
     if not console.is_terminal and "COLUMNS" not in os.environ and "width" not in options:
         console.width = PIPED_WIDTH
     return console
@@ -40,7 +43,7 @@ def progress_bar(console: Console, transient: bool = False) -> Progress:
     )
 
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),

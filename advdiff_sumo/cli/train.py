@@ -12,7 +12,7 @@ from rich.progress import Progress
 
 from advdiff_sumo.cli import train_flags as flags
 from advdiff_sumo.cli.evaluate import judge_and_show
-from advdiff_sumo.cli.terminal import progress_bar
+from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.core.errors import FileError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def train(
     )
     job = prepare(plan)
     claim(out, resume)
-    done = _train(job, resume, Console(stderr=True, highlight=False))
+    done = _train(job, resume, terminal(stderr=True, highlight=False))
     if done and judged and name != "simnet":  # its own figures are said when it ends
         _judge(job, judged)
 
@@ -160,9 +160,7 @@ def _train(job: Job, resume: bool, console: Console) -> bool:
 
     events = history.open_events(job.out / "events", 0)
     if events is None:
-        console.print(
-            "no TensorBoard events: pip install 'advdiff-sumo[train]' adds them", style="yellow", markup=False
-        )
+        console.print("no TensorBoard events: pip install 'advdiff-sumo[train]' adds them", style="yellow")
     with progress_bar(console) as bar:
         trainer = Trainer(job, events or history.NoEvents(), _teller(bar, job))
         if resume:

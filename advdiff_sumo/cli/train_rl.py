@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from advdiff_sumo.cli.terminal import progress_bar
+from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.cli.train import claim
 from advdiff_sumo.cli.train_flags import Resume
 from advdiff_sumo.config import set_dotted
@@ -68,7 +68,7 @@ def train_rl(
     plan = Plan(out, steps, seed, adversary, ppo, workers)
     check(adversary)
     claim(out, resume)
-    console = Console(stderr=True, highlight=False)
+    console = terminal(stderr=True, highlight=False)
     with progress_bar(console) as bar:
         task = bar.add_task("steps", total=steps)
 

@@ -86,7 +86,7 @@ def _scenarios(path: Path, net: str, target: str, search: bool, as_json: bool) -
     judged = []
     for scenario in read_scenarios(path, target or None):
         judgement = judge_scenario(scenario, road, search)
-        console.print(f"{scenario.name}, {scenario.target_id}: {outcome(judgement.metrics)}", markup=False)
+        console.print(f"{scenario.name}, {scenario.target_id}: {outcome(judgement.metrics)}")
         judged.append({"scenario": scenario.name, "target": scenario.target_id, **judgement.summary()})
     if as_json:
         print_json({"scenarios": judged})

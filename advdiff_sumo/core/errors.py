@@ -154,6 +154,12 @@ UNEXPLAINED_KINDS = frozenset({SimulationError.kind, "simulator_crashed", "worke
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return "did you mean 'x'?" for the nearest of *known*, else a list of all of them."""
     names = sorted(known)
-    folded = {n.lower().replace("-", "_"): n for n in names}
-    near = difflib.get_close_matches(name.lower().replace("-", "_"), folded, n=1, cutoff=0.6)
-    return f"did you mean '{folded[near[0]]}'?" if near else f"known are: {', '.join(names)}"
+    near = nearest(name, names)
+    return f"known are: {', '.join(names)}" if near is None else f"did you mean '{near}'?"
+
+
+def nearest(name: str, known: Iterable[str], alike: float = 0.6) -> str | None:
+    """Return the one of *known* that is nearest to *name*; None where none is *alike*, 1 for the same letters."""
+    folded = {n.lower().replace("-", "_"): n for n in known}
+    near = difflib.get_close_matches(name.lower().replace("-", "_"), folded, n=1, cutoff=alike)
+    return folded[near[0]] if near else None

@@ -71,8 +71,14 @@ class RunTables:
             raise self.error(path, f"lacks the columns {', '.join(lacking)}", remedy)
         return present
 
-    def rows(self, table: str, columns: Iterable[str] | None = None, episode: int | None = None) -> pa.Table:
-        """Return *columns* of *table*, or all, of one *episode*, or of all.
+    def rows(
+        self,
+        table: str,
+        columns: Iterable[str] | None = None,
+        episode: int | None = None,
+        schema: pa.Schema | None = None,
+    ) -> pa.Table:
+        """Return *columns* of *table*, or all, of one *episode*, or of all; with *schema*, what it lacks is null.
 
         Raises:
             FileError: it is missing or damaged.
@@ -80,7 +86,8 @@ class RunTables:
         path = self.path(table)
         chosen = None if episode is None else pc.field("episode") == episode
         try:
-            return pq.read_table(path, columns=None if columns is None else [*columns], filters=chosen)
+            named = None if columns is None else [*columns]
+            return pq.read_table(path, columns=named, filters=chosen, schema=schema)
         except (OSError, pa.ArrowException) as error:
             raise self._unusable(path, error) from None
 

@@ -9,7 +9,7 @@ from typing import Any
 from advdiff_sumo.core.errors import ConfigError, did_you_mean
 from advdiff_sumo.planners.defects import parse_defects, plant
 from advdiff_sumo.planners.planner_protocol import Planner, SumoDriver, Target
-from advdiff_sumo.planners.remote.remote_name import is_remote
+from advdiff_sumo.planners.remote.remote_name import check_slashes, is_remote
 from advdiff_sumo.planners.sumo_models import CAR_FOLLOWING, sumo_driver
 from advdiff_sumo.plugins import Registry
 
@@ -58,6 +58,7 @@ def _sound(name: str, options: Mapping[str, Any]) -> Target:
         from advdiff_sumo.planners.remote.remote_planner import remote_planner  # late: gRPC takes a while
 
         return remote_planner(name, options)
+    check_slashes(name)
     canonical = TARGETS.canonical(name)
     if canonical in CAR_FOLLOWING:
         return sumo_driver(canonical, options)

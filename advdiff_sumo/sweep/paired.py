@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ Row: TypeAlias = Mapping[str, Any]
 _KIND = ("target", "target_options", "background", "background_options")
 _VALUES = ("min_ttc_s", "min_pet_s", "min_clearance_m", "max_drac_mps2", "brake_max_mps2", "route_progress_m")
 _RESAMPLES = 10_000
+_SHOWN = 4
 
 
 #: What is compared, and the column without which it cannot be: folders of earlier versions have no verdicts.
@@ -119,7 +121,7 @@ def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Compa
         ConfigError: they share no seed scene, or several episodes of one of them would be one side of a pair.
     """
     columns = ("scene_key", *_shared(first, second))
-    a, b = _indexed(first, columns, "first"), _indexed(second, columns, "second")
+    a, b = _indexed(first, columns, "--a"), _indexed(second, columns, "--b")
     keys = [key for key in a if key in b]
     if not keys:
         raise ConfigError(
@@ -154,14 +156,28 @@ def _shared(first: Sequence[Row], second: Sequence[Row]) -> list[str]:
     return shared
 
 
-def _indexed(rows: Sequence[Row], columns: Sequence[str], which: str) -> dict[tuple[str, ...], Row]:
-    keys = [tuple(str(row[column]) for column in columns) for row in rows]
-    if len(set(keys)) < len(keys):
-        raise ConfigError(
-            f"the {which} sweep has several episodes for one seed scene; choose among them, for example "
-            "--a target=IDM --b target=lane_graph"
-        )
-    return dict(zip(keys, rows, strict=True))
+def _indexed(rows: Sequence[Row], columns: Sequence[str], side: str) -> dict[tuple[str, ...], Row]:
+    indexed: dict[tuple[str, ...], Row] = {}
+    for row in rows:
+        twin = indexed.setdefault(tuple(str(row[column]) for column in columns), row)
+        if twin is not row:
+            which = {"--a": "first", "--b": "second"}[side]
+            raise ConfigError(
+                f"the {which} sweep has several episodes for one seed scene; "
+                f"choose among them{_choices(rows, twin, row, side)}"
+            )
+    return indexed
+
+
+def _choices(rows: Sequence[Row], one: Row, other: Row, side: str) -> str:
+    """Return the filters of which one tells *one* row from the *other*."""
+    for column in _KIND:
+        if one[column] != other[column]:
+            alike = [row for row in rows if all(row[c] == one[c] for c in _KIND[: _KIND.index(column)])]
+            values = list(dict.fromkeys(str(row[column]) for row in alike))
+            some = [f"{side} {shlex.quote(f'{column}={value}')}" for value in values[:_SHOWN]]
+            return f": add {' or '.join(some)}{', …' if len(values) > _SHOWN else ''}"
+    return ""
 
 
 class _Draws:

@@ -12,12 +12,11 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 import tomli_w
 
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.whole_file import ASIDE
-from advdiff_sumo.data.run_tables import RUN_SETTINGS
+from advdiff_sumo.data.run_tables import RUN_SETTINGS, RunTables
 from advdiff_sumo.metrics.arrow_tables import schema_of, table_of
 from advdiff_sumo.sim.run_store import LATER_TABLES, TABLES
 from advdiff_sumo.sweep.job_plan import run_key
@@ -48,27 +47,33 @@ class RunFolder:
     fresh: bool = False
 
     @staticmethod
-    def create(path: Path, settings: Mapping[str, Any], resume: bool) -> RunFolder:
+    def create(
+        path: Path, settings: Mapping[str, Any], resume: bool, remedy: str = "choose a new --out"
+    ) -> RunFolder:
         """Make the folder and write ``run.toml``.
 
         Args:
             path: a new or empty folder; with *resume*, one that an interrupted run left.
             settings: what ``run.toml`` holds.
             resume: go on with that run.
+            remedy: what to do where it holds a run that is not to go on.
 
         Raises:
-            FileError: the folder cannot be written, or holds something else.
+            FileError: the folder cannot be written, holds something else, or a table in it is damaged.
             ConfigError: it is of a run with other options.
         """
         begun = (path / RUN_SETTINGS).exists()
         new_folders = tuple(folder for folder in (path, *path.parents) if not folder.exists())
         folder = RunFolder(path, new_folders, fresh=not begun)
         if begun:
-            folder._must_continue(settings, resume)
+            if not resume:
+                raise FileError(path, "already holds a run", remedy)
+            folder._must_continue(settings)
         elif path.is_dir() and any(child.name != _PARTS for child in path.iterdir()):
             raise FileError(path, "is a folder that holds other files", "choose a new --out")
+        finished = folder._to_take_apart()
         try:
-            folder._take_apart()
+            folder._take_apart(finished)
             folder.store.prepare(_BALLAST_BYTES)
             write_whole(path / RUN_SETTINGS, tomli_w.dumps(settings).encode())
         except (FileError, OSError) as error:
@@ -94,11 +99,7 @@ class RunFolder:
             with contextlib.suppress(OSError):  # somebody else put something there
                 folder.rmdir()
 
-    def _must_continue(self, settings: Mapping[str, Any], resume: bool) -> None:
-        if not resume:
-            raise FileError(
-                self.path, "already holds a run", "choose a new --out, or add --resume to go on with it"
-            )
+    def _must_continue(self, settings: Mapping[str, Any]) -> None:
         begun = read_settings(self.path)
         old, new = begun.get("options", {}), settings["options"]
         for key in sorted({*old, *new} - {"episodes", "out"}):
@@ -165,8 +166,7 @@ class RunFolder:
 
     def failures(self) -> list[dict[str, Any]]:
         """Return the rows of ``failures.parquet``; none where no episode failed."""
-        path = self.path / FAILURES
-        return pq.read_table(path).to_pylist() if path.exists() else []
+        return self._tables.rows("failures").to_pylist() if (self.path / FAILURES).exists() else []
 
     def _writer(self, name: str) -> TableWriter:
         return TableWriter(self.path / f"{name}.parquet", schema_of(TABLES[name]), rows_together=0)
@@ -189,32 +189,43 @@ class RunFolder:
         """Return the numbers of the episodes of a finished run."""
         if not all((self.path / f"{table}.parquet").exists() for table in TABLES.keys() - LATER_TABLES):
             return []
-        numbers = pq.read_table(self.path / "episodes.parquet", columns=["episode"])["episode"]
+        numbers = self._tables.rows("episodes", ["episode"])["episode"]
         return [number for number in numbers.to_pylist() if number is not None]
 
-    def _take_apart(self) -> None:
+    def _to_take_apart(self) -> dict[int, StoredEpisode]:
+        """Return the episodes of a finished run, which has them in its tables alone."""
+        return {} if (self.path / _PARTS).exists() else self._from_tables(self._in_tables())
+
+    def _take_apart(self, finished: Mapping[int, StoredEpisode]) -> None:
         """Make parts of a finished run's tables again, so that none of its episodes is run or lost."""
-        numbers = self._in_tables()
-        if (self.path / _PARTS).exists() or not numbers:
+        if not finished:
             return
         aside = RunFolder(self.path / f"{_PARTS}{ASIDE}")
         shutil.rmtree(aside.path, ignore_errors=True)
         aside.store.prepare(0)
-        for number, part in self._from_tables(numbers).items():
+        for number, part in finished.items():
             aside.add(number, part)
         (aside.path / _PARTS).replace(self.path / _PARTS)
         shutil.rmtree(aside.path)
 
     def _from_tables(self, numbers: Sequence[int]) -> dict[int, StoredEpisode]:
-        whole = {name: _table_of(self.path / f"{name}.parquet", schema_of(TABLES[name])) for name in TABLES}
+        if not numbers:
+            return {}
+        whole = {name: self._table(name) for name in TABLES}
         names = Failed.__dataclass_fields__
         failed = {row["episode"]: Failed(**{name: row[name] for name in names}) for row in self.failures()}
         return {number: StoredEpisode(_rows_of(whole, number), failed.get(number)) for number in numbers}
 
+    def _table(self, name: str) -> pa.Table:
+        """Return a table; what an earlier version did not write is empty."""
+        schema = schema_of(TABLES[name])
+        tables = self._tables
+        return tables.rows(name, schema=schema) if tables.path(name).exists() else schema.empty_table()
 
-def _table_of(path: Path, schema: pa.Schema) -> pa.Table:
-    """Return a table; what an earlier version did not write is empty."""
-    return pq.read_table(path, schema=schema) if path.exists() else schema.empty_table()
+    @property
+    def _tables(self) -> RunTables:
+        again = f"advdiff-sumo run --config {self.path / RUN_SETTINGS}"
+        return RunTables(self.path, remedy=f"begin the run again: {again}")
 
 
 def _rows_of(tables: Mapping[str, pa.Table], number: int) -> dict[str, pa.Table]:

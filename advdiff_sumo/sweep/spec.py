@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from pydantic import Field, field_validator
 
-from advdiff_sumo.config import Options, read_toml
+from advdiff_sumo.config import Options, Seed, read_toml
 from advdiff_sumo.core.errors import AdvdiffError, ConfigError
 from advdiff_sumo.maps.shipped_nets import net_name
 from advdiff_sumo.sim.run_episodes import RunOptions
@@ -96,7 +96,7 @@ class Case(Options):
     background_options: dict[str, Any] = Field(default_factory=dict)
     demand: str = ""
     scenes: str = ""
-    seed: int | None = Field(None, ge=0)
+    seed: Seed | None = None
     episodes: int | None = Field(None, ge=1)
     scene: dict[str, Any] | None = None
 
@@ -120,7 +120,7 @@ class SweepSpec(Options):
 
     episodes: int = Field(10, ge=1)
     horizon_s: float = Field(20.0, gt=0.0, le=3600.0)
-    seeds: tuple[int, ...] = (0,)
+    seeds: tuple[Seed, ...] = (0,)
     sim: SimOptions = SimOptions()
     scene: SceneOptions = SceneOptions()
     grid: Grid | None = None

@@ -1,10 +1,15 @@
-"""Tables in a pipe: no narrower than what stands in them."""
+"""Tables in a pipe: no narrower than what stands in them; text comes out as it is."""
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
+
+from rich.table import Table
+
+from advdiff_sumo.cli.terminal import progress_bar, terminal
 
 _PROGRAM = """
 from rich.table import Table
@@ -32,3 +37,16 @@ def test_asked_for_width_is_kept() -> None:
     lines = _piped("80")
     assert max(map(len, lines)) == 80
     assert not any("k" * 60 in line for line in lines)
+
+
+def test_brackets_and_colons_are_no_markup() -> None:
+    text = "runs/[red] ü [/lane] :smile:"
+    sink = io.StringIO()
+    console = terminal(file=sink, force_terminal=True, color_system=None)
+    table = Table(text, title=text)
+    table.add_row(text)
+    console.print(table)
+    console.print(text, style="red")
+    with progress_bar(console) as bar:
+        bar.add_task(text, total=1)
+    assert sink.getvalue().count(text) >= 5

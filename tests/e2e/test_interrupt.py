@@ -11,6 +11,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
+from advdiff_sumo.core.errors import KEPT
 from advdiff_sumo.sim.run_store import TABLES
 from tests.e2e.commands import TINY, advdiff, begin, bytes_of
 from tests.e2e.conftest import PLANNERS
@@ -21,6 +22,19 @@ RUN = (
     *("run", "--net", "grid.net.xml", "--target", "our_planners:Patient", "--background", "replay"),
     *("--episodes", EPISODES, *TINY, "--out", "run"),
 )
+
+ENDLESS = """
+import time
+from pathlib import Path
+
+from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
+
+
+class Endless(LaneGraphPlanner):
+    def start(self, road, scene, rng):
+        Path("began").touch()
+        time.sleep(1000.0)
+"""
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +70,7 @@ def test_ctrl_c_keeps_what_has_finished(
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=HANG_S)
     assert process.returncode == 130
-    assert said.splitlines() == ["interrupted; what had finished is kept"]
+    assert said.splitlines() == [f"{KEPT}; go on with advdiff-sumo run --resume --out run"]
     whole = pq.read_table(undisturbed / "episodes.parquet")
     assert pq.read_table(folder / "run" / "episodes.parquet").equals(whole.slice(0, 2))
     for table in TABLES:
@@ -75,7 +89,24 @@ def test_ctrl_c_while_the_package_is_imported(grid: Path, tmp_path: Path) -> Non
     running.send_signal(signal.SIGINT)
     _, said = running.communicate(timeout=HANG_S)
     assert running.returncode == 130
-    assert said.splitlines() == ["interrupted; what had finished is kept"]
+    assert said.splitlines() == [KEPT]
+
+
+def test_ctrl_c_before_anything_has_finished(grid: Path, tmp_path: Path) -> None:
+    folder = _place(grid, tmp_path)
+    (folder / "endless.py").write_text(ENDLESS)
+    words = ("--target", "endless:Endless", "--background", "replay", *TINY, "--out", "new/run")
+    running = begin("run", "--net", "grid.net.xml", *words, cwd=folder)
+    until = time.monotonic() + HANG_S
+    while not (folder / "began").exists():
+        assert running.poll() is None, running.communicate()
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=HANG_S)
+    assert running.returncode == 130
+    assert said.splitlines() == ["interrupted before anything had finished; no folder is left"]
+    assert not (folder / "new").exists()
 
 
 @pytest.mark.slow

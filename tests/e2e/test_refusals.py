@@ -120,12 +120,14 @@ def test_a_net_without_a_drivable_route(
         (("--horizon", "nan"), ("horizon_s = nan", "finite")),
         (("--episodes", "0"), ("episodes = 0", "greater than or equal to 1")),
         (("--seed", "-1"), ("seed = -1", "greater than or equal to 0")),
+        (("--seed", "99999999999999999999"), ("seed = 99999999999999999999", f"less than {2**63}")),
+        (("--target", "grpc:localhost:1"), ("is written grpc://HOST:PORT", "'grpc://localhost:1'?")),
         (("--episodes", "abc"), ("'--episodes'", "valid integer", "advdiff-sumo run --help")),
         (("--horizont", "3"), ("--horizont", "--horizon")),
         (("--horizon",), ("'--horizon' requires an argument",)),
         (("more",), ("unexpected", "more", "advdiff-sumo run --help")),
         (("--scenes", ".", "--demand", "a.rou.xml"), ("demand and scenes cannot go together",)),
-        (("--resume", "--set", "sim.step_s"), ("--set sim.step_s", "NAME=VALUE")),
+        (("--resume",), ("out: holds no run to go on with", "leave --resume out")),
     ],
     ids=lambda words: " ".join(words) if isinstance(words, tuple) and words[0].startswith("-") else "",
 )
@@ -210,10 +212,12 @@ def test_a_folder_that_holds_something_else(workplace: Path, refused: Refused) -
     (workplace / "out").mkdir()
     (workplace / "out" / "thesis.tex").write_text("mine")
     assert not _missing(refused(*GRID), "out: ", "holds other files", "new --out")
-    assert not _missing(refused(*GRID, "--resume"), "out: ", "holds other files", "new --out")
+    assert not _missing(refused(*GRID, "--resume"), "out: holds no run to go on with")
 
 
-def test_a_folder_that_holds_another_run(here: Callable[..., Outcome], refused: Refused) -> None:
+def test_a_folder_that_holds_another_run(
+    here: Callable[..., Outcome], refused: Refused, workplace: Path
+) -> None:
     words = ("run", "--net", "grid.net.xml", *TINY, "--out", "out")
     assert here(*words, "--episodes", 2).code == 0
     assert not _missing(refused(*words, "--episodes", 2), "already holds a run", "new --out", "--resume")
@@ -221,6 +225,11 @@ def test_a_folder_that_holds_another_run(here: Callable[..., Outcome], refused: 
         refused(*words, "--resume", "--seed", 7), "that run had seed = 0, not 7", "leave that option out"
     )
     assert not _missing(refused(*words, "--resume", "--episodes", 1), "has 2 episodes", "ask for as many")
+    assert refused("replay", 0, "--run", "out", "--out", "out").endswith("holds a run; choose a new --out")
+    states = workplace / "out" / "states.parquet"
+    states.write_bytes(states.read_bytes()[:2000])
+    for again in (("replay", 0, "--run", "out"), ("run", "--resume", "--out", "out")):
+        assert not _missing(refused(*again), "states.parquet: is damaged", "run --config out/run.toml")
 
 
 def test_resume_needs_a_folder(refused: Refused) -> None:

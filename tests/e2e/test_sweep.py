@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from defusedxml.ElementTree import parse
 
+from advdiff_sumo.core.errors import KEPT
 from tests.e2e.commands import Outcome, advdiff, begin
 from tests.hang_guard import HANG_S
 
@@ -129,7 +130,7 @@ def test_killed_interrupted_and_resumed(sweeps: Path) -> None:
     _, said = second.communicate(timeout=HANG_S)
     if second.returncode != 0:  # it may have been quicker
         assert second.returncode == 130
-        assert said.splitlines() == ["interrupted; what had finished is kept"]
+        assert said.splitlines() == [f"{KEPT}; go on with advdiff-sumo sweep --resume broken"]
 
     damaged = _episodes(sweeps / "broken")[0]
     damaged.write_bytes(damaged.read_bytes()[:100])

@@ -85,7 +85,7 @@ def test_what_cannot_be_resumed(tmp_path: Path) -> None:
     path = tmp_path / "run"
     fill(RunFolder.create(path, settings(), resume=False), 0, 1, 2).consolidate(finished=True)
     before = content(path)
-    with pytest.raises(FileError, match=r"run: already holds a run; choose a new --out, or add --resume"):
+    with pytest.raises(FileError, match=r"run: already holds a run; choose a new --out$"):
         RunFolder.create(path, settings(), resume=False)
     with pytest.raises(ConfigError, match="that run had seed = 0, not 1; leave that option out"):
         RunFolder.create(path, settings(seed=1), resume=True)
@@ -96,6 +96,22 @@ def test_what_cannot_be_resumed(tmp_path: Path) -> None:
     (path / "run.toml").write_text("[options\n")
     with pytest.raises(FileError, match=r"run\.toml: is damaged .*line 1.*choose a new --out"):
         RunFolder.create(path, settings(), resume=True)
+
+
+@pytest.mark.parametrize("table", ["episodes", "states"])
+def test_a_damaged_table_is_one_sentence_and_left_alone(tmp_path: Path, table: str) -> None:
+    path = tmp_path / "run"
+    fill(RunFolder.create(path, settings(), resume=False), 0, 1, 2).consolidate(finished=True)
+    damaged = path / f"{table}.parquet"
+    damaged.write_bytes(damaged.read_bytes()[:2000])
+    before = content(path)
+    words = rf"{table}\.parquet: is damaged .*; begin the run again: advdiff-sumo run --config .*run\.toml"
+    with pytest.raises(FileError, match=words):
+        RunFolder.create(path, settings(), resume=True)
+    with pytest.raises(FileError, match=words):
+        RunFolder(path).part(0)
+    assert content(path) == before
+    assert not list(path.glob("parts*"))
 
 
 def test_other_files_are_left_alone(tmp_path: Path) -> None:

@@ -192,7 +192,16 @@ def test_two_targets_in_both_sweeps_are_paired_each_with_itself() -> None:
     ("first", "second", "words"),
     [
         ([row(0)], [row(1)], "share no seed scene"),
-        ([row(0), row(1, scene_key="scene0", target="ACC")], [row(0)], "several episodes for one seed scene"),
+        (
+            [row(0), row(1, scene_key="scene0", target="ACC")],
+            [row(0)],
+            "the first sweep has several episodes for one seed scene; .*: add --a target=IDM or --a target=ACC$",
+        ),
+        (
+            [row(0, target="ACC")],
+            [row(0), row(1, scene_key="scene0", target_options='{"tau":2.0}')],
+            r"""the second .*: add --b 'target_options={}' or --b 'target_options={"tau":2\.0}'$""",
+        ),
     ],
 )
 def test_what_cannot_be_paired_is_refused(first: list[Any], second: list[Any], words: str) -> None:

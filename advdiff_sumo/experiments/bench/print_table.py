@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table as RichTable
+from rich.text import Text
 
 from advdiff_sumo.experiments.bench import formatting
 from advdiff_sumo.experiments.bench.table import Cell, Head, Line, Table
@@ -22,23 +22,23 @@ def print_table(console: Console, table: Table) -> None:
         console.print(gap_table(table))
     console.width = before
     for note in table.notes:
-        console.print(note, markup=False, style="dim", soft_wrap=True)
+        console.print(note, style="dim", soft_wrap=True)
 
 
 def rich_table(table: Table) -> RichTable:
     """Return the figures as a table of Rich."""
-    printed = RichTable(title=escape(table.title), title_justify="left")
+    printed = RichTable(title=table.title, title_justify="left")
     groups = any(line.group for line in table.lines)
     if groups:
         printed.add_column("target")
     printed.add_column("")
     for head in table.heads:
-        printed.add_column(escape(formatting.heading(head)), justify="right", no_wrap=True)
+        printed.add_column(formatting.heading(head), justify="right", no_wrap=True)
     before = None
     for line in table.lines:
         if before is not None and line.group != before:
             printed.add_section()
-        label = [escape(line.group) if line.group != before else ""] if groups else []
+        label = [line.group if line.group != before else ""] if groups else []
         printed.add_row(*label, _title(line), *(_cell(line.cells.get(h.key), h) for h in table.heads))
         before = line.group
     return printed
@@ -52,10 +52,10 @@ def gap_table(table: Table) -> RichTable:
     heads = {head.key: head for head in table.heads}
     for gap in table.gaps:
         head, difference = heads[gap.column], gap.found
-        between = escape(formatting.interval(difference.low, difference.high, head))
+        between = formatting.interval(difference.low, difference.high, head)
         texts = (gap.group, formatting.heading(head), gap.ours, gap.rival)
         printed.add_row(
-            *map(escape, texts),
+            *texts,
             formatting.change(difference, head),
             between,
             formatting.p_value(difference.p),
@@ -64,25 +64,24 @@ def gap_table(table: Table) -> RichTable:
     return printed
 
 
-def _title(line: Line) -> str:
-    return f"[dim]{escape(line.title)}[/dim]" if line.reference else escape(line.title)
+def _title(line: Line) -> Text:
+    return Text(line.title, style="dim" if line.reference else "")
 
 
-def _cell(cell: Cell | None, head: Head) -> str:
+def _cell(cell: Cell | None, head: Head) -> Text:
     """Return figure, interval with sample size, and the paper's figure, each on its line."""
     if cell is None:
-        return formatting.NOTHING
-    value = formatting.number(cell.found.value, head)
-    lines = [f"[bold]{value}[/bold]" if cell.best else value]
+        return Text(formatting.NOTHING)
+    lines = [Text(formatting.number(cell.found.value, head), style="bold" if cell.best else "")]
     between = formatting.interval(cell.found.low, cell.found.high, head)
     if between:
-        lines.append(escape(between))
+        lines.append(Text(between))
     if cell.found.n:
-        lines.append(f"[dim]n {cell.found.n}[/dim]")
+        lines.append(Text(f"n {cell.found.n}", style="dim"))
     paper = formatting.paper_number(cell)
     if paper:
-        lines.append(f"[bright_black]paper {paper}[/bright_black]")
-    return "\n".join(lines)
+        lines.append(Text(f"paper {paper}", style="bright_black"))
+    return Text("\n").join(lines)
 
 
 def _width(table: Table) -> int:

@@ -8,8 +8,8 @@ import re
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
+from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.fewshot import marks_of
@@ -71,7 +71,7 @@ def test_the_papers_figures_stand_beside(table: Table) -> None:
     cells = {line.key: line.cells["collision_rate"].paper for line in table.lines}
     assert cells == {"replay": 8.45, "strive": 10.33, "advsim": 18.54, "diffusion": 11.03}
     sink = io.StringIO()
-    print_table(Console(file=sink, width=150, force_terminal=True, color_system="standard"), table)
+    print_table(terminal(file=sink, width=150, force_terminal=True, color_system="standard"), table)
     assert re.search(r"\x1b\[90mpaper 11\.03", sink.getvalue())
     assert "n 8" in sink.getvalue()
 

@@ -74,7 +74,9 @@ def test_a_planner_that_keeps_the_contract(crossing: Callable[..., RoadMap], sce
 
 def test_plans_in_float32_keep_the_contract(crossing: Callable[..., RoadMap], scene: Scene) -> None:
     def single(plan: Trajectory) -> Trajectory:
-        return with_values(plan, **{name: getattr(plan, name).astype(np.float32) for name in plan_arrays(plan)})
+        return with_values(
+            plan, **{name: getattr(plan, name).astype(np.float32) for name in plan_arrays(plan)}
+        )
 
     assert check_planner(Broken(lambda s, _n, _r: (single(straight(s)), None)), crossing(), scene) == []
 

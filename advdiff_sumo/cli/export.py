@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from advdiff_sumo.cli.terminal import terminal
-from advdiff_sumo.core.errors import ConfigError, FileError, NetError
+from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, NetError
 
 if TYPE_CHECKING:
-    from advdiff_sumo.export import ExportScene
+    from advdiff_sumo.export import Exporter, ExportScene
 
 _console = terminal(highlight=False, soft_wrap=True)
 
@@ -47,16 +48,29 @@ def export(
     exporters = [make_exporter(name) for name in names]
     scene = scene_of(run, episode)
     folder = out or run / "exports"
+    written, refused = _write(scene, exporters, folder)
+    for path in written:
+        _console.print(str(path))
+    if refused:
+        raise ConfigError("; ".join(refused))
+
+
+def _write(scene: ExportScene, exporters: Sequence[Exporter], folder: Path) -> tuple[list[Path], list[str]]:
+    """Return the files of all formats that can be written, and why the others cannot."""
+    written: list[Path] = []
+    refused: list[str] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        written = [exporter.write(scene, folder) for exporter in exporters]
+        for exporter in exporters:
+            try:
+                written += exporter.write(scene, folder)
+            except (ConfigError, MissingExtraError) as error:
+                refused.append(str(error))
     except OSError as error:
         raise FileError(
             folder, f"cannot be written ({error.strerror or error})", "choose another --out"
         ) from None
-    for files in written:
-        for path in files:
-            _console.print(str(path))
+    return written, refused
 
 
 def scene_of(folder: Path, episode: int | None) -> ExportScene:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,14 @@ def form_problem(plan: Plan, model_step_s: float) -> str:
     if steps * plan.dt_s < model_step_s - 1e-9:
         return f"it lasts {steps * plan.dt_s:g} s, less than one model step of {model_step_s:g} s"
     return ""
+
+
+def in_float64(plan: Plan) -> Plan:
+    """Return *plan*, whose form is right, in float64: what float32 or integers say is taken as it is."""
+    arrays = {name: getattr(plan, name) for name in plan_arrays(plan)}
+    if all(array.dtype == np.float64 for array in arrays.values()):
+        return plan
+    return replace(plan, **{name: array.astype(np.float64) for name, array in arrays.items()})
 
 
 def interval_problem(dt_s: Any) -> str:

@@ -21,6 +21,8 @@ from advdiff_sumo.traffic.manoeuvres.intensity import (
 )
 
 EVERY_ATTACK = "all"
+_OFF_THE_ROAD = "it leaves the road by itself and touches nobody"
+_BESIDE_THE_ATTACK = "it collides with somebody who does nothing against it"
 
 
 @dataclass(frozen=True)
@@ -95,18 +97,25 @@ class Trial:
         value: of the severity.
         failed: whether the target failed validly.
         met: whether the encounter took place at all; where it failed, whether it met who attacks, and nobody else.
+        left_road: whether it failed by leaving the road, which it does without touching anybody.
     """
 
     value: float
     failed: bool
     met: bool
+    left_road: bool = False
 
     @property
     def outcome(self) -> str:
         """What came of it, in words."""
         if self.failed:
-            return "valid failure" if self.met else "valid failure, but not with who attacks"
+            return "valid failure" if self.met else f"valid failure, but {self.apart}"
         return "no valid failure" if self.met else "no encounter"
+
+    @property
+    def apart(self) -> str:
+        """How it fails where it does not meet who attacks, in words."""
+        return _OFF_THE_ROAD if self.left_road else _BESIDE_THE_ATTACK
 
 
 @dataclass(frozen=True)
@@ -135,7 +144,7 @@ class Margin:
                 return f"nobody was in a position for {attack}; choose another seed scene or net"
             return f"copes with {attack} up to the severest, {scale.text(self.passes.value)}"
         if self.passes is None and self.fails is not None:
-            other = "" if self.fails.met else ", with somebody who does nothing against it"
+            other = "" if self.fails.met else f": {self.fails.apart}"
             return f"fails at the mildest {attack} already, {scale.text(self.fails.value)}{other}"
         passes, fails = (
             scale.text(trial.value) + ("" if trial.met else f" ({trial.outcome})")

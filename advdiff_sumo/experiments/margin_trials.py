@@ -11,6 +11,7 @@ from types import TracebackType
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.experiments.bench.cells import open_bench_store
 from advdiff_sumo.experiments.margin import Margin, Scale, Trial
+from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.severity import is_valid_failure
 from advdiff_sumo.report.margin_table import TRIALS, TrialRow, trials_text
 from advdiff_sumo.sim.run_episodes import RunOptions
@@ -75,7 +76,8 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         (row,) = part.tables["episodes"].to_pylist()
         failed = is_valid_failure(row)
         met = row["attacker_manoeuvre"] == attack if failed else bool(row["in_position"])
-        return Trial(value, failed, met)
+        left_road = failed and row["collision_type"] == CollisionType.OFF_ROAD
+        return Trial(value, failed, met, left_road)
 
     def keep(self, margins: Sequence[MarginOf]) -> None:
         """Put the neighbours' episodes into the folder's tables, each failing one first, and all trials into a file."""

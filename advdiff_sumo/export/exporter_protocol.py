@@ -18,6 +18,7 @@ class Exporter(Protocol):
         The same scene gives the same bytes; file names begin with the scene's name or hold it.
 
         Raises:
+            ConfigError: the format cannot hold such a scene.
             MissingExtraError: the format needs a package that is not installed.
             OSError: the folder cannot be written.
         """

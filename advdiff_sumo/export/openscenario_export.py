@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from advdiff_sumo.core.errors import MissingExtraError
+from advdiff_sumo.core.errors import ConfigError, MissingExtraError
 from advdiff_sumo.export.export_scene import ExportScene, ImportedScene
 from advdiff_sumo.export.importers import openscenario_import as importer
 from advdiff_sumo.export.net_opendrive import write_net_opendrive
@@ -18,7 +18,15 @@ class OpenScenario:
 
         Trajectories are of the rear axle's centre, as the format has it (the box's centre for people on foot), with
         times since the start. Who is not there all the time is added and deleted.
+
+        Raises:
+            ConfigError: the episode has one instant only: nobody moves, which the format has no word for.
         """
+        if scene.tracks.steps < 2:
+            raise ConfigError(
+                f"{scene.name} ended at its first instant, and the format 'openscenario' holds motion only; "
+                "choose another episode or format"
+            )
         try:
             from advdiff_sumo.export.story import scenario_of  # late: it needs an extra
         except ModuleNotFoundError as error:

@@ -13,7 +13,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
-from advdiff_sumo.core.plan_form import form_problem, plan_arrays
+from advdiff_sumo.core.plan_form import form_problem, in_float64, plan_arrays
 from advdiff_sumo.core.plug_in_source import described, raised_at
 from advdiff_sumo.core.process_end import hears_ctrl_c
 from advdiff_sumo.core.scene import Scene
@@ -144,13 +144,11 @@ def _of_plan(plan: Plan, scene: Scene) -> list[Problem]:
     problem = form_problem(plan, scene.history.dt_s)
     if problem:
         return [Problem(Part.FORM, problem)]
-    for name in plan_arrays(plan):
-        array = getattr(plan, name)
-        if array.dtype != np.float64:
-            return [Problem(Part.FORM, f"{name} is {array.dtype}, not float64")]
-        if not np.isfinite(array).all():
+    exact = in_float64(plan)
+    for name in plan_arrays(exact):
+        if not np.isfinite(getattr(exact, name)).all():
             return [Problem(Part.NUMBERS, f"{name} holds values that are not finite")]
-    faults = _control_problems(plan) if isinstance(plan, Controls) else _trajectory_problems(plan, scene)
+    faults = _control_problems(exact) if isinstance(exact, Controls) else _trajectory_problems(exact, scene)
     return [Problem(Part.MOTION, text) for text in faults]
 
 

@@ -48,7 +48,12 @@ class Chart:
 
 
 def charts_of(series: Series, contact_s: float | None) -> tuple[Chart, ...]:
-    """Return the charts of one episode: speed, acceleration, jerk, nearest gap, time to collision."""
+    """Return the charts of one episode: speed, acceleration, jerk, nearest gap, time to collision.
+
+    None where it has one instant only: nothing goes on over time.
+    """
+    if len(series.times_s) < 2:
+        return ()
     speeds = {"attacker": series.attacker_mps, "reference": series.reference_mps, "target": series.speed_mps}
     times = series.times_s
     accelerations = {"reference": series.reference_accel_mps2, "target": series.accel_mps2}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -23,6 +24,7 @@ _MIN_FUTURE_S = 6.0
 _SHORTEST_FUTURE_S = 1.5  # of logs that are too short for the whole of it
 _BEYOND_LOG_M = 300.0
 _FIT_SHARE, _FIT_M = 0.8, 3.0
+_NO_WAY = "no route of the net follows the ego"
 
 
 @dataclass(frozen=True)
@@ -79,28 +81,55 @@ class LoggedTraffic:
         speed = np.abs(drive.tracks.speed_mps[drive.ego])
         return [k for k in self._starts(drive) if speed[k] >= self.scene.min_speed_mps]
 
-    def _starts(self, drive: LogScene) -> list[int]:
+    def why_none(self) -> str:
+        """Return why the log gives no seed scene, and what helps, as the end of a sentence."""
+        drives = [drive for drive in self.reader.scenes() if fits(self.road, drive)]
+        reasons = Counter(self._hindrance(drive, k) for drive in drives for k in self._due(drive))
+        if not reasons:
+            longest_s = max((drive.tracks.steps - 1) * drive.tracks.dt_s for drive in drives)
+            return (
+                f"it has {longest_s:.1f} s at most, and {self.sim.history_s:g} s before a start and "
+                f"{_SHORTEST_FUTURE_S:g} s after it are needed; give a longer log"
+            )
+        found = ", ".join(
+            f"{reason or _NO_WAY} (at {count} of {reasons.total()} instants)"
+            for reason, count in reasons.most_common()
+        )
+        return (
+            f"where one could start, {found}; give a log whose ego drives along a lane {self.sim.history_s:g} s after "
+            f"it appears and {_SHORTEST_FUTURE_S:g} s before the end"
+        )
+
+    def _due(self, drive: LogScene) -> range:
+        """Return the instants with enough of the drive before and after them."""
         dt = drive.tracks.dt_s
         first = round(self.sim.history_s / dt)
         future_s = min(_MIN_FUTURE_S, max(_SHORTEST_FUTURE_S, (drive.tracks.steps - 1 - first) * dt))
-        last = drive.tracks.steps - 1 - round(future_s / dt)
-        there = drive.tracks.valid[drive.ego]
-        stride = max(1, round(self.scene.stride_s / dt))
+        return range(first, drive.tracks.steps - round(future_s / dt))
+
+    def _starts(self, drive: LogScene) -> list[int]:
+        stride = max(1, round(self.scene.stride_s / drive.tracks.dt_s))
         starts: list[int] = []
-        for k in range(first, last + 1):
+        for k in self._due(drive):
             due = not starts or k >= starts[-1] + stride
-            if due and there[k - first : k + 1].all() and self._on_lane(drive, k):
+            if due and not self._hindrance(drive, k):
                 starts.append(k)
         return starts
 
-    def _on_lane(self, drive: LogScene, now: int) -> bool:
-        """Return whether the ego is on a lane and along it, where SUMO can take it over without a jump."""
+    def _hindrance(self, drive: LogScene, now: int) -> str:
+        """Return why SUMO could not take the ego over without a jump, as a clause; "" where it can."""
+        first = round(self.sim.history_s / drive.tracks.dt_s)
+        if not drive.tracks.valid[drive.ego, now - first : now + 1].all():
+            return "the ego was not there all the time before"
         xy, yaw = drive.tracks.xy_m[drive.ego, now], float(drive.tracks.yaw_rad[drive.ego, now])
         pose = self.road.locate(xy, yaw)
-        if pose is None or self.road.lanes[pose.lane_id].is_internal:
-            return False  # on a junction lanes overlap, and SUMO may take another one
-        beside = abs(pose.d_m) <= 0.5 * self.road.lanes[pose.lane_id].width_m
-        return beside and abs(pose.yaw_error_rad) <= _ALIGNED_RAD
+        if pose is None:
+            return "the ego is off the lanes"
+        lane = self.road.lanes[pose.lane_id]
+        if lane.is_internal:
+            return "the ego is on a junction"  # where lanes overlap, and SUMO may take another one
+        beside = abs(pose.d_m) <= 0.5 * lane.width_m
+        return "" if beside and abs(pose.yaw_error_rad) <= _ALIGNED_RAD else "the ego is askew in its lane"
 
     def _scene(self, drive: LogScene, now: int) -> SeedScene | None:
         tracks = drive.tracks

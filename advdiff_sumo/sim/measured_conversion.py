@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from advdiff_sumo.config import Options
+from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.data.pickles import load_plain
 from advdiff_sumo.maps.convert import ConversionResult, convert_source
 from advdiff_sumo.maps.convert.convert import Crossings
@@ -111,9 +112,13 @@ def convert_and_measure(map_file: Path, net: Path, options: ConvertOptions) -> M
 
 
 def _net_path(output: Path) -> Path:
-    """Return *output* with the ending that SUMO nets have."""
+    """Return *output* with the ending that SUMO nets have; ConfigError: it has that of other files."""
     if output.name.endswith(".net.xml"):
         return output
+    if output.suffix != ".xml" and output.suffix[1:].isalpha():  # a version's number may end a name
+        raise ConfigError(
+            f"{output}: a net is NAME.net.xml; give that, or NAME alone, in place of {output.suffix}"
+        )
     return output.with_name(output.name.removesuffix(".xml") + ".net.xml")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.errors import PlanRefusedError
 from advdiff_sumo.core.plan import Controls, JointPlan, Plan, Trajectory
-from advdiff_sumo.core.plan_form import form_problem, interval_problem
+from advdiff_sumo.core.plan_form import form_problem, in_float64, interval_problem
 from advdiff_sumo.core.scene import AgentClass, Tracks
 
 MAX_SPEED_MPS = 90.0
@@ -17,8 +17,8 @@ SLACK_M = 0.5  # annotation noise of logs
 _MAX_CONTROL = 50.0
 
 
-def check_plan(plan: Plan, xy_m: FloatArray, model_step_s: float, who: str) -> None:
-    """Refuse a planner's plan that no vehicle could drive.
+def check_plan(plan: Plan, xy_m: FloatArray, model_step_s: float, who: str) -> Plan:
+    """Return a planner's plan in float64; one that no vehicle could drive is refused.
 
     Args:
         plan: from the planner.
@@ -29,12 +29,17 @@ def check_plan(plan: Plan, xy_m: FloatArray, model_step_s: float, who: str) -> N
     Raises:
         PlanRefusedError: of another type or shape, NaN, a jump, or too short.
     """
-    if isinstance(plan, Controls):
-        _check_controls(plan, model_step_s, who)
-    elif isinstance(plan, Trajectory):
-        _check_trajectory(plan, xy_m, model_step_s, who)
-    else:
+    if not isinstance(plan, Controls | Trajectory):
         raise PlanRefusedError(f"{who} returned a {type(plan).__name__}, not a Trajectory or Controls")
+    problem = form_problem(plan, model_step_s)
+    if problem:
+        raise PlanRefusedError(f"{who} planned {type(plan).__name__} that cannot be driven: {problem}")
+    exact = in_float64(plan)
+    if isinstance(exact, Controls):
+        _check_controls(exact, who)
+    else:
+        _check_trajectory(exact, xy_m, who)
+    return exact
 
 
 def check_joint_form(plan: JointPlan, who: str) -> None:
@@ -94,14 +99,7 @@ def _refuse(wrong: BoolArray, ids: tuple[str, ...], who: str, what: str) -> None
         raise PlanRefusedError(f"{who} planned {what} for vehicle '{ids[row]}' at step {step}")
 
 
-def _check_form(plan: Plan, model_step_s: float, who: str) -> None:
-    problem = form_problem(plan, model_step_s)
-    if problem:
-        raise PlanRefusedError(f"{who} planned {type(plan).__name__} that cannot be driven: {problem}")
-
-
-def _check_controls(plan: Controls, model_step_s: float, who: str) -> None:
-    _check_form(plan, model_step_s, who)
+def _check_controls(plan: Controls, who: str) -> None:
     if not (np.isfinite(plan.accel_mps2).all() and np.isfinite(plan.steer_rad).all()):
         raise PlanRefusedError(f"{who} planned controls that are not numbers")
     if np.abs(plan.accel_mps2).max() > _MAX_CONTROL or np.abs(plan.steer_rad).max() >= 0.5 * np.pi:
@@ -110,8 +108,7 @@ def _check_controls(plan: Controls, model_step_s: float, who: str) -> None:
         )
 
 
-def _check_trajectory(plan: Trajectory, xy_m: FloatArray, model_step_s: float, who: str) -> None:
-    _check_form(plan, model_step_s, who)
+def _check_trajectory(plan: Trajectory, xy_m: FloatArray, who: str) -> None:
     if not all(np.isfinite(part).all() for part in (plan.xy_m, plan.yaw_rad, plan.speed_mps)):
         raise PlanRefusedError(f"{who} planned a trajectory that holds values that are not numbers")
     path = np.concatenate((xy_m[None], plan.xy_m))

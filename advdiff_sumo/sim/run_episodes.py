@@ -132,16 +132,24 @@ class Run:
         """Return sentences on what of the driving log and of the demand is left out."""
         return left_out(self.options, self.road, self.demand, self.log)
 
+    def why_no_scene(self) -> str:
+        """Return a sentence on why no episode can start, where it is known."""
+        if self.log is None:
+            return f"{self.road.path}: no seed scene was found"
+        return f"{self.options.scenes}: the log gives no seed scene: {self._logged(self.log).why_none()}"
+
+    def _logged(self, log: LogReader) -> LoggedTraffic:
+        seed = SeedTree(self.options.seed).child("scenes")
+        return LoggedTraffic(self.road, log, self.options.scene, self.options.sim, seed)
+
     def seed_scenes(self) -> Iterator[SeedScene]:
         """Yield seed scenes in their order; a log's end, SUMO traffic goes on for ever.
 
         Raises:
             InputError: the demand or the log does not fit the net, or has no usable scene.
         """
-        options = self.options
         if self.log is not None:
-            seed = SeedTree(options.seed).child("scenes")
-            yield from LoggedTraffic(self.road, self.log, options.scene, options.sim, seed).scenes()
+            yield from self._logged(self.log).scenes()
             return
         number = 0
         while True:

@@ -119,10 +119,9 @@ class PlannerDrive:
             raise PlanRefusedError(
                 f"target '{self.name}' returned {type(answer).__name__}, not (plan, memory)"
             )
-        plan: Plan = answer[0]
-        self._memory = answer[1]
-        check_plan(plan, self.world.xy_m[self.row], self.sim.model_step_s, f"target '{self.name}'")
-        return plan
+        plan, self._memory = answer
+        who = f"target '{self.name}'"
+        return check_plan(plan, self.world.xy_m[self.row], self.sim.model_step_s, who)
 
     def end(self, end: str, time_s: float, failure: str) -> None:
         """Tell a planner outside this process that the episode is over."""

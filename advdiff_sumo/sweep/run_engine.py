@@ -59,5 +59,5 @@ def run_into(
         else:
             folder.discard()
     if not numbers:
-        raise SceneError(f"{run.road.path}: no seed scene was found")
+        raise SceneError(run.why_no_scene())
     return len(numbers)

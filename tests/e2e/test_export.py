@@ -9,8 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from advdiff_sumo.export import import_scene
-from tests.e2e.commands import Outcome, advdiff, everything
-from tests.e2e.conftest import sentence
+from tests.e2e.commands import TINY, Outcome, advdiff, everything
+from tests.e2e.conftest import PLANNERS, sentence
 
 FILES = {
     "openscenario": ("first-0001.xosc", "first-0001.xodr"),
@@ -74,6 +74,37 @@ def test_beside_the_run_by_default(downtown_run: Path, here: Callable[..., Outco
             (workplace / "copy" / path.name).write_bytes(path.read_bytes())
     done = here("export", "copy", "--episode", 0, "-f", "csv")
     assert (done.code, done.out.split()) == (0, ["copy/exports/copy-0000.csv"])
+
+
+@pytest.fixture(scope="module")
+def failed_at_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a run whose only episode failed at its first plan."""
+    folder = tmp_path_factory.mktemp("failed")
+    (folder / "planners.py").write_text(PLANNERS, encoding="utf-8")
+    words = ("--target", "planners:Raises", "--episodes", 1, "--out", folder / "run", *TINY)
+    assert advdiff("run", *words, cwd=folder).code == 1
+    return folder / "run"
+
+
+def test_an_episode_of_one_instant_is_left_out_of_openscenario_alone(
+    failed_at_once: Path, tmp_path: Path
+) -> None:
+    words = ("export", failed_at_once, "--episode", 0, "--out", tmp_path / "x", "-f")
+    said = "error: run-0000 ended at its first instant, and the format 'openscenario' holds motion only"
+    single = advdiff(*words, "openscenario", cwd=tmp_path)
+    assert sentence(single).startswith(said)
+    assert list((tmp_path / "x").iterdir()) == []
+    done = advdiff(*words, "all", cwd=tmp_path)
+    assert (done.code, done.err.startswith(said)) == (2, True)
+    others = [
+        name.replace("first-0001", "run-0000")
+        for key in FILES
+        if key != "openscenario"
+        for name in FILES[key]
+    ]
+    assert done.out.split() == [str(tmp_path / "x" / name) for name in others]
+    read = import_scene(tmp_path / "x" / "run-0000.csv")
+    assert read.tracks.steps == 1
 
 
 def test_refusals(downtown_run: Path, here: Callable[..., Outcome], workplace: Path) -> None:

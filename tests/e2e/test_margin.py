@@ -16,6 +16,18 @@ SCENE = (
     *("--set", "scene.warmup_s=20", "--set", "scene.scenes_per_warmup=1"),
 )
 
+STRAIGHT_ON = """
+import numpy as np
+from advdiff_sumo.core.plan import Controls
+
+class StraightOn:
+    def start(self, road, scene, rng):
+        return None
+
+    def plan(self, road, scene, memory, rng):
+        return Controls(np.zeros(5), np.zeros(5), 0.1), None
+"""
+
 
 @pytest.mark.parametrize(
     ("words", "message"),
@@ -46,6 +58,19 @@ def test_the_failing_and_the_passing_neighbour_and_again(tmp_path: Path) -> None
     assert {row["episode"] for row in trials(tmp_path / "m")} == {"", "0", "1"}
     again = advdiff(*words, cwd=tmp_path)
     assert again.out == done.out
+
+
+@pytest.mark.slow
+def test_a_target_that_leaves_the_road_needs_no_attack(tmp_path: Path) -> None:
+    (tmp_path / "straight.py").write_text(STRAIGHT_ON, encoding="utf-8")
+    words = ("--target", "straight:StraightOn", "--seed", "3", "--horizon", "10", "--out", "m")
+    done = advdiff("margin", *words, cwd=tmp_path)
+    assert done.code == 0, done.err
+    told = "it leaves the road by itself and touches nobody"
+    assert f"hard-stop, braking of 1 m/s²: valid failure, but {told}" in done.out
+    assert f"fails at the mildest hard-stop already, braking of 1 m/s²: {told}" in done.out
+    page = (tmp_path / "m" / "report.html").read_text(encoding="utf-8")
+    assert "<td>–</td><td>1 m/s² (not with who attacks)</td>" in page
 
 
 @pytest.mark.slow

@@ -79,8 +79,15 @@ def test_what_is_not_the_encounter_is_told() -> None:
         "copes with hard-stop at braking of 1.75 m/s² (no encounter) and fails at braking of 2 m/s²"
     )
     by_chance = Margin(None, Trial(1.0, failed=True, met=False), ()).text("hard-stop", BRAKING)
-    assert by_chance.endswith("braking of 1 m/s², with somebody who does nothing against it")
-    assert by_chance.startswith("fails at the mildest hard-stop already")
+    assert by_chance == (
+        "fails at the mildest hard-stop already, braking of 1 m/s²: "
+        "it collides with somebody who does nothing against it"
+    )
+    alone = Margin(None, Trial(1.0, failed=True, met=False, left_road=True), ()).text("hard-stop", BRAKING)
+    assert alone == (
+        "fails at the mildest hard-stop already, braking of 1 m/s²: "
+        "it leaves the road by itself and touches nobody"
+    )
 
 
 @given(

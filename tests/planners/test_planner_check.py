@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.plan import Controls, Trajectory
+from advdiff_sumo.core.plan_form import plan_arrays
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_check import check_planner, planning_times_s
@@ -69,6 +70,15 @@ def scene(crossing: Callable[..., RoadMap]) -> Scene:
 
 def test_a_planner_that_keeps_the_contract(crossing: Callable[..., RoadMap], scene: Scene) -> None:
     assert check_planner(Broken(lambda s, _n, _r: (straight(s), None)), crossing(), scene) == []
+
+
+def test_plans_in_float32_keep_the_contract(crossing: Callable[..., RoadMap], scene: Scene) -> None:
+    def single(plan: Trajectory) -> Trajectory:
+        return with_values(
+            plan, **{name: getattr(plan, name).astype(np.float32) for name in plan_arrays(plan)}
+        )
+
+    assert check_planner(Broken(lambda s, _n, _r: (single(straight(s)), None)), crossing(), scene) == []
 
 
 CASES: list[tuple[Callable[[Scene, int, np.random.Generator], Any], str]] = [

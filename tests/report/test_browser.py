@@ -104,6 +104,14 @@ def test_worst_episode_stands_at_its_contact(
     assert page.evaluate("document.querySelectorAll('.plots canvas').length") == 5
 
 
+def test_an_episode_of_one_instant_has_no_charts(look: Callable[..., Any], tmp_path: Path) -> None:
+    failed = episode(0, end="failed", duration_s=0.0, failure_kind="planner_error", failure_message="No.")
+    states = drive(0, "ego", 85.0, 101.0, 10.0, target=True, steps=1)
+    page = look(write_report(write_folder(tmp_path / "run", [failed], states)))
+    assert page.evaluate("document.querySelectorAll('.plots canvas').length") == 0
+    assert "there is nothing to chart" in page.inner_text(".plots")
+
+
 @pytest.mark.parametrize("size", _SIZES)
 def test_plays_by_key_and_stops_at_the_end(
     look: Callable[..., Any], report: Path, size: tuple[int, int]

@@ -185,6 +185,20 @@ def test_failure_without_states(make_folder: Callable[..., Path], rows: Any) -> 
     assert "100.0 % 1 of 1 episodes" in text
 
 
+def test_an_episode_of_one_instant_has_a_picture_and_no_charts(
+    make_folder: Callable[..., Path], rows: Any
+) -> None:
+    failed = rows.episode(
+        0, end="failed", duration_s=0.0, failure_kind="planner_error", failure_message="No."
+    )
+    states = rows.drive(0, "ego", 85.0, 101.0, 10.0, target=True, steps=1)
+    outline = _read(make_folder([failed], states))
+    assert "It ended at its first instant: there is nothing to chart." in outline.text
+    classes = [attrs.get("class") for _, attrs in outline.tags]
+    assert "map" in classes
+    assert "chart" not in classes
+
+
 def test_collisions_of_others_are_listed(make_folder: Callable[..., Path], rows: Any) -> None:
     states = rows.drive(0, "ego", 85.0, 101.0, 10.0, target=True)
     crash = {"episode": 0, "time_s": 1.2, "first": "a", "second": "b", "with_target": False, "initial": False}

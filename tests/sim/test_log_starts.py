@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,49 @@ def test_standing_is_a_start_where_it_is_asked_for(street: Path) -> None:
 def test_a_log_whose_ego_never_moves_is_refused(street: Path) -> None:
     with pytest.raises(SceneError, match=r"lower scene\.min_speed_mps"):
         list(source(street, 0.0).scenes())
+
+
+def cut(steps: int = STEPS, turned_rad: float = 0.0, aside_m: float = 0.0) -> OneDrive:
+    """Return the first *steps* instants of the drive, turned and shifted to the left."""
+    log = OneDrive(SPEED_MPS)
+    tracks = log.tracks.window(0, steps)
+    xy = tracks.xy_m + np.array((0.0, aside_m))
+    log.tracks = replace(tracks, xy_m=xy, yaw_rad=tracks.yaw_rad + turned_rad)
+    return log
+
+
+@pytest.mark.parametrize(
+    ("log", "words"),
+    [
+        (
+            cut(7),
+            "it has 3.0 s at most, and 2 s before a start and 1.5 s after it are needed; give a longer log",
+        ),
+        (
+            cut(turned_rad=0.2),
+            "where one could start, the ego is askew in its lane (at 25 of 25 instants); give a log whose ego",
+        ),
+    ],
+)
+def test_why_a_log_gives_no_scene(street: Path, log: OneDrive, words: str) -> None:
+    """Instants are due from 2 s on to 14 s, every 0.5 s."""
+    logged = LoggedTraffic(RoadMap.read(street), log, SceneOptions(), SimOptions(), SeedTree(0))
+    assert list(logged.scenes()) == []
+    assert words in logged.why_none()
+
+
+def test_the_most_frequent_reason_comes_first(street: Path) -> None:
+    """Of 12 s the ego is missing at 2 s: of the starts due from 2 to 6 s five have that within the 2 s before."""
+    log = cut(25, turned_rad=0.2)
+    log.tracks.valid[0, 4] = False
+    logged = LoggedTraffic(RoadMap.read(street), log, SceneOptions(), SimOptions(), SeedTree(0))
+    askew, missing = (
+        "the ego is askew in its lane (at 4 of 9",
+        "the ego was not there all the time before (at 5 of 9",
+    )
+    assert logged.why_none().startswith(
+        f"where one could start, {missing} instants), {askew} instants); give"
+    )
 
 
 class WithOneThatParks(OneDrive):

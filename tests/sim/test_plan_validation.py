@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from advdiff_sumo.core.errors import EpisodeFailure, PlanRefusedError
 from advdiff_sumo.core.plan import Controls, JointPlan, Trajectory
+from advdiff_sumo.core.plan_form import plan_arrays
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.sim.plan_validation import (
     MAX_SPEED_MPS,
@@ -53,6 +54,20 @@ def test_good_plans_pass() -> None:
     check_plan(Controls(np.zeros(5), np.zeros(5), 0.1), HERE, 0.5, "it")
     far = check_joint_plan(joint(), np.array(((0.0, 0.0), (0.0, 5.0))), "it")
     assert far.tolist() == [False, False]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int64, np.float64])
+def test_any_numbers_become_float64(dtype: type) -> None:
+    """From (3, 4) with 10 m/s for 0.5 s to (8, 4)."""
+    plan = straight(speed=10.0, dt=0.5, steps=1)
+    given = replace(plan, **{name: getattr(plan, name).astype(dtype) for name in plan_arrays(plan)})
+    taken = check_plan(given, HERE, 0.5, "it")
+    assert isinstance(taken, Trajectory)
+    assert {getattr(taken, name).dtype for name in plan_arrays(taken)} == {np.dtype(np.float64)}
+    assert taken.xy_m.tolist() == [[8.0, 4.0]]
+    controls = check_plan(Controls(np.ones(5, dtype), np.zeros(5, dtype), 0.1), HERE, 0.5, "it")
+    assert isinstance(controls, Controls)
+    assert controls.accel_mps2.dtype == controls.steer_rad.dtype == np.float64
 
 
 @pytest.mark.parametrize("field", ["xy_m", "yaw_rad", "speed_mps"])

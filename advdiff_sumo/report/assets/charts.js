@@ -21,7 +21,8 @@ class Charts {
     this.episode = episode;
     this.facts = facts;
     const times = Array.from({ length: episode.steps }, (_, k) => k * episode.dt);
-    this.plots = CHARTS.map((chart) => this.make(chart, times));
+    this.plots = times.length > 1 ? CHARTS.map((chart) => this.make(chart, times)) : [];
+    if (!this.plots.length) this.place.textContent = "It ended at its first instant: there is nothing to chart.";
   }
 
   make(chart, times) {

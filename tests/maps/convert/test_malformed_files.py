@@ -15,7 +15,7 @@ import small_sources
 from malformed_files import NAMES, Malformed, malformed
 from test_bad_formats import FILES
 
-from advdiff_sumo.core.errors import InputError, MapError
+from advdiff_sumo.core.errors import ConfigError, InputError, MapError
 from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.sources.read_map import read_map
 from advdiff_sumo.sim.measured_conversion import ConvertOptions, convert_and_measure
@@ -133,3 +133,12 @@ def test_ids_are_the_same_as_numbers_and_as_text(tmp_path: Path) -> None:
         base.execute("ALTER TABLE lane_connectors DROP COLUMN exit_lane_fid")
         base.execute("ALTER TABLE lane_connectors RENAME COLUMN way TO exit_lane_fid")
     assert read_map(path).links == whole.links
+
+
+@pytest.mark.parametrize("name", ["q.txt", "q.net.xml.gz", "q.net"])
+def test_a_net_with_the_ending_of_another_file_is_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(
+        ConfigError, match=rf"{re.escape(name)}: a net is NAME\.net\.xml; give that, or NAME alone"
+    ):
+        convert_and_measure(tmp_path / "map.xodr", tmp_path / name, ConvertOptions())
+    assert list(tmp_path.iterdir()) == []

@@ -70,7 +70,7 @@ CRITICAL_COLUMNS: Mapping[str, Column] = {
     ),
     "critical_brake_mps2": _real("m/s²", "what it asks for, at most 9"),
     "resolved_by": _text(
-        "who kept it from becoming a collision: target, other or both; empty where the record ends before"
+        "who kept it from a collision: target, other, both; empty if the record ends before"
     ),
 }
 

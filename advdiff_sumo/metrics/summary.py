@@ -86,7 +86,8 @@ class EpisodeMetrics:
         contacts: every collision of two agents, initial overlaps included.
         struck: the target's first collision with another agent, unless it left the road before.
         left_road: when the target left the road, unless it was hit before.
-        near_miss: the near miss that asks for the hardest braking in an episode without a collision of the target; None where it did not.
+        near_miss: of an episode without a collision of the target, what asks for the hardest braking; None where
+            nothing came near.
         sumo: SUMO's list against ours.
         criticality: how near it came.
         comfort: how the ride felt.

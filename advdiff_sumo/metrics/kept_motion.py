@@ -81,7 +81,7 @@ def _last_turn_per_m(s_m: FloatArray, yaw_rad: FloatArray) -> float:
 
 
 def velocity_mps(tracks: Tracks, row: int, step: int) -> FloatArray:
-    """Return the velocity (2,) of *row* at instant *step*, of the step before it."""
+    """Return the velocity (2,) of *row* at instant *step* in m/s, from the step before it."""
     return np.asarray(velocities(tracks.window(max(0, step - 1), step + 1))[row, -1])
 
 
@@ -89,7 +89,8 @@ def kept(record: EpisodeRecord, row: int, start: int, since: int, count: int) ->
     """Return poses of *row*: as recorded from *start* to *since*, then *count* more along its way at its speed then."""
     tracks = record.tracks
     speed = float(np.hypot(*velocity_mps(tracks, row, since)))
-    after = DrivenWay.of(tracks, row, since).at(speed * tracks.dt_s * np.arange(1, count + 1))
+    s_m = np.asarray(speed * tracks.dt_s * np.arange(1, count + 1), dtype=np.float64)
+    after = DrivenWay.of(tracks, row, since).at(s_m)
     return _joined(tracks, row, slice(start, since + 1), after)
 
 
@@ -116,7 +117,7 @@ def gone_on(record: EpisodeRecord, row: int, since: int, count: int) -> Poses:
         begin = int(absent[-1]) + 1 if absent.size else 0
         way = DrivenWay.of(tracks, row, begin)
         driven = float(way.s_m[last - begin])
-        after = way.at(driven + _driven_on_m(tracks, row, rest))
+        after = way.at(np.asarray(driven + _driven_on_m(tracks, row, rest)))
     return _joined(tracks, row, slice(since, last + 1), after)
 
 

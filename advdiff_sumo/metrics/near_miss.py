@@ -166,20 +166,24 @@ def _needed_brake_mps2(record: EpisodeRecord, road: RoadMap, row: int, step: int
 
 
 def _least_brake_mps2(record: EpisodeRecord, row: int, start: int, other: Poses) -> float:
-    """Return the least even braking after the response from *start* on with which the boxes do not meet."""
+    """Return the least even braking after the response from *start* on with which the boxes do not meet.
+
+    0 where it is the other who would drive into the target: from behind without any braking, or at the hardest one.
+    """
     tracks, target = record.tracks, record.target
     way, speed = DrivenWay.of(tracks, target, start), float(tracks.speed_mps[target, start])
+    front = 0.5 * float(tracks.size_m[target, 0])
+    ahead, moved = 0.0, 0.0
     for brake in np.arange(0.0, HARDEST_BRAKE_MPS2 + _BRAKE_STEP_MPS2, _BRAKE_STEP_MPS2):
         s_m = _braked_s_m(speed, float(brake), len(other), tracks.dt_s)
         own = way.at(s_m)
         met = contact_at(own, other, *tracks.size_m[[target, row]])
         if met is None:
             return float(brake)
-        if brake == 0.0 and _ahead_m(own, other, met) < -0.5 * tracks.size_m[target, 0]:
-            return 0.0  # it would have been run into from behind
-    runs_into = _ahead_m(own, other, met) > 0.5 * tracks.size_m[target, 0]
-    moves = s_m[met + 1] - s_m[met] > _STANDS_MPS * tracks.dt_s
-    return HARDEST_BRAKE_MPS2 if runs_into and moves else 0.0
+        ahead, moved = _ahead_m(own, other, met), float(s_m[met + 1] - s_m[met])
+        if brake == 0.0 and ahead < -front:
+            return 0.0
+    return HARDEST_BRAKE_MPS2 if ahead > front and moved > _STANDS_MPS * tracks.dt_s else 0.0
 
 
 def _ahead_m(own: Poses, other: Poses, step: int) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from advdiff_sumo.metrics.criticality import least, time_to_collision
 from advdiff_sumo.metrics.near_miss import ResolvedBy, near_miss, resolved
 from tests.metrics.encounters import DT_S, Car, braking, driven, record_of, straight
 
@@ -95,13 +96,26 @@ def test_a_leader_that_brakes_hard(road, gap_m, least, most) -> None:
 
 
 def test_the_hardest_braking_counts_not_the_least_time(road) -> None:
-    # The leader of above, and at the end somebody who crosses the way ahead and is soon gone
-    ego = driven("ego", (-150, -1.6), 0, np.maximum(2.0, braking(12, 1.2, 7.0, 61)))
-    lead = driven("lead", (-146 + 14.4, -1.6), 0, np.maximum(2.0, braking(12, 0.5, 8.0, 61)))
-    behind = driven("behind", (-164, -1.6), 0, np.maximum(2.0, braking(12, 1.3, 7.0, 61)))
-    found = near_miss(record_of(ego, lead, behind), road)
+    # The leader of above asks for 5 m/s²; somebody oncoming in its bend would have been met sooner, had it gone straight
+    ego = driven("ego", (-150, -1.6), 0, braking(12, 1.2, 7.0, 61))
+    lead = driven("lead", (-146 + 14.4, -1.6), 0, braking(12, 0.5, 8.0, 61))
+    oncoming = bend("oncoming", (-128, 3.6), np.pi + 0.35, 8.0, -30.0, 61)
+    record = record_of(ego, lead, oncoming)
+    nearest = least(time_to_collision(record.tracks, 0), record.tracks)
+    found = near_miss(record, road)
+    assert nearest is not None
     assert found is not None
-    assert found.row == 1
+    assert (nearest.row, found.row) == (2, 1)
+    assert found.critical
+
+
+def test_somebody_who_drives_into_the_side_is_not_answered_by_braking(road) -> None:
+    # It drifts at 4 m/s into the side of the target, whose front is beside it at any braking, and stops short of it
+    t = DT_S * np.arange(41)
+    left = -np.minimum(2.6, 4.0 * np.maximum(0.0, t - 1.0))
+    beside = driven("beside", (-150, 3.2), 0, np.full(41, 12.0), left=left)
+    found = near_miss(record_of(straight("ego", (-150, -1.6), 0, 12.0), beside), road)
+    assert found is None or not found.critical
 
 
 def test_the_record_that_ends_before_anybody_resolved_it(road) -> None:

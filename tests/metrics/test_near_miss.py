@@ -96,7 +96,7 @@ def test_a_leader_that_brakes_hard(road, gap_m, least, most) -> None:
 
 
 def test_the_hardest_braking_counts_not_the_least_time(road) -> None:
-    # The leader of above asks for 5 m/s²; somebody oncoming in its bend would have been met sooner, had it gone straight
+    # The leader of above asks for 5 m/s²; somebody oncoming in its bend would have been met sooner, going straight
     ego = driven("ego", (-150, -1.6), 0, braking(12, 1.2, 7.0, 61))
     lead = driven("lead", (-146 + 14.4, -1.6), 0, braking(12, 0.5, 8.0, 61))
     oncoming = bend("oncoming", (-128, 3.6), np.pi + 0.35, 8.0, -30.0, 61)

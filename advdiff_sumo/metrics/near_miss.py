@@ -2,10 +2,11 @@
 
 An encounter without contact is critical when a reference driver in the target's place, who reacts in the
 regulation's 0.75 s and then brakes evenly, would have had to brake at more than 4 m/s² for the boxes not to meet.
-It takes over where the careful and competent driver would. The other is taken to move as recorded up to the instant
-of the least time to collision, and to keep its speed on its way from there on: when it braked afterwards nobody
-could rely on that. Where the target stands, or the other comes from behind or into its side and braking is of no
-use, braking is not the answer, and the near miss is not critical.
+It takes over where the careful and competent driver would, on the driven path, and from the instant of the least
+time to collision on follows the lanes of the target's route: steering is not asked for. The other is taken to move
+as recorded up to that instant, and to keep its speed on its recorded way from there on: that it braked afterwards
+nobody could rely on. Where the target stands, where the other comes from behind, or into its side at any braking,
+braking is not the answer, and the near miss is not critical.
 """
 
 from __future__ import annotations
@@ -23,7 +24,6 @@ from advdiff_sumo.metrics.breaches.striking_rules import EXPECTED_BRAKE_MPS2
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.kept_motion import (
-    DrivenWay,
     Poses,
     contact_at,
     gone_on,
@@ -32,6 +32,7 @@ from advdiff_sumo.metrics.kept_motion import (
     velocity_mps,
 )
 from advdiff_sumo.metrics.reference import ReferenceDrive, ReferenceDrivers
+from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
 from advdiff_sumo.metrics.safe_gap import RESPONSE_S
 
 #: A near miss is looked at where the least time to collision is below this.
@@ -39,6 +40,7 @@ NEAR_MISS_TTC_S = 2.5
 #: The hardest braking that is asked for; where the target would still run into the other, this is the answer.
 HARDEST_BRAKE_MPS2 = 9.0
 _AFTER_S = 4.0
+_REACH_M = 150.0
 _BRAKE_STEP_MPS2 = 0.25
 #: Slower than this the target stands.
 _STANDS_MPS = 0.05
@@ -155,32 +157,46 @@ def _closest(record: EpisodeRecord, row: int, step: int) -> Collision:
 def _needed_brake_mps2(record: EpisodeRecord, road: RoadMap, row: int, step: int) -> float:
     """Return how hard a reference driver would have had to brake for *row*; 0 where braking is not the answer."""
     tracks, target, count = record.tracks, record.target, round(_AFTER_S / record.tracks.dt_s)
-    both = [kept(record, x, step, step, count) for x in (target, row)]
-    if contact_at(both[0], both[1], *tracks.size_m[[target, row]]) is None:
+    other = kept(record, row, step, step, count)
+    going = _driven_poses(record, _own_way(record, road, step, step), step, 0.0, len(other))
+    if contact_at(going, other, *tracks.size_m[[target, row]]) is None:
         return 0.0  # only straight on they would have met
     drive = _drive(record, road, row, step)
     if drive is None:
         return 0.0
     start = drive.takeover_step
-    return _least_brake_mps2(record, row, start, kept(record, row, start, step, count))
+    way = _own_way(record, road, start, step)
+    return _least_brake_mps2(record, way, row, start, kept(record, row, start, step, count))
 
 
-def _least_brake_mps2(record: EpisodeRecord, row: int, start: int, other: Poses) -> float:
+def _own_way(record: EpisodeRecord, road: RoadMap, start: int, step: int) -> OwnWay:
+    """Return the target's driven path from *start* to *step*, and its route's lanes from there on."""
+    if start == step:
+        return way_from(record, road, step, _REACH_M)
+    return joined_way(record, road, start, step, _REACH_M)
+
+
+def _driven_poses(record: EpisodeRecord, way: OwnWay, start: int, brake_mps2: float, count: int) -> Poses:
+    """Return *count* poses of a driver on *way* from instant *start* on, as in :func:`_braked_s_m`."""
+    tracks, target = record.tracks, record.target
+    begin = float(way.line.project(tracks.xy_m[target, start])[0])
+    speed = max(float(tracks.speed_mps[target, start]), 0.0)
+    return Poses(*way.poses(begin + _braked_s_m(speed, brake_mps2, count, tracks.dt_s)))
+
+
+def _least_brake_mps2(record: EpisodeRecord, way: OwnWay, row: int, start: int, other: Poses) -> float:
     """Return the least even braking after the response from *start* on with which the boxes do not meet.
 
     0 where it is the other who would drive into the target: from behind without any braking, or at the hardest one.
     """
     tracks, target = record.tracks, record.target
-    way, speed = DrivenWay.of(tracks, target, start), float(tracks.speed_mps[target, start])
-    front = 0.5 * float(tracks.size_m[target, 0])
-    ahead, moved = 0.0, 0.0
+    front, ahead, moved = 0.5 * float(tracks.size_m[target, 0]), 0.0, 0.0
     for brake in np.arange(0.0, HARDEST_BRAKE_MPS2 + _BRAKE_STEP_MPS2, _BRAKE_STEP_MPS2):
-        s_m = _braked_s_m(speed, float(brake), len(other), tracks.dt_s)
-        own = way.at(s_m)
+        own = _driven_poses(record, way, start, float(brake), len(other))
         met = contact_at(own, other, *tracks.size_m[[target, row]])
         if met is None:
             return float(brake)
-        ahead, moved = _ahead_m(own, other, met), float(s_m[met + 1] - s_m[met])
+        ahead, moved = _ahead_m(own, other, met), float(np.hypot(*(own.xy_m[met + 1] - own.xy_m[met])))
         if brake == 0.0 and ahead < -front:
             return 0.0
     return HARDEST_BRAKE_MPS2 if ahead > front and moved > _STANDS_MPS * tracks.dt_s else 0.0

@@ -95,6 +95,18 @@ def test_a_leader_that_brakes_hard(road, gap_m, least, most) -> None:
     assert found.resolved_by is ResolvedBy.TARGET
 
 
+def test_steering_round_the_leader_does_not_make_it_harmless(road) -> None:
+    # As the leader of above, but the target, which brakes less, swerves 3.2 m to the left within a second
+    t = DT_S * np.arange(61)
+    left = np.clip(3.2 * (t - 1.8), 0.0, 3.2)
+    ego = driven("ego", (-150, -4.8), 0, np.maximum(4.0, braking(12, 1.2, 5.0, 61)), left=left)
+    lead = driven("lead", (-146 + 14.4, -4.8), 0, braking(12, 0.5, 8.0, 61))
+    found = near_miss(record_of(ego, lead), road)
+    assert found is not None
+    assert found.critical
+    assert found.resolved_by is ResolvedBy.TARGET
+
+
 def test_the_hardest_braking_counts_not_the_least_time(road) -> None:
     # The leader of above asks for 5 m/s²; somebody oncoming in its bend would have been met sooner, going straight
     ego = driven("ego", (-150, -1.6), 0, braking(12, 1.2, 7.0, 61))

@@ -14,6 +14,7 @@ from rich.table import Table
 from advdiff_sumo.cli.summary import UNEXPLAINED
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, archive
+from advdiff_sumo.metrics.near_miss import resolved
 from advdiff_sumo.metrics.severity import is_failure, is_valid_failure, worst_first
 from advdiff_sumo.metrics.statistics import Rate
 from advdiff_sumo.report.attack_words import position_lines
@@ -192,7 +193,7 @@ def _print_worst(console: Console, rows: Sequence[Row]) -> None:
             what = f"{row['collision_type']}, at fault: {row['at_fault']}"
             what = f"valid failure: {what}" if is_valid_failure(row) else what
         elif row.get("critical"):
-            what = f"critical near miss, resolved by: {row['resolved_by']}"
+            what = f"critical near miss, {resolved(row['resolved_by'])}"
         values = (_value(row["min_ttc_s"], "s"), _value(row["min_clearance_m"], "m"))
         table.add_row(row["key"], row["target"], row["background"], what, *values)
     console.print(table)

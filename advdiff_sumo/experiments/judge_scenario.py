@@ -19,6 +19,7 @@ from advdiff_sumo.export import ImportedScene, import_scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.columns import CRITICAL_COLUMNS, VERDICT_COLUMNS
 from advdiff_sumo.metrics.metric_rows import episode_row
+from advdiff_sumo.metrics.near_miss import resolved
 from advdiff_sumo.metrics.summary import EpisodeMetrics, summarise
 from advdiff_sumo.report.stored_record import record_of_states
 
@@ -130,7 +131,7 @@ def outcome(metrics: EpisodeMetrics) -> str:
     missed = metrics.near_miss
     if missed is not None and missed.critical:
         braking = f"a careful driver would have had to brake at {missed.brake_mps2:.2f} m/s²"
-        return f"critical at {missed.time_s:.1f} s: {braking}; resolved by: {missed.resolved_by}"
+        return f"critical at {missed.time_s:.1f} s: {braking}; {resolved(missed.resolved_by)}"
     return "no collision"
 
 

@@ -69,7 +69,9 @@ CRITICAL_COLUMNS: Mapping[str, Column] = {
         nullable=True,
     ),
     "critical_brake_mps2": _real("m/s²", "what it asks for, at most 9"),
-    "resolved_by": _text("who kept it from becoming a collision: target, other or both"),
+    "resolved_by": _text(
+        "who kept it from a collision: target, other, both; empty if the record ends before"
+    ),
 }
 
 EPISODE_COLUMNS: Mapping[str, Column] = {

@@ -113,7 +113,7 @@ def critical_values(m: EpisodeMetrics) -> dict[str, Value]:
     return {
         "critical": True,
         "critical_brake_mps2": missed.brake_mps2,
-        "resolved_by": str(missed.resolved_by),
+        "resolved_by": None if missed.resolved_by is None else str(missed.resolved_by),
     }
 
 

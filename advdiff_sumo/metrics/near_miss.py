@@ -2,9 +2,11 @@
 
 An encounter without contact is critical when a reference driver in the target's place, who reacts in the
 regulation's 0.75 s and then brakes evenly, would have had to brake at more than 4 m/s² for the boxes not to meet.
-It takes over where the careful and competent driver would. The other is taken to move as recorded up to the instant
-of the least time to collision, and to keep its velocity from there on: what it did to get out of the way afterwards
-nobody could rely on.
+It takes over where the careful and competent driver would, on the driven path, and from the instant of the least
+time to collision on follows the lanes of the target's route: steering is not asked for. The other is taken to move
+as recorded up to that instant, and to keep its speed on its recorded way from there on: that it braked afterwards
+nobody could rely on. Where the target stands, where the other comes from behind, or into its side at any braking,
+braking is not the answer, and the near miss is not critical.
 """
 
 from __future__ import annotations
@@ -14,25 +16,34 @@ from enum import StrEnum
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.polylines import Polyline
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.striking_rules import EXPECTED_BRAKE_MPS2
 from advdiff_sumo.metrics.collision import Collision
-from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact
-from advdiff_sumo.metrics.criticality import Extreme
-from advdiff_sumo.metrics.kinematics import velocities
+from advdiff_sumo.metrics.criticality import time_to_collision
+from advdiff_sumo.metrics.kept_motion import (
+    Poses,
+    contact_at,
+    gone_on,
+    kept,
+    kept_straight,
+    velocity_mps,
+)
 from advdiff_sumo.metrics.reference import ReferenceDrive, ReferenceDrivers
+from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
 from advdiff_sumo.metrics.safe_gap import RESPONSE_S
 
 #: A near miss is looked at where the least time to collision is below this.
 NEAR_MISS_TTC_S = 2.5
-#: The hardest braking that is asked for; where it does not do, this is the answer.
+#: The hardest braking that is asked for; where the target would still run into the other, this is the answer.
 HARDEST_BRAKE_MPS2 = 9.0
 _AFTER_S = 4.0
+_REACH_M = 150.0
 _BRAKE_STEP_MPS2 = 0.25
-_AHEAD_M = 100.0
+#: Slower than this the target stands.
+_STANDS_MPS = 0.05
 
 
 class ResolvedBy(StrEnum):
@@ -49,15 +60,17 @@ class NearMiss:
 
     Attributes:
         row: the other.
-        time_s: instant of the least time to collision, since the episode's start.
-        brake_mps2: how hard a reference driver would have had to brake; 0 where it needed not.
-        resolved_by: who acted so that it did not come to a contact.
+        time_s: instant of the least time to collision with it, since the episode's start.
+        brake_mps2: how hard a reference driver would have had to brake; 0 where it needed not, or where braking is
+            not the answer.
+        resolved_by: who acted so that it did not come to a contact; None where the record ends before it is
+            resolved.
     """
 
     row: int
     time_s: float
     brake_mps2: float
-    resolved_by: ResolvedBy
+    resolved_by: ResolvedBy | None
 
     @property
     def critical(self) -> bool:
@@ -65,37 +78,60 @@ class NearMiss:
         return self.brake_mps2 > EXPECTED_BRAKE_MPS2
 
 
-def near_miss(record: EpisodeRecord, road: RoadMap, ttc: Extreme | None) -> NearMiss | None:
-    """Return the near miss at the least time to collision of an episode without one; None where nothing came near.
+def near_miss(record: EpisodeRecord, road: RoadMap) -> NearMiss | None:
+    """Return the near miss of an episode without a collision that asks for the hardest braking; None without one.
+
+    Of several that ask for as much it is the one of the least time to collision.
 
     Args:
         record: the episode, in which the target did not collide.
         road: its map.
-        ttc: its least time to collision (:func:`~advdiff_sumo.metrics.criticality.least`).
     """
-    if ttc is None or ttc.value >= NEAR_MISS_TTC_S:
+    found = [(_needed_brake_mps2(record, road, row, step), row, step) for row, step in _candidates(record)]
+    if not found:
         return None
-    step = _step_of(record, ttc)
-    drive = careful_drive(record, road, ttc)
-    if drive is None:
-        return None
-    start = drive.takeover_step
-    way = _driven_way(record, start)
-    kept = _kept_velocity(record, ttc.row, start, step)
-    brake = _needed_brake_mps2(record, way, start, ttc.row, kept)
-    return NearMiss(ttc.row, ttc.time_s, brake, _resolved_by(record, ttc.row, step))
+    brake, row, step = max(found, key=lambda x: x[0])
+    time_s = record.tracks.t0_s + step * record.tracks.dt_s
+    return NearMiss(row, time_s, brake, _resolved_by(record, row, step))
 
 
-def careful_drive(record: EpisodeRecord, road: RoadMap, ttc: Extreme) -> ReferenceDrive | None:
-    """Return what the careful and competent driver would have done in the encounter of *ttc*; None at the start."""
-    step = _step_of(record, ttc)
+def careful_drive(record: EpisodeRecord, road: RoadMap, missed: NearMiss) -> ReferenceDrive | None:
+    """Return what the careful and competent driver would have done in the near miss *missed*; None at the start."""
+    step = round((missed.time_s - record.tracks.t0_s) / record.tracks.dt_s)
+    return _drive(record, road, missed.row, step)
+
+
+def resolved(by: str | None) -> str:
+    """Return who resolved a near miss as part of a sentence; *by* is a value of :class:`ResolvedBy` or None."""
+    return "the record ends before it is resolved" if by is None else f"resolved by: {by}"
+
+
+def _candidates(record: EpisodeRecord) -> list[tuple[int, int]]:
+    """Return (row, instant) of each other's least time to collision that is short, the shortest first.
+
+    Instants at which the target stands, or the other is behind it, do not count: braking is not the answer there.
+    """
+    seconds = time_to_collision(record.tracks, record.target)
+    stands = np.abs(record.tracks.speed_mps[record.target]) <= _STANDS_MPS
+    counts = np.isfinite(seconds) & ~stands & ~_behind(record)
+    seconds = np.where(counts, seconds, np.inf)
+    steps = seconds.argmin(1)
+    least = seconds.min(1)
+    near = np.flatnonzero(least < NEAR_MISS_TTC_S)
+    return [(int(row), int(steps[row])) for row in near[np.argsort(least[near], kind="stable")]]
+
+
+def _behind(record: EpisodeRecord) -> BoolArray:
+    """Return (A, T) whether the other's centre is behind the target's rear."""
+    tracks, target = record.tracks, record.target
+    along = ((tracks.xy_m - tracks.xy_m[target]) * unit(tracks.yaw_rad[target])).sum(-1)
+    return np.asarray(along < -0.5 * tracks.size_m[target, 0])
+
+
+def _drive(record: EpisodeRecord, road: RoadMap, row: int, step: int) -> ReferenceDrive | None:
     if step == 0 or not record.tracks.valid[record.target, : step + 1].all():
         return None
-    return ReferenceDrivers(record, road, _closest(record, ttc.row, step)).drive()
-
-
-def _step_of(record: EpisodeRecord, ttc: Extreme) -> int:
-    return round((ttc.time_s - record.tracks.t0_s) / record.tracks.dt_s)
+    return ReferenceDrivers(record, road, _closest(record, row, step)).drive()
 
 
 def _closest(record: EpisodeRecord, row: int, step: int) -> Collision:
@@ -112,49 +148,63 @@ def _closest(record: EpisodeRecord, row: int, step: int) -> Collision:
         initial=False,
         xy_m=tracks.xy_m[rows, step],
         yaw_rad=tracks.yaw_rad[rows, step],
-        velocity_mps=velocities(tracks.window(max(0, step - 1), step + 1))[rows, -1],
+        velocity_mps=np.stack([velocity_mps(tracks, x, step) for x in rows]),
         normal=offset / max(float(np.hypot(*offset)), 1e-9),
         faces=("front", "rear"),
     )
 
 
-def _driven_way(record: EpisodeRecord, start: int) -> Polyline:
-    """Return the target's driven path from instant *start* on, and straight on from its end."""
+def _needed_brake_mps2(record: EpisodeRecord, road: RoadMap, row: int, step: int) -> float:
+    """Return how hard a reference driver would have had to brake for *row*; 0 where braking is not the answer."""
+    tracks, target, count = record.tracks, record.target, round(_AFTER_S / record.tracks.dt_s)
+    other = kept(record, row, step, step, count)
+    going = _driven_poses(record, _own_way(record, road, step, step), step, 0.0, len(other))
+    if contact_at(going, other, *tracks.size_m[[target, row]]) is None:
+        return 0.0  # only straight on they would have met
+    drive = _drive(record, road, row, step)
+    if drive is None:
+        return 0.0
+    start = drive.takeover_step
+    way = _own_way(record, road, start, step)
+    return _least_brake_mps2(record, way, row, start, kept(record, row, start, step, count))
+
+
+def _own_way(record: EpisodeRecord, road: RoadMap, start: int, step: int) -> OwnWay:
+    """Return the target's driven path from *start* to *step*, and its route's lanes from there on."""
+    if start == step:
+        return way_from(record, road, step, _REACH_M)
+    return joined_way(record, road, start, step, _REACH_M)
+
+
+def _driven_poses(record: EpisodeRecord, way: OwnWay, start: int, brake_mps2: float, count: int) -> Poses:
+    """Return *count* poses of a driver on *way* from instant *start* on, as in :func:`_braked_s_m`."""
     tracks, target = record.tracks, record.target
-    xy = tracks.xy_m[target, start:]
-    xy = xy[np.isfinite(xy).all(axis=1)]
-    last = int(np.flatnonzero(tracks.valid[target])[-1])
-    yaw = float(tracks.yaw_rad[target, last])
-    kept = [xy[0]]
-    for point in xy[1:]:
-        if np.hypot(*(point - kept[-1])) > 0.05:  # noise of standing has no direction
-            kept.append(point)
-    return Polyline.of(np.array([*kept, xy[-1] + _AHEAD_M * np.array((np.cos(yaw), np.sin(yaw)))]))
+    begin = float(way.line.project(tracks.xy_m[target, start])[0])
+    speed = max(float(tracks.speed_mps[target, start]), 0.0)
+    return Poses(*way.poses(begin + _braked_s_m(speed, brake_mps2, count, tracks.dt_s)))
 
 
-def _kept_velocity(record: EpisodeRecord, row: int, start: int, since: int) -> tuple[FloatArray, FloatArray]:
-    """Return (T, 2) places and (T,) headings of *row* from *start* on: at constant velocity from *since* on."""
-    tracks = record.tracks
-    velocity = velocities(tracks.window(max(0, since - 1), since + 1))[row, -1]
-    after = np.arange(1, round(_AFTER_S / tracks.dt_s) + 1)[:, None] * tracks.dt_s
-    xy = np.vstack((tracks.xy_m[row, start : since + 1], tracks.xy_m[row, since] + after * velocity))
-    yaw = np.concatenate(
-        (tracks.yaw_rad[row, start : since + 1], np.full(len(after), tracks.yaw_rad[row, since]))
-    )
-    return xy, yaw
+def _least_brake_mps2(record: EpisodeRecord, way: OwnWay, row: int, start: int, other: Poses) -> float:
+    """Return the least even braking after the response from *start* on with which the boxes do not meet.
 
-
-def _needed_brake_mps2(
-    record: EpisodeRecord, way: Polyline, start: int, row: int, other: tuple[FloatArray, FloatArray]
-) -> float:
-    """Return the least even braking after the response with which the boxes do not meet."""
-    speed = float(record.tracks.speed_mps[record.target, start])
-    for brake in np.arange(0.0, HARDEST_BRAKE_MPS2, _BRAKE_STEP_MPS2):
-        if not _meets(
-            record, way, _braked_s_m(speed, float(brake), len(other[0]), record.tracks.dt_s), row, other
-        ):
+    0 where it is the other who would drive into the target: from behind without any braking, or at the hardest one.
+    """
+    tracks, target = record.tracks, record.target
+    front, ahead, moved = 0.5 * float(tracks.size_m[target, 0]), 0.0, 0.0
+    for brake in np.arange(0.0, HARDEST_BRAKE_MPS2 + _BRAKE_STEP_MPS2, _BRAKE_STEP_MPS2):
+        own = _driven_poses(record, way, start, float(brake), len(other))
+        met = contact_at(own, other, *tracks.size_m[[target, row]])
+        if met is None:
             return float(brake)
-    return HARDEST_BRAKE_MPS2
+        ahead, moved = _ahead_m(own, other, met), float(np.hypot(*(own.xy_m[met + 1] - own.xy_m[met])))
+        if brake == 0.0 and ahead < -front:
+            return 0.0
+    return HARDEST_BRAKE_MPS2 if ahead > front and moved > _STANDS_MPS * tracks.dt_s else 0.0
+
+
+def _ahead_m(own: Poses, other: Poses, step: int) -> float:
+    """Return how far the centre of *other* is ahead of that of *own* at instant *step*."""
+    return float((other.xy_m[step] - own.xy_m[step]) @ unit(own.yaw_rad[step]))
 
 
 def _braked_s_m(speed_mps: float, brake_mps2: float, count: int, dt_s: float) -> FloatArray:
@@ -167,46 +217,26 @@ def _braked_s_m(speed_mps: float, brake_mps2: float, count: int, dt_s: float) ->
     return np.asarray(speed_mps * (held + braking) - 0.5 * brake_mps2 * braking**2)
 
 
-def _meets(
-    record: EpisodeRecord, way: Polyline, s_m: FloatArray, row: int, other: tuple[FloatArray, FloatArray]
-) -> bool:
-    """Return whether the target's box at places *s_m* (T,) of *way* meets that of *row*."""
-    xy, yaw = way.at(s_m, extrapolate=True)
-    size = record.tracks.size_m
-    count = len(s_m) - 1
-    own = Sweep.between(xy[:-1], yaw[:-1], xy[1:], yaw[1:], np.broadcast_to(size[record.target], (count, 2)))
-    theirs = Sweep.between(
-        other[0][:-1], other[1][:-1], other[0][1:], other[1][1:], np.broadcast_to(size[row], (count, 2))
-    )
-    return not bool(np.isnan(first_contact(own, theirs)).all())
+def _resolved_by(record: EpisodeRecord, row: int, step: int) -> ResolvedBy | None:
+    """Return whose doing it was: had one alone kept its speed from *step* on, would the boxes have met?
 
-
-def _resolved_by(record: EpisodeRecord, row: int, step: int) -> ResolvedBy:
-    """Return whose doing it was: had one alone kept its velocity from *step* on, would the boxes have met?"""
-    target = record.target
-    without_target = _meet_if_kept(record, target, row, step)
-    without_other = _meet_if_kept(record, row, target, step)
-    if without_target != without_other:
-        return ResolvedBy.TARGET if without_target else ResolvedBy.OTHER
+    Where that tells of nobody, the velocity is kept instead: they steered. None where nobody had done enough by the
+    record's end: going on as they last did, they meet.
+    """
+    count = round(_AFTER_S / record.tracks.dt_s)
+    rows = record.target, row
+    sizes = record.tracks.size_m[list(rows)]
+    on = [gone_on(record, x, step, count) for x in rows]
+    if contact_at(on[0], on[1], *sizes) is not None:
+        return None
+    for ways in (
+        [kept(record, x, step, step, count) for x in rows],
+        [kept_straight(record, x, step, count) for x in rows],
+    ):
+        without_target = contact_at(ways[0], on[1], *sizes) is not None
+        without_other = contact_at(on[0], ways[1], *sizes) is not None
+        if without_target != without_other:
+            return ResolvedBy.TARGET if without_target else ResolvedBy.OTHER
+        if without_target:
+            break
     return ResolvedBy.BOTH
-
-
-def _meet_if_kept(record: EpisodeRecord, keeping: int, moving: int, step: int) -> bool:
-    """Return whether *keeping*, at constant velocity from *step* on, would have met *moving* as recorded."""
-    tracks = record.tracks
-    xy, yaw = _kept_velocity(record, keeping, step, step)
-    count = min(len(xy), tracks.steps - step) - 1
-    if count < 1:
-        return False
-    span, after = slice(step, step + count), slice(step + 1, step + count + 1)
-    sizes = [np.broadcast_to(tracks.size_m[r], (count, 2)) for r in (keeping, moving)]
-    own = Sweep.between(xy[:count], yaw[:count], xy[1 : count + 1], yaw[1 : count + 1], sizes[0])
-    theirs = Sweep.between(
-        tracks.xy_m[moving, span],
-        tracks.yaw_rad[moving, span],
-        tracks.xy_m[moving, after],
-        tracks.yaw_rad[moving, after],
-        sizes[1],
-    )
-    with np.errstate(invalid="ignore"):
-        return not bool(np.isnan(first_contact(own, theirs)).all())

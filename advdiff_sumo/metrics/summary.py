@@ -86,7 +86,8 @@ class EpisodeMetrics:
         contacts: every collision of two agents, initial overlaps included.
         struck: the target's first collision with another agent, unless it left the road before.
         left_road: when the target left the road, unless it was hit before.
-        near_miss: how near it came in an episode without a collision of the target; None where it did not.
+        near_miss: of an episode without a collision of the target, what asks for the hardest braking; None where
+            nothing came near.
         sumo: SUMO's list against ours.
         criticality: how near it came.
         comfort: how the ride felt.
@@ -138,7 +139,7 @@ def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None
         contacts=tuple(contacts),
         struck=None if struck is None else judged(record, road, struck, solvable),
         left_road=left_road,
-        near_miss=None if collided else near_miss(record, road, criticality.ttc),
+        near_miss=None if collided else near_miss(record, road),
         sumo=compare_with_sumo(record, touches),
         criticality=criticality,
         comfort=comfort(before, record.target),

@@ -8,8 +8,7 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import collisions, target_collision
-from advdiff_sumo.metrics.criticality import least, time_to_collision
-from advdiff_sumo.metrics.near_miss import careful_drive
+from advdiff_sumo.metrics.near_miss import careful_drive, near_miss
 from advdiff_sumo.metrics.reference import ReferenceDrive, drive_reference
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.stored_record import record_of_states
@@ -33,8 +32,8 @@ def drive_of(run: FinishedRun, row: Row, states: EpisodeStates, road: RoadMap) -
     if not row["critical"]:
         hit = target_collision(record, collisions(record))
         return None if hit is None else drive_reference(record, road, hit)
-    ttc = least(time_to_collision(record.tracks, record.target), record.tracks)
-    return None if ttc is None else careful_drive(record, road, ttc)
+    missed = near_miss(record, road)
+    return None if missed is None else careful_drive(record, road, missed)
 
 
 def tracks_of(drive: ReferenceDrive, states: EpisodeStates) -> Tracks:

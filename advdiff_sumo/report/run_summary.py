@@ -73,8 +73,9 @@ def _rate(count: int, total: int) -> str:
 
 
 def _median(rows: Rows, column: str, unit: str, form: str = "{:.2f}") -> str:
-    value = _middle(rows, column)
-    return "–" if value is None else f"{form.format(value)} {unit}"
+    value, known = _middle(rows, column), sum(row[column] is not None for row in rows)
+    some = f" (of {known} of {len(rows)} episodes)" if known < len(rows) else ""
+    return "–" if value is None else f"{form.format(value)} {unit}{some}"
 
 
 def _middle(rows: Rows, column: str) -> float | None:

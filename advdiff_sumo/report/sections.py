@@ -11,6 +11,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
+from advdiff_sumo.metrics.near_miss import resolved
 from advdiff_sumo.metrics.reference import ReferenceDrive
 from advdiff_sumo.metrics.severity import badge
 from advdiff_sumo.report.blocks import departed, episode_block
@@ -193,7 +194,7 @@ def _verdict(row: Row) -> str:
         return str(row["failure_message"] or "No reason was recorded.")
     if row["critical"]:
         brake = number(row["critical_brake_mps2"], 1, "m/s²")
-        return f"A careful driver would have had to brake at {brake}; resolved by: {row['resolved_by']}."
+        return f"A careful driver would have had to brake at {brake}; {resolved(row['resolved_by'])}."
     if not row["target_collision"]:
         gap = number(row["min_clearance_m"], 2, "m")
         return f"No contact; the least gap was {gap}."

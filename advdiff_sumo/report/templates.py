@@ -11,6 +11,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from advdiff_sumo.metrics.near_miss import resolved
 from advdiff_sumo.metrics.severity import badge
 
 ASSETS = Path(__file__).parent / "assets"
@@ -35,6 +36,7 @@ def templates() -> Environment:
         "yes_no": yes_no,
         "title": title,
         "badge": badge,
+        "resolved": resolved,
         "breaches_of": breaches_of,
         "as_json": as_json,
     }

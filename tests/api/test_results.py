@@ -138,6 +138,7 @@ def test_figures_by_hand() -> None:
     lines = dict(summary_lines(rows, []))
     assert lines["failed episodes"].endswith("1 of 3")
     assert lines["median of minimum TTC"] == "3.00 s"
+    assert lines["median of minimum clearance"] == "1.00 m (of 1 of 2 episodes)"
 
 
 def test_a_sweep(tmp_path: Path) -> None:

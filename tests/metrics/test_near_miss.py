@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from advdiff_sumo.metrics.criticality import least, time_to_collision
-from advdiff_sumo.metrics.near_miss import ResolvedBy, near_miss
-from tests.metrics.encounters import braking, driven, record_of, straight
+from advdiff_sumo.metrics.near_miss import ResolvedBy, near_miss, resolved
+from tests.metrics.encounters import DT_S, Car, braking, driven, record_of, straight
 
 
-def missed(record, road):
-    """Return the near miss at the least time to collision."""
-    tracks = record.tracks
-    return near_miss(record, road, least(time_to_collision(tracks, record.target), tracks))
+def bend(name: str, xy: tuple[float, float], yaw: float, speed: float, radius: float, steps: int) -> Car:
+    """Return a car on a circle of *radius* m, to the left where it is positive."""
+    turn = speed / radius * DT_S * np.arange(steps)
+    left = np.array([-np.sin(yaw), np.cos(yaw)])
+    ahead = np.array([np.cos(yaw), np.sin(yaw)])
+    path = np.asarray(xy) + radius * (np.sin(turn)[:, None] * ahead + (1 - np.cos(turn))[:, None] * left)
+    return Car(name, path, yaw + turn, np.full(steps, speed))
 
 
 def test_nobody_near_is_no_near_miss(road) -> None:
     assert (
-        missed(record_of(straight("ego", (-150, -1.6), 0, 10), straight("far", (-90, -1.6), 0, 10)), road)
+        near_miss(record_of(straight("ego", (-150, -1.6), 0, 10), straight("far", (-90, -1.6), 0, 10)), road)
         is None
     )
 
@@ -25,7 +29,7 @@ def test_nobody_near_is_no_near_miss(road) -> None:
 def test_gentle_braking_behind_a_leader_is_not_critical(road) -> None:
     ego = driven("ego", (-150, -1.6), 0, braking(12, 1.5, 3.0, 81))
     lead = driven("lead", (-118, -1.6), 0, braking(12, 0.5, 3.0, 81))
-    found = missed(record_of(ego, lead), road)
+    found = near_miss(record_of(ego, lead), road)
     assert found is None or not found.critical
 
 
@@ -36,7 +40,7 @@ def test_a_cut_in_that_the_target_brakes_for_at_the_last_moment(road) -> None:
         "cutter", (-138, -1.6), 0, np.full(steps, 6.0), left=np.maximum(-3.2, -0.4 * np.arange(steps))
     )
     speed = np.maximum(5.0, 14.0 - 9.0 * np.maximum(0.0, 0.1 * np.arange(steps) - 0.2))
-    found = missed(record_of(driven("ego", (-150, -4.8), 0, speed), cutter), road)
+    found = near_miss(record_of(driven("ego", (-150, -4.8), 0, speed), cutter), road)
     assert found is not None
     assert found.critical
     assert found.brake_mps2 > 4.0
@@ -49,6 +53,89 @@ def test_the_other_resolves_it(road) -> None:
     t = 0.1 * np.arange(steps)
     left = np.where(t < 0.5, -4.0 * t, np.minimum(0.0, -2.0 + 8.0 * np.maximum(0.0, t - 1.0)))
     cutter = driven("cutter", (-134, -1.6), 0, np.full(steps, 6.0), left=left)
-    found = missed(record_of(straight("ego", (-150, -4.8), 0, 13, steps=steps), cutter), road)
+    found = near_miss(record_of(straight("ego", (-150, -4.8), 0, 13, steps=steps), cutter), road)
     assert found is not None
     assert found.resolved_by is ResolvedBy.OTHER
+
+
+def test_who_comes_up_behind_a_standing_target_is_not_critical(road) -> None:
+    # 26 m bumper to bumper, braking 8²/2/1.6 = 20 m from 8 m/s on; at its start the time to collision is 26/8 s = 3.2
+    # s, after 1 s 18/8 = 2.2 s: near, but the target stands
+    behind = driven("behind", (-50, -1.6), 0, braking(8, 1.0, 2.0, 61))
+    assert near_miss(record_of(straight("ego", (-20, -1.6), 0, 0.0, steps=61), behind), road) is None
+
+
+def test_who_comes_up_behind_a_moving_target_is_not_critical(road) -> None:
+    # 16 m behind and 10 m/s faster: 1.6 s; braking at 6 m/s² it loses them within 8.3 m
+    behind = driven("behind", (-70, -1.6), 0, np.maximum(5.0, braking(15, 0.3, 6.0, 61)))
+    found = near_miss(record_of(straight("ego", (-50, -1.6), 0, 5.0, steps=61), behind), road)
+    assert found is None or not found.critical
+
+
+def test_an_oncoming_car_that_keeps_to_its_bend_is_not_critical(road) -> None:
+    # 30 m radius at 8 m/s: straight on it would reach the target's lane 3.2 m beside it in the 14 m between them;
+    # in the bend it passes 3.2 m and more beside the target's centre, which stands or drives
+    for speed in (0.0, 3.0):
+        ego = straight("ego", (-60, -1.6), 0, speed, steps=41)
+        oncoming = bend("oncoming", (-38, 5.2), np.pi + 0.35, 8.0, -30.0, 41)
+        found = near_miss(record_of(ego, oncoming), road)
+        assert found is None or found.brake_mps2 == 0.0, speed
+
+
+@pytest.mark.parametrize(("gap_m", "least", "most"), [(14.4, 4.5, 5.5), (20.0, 3.0, 4.0)])
+def test_a_leader_that_brakes_hard(road, gap_m, least, most) -> None:
+    # From 12 m/s at 8 m/s² the leader stops within 9 m; the driver has gap + 9 m, and uses 0.75 s * 12 = 9 m before
+    # it brakes: 12²/2/b = gap, thus b = 72/14.4 = 5 m/s², or 72/20 = 3.6
+    ego = driven("ego", (-150, -1.6), 0, braking(12, 1.2, 7.0, 81))
+    lead = driven("lead", (-146 + gap_m, -1.6), 0, braking(12, 0.5, 8.0, 81))
+    found = near_miss(record_of(ego, lead), road)
+    assert found is not None
+    assert least <= found.brake_mps2 <= most
+    assert found.critical == (gap_m < 20)
+    assert found.resolved_by is ResolvedBy.TARGET
+
+
+def test_steering_round_the_leader_does_not_make_it_harmless(road) -> None:
+    # As the leader of above, but the target, which brakes less, swerves 3.2 m to the left within a second
+    t = DT_S * np.arange(61)
+    left = np.clip(3.2 * (t - 1.8), 0.0, 3.2)
+    ego = driven("ego", (-150, -4.8), 0, np.maximum(4.0, braking(12, 1.2, 5.0, 61)), left=left)
+    lead = driven("lead", (-146 + 14.4, -4.8), 0, braking(12, 0.5, 8.0, 61))
+    found = near_miss(record_of(ego, lead), road)
+    assert found is not None
+    assert found.critical
+    assert found.resolved_by is ResolvedBy.TARGET
+
+
+def test_the_hardest_braking_counts_not_the_least_time(road) -> None:
+    # The leader of above asks for 5 m/s²; somebody oncoming in its bend would have been met sooner, going straight
+    ego = driven("ego", (-150, -1.6), 0, braking(12, 1.2, 7.0, 61))
+    lead = driven("lead", (-146 + 14.4, -1.6), 0, braking(12, 0.5, 8.0, 61))
+    oncoming = bend("oncoming", (-128, 3.6), np.pi + 0.35, 8.0, -30.0, 61)
+    record = record_of(ego, lead, oncoming)
+    nearest = least(time_to_collision(record.tracks, 0), record.tracks)
+    found = near_miss(record, road)
+    assert nearest is not None
+    assert found is not None
+    assert (nearest.row, found.row) == (2, 1)
+    assert found.critical
+
+
+def test_somebody_who_drives_into_the_side_is_not_answered_by_braking(road) -> None:
+    # It drifts at 4 m/s into the side of the target, whose front is beside it at any braking, and stops short of it
+    t = DT_S * np.arange(41)
+    left = -np.minimum(2.6, 4.0 * np.maximum(0.0, t - 1.0))
+    beside = driven("beside", (-150, 3.2), 0, np.full(41, 12.0), left=left)
+    found = near_miss(record_of(straight("ego", (-150, -1.6), 0, 12.0), beside), road)
+    assert found is None or not found.critical
+
+
+def test_the_record_that_ends_before_anybody_resolved_it(road) -> None:
+    # 14 m behind one who stands, at 12 m/s: 1.2 s to the contact, and nobody does anything up to the end
+    ego = straight("ego", (-150, -1.6), 0, 12.0, steps=26)
+    lead = straight("lead", (-150 + 30 + 4 + 14, -1.6), 0, 0.0, steps=26)
+    found = near_miss(record_of(ego, lead), road)
+    assert found is not None
+    assert found.resolved_by is None
+    assert resolved(found.resolved_by) == "the record ends before it is resolved"
+    assert resolved(ResolvedBy.TARGET) == "resolved by: target"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 from defusedxml.ElementTree import parse
 
-from tests.e2e.commands import TINY, Outcome
+from tests.e2e.commands import MODULE, TINY, Outcome, environment
+from tests.hang_guard import HANG_S
 
 TAGGED = """
 class Tagged:
@@ -30,25 +32,36 @@ backgrounds = ["replay"]
 PLACE = "runs/[red] ü x"
 
 
-def test_a_sweep(workplace: Path, here: Callable[..., Outcome]) -> None:
+def piped(place: Path, *words: object) -> Outcome:
+    """Run a command whose output goes into a pipe, where tables are as wide as what is in them."""
+    wide = {name: value for name, value in environment().items() if name != "COLUMNS"}
+    command = [*MODULE, *map(str, words)]
+    done = subprocess.run(
+        command, cwd=place, env=wide, capture_output=True, text=True, check=False, timeout=HANG_S
+    )
+    return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+def test_a_sweep(workplace: Path) -> None:
     (workplace / "tagged.py").write_text(TAGGED)
     (workplace / "some.toml").write_text(SWEEP)
     words = ("--executor", "serial", "--out", PLACE, "--junit", "junit.xml", "--fail-if", "failures > 0")
-    done = here("sweep", "some.toml", *words)
-    asked = here("results", PLACE, "--junit", "again.xml", "--fail-if", "failures > 0")
+    done = piped(workplace, "sweep", "some.toml", *words)
+    asked = piped(workplace, "results", PLACE, "--junit", "again.xml", "--fail-if", "failures > 0")
     for outcome in (done, asked):
         assert outcome.code == 1, outcome.err
-        joined = "".join(outcome.out.split())  # cells are broken
-        assert "[late:weak]" in joined
-        assert "[range:strong]" in joined
-        assert "[/lane]" in joined
+        assert "[late:weak]" in outcome.out
+        assert "[range:strong]" in outcome.out
+        assert "[/lane]" in outcome.out
         assert f"results: {PLACE}\n" in outcome.out
         assert "--fail-if failures > 0: failures = 1" in outcome.out
     assert f"look at {PLACE}/report.html" in done.out
     for file in ("junit.xml", "again.xml"):
         assert parse(workplace / file).getroot().get("tests") == "4"
 
-    refused = here("compare", PLACE, PLACE, "--a", "target=lane_graph", "--b", "target=tagged:Tagged")
+    refused = piped(
+        workplace, "compare", PLACE, PLACE, "--a", "target=lane_graph", "--b", "target=tagged:Tagged"
+    )
     assert refused.code == 2
     assert """: add --a 'target_options={"defects":["late:weak"]}' or --a 'target_options=""" in refused.err
 

@@ -61,7 +61,9 @@ def baseline(names: list[str]) -> str:
             for column in columns
         )
         text += f"| {f'{target}, {row}' if row == SOUND else row} | {' | '.join(shown)} |\n"
-    runs = "; ".join(_run_text(name, provenance[name]["title"]) for name in names)
+    runs = "; ".join(
+        _run_text(name, columns, provenance[name]["title"]) for name, columns in _shown(names).items()
+    )
     return f"Valid failures in % of the episodes. {runs}:\n\n{text}"
 
 
@@ -81,16 +83,28 @@ def findings(names: list[str]) -> str:
     return text
 
 
-def _run_text(name: str, title: str) -> str:
-    """Return which columns come from how many seed scenes."""
-    columns = dict.fromkeys(policy_row(line["column"]).title for line in _lines([name], ""))
-    return f"{', '.join(columns)}: {title.partition(': ')[2]} ([CSV](tables/{name}.csv))"
+def _run_text(name: str, columns: list[str], title: str) -> str:
+    """Return which *columns* of the table *name* come from how many seed scenes."""
+    titles = ", ".join(policy_row(column).title for column in columns)
+    return f"{titles}: {title.partition(': ')[2]} ([CSV](tables/{name}.csv))"
 
 
 def _lines(names: list[str], which: str) -> list[dict[str, str]]:
-    """Return the lines of all tables *names*."""
-    texts = ((TABLES / f"{name}{which}.csv").read_text(encoding="utf-8") for name in names)
-    return [line for text in texts for line in csv.DictReader(text.splitlines())]
+    """Return the lines of all tables *names*; a column comes from the last one that has it."""
+    shown = _shown(names)
+    every = ((name, line) for name in names for line in _read(f"{name}{which}"))
+    return [line for name, line in every if line.get("column", "") in (*shown[name], "")]
+
+
+def _shown(names: list[str]) -> dict[str, list[str]]:
+    """Return for each table which of its columns no later one has, in order."""
+    columns = {name: list(dict.fromkeys(line["column"] for line in _read(name))) for name in names}
+    last = {column: name for name, has in columns.items() for column in has}
+    return {name: [column for column in has if last[column] == name] for name, has in columns.items()}
+
+
+def _read(name: str) -> list[dict[str, str]]:
+    return list(csv.DictReader((TABLES / f"{name}.csv").read_text(encoding="utf-8").splitlines()))
 
 
 def _cell_text(line: dict[str, str] | None, detected: bool) -> str:

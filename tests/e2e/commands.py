@@ -39,12 +39,17 @@ def environment(hash_seed: int = 0) -> dict[str, str]:
     return {**os.environ, "PYTHONHASHSEED": str(hash_seed), "COLUMNS": "100", "NO_COLOR": "1"}
 
 
-def advdiff(*words: object, cwd: Path, hash_seed: int = 0, program: tuple[str, ...] = MODULE) -> Outcome:
-    """Run a command to its end."""
+def advdiff(
+    *words: object, cwd: Path, hash_seed: int = 0, program: tuple[str, ...] = MODULE, narrow: bool = True
+) -> Outcome:
+    """Run a command to its end, in 100 columns, or with tables as wide as what is in them."""
+    variables = environment(hash_seed)
+    if not narrow:
+        del variables["COLUMNS"]
     done = subprocess.run(
         [*program, *map(str, words)],
         cwd=cwd,
-        env=environment(hash_seed),
+        env=variables,
         capture_output=True,
         text=True,
         check=False,

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 from defusedxml.ElementTree import parse
 
-from tests.e2e.commands import MODULE, TINY, Outcome, environment
-from tests.hang_guard import HANG_S
+from tests.e2e.commands import TINY, Outcome, advdiff
 
 TAGGED = """
 class Tagged:
@@ -32,22 +30,13 @@ backgrounds = ["replay"]
 PLACE = "runs/[red] ü x"
 
 
-def piped(place: Path, *words: object) -> Outcome:
-    """Run a command whose output goes into a pipe, where tables are as wide as what is in them."""
-    wide = {name: value for name, value in environment().items() if name != "COLUMNS"}
-    command = [*MODULE, *map(str, words)]
-    done = subprocess.run(
-        command, cwd=place, env=wide, capture_output=True, text=True, check=False, timeout=HANG_S
-    )
-    return Outcome(done.returncode, done.stdout, done.stderr)
-
-
 def test_a_sweep(workplace: Path) -> None:
     (workplace / "tagged.py").write_text(TAGGED)
     (workplace / "some.toml").write_text(SWEEP)
     words = ("--executor", "serial", "--out", PLACE, "--junit", "junit.xml", "--fail-if", "failures > 0")
-    done = piped(workplace, "sweep", "some.toml", *words)
-    asked = piped(workplace, "results", PLACE, "--junit", "again.xml", "--fail-if", "failures > 0")
+    done = advdiff("sweep", "some.toml", *words, cwd=workplace, narrow=False)
+    again = ("--junit", "again.xml", "--fail-if", "failures > 0")
+    asked = advdiff("results", PLACE, *again, cwd=workplace, narrow=False)
     for outcome in (done, asked):
         assert outcome.code == 1, outcome.err
         assert "[late:weak]" in outcome.out
@@ -59,9 +48,8 @@ def test_a_sweep(workplace: Path) -> None:
     for file in ("junit.xml", "again.xml"):
         assert parse(workplace / file).getroot().get("tests") == "4"
 
-    refused = piped(
-        workplace, "compare", PLACE, PLACE, "--a", "target=lane_graph", "--b", "target=tagged:Tagged"
-    )
+    sides = ("--a", "target=lane_graph", "--b", "target=tagged:Tagged")
+    refused = advdiff("compare", PLACE, PLACE, *sides, cwd=workplace, narrow=False)
     assert refused.code == 2
     assert """: add --a 'target_options={"defects":["late:weak"]}' or --a 'target_options=""" in refused.err
 

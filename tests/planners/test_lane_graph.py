@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.bicycle import Limits
+from advdiff_sumo.core.boxes import corners, separation
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.plan import Trajectory
 from advdiff_sumo.core.scene import Tracks
@@ -62,6 +63,18 @@ def test_it_overtakes_a_standing_car_in_the_other_lane(crossing: Maker) -> None:
     scene = make_scene(road, [Car("west_in_0", 30.0, 12.0), Car("west_in_0", 110.0)], ALONG)
     out = roll(road, LaneGraphPlanner(), scene, 11.0)
     assert out.xy_m[0, -1, 0] > out.xy_m[1, -1, 0] + 5.0
+
+
+@pytest.mark.parametrize(("from_m", "speed_mps", "to_m"), [(175, 12, 25), (180, 12, 6), (180, 13.5, 25)])
+def test_it_passes_a_standing_car_by_a_change_of_lanes_over_a_junction(
+    crossing: Maker, from_m: float, speed_mps: float, to_m: float
+) -> None:
+    road = crossing()
+    cars = [Car("west_in_0", from_m, speed_mps), Car("east_out_0", to_m)]
+    out = roll(road, LaneGraphPlanner(), make_scene(road, cars, ALONG), 8.0)
+    target, standing = (corners(out.xy_m[row], out.yaw_rad[row], np.array(CAR_M)) for row in (0, 1))
+    assert out.xy_m[0, -1, 0] > out.xy_m[1, -1, 0] + 5.0
+    assert separation(target, standing).min() > 0.2
 
 
 def test_it_does_not_cut_in_front_of_a_faster_car(crossing: Maker) -> None:

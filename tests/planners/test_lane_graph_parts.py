@@ -11,10 +11,13 @@ from advdiff_sumo.core.polylines import Polyline
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.lane_graph.chains import detour, plausible_chains, required_changes, route_chain
 from advdiff_sumo.planners.lane_graph.conflicts import conflict_zone
+from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.memory import Memory
 from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath, PathStack, _smoothed
 from advdiff_sumo.planners.lane_graph.rules import Duty, may_go, rule_at
-from advdiff_sumo.planners.lane_graph.variants import State, Variant, locate
+from advdiff_sumo.planners.lane_graph.variants import State, Variant, locate, variants
+
+from .scenes import CAR_M
 
 Maker = Callable[..., RoadMap]
 
@@ -188,3 +191,26 @@ def test_who_swung_wide_comes_back_to_the_path_chosen_last(crossing: Maker) -> N
     fresh = locate(memory.geometry, state, route, Memory(memory.geometry), 0.0)
     assert fresh is not None
     assert road.lanes[fresh.lane_id].edge_id != "east_out"  # by the lanes alone it would go elsewhere
+
+
+@pytest.mark.parametrize("lefthand", [False, True])
+def test_a_change_of_lanes_that_is_underway_goes_on_over_a_junction(crossing: Maker, lefthand: bool) -> None:
+    road, route = crossing(lefthand=lefthand), ("west_in", "east_out")
+    geometry, options = Geometry.of(road), LaneGraphOptions()
+    by_lane = {x.from_lane: x for x in road.links.values() if x.to_lane.startswith("east_out")}
+    over = by_lane["west_in_0"].via[0]
+    onto = by_lane["west_in_1"].via[0]
+    xy, yaw = road.to_world(over, 1.0, 0.0)
+    state = State(np.asarray(xy), float(yaw), 10.0, 0.0, 0.0, *CAR_M)
+    none_chosen = Memory(geometry, route=route)
+    chain = route_chain(road, "west_in_1", route, required_changes(road, route), 300.0)
+    underway = Memory(geometry, chain.lanes, chain.links, route)
+    for memory, sides in ((none_chosen, {0}), (underway, {0, -1 if lefthand else 1})):
+        place = locate(geometry, state, route, memory, 0.0)
+        assert place is not None
+        assert place.lane_id == over
+        choices = variants(geometry, state, place, memory, options)
+        assert {choice.side for choice in choices} == sides
+    change = next(choice for choice in choices if choice.side)
+    assert onto in change.chain.lanes
+    assert abs(change.d_m) == pytest.approx(3.2, abs=0.05)  # a lane's width, all of it still to go

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -192,16 +192,20 @@ def _tracked(
 def variants(
     geometry: Geometry, state: State, place: Place, memory: Memory, options: LaneGraphOptions
 ) -> list[Variant]:
-    """Return the lateral choices; the first one keeps the lane."""
+    """Return the lateral choices; the first one keeps the lane.
+
+    On a junction no change of lanes is begun, but one that was underway goes on.
+    """
     road, lane = geometry.road, geometry.road.lanes[place.lane_id]
     reach = state.speed_mps * (options.horizon_s + 4.0) + 60.0
     keep = _with_back(_chain(road, place.lane_id, place, reach), place, memory)
     kept = _variants(geometry, state, keep, 0, (0.0, *_NUDGES_M), options)
-    if place.over is None:
-        for side, beside in ((1, lane.left_id), (-1, lane.right_id)):
-            if beside is not None and road.lanes[beside].permits("passenger"):
-                chain = _chain(road, beside, place, reach)
-                kept += _variants(geometry, state, chain, side, (0.0,), options)
+    for side, beside in ((1, lane.left_id), (-1, lane.right_id)):
+        if beside is None or (place.over is not None and beside not in memory.lanes):
+            continue
+        if road.lanes[beside].permits("passenger"):
+            chain = _chain(road, beside, replace(place, over=road.link_over.get(beside)), reach)
+            kept += _variants(geometry, state, chain, side, (0.0,), options)
     return kept
 
 

@@ -10,7 +10,7 @@ from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.job_plan import Job
 from advdiff_sumo.sweep.tasks import EpisodeTask, Limits, Outcome, SceneTask
 
-_TRIAL_S = 3.0
+_SHORT_S, _LONG_S = 3.0, 9.0  # lawful attacks, which cost most, begin after 3 s
 _TRACE_S = 0.4
 FEW = 40
 """So few episodes are not worth an estimate."""
@@ -36,7 +36,7 @@ class Forecast:
 
 
 def forecast(cells: BenchCells, todo: tuple[Job, ...], horizon_s: float, limits: Limits) -> Forecast | None:
-    """Try two short episodes of each background, of which the first loads its networks.
+    """Try short episodes of each background, of which the first loads its networks; from two lengths follows the rest.
 
     Returns:
         None where there is too little left, or where no seed scene can be made.
@@ -56,20 +56,22 @@ def forecast(cells: BenchCells, todo: tuple[Job, ...], horizon_s: float, limits:
             return None
         episode_s = {}
         for name, jobs in kinds.items():
-            options = cells.plan.options(jobs[0][1]).model_copy(
-                update={"horizon_s": _TRIAL_S, "net": batch.options.net}
-            )
-            tries = [
-                _do(
-                    executor,
-                    EpisodeTask(f"{name}-{k}".replace("/", "_"), options, k, outcome.product[0], net),
-                )
-                for k in (0, 1)
-            ]
-            episode_s[name] = tries[-1].wall_s * horizon_s / _TRIAL_S + _TRACE_S
+            options = cells.plan.options(jobs[0][1]).model_copy(update={"net": batch.options.net})
+            tried_s = list[float]()
+            for k, length_s in enumerate((_SHORT_S, _SHORT_S, _LONG_S)):
+                trial = options.model_copy(update={"horizon_s": min(length_s, horizon_s)})
+                key = f"{name}-{k}".replace("/", "_")
+                tried_s.append(_do(executor, EpisodeTask(key, trial, k, outcome.product[0], net)).wall_s)
+            episode_s[name] = _extrapolated(tried_s[1], tried_s[2], horizon_s) + _TRACE_S
     batches = len({job.batch for job in todo})
     total = sum(episode_s[name] * len(jobs) for name, jobs in kinds.items())
     return Forecast(outcome.wall_s * batches, total, episode_s)
+
+
+def _extrapolated(short_s: float, long_s: float, horizon_s: float) -> float:
+    """Return the time of an episode of *horizon_s* by those of the two trials; the rest goes on as the long one did."""
+    rest = max(horizon_s - _LONG_S, 0.0)
+    return long_s + max(long_s - short_s, 0.0) / (_LONG_S - _SHORT_S) * rest
 
 
 def _do(executor: ProcessExecutor, task: SceneTask | EpisodeTask) -> Outcome:

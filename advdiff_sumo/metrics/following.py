@@ -11,6 +11,8 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.lane_entry import INTRUSION_M
+from advdiff_sumo.metrics.placement import reach_across_m
 
 #: How far ahead along the lane vehicles count as ahead.
 LOOK_AHEAD_M = 100.0
@@ -48,8 +50,8 @@ class Following:
 def following(tracks: Tracks, target: int, road: RoadMap, route: Sequence[str]) -> Following:
     """Return the gaps of *target* to the vehicles ahead in its lane and the lanes it leads to along *route*.
 
-    A vehicle is in the lane that its centre and heading best fit. Where the target's lane leaves its route,
-    or no route is known, the lane's first successor counts.
+    A vehicle is in the lane that its centre and heading best fit, if its box reaches into it by more than
+    ``INTRUSION_M``. Where the target's lane leaves its route, or no route is known, the lane's first successor counts.
     """
     lane, s = _located(tracks, target, road)
     gap = np.full(tracks.yaw_rad.shape, np.nan)
@@ -70,12 +72,19 @@ def following(tracks: Tracks, target: int, road: RoadMap, route: Sequence[str]) 
 def _located(
     tracks: Tracks, target: int, road: RoadMap
 ) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.int64]], FloatArray]:
-    """Return (A, T) lane numbers, -1 for none, and (A, T) positions along them, near the target."""
+    """Return (A, T) lane numbers, -1 for none, and (A, T) positions along them, near the target.
+
+    The target is on the lane that fits it best, even where it hardly reaches into it.
+    """
     offset = tracks.xy_m - tracks.xy_m[target]
     near = np.hypot(offset[..., 0], offset[..., 1]) <= LOOK_AHEAD_M + tracks.size_m[:, :1]
-    ids, along, _, _ = road.locate_many(tracks.xy_m[near], tracks.yaw_rad[near])
+    ids, along, d, error = road.locate_many(tracks.xy_m[near], tracks.yaw_rad[near])
+    row = np.nonzero(near)[0]
+    number = np.array([-1 if x is None else road.index.row[x] for x in ids], dtype=np.int64)
+    reach = reach_across_m(tracks.size_m[row], error)
+    inside = np.abs(d) - reach < 0.5 * road.index.width_m[number] - INTRUSION_M
     lane = np.full(near.shape, -1, dtype=np.int64)
-    lane[near] = [-1 if x is None else road.index.row[x] for x in ids]
+    lane[near] = np.where(inside | (row == target), number, -1)
     s = np.full(near.shape, np.nan)
     s[near] = along
     return lane, s

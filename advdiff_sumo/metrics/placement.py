@@ -42,7 +42,12 @@ def place(road: RoadMap, tracks: Tracks, row: int, start: int, stop: int) -> Pla
     """Return the lanes of agent *row* at instants *start* to *stop* (exclusive)."""
     yaw = tracks.yaw_rad[row, start:stop]
     ids, s, d, error = road.locate_many(tracks.xy_m[row, start:stop], yaw)
-    length, width = tracks.size_m[row]
-    reach = 0.5 * (np.abs(np.sin(error)) * length + np.abs(np.cos(error)) * width)
+    reach = reach_across_m(tracks.size_m[row], error)
     widths = [road.lanes[x].width_m if x is not None else np.nan for x in ids]
     return Placement(tuple(ids), s, d, error, reach, 0.5 * np.array(widths, dtype=np.float64))
+
+
+def reach_across_m(size_m: FloatArray, yaw_error_rad: FloatArray) -> FloatArray:
+    """Return (N,) half the extent across a lane of boxes *size_m*, (N, 2) or (2,), turned by *yaw_error_rad* (N,)."""
+    length, width = size_m[..., 0], size_m[..., 1]
+    return 0.5 * (np.abs(np.sin(yaw_error_rad)) * length + np.abs(np.cos(yaw_error_rad)) * width)

@@ -74,6 +74,15 @@ def test_who_stands_beside_the_lane_is_not_ahead_in_it(straight, record_of, road
     assert gap[3, 0] == pytest.approx(46.0)
 
 
+def test_who_comes_against_the_lane_closes_in_by_both_speeds(straight, record_of, road) -> None:
+    """Taken to drive on ahead before: at equal speeds nobody closed in, and the lane TTC was empty."""
+    ego, wrong = straight("ego", (-150, -4.8), 0, 12), straight("wrong", (-98, -4.8), math.pi, 8)
+    ahead = following(record_of(ego, wrong).tracks, 0, road, ("WC", "CE"))
+    assert ahead.closing_mps[1, 0] == pytest.approx(20.0)
+    assert ahead.time_to_collision()[1, 0] == pytest.approx(2.4)  # 52 - 4 = 48 m at 20 m/s
+    assert ahead.deceleration_to_avoid()[1, 0] == pytest.approx(400.0 / 96.0)
+
+
 def test_pet_of_a_crossing_of_one_and_a_half_seconds(straight, record_of) -> None:
     # the ego's rear leaves the square |x| <= 1 at -20 + 10 t - 2 = 1, t = 2.3 s;
     # the other's front reaches y = -1 at -36 - 3 + 2 + 10 t = -1 + ... : -39 + 10 t + 2 = -1, t = 3.6 s + 0.2 s

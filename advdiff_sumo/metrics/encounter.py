@@ -46,7 +46,7 @@ class Party:
         speed_mps: signed speed at the instant before the contact.
         face: what was hit: "front", "rear", "left", "right".
         lanes: its lanes from the start of the history to the instant before the contact.
-        wrong_way: whether it drives against its lane's direction.
+        wrong_way: whether it drives, not walks, against its lane's direction.
         overhang_m: how far it reaches out of its lane; inf off any lane.
         changed_lane: whether it changed to another lane of its edge within ``CUT_IN_WINDOW_S``.
         intrudes: whether it reaches into the lane of the other.
@@ -73,8 +73,8 @@ class Party:
 
     @property
     def leaves_lane(self) -> bool:
-        """Whether it reaches out of its lane by more than ``INTRUSION_M``."""
-        return self.overhang_m > INTRUSION_M
+        """Whether it reaches out of its lane by more than ``INTRUSION_M``; who walks has none."""
+        return not self.is_pedestrian and self.overhang_m > INTRUSION_M
 
     @property
     def is_pedestrian(self) -> bool:
@@ -191,7 +191,7 @@ def _party(
         speed_mps=speed,
         face=collision.faces[which],
         lanes=lanes,
-        wrong_way=bool(abs(lanes.yaw_error_rad[-1]) > WRONG_WAY_RAD),
+        wrong_way=not walks and bool(abs(lanes.yaw_error_rad[-1]) > WRONG_WAY_RAD),
         overhang_m=lanes.overhang_m(-1),
         changed_lane=bool(lane_changes(view.road, lanes.lane[-view.steps(CUT_IN_WINDOW_S) - 1 :])),
         intrudes=reaches_into(view, row, collision.rows[1 - which], start, step),

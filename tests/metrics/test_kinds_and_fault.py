@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.offroad import background_off_road, target_leaves_road
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
@@ -109,6 +110,29 @@ def test_wrong_way(straight, record_of, road) -> None:
         "'wrong' drove against the direction of its lane.",
     )
     assert outcome(record_of(wrong, ego), road)[1] == "target"
+
+
+def test_rules_of_lanes_do_not_bind_who_walks(straight, record_of, road) -> None:
+    """Blamed before for walking against the lane beside which, or over which, they went. The lane ends at y = -6.4."""
+    ego = straight("ego", (-150, -4.8), 0, 12, steps=51)
+    pavement = replace(
+        straight("walker", (-100, -7.2), math.pi, 1.3, steps=51, size=(0.6, 0.6)),
+        agent_class=AgentClass.PEDESTRIAN,
+    )
+    swerves = straight("ego", (-150, -4.8), 0, 12, steps=51, drift=-0.4)
+    assert outcome(record_of(swerves, pavement), road) == (
+        "head_on",
+        "target",
+        "The target was out of its lane, 'walker' was not.",
+    )
+    # at 120° over the lane, in it from 0.9 s on, 32 m ahead: 9 + 12 = 21 m are needed
+    askew = replace(
+        straight("walker", (-104, -7.5), math.radians(120), 1.3, steps=51, size=(0.6, 0.6)),
+        agent_class=AgentClass.PEDESTRIAN,
+    )
+    kind, fault, reason = outcome(record_of(ego, askew), road)
+    assert (kind, fault) == ("side", "target")
+    assert reason.startswith("'walker' entered the target's lane 32.")
 
 
 def test_reversing(straight, record_of, road) -> None:

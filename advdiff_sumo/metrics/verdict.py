@@ -141,10 +141,15 @@ def held_against(
     """Return the contacts of *drive* that count; being run into from behind by a third does not.
 
     It does where that third, *pusher*, pushed the target into the collision: the driver would have been pushed, too.
-    Neither does it count when the third comes into its rear after the record's end.
+    Neither does it count when the third comes into its rear after the record's end, or touched the target already
+    as the driver took over.
     """
     counted = {record.tracks.ids[row] for row in (collision.rows[1], pusher) if row is not None}
-    return tuple(touch for touch in drive.touches if touch.name in counted or not touch.from_behind)
+    return tuple(
+        touch
+        for touch in drive.touches
+        if touch.name in counted or not (touch.from_behind or touch.from_start)
+    )
 
 
 def _unavoidable(preventable_by: tuple[str, ...], solvable: bool | None) -> bool | None:

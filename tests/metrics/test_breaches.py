@@ -19,7 +19,7 @@ from advdiff_sumo.metrics.collision import collisions, target_collision, tracks_
 from advdiff_sumo.metrics.encounter import encounter
 from advdiff_sumo.metrics.summary import judged
 from advdiff_sumo.metrics.traffic_view import TrafficView
-from tests.metrics.encounters import Car, braking, crossing, driven, record_of, signals_of, straight
+from tests.metrics.encounters import DT_S, Car, braking, crossing, driven, record_of, signals_of, straight
 
 NORTH = math.pi / 2
 
@@ -83,6 +83,20 @@ def test_right_of_way_by_the_rows_of_the_net(road) -> None:
     east, north = straight("east", (-30, -1.6), 0, 10), straight("north", (1.6, -31), NORTH, 10)
     assert broken(record_of(east, north), road) == ([], ["right_of_way"])
     assert broken(record_of(north, east, route=("SC", "CN")), road) == (["right_of_way"], [])
+
+
+def test_a_breach_of_who_was_not_seen_entering_is_of_the_contact(road) -> None:
+    """Dated before to the record's end, 4 s after the contact; both are on the junction from the first instant."""
+    east, north = (
+        straight("east", (-8, -1.6), 0, 6, steps=61),
+        straight("north", (1.6, -10), NORTH, 5, steps=61),
+    )
+    hit = target_collision(record_of(east, north), collisions(record_of(east, north)))
+    assert hit is not None
+    view = TrafficView.of_record(record_of(east, north), road)
+    (breach,) = breaches_of(view, encounter(view, hit), 1)
+    assert str(breach.kind) == "right_of_way"
+    assert breach.time_s == pytest.approx(DT_S * hit.step)
 
 
 def test_who_has_stood_on_the_junction_for_a_second_is_run_into(road) -> None:

@@ -21,7 +21,7 @@ def red_light(view: TrafficView, met: Encounter, which: int) -> Breach | None:
     walker = met.parties[1 - which].is_pedestrian
     if not (met.crossing or walker) or not ran_red(view, party) or not _lately(view, met, party):
         return None
-    return _breach(view, BreachKind.RED_LIGHT, party, "entered the junction on red")
+    return _breach(view, met, BreachKind.RED_LIGHT, party, "entered the junction on red")
 
 
 def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None:
@@ -45,7 +45,7 @@ def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None
     ):
         return None
     return _breach(
-        view, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{other.name}' at the junction"
+        view, met, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{other.name}' at the junction"
     )
 
 
@@ -106,7 +106,7 @@ def _crossing_breach(view: TrafficView, met: Encounter, party: Party, walker: Pa
     if signals_at_entry(view, party)[-1:] == ["G"] or not on_crossing(view, walker, met.collision.step):
         return None
     return _breach(
-        view, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{walker.name}' on the crossing"
+        view, met, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{walker.name}' on the crossing"
     )
 
 
@@ -118,6 +118,7 @@ def on_crossing(view: TrafficView, walker: Party, step: int) -> bool:
     return any(shapely.LineString(xy).distance(box) <= _CROSSING_HALF_WIDTH_M for xy in lines)
 
 
-def _breach(view: TrafficView, kind: BreachKind, party: Party, text: str) -> Breach:
-    step = party.entered_step if party.entered_step is not None else len(view.tracks.times_s) - 1
+def _breach(view: TrafficView, met: Encounter, kind: BreachKind, party: Party, text: str) -> Breach:
+    """Return the breach as of the entry into the junction; of the contact where that was not seen."""
+    step = met.collision.step if party.entered_step is None else party.entered_step
     return Breach(kind, party.row, view.time_s(step), text)

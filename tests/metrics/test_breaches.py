@@ -19,7 +19,19 @@ from advdiff_sumo.metrics.collision import collisions, target_collision, tracks_
 from advdiff_sumo.metrics.encounter import encounter
 from advdiff_sumo.metrics.summary import judged
 from advdiff_sumo.metrics.traffic_view import TrafficView
-from tests.metrics.encounters import DT_S, Car, braking, crossing, driven, record_of, signals_of, straight
+from tests.metrics.encounters import (
+    DT_S,
+    EDGES,
+    NODES,
+    Car,
+    braking,
+    build,
+    crossing,
+    driven,
+    record_of,
+    signals_of,
+    straight,
+)
 
 NORTH = math.pi / 2
 
@@ -227,6 +239,24 @@ def test_a_slow_pedestrian_far_ahead_and_one_that_runs_out(road) -> None:
     assert broken(record_of(ego, slow), road) == (["ran_into"], [])
     sudden = driven("sudden", (-106, -9.2), NORTH, np.full(51, 1.0), **walker)  # 2 s later: 12 m ahead
     assert broken(record_of(ego, sudden), road) == ([], ["unsafe_lane_entry"])
+
+
+@pytest.mark.parametrize("name", ["C", "north_c"])
+def test_running_into_somebody_on_a_crossing_and_beyond_it(tmp_path, name) -> None:
+    """Beyond it was on it before where the junction's name held "_c", as crossings' names do."""
+    nodes, edges = (
+        NODES.format(kind="priority").replace('"C"', f'"{name}"'),
+        EDGES.replace('"C"', f'"{name}"'),
+    )
+    more = ["--sidewalks.guess", "true", "--crossings.guess", "true"]
+    foot = build(tmp_path, nodes, edges, "foot", more=more)
+    ego = straight("ego", (1.6, -20), NORTH, 8, steps=51)
+    walker = {"size": (0.6, 0.6), "agent_class": AgentClass.PEDESTRIAN}
+    on = driven("on", (6.4, 8.4), math.pi, np.full(51, 1.3), **walker)  # the crossing lies at y = 8.4
+    beyond = driven("beyond", (2.4, 12), NORTH, np.full(51, 0.3), **walker)  # 3.3 m past it, by the kerb
+    route = ("SC", "CN")
+    assert "right_of_way" in broken(record_of(ego, on, route=route), foot)[0]
+    assert broken(record_of(ego, beyond, route=route), foot) == (["ran_into"], [])
 
 
 # --- running into somebody -------------------------------------------------------------------------------

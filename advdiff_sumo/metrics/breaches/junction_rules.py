@@ -114,7 +114,10 @@ def on_crossing(view: TrafficView, walker: Party, step: int) -> bool:
     """Return whether *walker* is on a pedestrian crossing at instant *step*."""
     tracks, row = view.tracks, walker.row
     box = shapely.Polygon(corners(tracks.xy_m[row, step], tracks.yaw_rad[row, step], tracks.size_m[row]))
-    lines = (xy for name, xy in view.road.pedestrian_shapes.items() if "_c" in name and len(xy) > 1)
+    shapes = (
+        view.road.pedestrian_shapes.items()
+    )  # of crossings ":JUNCTION_c0" and walking areas ":JUNCTION_w0"
+    lines = [xy for name, xy in shapes if name.rpartition("_")[2].startswith("c") and len(xy) > 1]
     return any(shapely.LineString(xy).distance(box) <= _CROSSING_HALF_WIDTH_M for xy in lines)
 
 

@@ -259,6 +259,41 @@ def test_running_into_somebody_on_a_crossing_and_beyond_it(tmp_path, name) -> No
     assert broken(record_of(ego, beyond, route=route), foot) == (["ran_into"], [])
 
 
+CYCLE_LANES = """<edges>
+  <edge id="WE" from="W" to="E" numLanes="2"><lane index="0" allow="bicycle" width="1.5"/>
+    <lane index="1" disallow="bicycle pedestrian"/></edge>
+  <edge id="EW" from="E" to="W" numLanes="1"><lane index="0" allow="bicycle" width="1.5"/></edge>
+</edges>"""
+
+
+def test_a_cyclist_on_its_own_lane_is_not_out_of_one(tmp_path) -> None:
+    """Called out of its lane before, or against it: it was put onto the lane for cars beside.
+
+    From north to south: bicycles westward around y = 0.75, cars around -1.6, bicycles eastward around -3.95.
+    """
+    nodes = '<nodes><node id="W" x="0" y="0"/><node id="E" x="400" y="0"/></nodes>'
+    street = build(tmp_path, nodes, CYCLE_LANES, "cycles")
+    bike = {"size": (1.8, 0.6), "agent_class": AgentClass.BICYCLE}
+
+    def met(ego: Car, rider: Car) -> tuple[tuple[str, str], tuple[list[str], list[str]]]:
+        record = record_of(ego, rider, route=("WE",))
+        return blame(record, street), broken(record, street)
+
+    along = driven("along", (56, -3.95), 0, np.full(61, 5.0), **bike)
+    drifts = straight("ego", (50, -1.6), 0, 8, steps=61, drift=-0.6)
+    assert met(drifts, along) == (("side", "target"), (["sideways"], []))
+    against = driven("against", (96, 0.75), math.pi, np.full(61, 5.0), **bike)
+    drifts = straight("ego", (50, -1.6), 0, 8, steps=61, drift=0.4)
+    assert met(drifts, against) == (("head_on", "target"), (["wrong_side"], []))
+    swerves = driven(
+        "swerves", (66, -3.95), 0, np.full(61, 5.0), left=np.minimum(2.0, 0.1 * np.arange(61)), **bike
+    )
+    assert met(straight("ego", (50, -1.6), 0, 10, steps=61), swerves) == (
+        ("cut_in", "other"),
+        ([], ["unsafe_lane_entry"]),
+    )
+
+
 # --- running into somebody -------------------------------------------------------------------------------
 
 

@@ -53,7 +53,8 @@ class Party:
         stands: whether it stands still.
         stood: whether it has stood for ``STOOD_S``, so that the other could react.
         link: how it crosses the junction on which the two meet; None when it does not.
-        entered_step: instant at which it entered that junction; None when not seen.
+        entered_step: instant at which its centre entered that junction; None when not seen.
+        line_step: instant since which its front was over the stop line then; None when not seen.
     """
 
     row: int
@@ -70,6 +71,7 @@ class Party:
     stood: bool
     link: Link | None
     entered_step: int | None
+    line_step: int | None
 
     @property
     def leaves_lane(self) -> bool:
@@ -183,6 +185,7 @@ def _party(
     walks = view.tracks.classes[row] == AgentClass.PEDESTRIAN
     recent, route = view.steps(BREACH_WINDOW_S), view.routes.get(row, ())
     link, entered = (None, None) if walks else _crossing(view.road, lanes, junction, route, recent)
+    over = None if entered is None else _over_line(view, row, lanes, entered)
     speed = float(view.tracks.speed_mps[row, step])
     return Party(
         row=row,
@@ -199,7 +202,19 @@ def _party(
         stood=_stood(view, row, step),
         link=link,
         entered_step=None if entered is None else start + entered,
+        line_step=None if over is None else start + over,
     )
+
+
+def _over_line(view: TrafficView, row: int, lanes: Placement, entered: int) -> int:
+    """Return the instant (in *lanes*) since which the front of *row* was beyond its lane before that of *entered*."""
+    name, half_m = lanes.lane[entered - 1], 0.5 * float(view.tracks.size_m[row, 0])
+    if name is None:
+        return entered
+    end_m, over = view.road.lanes[name].length_m, entered
+    while over > 0 and lanes.lane[over - 1] == name and lanes.s_m[over - 1] + half_m > end_m:
+        over -= 1
+    return over
 
 
 def _stood(view: TrafficView, row: int, step: int) -> bool:

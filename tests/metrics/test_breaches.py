@@ -78,6 +78,36 @@ def test_red_light(light_road, east, north, expected) -> None:
     assert broken(mirrored, light_road) == expected[::-1]
 
 
+@pytest.mark.parametrize(
+    ("red_from_s", "expected"),
+    [(0.0, ["red_light"]), (0.3, ["red_light"]), (0.7, []), (1.5, [])],
+)
+def test_a_long_vehicle_whose_front_passed_on_green_ran_no_red_light(
+    light_road, red_from_s, expected
+) -> None:
+    """Called a breach before, as its centre came after its front. The stop line lies at x = -7.2."""
+    bus = straight(
+        "bus", (-15.7, -1.6), 0, 5, steps=51, size=(12.0, 2.5)
+    )  # its front passes at 0.5, its centre at 1.7 s
+    north = straight("north", (1.6, -31), NORTH, 9, steps=51)
+    green, red = ({("WC_1", "CE_1"): letter, ("SC_0", "CN_0"): "G"} for letter in "Gr")
+    before, after = (signals_of(light_road, letters, 51) for letters in (green, red))
+    at = round(red_from_s / DT_S)
+    record = record_of(north, bus, route=("SC", "CN"), signals=before[:at] + after[at:])
+    assert broken(record, light_road) == ([], expected)
+
+
+def test_who_stands_over_the_line_at_red_and_goes_on_green_ran_none(light_road) -> None:
+    ego = driven(
+        "ego", (-8, -1.6), 0, np.where(np.arange(51) < 10, 0.0, 8.0)
+    )  # its front is 1.2 m over the line
+    north = straight("north", (1.6, -25), NORTH, 10, steps=51)
+    green, red = ({("WC_1", "CE_1"): letter, ("SC_0", "CN_0"): "G"} for letter in "Gr")
+    before, after = (signals_of(light_road, letters, 51) for letters in (red, green))
+    assert "red_light" not in broken(record_of(ego, north, signals=before[:8] + after[8:]), light_road)[0]
+    assert "red_light" in broken(record_of(ego, north, signals=before), light_road)[0]
+
+
 def test_a_red_light_does_not_matter_to_who_follows(light_road) -> None:
     # both run the red light eastward; the faster one behind hits the rear of the one ahead on the junction
     ego, lead = straight("ego", (-32, -1.6), 0, 14), straight("lead", (-14, -1.6), 0, 7)

@@ -50,17 +50,22 @@ def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None
 
 
 def ran_red(view: TrafficView, party: Party) -> bool:
-    """Return whether *party* entered the junction while its signal had been red for two instants."""
+    """Return whether *party* entered the junction while its signal was red, from its front's passing the line on."""
     states = signals_at_entry(view, party)
     return bool(states) and all(state in "ru" for state in states)
 
 
 def signals_at_entry(view: TrafficView, party: Party) -> list[str]:
-    """Return the letters of the signal of *party* at the instant before and that of its entry; [] if unknown."""
-    link, step = party.link, party.entered_step
-    if link is None or link.tls_id is None or link.tls_index is None or link.tls_index < 0 or step is None:
+    """Return the letters of the signal of *party* from the instant before its front passed the line to its entry.
+
+    [] if unknown. Who waits with its front over the line enters by what it sees as it goes on.
+    """
+    link, first, last = party.link, party.line_step, party.entered_step
+    if link is None or link.tls_id is None or link.tls_index is None or link.tls_index < 0:
         return []
-    states = [s.get(link.tls_id, "") for s in view.signals[max(0, step - 1) : step + 1]]
+    if first is None or last is None:
+        return []
+    states = [s.get(link.tls_id, "") for s in view.signals[max(0, first - 1) : last + 1]]
     return [s[link.tls_index] for s in states] if all(len(s) > link.tls_index for s in states) else []
 
 
@@ -83,7 +88,7 @@ def later_by_s(view: TrafficView, met: Encounter) -> float | None:
 
 def must_yield(view: TrafficView, party: Party, to: Party) -> bool:
     """Return whether the net has *party* give way to *to*; who enters on a protected green never does."""
-    if party.link is None or to.link is None or signals_at_entry(view, party)[-1:] == ["G"]:
+    if party.link is None or to.link is None or "G" in signals_at_entry(view, party):
         return False
     return view.road.must_yield(party.link, to.link)
 
@@ -103,7 +108,7 @@ def joined_safely(met: Encounter, which: int) -> bool:
 
 def _crossing_breach(view: TrafficView, met: Encounter, party: Party, walker: Party) -> Breach | None:
     """Return the breach of running into somebody on a crossing, unless the driver had a protected green."""
-    if signals_at_entry(view, party)[-1:] == ["G"] or not on_crossing(view, walker, met.collision.step):
+    if "G" in signals_at_entry(view, party) or not on_crossing(view, walker, met.collision.step):
         return None
     return _breach(
         view, met, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{walker.name}' on the crossing"

@@ -80,7 +80,12 @@ def test_red_light(light_road, east, north, expected) -> None:
 
 @pytest.mark.parametrize(
     ("red_from_s", "expected"),
-    [(0.0, ["red_light"]), (0.3, ["red_light"]), (0.7, []), (1.5, [])],
+    [
+        (0.0, ([], ["red_light"])),
+        (0.3, ([], ["red_light"])),
+        (0.7, (["right_of_way"], [])),  # both on green: the target came later
+        (1.5, (["right_of_way"], [])),
+    ],
 )
 def test_a_long_vehicle_whose_front_passed_on_green_ran_no_red_light(
     light_road, red_from_s, expected
@@ -94,7 +99,7 @@ def test_a_long_vehicle_whose_front_passed_on_green_ran_no_red_light(
     before, after = (signals_of(light_road, letters, 51) for letters in (green, red))
     at = round(red_from_s / DT_S)
     record = record_of(north, bus, route=("SC", "CN"), signals=before[:at] + after[at:])
-    assert broken(record, light_road) == ([], expected)
+    assert broken(record, light_road) == expected
 
 
 def test_who_stands_over_the_line_at_red_and_goes_on_green_ran_none(light_road) -> None:

@@ -189,6 +189,22 @@ def test_all_way_stop_goes_to_the_first(straight, record_of, stop_road) -> None:
     assert outcome(record_of(late, slow, route=("SC", "CN")), stop_road)[1] == "target"
 
 
+def test_who_comes_first_is_told_by_the_fronts(straight, record_of, stop_road) -> None:
+    """By the middles before: a bus came 1.1 s later than a car that it came 0.5 s before.
+
+    The lines lie at x = -7.2 and y = -10.4. The front of the bus passes at 0.5 s, that of the car at 1.0 or 2.0 s.
+    """
+    bus = straight("bus", (-14.7, -1.6), 0, 3, steps=61, size=(12.0, 2.5))
+    at_once = straight("at once", (1.6, -18.4), NORTH, 6, steps=61)
+    assert outcome(record_of(bus, at_once), stop_road)[:2] == ("junction", "unclear")
+    later = straight("later", (1.6, -24.4), NORTH, 6, steps=61)
+    assert outcome(record_of(bus, later), stop_road) == (
+        "junction",
+        "other",
+        "The target was on the junction 1.5 s before 'later'.",
+    )
+
+
 def test_same_approach_on_a_junction_is_a_rear_end(straight, record_of, road) -> None:
     ego, lead = straight("ego", (-32, -1.6), 0, 14), straight("lead", (-14, -1.6), 0, 7)
     assert outcome(record_of(ego, lead), road)[:2] == ("rear_end_striking", "target")

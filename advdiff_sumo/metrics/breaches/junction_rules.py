@@ -81,8 +81,8 @@ def owes_way(view: TrafficView, met: Encounter, which: int) -> bool:
 
 
 def later_by_s(view: TrafficView, met: Encounter) -> float | None:
-    """Return by how much the target came to the junction later than the other; None where it was not seen."""
-    target, other = met.target.entered_step, met.other.entered_step
+    """Return by how much the target's front came later than the other's; None where they were not seen."""
+    target, other = met.target.line_step, met.other.line_step
     return None if target is None or other is None else (target - other) * view.tracks.dt_s
 
 

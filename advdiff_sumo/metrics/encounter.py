@@ -53,7 +53,8 @@ class Party:
         stands: whether it stands still.
         stood: whether it has stood for ``STOOD_S``, so that the other could react.
         link: how it crosses the junction on which the two meet; None when it does not.
-        entered_step: instant at which its centre entered that junction; None when not seen.
+        entered_step: instant at which its centre entered that junction, or the last, where only its front has and it
+            does not stand; None when not seen.
         line_step: instant since which its front was over the stop line then; None when not seen.
     """
 
@@ -185,6 +186,9 @@ def _party(
     walks = view.tracks.classes[row] == AgentClass.PEDESTRIAN
     recent, route = view.steps(BREACH_WINDOW_S), view.routes.get(row, ())
     link, entered = (None, None) if walks else _crossing(view.road, lanes, junction, route, recent)
+    stood = _stood(view, row, step)
+    if entered is None and link is not None and not stood and _noses_in(view, row, lanes, link):
+        entered = len(lanes.lane) - 1
     over = None if entered is None else _over_line(view, row, lanes, entered)
     speed = float(view.tracks.speed_mps[row, step])
     return Party(
@@ -199,11 +203,17 @@ def _party(
         changed_lane=bool(lane_changes(view.road, lanes.lane[-view.steps(CUT_IN_WINDOW_S) - 1 :])),
         intrudes=reaches_into(view, row, collision.rows[1 - which], start, step),
         stands=abs(speed) <= _LEAST_SPEED_MPS or _rests(view, row, step, _LEAST_MOVE_S),
-        stood=_stood(view, row, step),
+        stood=stood,
         link=link,
         entered_step=None if entered is None else start + entered,
         line_step=None if over is None else start + over,
     )
+
+
+def _noses_in(view: TrafficView, row: int, lanes: Placement, link: Link) -> bool:
+    """Return whether the front of *row* is beyond the lane that *link* begins with, and its centre on it, at last."""
+    front_m = float(lanes.s_m[-1]) + 0.5 * float(view.tracks.size_m[row, 0])
+    return lanes.lane[-1] == link.from_lane and front_m > view.road.lanes[link.from_lane].length_m
 
 
 def _over_line(view: TrafficView, row: int, lanes: Placement, entered: int) -> int:

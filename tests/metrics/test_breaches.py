@@ -102,6 +102,29 @@ def test_a_long_vehicle_whose_front_passed_on_green_ran_no_red_light(
     assert broken(record, light_road) == expected
 
 
+@pytest.mark.parametrize("length_m", [4.0, 12.0, 16.5])
+def test_a_long_vehicle_whose_middle_is_still_before_the_line_ran_the_red_light(light_road, length_m) -> None:
+    """No breach before, as its middle had not entered: its front is 4.6 m beyond the line at the contact."""
+    bus = straight("bus", (-14.7 - 0.5 * length_m, -1.6), 0, 5, steps=41, size=(length_m, 2.5))
+    south = straight("south", (-1.6, 22), -NORTH, 9, steps=41)
+    signals = signals_of(light_road, {("WC_1", "CE_1"): "r", ("NC_0", "CS_0"): "G"}, 41)
+    assert broken(record_of(south, bus, route=("NC", "CS"), signals=signals), light_road) == (
+        [],
+        ["red_light"],
+    )
+    assert blame(record_of(south, bus, route=("NC", "CS"), signals=signals), light_road) == (
+        "junction",
+        "other",
+    )
+
+
+def test_who_waits_at_red_with_its_front_over_the_line_has_not_entered(light_road) -> None:
+    waits = straight("waits", (-8.9, -1.6), 0, 0)  # its front is 0.3 m over the line
+    turns = straight("turns", (-6, 12), -math.radians(95), 9)  # cuts the corner
+    signals = signals_of(light_road, {("WC_1", "CE_1"): "r", ("NC_0", "CS_0"): "G"}, 41)
+    assert "red_light" not in broken(record_of(waits, turns, signals=signals), light_road)[0]
+
+
 def test_who_stands_over_the_line_at_red_and_goes_on_green_ran_none(light_road) -> None:
     ego = driven(
         "ego", (-8, -1.6), 0, np.where(np.arange(51) < 10, 0.0, 8.0)

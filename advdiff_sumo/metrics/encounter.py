@@ -159,19 +159,27 @@ def _entry_of(view: TrafficView, target: Party, other: Party, start: int, step: 
 
 def _merging(view: TrafficView, collision: Collision, placed: list[Placement]) -> str | None:
     """Return the junction by which both came lately, from different edges onto the same one."""
-    recent = view.steps(BREACH_WINDOW_S)
-    inside = [_junction(view.road, x) for x in placed[0].lane[-recent - 1 :]]
-    for junction in dict.fromkeys(x for x in reversed(inside) if x is not None):
-        routes = [view.routes.get(row, ()) for row in collision.rows]
-        links = [_crossing(view.road, p, junction, r, recent)[0] for p, r in zip(placed, routes, strict=True)]
-        if links[0] is None or links[1] is None:
+    recent, rows = view.steps(BREACH_WINDOW_S), collision.rows
+    one, two = ([_junction(view.road, x) for x in p.lane[: -recent - 2 : -1]] for p in placed)
+    for junction in dict.fromkeys(x for both in zip(one, two, strict=True) for x in both if x is not None):
+        first, second = (_came_by(view, rows[k], placed[k], junction) for k in (0, 1))
+        if first is None or second is None:
             continue
         (a, to_a), (b, to_b) = (
-            (view.road.lanes[x.from_lane].edge_id, view.road.lanes[x.to_lane].edge_id) for x in links if x
+            (view.road.lanes[x.from_lane].edge_id, view.road.lanes[x.to_lane].edge_id)
+            for x in (first, second)
         )
         if a != b and to_a == to_b:
             return junction
     return None
+
+
+def _came_by(view: TrafficView, row: int, lanes: Placement, junction: str) -> Link | None:
+    """Return the link by which *row* crossed *junction* lately, or begins to with its front; None: it did not."""
+    recent = view.steps(BREACH_WINDOW_S)
+    link, _ = _crossing(view.road, lanes, junction, view.routes.get(row, ()), recent)
+    been = any(_junction(view.road, x) == junction for x in lanes.lane[-recent - 1 :])
+    return link if been or (link is not None and _noses_in(view, row, lanes, link)) else None
 
 
 def _party(

@@ -184,6 +184,28 @@ def test_all_way_stop_the_later_one_gives_way(stop_road) -> None:
     assert broken(record_of(slow, late), stop_road) == ([], ["right_of_way"])
 
 
+def test_who_has_not_reached_the_junction_has_not_joined_there(road) -> None:
+    """Joined before where the target was the one that had passed it, and so did not give way, too.
+
+    "wrong" comes from the east, leaves the junction on the lane for eastward traffic at 4.5 s and meets "on", 12 m
+    before the junction, head-on.
+    """
+    steps = np.arange(61)
+    left = np.minimum(5.6, np.maximum(0.0, 0.2 * (steps - 20)))  # from y = 1.6 over to -4 between 2 and 4.8 s
+    wrong = driven("wrong", (50, 1.6), math.pi, np.full(61, 13.0), left=left)
+    on = straight("on", (-68, -4), 0, 8.6, steps=61)
+    assert broken(record_of(wrong, on, route=("EC", "CW")), road) == (["wrong_side"], [])
+    assert broken(record_of(on, wrong), road) == ([], ["wrong_side"])
+
+
+def test_both_ends_of_long_vehicles_meet_on_the_junction(road) -> None:
+    """Only where the first of the two had passed it were they on it before: the middle of neither is."""
+    west = straight("west", (33.5, 5.3), math.pi, 14.2, steps=41, size=(12.0, 2.5))
+    south = straight("south", (-2.5, 54.2), -NORTH, 14.0, steps=41, size=(12.0, 2.5))
+    assert broken(record_of(west, south, route=("EC", "CW")), road) == ([], ["right_of_way"])
+    assert broken(record_of(south, west, route=()), road) == (["right_of_way"], [])
+
+
 # --- the wrong side --------------------------------------------------------------------------------------
 
 

@@ -46,14 +46,16 @@ class Party:
         speed_mps: signed speed at the instant before the contact.
         face: what was hit: "front", "rear", "left", "right".
         lanes: its lanes from the start of the history to the instant before the contact.
-        wrong_way: whether it drives against its lane's direction.
+        wrong_way: whether it drives, not walks, against its lane's direction.
         overhang_m: how far it reaches out of its lane; inf off any lane.
         changed_lane: whether it changed to another lane of its edge within ``CUT_IN_WINDOW_S``.
         intrudes: whether it reaches into the lane of the other.
         stands: whether it stands still.
         stood: whether it has stood for ``STOOD_S``, so that the other could react.
         link: how it crosses the junction on which the two meet; None when it does not.
-        entered_step: instant at which it entered that junction; None when not seen.
+        entered_step: instant at which its centre entered that junction, or the last, where only its front has and it
+            does not stand; None when not seen.
+        line_step: instant since which its front was over the stop line then; None when not seen.
     """
 
     row: int
@@ -70,11 +72,12 @@ class Party:
     stood: bool
     link: Link | None
     entered_step: int | None
+    line_step: int | None
 
     @property
     def leaves_lane(self) -> bool:
-        """Whether it reaches out of its lane by more than ``INTRUSION_M``."""
-        return self.overhang_m > INTRUSION_M
+        """Whether it reaches out of its lane by more than ``INTRUSION_M``; who walks has none."""
+        return not self.is_pedestrian and self.overhang_m > INTRUSION_M
 
     @property
     def is_pedestrian(self) -> bool:
@@ -156,19 +159,27 @@ def _entry_of(view: TrafficView, target: Party, other: Party, start: int, step: 
 
 def _merging(view: TrafficView, collision: Collision, placed: list[Placement]) -> str | None:
     """Return the junction by which both came lately, from different edges onto the same one."""
-    recent = view.steps(BREACH_WINDOW_S)
-    inside = [_junction(view.road, x) for x in placed[0].lane[-recent - 1 :]]
-    for junction in dict.fromkeys(x for x in reversed(inside) if x is not None):
-        routes = [view.routes.get(row, ()) for row in collision.rows]
-        links = [_crossing(view.road, p, junction, r, recent)[0] for p, r in zip(placed, routes, strict=True)]
-        if links[0] is None or links[1] is None:
+    recent, rows = view.steps(BREACH_WINDOW_S), collision.rows
+    one, two = ([_junction(view.road, x) for x in p.lane[: -recent - 2 : -1]] for p in placed)
+    for junction in dict.fromkeys(x for both in zip(one, two, strict=True) for x in both if x is not None):
+        first, second = (_came_by(view, rows[k], placed[k], junction) for k in (0, 1))
+        if first is None or second is None:
             continue
         (a, to_a), (b, to_b) = (
-            (view.road.lanes[x.from_lane].edge_id, view.road.lanes[x.to_lane].edge_id) for x in links if x
+            (view.road.lanes[x.from_lane].edge_id, view.road.lanes[x.to_lane].edge_id)
+            for x in (first, second)
         )
         if a != b and to_a == to_b:
             return junction
     return None
+
+
+def _came_by(view: TrafficView, row: int, lanes: Placement, junction: str) -> Link | None:
+    """Return the link by which *row* crossed *junction* lately, or begins to with its front; None: it did not."""
+    recent = view.steps(BREACH_WINDOW_S)
+    link, _ = _crossing(view.road, lanes, junction, view.routes.get(row, ()), recent)
+    been = any(_junction(view.road, x) == junction for x in lanes.lane[-recent - 1 :])
+    return link if been or (link is not None and _noses_in(view, row, lanes, link)) else None
 
 
 def _party(
@@ -183,6 +194,10 @@ def _party(
     walks = view.tracks.classes[row] == AgentClass.PEDESTRIAN
     recent, route = view.steps(BREACH_WINDOW_S), view.routes.get(row, ())
     link, entered = (None, None) if walks else _crossing(view.road, lanes, junction, route, recent)
+    stood = _stood(view, row, step)
+    if entered is None and link is not None and not stood and _noses_in(view, row, lanes, link):
+        entered = len(lanes.lane) - 1
+    over = None if entered is None else _over_line(view, row, lanes, entered)
     speed = float(view.tracks.speed_mps[row, step])
     return Party(
         row=row,
@@ -191,15 +206,33 @@ def _party(
         speed_mps=speed,
         face=collision.faces[which],
         lanes=lanes,
-        wrong_way=bool(abs(lanes.yaw_error_rad[-1]) > WRONG_WAY_RAD),
+        wrong_way=not walks and bool(abs(lanes.yaw_error_rad[-1]) > WRONG_WAY_RAD),
         overhang_m=lanes.overhang_m(-1),
         changed_lane=bool(lane_changes(view.road, lanes.lane[-view.steps(CUT_IN_WINDOW_S) - 1 :])),
         intrudes=reaches_into(view, row, collision.rows[1 - which], start, step),
         stands=abs(speed) <= _LEAST_SPEED_MPS or _rests(view, row, step, _LEAST_MOVE_S),
-        stood=_stood(view, row, step),
+        stood=stood,
         link=link,
         entered_step=None if entered is None else start + entered,
+        line_step=None if over is None else start + over,
     )
+
+
+def _noses_in(view: TrafficView, row: int, lanes: Placement, link: Link) -> bool:
+    """Return whether the front of *row* is beyond the lane that *link* begins with, and its centre on it, at last."""
+    front_m = float(lanes.s_m[-1]) + 0.5 * float(view.tracks.size_m[row, 0])
+    return lanes.lane[-1] == link.from_lane and front_m > view.road.lanes[link.from_lane].length_m
+
+
+def _over_line(view: TrafficView, row: int, lanes: Placement, entered: int) -> int:
+    """Return the instant (in *lanes*) since which the front of *row* was beyond its lane before that of *entered*."""
+    name, half_m = lanes.lane[entered - 1], 0.5 * float(view.tracks.size_m[row, 0])
+    if name is None:
+        return entered
+    end_m, over = view.road.lanes[name].length_m, entered
+    while over > 0 and lanes.lane[over - 1] == name and lanes.s_m[over - 1] + half_m > end_m:
+        over -= 1
+    return over
 
 
 def _stood(view: TrafficView, row: int, step: int) -> bool:

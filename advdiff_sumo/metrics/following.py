@@ -8,9 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.lane_entry import INTRUSION_M
+from advdiff_sumo.metrics.placement import reach_across_m
 
 #: How far ahead along the lane vehicles count as ahead.
 LOOK_AHEAD_M = 100.0
@@ -22,7 +24,7 @@ class Following:
 
     Attributes:
         gap_m: (A, T) bumper to bumper along the lane; NaN for agents that are not ahead in its lane.
-        closing_mps: (A, T) target's speed minus the other's.
+        closing_mps: (A, T) target's speed along the lane minus the other's.
     """
 
     gap_m: FloatArray
@@ -48,10 +50,10 @@ class Following:
 def following(tracks: Tracks, target: int, road: RoadMap, route: Sequence[str]) -> Following:
     """Return the gaps of *target* to the vehicles ahead in its lane and the lanes it leads to along *route*.
 
-    A vehicle is in the lane that its centre and heading best fit. Where the target's lane leaves its route,
-    or no route is known, the lane's first successor counts.
+    A vehicle is in the lane that its centre and heading best fit, if its box reaches into it by more than
+    ``INTRUSION_M``. Where the target's lane leaves its route, or no route is known, the lane's first successor counts.
     """
-    lane, s = _located(tracks, target, road)
+    lane, s, speed = _located(tracks, target, road)
     gap = np.full(tracks.yaw_rad.shape, np.nan)
     length = tracks.size_m[:, 0]
     for own in np.unique(lane[target][lane[target] >= 0]):
@@ -63,22 +65,27 @@ def following(tracks: Tracks, target: int, road: RoadMap, route: Sequence[str]) 
         gap[:, steps] = np.where(centre > 0.0, centre - 0.5 * (length + length[target])[:, None], np.nan)
     gap[target] = np.nan
     gap[gap > LOOK_AHEAD_M] = np.nan
-    closing = tracks.speed_mps[target] - tracks.speed_mps
+    closing = speed[target] - speed
     return Following(gap, np.where(np.isnan(gap), np.nan, closing))
 
 
-def _located(
-    tracks: Tracks, target: int, road: RoadMap
-) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.int64]], FloatArray]:
-    """Return (A, T) lane numbers, -1 for none, and (A, T) positions along them, near the target."""
+def _located(tracks: Tracks, target: int, road: RoadMap) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return (A, T) lane numbers, -1 for none, and (A, T) positions and speeds along them, near the target.
+
+    The target is on the lane that fits it best, even where it hardly reaches into it.
+    """
     offset = tracks.xy_m - tracks.xy_m[target]
     near = np.hypot(offset[..., 0], offset[..., 1]) <= LOOK_AHEAD_M + tracks.size_m[:, :1]
-    ids, along, _, _ = road.locate_many(tracks.xy_m[near], tracks.yaw_rad[near])
+    ids, along, d, error = road.locate_many(tracks.xy_m[near], tracks.yaw_rad[near])
+    row = np.nonzero(near)[0]
+    number = np.array([-1 if x is None else road.index.row[x] for x in ids], dtype=np.int64)
+    reach = reach_across_m(tracks.size_m[row], error)
+    inside = np.abs(d) - reach < 0.5 * road.index.width_m[number] - INTRUSION_M
     lane = np.full(near.shape, -1, dtype=np.int64)
-    lane[near] = [-1 if x is None else road.index.row[x] for x in ids]
-    s = np.full(near.shape, np.nan)
-    s[near] = along
-    return lane, s
+    lane[near] = np.where(inside | (row == target), number, -1)
+    s, speed = np.full(near.shape, np.nan), np.full(near.shape, np.nan)
+    s[near], speed[near] = along, tracks.speed_mps[near] * np.cos(error)
+    return lane, s, speed
 
 
 def _distances_ahead(road: RoadMap, lane_id: str, route: Sequence[str]) -> dict[str, float]:

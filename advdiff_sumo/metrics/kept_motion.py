@@ -124,6 +124,7 @@ def gone_on(record: EpisodeRecord, row: int, since: int, count: int) -> Poses:
 def _driven_on_m(tracks: Tracks, row: int, count: int) -> FloatArray:
     """Return (count,) distances driven after the record's end: its last braking is kept, or its speed."""
     speed = np.abs(tracks.speed_mps[row, -2:])
+    speed = speed[np.isfinite(speed)]  # who appeared at the last instant has one
     braking = float(np.clip((speed[0] - speed[-1]) / tracks.dt_s, 0.0, _HARDEST_BRAKE_MPS2))
     time = tracks.dt_s * np.arange(1, count + 1)
     if braking > 0.0:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.maps import RoadMap
 
 
@@ -39,10 +39,32 @@ class Placement:
 
 
 def place(road: RoadMap, tracks: Tracks, row: int, start: int, stop: int) -> Placement:
-    """Return the lanes of agent *row* at instants *start* to *stop* (exclusive)."""
-    yaw = tracks.yaw_rad[row, start:stop]
-    ids, s, d, error = road.locate_many(tracks.xy_m[row, start:stop], yaw)
-    length, width = tracks.size_m[row]
-    reach = 0.5 * (np.abs(np.sin(error)) * length + np.abs(np.cos(error)) * width)
+    """Return the lanes of agent *row* at instants *start* to *stop* (exclusive).
+
+    They are those open to motor vehicles; who cycles may be on one for bicycles, if its centre is.
+    """
+    xy, yaw = tracks.xy_m[row, start:stop], tracks.yaw_rad[row, start:stop]
+    placed = _on_lanes(road, tracks.size_m[row], road.locate_many(xy, yaw))
+    if tracks.classes[row] != AgentClass.BICYCLE:
+        return placed
+    own = _on_lanes(road, tracks.size_m[row], road.locate_many(xy, yaw, vclass="bicycle"))
+    inside = np.abs(own.d_m) <= own.half_width_m
+    lanes = tuple(a if here else b for here, a, b in zip(inside, own.lane, placed.lane, strict=True))
+    rest = [name for name in vars(placed) if name != "lane"]
+    return Placement(lanes, **{x: np.where(inside, getattr(own, x), getattr(placed, x)) for x in rest})
+
+
+def _on_lanes(
+    road: RoadMap, size_m: FloatArray, located: tuple[list[str | None], FloatArray, FloatArray, FloatArray]
+) -> Placement:
+    """Return the placement of a box of *size_m* (2,) that :meth:`RoadMap.locate_many` gives as *located*."""
+    ids, s, d, error = located
     widths = [road.lanes[x].width_m if x is not None else np.nan for x in ids]
-    return Placement(tuple(ids), s, d, error, reach, 0.5 * np.array(widths, dtype=np.float64))
+    half_width = 0.5 * np.array(widths, dtype=np.float64)
+    return Placement(tuple(ids), s, d, error, reach_across_m(size_m, error), half_width)
+
+
+def reach_across_m(size_m: FloatArray, yaw_error_rad: FloatArray) -> FloatArray:
+    """Return (N,) half the extent across a lane of boxes *size_m*, (N, 2) or (2,), turned by *yaw_error_rad* (N,)."""
+    length, width = size_m[..., 0], size_m[..., 1]
+    return 0.5 * (np.abs(np.sin(yaw_error_rad)) * length + np.abs(np.cos(yaw_error_rad)) * width)

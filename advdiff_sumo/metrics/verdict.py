@@ -8,7 +8,7 @@ driver in the target's place would have avoided it, and what follows. The terms 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
@@ -20,6 +20,7 @@ from advdiff_sumo.metrics.encounter import Encounter, encounter
 from advdiff_sumo.metrics.fault import OFF_ROAD, AtFault, Fault, fault_of
 from advdiff_sumo.metrics.offroad import OffRoad
 from advdiff_sumo.metrics.reference import MODELS, ReferenceDrive, drive_all
+from advdiff_sumo.metrics.reference.drive_contact import Touch
 from advdiff_sumo.metrics.traffic_view import TrafficView
 from advdiff_sumo.metrics.verdict_sentence import off_road_sentence, sentence_of
 
@@ -100,13 +101,13 @@ def judge(
     target, other = (breaches_of(view, met, which) for which in (0, 1))
     drives = drive_all(record, road, collision) if collision.step > 0 else {}
     pusher = pushed_by(view, met, 0)
-    preventable_by = tuple(
-        name for name in MODELS if name in drives and avoids(record, collision, drives[name], pusher)
-    )
-    preventable = None if not drives else YARDSTICK in preventable_by
+    held = {name: held_against(record, collision, drive, pusher) for name, drive in drives.items()}
+    preventable_by = tuple(name for name in MODELS if name in held and not held[name])
+    yardstick = replace(drives[YARDSTICK], touches=held[YARDSTICK]) if drives else None
+    preventable = None if yardstick is None else YARDSTICK in preventable_by
     valid = fault.at_fault is AtFault.TARGET or (not other and bool(preventable))
     not_judged = _not_judged(view, met, bool(drives))
-    clear = drives[YARDSTICK] if preventable else None
+    clear, hits = (yardstick, None) if preventable else (None, yardstick)
     return Verdict(
         kind=kind,
         fault=fault,
@@ -117,14 +118,12 @@ def judge(
         preventable_by=preventable_by,
         spare_m=None if clear is None else clear.spare_m,
         spare_s=None if clear is None else clear.spare_s,
-        impact_left_mps=drives[YARDSTICK].impact_mps if preventable is False else None,
+        impact_left_mps=None if hits is None else hits.impact_mps,
         valid_failure=valid,
         solvable=solvable,
         unavoidable=_unavoidable(preventable_by, solvable),
         not_judged=not_judged,
-        sentence=sentence_of(
-            met, (target, other), fault, drives.get(YARDSTICK), preventable_by, not_judged, solvable
-        ),
+        sentence=sentence_of(met, (target, other), fault, yardstick, preventable_by, not_judged, solvable),
         drives=drives,
     )
 
@@ -132,13 +131,25 @@ def judge(
 def avoids(
     record: EpisodeRecord, collision: Collision, drive: ReferenceDrive, pusher: int | None = None
 ) -> bool:
-    """Return whether *drive* does not collide; being run into from behind by a third does not count.
+    """Return whether *drive* does not collide with anybody who counts; arguments as of :func:`held_against`."""
+    return not held_against(record, collision, drive, pusher)
+
+
+def held_against(
+    record: EpisodeRecord, collision: Collision, drive: ReferenceDrive, pusher: int | None = None
+) -> tuple[Touch, ...]:
+    """Return the contacts of *drive* that count; being run into from behind by a third does not.
 
     It does where that third, *pusher*, pushed the target into the collision: the driver would have been pushed, too.
-    Neither does it count when the third comes into its rear after the record's end.
+    Neither does it count when the third comes into its rear after the record's end, or touched the target already
+    as the driver took over.
     """
     counted = {record.tracks.ids[row] for row in (collision.rows[1], pusher) if row is not None}
-    return all(touch.from_behind and touch.name not in counted for touch in drive.touches)
+    return tuple(
+        touch
+        for touch in drive.touches
+        if touch.name in counted or not (touch.from_behind or touch.from_start)
+    )
 
 
 def _unavoidable(preventable_by: tuple[str, ...], solvable: bool | None) -> bool | None:

@@ -119,7 +119,9 @@ def picture_of(
     view = view or View.around(focus, margin_m=12.0, least_width_m=70.0)
     return Picture(
         view=view,
-        close_up=None if impact is None else _close_up(tracks, states.target, other, impact),
+        close_up=None
+        if impact is None
+        else _close_up(tracks, states.target, other, impact, row["collision_time_s"]),
         streets=None if layer is None else layer.streets(view),
         trails=_trails(tracks, states.target, other, view),
         boxes=_boxes(tracks, states.target, other, view),
@@ -159,8 +161,10 @@ def _focus(tracks: Tracks, target: int, other: int | None, impact: FloatArray | 
     return np.concatenate(parts)
 
 
-def _close_up(tracks: Tracks, target: int, other: int | None, impact: FloatArray) -> View:
-    last = tracks.window(max(0, tracks.steps - round(_CLOSE_UP_S / tracks.dt_s)), tracks.steps)
+def _close_up(tracks: Tracks, target: int, other: int | None, impact: FloatArray, contact_s: float) -> View:
+    after = int(np.ceil((contact_s - tracks.t0_s) / tracks.dt_s))  # instant at or after the contact
+    stop = min(max(after, 0) + 1, tracks.steps)
+    last = tracks.window(max(0, stop - round(_CLOSE_UP_S / tracks.dt_s)), stop)
     focus = _focus(last, target, other, impact)
     return View.around(focus, margin_m=4.0, least_width_m=30.0, most_width_m=60.0)
 

@@ -77,7 +77,7 @@ class ChosenEpisode:
         return np.array([self.row["impact_x_m"], self.row["impact_y_m"]], dtype=np.float64)
 
     def span_s(self, start_s: float | None, end_s: float | None, most_s: float) -> tuple[float, float]:
-        """Return the stretch to draw: as asked, else what led to the contact, or to the least distance.
+        """Return the stretch to draw: as asked, else up to the contact, or 1 s beyond the least distance.
 
         Args:
             start_s: as asked, or None.
@@ -91,8 +91,8 @@ class ChosenEpisode:
         if last <= 0.0 and self.row["end"] == "failed":
             raise ConfigError(f"the episode failed before it began: {self.row['failure_message']}")
         nearest = self.row["min_clearance_time_s"]
-        critical = self.contact_s if self.contact_s is not None else nearest
-        end = end_s if end_s is not None else min(last, last if critical is None else float(critical) + 1.0)
+        moment = self.contact_s if self.contact_s is not None else None if nearest is None else nearest + 1.0
+        end = end_s if end_s is not None else min(last, last if moment is None else float(moment))
         start = start_s if start_s is not None else max(0.0, end - most_s)
         if not 0.0 <= start < end <= last + 1e-6:
             asked = f"{start:g} to {end:g} s"

@@ -58,7 +58,7 @@ def video(
         path: the file to write.
         speed: seconds of the episode in a second of film.
         start_s: first moment; None for ``FILM_S`` before the last.
-        end_s: last moment; None for the contact, or the end.
+        end_s: last moment; None for the end.
 
     Raises:
         FileError: the folder lacks the episode, the ending is another, or *path* cannot be written.

@@ -54,15 +54,17 @@ def crossing(folder: Path, kind: str, lefthand: bool = False) -> RoadMap:
     return build(folder, NODES.format(kind=kind), EDGES, f"{kind}{'-left' * lefthand}", lefthand)
 
 
-def build(folder: Path, nodes: str, edges: str, name: str, lefthand: bool = False) -> RoadMap:
-    """Make a net of plain XML *nodes* and *edges*, as netconvert reads them; coordinates stay as given."""
+def build(
+    folder: Path, nodes: str, edges: str, name: str, lefthand: bool = False, more: Sequence[str] = ()
+) -> RoadMap:
+    """Make a net of plain XML *nodes* and *edges*, as netconvert reads them with *more* options; coordinates stay."""
     (folder / f"{name}.nod.xml").write_text(nodes)
     (folder / f"{name}.edg.xml").write_text(edges)
     net = folder / f"{name}.net.xml"
     files = ["-n", str(folder / f"{name}.nod.xml"), "-e", str(folder / f"{name}.edg.xml"), "-o", str(net)]
     options = ["--no-turnarounds", "true", "--offset.disable-normalization", "true", "--no-warnings", "true"]
     options += ["--lefthand", "true"] * lefthand
-    command = [sumolib.checkBinary("netconvert"), *files, *options]
+    command = [sumolib.checkBinary("netconvert"), *files, *options, *more]
     subprocess.run(command, check=True, capture_output=True)
     return RoadMap.read(net)
 

@@ -19,7 +19,19 @@ from advdiff_sumo.metrics.collision import collisions, target_collision, tracks_
 from advdiff_sumo.metrics.encounter import encounter
 from advdiff_sumo.metrics.summary import judged
 from advdiff_sumo.metrics.traffic_view import TrafficView
-from tests.metrics.encounters import Car, braking, crossing, driven, record_of, signals_of, straight
+from tests.metrics.encounters import (
+    DT_S,
+    EDGES,
+    NODES,
+    Car,
+    braking,
+    build,
+    crossing,
+    driven,
+    record_of,
+    signals_of,
+    straight,
+)
 
 NORTH = math.pi / 2
 
@@ -66,6 +78,64 @@ def test_red_light(light_road, east, north, expected) -> None:
     assert broken(mirrored, light_road) == expected[::-1]
 
 
+@pytest.mark.parametrize(
+    ("red_from_s", "expected"),
+    [
+        (0.0, ([], ["red_light"])),
+        (0.3, ([], ["red_light"])),
+        (0.7, (["right_of_way"], [])),  # both on green: the target came later
+        (1.5, (["right_of_way"], [])),
+    ],
+)
+def test_a_long_vehicle_whose_front_passed_on_green_ran_no_red_light(
+    light_road, red_from_s, expected
+) -> None:
+    """Called a breach before, as its centre came after its front. The stop line lies at x = -7.2."""
+    bus = straight(
+        "bus", (-15.7, -1.6), 0, 5, steps=51, size=(12.0, 2.5)
+    )  # its front passes at 0.5, its centre at 1.7 s
+    north = straight("north", (1.6, -31), NORTH, 9, steps=51)
+    green, red = ({("WC_1", "CE_1"): letter, ("SC_0", "CN_0"): "G"} for letter in "Gr")
+    before, after = (signals_of(light_road, letters, 51) for letters in (green, red))
+    at = round(red_from_s / DT_S)
+    record = record_of(north, bus, route=("SC", "CN"), signals=before[:at] + after[at:])
+    assert broken(record, light_road) == expected
+
+
+@pytest.mark.parametrize("length_m", [4.0, 12.0, 16.5])
+def test_a_long_vehicle_whose_middle_is_still_before_the_line_ran_the_red_light(light_road, length_m) -> None:
+    """No breach before, as its middle had not entered: its front is 4.6 m beyond the line at the contact."""
+    bus = straight("bus", (-14.7 - 0.5 * length_m, -1.6), 0, 5, steps=41, size=(length_m, 2.5))
+    south = straight("south", (-1.6, 22), -NORTH, 9, steps=41)
+    signals = signals_of(light_road, {("WC_1", "CE_1"): "r", ("NC_0", "CS_0"): "G"}, 41)
+    assert broken(record_of(south, bus, route=("NC", "CS"), signals=signals), light_road) == (
+        [],
+        ["red_light"],
+    )
+    assert blame(record_of(south, bus, route=("NC", "CS"), signals=signals), light_road) == (
+        "junction",
+        "other",
+    )
+
+
+def test_who_waits_at_red_with_its_front_over_the_line_has_not_entered(light_road) -> None:
+    waits = straight("waits", (-8.9, -1.6), 0, 0)  # its front is 0.3 m over the line
+    turns = straight("turns", (-6, 12), -math.radians(95), 9)  # cuts the corner
+    signals = signals_of(light_road, {("WC_1", "CE_1"): "r", ("NC_0", "CS_0"): "G"}, 41)
+    assert "red_light" not in broken(record_of(waits, turns, signals=signals), light_road)[0]
+
+
+def test_who_stands_over_the_line_at_red_and_goes_on_green_ran_none(light_road) -> None:
+    ego = driven(
+        "ego", (-8, -1.6), 0, np.where(np.arange(51) < 10, 0.0, 8.0)
+    )  # its front is 1.2 m over the line
+    north = straight("north", (1.6, -25), NORTH, 10, steps=51)
+    green, red = ({("WC_1", "CE_1"): letter, ("SC_0", "CN_0"): "G"} for letter in "Gr")
+    before, after = (signals_of(light_road, letters, 51) for letters in (red, green))
+    assert "red_light" not in broken(record_of(ego, north, signals=before[:8] + after[8:]), light_road)[0]
+    assert "red_light" in broken(record_of(ego, north, signals=before), light_road)[0]
+
+
 def test_a_red_light_does_not_matter_to_who_follows(light_road) -> None:
     # both run the red light eastward; the faster one behind hits the rear of the one ahead on the junction
     ego, lead = straight("ego", (-32, -1.6), 0, 14), straight("lead", (-14, -1.6), 0, 7)
@@ -85,6 +155,20 @@ def test_right_of_way_by_the_rows_of_the_net(road) -> None:
     assert broken(record_of(north, east, route=("SC", "CN")), road) == (["right_of_way"], [])
 
 
+def test_a_breach_of_who_was_not_seen_entering_is_of_the_contact(road) -> None:
+    """Dated before to the record's end, 4 s after the contact; both are on the junction from the first instant."""
+    east, north = (
+        straight("east", (-8, -1.6), 0, 6, steps=61),
+        straight("north", (1.6, -10), NORTH, 5, steps=61),
+    )
+    hit = target_collision(record_of(east, north), collisions(record_of(east, north)))
+    assert hit is not None
+    view = TrafficView.of_record(record_of(east, north), road)
+    (breach,) = breaches_of(view, encounter(view, hit), 1)
+    assert str(breach.kind) == "right_of_way"
+    assert breach.time_s == pytest.approx(DT_S * hit.step)
+
+
 def test_who_has_stood_on_the_junction_for_a_second_is_run_into(road) -> None:
     # the bus enters at 10 m/s and stands across the street from about 2.5 s on; the target comes at 6.6 s
     bus = driven("bus", (1.6, -20), NORTH, braking(10, 0.6, 5.5, 81), size=(10.0, 2.5))
@@ -98,6 +182,28 @@ def test_all_way_stop_the_later_one_gives_way(stop_road) -> None:
     slow = straight("slow", (-20, -1.6), 0, 4, steps=81)
     late = straight("late", (1.6, -60), NORTH, 10, steps=81)
     assert broken(record_of(slow, late), stop_road) == ([], ["right_of_way"])
+
+
+def test_who_has_not_reached_the_junction_has_not_joined_there(road) -> None:
+    """Joined before where the target was the one that had passed it, and so did not give way, too.
+
+    "wrong" comes from the east, leaves the junction on the lane for eastward traffic at 4.5 s and meets "on", 12 m
+    before the junction, head-on.
+    """
+    steps = np.arange(61)
+    left = np.minimum(5.6, np.maximum(0.0, 0.2 * (steps - 20)))  # from y = 1.6 over to -4 between 2 and 4.8 s
+    wrong = driven("wrong", (50, 1.6), math.pi, np.full(61, 13.0), left=left)
+    on = straight("on", (-68, -4), 0, 8.6, steps=61)
+    assert broken(record_of(wrong, on, route=("EC", "CW")), road) == (["wrong_side"], [])
+    assert broken(record_of(on, wrong), road) == ([], ["wrong_side"])
+
+
+def test_both_ends_of_long_vehicles_meet_on_the_junction(road) -> None:
+    """Only where the first of the two had passed it were they on it before: the middle of neither is."""
+    west = straight("west", (33.5, 5.3), math.pi, 14.2, steps=41, size=(12.0, 2.5))
+    south = straight("south", (-2.5, 54.2), -NORTH, 14.0, steps=41, size=(12.0, 2.5))
+    assert broken(record_of(west, south, route=("EC", "CW")), road) == ([], ["right_of_way"])
+    assert broken(record_of(south, west, route=()), road) == (["right_of_way"], [])
 
 
 # --- the wrong side --------------------------------------------------------------------------------------
@@ -213,6 +319,59 @@ def test_a_slow_pedestrian_far_ahead_and_one_that_runs_out(road) -> None:
     assert broken(record_of(ego, slow), road) == (["ran_into"], [])
     sudden = driven("sudden", (-106, -9.2), NORTH, np.full(51, 1.0), **walker)  # 2 s later: 12 m ahead
     assert broken(record_of(ego, sudden), road) == ([], ["unsafe_lane_entry"])
+
+
+@pytest.mark.parametrize("name", ["C", "north_c"])
+def test_running_into_somebody_on_a_crossing_and_beyond_it(tmp_path, name) -> None:
+    """Beyond it was on it before where the junction's name held "_c", as crossings' names do."""
+    nodes, edges = (
+        NODES.format(kind="priority").replace('"C"', f'"{name}"'),
+        EDGES.replace('"C"', f'"{name}"'),
+    )
+    more = ["--sidewalks.guess", "true", "--crossings.guess", "true"]
+    foot = build(tmp_path, nodes, edges, "foot", more=more)
+    ego = straight("ego", (1.6, -20), NORTH, 8, steps=51)
+    walker = {"size": (0.6, 0.6), "agent_class": AgentClass.PEDESTRIAN}
+    on = driven("on", (6.4, 8.4), math.pi, np.full(51, 1.3), **walker)  # the crossing lies at y = 8.4
+    beyond = driven("beyond", (2.4, 12), NORTH, np.full(51, 0.3), **walker)  # 3.3 m past it, by the kerb
+    route = ("SC", "CN")
+    assert "right_of_way" in broken(record_of(ego, on, route=route), foot)[0]
+    assert broken(record_of(ego, beyond, route=route), foot) == (["ran_into"], [])
+
+
+CYCLE_LANES = """<edges>
+  <edge id="WE" from="W" to="E" numLanes="2"><lane index="0" allow="bicycle" width="1.5"/>
+    <lane index="1" disallow="bicycle pedestrian"/></edge>
+  <edge id="EW" from="E" to="W" numLanes="1"><lane index="0" allow="bicycle" width="1.5"/></edge>
+</edges>"""
+
+
+def test_a_cyclist_on_its_own_lane_is_not_out_of_one(tmp_path) -> None:
+    """Called out of its lane before, or against it: it was put onto the lane for cars beside.
+
+    From north to south: bicycles westward around y = 0.75, cars around -1.6, bicycles eastward around -3.95.
+    """
+    nodes = '<nodes><node id="W" x="0" y="0"/><node id="E" x="400" y="0"/></nodes>'
+    street = build(tmp_path, nodes, CYCLE_LANES, "cycles")
+    bike = {"size": (1.8, 0.6), "agent_class": AgentClass.BICYCLE}
+
+    def met(ego: Car, rider: Car) -> tuple[tuple[str, str], tuple[list[str], list[str]]]:
+        record = record_of(ego, rider, route=("WE",))
+        return blame(record, street), broken(record, street)
+
+    along = driven("along", (56, -3.95), 0, np.full(61, 5.0), **bike)
+    drifts = straight("ego", (50, -1.6), 0, 8, steps=61, drift=-0.6)
+    assert met(drifts, along) == (("side", "target"), (["sideways"], []))
+    against = driven("against", (96, 0.75), math.pi, np.full(61, 5.0), **bike)
+    drifts = straight("ego", (50, -1.6), 0, 8, steps=61, drift=0.4)
+    assert met(drifts, against) == (("head_on", "target"), (["wrong_side"], []))
+    swerves = driven(
+        "swerves", (66, -3.95), 0, np.full(61, 5.0), left=np.minimum(2.0, 0.1 * np.arange(61)), **bike
+    )
+    assert met(straight("ego", (50, -1.6), 0, 10, steps=61), swerves) == (
+        ("cut_in", "other"),
+        ([], ["unsafe_lane_entry"]),
+    )
 
 
 # --- running into somebody -------------------------------------------------------------------------------

@@ -59,6 +59,30 @@ def test_leader_beyond_the_junction_counts_and_the_next_lane_does_not(straight, 
     assert np.isinf(following(record.tracks, 0, road, ("WC", "CE")).time_to_collision()[1, 0])
 
 
+def test_who_stands_beside_the_lane_is_not_ahead_in_it(straight, record_of, road) -> None:
+    """Counted before: DRAC rose to 7200 m/s² at whoever stood on the pavement. The lane reaches down to y = -6.4."""
+    record = record_of(
+        straight("ego", (-150, -4.8), 0, 12, steps=2),
+        straight("pavement", (-100, -8.5), 0, 0, steps=2, size=(0.6, 0.6)),
+        straight("parked", (-100, -7.2), 0, 0, steps=2),  # up to y = -6.2: 0.2 m in the lane
+        straight(
+            "askew", (-100, -7.2), 0.3, 0, steps=2
+        ),  # half 4 sin 0.3 + half 2 cos 0.3 = 1.55: up to -5.65
+    )
+    gap = following(record.tracks, 0, road, record.route).gap_m
+    assert np.isnan(gap[1:3]).all()
+    assert gap[3, 0] == pytest.approx(46.0)
+
+
+def test_who_comes_against_the_lane_closes_in_by_both_speeds(straight, record_of, road) -> None:
+    """Taken to drive on ahead before: at equal speeds nobody closed in, and the lane TTC was empty."""
+    ego, wrong = straight("ego", (-150, -4.8), 0, 12), straight("wrong", (-98, -4.8), math.pi, 8)
+    ahead = following(record_of(ego, wrong).tracks, 0, road, ("WC", "CE"))
+    assert ahead.closing_mps[1, 0] == pytest.approx(20.0)
+    assert ahead.time_to_collision()[1, 0] == pytest.approx(2.4)  # 52 - 4 = 48 m at 20 m/s
+    assert ahead.deceleration_to_avoid()[1, 0] == pytest.approx(400.0 / 96.0)
+
+
 def test_pet_of_a_crossing_of_one_and_a_half_seconds(straight, record_of) -> None:
     # the ego's rear leaves the square |x| <= 1 at -20 + 10 t - 2 = 1, t = 2.3 s;
     # the other's front reaches y = -1 at -36 - 3 + 2 + 10 t = -1 + ... : -39 + 10 t + 2 = -1, t = 3.6 s + 0.2 s

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.offroad import background_off_road, target_leaves_road
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
@@ -111,6 +112,29 @@ def test_wrong_way(straight, record_of, road) -> None:
     assert outcome(record_of(wrong, ego), road)[1] == "target"
 
 
+def test_rules_of_lanes_do_not_bind_who_walks(straight, record_of, road) -> None:
+    """Blamed before for walking against the lane beside which, or over which, they went. The lane ends at y = -6.4."""
+    ego = straight("ego", (-150, -4.8), 0, 12, steps=51)
+    pavement = replace(
+        straight("walker", (-100, -7.2), math.pi, 1.3, steps=51, size=(0.6, 0.6)),
+        agent_class=AgentClass.PEDESTRIAN,
+    )
+    swerves = straight("ego", (-150, -4.8), 0, 12, steps=51, drift=-0.4)
+    assert outcome(record_of(swerves, pavement), road) == (
+        "head_on",
+        "target",
+        "The target was out of its lane, 'walker' was not.",
+    )
+    # at 120° over the lane, in it from 0.9 s on, 32 m ahead: 9 + 12 = 21 m are needed
+    askew = replace(
+        straight("walker", (-104, -7.5), math.radians(120), 1.3, steps=51, size=(0.6, 0.6)),
+        agent_class=AgentClass.PEDESTRIAN,
+    )
+    kind, fault, reason = outcome(record_of(ego, askew), road)
+    assert (kind, fault) == ("side", "target")
+    assert reason.startswith("'walker' entered the target's lane 32.")
+
+
 def test_reversing(straight, record_of, road) -> None:
     ego = straight("ego", (-150, -1.6), 0, 2)
     back = straight("back", (-130, -1.6), 0, -6)
@@ -163,6 +187,22 @@ def test_all_way_stop_goes_to_the_first(straight, record_of, stop_road) -> None:
     assert (kind, fault) == ("junction", "other")
     assert "before 'late'" in reason
     assert outcome(record_of(late, slow, route=("SC", "CN")), stop_road)[1] == "target"
+
+
+def test_who_comes_first_is_told_by_the_fronts(straight, record_of, stop_road) -> None:
+    """By the middles before: a bus came 1.1 s later than a car that it came 0.5 s before.
+
+    The lines lie at x = -7.2 and y = -10.4. The front of the bus passes at 0.5 s, that of the car at 1.0 or 2.0 s.
+    """
+    bus = straight("bus", (-14.7, -1.6), 0, 3, steps=61, size=(12.0, 2.5))
+    at_once = straight("at once", (1.6, -18.4), NORTH, 6, steps=61)
+    assert outcome(record_of(bus, at_once), stop_road)[:2] == ("junction", "unclear")
+    later = straight("later", (1.6, -24.4), NORTH, 6, steps=61)
+    assert outcome(record_of(bus, later), stop_road) == (
+        "junction",
+        "other",
+        "The target was on the junction 1.5 s before 'later'.",
+    )
 
 
 def test_same_approach_on_a_junction_is_a_rear_end(straight, record_of, road) -> None:

@@ -139,3 +139,16 @@ def test_the_record_that_ends_before_anybody_resolved_it(road) -> None:
     assert found.resolved_by is None
     assert resolved(found.resolved_by) == "the record ends before it is resolved"
     assert resolved(ResolvedBy.TARGET) == "resolved by: target"
+
+
+def test_who_appears_at_the_last_instant_leaves_it_unresolved(road) -> None:
+    """Said before to have resolved it: what it last did is not known, and NaN meets nobody."""
+    ego, lead = (
+        straight("ego", (-150, -1.6), 0, 12.0),
+        straight("lead", (-94, -1.6), 0, 0.0),
+    )  # 4 m ahead at 4 s
+    lead.xy_m[:-1] = np.nan
+    found = near_miss(record_of(ego, lead), road)
+    assert found is not None
+    assert found.time_s == pytest.approx(4.0)
+    assert found.resolved_by is None

@@ -136,6 +136,31 @@ def test_a_follower_on_the_careful_drivers_tail_is_not_held_against_it(road, gap
     assert result.sentence.startswith("A careful and competent driver who brakes")
 
 
+def test_what_is_left_of_the_impact_is_that_with_who_counts(road) -> None:
+    """Told before of the follower, whose contact is not held against the driver and comes first."""
+    ego, lead = (
+        straight("ego", (-150, -1.6), 0, 12),
+        driven("lead", (-133, -1.6), 0, braking(12, 0.3, 8.0, 41)),
+    )
+    alone = verdict(record_of(ego, lead), road)
+    followed = verdict(record_of(ego, lead, straight("tail", (-155.5, -1.6), 0, 12)), road)
+    drive = followed.drives[YARDSTICK]
+    assert [touch.name for touch in drive.touches] == ["tail", "lead"]
+    assert followed.preventable is False
+    assert followed.impact_left_mps == pytest.approx(alone.impact_left_mps)
+    assert followed.sentence == alone.sentence
+
+
+def test_who_overlaps_the_target_as_the_driver_takes_over_is_not_held_against_it(road) -> None:
+    """Held against it before, though the log puts that car there: no driver avoided anything. 29 m to a stop at 10."""
+    ego, lead = straight("ego", (-150, -1.6), 0, 10, steps=61), straight("lead", (-115, -1.6), 0, 0, steps=61)
+    beside = straight("beside", (-152, -3.4), 0, 10, steps=61)  # 0.2 m of it lie in the target
+    result = verdict(record_of(ego, lead, beside), road)
+    alone = verdict(record_of(ego, lead), road)
+    assert result.preventable_by == alone.preventable_by == tuple(alone.drives)
+    assert result.sentence == alone.sentence
+
+
 def test_who_counts_of_those_that_the_careful_driver_touches(road) -> None:
     ego, lead = straight("ego", (-150, -1.6), 0, 12, steps=32), straight("lead", (-131, -1.6), 0, 7, steps=32)
     record = record_of(ego, lead, straight("behind", (-200, -1.6), 0, 12, steps=32))
@@ -152,5 +177,7 @@ def test_who_counts_of_those_that_the_careful_driver_touches(road) -> None:
         ((by_behind, by_lead), None, False),
         ((in_front,), None, False),
         ((by_behind, replace(in_front, name="another")), None, False),
+        ((replace(in_front, from_start=True),), None, True),
+        ((replace(in_front, from_start=True),), 2, False),
     ]:
         assert avoids(record, hit, replace(clear, touches=touches), pusher) is outcome

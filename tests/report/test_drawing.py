@@ -8,10 +8,12 @@ from pathlib import Path
 import pytest
 
 from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.report import figure
 from advdiff_sumo.report.drawing import COLOURS, draw
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.scene_picture import Role, picture_of
+from tests.metrics.encounters import record_of, straight
 
 
 @pytest.mark.parametrize("ending", ["svg", "png"])
@@ -46,6 +48,16 @@ def test_picture_in_metres(two_episodes: Path) -> None:
     assert picture.view.width_m == pytest.approx(1.5 * picture.view.height_m)
     x0, x1 = draw(picture).axes[0].get_xlim()
     assert (x0, x1) == pytest.approx((picture.view.x0_m, picture.view.x1_m))
+
+
+def test_close_up_is_of_the_contact_where_the_episode_goes_on() -> None:
+    """Of the last seconds of the episode before, without the contact: who leaves the road at 3 s drives on for 7."""
+    record = record_of(straight("ego", (0.0, 0.0), 0.0, 20.0, steps=101))
+    nobody = dict.fromkeys(("collision_partner", "min_ttc_partner", "min_clearance_partner"))
+    row = nobody | {"target_collision": True, "collision_time_s": 3.0, "impact_x_m": 60.0, "impact_y_m": 0.0}
+    close_up = picture_of(EpisodeStates(record.tracks, 0), row, (), None).close_up
+    assert close_up is not None
+    assert (close_up.x0_m, close_up.x1_m) == pytest.approx((1.0, 61.0))  # 60 m around 2 to 60 m
 
 
 def test_no_such_episode(two_episodes: Path, tmp_path: Path) -> None:

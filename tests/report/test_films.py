@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,13 @@ def test_strip_of_the_worst_ends_at_its_contact(sweep_folder: Path) -> None:
         "without attack",
         "contact",
     ]
+
+
+def test_strip_ends_at_the_contact_where_the_episode_goes_on(sweep_folder: Path) -> None:
+    """A second later before; who leaves the road, say, drives on."""
+    chosen = ChosenEpisode.read(sweep_folder, 1)
+    early = replace(chosen, row={**chosen.row, "collision_time_s": 1.54})
+    assert early.span_s(None, None, 6.0) == (0.0, 1.54)
 
 
 def test_poses_between_instants_take_the_shorter_turn(sweep_folder: Path) -> None:

@@ -21,7 +21,7 @@ def red_light(view: TrafficView, met: Encounter, which: int) -> Breach | None:
     walker = met.parties[1 - which].is_pedestrian
     if not (met.crossing or walker) or not ran_red(view, party) or not _lately(view, met, party):
         return None
-    return _breach(view, BreachKind.RED_LIGHT, party, "entered the junction on red")
+    return _breach(view, met, BreachKind.RED_LIGHT, party, "entered the junction on red")
 
 
 def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None:
@@ -45,22 +45,27 @@ def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None
     ):
         return None
     return _breach(
-        view, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{other.name}' at the junction"
+        view, met, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{other.name}' at the junction"
     )
 
 
 def ran_red(view: TrafficView, party: Party) -> bool:
-    """Return whether *party* entered the junction while its signal had been red for two instants."""
+    """Return whether *party* entered the junction while its signal was red, from its front's passing the line on."""
     states = signals_at_entry(view, party)
     return bool(states) and all(state in "ru" for state in states)
 
 
 def signals_at_entry(view: TrafficView, party: Party) -> list[str]:
-    """Return the letters of the signal of *party* at the instant before and that of its entry; [] if unknown."""
-    link, step = party.link, party.entered_step
-    if link is None or link.tls_id is None or link.tls_index is None or link.tls_index < 0 or step is None:
+    """Return the letters of the signal of *party* from the instant before its front passed the line to its entry.
+
+    [] if unknown. Who waits with its front over the line enters by what it sees as it goes on.
+    """
+    link, first, last = party.link, party.line_step, party.entered_step
+    if link is None or link.tls_id is None or link.tls_index is None or link.tls_index < 0:
         return []
-    states = [s.get(link.tls_id, "") for s in view.signals[max(0, step - 1) : step + 1]]
+    if first is None or last is None:
+        return []
+    states = [s.get(link.tls_id, "") for s in view.signals[max(0, first - 1) : last + 1]]
     return [s[link.tls_index] for s in states] if all(len(s) > link.tls_index for s in states) else []
 
 
@@ -76,14 +81,14 @@ def owes_way(view: TrafficView, met: Encounter, which: int) -> bool:
 
 
 def later_by_s(view: TrafficView, met: Encounter) -> float | None:
-    """Return by how much the target came to the junction later than the other; None where it was not seen."""
-    target, other = met.target.entered_step, met.other.entered_step
+    """Return by how much the target's front came later than the other's; None where they were not seen."""
+    target, other = met.target.line_step, met.other.line_step
     return None if target is None or other is None else (target - other) * view.tracks.dt_s
 
 
 def must_yield(view: TrafficView, party: Party, to: Party) -> bool:
     """Return whether the net has *party* give way to *to*; who enters on a protected green never does."""
-    if party.link is None or to.link is None or signals_at_entry(view, party)[-1:] == ["G"]:
+    if party.link is None or to.link is None or "G" in signals_at_entry(view, party):
         return False
     return view.road.must_yield(party.link, to.link)
 
@@ -103,10 +108,10 @@ def joined_safely(met: Encounter, which: int) -> bool:
 
 def _crossing_breach(view: TrafficView, met: Encounter, party: Party, walker: Party) -> Breach | None:
     """Return the breach of running into somebody on a crossing, unless the driver had a protected green."""
-    if signals_at_entry(view, party)[-1:] == ["G"] or not on_crossing(view, walker, met.collision.step):
+    if "G" in signals_at_entry(view, party) or not on_crossing(view, walker, met.collision.step):
         return None
     return _breach(
-        view, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{walker.name}' on the crossing"
+        view, met, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{walker.name}' on the crossing"
     )
 
 
@@ -114,10 +119,14 @@ def on_crossing(view: TrafficView, walker: Party, step: int) -> bool:
     """Return whether *walker* is on a pedestrian crossing at instant *step*."""
     tracks, row = view.tracks, walker.row
     box = shapely.Polygon(corners(tracks.xy_m[row, step], tracks.yaw_rad[row, step], tracks.size_m[row]))
-    lines = (xy for name, xy in view.road.pedestrian_shapes.items() if "_c" in name and len(xy) > 1)
+    shapes = (
+        view.road.pedestrian_shapes.items()
+    )  # of crossings ":JUNCTION_c0" and walking areas ":JUNCTION_w0"
+    lines = [xy for name, xy in shapes if name.rpartition("_")[2].startswith("c") and len(xy) > 1]
     return any(shapely.LineString(xy).distance(box) <= _CROSSING_HALF_WIDTH_M for xy in lines)
 
 
-def _breach(view: TrafficView, kind: BreachKind, party: Party, text: str) -> Breach:
-    step = party.entered_step if party.entered_step is not None else len(view.tracks.times_s) - 1
+def _breach(view: TrafficView, met: Encounter, kind: BreachKind, party: Party, text: str) -> Breach:
+    """Return the breach as of the entry into the junction; of the contact where that was not seen."""
+    step = met.collision.step if party.entered_step is None else party.entered_step
     return Breach(kind, party.row, view.time_s(step), text)

@@ -23,12 +23,14 @@ class Touch:
         name: id of the other.
         closing_mps: speed at which the boxes approach along their contact normal.
         from_behind: the other's centre is behind the drive's rear at that instant.
+        from_start: the two touched already as the drive began.
     """
 
     step: int
     name: str
     closing_mps: float
     from_behind: bool
+    from_start: bool = False
 
 
 def touches(drive: Trajectory, others: Tracks, target: int, first_step: int) -> tuple[Touch, ...]:
@@ -55,6 +57,7 @@ def touches(drive: Trajectory, others: Tracks, target: int, first_step: int) -> 
             others.ids[row[pair]],
             _closing_mps(a, b, pair, float(fraction[pair]), others.dt_s),
             bool(behind[row[pair], step[pair]]),
+            bool(step[pair] + fraction[pair] == 0.0),
         )
         for pair in in_order[np.sort(firsts)].tolist()
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,8 @@ from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, LAT
 from advdiff_sumo.report.plans import PLAN_COLUMNS, Planned, plans_of
 
 Row: TypeAlias = Mapping[str, Any]
+
+_OPTION_TABLES = ("target_options", "background_options")
 
 #: What a sweep's episodes have beside a run's; a run's get the values of its options.
 JOB_COLUMNS = (
@@ -154,8 +157,9 @@ def _with_job(row: Row, options: Mapping[str, Any]) -> Row:
     if "target" in row:
         return row
     own = {name: str(options.get(name, "?")) for name in ("net", "target", "background")}
-    blank = {"target_options": "{}", "background_options": "{}", "attack": own["background"]}
-    return {**row, **own, **blank, "key": "", "scene_key": "", "root_seed": options.get("seed")}
+    own |= {name: json.dumps(options.get(name) or {}, default=str) for name in _OPTION_TABLES}
+    rest = {"attack": own["background"], "key": "", "scene_key": "", "root_seed": options.get("seed")}
+    return {**row, **own, **rest}
 
 
 def _rows(

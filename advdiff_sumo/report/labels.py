@@ -1,4 +1,4 @@
-"""Names of targets and backgrounds that tell those apart which differ in their options alone."""
+"""Names of targets and backgrounds: with planted defects, and with the options in which two of one name differ."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Labels:
                 self._variants.setdefault((role, str(row[role])), set()).add(str(row[f"{role}_options"]))
 
     def target(self, row: Row) -> str:
-        """Return the target's name, with those of its options that set it apart."""
+        """Return the target's name, with its planted defects and those of its options that set it apart."""
         return self._label("target", row)
 
     def background(self, row: Row) -> str:
@@ -28,13 +28,16 @@ class Labels:
 
     def _label(self, role: str, row: Row) -> str:
         name, own = str(row[role]), str(row[f"{role}_options"])
-        variants = self._variants.get((role, name), {own})
-        if len(variants) < 2:
-            return name
         options = _options(own)
-        others = [_options(text) for text in variants]
-        telling = [key for key in sorted(options) if any(o.get(key) != options[key] for o in others)]
-        differences = ", ".join(f"{key} {_text(options[key])}" for key in telling)
+        others = [_options(text) for text in self._variants.get((role, name), ())]
+        telling = [
+            key
+            for key in sorted(options)
+            if (key == "defects" and options[key]) or any(o.get(key) != options[key] for o in others)
+        ]
+        differences = ", ".join(
+            _text(options[key]) if key == "defects" else f"{key} {_text(options[key])}" for key in telling
+        )
         return f"{name} ({differences})" if differences else name
 
 

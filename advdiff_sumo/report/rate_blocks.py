@@ -28,14 +28,15 @@ class HeadlineRate:
 def headline(episodes: Sequence[Mapping[str, Any]]) -> tuple[HeadlineRate, ...]:
     """Return the rates that a report begins with.
 
-    Failed episodes count in the rate of failures alone: what would have happened in them is not known.
+    Failed episodes count in the rate of failures alone: what would have happened in them is not known. Whether the
+    target saw the other party is known of targets that SUMO drives; without any the line is left out.
 
     Args:
         episodes: rows of ``episodes.parquet``.
     """
     finished = [row for row in episodes if row["end"] != "failed"]
     struck = [row for row in finished if row["target_collision"]]
-    judged_visible = [row for row in struck if row["attacker_visible"] is not None]
+    seen = [bool(row["attacker_visible"]) for row in struck if row["attacker_visible"] is not None]
     judged = [row for row in finished if row["valid_failure"] is not None]
     critical = [row for row in finished if row["critical"] is not None]
     return (
@@ -45,11 +46,7 @@ def headline(episodes: Sequence[Mapping[str, Any]]) -> tuple[HeadlineRate, ...]:
         _line(
             "Collisions, target at fault", "finished episodes", [r["at_fault"] == "target" for r in finished]
         ),
-        _line(
-            "Attacker was visible",
-            "collisions where that is known",
-            [bool(r["attacker_visible"]) for r in judged_visible],
-        ),
+        *([_line("Target saw the other", "collisions of SUMO's drivers", seen)] if seen else []),
         _line("Route completed", "finished episodes", [bool(r["route_completed"]) for r in finished]),
         _line("Failed episodes", "episodes", [r["end"] == "failed" for r in episodes]),
     )

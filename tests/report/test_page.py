@@ -64,13 +64,18 @@ def test_says_what_was_run_and_how_to_repeat_it(two_episodes: Path) -> None:
     assert "advdiff-sumo run --config run.toml" in text
 
 
+def test_names_planted_defects(make_folder: Any, rows: Any) -> None:
+    planted = {"target_options": {"defects": ["range:strong"]}}
+    outline = _read(make_folder([rows.episode(0)], options=planted))
+    assert "IDM (range:strong) against replay traffic" in outline.text
+
+
 def test_rates_with_intervals_and_sample_sizes(two_episodes: Path) -> None:
     text = _read(two_episodes).text
     # 1 of 2: centre 1/2, half width z / (2 sqrt(2 + z²)) = 0.4055
     assert "50.0 % 1 of 2 finished episodes95 % interval 9.5 % to 90.5 %" in text
     # 0 of 2: z² / (2 + z²) = 0.6576
     assert "0.0 % 0 of 2 finished episodes95 % interval 0.0 % to 65.8 %" in text
-    assert "– 0 of 0 collisions where that is known" in text
 
 
 def test_collisions_come_first(two_episodes: Path) -> None:

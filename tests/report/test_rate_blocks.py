@@ -21,7 +21,12 @@ def test_headline_counts(rows: Any) -> None:
         "Critical near misses": (1, 3),
         "Collisions": (3, 4),
         "Collisions, target at fault": (1, 4),
-        "Attacker was visible": (1, 2),
+        "Target saw the other": (1, 2),
         "Route completed": (1, 4),
         "Failed episodes": (1, 5),
     }
+
+
+def test_what_only_sumos_drivers_see_is_left_out_for_planners(rows: Any) -> None:
+    labels = [line.label for line in headline([rows.struck(0, attacker_visible=None)])]
+    assert "Target saw the other" not in labels

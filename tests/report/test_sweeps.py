@@ -79,6 +79,13 @@ def test_labels_name_the_options_that_differ(run: FinishedRun) -> None:
     assert labels.target(one) == "IDM"
 
 
+def test_labels_always_name_planted_defects(run: FinishedRun) -> None:
+    planted = _with(run.row(1), target_options='{"defects":["range:strong","late:1.0"],"tau":1.2}')
+    assert Labels([planted]).target(planted) == "IDM (range:strong+late:1.0)"
+    sound = _with(run.row(1), target_options='{"tau":1.2}')
+    assert Labels([planted, sound]).target(sound) == "IDM"
+
+
 def test_natural_counterpart_is_the_same_scene_and_target_in_sumos_traffic(run: FinishedRun) -> None:
     naturals = ReferenceEpisodes(run)
     found = naturals.of(run.row(1))

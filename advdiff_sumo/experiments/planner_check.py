@@ -77,7 +77,7 @@ class Watched:
 
     def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> tuple[Plan, Any]:
         """Keep the scene, and pass the call on."""
-        self.scenes.append(scene)
+        self.scenes.append(scene.copied())
         return self.planner.plan(road, scene, memory, rng)
 
 

@@ -59,7 +59,7 @@ class DefectivePlanner:
         seeds = tuple(root.child(type(fault).__name__) for fault in self.faults)
         nothing = (None,) * len(self.faults)
         scenes, _ = self._perceive(road, scene, seeds, nothing)
-        return _Memory(self.planner.start(road, scenes[-1], rng), seeds, nothing, nothing)
+        return _Memory(self.planner.start(road, scenes[-1].copied(), rng), seeds, nothing, nothing)
 
     def plan(
         self, road: RoadMap, scene: Scene, memory: _Memory, rng: np.random.Generator
@@ -71,7 +71,7 @@ class DefectivePlanner:
             held = fault.held_plan(scene, acted)
             if held is not None:
                 return held, memory
-        planned: Any = self.planner.plan(road, scenes[-1], memory.planner, rng)
+        planned: Any = self.planner.plan(road, scenes[-1].copied(), memory.planner, rng)
         if not (isinstance(planned, tuple) and len(planned) == 2):
             return planned  # type: ignore[no-any-return] # no plan: the episode refuses it and says so
         plan, own = planned

@@ -7,6 +7,7 @@ import re
 import sysconfig
 import traceback
 from pathlib import Path
+from types import CodeType
 
 _OURS = str(Path(__file__).parents[1])
 _CALL = re.compile(r'File "([^"]+)", line (\d+) in (\S+)')
@@ -23,18 +24,21 @@ def described(error: BaseException) -> str:
 
 
 def raised_at(error: BaseException, plug_in: object) -> str:
-    """Return " (FILE, line N, FUNCTION)" of the innermost call in the plug-in's own code; "" where there is none."""
+    """Return " (FILE, line N, FUNCTION)" of the innermost call in the plug-in's own code; "" where there is none.
+
+    One of our wrappers around a planner is looked through, here and in :func:`planned_at`.
+    """
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if not _is_library(frame.filename)]
     if not own:  # installed beside other libraries, or one of ours
-        source = _source_of(type(plug_in))
+        source = _source_of(type(_unwrapped(plug_in)))
         own = [frame for frame in frames if frame.filename == source]
     return f" ({Path(own[-1].filename).name}, line {own[-1].lineno}, {own[-1].name})" if own else ""
 
 
 def planned_at(plug_in: object) -> str:
     """Return " (FILE, line N, plan)" of the method that plans; "" for one of ours."""
-    code = getattr(getattr(type(plug_in), "plan", None), "__code__", None)
+    code = _code_of_plan(_unwrapped(plug_in))
     if code is None or code.co_filename.startswith(_OURS):
         return ""
     return f" ({Path(code.co_filename).name}, line {code.co_firstlineno}, plan)"
@@ -44,6 +48,20 @@ def crashed_at(stack: str) -> str:
     """Return the same of the stack that Python's fault handler wrote, its innermost call first."""
     calls = ((file, line, name) for file, line, name in _CALL.findall(stack) if not _is_library(file))
     return next((f" ({Path(file).name}, line {line}, {name})" for file, line, name in calls), "")
+
+
+def _unwrapped(plug_in: object) -> object:
+    """Return the planner in wrappers of ours, such as one with defects; their attribute ``planner`` is what they call."""
+    code = _code_of_plan(plug_in)
+    inner = getattr(plug_in, "planner", None)
+    if inner is None or code is None or not code.co_filename.startswith(_OURS):
+        return plug_in
+    return _unwrapped(inner)
+
+
+def _code_of_plan(plug_in: object) -> CodeType | None:
+    code = getattr(getattr(type(plug_in), "plan", None), "__code__", None)
+    return code if isinstance(code, CodeType) else None
 
 
 def _is_library(filename: str) -> bool:

@@ -6,12 +6,13 @@ import inspect
 import re
 import sysconfig
 import traceback
+from functools import cache
 from pathlib import Path
 from types import CodeType
 
 _OURS = str(Path(__file__).parents[1])
 _CALL = re.compile(r'File "([^"]+)", line (\d+) in (\S+)')
-_STDLIB, _INSTALLED = sysconfig.get_path("stdlib"), {"site-packages", "dist-packages"}
+_INSTALLED = {"site-packages", "dist-packages"}
 
 
 def described(error: BaseException) -> str:
@@ -51,7 +52,7 @@ def crashed_at(stack: str) -> str:
 
 
 def _unwrapped(plug_in: object) -> object:
-    """Return the planner in wrappers of ours, such as one with defects; their attribute ``planner`` is what they call."""
+    """Return the planner in wrappers of ours, such as one with defects: their attribute ``planner``."""
     code = _code_of_plan(plug_in)
     inner = getattr(plug_in, "planner", None)
     if inner is None or code is None or not code.co_filename.startswith(_OURS):
@@ -64,8 +65,15 @@ def _code_of_plan(plug_in: object) -> CodeType | None:
     return code if isinstance(code, CodeType) else None
 
 
+@cache
+def _standard_library() -> str:
+    return sysconfig.get_path("stdlib")
+
+
 def _is_library(filename: str) -> bool:
-    return filename.startswith((_OURS, _STDLIB, "<")) or not _INSTALLED.isdisjoint(Path(filename).parts)
+    return filename.startswith((_OURS, _standard_library(), "<")) or not _INSTALLED.isdisjoint(
+        Path(filename).parts
+    )
 
 
 def _source_of(kind: type) -> str:

@@ -25,7 +25,8 @@ class AgentClass(IntEnum):
 
 MOTOR_CLASSES = (AgentClass.CAR, AgentClass.TRUCK, AgentClass.BUS, AgentClass.MOTORCYCLE)
 """Motor vehicles: they belong on the drivable area."""
-_ARRAYS = ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
+TRACK_ARRAYS = ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
+"""What :class:`Tracks` holds as arrays."""
 
 
 @dataclass(frozen=True)
@@ -134,13 +135,13 @@ class Tracks:
 
     def copied(self) -> Tracks:
         """Return the same tracks in arrays of their own, for somebody who may write into them."""
-        return replace(self, **{name: getattr(self, name).copy(order="K") for name in _ARRAYS})
+        return replace(self, **{name: getattr(self, name).copy(order="K") for name in TRACK_ARRAYS})
 
     def joined(self, other: Tracks) -> Tracks:
         """Return these agents and those of *other*, which has the same instants."""
         if (self.steps, self.dt_s, self.t0_s) != (other.steps, other.dt_s, other.t0_s):
             raise ValueError("Tracks of different instants cannot be joined")
-        parts = {name: np.concatenate((getattr(self, name), getattr(other, name))) for name in _ARRAYS}
+        parts = {name: np.concatenate((getattr(self, name), getattr(other, name))) for name in TRACK_ARRAYS}
         return Tracks(ids=(*self.ids, *other.ids), t0_s=self.t0_s, dt_s=self.dt_s, **parts)
 
     @staticmethod

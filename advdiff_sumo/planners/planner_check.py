@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -12,11 +12,12 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.bicycle import Limits
+from advdiff_sumo.core.errors import EpisodeFailure, PlanRefusedError
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
 from advdiff_sumo.core.plan_form import form_problem, in_float64, plan_arrays
 from advdiff_sumo.core.plug_in_source import described, raised_at
 from advdiff_sumo.core.process_end import hears_ctrl_c
-from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.scene import TRACK_ARRAYS, Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_protocol import Planner
 
@@ -26,7 +27,7 @@ _MAX_YAW_RATE_RADPS = 3.0
 
 
 class Part(StrEnum):
-    """Parts of the contract."""
+    """Parts of the contract, in the order in which they are looked at."""
 
     METHODS = "methods"
     RAISES = "raises nothing"
@@ -34,14 +35,22 @@ class Part(StrEnum):
     NUMBERS = "numbers"
     MOTION = "motion"
     REPEATS = "repeats itself"
+    SCENE = "scene left alone"
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What a planner does against a part of its contract, in one sentence."""
+    """What a planner does against a part of its contract, in one sentence.
+
+    Attributes:
+        part: of the contract.
+        text: the sentence.
+        harmless: it may do so, and is told.
+    """
 
     part: Part
     text: str
+    harmless: bool = False
 
 
 def check_planner(planner: Planner, road: RoadMap, scene: Scene) -> list[str]:
@@ -56,7 +65,7 @@ def check_planner(planner: Planner, road: RoadMap, scene: Scene) -> list[str]:
         road: the map of the scene.
         scene: the first instant of an episode.
     """
-    return [problem.text for problem in problems_of(planner, road, scene)]
+    return [problem.text for problem in problems_of(planner, road, scene) if not problem.harmless]
 
 
 def problems_of(planner: Planner, road: RoadMap, scene: Scene) -> list[Problem]:
@@ -67,9 +76,13 @@ def problems_of(planner: Planner, road: RoadMap, scene: Scene) -> list[Problem]:
     try:
         first, memory = _begin(planner, road, scene)
         again, _ = _begin(planner, road, scene)
-        later, _ = _unpacked(planner.plan(road, scene.copied(), memory, np.random.default_rng(_SEED)))
+        given = scene.copied()
+        later, _ = _unpacked(planner.plan(road, given, memory, np.random.default_rng(_SEED)))
     except _BrokenContractError as error:
         return [Problem(Part.FORM, str(error))]
+    except EpisodeFailure as error:  # one of ours, such as a planner's server, says itself what was wrong
+        part = Part.FORM if isinstance(error, PlanRefusedError) else Part.RAISES
+        return [Problem(part, str(error))]
     except BaseException as error:  # a user's planner may raise anything; that is a finding
         if isinstance(error, KeyboardInterrupt) and hears_ctrl_c():
             raise
@@ -84,6 +97,9 @@ def problems_of(planner: Planner, road: RoadMap, scene: Scene) -> list[Problem]:
             "keep state in the memory and draw from the generator that is passed in"
         )
         problems.append(Problem(Part.REPEATS, text))
+    if _prints(given) != _prints(scene):
+        text = "it writes into the scene, which it may: it is given a copy of its own"
+        problems.append(Problem(Part.SCENE, text, harmless=True))
     return problems
 
 
@@ -133,7 +149,10 @@ def _unpacked(answer: object) -> tuple[Plan, Any]:
         raise _BrokenContractError(
             f"plan() returned a {type(answer[0]).__name__}, not a Trajectory or Controls"
         )
-    return answer
+    plan, memory = answer
+    arrays = {name: getattr(plan, name) for name in plan_arrays(plan)}
+    kept = {name: array.copy() for name, array in arrays.items() if isinstance(array, np.ndarray)}
+    return replace(plan, **kept), memory  # the planner may write its next plan into the same arrays
 
 
 def _of_plan(plan: Plan, scene: Scene) -> list[Problem]:
@@ -188,3 +207,10 @@ def same_plan(one: Plan, other: Plan) -> bool:
     pairs = ((getattr(one, name), getattr(other, name)) for name in plan_arrays(one))
     same = all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
     return same and one.dt_s == other.dt_s
+
+
+def _prints(scene: Scene) -> tuple[object, ...]:
+    """Return everything in *scene* as values that can be compared."""
+    arrays = tuple(getattr(scene.history, name).tobytes() for name in TRACK_ARRAYS)
+    rest = (scene.history.ids, scene.target, scene.movable.tobytes(), scene.routes)
+    return (*arrays, *rest, tuple(sorted(scene.signals.items())))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 
 from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, UnknownNameError
 from advdiff_sumo.core.scene import AgentClass
@@ -22,7 +23,7 @@ from advdiff_sumo.export import (
 )
 from advdiff_sumo.export.csv_export import Csv
 from advdiff_sumo.export.export_check import compare
-from advdiff_sumo.export.export_scene import number, seconds, stretches
+from advdiff_sumo.export.export_scene import MARGIN_M, number, seconds, stretches
 from advdiff_sumo.export.net_opendrive import plan_of
 from tests.export.drives import DT_S, straight, tracks_of
 
@@ -167,6 +168,19 @@ def test_scenes_that_cannot_be(change: dict[str, str], said: str, plain: ExportS
     nobody = replace(plain.tracks, valid=np.zeros_like(plain.tracks.valid))
     with pytest.raises(ValueError, match="never there"):
         replace(plain, tracks=nobody)
+
+
+@pytest.mark.parametrize("away_m", [49.97, 50.03])
+def test_lanes_are_those_within_the_margin(plain: ExportScene, away_m: float) -> None:
+    """Seen from 3° beside the end of the lane that reaches farthest east: a rounded buffer falls short by 6 cm."""
+    lines = {lane.id: shapely.linestrings(lane.centre_xy_m) for lane in plain.road.lanes.values()}
+    end = max((p for line in lines.values() for p in line.coords), key=lambda p: (p[0], p[1]))
+    turned = np.deg2rad(90.0 / 32.0)
+    place = np.array(end) + away_m * np.array([np.cos(turned), np.sin(turned)])
+    tracks = tracks_of(("ego", AgentClass.CAR, (5.0, 1.8), straight(*place, 0.0, 0.0)))
+    near = {name for name, line in lines.items() if shapely.distance(line, shapely.points(place)) <= MARGIN_M}
+    assert {lane.id for lane in replace(plain, tracks=tracks, target=0).lanes} == near
+    assert (len(near) > 0) is (away_m < MARGIN_M)
 
 
 def test_stretches_and_numbers() -> None:

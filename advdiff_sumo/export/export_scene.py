@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import Tracks
@@ -50,7 +51,7 @@ class ExportScene:
         paths = [self.tracks.xy_m[row][self.tracks.valid[row]] for row in range(self.tracks.agents)]
         driven = shapely.STRtree([_path(p) for p in paths])
         lanes = list(self.road.lanes.values())
-        lines = [shapely.linestrings(lane.centre_xy_m) for lane in lanes]
+        lines = [shapely.LineString(lane.centre_xy_m) for lane in lanes]
         near, _ = driven.query(lines, predicate="dwithin", distance=MARGIN_M)
         return tuple(lanes[k] for k in np.unique(near).tolist())
 
@@ -61,9 +62,9 @@ class ExportScene:
         return list(dict.fromkeys(pair for pair in pairs if pair[0] in kept and pair[1] in kept))
 
 
-def _path(xy_m: FloatArray) -> shapely.Geometry:
+def _path(xy_m: FloatArray) -> BaseGeometry:
     """Return the line through points (N, 2); a line of one place is near to nothing."""
-    return shapely.points(xy_m[0]) if (xy_m == xy_m[0]).all() else shapely.linestrings(xy_m)
+    return shapely.Point(xy_m[0]) if (xy_m == xy_m[0]).all() else shapely.LineString(xy_m)
 
 
 @dataclass(frozen=True)

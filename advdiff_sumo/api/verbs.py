@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from advdiff_sumo.api.notebook_progress import Progress
 from advdiff_sumo.api.result_tables import Results
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.planners.defects import parse_defects, plant
 from advdiff_sumo.planners.planner_protocol import Planner
 
 if TYPE_CHECKING:
@@ -35,7 +35,8 @@ def run(
 
     Args:
         net: a SUMO net, or the name of a shipped one.
-        target: what drives the tested vehicle: a name as of ``--target``, or a planner itself.
+        target: what drives the tested vehicle: a name as of ``--target``, or a planner itself, which is written down by
+            its class's name and of whose ``target_options`` there are ``defects`` only.
         background: what moves the others, as of ``--background``.
         episodes: how many.
         horizon_s: longest duration of an episode.
@@ -54,12 +55,13 @@ def run(
     from advdiff_sumo.sweep.run_engine import run_into, run_settings
     from advdiff_sumo.sweep.run_folder import RunFolder
 
-    name = target if isinstance(target, str) else "IDM"
+    planner = None if isinstance(target, str) else _checked(target)
+    name = target if isinstance(target, str) else f"{type(target).__module__}:{type(target).__qualname__}"
     given = {"net": str(net), "target": name, "background": background, "episodes": episodes}
     asked = RunOptions.parse({**given, "horizon_s": horizon_s, "seed": seed, **options}, "ads.run")
-    prepared = Run.prepare(asked)
-    if not isinstance(target, str):
-        prepared = _with_planner(prepared, target)
+    if planner is not None:
+        planner = _with_options(planner, asked.target_options, name)
+    prepared = Run.prepare(asked, planner=planner)
     words = run_words(prepared.settings["options"]["net"], *prepared.names, seed)
     path = Path(out) if out is not None else free_folder(*words)
     folder = RunFolder.create(path, run_settings(prepared), False, "give a new out")
@@ -68,8 +70,8 @@ def run(
     return Results(folder.path)
 
 
-def _with_planner(prepared: Any, planner: Planner) -> Any:
-    """Return the run with *planner* itself as its target; it is written down by its class's name."""
+def _checked(planner: object) -> Planner:
+    """Return *planner* where it is one; errors as in :func:`run`."""
     if isinstance(planner, type):
         raise ConfigError(
             f"target is the class {planner.__qualname__}; give an object of it: {planner.__qualname__}()"
@@ -79,10 +81,19 @@ def _with_planner(prepared: Any, planner: Planner) -> Any:
             raise ConfigError(
                 f"target {type(planner).__qualname__} has no method '{method}' (docs/planners.md)"
             )
-    kind = type(planner)
-    name = f"{kind.__module__}:{kind.__qualname__}"
-    options = prepared.options.model_copy(update={"target": name})
-    return replace(prepared, options=options, target=planner, names=(name, prepared.names[1]))
+    return cast("Planner", planner)
+
+
+def _with_options(planner: Planner, options: Mapping[str, Any], name: str) -> Planner:
+    """Return *planner* with the defects of *options*; all else it was made with, or not."""
+    for key in options:
+        if key != "defects":
+            word = type(planner).__qualname__
+            raise ConfigError(
+                f"ads.run: target_options['{key}'] comes too late for a planner that is given as an object; "
+                f"make it with that, as in target={word}({key}=...), or give its class by name: target='{name}'"
+            )
+    return cast("Planner", plant(planner, parse_defects(options.get("defects", ())), name))
 
 
 def sweep(

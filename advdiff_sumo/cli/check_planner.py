@@ -17,6 +17,7 @@ from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.threads import one_thread_for_good
 
 FAILS = 1
+_STATES = {True: Text("ok", style="green"), False: Text("fails", style="red"), None: Text("–")}
 
 
 def check_planner(
@@ -63,11 +64,11 @@ def check_planner(
         table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for x in verdicts:
-        state = Text("ok", style="green") if x.ok else Text("fails", style="red")
+        state = _STATES[x.ok]
         table.add_row(state, x.name, Text(x.detail))
     console = terminal(highlight=False, soft_wrap=True)
     console.print(table)
-    failed = sum(not x.ok for x in verdicts)
+    failed = sum(x.ok is False for x in verdicts)
     if failed:
         console.print(Text(f"{name}: {failed} of {len(verdicts)} checks fail", style="red"))
         raise typer.Exit(FAILS)

@@ -1,4 +1,4 @@
-"""Whether what a planner returned has the form of a plan: types, shapes, lengths, interval."""
+"""Whether what a planner returned is a plan: types, shapes, lengths, interval, and values that a vehicle can have."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from advdiff_sumo.core.plan import Controls, Plan
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.plan import Controls, Plan, Trajectory
 
+_MAX_CONTROL_MPS2 = 50.0
 _DIMENSIONS = {"accel_mps2": 1, "steer_rad": 1, "xy_m": 2, "yaw_rad": 1, "speed_mps": 1}
 
 
@@ -42,6 +44,25 @@ def form_problem(plan: Plan, model_step_s: float) -> str:
     return ""
 
 
+def values_problem(plan: Plan) -> str:
+    """Return what is wrong with the values of *plan*, whose form is right, wherever the vehicle is; "" for nothing."""
+    finite = all(np.isfinite(getattr(plan, name)).all() for name in plan_arrays(plan))
+    if not isinstance(plan, Controls):
+        return "" if finite else "a trajectory that holds values that are not numbers"
+    if not finite:
+        return "controls that are not numbers"
+    if _largest(plan.accel_mps2) > _MAX_CONTROL_MPS2 or _largest(plan.steer_rad) >= 0.5 * np.pi:
+        return f"an acceleration beyond {_MAX_CONTROL_MPS2:g} m/s² or a steering beyond 90°"
+    return ""
+
+
+def can_be_driven(plan: object, model_step_s: float) -> bool:
+    """Return whether *plan* is one, and of right form and values; whether it jumps is for who knows the place."""
+    if not isinstance(plan, Controls | Trajectory):
+        return False
+    return not form_problem(plan, model_step_s) and not values_problem(plan)
+
+
 def in_float64(plan: Plan) -> Plan:
     """Return *plan*, whose form is right, in float64: what float32 or integers say is taken as it is."""
     arrays = {name: getattr(plan, name) for name in plan_arrays(plan)}
@@ -57,6 +78,10 @@ def interval_problem(dt_s: Any) -> str:
     if not (math.isfinite(dt_s) and dt_s > 0.0):
         return f"is {dt_s}, not a positive number of seconds"
     return ""
+
+
+def _largest(values: FloatArray) -> float:
+    return float(np.abs(values.astype(np.float64)).max())  # int8 has no 128
 
 
 def _array_problem(array: Any, dimensions: int) -> str:

@@ -6,11 +6,13 @@ import inspect
 import re
 import sysconfig
 import traceback
+from functools import cache
 from pathlib import Path
+from types import CodeType
 
 _OURS = str(Path(__file__).parents[1])
 _CALL = re.compile(r'File "([^"]+)", line (\d+) in (\S+)')
-_STDLIB, _INSTALLED = sysconfig.get_path("stdlib"), {"site-packages", "dist-packages"}
+_INSTALLED = {"site-packages", "dist-packages"}
 
 
 def described(error: BaseException) -> str:
@@ -23,18 +25,21 @@ def described(error: BaseException) -> str:
 
 
 def raised_at(error: BaseException, plug_in: object) -> str:
-    """Return " (FILE, line N, FUNCTION)" of the innermost call in the plug-in's own code; "" where there is none."""
+    """Return " (FILE, line N, FUNCTION)" of the innermost call in the plug-in's own code; "" where there is none.
+
+    One of our wrappers around a planner is looked through, here and in :func:`planned_at`.
+    """
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if not _is_library(frame.filename)]
     if not own:  # installed beside other libraries, or one of ours
-        source = _source_of(type(plug_in))
+        source = _source_of(type(_unwrapped(plug_in)))
         own = [frame for frame in frames if frame.filename == source]
     return f" ({Path(own[-1].filename).name}, line {own[-1].lineno}, {own[-1].name})" if own else ""
 
 
 def planned_at(plug_in: object) -> str:
     """Return " (FILE, line N, plan)" of the method that plans; "" for one of ours."""
-    code = getattr(getattr(type(plug_in), "plan", None), "__code__", None)
+    code = _code_of_plan(_unwrapped(plug_in))
     if code is None or code.co_filename.startswith(_OURS):
         return ""
     return f" ({Path(code.co_filename).name}, line {code.co_firstlineno}, plan)"
@@ -46,8 +51,29 @@ def crashed_at(stack: str) -> str:
     return next((f" ({Path(file).name}, line {line}, {name})" for file, line, name in calls), "")
 
 
+def _unwrapped(plug_in: object) -> object:
+    """Return the planner in wrappers of ours, such as one with defects: their attribute ``planner``."""
+    code = _code_of_plan(plug_in)
+    inner = getattr(plug_in, "planner", None)
+    if inner is None or code is None or not code.co_filename.startswith(_OURS):
+        return plug_in
+    return _unwrapped(inner)
+
+
+def _code_of_plan(plug_in: object) -> CodeType | None:
+    code = getattr(getattr(type(plug_in), "plan", None), "__code__", None)
+    return code if isinstance(code, CodeType) else None
+
+
+@cache
+def _standard_library() -> str:
+    return sysconfig.get_path("stdlib")
+
+
 def _is_library(filename: str) -> bool:
-    return filename.startswith((_OURS, _STDLIB, "<")) or not _INSTALLED.isdisjoint(Path(filename).parts)
+    return filename.startswith((_OURS, _standard_library(), "<")) or not _INSTALLED.isdisjoint(
+        Path(filename).parts
+    )
 
 
 def _source_of(kind: type) -> str:

@@ -25,6 +25,8 @@ class AgentClass(IntEnum):
 
 MOTOR_CLASSES = (AgentClass.CAR, AgentClass.TRUCK, AgentClass.BUS, AgentClass.MOTORCYCLE)
 """Motor vehicles: they belong on the drivable area."""
+TRACK_ARRAYS = ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
+"""What :class:`Tracks` holds as arrays."""
 
 
 @dataclass(frozen=True)
@@ -131,14 +133,15 @@ class Tracks:
         """Return the same tracks with their clock moved by *seconds*."""
         return replace(self, t0_s=self.t0_s + seconds)
 
+    def copied(self) -> Tracks:
+        """Return the same tracks in arrays of their own, for somebody who may write into them."""
+        return replace(self, **{name: getattr(self, name).copy(order="K") for name in TRACK_ARRAYS})
+
     def joined(self, other: Tracks) -> Tracks:
         """Return these agents and those of *other*, which has the same instants."""
         if (self.steps, self.dt_s, self.t0_s) != (other.steps, other.dt_s, other.t0_s):
             raise ValueError("Tracks of different instants cannot be joined")
-        parts = {
-            name: np.concatenate((getattr(self, name), getattr(other, name)))
-            for name in ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
-        }
+        parts = {name: np.concatenate((getattr(self, name), getattr(other, name))) for name in TRACK_ARRAYS}
         return Tracks(ids=(*self.ids, *other.ids), t0_s=self.t0_s, dt_s=self.dt_s, **parts)
 
     @staticmethod
@@ -184,3 +187,9 @@ class Scene:
     def target_id(self) -> str:
         """Name of the tested vehicle."""
         return self.history.ids[self.target]
+
+    def copied(self) -> Scene:
+        """Return the same scene for a plug-in, which may write into all that it is given."""
+        return replace(
+            self, history=self.history.copied(), movable=self.movable.copy(), signals=dict(self.signals)
+        )

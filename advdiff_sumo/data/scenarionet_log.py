@@ -20,6 +20,8 @@ from advdiff_sumo.data.pickles import load_plain
 from advdiff_sumo.data.scene_files import SceneFiles
 
 LORRY_LENGTH_M = 7.0
+SIMULATED = "advdiff-sumo"
+"""The dataset of episodes that are exported here: places are exact, and who creeps does creep."""
 _KINDS = {"PEDESTRIAN": AgentClass.PEDESTRIAN, "CYCLIST": AgentClass.BICYCLE}
 _AGAIN = "convert the record again"
 
@@ -95,7 +97,8 @@ def _scene(name: str, path: Path, record: Mapping[str, Any]) -> LogScene:
         tracks = _with_zoe(tracks, ego)
     parked = parked_agents(tracks.xy_m, tracks.valid, tracks.dt_s)
     parked[ego] = False
-    tracks = without_jitter(tracks, parked, ego)
+    if meta.get("dataset") != SIMULATED:
+        tracks = without_jitter(tracks, parked, ego)
     location = str(meta.get("map", "")) if nuscenes and offset is not None else ""
     return LogScene(name, location, tracks, ego, parked, path)
 

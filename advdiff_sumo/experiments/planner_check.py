@@ -20,7 +20,7 @@ from advdiff_sumo.planners.hard_scenes import hard_scenes
 from advdiff_sumo.planners.planner_check import Part, Problem, carries_over, problems_of
 from advdiff_sumo.planners.planner_protocol import Planner, SumoDriver
 from advdiff_sumo.sim.episode import Episode
-from advdiff_sumo.sim.run_episodes import RunOptions, target_of
+from advdiff_sumo.sim.run_episodes import RunOptions, check_together, target_of
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
@@ -28,6 +28,13 @@ from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 DRIVES, DRIVES_AGAIN, IN_TIME = "drives", "drives it again", "in time"
 _KEPT = 4
+_NOT_REACHED = {
+    Part.METHODS: tuple(Part)[1:],
+    Part.RAISES: tuple(Part)[2:],
+    Part.FORM: tuple(Part)[3:],
+    Part.NUMBERS: (Part.MOTION,),
+}
+"""What cannot be looked at in a scene in which a part does not hold."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +43,12 @@ class Verdict:
 
     Attributes:
         name: what is checked.
-        ok: whether it holds.
+        ok: whether it holds; None: it could not be looked at, for what an earlier one found.
         detail: what was seen; where it fails, the first problem.
     """
 
     name: str
-    ok: bool
+    ok: bool | None
     detail: str
 
 
@@ -66,18 +73,20 @@ class Extent:
 
 @dataclass
 class Watched:
-    """A planner whose first scenes in an episode are kept."""
+    """A planner whose scenes are kept, also that in which it raises as an episode starts."""
 
     planner: Planner
     scenes: list[Scene] = field(default_factory=list)
+    starts: list[Scene] = field(default_factory=list)
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> Any:
-        """Pass the call on."""
+        """Keep the scene where nothing is planned in it, and pass the call on."""
+        self.starts.append(scene.copied())
         return self.planner.start(road, scene, rng)
 
     def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> tuple[Plan, Any]:
         """Keep the scene, and pass the call on."""
-        self.scenes.append(scene)
+        self.scenes.append(scene.copied())
         return self.planner.plan(road, scene, memory, rng)
 
 
@@ -103,9 +112,11 @@ def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[
         InputError: there is no such planner, or it cannot be made.
         ConfigError: it is one of SUMO's driver models.
     """
-    planner = target_of(RunOptions.parse({"target": name, "target_options": dict(options)}))
+    asked = RunOptions.parse({"target": name, "target_options": dict(options)})
+    planner = target_of(asked)
     if isinstance(planner, SumoDriver):
         raise ConfigError(f"target '{name}' is driven by SUMO itself: there is no planner to check")
+    check_together(asked, planner)
     road = RoadMap.read(find_net(extent.net))
     driven = drive(planner, name, road, extent)
     scenes = _scenes(driven.scenes)
@@ -113,7 +124,7 @@ def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[
     if carries_over(planner, road, list(scenes.values())):
         text = "what it planned in other scenes changes its plan in the first; keep state in the memory alone"
         problems.append(("", Problem(Part.REPEATS, text)))
-    contract = [_part(part, problems, len(scenes)) for part in Part]
+    contract = [_part(part, problems, scenes) for part in Part]
     return [*contract, *_drives(driven), _in_time(driven.plans_s, extent.within_ms)]
 
 
@@ -132,7 +143,9 @@ def drive(planner: Planner, name: str, road: RoadMap, extent: Extent) -> Driven:
     episodes = [_episode(k, start, road, watched, name, extent) for k, start in enumerate(starts)]
     again, _ = _episode(0, starts[0], road, planner, name, extent)
     times = np.array([t for _, plans in episodes for t in plans])
-    return Driven(tuple(record for record, _ in episodes), again, times, tuple(watched.scenes))
+    return Driven(
+        tuple(record for record, _ in episodes), again, times, tuple(watched.scenes or watched.starts)
+    )
 
 
 def _episode(
@@ -154,16 +167,17 @@ def _scenes(scenes: Sequence[Scene]) -> dict[str, Scene]:
     return {f"at {scenes[k].time_s:.1f} s of a drive": scenes[k] for k in picked} | hard_scenes(scenes[0])
 
 
-def _part(part: Part, problems: Sequence[tuple[str, Problem]], scenes: int) -> Verdict:
-    mine = [
-        f"{problem.text} ({where})" if where else problem.text
-        for where, problem in problems
-        if problem.part is part
-    ]
+def _part(part: Part, problems: Sequence[tuple[str, Problem]], scenes: Mapping[str, Scene]) -> Verdict:
+    """Return the verdict on *part*; a scene counts where nothing before kept it from being looked at."""
+    mine = [(where, problem) for where, problem in problems if problem.part is part]
     if not mine:
-        return Verdict(part.value, bool(scenes), f"{scenes} scenes")
+        stopped = {where for where, problem in problems if part in _NOT_REACHED.get(problem.part, ())}
+        looked_at = len(scenes) - len(stopped & scenes.keys())
+        said = f"{looked_at} scenes" if looked_at else "not looked at, see above"
+        return Verdict(part.value, True if looked_at else None, said)
+    where, first = mine[0]
     more = f"; {len(mine) - 1} more" if len(mine) > 1 else ""
-    return Verdict(part.value, False, mine[0] + more)
+    return Verdict(part.value, first.harmless, first.text + (f" ({where})" if where else "") + more)
 
 
 def _drives(driven: Driven) -> list[Verdict]:

@@ -47,4 +47,4 @@ def check_in_worker(
 
 def _verdicts(name: str, options: Mapping[str, Any], extent: Extent) -> bytes:
     verdicts = [asdict(verdict) for verdict in check_target(name, options, extent)]
-    return json.dumps([{**content, "ok": bool(content["ok"])} for content in verdicts]).encode()
+    return json.dumps(verdicts).encode()

@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import Tracks
@@ -48,18 +49,22 @@ class ExportScene:
     def lanes(self) -> tuple[Lane, ...]:
         """Lanes within ``MARGIN_M`` of where anybody drove, in the net's order."""
         paths = [self.tracks.xy_m[row][self.tracks.valid[row]] for row in range(self.tracks.agents)]
-        lines = [shapely.linestrings(p) if len(p) > 1 else shapely.points(p[0]) for p in paths]
-        area = shapely.buffer(shapely.simplify(shapely.union_all(lines), 0.1), MARGIN_M)
-        shapely.prepare(area)
+        driven = shapely.STRtree([_path(p) for p in paths])
         lanes = list(self.road.lanes.values())
-        near = shapely.intersects(area, np.array([shapely.linestrings(lane.centre_xy_m) for lane in lanes]))
-        return tuple(lane for lane, kept in zip(lanes, near, strict=True) if kept)
+        lines = [shapely.LineString(lane.centre_xy_m) for lane in lanes]
+        near, _ = driven.query(lines, predicate="dwithin", distance=MARGIN_M)
+        return tuple(lanes[k] for k in np.unique(near).tolist())
 
     def joints(self, kept: Collection[str]) -> list[tuple[str, str]]:
         """Return pairs of lanes of *kept* of which the one leads straight to the other, without repeats."""
         chains = ((link.from_lane, *link.via, link.to_lane) for link in self.road.links.values())
         pairs = (pair for chain in chains for pair in pairwise(chain))
         return list(dict.fromkeys(pair for pair in pairs if pair[0] in kept and pair[1] in kept))
+
+
+def _path(xy_m: FloatArray) -> BaseGeometry:
+    """Return the line through points (N, 2); a line of one place is near to nothing."""
+    return shapely.Point(xy_m[0]) if (xy_m == xy_m[0]).all() else shapely.LineString(xy_m)
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,13 @@ from shapely.geometry.base import BaseGeometry
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.data.scenarionet_log import SIMULATED as DATASET
 from advdiff_sumo.export.export_scene import MARGIN_M, ExportScene, ImportedScene
 from advdiff_sumo.export.importers import scenarionet_import as importer
 from advdiff_sumo.export.lane_use import LaneKind, kind_of
 from advdiff_sumo.maps import Lane
 
-DATASET, VERSION = "advdiff-sumo", "1"
+VERSION = "1"
 _PROTOCOL = 4  # read by every Python that ScenarioNet runs on
 #: MetaDrive's type, nuScenes' category (which keeps lorry and bus apart), and a usual height in m.
 TYPES = {

@@ -5,7 +5,7 @@
     from advdiff_sumo.planner_kit import serve
     serve(MyPlanner)
 
-Nothing here imports more of the package than ``core.arrays``, ``core.plan`` and ``core.scene``.
+Nothing here imports more of the package than a few modules of ``core`` (``planners.remote.write_kit`` lists them).
 """
 
 from advdiff_sumo.core.plan import Controls, Trajectory

@@ -15,6 +15,7 @@ import grpc
 import numpy as np
 
 from advdiff_sumo.core.plan import Controls, Trajectory
+from advdiff_sumo.core.plug_in_source import planned_at
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.planner_kit import messages
 from advdiff_sumo.planner_kit.kit_road import road_of
@@ -98,9 +99,14 @@ class PlannerServer:
             first = answer[0] if isinstance(answer, tuple) and len(answer) == 2 else answer
             raise _NoPlanError(
                 f"plan() returned {type(first).__name__}, not (Trajectory or Controls, memory)"
+                f"{planned_at(self.planner)}"
             )
         plan, running.memory = answer
-        return plan_message(plan)
+        try:
+            return plan_message(plan)
+        except ValueError as error:
+            problem = f"planned {type(plan).__name__} that cannot be driven: {error}"
+            raise _NoPlanError(f"{problem}{planned_at(self.planner)}") from None
 
     def EndEpisode(self, request: Any) -> Any:  # noqa: N802 - the call's name
         """Forget an episode."""

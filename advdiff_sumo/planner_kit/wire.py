@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
+from advdiff_sumo.core.plan_form import form_problem, in_float64, plan_arrays
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.planner_kit import messages
 
@@ -70,16 +72,27 @@ def _rows(objects: list[Any], name: str) -> FloatArray:
 
 
 def plan_message(plan: Plan) -> Any:
-    """Return *plan* as a message; its values are not checked, as the simulation does that."""
-    if isinstance(plan, Controls):
-        accel, steer = (np.asarray(part, dtype=np.float64) for part in (plan.accel_mps2, plan.steer_rad))
-        return messages.Plan(
-            controls=messages.Controls(dt_s=plan.dt_s, accel_mps2=accel.tolist(), steer_rad=steer.tolist())
-        )
-    x, y = np.asarray(plan.xy_m, dtype=np.float64).reshape(-1, 2).T.tolist()
-    yaw, speed = (np.asarray(part, dtype=np.float64).tolist() for part in (plan.yaw_rad, plan.speed_mps))
+    """Return *plan* as a message; its values are not checked, as the simulation does that.
+
+    Args:
+        plan: of a planner; lists, or what else becomes an array, will do.
+
+    Raises:
+        ValueError: its arrays do not have the shapes of a plan, or hold no numbers.
+    """
+    arrays: dict[str, Any] = {name: np.asarray(getattr(plan, name)) for name in plan_arrays(plan)}
+    given = replace(plan, **arrays)
+    problem = form_problem(given, 0.0)
+    if problem:
+        raise ValueError(problem)
+    exact = in_float64(given)
+    if isinstance(exact, Controls):
+        accel, steer = exact.accel_mps2.tolist(), exact.steer_rad.tolist()
+        return messages.Plan(controls=messages.Controls(dt_s=exact.dt_s, accel_mps2=accel, steer_rad=steer))
+    x, y = exact.xy_m.T.tolist()
+    yaw, speed = exact.yaw_rad.tolist(), exact.speed_mps.tolist()
     return messages.Plan(
-        trajectory=messages.Trajectory(dt_s=plan.dt_s, x_m=x, y_m=y, yaw_rad=yaw, speed_mps=speed)
+        trajectory=messages.Trajectory(dt_s=exact.dt_s, x_m=x, y_m=y, yaw_rad=yaw, speed_mps=speed)
     )
 
 
@@ -91,16 +104,18 @@ def plan_of(message: Any) -> Plan:
     """
     kind = message.WhichOneof("plan")
     if kind is None:
-        raise ValueError("answered without a plan")
+        raise ValueError("answered without a plan; fill in trajectory or controls of the message Plan")
     body = getattr(message, kind)
     names = ("accel_mps2", "steer_rad") if kind == "controls" else ("x_m", "y_m", "yaw_rad", "speed_mps")
     arrays = [np.array(getattr(body, name), dtype=np.float64) for name in names]
     lengths = [len(array) for array in arrays]
     if len(set(lengths)) > 1:
         sizes = ", ".join(f"{name} {length}" for name, length in zip(names, lengths, strict=True))
-        raise ValueError(f"answered with arrays of different lengths ({sizes})")
+        raise ValueError(f"answered with arrays of different lengths ({sizes}); send as many of each")
     if not lengths[0] or not body.dt_s > 0.0 or not np.isfinite(body.dt_s):
-        raise ValueError(f"answered with a plan of {lengths[0]} steps of {body.dt_s:g} s")
+        raise ValueError(
+            f"answered with a plan of {lengths[0]} steps of {body.dt_s:g} s; send at least one, and a positive dt_s"
+        )
     if kind == "controls":
         return Controls(arrays[0], arrays[1], body.dt_s)
     return Trajectory(np.stack(arrays[:2], axis=-1), arrays[2], arrays[3], body.dt_s)

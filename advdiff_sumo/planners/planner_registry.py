@@ -95,4 +95,5 @@ def _explain(signature: inspect.Signature, options: Mapping[str, Any], error: Ty
                 if known
                 else f"no option '{key}'; it has none"
             )
-    return str(error)
+    where = "--set target_options.NAME=VALUE of run, --set NAME=VALUE of check-planner"
+    return f"{error}; give it among the target's options ({where})"

@@ -85,7 +85,7 @@ class PlanMemo:
 
 @dataclass
 class PlanSource:
-    """What an episode's plans come from: the memo, or else the policy.
+    """What an episode's plans come from: the memo, or else the policy, which is given copies of its own.
 
     Attributes:
         policy: makes the plans.
@@ -107,7 +107,7 @@ class PlanSource:
         if self.memo is not None:
             begins = repr(self.memo.about).encode(), *_of_tracks(log), *_of_scene(scene), _of_random(rng)
             self._key = _digest(begins)
-        self.memory = self.policy.start(road, scene, log, rng)
+        self.memory = self.policy.start(road, scene.copied(), log.copied(), rng)
 
     def plan(
         self, road: RoadMap, scene: Scene, rng: np.random.Generator, who: str
@@ -122,8 +122,9 @@ class PlanSource:
             made = self.memo.made.get(self._key)
             if made is not None:
                 return self._again(made, rng)
+        given = scene.copied()
         begun, used = time.perf_counter(), time.process_time()
-        answer: Any = self.policy.plan(road, scene, self.memory, rng)
+        answer: Any = self.policy.plan(road, given, self.memory, rng)
         wall_s, cpu_s = time.perf_counter() - begun, time.process_time() - used
         if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], JointPlan)):
             raise PlanRefusedError(f"{who} returned {type(answer).__name__}, not (JointPlan, memory)")

@@ -9,12 +9,11 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.errors import PlanRefusedError
 from advdiff_sumo.core.plan import Controls, JointPlan, Plan, Trajectory
-from advdiff_sumo.core.plan_form import form_problem, in_float64, interval_problem
+from advdiff_sumo.core.plan_form import form_problem, in_float64, interval_problem, values_problem
 from advdiff_sumo.core.scene import AgentClass, Tracks
 
 MAX_SPEED_MPS = 90.0
 SLACK_M = 0.5  # annotation noise of logs
-_MAX_CONTROL = 50.0
 
 
 def check_plan(plan: Plan, xy_m: FloatArray, model_step_s: float, who: str) -> Plan:
@@ -34,11 +33,12 @@ def check_plan(plan: Plan, xy_m: FloatArray, model_step_s: float, who: str) -> P
     problem = form_problem(plan, model_step_s)
     if problem:
         raise PlanRefusedError(f"{who} planned {type(plan).__name__} that cannot be driven: {problem}")
+    problem = values_problem(plan)
+    if problem:
+        raise PlanRefusedError(f"{who} planned {problem}")
     exact = in_float64(plan)
-    if isinstance(exact, Controls):
-        _check_controls(exact, who)
-    else:
-        _check_trajectory(exact, xy_m, who)
+    if isinstance(exact, Trajectory):
+        _check_jumps(exact, xy_m, who)
     return exact
 
 
@@ -99,18 +99,7 @@ def _refuse(wrong: BoolArray, ids: tuple[str, ...], who: str, what: str) -> None
         raise PlanRefusedError(f"{who} planned {what} for vehicle '{ids[row]}' at step {step}")
 
 
-def _check_controls(plan: Controls, who: str) -> None:
-    if not (np.isfinite(plan.accel_mps2).all() and np.isfinite(plan.steer_rad).all()):
-        raise PlanRefusedError(f"{who} planned controls that are not numbers")
-    if np.abs(plan.accel_mps2).max() > _MAX_CONTROL or np.abs(plan.steer_rad).max() >= 0.5 * np.pi:
-        raise PlanRefusedError(
-            f"{who} planned an acceleration beyond {_MAX_CONTROL:g} m/s² or a steering beyond 90°"
-        )
-
-
-def _check_trajectory(plan: Trajectory, xy_m: FloatArray, who: str) -> None:
-    if not all(np.isfinite(part).all() for part in (plan.xy_m, plan.yaw_rad, plan.speed_mps)):
-        raise PlanRefusedError(f"{who} planned a trajectory that holds values that are not numbers")
+def _check_jumps(plan: Trajectory, xy_m: FloatArray, who: str) -> None:
     path = np.concatenate((xy_m[None], plan.xy_m))
     jump = float(np.linalg.norm(np.diff(path, axis=0), axis=-1).max())
     if jump > MAX_SPEED_MPS * plan.dt_s + SLACK_M or np.abs(plan.speed_mps).max() > MAX_SPEED_MPS:

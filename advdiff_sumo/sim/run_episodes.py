@@ -21,7 +21,7 @@ from advdiff_sumo.data import open_log
 from advdiff_sumo.data.log_reader import LogReader
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net, net_name
-from advdiff_sumo.planners.planner_protocol import Served, SumoDriver, Target
+from advdiff_sumo.planners.planner_protocol import Planner, Served, SumoDriver, Target
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
 from advdiff_sumo.sim.demand_files import DemandFiles, net_of_configuration, read_demand
 from advdiff_sumo.sim.episode import Episode
@@ -104,13 +104,14 @@ class Run:
     gui: bool = False
 
     @staticmethod
-    def prepare(options: RunOptions, gui: bool = False) -> Run:
-        """Check *options* and read the net.
+    def prepare(options: RunOptions, gui: bool = False, planner: Planner | None = None) -> Run:
+        """Check *options* and read the net; *planner*, where there is one, is what ``options.target`` names.
 
         Raises:
             InputError: one of its kinds; a sentence that names the culprit.
         """
-        target, policy = target_of(options), policy_of(options)
+        target = target_of(options) if planner is None else planner
+        policy = policy_of(options)
         check_together(options, target)
         names = TARGETS.canonical(options.target), POLICIES.canonical(options.background)
         road = read_road(options.net)

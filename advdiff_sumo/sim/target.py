@@ -172,6 +172,6 @@ class PlannerDrive:
             self.actuator.insert(self.row, TARGET_TYPE)
 
     def _view(self, scene: Scene) -> Scene:
-        """Return *scene* without what a driver cannot know: the others' routes, and who is being moved."""
+        """Return a copy of *scene* without what a driver cannot know: others' routes, and who is being moved."""
         routes = tuple(self.route if k == scene.target else () for k in range(scene.history.agents))
-        return replace(scene, routes=routes, movable=np.zeros_like(scene.movable))
+        return replace(scene.copied(), routes=routes, movable=np.zeros_like(scene.movable))

@@ -118,6 +118,32 @@ def test_a_planner_that_cannot_drive(tmp_path: Path) -> None:
         lost.episode(0).figure()
 
 
+def test_a_planner_object_takes_defects_and_no_other_option(tmp_path: Path) -> None:
+    for options in ({"tau": 1.5}, {"accel_mps2": 1.0}, {"defects": [], "accel_mps2": 1.0}):
+        with pytest.raises(
+            ConfigError, match=r"comes too late .* as in target=Accelerates\(\w+=\.\.\.\), or give"
+        ):
+            ads.run(target=Accelerates(2.0), target_options=options, out=tmp_path / "none")
+    with pytest.raises(ConfigError, match="defect 'late' has no severity 'huge'"):
+        ads.run(target=Accelerates(2.0), target_options={"defects": "late:huge"}, out=tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+    options = {"defects": ["weak-brakes:2"]}
+    brakes = ads.run(
+        target=Accelerates(-5.0),
+        target_options=options,
+        episodes=1,
+        horizon_s=1.0,
+        scene={**SCENE, "min_speed_mps": 5.0},
+        out=tmp_path / "weak",
+        progress=False,
+    )
+    own = [row["speed_mps"] for row in brakes.table("states").to_pylist() if row["is_target"]]
+    assert own[0] - own[10] == pytest.approx(2.0, abs=0.05)
+    written = (brakes.folder / "run.toml").read_text()
+    assert f'target = "{__name__}:Accelerates"' in written
+    assert "weak-brakes:2" in written
+
+
 def test_figures_by_hand() -> None:
     done = {
         "end": "horizon",

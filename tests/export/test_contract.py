@@ -8,8 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 
 from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, UnknownNameError
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.data import ScenarioNetReader
 from advdiff_sumo.export import (
     EXPORTERS,
     ExportScene,
@@ -20,8 +23,9 @@ from advdiff_sumo.export import (
 )
 from advdiff_sumo.export.csv_export import Csv
 from advdiff_sumo.export.export_check import compare
-from advdiff_sumo.export.export_scene import number, seconds, stretches
+from advdiff_sumo.export.export_scene import MARGIN_M, number, seconds, stretches
 from advdiff_sumo.export.net_opendrive import plan_of
+from tests.export.drives import DT_S, straight, tracks_of
 
 BUILT_IN = tuple(EXPORTERS.builtins)
 
@@ -46,6 +50,37 @@ def test_another_step(plain: ExportScene, tmp_path: Path) -> None:
         read = make_exporter(name).read(make_exporter(name).write(scene, tmp_path)[0])
         assert read.tracks.dt_s == pytest.approx(0.05)
         assert list(compare(read, scene)) == []
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_who_creeps_or_shifts_a_little_comes_back_where_it_was(
+    name: str, plain: ExportScene, tmp_path: Path
+) -> None:
+    steps = 101
+    time = DT_S * np.arange(steps)
+    stops = straight(-60.0, -1.6, 0.0, 0.0, steps=steps)
+    stops[:, 0] += 0.24 * np.minimum(time, 3.0)  # creeps for 3 s, then stands
+    stops[:, 3] = np.where(time < 3.0, 0.24, 0.0)
+    tracks = tracks_of(
+        ("ego", AgentClass.CAR, (5.0, 1.8), straight(-90.0, -1.6, 0.0, 1.0, steps=steps)),
+        ("creeps", AgentClass.CAR, (5.0, 1.8), straight(-70.0, -1.6, 0.0, 0.1, steps=steps)),
+        ("stops", AgentClass.CAR, (5.0, 1.8), stops),
+        ("shifts", AgentClass.BICYCLE, (1.8, 0.6), straight(-50.0, -6.0, 0.05, 0.19, steps=steps)),
+        ("strolls", AgentClass.PEDESTRIAN, (0.5, 0.5), straight(8.0, -10.0, 1.5, 0.1, steps=steps)),
+    )
+    scene = replace(plain, tracks=tracks, target=0)
+    read = make_exporter(name).read(make_exporter(name).write(scene, tmp_path)[0])
+    assert list(compare(read, scene)) == []
+
+
+def test_a_simulated_record_is_a_log_without_annotations(plain: ExportScene, tmp_path: Path) -> None:
+    tracks = tracks_of(
+        ("ego", AgentClass.CAR, (5.0, 1.8), straight(-90.0, -1.6, 0.0, 1.0, steps=101)),
+        ("creeps", AgentClass.CAR, (5.0, 1.8), straight(-70.0, -1.6, 0.0, 0.1, steps=101)),
+    )
+    (path,) = make_exporter("scenarionet").write(replace(plain, tracks=tracks, target=0), tmp_path)
+    log = ScenarioNetReader(path).read(path.stem)
+    np.testing.assert_allclose(log.tracks.xy_m, tracks.xy_m, rtol=0.0, atol=1e-9)
 
 
 class Shifted(Csv):
@@ -133,6 +168,19 @@ def test_scenes_that_cannot_be(change: dict[str, str], said: str, plain: ExportS
     nobody = replace(plain.tracks, valid=np.zeros_like(plain.tracks.valid))
     with pytest.raises(ValueError, match="never there"):
         replace(plain, tracks=nobody)
+
+
+@pytest.mark.parametrize("away_m", [49.97, 50.03])
+def test_lanes_are_those_within_the_margin(plain: ExportScene, away_m: float) -> None:
+    """Seen from 3° beside the end of the lane that reaches farthest east: a rounded buffer falls short by 6 cm."""
+    lines = {lane.id: shapely.linestrings(lane.centre_xy_m) for lane in plain.road.lanes.values()}
+    end = max((p for line in lines.values() for p in line.coords), key=lambda p: (p[0], p[1]))
+    turned = np.deg2rad(90.0 / 32.0)
+    place = np.array(end) + away_m * np.array([np.cos(turned), np.sin(turned)])
+    tracks = tracks_of(("ego", AgentClass.CAR, (5.0, 1.8), straight(*place, 0.0, 0.0)))
+    near = {name for name, line in lines.items() if shapely.distance(line, shapely.points(place)) <= MARGIN_M}
+    assert {lane.id for lane in replace(plain, tracks=tracks, target=0).lanes} == near
+    assert (len(near) > 0) is (away_m < MARGIN_M)
 
 
 def test_stretches_and_numbers() -> None:

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from advdiff_sumo.core.plan import Plan
+from advdiff_sumo.core.plan_form import can_be_driven, in_float64
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
@@ -59,7 +60,7 @@ class DefectivePlanner:
         seeds = tuple(root.child(type(fault).__name__) for fault in self.faults)
         nothing = (None,) * len(self.faults)
         scenes, _ = self._perceive(road, scene, seeds, nothing)
-        return _Memory(self.planner.start(road, scenes[-1], rng), seeds, nothing, nothing)
+        return _Memory(self.planner.start(road, scenes[-1].copied(), rng), seeds, nothing, nothing)
 
     def plan(
         self, road: RoadMap, scene: Scene, memory: _Memory, rng: np.random.Generator
@@ -71,11 +72,15 @@ class DefectivePlanner:
             held = fault.held_plan(scene, acted)
             if held is not None:
                 return held, memory
-        planned: Any = self.planner.plan(road, scenes[-1], memory.planner, rng)
+        planned: Any = self.planner.plan(road, scenes[-1].copied(), memory.planner, rng)
         if not (isinstance(planned, tuple) and len(planned) == 2):
             return planned  # type: ignore[no-any-return] # no plan: the episode refuses it and says so
         plan, own = planned
-        acted_now = list(memory.acted)
+        if not can_be_driven(plan, scene.history.dt_s):
+            return plan, replace(
+                memory, planner=own
+            )  # the episode refuses it, in the words that it has without faults
+        plan, acted_now = in_float64(plan), list(memory.acted)
         for k in reversed(range(len(self.faults))):
             plan, acted_now[k] = self.faults[k].act(plan, scenes[k], memory.acted[k])
         return plan, replace(memory, planner=own, acted=tuple(acted_now))

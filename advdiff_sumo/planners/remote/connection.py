@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from typing import Any
 
 os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # its core writes to standard error; read when it is imported
 
 import grpc
+from google.protobuf.message import DecodeError
 
 from advdiff_sumo.core.errors import (
     EpisodeFailure,
@@ -26,9 +28,23 @@ _RECONNECT = (
     ("grpc.max_reconnect_backoff_ms", 500),
 )
 
+_UNREADABLE = object()
+
 
 class PlannerSideError(Exception):
     """Where the planner raised, as its own Python tells it."""
+
+
+def _reader_of(message: Any) -> Callable[[bytes], Any]:
+    """Return what reads *message*; gRPC would tell one that is damaged as an error of the planner."""
+
+    def read(content: bytes) -> Any:
+        try:
+            return message.FromString(content)
+        except DecodeError:
+            return _UNREADABLE
+
+    return read
 
 
 class Connection:
@@ -46,7 +62,7 @@ class Connection:
             name: self._channel.unary_unary(
                 f"/{messages.SERVICE}/{name}",
                 request_serializer=asked.SerializeToString,
-                response_deserializer=answer.FromString,
+                response_deserializer=_reader_of(answer),
             )
             for name, (asked, answer) in messages.CALLS.items()
         }
@@ -64,11 +80,22 @@ class Connection:
             EpisodeFailure: one of its kinds.
         """
         try:
-            return self._calls[name](request, timeout=timeout_s, wait_for_ready=wait)
+            answer = self._calls[name](request, timeout=timeout_s, wait_for_ready=wait)
         except grpc.RpcError as error:
             failure = self._failure(name, error, timeout_s)
             trace = dict(error.trailing_metadata() or ()).get(TRACE_KEY, b"")
             raise failure from (PlannerSideError(trace.decode(errors="replace")) if trace else None)
+        if answer is _UNREADABLE:
+            raise self._unreadable(name)
+        return answer
+
+    def _unreadable(self, name: str) -> EpisodeFailure:
+        kind = PlanRefusedError if name == "MakePlan" else PlannerError
+        form = f"{messages.CALLS[name][1].DESCRIPTOR.name} of planner.proto"
+        return kind(
+            f"{self.who} answered {name} with bytes that are no {form}; build its server from the file that "
+            "`advdiff-sumo planner-kit` writes"
+        )
 
     def _failure(self, name: str, error: Any, timeout_s: float) -> EpisodeFailure:
         code, details = error.code(), " ".join((error.details() or "").split())

@@ -99,7 +99,8 @@ class RemotePlanner:
             self._open(patient=False)
         except EpisodeFailure as error:
             remedy = "correct the command" if self.name.startswith(EXEC) else "start it first"
-            raise ConfigError(f"{error}; {remedy}") from error
+            there = not isinstance(error, PlannerCrashedError | PlannerTimeoutError)
+            raise ConfigError(str(error) if there else f"{error}; {remedy}") from error
         finally:
             self.close()
 

@@ -10,7 +10,8 @@ from advdiff_sumo.core.errors import FileError
 #: What a planner's server imports, relative to this package.
 KIT_FILES = (
     *("__init__.py", "py.typed", "core/__init__.py"),
-    *("core/arrays.py", "core/kinematic_states.py", "core/plan.py", "core/scene.py"),
+    *("core/arrays.py", "core/kinematic_states.py", "core/plan.py", "core/plan_form.py"),
+    *("core/plug_in_source.py", "core/scene.py"),
 )
 _PROJECT = """\
 [build-system]

@@ -92,7 +92,7 @@ def ask(road: RoadMap, planner: Surrogate, view: View, memory: Any, seed: int) -
     """
     rng = np.random.default_rng(seed)
     scene = _scene(road, view, view.now)
-    plan, memory = planner.plan(road, scene, memory, rng)
+    plan, memory = planner.plan(road, scene.copied(), memory, rng)
     return Answer(states_of(plan, scene)[:_DRIVEN_STEPS], memory, rng)
 
 
@@ -115,7 +115,7 @@ def imagine(
     own, memory, rng = answer.states, answer.memory, deepcopy(answer.rng)
     while len(own) < steps:
         scene = _scene(road, view, _history(view, futures, own))
-        plan, memory = planner.plan(road, scene, memory, rng)
+        plan, memory = planner.plan(road, scene.copied(), memory, rng)
         own = np.concatenate((own, states_of(plan, scene)[:_DRIVEN_STEPS]))
     return own[:steps]
 

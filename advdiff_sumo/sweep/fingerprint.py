@@ -12,6 +12,7 @@ from typing import Any
 
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.maps.sidecar import sidecar_of
+from advdiff_sumo.sim.demand_files import DemandFiles
 from advdiff_sumo.sim.run_episodes import RunOptions
 
 #: Digits of a key; 96 bits, so that a billion episodes do not meet by chance.
@@ -51,19 +52,19 @@ def net_files(net: str) -> tuple[Path, ...]:
     return (path,) if sidecar is None else (path, sidecar)
 
 
-def source_digest(options: RunOptions, demand: tuple[Path, ...]) -> str:
+def source_digest(options: RunOptions, demand: DemandFiles | None) -> str:
     """Return the digest of all that seed scenes are made of, their number apart.
 
     Args:
         options: of the run.
-        demand: files behind ``options.demand``.
+        demand: what ``options.demand`` names, if anything.
     """
     files = net_files(options.net)
     dumped = options.model_dump(mode="json")
     return digest(
         {
             "net": [files[0].name, _kept(files)],
-            "demand": [_kept((path,)) for path in demand],
+            "demand": [] if demand is None else [demand.begin_s, *(_kept((path,)) for path in demand.files)],
             "log": _log_digest(options.scenes) if options.scenes else "",
             "scene": dumped["scene"],
             "sim": {name: dumped["sim"][name] for name in _SCENE_SIM},

@@ -45,15 +45,15 @@ class CommonRoadReader(SceneFiles):
 
         return _scene(name, path, load_xml(path))
 
-    def files(self) -> dict[str, Path]:
-        """Return name → file of every scenario."""
+    def paths(self) -> dict[Path, str]:
+        """Return file → name of every scenario."""
         if self.path.is_file():
             paths = [self.path]
         else:
             paths = [path for path in sorted(self.path.iterdir()) if path.name.endswith(SUFFIXES)]
         if not paths:
             raise LogError(self.path, "no such file or folder of CommonRoad scenarios", "give one of these")
-        return {path.name.split(".")[0]: path for path in paths}
+        return {path: path.name.split(".")[0] for path in paths}
 
 
 def _scene(name: str, path: Path, root: Element) -> LogScene:

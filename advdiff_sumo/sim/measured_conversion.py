@@ -11,16 +11,13 @@ from pydantic import Field
 
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import ConfigError
-from advdiff_sumo.data.pickles import load_plain
 from advdiff_sumo.maps.convert import ConversionResult, convert_source
 from advdiff_sumo.maps.convert.convert import Crossings
 from advdiff_sumo.maps.convert.fidelity import measure
 from advdiff_sumo.maps.convert.fidelity_report import fidelity_path, write_figures, write_page
 from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
-from advdiff_sumo.maps.convert.sources.read_map import read_map
-from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
-from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 from advdiff_sumo.sim.driving_test import driving_test
+from advdiff_sumo.sim.source_maps import read_source
 
 
 class ConvertOptions(Options):
@@ -92,7 +89,7 @@ def convert_and_measure(map_file: Path, net: Path, options: ConvertOptions) -> M
     """
     net = _net_path(net)
     result = convert_source(
-        _read_source(map_file),
+        read_source(map_file),
         net,
         lefthand=options.lefthand,
         guess_signals=options.tls == "guess",
@@ -120,13 +117,6 @@ def _net_path(output: Path) -> Path:
             f"{output}: a net is NAME.net.xml; give that, or NAME alone, in place of {output.suffix}"
         )
     return output.with_name(output.name.removesuffix(".xml") + ".net.xml")
-
-
-def _read_source(map_file: Path) -> SourceMap:
-    """Return the map in a file of any kind that the verb takes; InputError: the file cannot be used."""
-    if map_file.suffix == ".pkl":
-        return read_record_map(load_plain(map_file), map_file)
-    return read_map(map_file)
 
 
 def _measured(result: ConversionResult, dataroot: Path | None) -> dict[str, Any]:

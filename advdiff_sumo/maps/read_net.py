@@ -20,6 +20,7 @@ from defusedxml.ElementTree import parse as parse_xml
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import NetError
+from advdiff_sumo.maps.not_a_net import map_error
 
 SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml")
 BEYOND_TYPE = "beyond_rim"
@@ -69,9 +70,12 @@ def read_raw_net(path: Path) -> RawNet:
     """Return the elements of the net at *path* (plain or gzipped).
 
     Raises:
-        NetError: the file is missing, unreadable, truncated or no SUMO net.
+        NetError: the file is missing, unreadable, truncated or no SUMO net; of a map with the command that converts it.
     """
-    root = read_root(path, "net", "a SUMO net")
+    try:
+        root = read_root(path, "net", "a SUMO net")
+    except NetError as error:
+        raise map_error(path) or error from None
     edges: dict[str, ET.Element] = {}
     pedestrian: dict[str, FloatArray] = {}
     beyond = ids_beyond(root)
@@ -142,7 +146,8 @@ def read_root(path: Path, tag: str, what: str) -> ET.Element:
         remedy = "it is truncated or not XML; copy or make it anew"
         raise NetError(path, f"is not readable as XML ({error})", remedy) from None
     if root.tag != tag:
-        raise NetError(path, f"is not {what}: its root element is <{root.tag}>, not <{tag}>")
+        problem = f"is not {what}: its root element is <{root.tag}>, not <{tag}>"
+        raise NetError(path, problem, f"give the path of {what}")
     return root
 
 

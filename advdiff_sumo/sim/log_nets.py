@@ -19,11 +19,11 @@ from advdiff_sumo.data import (
 from advdiff_sumo.data.runs import RunReader
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.convert import convert_source
+from advdiff_sumo.maps.not_a_net import map_name
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.sim.logs import fits
 from advdiff_sumo.sim.source_maps import read_source
 
-_ENDINGS = (".gz", ".xml", ".json", ".pkl")
 _NOT_ON = "on none of the nets"
 
 
@@ -85,7 +85,7 @@ def _net_of(source: Path, folder: Path) -> Path:
     """Return the net in *folder* that was made of *source*; made now where there is none."""
     content = hashlib.sha256(source.read_bytes()).hexdigest()
     for number in count(1):
-        name = _name(source) + (f"-{number}" if number > 1 else "")
+        name = map_name(source) + (f"-{number}" if number > 1 else "")
         net, made_of = folder / f"{name}.net.xml", folder / f"{name}.source"
         if not net.exists():
             convert_source(read_source(source), net)
@@ -94,14 +94,6 @@ def _net_of(source: Path, folder: Path) -> Path:
         if made_of.is_file() and made_of.read_text(encoding="utf-8").startswith(content):
             return net
     raise AssertionError  # count has no end
-
-
-def _name(source: Path) -> str:
-    """Return the name of a map's file without endings; dots within it stay, as in records of Waymo."""
-    name = source.name
-    for ending in _ENDINGS:
-        name = name.removesuffix(ending)
-    return name
 
 
 def _map_of(drive: LogScene, reader: LogReader) -> Path:

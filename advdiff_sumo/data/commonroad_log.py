@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import zlib
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -26,6 +28,7 @@ CLASSES = {
 }
 SUFFIXES = (".xml", ".xml.gz")
 _SAME_PLACE_M = 0.1
+_HEAD_BYTES = 65_536
 _AGAIN = "give an unchanged CommonRoad scenario of version 2020a"
 
 
@@ -50,10 +53,21 @@ class CommonRoadReader(SceneFiles):
         if self.path.is_file():
             paths = [self.path]
         else:
-            paths = [path for path in sorted(self.path.iterdir()) if path.name.endswith(SUFFIXES)]
+            paths = [path for path in sorted(self.path.iterdir()) if is_scenario(path)]
         if not paths:
             raise LogError(self.path, "no such file or folder of CommonRoad scenarios", "give one of these")
         return {path: path.name.split(".")[0] for path in paths}
+
+
+def is_scenario(path: Path) -> bool:
+    """Return whether *path* is a file that begins as scenarios do, and nets and routes do not; damaged ones count."""
+    if not (path.name.endswith(SUFFIXES) and path.is_file()):
+        return False
+    try:
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            return b"<commonRoad" in file.read(_HEAD_BYTES)
+    except (OSError, EOFError, zlib.error):
+        return True  # its reader says what is wrong with it
 
 
 def _scene(name: str, path: Path, root: Element) -> LogScene:

@@ -26,6 +26,7 @@ LOGS = (
     "(states.parquet)"
 )
 _ADVICE = {
+    ".pkl.gz": "unpack ScenarioNet's records first, with gunzip",
     ".tfrecord": "convert Waymo's .tfrecord to records with ScenarioNet first",
     ".db": "convert nuPlan's .db to records with ScenarioNet first",
     ".json": "a map is no log: give it to advdiff-sumo convert, and the log of its drives here",

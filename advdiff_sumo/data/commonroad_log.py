@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -11,6 +9,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import LogError
+from advdiff_sumo.core.gzipped import DAMAGED_GZIP, unpacked
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
 from advdiff_sumo.data.motion import parked_agents, signed_speeds
@@ -64,9 +63,9 @@ def is_scenario(path: Path) -> bool:
     if not (path.name.endswith(SUFFIXES) and path.is_file()):
         return False
     try:
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+        with unpacked(path) as file:
             return b"<commonRoad" in file.read(_HEAD_BYTES)
-    except (OSError, EOFError, zlib.error):
+    except (OSError, *DAMAGED_GZIP):
         return True  # its reader says what is wrong with it
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import gzip
 import re
 import shlex
-import zlib
 from pathlib import Path
 
 from advdiff_sumo.core.errors import NetError
+from advdiff_sumo.core.gzipped import DAMAGED_GZIP, unpacked
 
 _ROOT = re.compile(rb"<([A-Za-z]\w*)")
 _HEAD_BYTES = 1 << 16
@@ -55,8 +54,9 @@ def _kind(path: Path) -> str | None:
     if ending in _BY_ENDING:
         return _BY_ENDING[ending]
     try:
-        content = _content(path)
-    except (OSError, EOFError, zlib.error):
+        with unpacked(path) as file:
+            content = file.read()
+    except (OSError, *DAMAGED_GZIP):
         return None
     if ending == ".json":
         return next((kind for mark, kind in _JSON_MAPS if mark in content), None)
@@ -64,11 +64,6 @@ def _kind(path: Path) -> str | None:
     if root is not None and root[1] == b"osm":
         return "a Lanelet2 map" if _LANELET.search(content) else _EXTRACT
     return None if root is None else _XML_MAPS.get(root[1])
-
-
-def _content(path: Path) -> bytes:
-    content = path.read_bytes()
-    return gzip.decompress(content) if content.startswith(b"\x1f\x8b") else content
 
 
 def map_name(path: Path) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.demand_check import first_departure_s
-from advdiff_sumo.sim.demand_xml import elements, seconds
+from advdiff_sumo.sim.demand_xml import check_whole, elements, seconds
 
 _WRITES_OUTPUT = {
     "e1Detector",
@@ -65,6 +65,8 @@ def read_demand(path: Path, road: RoadMap) -> DemandFiles:
     """
     _must_be_file(path, "give a .rou.xml, .trips.xml or .sumocfg")
     named = _of_configuration(path) if path.suffix == ".sumocfg" else _Named((path,))
+    for file in (*named.routes, *named.additional):
+        check_whole(file)
     kept = tuple(file for file in named.additional if not _only_output(file))
     ignored = tuple(file for file in named.additional if file not in kept)
     begin = first_departure_s(path, (*kept, *named.routes), road, named.begin_s)

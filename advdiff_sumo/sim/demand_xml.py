@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from collections.abc import Iterator
-from io import BufferedReader
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
 
@@ -13,15 +10,42 @@ from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import iterparse
 
 from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP, GZIP_PROBLEM, GZIP_REMEDY, unpacked
 
-_GZIP = b"\x1f\x8b"
+_CHUNK_BYTES = 1 << 20
 
 
-def opened(path: Path) -> gzip.GzipFile | BufferedReader:
-    """Open a demand file for reading, gzipped or not, whatever its name says."""
+def content_of(path: Path) -> bytes:
+    """Return the content of a demand file, unpacked where it is gzipped.
+
+    Raises:
+        FileError: it cannot be read, or its gzip data are damaged.
+    """
+    return b"".join(_chunks(path))
+
+
+def check_whole(path: Path) -> None:
+    """Read *path* to its end, which a check of its first routes does not get to, where it is gzipped.
+
+    Raises:
+        FileError: it cannot be read, or its gzip data are damaged.
+    """
     with path.open("rb") as file:
-        zipped = file.read(2) == _GZIP
-    return gzip.open(path) if zipped else path.open("rb")
+        zipped = file.read(len(GZIP)) == GZIP
+    if zipped:
+        for _ in _chunks(path):
+            pass
+
+
+def _chunks(path: Path) -> Iterator[bytes]:
+    try:
+        with unpacked(path) as file:
+            while chunk := file.read(_CHUNK_BYTES):
+                yield chunk
+    except DAMAGED_GZIP:
+        raise FileError(path, GZIP_PROBLEM, GZIP_REMEDY) from None
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror})") from None
 
 
 def elements(path: Path) -> Iterator[Element]:
@@ -31,10 +55,10 @@ def elements(path: Path) -> Iterator[Element]:
         FileError: it cannot be read, is truncated, or no XML.
     """
     try:
-        with opened(path) as file:
+        with unpacked(path) as file:
             yield from (element for _, element in iterparse(file, events=("end",)))
-    except (EOFError, zlib.error, gzip.BadGzipFile):
-        raise FileError(path, "is a truncated gzip file", "export it again") from None
+    except DAMAGED_GZIP:
+        raise FileError(path, GZIP_PROBLEM, GZIP_REMEDY) from None
     except (ParseError, DefusedXmlException, LookupError) as error:  # LookupError: unknown encoding
         raise FileError(
             path, f"not well-formed XML ({error})", "it may be truncated: export it again"

@@ -18,7 +18,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.demand import write_demand
 from advdiff_sumo.sim.demand_check import file_that_names
 from advdiff_sumo.sim.demand_files import DemandFiles
-from advdiff_sumo.sim.demand_xml import opened
+from advdiff_sumo.sim.demand_xml import content_of
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session, SessionOptions
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
@@ -106,7 +106,7 @@ class NaturalTraffic:
             stretch = _Stretch(session, self.sim, folder, self.road.beyond_rim)
             candidates = list(self._look(stretch, seed.child("target").generator()))
             stretch.advance(self.horizon_s)
-        routes, extra = ([_content(f) for f in group] for group in (files.routes, files.additional))
+        routes, extra = ([content_of(f) for f in group] for group in (files.routes, files.additional))
         return [
             self._scene(
                 number, k, stretch, f, SavedTraffic(f.state_xml, f.time_s, tuple(routes), tuple(extra))
@@ -221,11 +221,6 @@ def with_draws_since(state_xml: bytes, begin_xml: bytes) -> bytes:
 def _draws(state_xml: bytes) -> list[tuple[bytes, bytes]]:
     element = _GENERATORS.search(state_xml)
     return [] if element is None else _DRAWS.findall(element[0])
-
-
-def _content(path: Path) -> bytes:
-    with opened(path) as file:
-        return file.read()
 
 
 def _near(frames: list[Frame], target: int, radius_m: float) -> IntArray:

@@ -42,4 +42,6 @@ def read_map(path: Path) -> SourceMap:
         return opendrive_map(load_xml(path), path)
     if name.endswith(".gpkg"):
         return nuplan_map(path)
+    if name.endswith(".pkl"):
+        raise MapError(path, "is a gzipped record", "unpack it first, with gunzip")
     raise MapError(path, "is of no known map format", f"give {FORMATS}")

@@ -17,7 +17,7 @@ def distinct_names(names: Mapping[Path, str]) -> dict[Path, str]:
     for depth in range(1, max((len(path.parts) for path in names), default=0)):
         for path in _alike(out):
             folders = (part.strip("/") for part in path.parent.parts[-depth:])
-            out[path] = "-".join((*folders, names[path]))
+            out[path] = "-".join((*filter(None, folders), names[path]))
     return out | {path: "-".join((*path.parent.parts[-1:], path.name)) for path in _alike(out)}
 
 

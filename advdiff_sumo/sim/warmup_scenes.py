@@ -26,6 +26,7 @@ from advdiff_sumo.sim.target_choice import TargetChoice, remaining_route
 from advdiff_sumo.sim.world import Frame, World, read, register, stack
 
 _GENERATORS, _DRAWS = re.compile(rb"<rngState [^>]*>"), re.compile(rb'([\w.]+)="(\d+)"')
+_UNKNOWN = "is not known"  # SUMO's words of a type, route or stop
 _PATIENCE = 40  # looks at the traffic without a usable target before giving up
 
 
@@ -82,6 +83,14 @@ class NaturalTraffic:
             return self.road.path
         named = file_that_names(re.findall("'([^']*)'", str(error)), self.demand.files)
         return named or self.demand.files[0]
+
+    def _remedy(self, error: SimulationError) -> str:
+        """Return what a user can do about their own demand, as the end of a sentence."""
+        if self.demand is None:
+            return ""
+        if _UNKNOWN in str(error):
+            return "; define it in this file, or give a .sumocfg that names the file with it before this one"
+        return "; correct the demand, or give other demand"
 
     def _generate(self, seed: SeedTree, folder: Path) -> DemandFiles:
         duration = (

@@ -14,7 +14,7 @@ def distinct_names(names: Mapping[Path, str]) -> dict[Path, str]:
     is there once stays. Files of one folder are told apart by all of their file name.
     """
     out = dict(names)
-    for depth in range(1, max((len(path.parts) for path in names), default=0)):
+    for depth in range(1, max((len(path.parts) for path in _alike(out)), default=0)):
         for path in _alike(out):
             folders = (part.strip("/") for part in path.parent.parts[-depth:])
             out[path] = "-".join((*filter(None, folders), names[path]))

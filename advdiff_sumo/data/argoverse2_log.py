@@ -16,6 +16,7 @@ from advdiff_sumo.data.scene_files import SceneFiles
 DT_S = 0.1
 EGO = "AV"
 PREFIX = "scenario_"
+SCENARIOS = f"{PREFIX}*.parquet"
 COLUMNS = ("track_id", "object_type", "timestep", "position_x", "position_y", "heading")
 CLASSES = {
     "vehicle": AgentClass.CAR,
@@ -61,9 +62,9 @@ class Argoverse2Reader(SceneFiles):
 
     def paths(self) -> dict[Path, str]:
         """Return file → id of every scenario, searched recursively."""
-        paths = [self.path] if self.path.is_file() else sorted(self.path.rglob(f"{PREFIX}*.parquet"))
+        paths = [self.path] if self.path.is_file() else sorted(self.path.rglob(SCENARIOS))
         if not paths:
-            raise LogError(self.path, f"no such file or folder of {PREFIX}*.parquet", "give one of these")
+            raise LogError(self.path, f"no such file or folder of {SCENARIOS}", "give one of these")
         return {path: path.stem.removeprefix(PREFIX) for path in paths}
 
 

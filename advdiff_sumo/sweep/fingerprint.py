@@ -6,10 +6,13 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator
+from fnmatch import fnmatch
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from advdiff_sumo.data.argoverse2_log import SCENARIOS
+from advdiff_sumo.data.commonroad_log import is_scenario
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.maps.sidecar import sidecar_of
 from advdiff_sumo.sim.demand_files import DemandFiles
@@ -97,7 +100,11 @@ def _log_files(root: Path) -> Iterator[tuple[str, int]]:
         yield root.name, root.stat().st_size
     for folder, inner, names in os.walk(root):
         inner[:] = [name for name in inner if name not in _SENSORS]
-        for name in names:
-            if name.endswith(_LOG_SUFFIXES):
-                path = Path(folder, name)
+        for path in (Path(folder, name) for name in names):
+            if path.name.endswith(_LOG_SUFFIXES) or fnmatch(path.name, SCENARIOS) or _read_at(root, path):
                 yield path.relative_to(root).as_posix(), path.stat().st_size
+
+
+def _read_at(root: Path, path: Path) -> bool:
+    """Return whether *path* is read as a log because it lies in *root* itself: a scenario, or the states of a run."""
+    return path.parent == root and (path.name == "states.parquet" or is_scenario(path))

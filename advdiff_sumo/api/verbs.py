@@ -157,4 +157,4 @@ def convert(map_file: str | Path, net: str | Path, **options: Any) -> MeasuredCo
     """
     from advdiff_sumo.sim.measured_conversion import ConvertOptions, convert_and_measure
 
-    return convert_and_measure(Path(map_file), Path(net), ConvertOptions.parse(options, "ads.convert"))
+    return convert_and_measure(Path(map_file), net, ConvertOptions.parse(options, "ads.convert"))

@@ -63,8 +63,13 @@ _DriveAtOnce = Annotated[
 def convert(
     map_file: Annotated[Path | None, typer.Argument(metavar="MAP", help=MAP_HELP)] = None,
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Net to be written, NAME.net.xml; with --all a folder."),
+        str | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="PATH",
+            help="Net to be written, NAME.net.xml, or its folder; with --all: a folder.",
+        ),
     ] = None,
     all_of: Annotated[
         Path | None,
@@ -119,7 +124,7 @@ def convert(
         _say(convert_and_measure(source, net, options))
 
 
-def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> list[tuple[Path, Path]]:
+def _jobs(map_file: Path | None, output: str | None, all_of: Path | None) -> list[tuple[Path, str | Path]]:
     """Return (map, net) pairs."""
     if (map_file is None) == (all_of is None):
         raise ConfigError("give either one MAP or --all DATAROOT")
@@ -131,7 +136,7 @@ def _jobs(map_file: Path | None, output: Path | None, all_of: Path | None) -> li
     maps = sorted((all_of / "maps" / "expansion").glob("*.json"))
     if not maps:
         raise ConfigError(f"{all_of} holds no maps/expansion/*.json; unpack the map expansion v1.3 there")
-    folder = output or Path("networks")
+    folder = Path(output or "networks")
     return [(path, folder / f"{path.stem}.net.xml") for path in maps]
 
 

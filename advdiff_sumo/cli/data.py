@@ -22,6 +22,7 @@ data = typer.Typer(
     help="Make training windows (2 s of past, 6 s of future, 2 Hz) and see what is in them.",
     no_args_is_help=True,
 )
+_NAMED = 5  # drives in a note
 _say = terminal(highlight=False, soft_wrap=True)
 _MapView = Annotated[
     MapView,
@@ -137,7 +138,8 @@ def build(
     from advdiff_sumo.data import open_log  # late, as above
     from advdiff_sumo.maps import RoadMap
     from advdiff_sumo.maps.shipped_nets import find_net
-    from advdiff_sumo.sim.log_windows import BuildOptions, Nets
+    from advdiff_sumo.sim.log_nets import Nets
+    from advdiff_sumo.sim.log_windows import BuildOptions
     from advdiff_sumo.sim.log_windows import build as built
 
     is_file = _is_window_file(out)
@@ -150,7 +152,7 @@ def build(
     with progress_bar(terminal(stderr=True), transient=True) as progress:
         task = progress.add_task("drives", total=None)
         counts = built(readers, nets, options, out, lambda *_: progress.update(task, advance=1))
-        progress.update(task, total=len(counts.drives) + len(counts.skipped))
+        progress.update(task, total=progress.tasks[task].completed)
     _print_counts(counts)
 
 
@@ -169,9 +171,12 @@ def _is_window_file(out: Path) -> bool:
 def _print_counts(counts: Built) -> None:
     for path, count in counts.files.items():
         _say.print(f"{path}: {count} windows")
-    if counts.skipped:
-        names = ", ".join(counts.skipped[:5]) + (", …" if len(counts.skipped) > 5 else "")
-        _say.print(f"note: {len(counts.skipped)} drives are on none of the nets: {names}")
+    left_out: dict[str, list[str]] = {}
+    for one in counts.skipped:
+        left_out.setdefault(one.reason, []).append(one.drive)
+    for reason, drives in left_out.items():
+        names = ", ".join(drives[:_NAMED]) + (", …" if len(drives) > _NAMED else "")
+        _say.print(f"note: no windows of {len(drives)} drives ({names}): {reason}")
 
 
 @data.command()

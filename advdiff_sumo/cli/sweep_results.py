@@ -18,6 +18,7 @@ from advdiff_sumo.metrics.near_miss import resolved
 from advdiff_sumo.metrics.severity import is_failure, is_valid_failure, worst_first
 from advdiff_sumo.metrics.statistics import Rate
 from advdiff_sumo.report.attack_words import position_lines
+from advdiff_sumo.report.nets import place_names
 from advdiff_sumo.sweep.condition import Condition, Undefined
 from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.coverage import bands, coverage
@@ -121,12 +122,13 @@ def _print_rates(
         ),
     )
     columns = ("target", "target_options", "background", "background_options", "net")
+    names = place_names(dict.fromkeys(str(row["net"]) for row in (*episodes, *failures)))
     for key, figures in by_kind(episodes, failures, columns).items():
         target, target_options, background, background_options, net = key
         table.add_row(
             target + _short(target_options),
             background + _short(background_options),
-            Path(net).name.split(".net.xml")[0],
+            names[net],
             *_cells(figures),
         )
     table.add_section()

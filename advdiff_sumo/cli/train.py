@@ -12,6 +12,7 @@ from rich.progress import Progress
 
 from advdiff_sumo.cli import train_flags as flags
 from advdiff_sumo.cli.evaluate import judge_and_show
+from advdiff_sumo.cli.interruption import training_into
 from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.core.errors import FileError, UnknownNameError
 
@@ -98,7 +99,8 @@ def train(
     )
     job = prepare(plan)
     claim(out, resume)
-    done = _train(job, resume, terminal(stderr=True, highlight=False))
+    with training_into(out):
+        done = _train(job, resume, terminal(stderr=True, highlight=False))
     if done and judged and name != "simnet":  # its own figures are said when it ends
         _judge(job, judged)
 

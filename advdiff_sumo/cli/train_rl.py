@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from advdiff_sumo.cli.interruption import training_into
 from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.cli.train import claim
 from advdiff_sumo.cli.train_flags import Resume
@@ -69,7 +70,7 @@ def train_rl(
     check(adversary)
     claim(out, resume)
     console = terminal(stderr=True, highlight=False)
-    with progress_bar(console) as bar:
+    with training_into(out), progress_bar(console) as bar:
         task = bar.add_task("steps", total=steps)
 
         def tell(done: int, history: list[Record]) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.data.argoverse2_log import Argoverse2Reader
-from advdiff_sumo.data.commonroad_log import CommonRoadReader
+from advdiff_sumo.data.commonroad_log import CommonRoadReader, is_scenario
 from advdiff_sumo.data.log_reader import LogReader, LogScene
 from advdiff_sumo.data.nuscenes import NuScenesReader
 from advdiff_sumo.data.scenarionet_log import ScenarioNetReader
@@ -21,9 +21,16 @@ __all__ = [
     "open_log",
 ]
 LOGS = (
-    "a folder with nuScenes' v1.0-*/ tables, ScenarioNet .pkl records, Argoverse 2 scenario_*.parquet, "
-    "CommonRoad scenarios (.xml, .xml.gz) or a run"
+    "nuScenes (v1.0-*/scene.json in its root), ScenarioNet (sd_*.pkl; Waymo, nuPlan and others by its converters), "
+    "Argoverse 2 (scenario_*.parquet), CommonRoad (.xml or .xml.gz that begins with <commonRoad>) and runs "
+    "(states.parquet)"
 )
+_ADVICE = {
+    ".pkl.gz": "unpack ScenarioNet's records first, with gunzip",
+    ".tfrecord": "convert Waymo's .tfrecord to records with ScenarioNet first",
+    ".db": "convert nuPlan's .db to records with ScenarioNet first",
+    ".json": "a map is no log: give it to advdiff-sumo convert, and the log of its drives here",
+}
 
 
 def open_log(path: Path) -> LogReader:
@@ -33,22 +40,28 @@ def open_log(path: Path) -> LogReader:
         LogError: there is nothing, or nothing that is known.
     """
     if not path.exists():
-        raise LogError(path, "no such log", "give the root of a nuScenes dataset or a ScenarioNet record")
+        raise LogError(path, "no such log", f"logs that are known are those of {LOGS}")
     if (path / "states.parquet").is_file():
         from advdiff_sumo.data.runs import RunReader  # late: training reads window files without pyarrow
 
         return RunReader(path)
-    if path.is_dir() and any(child.is_dir() for child in path.glob("v1.0-*")):
+    if any(child.is_dir() for child in path.glob("v1.0-*")) or (path / "scene.json").is_file():
         return NuScenesReader(path)
-    if path.suffix == ".pkl" or (path.is_dir() and any(path.glob("*.pkl"))):
+    if path.suffix == ".pkl" or any(path.rglob("sd_*.pkl")):
         return ScenarioNetReader(path)
-    if path.suffix == ".parquet" or (path.is_dir() and any(path.rglob("scenario_*.parquet"))):
+    if path.suffix == ".parquet" or any(path.rglob("scenario_*.parquet")):
         return Argoverse2Reader(path)
-    if _is_commonroad(path):
+    if is_scenario(path) or (path.is_dir() and any(map(is_scenario, path.iterdir()))):
         return CommonRoadReader(path)
-    raise LogError(path, "holds no driving log", f"give {LOGS}")
+    raise _unknown(path)
 
 
-def _is_commonroad(path: Path) -> bool:
-    names = [path.name] if path.is_file() else [child.name for child in path.iterdir()]
-    return any(name.endswith((".xml", ".xml.gz")) for name in names)
+def _unknown(path: Path) -> LogError:
+    """Return the error for a file or folder of no known kind: what was looked for, and what may help."""
+    inside = [path] if path.is_file() else list(path.iterdir())
+    found = (mark for mark in _ADVICE for file in inside if mark in file.name)
+    problem = (
+        "is no driving log of a known kind" if path.is_file() else "holds no driving log of a known kind"
+    )
+    looked_for = f"those of {LOGS} are looked for"
+    return LogError(path, f"{problem}: {looked_for}", _ADVICE.get(next(found, ""), "give one of these"))

@@ -16,6 +16,7 @@ from advdiff_sumo.data.scene_files import SceneFiles
 DT_S = 0.1
 EGO = "AV"
 PREFIX = "scenario_"
+SCENARIOS = f"{PREFIX}*.parquet"
 COLUMNS = ("track_id", "object_type", "timestep", "position_x", "position_y", "heading")
 CLASSES = {
     "vehicle": AgentClass.CAR,
@@ -54,17 +55,17 @@ class Argoverse2Reader(SceneFiles):
             LogError: it is not there.
         """
         path = self.files()[name]
-        beside = path.with_name(f"log_map_archive_{name}.json")
+        beside = path.with_name(f"log_map_archive_{path.stem.removeprefix(PREFIX)}.json")
         if not beside.exists():
             raise LogError(beside, "no such map", "unpack the scenario's folder whole, or give a --net")
         return beside
 
-    def files(self) -> dict[str, Path]:
-        """Return id → file of every scenario, searched recursively."""
-        paths = [self.path] if self.path.is_file() else sorted(self.path.rglob(f"{PREFIX}*.parquet"))
+    def paths(self) -> dict[Path, str]:
+        """Return file → id of every scenario, searched recursively."""
+        paths = [self.path] if self.path.is_file() else sorted(self.path.rglob(SCENARIOS))
         if not paths:
-            raise LogError(self.path, f"no such file or folder of {PREFIX}*.parquet", "give one of these")
-        return {path.stem.removeprefix(PREFIX): path for path in paths}
+            raise LogError(self.path, f"no such file or folder of {SCENARIOS}", "give one of these")
+        return {path: path.stem.removeprefix(PREFIX) for path in paths}
 
 
 def _table(path: Path) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import LogError
+from advdiff_sumo.core.gzipped import DAMAGED_GZIP, unpacked
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
 from advdiff_sumo.data.motion import parked_agents, signed_speeds
@@ -26,6 +27,7 @@ CLASSES = {
 }
 SUFFIXES = (".xml", ".xml.gz")
 _SAME_PLACE_M = 0.1
+_HEAD_BYTES = 65_536
 _AGAIN = "give an unchanged CommonRoad scenario of version 2020a"
 
 
@@ -45,15 +47,26 @@ class CommonRoadReader(SceneFiles):
 
         return _scene(name, path, load_xml(path))
 
-    def files(self) -> dict[str, Path]:
-        """Return name → file of every scenario."""
+    def paths(self) -> dict[Path, str]:
+        """Return file → name of every scenario."""
         if self.path.is_file():
             paths = [self.path]
         else:
-            paths = [path for path in sorted(self.path.iterdir()) if path.name.endswith(SUFFIXES)]
+            paths = [path for path in sorted(self.path.iterdir()) if is_scenario(path)]
         if not paths:
             raise LogError(self.path, "no such file or folder of CommonRoad scenarios", "give one of these")
-        return {path.name.split(".")[0]: path for path in paths}
+        return {path: path.name.split(".")[0] for path in paths}
+
+
+def is_scenario(path: Path) -> bool:
+    """Return whether *path* is a file that begins as scenarios do, and nets and routes do not; damaged ones count."""
+    if not (path.name.endswith(SUFFIXES) and path.is_file()):
+        return False
+    try:
+        with unpacked(path) as file:
+            return b"<commonRoad" in file.read(_HEAD_BYTES)
+    except (OSError, *DAMAGED_GZIP):
+        return True  # its reader says what is wrong with it
 
 
 def _scene(name: str, path: Path, root: Element) -> LogScene:

@@ -7,6 +7,7 @@ input, is never reached. Containers come as dict, list, tuple, set; ``defaultdic
 
 from __future__ import annotations
 
+import io
 import pickle
 from pathlib import Path
 from typing import Any, Literal
@@ -15,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from advdiff_sumo.core.errors import LogError
+from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP_PROBLEM, unpacked
 
 _KINDS = "biufSU"  # bool, int, unsigned, float, bytes, text: numbers and names, never objects
+_AGAIN = "copy or convert the record again"
 _BROKEN = (
     EOFError,
     AttributeError,
@@ -39,15 +42,24 @@ def load_plain(path: Path) -> Any:
         LogError: the file is missing, truncated, or holds anything but plain containers and arrays.
     """
     try:
-        with path.open("rb") as file:
-            return _plain(_Restricted(file).load(), {})
-    except OSError as error:
-        raise LogError(path, f"cannot be read ({error.strerror})", "give a ScenarioNet record") from None
+        return _plain(_Restricted(io.BytesIO(_content(path))).load(), {})
     except pickle.UnpicklingError as error:
+        if "truncated" in str(error):
+            raise LogError(path, "is truncated", _AGAIN) from None
         raise LogError(path, f"refused: {error}", "only records of plain data are read") from None
     except _BROKEN as error:
         problem = f"is truncated or no pickle of plain data ({type(error).__name__}: {error})"
-        raise LogError(path, problem, "copy or convert the record again") from None
+        raise LogError(path, problem, _AGAIN) from None
+
+
+def _content(path: Path) -> bytes:
+    try:
+        with unpacked(path) as file:
+            return file.read()
+    except DAMAGED_GZIP:
+        raise LogError(path, GZIP_PROBLEM, _AGAIN) from None
+    except OSError as error:
+        raise LogError(path, f"cannot be read ({error.strerror})", "give a ScenarioNet record") from None
 
 
 class _Dtype:

@@ -22,6 +22,7 @@ from advdiff_sumo.data.scene_files import SceneFiles
 LORRY_LENGTH_M = 7.0
 SIMULATED = "advdiff-sumo"
 """The dataset of episodes that are exported here: places are exact, and who creeps does creep."""
+_AT_ORIGIN_M = 0.01
 _KINDS = {"PEDESTRIAN": AgentClass.PEDESTRIAN, "CYCLIST": AgentClass.BICYCLE}
 _AGAIN = "convert the record again"
 
@@ -47,20 +48,37 @@ def read_record(path: str | Path) -> dict[str, Any]:
 def map_offset_m(record: Mapping[str, Any]) -> FloatArray | None:
     """Return what to add to positions (2,) of *record* to be in its map's frame; None where it is lost.
 
-    ScenarioNet moves nuScenes records, tracks and map alike, so that the first ego pose is the origin, and
-    does not write the offset down. It moves the zeros of absent states too, so they give it away. Other
-    records are in their dataset's frame: the offset is zero.
+    MetaDrive writes down where the map's origin is in a record that it moved (``old_origin_in_current_coordinate``).
+    ScenarioNet moves nuScenes records, tracks and map alike, so that the first ego pose is the origin, and does not
+    write it down; but it moves the zeros of absent states too, which give it away. A record of nuScenes that does not
+    begin at the origin was not moved; others are in their dataset's frame.
+
+    Raises:
+        ValueError: what the record tells of its frame is no place.
     """
+    told = record["metadata"].get("old_origin_in_current_coordinate")
+    if told is not None:
+        origin = np.asarray(told, dtype=np.float64).reshape(-1)[:2]
+        if origin.shape != (2,) or not np.isfinite(origin).all():
+            raise ValueError("its old_origin_in_current_coordinate is no place")
+        return -origin
     if record["metadata"].get("dataset") != "nuscenes":
         return np.zeros(2)
-    absent = [
-        np.asarray(track["state"]["position"], dtype=np.float64)[~_valid(track), :2]
-        for _, track in sorted(record["tracks"].items())
-    ]
+    absent = [_xy(track)[~_valid(track)] for _, track in sorted(record["tracks"].items())]
     moved = np.concatenate([np.zeros((0, 2)), *absent])
-    if len(moved) == 0 or np.ptp(moved, axis=0).max() > 1e-6:
-        return None
-    return np.asarray(-moved[0], dtype=np.float64)
+    if len(moved) and np.ptp(moved, axis=0).max() <= 1e-6:
+        return np.asarray(-moved[0], dtype=np.float64)
+    return None if len(moved) or _begins_at_origin(record) else np.zeros(2)
+
+
+def _begins_at_origin(record: Mapping[str, Any]) -> bool:
+    ego = record["tracks"].get(record["metadata"].get("sdc_id"))
+    there = np.zeros((0, 2)) if ego is None else _xy(ego)[_valid(ego)]
+    return len(there) == 0 or bool(np.abs(there[0]).max() < _AT_ORIGIN_M)
+
+
+def _xy(track: Mapping[str, Any]) -> FloatArray:
+    return np.asarray(track["state"]["position"], dtype=np.float64)[:, :2]
 
 
 class ScenarioNetReader(SceneFiles):
@@ -75,12 +93,12 @@ class ScenarioNetReader(SceneFiles):
         """Return the scene of a record; agents in its order, obstacles left out."""
         return _scene(name, path, read_record(path))
 
-    def files(self) -> dict[str, Path]:
-        """Return name → file of every record, searched recursively."""
+    def paths(self) -> dict[Path, str]:
+        """Return file → name of every record, searched recursively."""
         paths = [self.path] if self.path.is_file() else sorted(self.path.rglob("sd_*.pkl"))
         if not paths:
             raise LogError(self.path, "no such record or folder of sd_*.pkl records", "give one of these")
-        return {path.stem: path for path in paths}
+        return {path: path.stem for path in paths}
 
 
 def _scene(name: str, path: Path, record: Mapping[str, Any]) -> LogScene:

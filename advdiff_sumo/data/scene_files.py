@@ -8,6 +8,7 @@ from itertools import starmap
 from pathlib import Path
 from typing import ClassVar
 
+from advdiff_sumo.core.distinct_names import distinct_names
 from advdiff_sumo.core.errors import LogError, UnknownNameError
 from advdiff_sumo.data.log_reader import LogScene
 
@@ -29,12 +30,20 @@ class SceneFiles(ABC):
         self.path = Path(path)
 
     @abstractmethod
-    def files(self) -> dict[str, Path]:
-        """Return name → file of every scene.
+    def paths(self) -> dict[Path, str]:
+        """Return file → name of every scene; names may repeat between folders.
 
         Raises:
             LogError: there is none.
         """
+
+    def files(self) -> dict[str, Path]:
+        """Return name → file of every scene; those of one name are told apart by their folders.
+
+        Raises:
+            LogError: there is none.
+        """
+        return {name: path for path, name in distinct_names(self.paths()).items()}
 
     @abstractmethod
     def read_file(self, name: str, path: Path) -> LogScene:

@@ -83,7 +83,7 @@ def window_stats(files: Iterable[WindowFile]) -> dict[str, Any]:
     speeds = np.concatenate([m.states[:, PAST - 1, 3][m.moving] for m in motions])
     return {
         "files": len(files),
-        "maps": len({file.map_name for file in files}),
+        "maps": len({(file.map_name, *file.map_origin.tolist(), len(file.map_xy)) for file in files}),
         "windows": int(sum(file.windows for file in files)),
         "scenes": int(sum(len(file.scene_names) for file in files)),
         "agents": int(agents.sum()),

@@ -7,9 +7,7 @@ sumolib's. External entities are refused (defusedxml).
 
 from __future__ import annotations
 
-import gzip
 import xml.etree.ElementTree as ET
-import zlib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +18,8 @@ from defusedxml.ElementTree import parse as parse_xml
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import NetError
+from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP_PROBLEM, GZIP_REMEDY, unpacked
+from advdiff_sumo.maps.not_a_net import map_error
 
 SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml")
 BEYOND_TYPE = "beyond_rim"
@@ -69,9 +69,12 @@ def read_raw_net(path: Path) -> RawNet:
     """Return the elements of the net at *path* (plain or gzipped).
 
     Raises:
-        NetError: the file is missing, unreadable, truncated or no SUMO net.
+        NetError: the file is missing, unreadable, truncated or no SUMO net; of a map with the command that converts it.
     """
-    root = read_root(path, "net", "a SUMO net")
+    try:
+        root = read_root(path, "net", "a SUMO net")
+    except NetError as error:
+        raise map_error(path) or error from None
     edges: dict[str, ET.Element] = {}
     pedestrian: dict[str, FloatArray] = {}
     beyond = ids_beyond(root)
@@ -129,10 +132,10 @@ def read_root(path: Path, tag: str, what: str) -> ET.Element:
         raise NetError(path, "no such file", f"give the path of {what}") from None
     except IsADirectoryError:
         raise NetError(path, "is a folder", f"give the path of {what} inside it") from None
+    except DAMAGED_GZIP:
+        raise NetError(path, GZIP_PROBLEM, GZIP_REMEDY) from None
     except OSError as error:
         raise NetError(path, f"cannot be read ({error.strerror or error})") from None
-    except (EOFError, zlib.error):
-        raise NetError(path, "the gzip data are cut off or damaged", "copy or make the file anew") from None
     except (
         ET.ParseError,
         DefusedXmlException,
@@ -142,20 +145,14 @@ def read_root(path: Path, tag: str, what: str) -> ET.Element:
         remedy = "it is truncated or not XML; copy or make it anew"
         raise NetError(path, f"is not readable as XML ({error})", remedy) from None
     if root.tag != tag:
-        raise NetError(path, f"is not {what}: its root element is <{root.tag}>, not <{tag}>")
+        problem = f"is not {what}: its root element is <{root.tag}>, not <{tag}>"
+        raise NetError(path, problem, f"give the path of {what}")
     return root
 
 
 def _parse(path: Path) -> ET.Element:
-    with path.open("rb") as file:
-        if file.read(2) == b"\x1f\x8b":
-            file.seek(0)
-            with gzip.open(file) as unpacked:
-                tree = parse_xml(unpacked)
-        else:
-            file.seek(0)
-            tree = parse_xml(file)
-    root: ET.Element | None = tree.getroot()
+    with unpacked(path) as file:
+        root: ET.Element | None = parse_xml(file).getroot()
     if root is None:
         raise ET.ParseError("no element found")
     return root

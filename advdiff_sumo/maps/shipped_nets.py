@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from advdiff_sumo.core.errors import FileError, NetError
+from advdiff_sumo.maps.not_a_net import folder_error
 
 SHIPPED_NETS = ("downtown", "downtown-left", "motorway")
 """What benches, training windows and sweeps take where no net is named."""
@@ -24,7 +25,7 @@ def find_net(net: str) -> Path:
     if not path.exists():
         raise NetError(path, "no such net", f"give a .net.xml file or one of {', '.join(NETS_BY_NAME)}")
     if not path.is_file():
-        raise NetError(path, "is no file", "give a .net.xml file")
+        raise folder_error(path)
     return path.resolve()
 
 

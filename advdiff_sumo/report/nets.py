@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
+from advdiff_sumo.core.distinct_names import distinct_names
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import NETS_BY_NAME, find_net
@@ -49,3 +51,10 @@ def net_path(name: str, folder: Path) -> Path | None:
 def place_name(net: str) -> str:
     """Return a net's name as one reads it, without folder and endings."""
     return Path(net).name.removesuffix(".gz").removesuffix(".xml").removesuffix(".net")
+
+
+def place_names(nets: Iterable[str]) -> dict[str, str]:
+    """Return net → its name as one reads it; those of one name in several folders are told apart by these."""
+    nets = list(nets)
+    names = distinct_names({Path(net): place_name(net) for net in nets})
+    return {net: names[Path(net)] for net in nets}

@@ -19,7 +19,7 @@ from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.margin_pairs import margins_of
 from advdiff_sumo.report.matrix import matrix_of
-from advdiff_sumo.report.nets import Nets, place_name
+from advdiff_sumo.report.nets import Nets, place_names
 from advdiff_sumo.report.overview import Overview, overview_of
 from advdiff_sumo.report.rate_blocks import headline
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
@@ -66,7 +66,7 @@ def report_html(run: FinishedRun) -> str:
             labels=labels,
             targets=sorted({labels.target(row) for row in run.episodes}),
             backgrounds=sorted({labels.background(row) for row in run.episodes}),
-            places=[place_name(net) for net in places],
+            places=list(place_names(places).values()),
             verdicts=list(dict.fromkeys(badge(row) for row in ordered)),
             breaches=sorted({name for row in run.episodes for name in breaches_of(row)}),
             kinds=sorted({str(row["collision_type"]) for row in run.episodes if row["collision_type"]}),
@@ -112,9 +112,8 @@ def _maps(run: FinishedRun, nets: Nets, sections: list[Section]) -> list[Overvie
     trails = _trails(sections)
     rows = {net: [row for row in run.episodes if row["net"] == net] for net in trails}
     busiest = sorted(trails, key=lambda net: (-sum(bool(r["target_collision"]) for r in rows[net]), net))
-    return [
-        overview_of(place_name(net), nets.layer(net), trails[net], rows[net]) for net in busiest[:MOST_MAPS]
-    ]
+    names = place_names(dict.fromkeys(str(row["net"]) for row in run.episodes))
+    return [overview_of(names[net], nets.layer(net), trails[net], rows[net]) for net in busiest[:MOST_MAPS]]
 
 
 def _streets(nets: Nets, places: list[str], sections: list[Section]) -> list[tuple[str, str]]:

@@ -96,7 +96,7 @@ def _driven(run: FinishedRun, rows: Iterable[Row]) -> Iterable[Samples]:
 
 
 def _logged(naturals: ReferenceEpisodes, rows: Iterable[Row]) -> Iterable[Samples]:
-    drives = {str(row["scene"]).rpartition("-")[0]: row for row in rows}
+    drives = {(str(row["net"]), str(row["scene"]).rpartition("-")[0]): row for row in rows}
     for row in drives.values():
         drive = naturals.drive_of(row)
         if drive is not None:

@@ -15,7 +15,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background_control import Motion
 from advdiff_sumo.sim.sim_options import SimOptions
-from advdiff_sumo.sim.warmup_scenes import remaining_route
+from advdiff_sumo.sim.target_choice import remaining_route
 from advdiff_sumo.sim.world import World
 
 _ALIGNED_RAD = 0.05  # SUMO turns a vehicle along its lane in the step after it takes over

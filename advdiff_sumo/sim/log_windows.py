@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -9,35 +10,24 @@ from pathlib import Path
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.distinct_names import distinct_names
 from advdiff_sumo.core.errors import ConfigError, LogError, SceneError
 from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import AgentClass, Tracks
-from advdiff_sumo.data import (
-    Argoverse2Reader,
-    CommonRoadReader,
-    LogReader,
-    LogScene,
-    NuScenesReader,
-    ScenarioNetReader,
-)
-from advdiff_sumo.data.pickles import load_plain
-from advdiff_sumo.data.runs import RunReader
-from advdiff_sumo.data.scenarionet_log import map_offset_m, read_record
+from advdiff_sumo.data import LogReader, LogScene, NuScenesReader
 from advdiff_sumo.data.splits import in_split, prediction_windows
 from advdiff_sumo.data.window_arrays import WindowArrays, WindowFileBuilder, crop, crops, window_arrays
 from advdiff_sumo.data.window_files import DT_S, FUTURE, PAST, SUFFIX, WindowFile, write_windows
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.maps.convert import convert_source
-from advdiff_sumo.maps.convert.sources.read_map import read_map
-from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
-from advdiff_sumo.maps.shipped_nets import find_net
-from advdiff_sumo.sim.logs import fits
+from advdiff_sumo.maps.read_net import base_name
+from advdiff_sumo.sim.log_nets import Nets, NoNetError
 
 _SOURCE = "advdiff-sumo data build"
 _MOST_FOCAL = 8
 _SEEN = 4  # instants of past and of future that a focal agent other than the ego must have
 _MOVING_M = 1.0
+_TOO_SHORT = "too short for a window of 8 s"
 
 
 @dataclass(frozen=True)
@@ -59,55 +49,33 @@ class BuildOptions:
     view: MapView = "near"
 
 
+@dataclass(frozen=True)
+class Skipped:
+    """A drive that gave no window, and why."""
+
+    drive: str
+    reason: str
+
+
 @dataclass
 class Built:
     """What became of the logs.
 
     Attributes:
         files: path → windows in it.
-        drives: windows of each drive, in the order of the logs.
-        skipped: drives that are on none of the nets.
+        drives: name and number of windows of each drive, in the order of the logs.
+        skipped: drives without windows.
     """
 
     files: dict[Path, int] = field(default_factory=dict)
-    drives: dict[str, int] = field(default_factory=dict)
-    skipped: list[str] = field(default_factory=list)
+    drives: list[tuple[str, int]] = field(default_factory=list)
+    skipped: list[Skipped] = field(default_factory=list)
 
-
-@dataclass(frozen=True)
-class Nets:
-    """Nets to choose from, and where converted ones are kept.
-
-    Attributes:
-        given: by the user.
-        converted: folder for nets converted from the logs' own maps; None: nothing is converted.
-    """
-
-    given: tuple[RoadMap, ...]
-    converted: Path | None
-    roads: dict[Path, RoadMap] = field(default_factory=dict)
-
-    def of(self, drive: LogScene, reader: LogReader) -> RoadMap | None:
-        """Return the net that *drive* was driven on, or None."""
-        named = [road for road in self.given if road.name == drive.location]
-        for road in named or self.given:
-            if fits(road, drive):
-                return road
-        if isinstance(reader, RunReader) and not self.given:
-            return self._read(find_net(reader.net))
-        source = None if self.converted is None else _map_of(drive, reader)
-        if source is None or self.converted is None:
-            return None
-        net = self.converted / f"{source.name.split('.')[0]}.net.xml"
-        if not net.exists():
-            _convert(source, net)
-        road = self._read(net)
-        return road if fits(road, drive) else None
-
-    def _read(self, net: Path) -> RoadMap:
-        if net not in self.roads:
-            self.roads[net] = RoadMap.read(net)
-        return self.roads[net]
+    def count(self, drive: LogScene, windows: int) -> None:
+        """Note that *drive* is on a net and gave *windows*."""
+        self.drives.append((drive.name, windows))
+        if not windows:
+            self.skipped.append(Skipped(drive.name, _TOO_SHORT))
 
 
 def build(
@@ -129,31 +97,50 @@ def build(
     Raises:
         InputError: a log or a net cannot be used, or no drive is on any of the nets.
     """
-    built, builders = Built(), dict[Path, WindowFileBuilder]()
+    built, builders, seen = Built(), dict[Path, WindowFileBuilder](), Counter[str]()
     for path, reader in logs:
         for drive, focal in _drives(path, reader, options):
-            if nets.converted is not None and isinstance(reader, ScenarioNetReader):
-                drive = _in_record_frame(drive)
-            road = nets.of(drive, reader)
-            if road is None:
-                built.skipped.append(drive.name)
-                tell(drive.name, 0)
-                continue
-            source = f"{_SOURCE} ({drive.source.name})"
-            builder = builders.setdefault(
-                road.path, WindowFileBuilder(road.pieces(options.view), road.name, source)
-            )
-            before = len(builder.windows)
-            builder.windows += log_windows(drive, road, options, focal)
-            built.drives[drive.name] = len(builder.windows) - before
-            tell(drive.name, built.drives[drive.name])
-    window_files = {b.map_name: b.build() for b in builders.values() if b.windows}
+            count = 0
+            seen[drive.name] += 1
+            try:
+                road = nets.of(drive, reader)
+            except NoNetError as error:
+                built.skipped.append(Skipped(drive.name, str(error)))
+            else:
+                count = _add(_renamed(drive, seen[drive.name]), road, options, focal, builders)
+                built.count(drive, count)
+            tell(drive.name, count)
+    names = distinct_names({net: base_name(net) for net in builders})
+    window_files = {
+        names[net]: replace(b, map_name=names[net]).build() for net, b in builders.items() if b.windows
+    }
     if not window_files:
         raise SceneError(_nothing(logs, nets, built))
     for path, windows in _placed(out, window_files):
         write_windows(path, windows)
         built.files[path] = windows.windows
     return built
+
+
+def _renamed(drive: LogScene, number: int) -> LogScene:
+    """Return *drive* under a name of its own, where it is the *number*-th of its name."""
+    return drive if number == 1 else replace(drive, name=f"{drive.name}-{number}")
+
+
+def _add(
+    drive: LogScene,
+    road: RoadMap,
+    options: BuildOptions,
+    focal: Sequence[tuple[int, str]] | None,
+    builders: dict[Path, WindowFileBuilder],
+) -> int:
+    """Add the windows of *drive* to those of its net, and return how many they are."""
+    source = f"{_SOURCE} ({drive.source.name})"
+    table = road.pieces(options.view)
+    builder = builders.setdefault(road.path, WindowFileBuilder(table, road.name, source))
+    before = len(builder.windows)
+    builder.windows += log_windows(drive, road, options, focal)
+    return len(builder.windows) - before
 
 
 def log_windows(
@@ -214,7 +201,7 @@ def _drives(
             raise ConfigError(f"{wanted} goes with the tables of nuScenes only, and {path} is another log")
         yield from ((drive, None) for drive in reader.scenes())
         return
-    wanted_windows = prediction_windows(_root(reader)) if options.challenge else None
+    wanted_windows = prediction_windows(reader.folder.parent) if options.challenge else None
     names = [
         name
         for name in reader.names()
@@ -242,41 +229,6 @@ def _instants(
     return [(instants[sample], instance) for instance, sample in wanted]
 
 
-def _root(reader: NuScenesReader) -> Path:
-    return reader.folder.parent
-
-
-def _map_of(drive: LogScene, reader: LogReader) -> Path | None:
-    """Return the file that holds the map of *drive*, or None."""
-    if isinstance(reader, ScenarioNetReader):
-        return drive.source
-    if isinstance(reader, NuScenesReader):
-        path = _root(reader) / "maps" / "expansion" / f"{drive.location}.json"
-        if not path.exists():
-            raise LogError(path, "no such map", "unpack the map expansion v1.3 there, or give a --net")
-        return path
-    if isinstance(reader, Argoverse2Reader):
-        return reader.map_file(drive.name)
-    if isinstance(reader, CommonRoadReader):
-        return drive.source
-    return None
-
-
-def _in_record_frame(drive: LogScene) -> LogScene:
-    """Return *drive* where its record's own map is: nuScenes records are moved to the first pose."""
-    offset = map_offset_m(read_record(drive.source))
-    if offset is None:
-        return drive
-    return replace(drive, tracks=replace(drive.tracks, xy_m=drive.tracks.xy_m - offset))
-
-
-def _convert(source: Path, net: Path) -> None:
-    if source.suffix == ".pkl":
-        convert_source(read_record_map(load_plain(source), source), net)
-    else:
-        convert_source(read_map(source), net)
-
-
 def _placed(out: Path, placed: Mapping[str, WindowFile]) -> Iterator[tuple[Path, WindowFile]]:
     if out.suffix == SUFFIX:
         if len(placed) > 1:
@@ -293,10 +245,8 @@ def _placed(out: Path, placed: Mapping[str, WindowFile]) -> Iterator[tuple[Path,
 
 def _nothing(logs: Sequence[tuple[Path, LogReader]], nets: Nets, built: Built) -> str:
     first = logs[0][0]
-    if built.skipped and not nets.given and nets.converted is None:
+    if not built.drives and not nets.given and nets.converted is None:
         return f"{first}: no net was given for its drives; name one with --net, or add --convert"
-    if built.skipped:
-        return (
-            f"{first}: none of the {len(built.skipped)} drives is on the nets; give the net of the log's map"
-        )
-    return f"{first}: no drive is long enough for a window of 8 s"
+    reasons = Counter(one.reason for one in built.skipped)
+    found = "; ".join(f"{count} of {reasons.total()}: {reason}" for reason, count in reasons.most_common(3))
+    return f"{first}: none of the {reasons.total()} drives gives a window ({found})"

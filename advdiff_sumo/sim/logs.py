@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,11 +52,11 @@ class LoggedTraffic:
         Raises:
             SceneError: no drive of the log was on this net.
         """
-        drives = [drive for drive in self.reader.scenes() if fits(self.road, drive)]
+        logged = list(self.reader.scenes())
+        drives = [drive for drive in logged if fits(self.road, drive)]
         if not drives:
-            raise SceneError(
-                f"{self.road.path}: none of the log's drives is on this net; convert the log's own map"
-            )
+            problem = "none of the log's drives is on this net"
+            raise SceneError(f"{self.road.path}: {problem}; convert the log's own map{_own_map(logged)}")
         starts = [self._moving(drive) for drive in drives]
         if not any(starts) and self._standing(drives):
             raise SceneError(
@@ -174,6 +175,15 @@ class LoggedTraffic:
             if driven:
                 rng = self.seed.child("route", name, "target" if row == target else "").generator()
                 yield name, (*driven[:-1], *self.road.random_route(driven[-1], _BEYOND_LOG_M, rng))
+
+
+def _own_map(drives: Sequence[LogScene]) -> str:
+    """Return which map *drives* were driven on, as far as they tell, as the end of a sentence."""
+    places = sorted({drive.location for drive in drives} - {""})
+    if places:
+        return f" ({', '.join(places)})"
+    records = [drive.source for drive in drives if drive.source.suffix == ".pkl"]
+    return f" (advdiff-sumo convert {shlex.quote(str(records[0]))} -o NAME.net.xml)" if records else ""
 
 
 def fits(road: RoadMap, drive: LogScene) -> bool:

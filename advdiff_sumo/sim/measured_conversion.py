@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -11,16 +12,14 @@ from pydantic import Field
 
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import ConfigError
-from advdiff_sumo.data.pickles import load_plain
 from advdiff_sumo.maps.convert import ConversionResult, convert_source
 from advdiff_sumo.maps.convert.convert import Crossings
 from advdiff_sumo.maps.convert.fidelity import measure
 from advdiff_sumo.maps.convert.fidelity_report import fidelity_path, write_figures, write_page
 from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
-from advdiff_sumo.maps.convert.sources.read_map import read_map
-from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
-from advdiff_sumo.maps.convert.sources.source_map import SourceMap
+from advdiff_sumo.maps.not_a_net import map_name
 from advdiff_sumo.sim.driving_test import driving_test
+from advdiff_sumo.sim.source_maps import read_source
 
 
 class ConvertOptions(Options):
@@ -78,21 +77,22 @@ class MeasuredConversion:
         return self.result.source.warnings
 
 
-def convert_and_measure(map_file: Path, net: Path, options: ConvertOptions) -> MeasuredConversion:
+def convert_and_measure(map_file: Path, net: str | Path, options: ConvertOptions) -> MeasuredConversion:
     """Convert *map_file* to *net*, write NAME.fidelity.json beside it, and what else *options* ask for.
 
     Args:
         map_file: of any kind that the verb takes.
-        net: NAME.net.xml; NAME and NAME.xml mean the same.
+        net: NAME.net.xml; NAME and NAME.xml mean the same; of a folder, or FOLDER/, the net in it that is called like
+            the map.
         options: what else is asked for.
 
     Raises:
         InputError: one of its kinds; a sentence that names the culprit.
         SimulationError: SUMO stopped in a driving test.
     """
-    net = _net_path(net)
+    net = _net_path(net, map_file)
     result = convert_source(
-        _read_source(map_file),
+        read_source(map_file),
         net,
         lefthand=options.lefthand,
         guess_signals=options.tls == "guess",
@@ -111,8 +111,11 @@ def convert_and_measure(map_file: Path, net: Path, options: ConvertOptions) -> M
     return MeasuredConversion(result, figures)
 
 
-def _net_path(output: Path) -> Path:
-    """Return *output* with the ending that SUMO nets have; ConfigError: it has that of other files."""
+def _net_path(asked: str | Path, map_file: Path) -> Path:
+    """Return *asked* with the ending that SUMO nets have; ConfigError: it has that of other files."""
+    output = Path(asked)
+    if output.is_dir() or str(asked).endswith(("/", os.sep)):
+        return output / f"{map_name(map_file)}.net.xml"
     if output.name.endswith(".net.xml"):
         return output
     if output.suffix != ".xml" and output.suffix[1:].isalpha():  # a version's number may end a name
@@ -120,13 +123,6 @@ def _net_path(output: Path) -> Path:
             f"{output}: a net is NAME.net.xml; give that, or NAME alone, in place of {output.suffix}"
         )
     return output.with_name(output.name.removesuffix(".xml") + ".net.xml")
-
-
-def _read_source(map_file: Path) -> SourceMap:
-    """Return the map in a file of any kind that the verb takes; InputError: the file cannot be used."""
-    if map_file.suffix == ".pkl":
-        return read_record_map(load_plain(map_file), map_file)
-    return read_map(map_file)
 
 
 def _measured(result: ConversionResult, dataroot: Path | None) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -20,7 +21,8 @@ from advdiff_sumo.data.window_arrays import WindowFileBuilder
 from advdiff_sumo.data.window_files import DRIVEN, SUFFIX, read_windows, write_windows
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.read_net import base_name
-from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, find_net
+from advdiff_sumo.maps.shipped_nets import NETS_BY_NAME, SHIPPED_NETS, find_net
+from advdiff_sumo.maps.sidecar import sidecar_of
 from advdiff_sumo.sim.simulate_handback import DrivingModel, record_handbacks
 from advdiff_sumo.sim.simulate_nets import KINDS, write_random_net
 from advdiff_sumo.sim.simulate_run import Recording, cut, record
@@ -76,7 +78,7 @@ class Shard:
     @property
     def recipe(self) -> str:
         """What the file's bytes depend on, as text in its header."""
-        net = self.net.name if self.net is not None else "random"
+        net = "random" if self.net is None else _identity(self.net)
         view = [] if self.view == "near" else [self.view]
         driver = [] if self.model is None else [f"driven by {self.model.digest}"]
         return json.dumps([self.name, net, self.seed.root, *self.seed.path, self.windows, *view, *driver])
@@ -197,6 +199,16 @@ def make_shard(shard: Shard, out: Path) -> int:
         raise SimulationError(f"{road.path}: {_MOST_RUNS} simulations brought no window with moving traffic")
     write_windows(out / f"{shard.name}{SUFFIX}", builder.build())
     return len(builder.windows)
+
+
+@lru_cache(maxsize=64)
+def _identity(net: Path) -> str:
+    """Return what tells *net* from others: the name of a shipped one, else its file's name and the digest of it."""
+    if any(net == find_net(name) for name in NETS_BY_NAME):
+        return net.name
+    sidecar = sidecar_of(net)
+    content = net.read_bytes() + (b"" if sidecar is None else sidecar.read_bytes())
+    return f"{net.name} {hashlib.sha256(content).hexdigest()[:16]}"
 
 
 def _said(shard: Shard) -> str:

@@ -6,7 +6,6 @@ import re
 import tempfile
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from itertools import pairwise, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -14,19 +13,20 @@ import numpy as np
 from advdiff_sumo.core.arrays import IntArray
 from advdiff_sumo.core.errors import SceneError, SimulationError
 from advdiff_sumo.core.record import Controller
-from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.demand import write_demand
-from advdiff_sumo.sim.demand_files import DemandFiles, opened
+from advdiff_sumo.sim.demand_check import file_that_names
+from advdiff_sumo.sim.demand_files import DemandFiles
+from advdiff_sumo.sim.demand_xml import content_of
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session, SessionOptions
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
-from advdiff_sumo.sim.situations import in_situation
+from advdiff_sumo.sim.target_choice import TargetChoice, remaining_route
 from advdiff_sumo.sim.world import Frame, World, read, register, stack
 
-_NEIGHBOUR_RADIUS_M = 50.0
 _GENERATORS, _DRAWS = re.compile(rb"<rngState [^>]*>"), re.compile(rb'([\w.]+)="(\d+)"')
+_UNKNOWN = "is not known"  # SUMO's words of a type, route or stop
 _PATIENCE = 40  # looks at the traffic without a usable target before giving up
 
 
@@ -73,7 +73,24 @@ class NaturalTraffic:
             try:
                 return self._run(number, seed, files, Path(folder))
             except SimulationError as error:
-                raise SceneError(f"{self.road.path}: no natural traffic could be made: {error}") from error
+                raise SceneError(
+                    f"{self._culprit(error)}: no natural traffic could be made: {error}"
+                ) from error
+
+    def _culprit(self, error: SimulationError) -> Path:
+        """Return the file that SUMO complains of, as far as its words tell: it names vehicles and no files."""
+        if self.demand is None:
+            return self.road.path
+        named = file_that_names(re.findall("'([^']*)'", str(error)), self.demand.files)
+        return named or self.demand.files[0]
+
+    def _remedy(self, error: SimulationError) -> str:
+        """Return what a user can do about their own demand, as the end of a sentence."""
+        if self.demand is None:
+            return ""
+        if _UNKNOWN in str(error):
+            return "; define it in this file, or give a .sumocfg that names the file with it before this one"
+        return "; correct the demand, or give other demand"
 
     def _generate(self, seed: SeedTree, folder: Path) -> DemandFiles:
         duration = (
@@ -98,7 +115,7 @@ class NaturalTraffic:
             stretch = _Stretch(session, self.sim, folder, self.road.beyond_rim)
             candidates = list(self._look(stretch, seed.child("target").generator()))
             stretch.advance(self.horizon_s)
-        routes, extra = ([_content(f) for f in group] for group in (files.routes, files.additional))
+        routes, extra = ([content_of(f) for f in group] for group in (files.routes, files.additional))
         return [
             self._scene(
                 number, k, stretch, f, SavedTraffic(f.state_xml, f.time_s, tuple(routes), tuple(extra))
@@ -109,22 +126,24 @@ class NaturalTraffic:
     def _look(self, stretch: _Stretch, rng: np.random.Generator) -> Iterator[_SceneChoice]:
         stretch.skip(max(self.scene.warmup_s - self.sim.history_s, 0.0))
         stretch.advance(self.sim.history_s)
+        sought = TargetChoice(self.road, self.scene, self.sim)
         count = tries = 0
         while count < self.scene.scenes_per_warmup:
-            target = _choose(stretch, self.road, self.scene, self.sim, rng)
+            target = sought.choose(stretch.session.api, stretch.world, stretch.frames, rng)
             if target is None:
                 tries += 1
                 if tries > _PATIENCE:
-                    raise SceneError(
-                        f"{self.road.path}: no vehicle with {self.scene.min_neighbours} others near it and a route of "
-                        f"{self.scene.min_route_m:g} m ahead in {stretch.session.time_s:g} s of traffic"
-                        f"{_wanted(self.scene)}; raise scene.density_per_km or scene.warmup_s, or lower "
-                        "scene.min_neighbours or scene.min_speed_mps"
-                    )
+                    raise SceneError(self._no_target(sought, stretch.session))
             else:
                 count, tries = count + 1, 0
                 yield stretch.save(target)
             stretch.advance(self.scene.spacing_s)
+
+    def _no_target(self, sought: TargetChoice, session: Session) -> str:
+        """Return a sentence on what no vehicle of the traffic was, and what helps."""
+        own, spent_s = self.demand is not None, session.time_s - session.options.begin_s
+        files = self.road.path if self.demand is None else ", ".join(map(str, self.demand.files))
+        return f"{files}: no vehicle {sought.wanted} in {spent_s:g} s of traffic; {sought.advice(own)}"
 
     def _scene(
         self, number: int, k: int, stretch: _Stretch, choice: _SceneChoice, start: SavedTraffic
@@ -211,81 +230,6 @@ def with_draws_since(state_xml: bytes, begin_xml: bytes) -> bytes:
 def _draws(state_xml: bytes) -> list[tuple[bytes, bytes]]:
     element = _GENERATORS.search(state_xml)
     return [] if element is None else _DRAWS.findall(element[0])
-
-
-def _content(path: Path) -> bytes:
-    with opened(path) as file:
-        return file.read()
-
-
-def remaining_route(api: object, name: str, beyond_rim: Collection[str]) -> tuple[str, ...]:
-    """Return the edges of vehicle *name* from the present one on, up to the first that lies *beyond_rim*."""
-    vehicle = api.vehicle  # type: ignore[attr-defined] # libsumo has no types
-    ahead = vehicle.getRoute(name)[max(vehicle.getRouteIndex(name), 0) :]
-    return tuple(takewhile(lambda edge: edge not in beyond_rim, ahead))
-
-
-def _choose(
-    stretch: _Stretch, road: RoadMap, scene: SceneOptions, sim: SimOptions, rng: np.random.Generator
-) -> int | None:
-    """Return the row of a car with traffic around it and a route ahead, drawn among all such, or None."""
-    world, frame = stretch.world, stretch.frames[-1]
-    earlier = len(stretch.frames) - 1 - sim.substeps * (sim.history_steps - 1)
-    if earlier < 0:
-        return None
-    past = stretch.frames[earlier]
-    there = frame.present.copy()
-    there[len(past.controller) :] = False
-    there[: len(past.controller)] &= past.present
-    rows = np.flatnonzero(
-        there & (world.classes[: len(there)] == AgentClass.CAR) & (frame.speed_mps > scene.min_speed_mps)
-    )
-    vehicles = frame.present & (world.classes[: len(there)] != AgentClass.PEDESTRIAN)
-    gaps = np.linalg.norm(frame.xy_m[rows, None] - frame.xy_m[None, vehicles], axis=-1)
-    crowded = rows[(gaps < _NEIGHBOUR_RADIUS_M).sum(-1) - 1 >= scene.min_neighbours]
-    api = stretch.session.api
-    lights = api.trafficlight
-    signals = {name: lights.getRedYellowGreenState(name) for name in lights.getIDList()}
-    usable = [
-        row
-        for row in crowded.tolist()
-        if _has_route(stretch, road, row, scene.min_route_m)
-        and in_situation(
-            scene.situation,
-            road,
-            world,
-            frame,
-            row,
-            remaining_route(api, world.ids[row], road.beyond_rim),
-            signals,
-        )
-    ]
-    return int(rng.choice(usable)) if usable else None
-
-
-def _wanted(scene: SceneOptions) -> str:
-    """Return what else a target had to meet, for a message; "" where nothing."""
-    return "" if scene.situation == "any" else f" is '{scene.situation}'"
-
-
-def _has_route(stretch: _Stretch, road: RoadMap, row: int, min_route_m: float) -> bool:
-    world, api = stretch.world, stretch.session.api
-    if world.lane[row] not in road.lanes or road.lanes[world.lane[row]].is_internal:
-        return False
-    name = world.ids[row]
-    if api.vehicle.getVehicleClass(name) != "passenger" or api.vehicle.getStops(name):
-        return False
-    route = remaining_route(api, name, road.beyond_rim)
-    length = sum(road.edges[edge].length_m for edge in route)
-    long_enough = length - float(api.vehicle.getLanePosition(name)) >= min_route_m
-    return long_enough and not any(_turns_round(road, a, b) for a, b in pairwise(route))
-
-
-def _turns_round(road: RoadMap, before: str, after: str) -> bool:
-    """Return whether one gets from *before* to *after* by turning round: SUMO does so on the spot, a car cannot."""
-    links = (link for lane in road.edges[before].lane_ids for link in road.lanes[lane].successors)
-    directions = {link.direction for link in links if road.lanes[link.to_lane].edge_id == after}
-    return bool(directions) and directions <= {"t", "T"}
 
 
 def _near(frames: list[Frame], target: int, radius_m: float) -> IntArray:

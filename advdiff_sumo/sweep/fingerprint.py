@@ -6,12 +6,16 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator
+from fnmatch import fnmatch
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from advdiff_sumo.data.argoverse2_log import SCENARIOS
+from advdiff_sumo.data.commonroad_log import is_scenario
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.maps.sidecar import sidecar_of
+from advdiff_sumo.sim.demand_files import DemandFiles
 from advdiff_sumo.sim.run_episodes import RunOptions
 
 #: Digits of a key; 96 bits, so that a billion episodes do not meet by chance.
@@ -51,19 +55,19 @@ def net_files(net: str) -> tuple[Path, ...]:
     return (path,) if sidecar is None else (path, sidecar)
 
 
-def source_digest(options: RunOptions, demand: tuple[Path, ...]) -> str:
+def source_digest(options: RunOptions, demand: DemandFiles | None) -> str:
     """Return the digest of all that seed scenes are made of, their number apart.
 
     Args:
         options: of the run.
-        demand: files behind ``options.demand``.
+        demand: what ``options.demand`` names, if anything.
     """
     files = net_files(options.net)
     dumped = options.model_dump(mode="json")
     return digest(
         {
             "net": [files[0].name, _kept(files)],
-            "demand": [_kept((path,)) for path in demand],
+            "demand": [] if demand is None else [demand.begin_s, *(_kept((path,)) for path in demand.files)],
             "log": _log_digest(options.scenes) if options.scenes else "",
             "scene": dumped["scene"],
             "sim": {name: dumped["sim"][name] for name in _SCENE_SIM},
@@ -96,7 +100,11 @@ def _log_files(root: Path) -> Iterator[tuple[str, int]]:
         yield root.name, root.stat().st_size
     for folder, inner, names in os.walk(root):
         inner[:] = [name for name in inner if name not in _SENSORS]
-        for name in names:
-            if name.endswith(_LOG_SUFFIXES):
-                path = Path(folder, name)
+        for path in (Path(folder, name) for name in names):
+            if path.name.endswith(_LOG_SUFFIXES) or fnmatch(path.name, SCENARIOS) or _read_at(root, path):
                 yield path.relative_to(root).as_posix(), path.stat().st_size
+
+
+def _read_at(root: Path, path: Path) -> bool:
+    """Return whether *path* is read as a log because it lies in *root* itself: a scenario, or the states of a run."""
+    return path.parent == root and (path.name == "states.parquet" or is_scenario(path))

@@ -14,7 +14,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import net_name
 from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.planners.planner_registry import TARGETS
-from advdiff_sumo.sim.demand_files import read_demand
+from advdiff_sumo.sim.demand_files import DemandFiles, read_demand
 from advdiff_sumo.sim.run_episodes import Run, RunOptions, check_together, policy_of, read_road, target_of
 from advdiff_sumo.sweep.attack_kinds import by_kind
 from advdiff_sumo.sweep.fingerprint import cell_digest, digest, net_files, source_digest
@@ -188,8 +188,7 @@ def run_inputs(run: Run) -> str:
 
 
 def _source_of(run: Run, options: RunOptions) -> str:
-    files = () if run.demand is None else (*run.demand.routes, *run.demand.additional)
-    return source_digest(options, files)
+    return source_digest(options, run.demand)
 
 
 def _batch(options: RunOptions, source: str, number: int, batches: dict[str, Batch]) -> tuple[str, int]:
@@ -213,7 +212,7 @@ class _Check:
     def __init__(self) -> None:
         self._roads: dict[str, RoadMap] = {}
         self._known: dict[str, Any] = {}
-        self._demands: dict[tuple[str, str], tuple[Path, ...]] = {}
+        self._demands: dict[tuple[str, str], DemandFiles] = {}
 
     def cell(self, options: RunOptions) -> RunOptions:
         """Return *options* as they are written down: names as registered, files by full path."""
@@ -238,13 +237,12 @@ class _Check:
         self._roads[written.net] = self._roads[options.net]
         return written
 
-    def demand(self, options: RunOptions) -> tuple[Path, ...]:
-        """Return the files behind the demand of *options*, held against the net once."""
+    def demand(self, options: RunOptions) -> DemandFiles | None:
+        """Return the files behind the demand of *options*, held against the net once; None where there is none."""
         key = (options.net, options.demand)
         if options.demand and key not in self._demands:
-            files = read_demand(Path(options.demand), self._roads[options.net])
-            self._demands[key] = (*files.routes, *files.additional)
-        return self._demands.get(key, ())
+            self._demands[key] = read_demand(Path(options.demand), self._roads[options.net])
+        return self._demands.get(key)
 
     @property
     def roads(self) -> Iterable[RoadMap]:

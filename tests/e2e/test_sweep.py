@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 from defusedxml.ElementTree import parse
 
@@ -179,3 +181,22 @@ def _alive(pid: int) -> bool:
         return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
     except OSError:
         return False
+
+
+@pytest.mark.slow
+def test_two_nets_of_one_name_keep_apart(grid: Path, tmp_path: Path) -> None:
+    for folder, speed in (("a", "13.9"), ("b", "8.3")):
+        (tmp_path / folder).mkdir()
+        net = re.sub(r'speed="[\d.]+"', f'speed="{speed}"', grid.read_text())
+        (tmp_path / folder / "grid.net.xml").write_text(net)
+    options = "episodes = 1\nhorizon_s = 1.0\n[scene]\nwarmup_s = 12.0\nmin_neighbours = 0\n"
+    grids = '[grid]\nnets = ["a/grid.net.xml", "b/grid.net.xml"]\ntargets = ["IDM"]\nbackgrounds = ["sumo"]\n'
+    (tmp_path / "two.toml").write_text(options + grids)
+    done = advdiff("sweep", "two.toml", "--workers", 1, "--out", "s", cwd=tmp_path)
+    assert done.code == 0, done.out + done.err
+    assert all(f" {name} " in done.out for name in ("a-grid", "b-grid"))
+    page = (tmp_path / "s" / "report.html").read_text()
+    assert "on a-grid, b-grid." in page
+    rows = pq.read_table(tmp_path / "s" / "episodes.parquet").to_pylist()
+    assert {Path(row["net"]).parent.name for row in rows} == {"a", "b"}
+    assert len({row["scene_key"] for row in rows}) == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import signal
 import subprocess
 import time
@@ -78,9 +79,10 @@ def test_ctrl_c_is_kept_and_goes_on(data: Path, tmp_path: Path) -> None:
     _, err = process.communicate(timeout=HANG_S)
     assert process.returncode == 130, err
     assert "Traceback" not in err
-    again = advdiff(
-        "train", "traffic", "--data", data, "--out", "out", "--resume", "--max-minutes", "0.02", cwd=tmp_path
-    )
+    command = err.strip().splitlines()[-1].partition("go on with ")[2]
+    typed = ["advdiff-sumo", *map(str, words), "--set", "epochs=400", "--resume"]
+    assert shlex.split(command) == typed
+    again = advdiff(*typed[1:], "--max-minutes", "0.02", cwd=tmp_path)
     assert again.code == 0, again.err
     assert "--resume" in again.err  # told how to go on
 

@@ -13,7 +13,7 @@ from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.matrix import matrix_of
-from advdiff_sumo.report.nets import place_name
+from advdiff_sumo.report.nets import place_name, place_names
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes, thinned
 from advdiff_sumo.report.sample_pictures import Samples, samples_by_background, samples_of
 from advdiff_sumo.sweep.spec import SweepSpec
@@ -173,3 +173,18 @@ def test_page_of_a_sweep(sweep_folder: Path) -> None:
 )
 def test_places_have_short_names(net: str, name: str) -> None:
     assert place_name(net) == name
+
+
+def test_places_of_one_name_are_told_apart_by_their_folders() -> None:
+    nets = [
+        "/x/a/boston.net.xml",
+        "/x/b/boston.net.xml",
+        "/y/b/boston.net.xml.gz",
+        "downtown",
+        "/z/town.net.xml",
+    ]
+    assert list(place_names(nets).values()) == ["a-boston", "x-b-boston", "y-b-boston", "downtown", "town"]
+    assert place_names(["downtown", "/my/downtown.net.xml"]) == {
+        "downtown": "downtown",
+        "/my/downtown.net.xml": "my-downtown",
+    }

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +16,9 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data import LogReader, LogScene, NuScenesReader, ScenarioNetReader
 from advdiff_sumo.data.window_files import read_windows
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.log_windows import BuildOptions, Built, Nets, build, log_windows
+from advdiff_sumo.sim.log_nets import Nets
+from advdiff_sumo.sim.log_windows import BuildOptions, Built, build, log_windows
+from tests.sim.records_made import record, write
 
 
 def drive(dt_s: float = 0.5) -> LogScene:
@@ -104,16 +108,86 @@ def test_a_file_of_windows_of_the_net_that_fits(road: RoadMap, crossing: Path, t
 
 def test_logs_that_cannot_be_used_say_why(road: RoadMap, tmp_path: Path) -> None:
     away = replace(drive(), tracks=replace(drive().tracks, xy_m=drive().tracks.xy_m + 5000.0))
-    with pytest.raises(SceneError, match="none of the 1 drives is on the nets"):
+    with pytest.raises(
+        SceneError, match=r"log: none of the 1 drives gives a window \(1 of 1: on none of the nets\)"
+    ):
         built(OneDrive(away), Nets((road,), None), tmp_path / "w")
     with pytest.raises(SceneError, match="no net was given"):
         built(OneDrive(drive()), Nets((), None), tmp_path / "w")
     short = replace(drive(), tracks=drive().tracks.window(0, 12))
-    with pytest.raises(SceneError, match="long enough"):
+    with pytest.raises(SceneError, match="too short for a window of 8 s"):
         built(OneDrive(short), Nets((road,), None), tmp_path / "w")
     with pytest.raises(ConfigError, match="--split val goes with the tables of nuScenes only"):
         built(OneDrive(drive()), Nets((road,), None), tmp_path / "w", BuildOptions(split="val"))
     assert not list(tmp_path.iterdir())
+
+
+def test_records_whose_names_begin_alike_are_on_nets_of_their_own(tmp_path: Path) -> None:
+    """The names of real ones differ behind the first dot: sd_nuscenes_v1.0-mini_…, sd_training.tfrecord-…."""
+    logs = tmp_path / "logs"
+    for number, heading in enumerate((0.0, 1.0)):
+        write(logs / f"sd_made_v1.0_{number}.pkl", record((100.0 * number, 0.0), heading))
+    write(logs / "sub" / "sd_made_v1.0_0.pkl", record((0.0, 50.0), 2.0))
+    write(logs / "sd_lost.pkl", record() | {"map_features": {}})
+    found = built(ScenarioNetReader(logs), Nets((), tmp_path / "nets"), tmp_path / "w")
+    names = ["logs-sd_made_v1.0_0", "sd_made_v1.0_1", "sub-sd_made_v1.0_0"]
+    assert [name for name, _ in found.drives] == names
+    assert all(count > 0 for _, count in found.drives)
+    (lost,) = found.skipped
+    assert lost.drive == "sd_lost"
+    assert "its map cannot be converted: " in lost.reason
+    assert "holds no lane" in lost.reason
+    assert sorted(path.name for path in (tmp_path / "nets").glob("*.net.xml")) == [
+        "sd_made_v1.0_0-2.net.xml",
+        "sd_made_v1.0_0.net.xml",
+        "sd_made_v1.0_1.net.xml",
+    ]
+    scenes = [name for path in found.files for name in read_windows(path).scene_names]
+    assert sorted(scenes) == sorted(names)
+    again = built(ScenarioNetReader(logs), Nets((), tmp_path / "nets"), tmp_path / "w")
+    assert again == found
+    assert len(list((tmp_path / "nets").glob("*.net.xml"))) == 3
+
+
+def test_nets_of_one_name_and_drives_of_one_name_keep_apart(road: RoadMap, tmp_path: Path) -> None:
+    nets = []
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        shutil.copy(road.path, tmp_path / folder / road.path.name)
+        nets.append(RoadMap.read(tmp_path / folder / road.path.name))
+    away = replace(drive(), tracks=replace(drive().tracks, xy_m=drive().tracks.xy_m + 5000.0))
+    shifted = (tmp_path / "b" / road.path.name).read_text()
+    (tmp_path / "b" / road.path.name).write_text(moved(shifted, 5000.0))
+    nets[1] = RoadMap.read(nets[1].path)
+    logs: list[tuple[Path, LogReader]] = [(Path("log"), OneDrive(drive())), (Path("more"), OneDrive(away))]
+    found = build(logs, Nets(tuple(nets), None), BuildOptions(), tmp_path / "w", lambda *_: None)
+    files = {tmp_path / "w" / f"{folder}-street.safetensors": 10 for folder in ("a", "b")}
+    assert found.files == files
+    made = [read_windows(path) for path in files]
+    assert [(one.map_name, one.scene_names) for one in made] == [
+        ("a-street", ("scene-0061",)),
+        ("b-street", ("scene-0061-2",)),
+    ]
+
+
+def moved(net: str, by_m: float) -> str:
+    """Return the text of a net with all shapes moved by *by_m* along both axes."""
+
+    def shifted(shape: re.Match[str]) -> str:
+        points = (point.split(",") for point in shape[1].split())
+        return f'shape="{" ".join(",".join(f"{float(v) + by_m:.2f}" for v in point) for point in points)}"'
+
+    return re.sub(r'shape="([^"]*)"', shifted, net)
+
+
+@pytest.mark.data
+def test_every_real_record_gives_windows(adv_data: Path, tmp_path: Path) -> None:
+    folder = adv_data / "scenarionet"
+    found = built(ScenarioNetReader(folder), Nets((), tmp_path / "nets"), tmp_path / "w")
+    assert found.skipped == []
+    assert [name for name, count in found.drives if count] == sorted(
+        path.stem for path in folder.glob("sd_*")
+    )
 
 
 @pytest.mark.data

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -93,6 +94,23 @@ def test_workers_do_not_change_a_byte_and_complete_files_are_kept(
     values = {"windows": 32, "nets": (str(crossing),), "random_share": 0.0, "seed": 4}
     with pytest.raises(FileError, match="made with other options"):
         simulate(plan(SimulateOptions.parse(values)), tmp_path / "one", 1, lambda _: None)
+
+
+def test_files_of_another_net_of_the_same_name_are_not_taken_for_those_of_this_one(
+    tmp_path: Path, crossing: Path, unregulated: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("advdiff_sumo.sim.simulate.SHARD_WINDOWS", 8)
+    for folder, net in {"a": crossing, "b": unregulated}.items():
+        (tmp_path / folder).mkdir()
+        shutil.copy(net, tmp_path / folder / "town.net.xml")
+    values = {"windows": 8, "random_share": 0.0, "seed": 3}
+    shards = {
+        folder: plan(SimulateOptions.parse(values | {"nets": (str(tmp_path / folder / "town.net.xml"),)}))
+        for folder in ("a", "b")
+    }
+    simulate(shards["a"], tmp_path / "out", 1, lambda _: None)
+    with pytest.raises(FileError, match="made with other options"):
+        simulate(shards["b"], tmp_path / "out", 1, lambda _: None)
 
 
 def test_traffic_is_recorded_at_2_hz_at_box_centres(crossing: Path) -> None:

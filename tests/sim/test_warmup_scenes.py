@@ -14,7 +14,8 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
-from advdiff_sumo.sim.warmup_scenes import NaturalTraffic, _turns_round, with_draws_since
+from advdiff_sumo.sim.target_choice import turns_round
+from advdiff_sumo.sim.warmup_scenes import NaturalTraffic, with_draws_since
 from tests import rare_net
 from tests.sim import nets
 
@@ -101,5 +102,5 @@ def test_a_net_without_such_a_target_is_refused_with_the_remedy(road: RoadMap) -
 
 def test_a_route_that_turns_round_on_the_spot_is_told_from_one_that_goes_on(tmp_path: Path) -> None:
     road = RoadMap.read(nets.build(tmp_path, *nets.STREET, turnarounds=True))
-    assert _turns_round(road, "ME", "EM")
-    assert not _turns_round(road, "WM", "ME")
+    assert turns_round(road, "ME", "EM")
+    assert not turns_round(road, "WM", "ME")

@@ -11,7 +11,7 @@ from advdiff_sumo.data import open_log
 from advdiff_sumo.data.log_reader import LogReader
 from advdiff_sumo.experiments.bench.scene_list import ListedScene, SceneList, choose_scenes
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.log_windows import Nets
+from advdiff_sumo.sim.log_nets import Nets, NoNetError
 from advdiff_sumo.sim.logs import LoggedTraffic
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
@@ -21,6 +21,7 @@ LOG_HORIZON_S = 6.0
 LOG_STRIDE_S = 1.0
 NETS = "nets"
 """Folder of converted nets within a bench's folder."""
+_TOLD = 3  # drives in a message
 _LOG_FILES = (".pkl", ".parquet", ".xml", ".gz")
 
 
@@ -62,10 +63,11 @@ def scenes_of_log(log: Path, reader: LogReader, folder: Path) -> SceneList:
         InputError: a map cannot be converted, or no drive is on its net.
     """
     options = SceneOptions(stride_s=LOG_STRIDE_S)
-    by_net = {net: _usable(road, reader, options) for net, road in _roads(reader, folder).items()}
+    roads, left_out = _roads(reader, folder)
+    by_net = {net: _usable(road, reader, options) for net, road in roads.items()}
     if not by_net:
         raise SceneError(
-            f"{log}: none of its drives is on a net of its own map; give nuScenes' tables in place of records of them"
+            f"{log}: none of its drives is on a net of its own map ({'; '.join(left_out[:_TOLD])})"
         )
     if not any(by_net.values()):
         raise SceneError(f"{log}: its ego never drives along a lane with 1.5 s to come; give other drives")
@@ -77,7 +79,7 @@ def scenes_of_log(log: Path, reader: LogReader, folder: Path) -> SceneList:
         if number < count
     )
     whole = SceneList(
-        about="a window a second of a driving log",
+        about="; ".join(("a window a second of a driving log", *left_out)),
         nets={net: file_digest(*net_files(net)) for net in by_net},
         sumo=version("libsumo"),
         horizon_s=LOG_HORIZON_S,
@@ -88,11 +90,17 @@ def scenes_of_log(log: Path, reader: LogReader, folder: Path) -> SceneList:
     return whole.model_copy(update={"sha256": whole.content_digest})
 
 
-def _roads(reader: LogReader, folder: Path) -> dict[str, RoadMap]:
-    """Return the nets of all drives, by path and in its order."""
-    nets = Nets((), folder)
-    roads = [road for drive in reader.scenes() if (road := nets.of(drive, reader)) is not None]
-    return {str(road.path): road for road in sorted(roads, key=lambda road: str(road.path))}
+def _roads(reader: LogReader, folder: Path) -> tuple[dict[str, RoadMap], list[str]]:
+    """Return the nets of all drives, by path and in its order, and which drives are left out and why."""
+    nets, roads, left_out = Nets((), folder), dict[str, RoadMap](), list[str]()
+    for drive in reader.scenes():
+        try:
+            road = nets.of(drive, reader)
+        except NoNetError as error:
+            left_out.append(f"without {drive.name}: {error}")
+        else:
+            roads[str(road.path)] = road
+    return dict(sorted(roads.items())), left_out
 
 
 def _usable(road: RoadMap, reader: LogReader, options: SceneOptions) -> int:

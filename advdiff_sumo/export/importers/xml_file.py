@@ -23,7 +23,12 @@ def read_xml(path: Path, tag: str, what: str) -> ET.Element:
         root: ET.Element | None = ET.parse(path, parser).getroot()  # noqa: S314 - the parser is the safe one
     except OSError as error:
         raise FileError(path, f"cannot be read ({error.strerror})", f"give {what}") from None
-    except (ET.ParseError, DefusedXmlException, ValueError) as error:
+    except (
+        ET.ParseError,
+        DefusedXmlException,
+        ValueError,
+        LookupError,
+    ) as error:  # LookupError: unknown encoding
         raise FileError(path, f"is not readable as XML ({error})", AGAIN) from None
     if root is None or root.tag != tag:
         root_name = "nothing" if root is None else f"<{root.tag}>"

@@ -15,6 +15,7 @@ from advdiff_sumo.experiments.bench.defect_cells import plan_defects
 from advdiff_sumo.experiments.bench.log_scenes import bench_scenes, is_log
 from advdiff_sumo.experiments.bench.progress import Silent
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, choose_scenes
+from tests.sim.records_made import record, write
 
 
 @pytest.mark.data
@@ -36,12 +37,29 @@ def test_a_drive_gives_a_scene_a_second_on_the_net_of_its_own_map(adv_data: Path
 def test_records_of_which_no_episode_can_begin_get_a_sentence(adv_data: Path, tmp_path: Path) -> None:
     records = adv_data / "scenarionet"
     nuscenes, waymo = records / "sd_nuscenes_v1.0-mini_scene-0553.pkl", next(records.glob("sd_training*.pkl"))
-    with pytest.raises(
-        SceneError, match=r"scene-0553\.pkl: none of its drives is on a net of its own map; give nuS"
-    ):
+    with pytest.raises(SceneError, match="ego is never faster than 1 m/s"):  # it waits all the time
         bench_scenes(str(nuscenes), TABLE_LIST, tmp_path / "a")
     with pytest.raises(SceneError, match="its ego never drives along a lane"):
         bench_scenes(str(waymo), TABLE_LIST, tmp_path / "b")
+
+
+@pytest.mark.data
+def test_a_record_of_nuscenes_gives_scenes_on_the_net_of_its_own_map(adv_data: Path, tmp_path: Path) -> None:
+    path = adv_data / "scenarionet" / "sd_nuscenes_v1.0-mini_scene-0796.pkl"
+    scenes = bench_scenes(str(path), TABLE_LIST, tmp_path)
+    assert [Path(net).name for net in scenes.nets] == [f"{path.stem}.net.xml"]
+    assert len(scenes.scenes) >= 3
+
+
+def test_drives_without_a_net_are_named_with_the_reason(tmp_path: Path) -> None:
+    write(tmp_path / "logs" / "sd_there.pkl", record((100.0, 0.0), told=True))
+    write(tmp_path / "logs" / "sd_lost.pkl", record(told=True) | {"map_features": {}})
+    scenes = bench_scenes(str(tmp_path / "logs"), TABLE_LIST, tmp_path)
+    assert len(scenes.scenes) > 0
+    assert "without sd_lost: its map cannot be converted: " in scenes.about
+    (tmp_path / "logs" / "sd_there.pkl").unlink()
+    with pytest.raises(SceneError, match=r"logs: none of its drives .*without sd_lost: its map cannot be"):
+        bench_scenes(str(tmp_path / "logs"), TABLE_LIST, tmp_path)
 
 
 @pytest.mark.data

@@ -20,6 +20,7 @@ from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.sources.read_map import read_map
 from advdiff_sumo.sim.measured_conversion import ConvertOptions, convert_and_measure
 from tests.e2e.commands import advdiff
+from tests.sim.records_made import record, write
 
 with tempfile.TemporaryDirectory() as _folder:
     CASES = list(malformed(Path(_folder)))
@@ -142,3 +143,20 @@ def test_a_net_with_the_ending_of_another_file_is_refused(name: str, tmp_path: P
     ):
         convert_and_measure(tmp_path / "map.xodr", tmp_path / name, ConvertOptions())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_net_goes_into_a_folder_under_the_name_of_its_map(tmp_path: Path) -> None:
+    path = write(tmp_path / "sd_made_v1.0_a.pkl", record(told=True))
+    (tmp_path / "there").mkdir()
+    for folder in (tmp_path / "there", f"{tmp_path / 'new'}/"):
+        net = convert_and_measure(path, folder, ConvertOptions()).net
+        assert net == Path(folder) / "sd_made_v1.0_a.net.xml"
+        assert net.is_file()
+    assert not list(tmp_path.glob("*.net.xml"))
+
+
+def test_a_sumo_net_needs_no_conversion(tmp_path: Path, networks: Path) -> None:
+    with pytest.raises(
+        MapError, match=r"downtown\.net\.xml: is a SUMO net already; give it as it is, with --net"
+    ):
+        convert_and_measure(networks / "downtown.net.xml", tmp_path / "a.net.xml", ConvertOptions())

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gzip
 import json
-import zlib
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError
@@ -12,6 +10,7 @@ from xml.etree.ElementTree import Element, ParseError
 from defusedxml import DefusedXmlException, ElementTree
 
 from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP_PROBLEM, GZIP_REMEDY, unpacked
 
 MAX_FILE_BYTES = 600_000_000  # the largest genuine file has about a tenth of that
 
@@ -54,12 +53,12 @@ def _bytes(path: Path) -> bytes:
             raise MapError(
                 path, f"{size / 1e6:.0f} MB is more than any map expansion has", "give one map's file"
             )
-        if path.suffix != ".gz":
-            return path.read_bytes()
-        with gzip.open(path) as file:
+        with unpacked(path) as file:
             content = file.read(MAX_FILE_BYTES + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    except DAMAGED_GZIP:
+        raise MapError(path, GZIP_PROBLEM, GZIP_REMEDY) from None
+    except OSError as error:
+        reason = error.strerror or str(error)
         raise MapError(path, f"cannot be read ({reason})", "give the path of an existing map file") from None
     if len(content) > MAX_FILE_BYTES:
         raise MapError(path, "unpacks to more than any map expansion has", "give one map's file")

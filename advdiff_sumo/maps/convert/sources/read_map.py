@@ -32,11 +32,16 @@ def read_map(path: Path) -> SourceMap:
         is_argoverse = isinstance(data, dict) and "lane_segments" in data
         return argoverse2_map(data, path) if is_argoverse else nuscenes_map(data, path)
     if name.endswith(".xml"):
-        return commonroad_map(load_xml(path), path)
+        root = load_xml(path)
+        if root.tag == "net":
+            raise MapError(path, "is a SUMO net already", "give it as it is, with --net")
+        return commonroad_map(root, path)
     if name.endswith(".osm"):
         return lanelet2_map(load_xml(path), path)
     if name.endswith(".xodr"):
         return opendrive_map(load_xml(path), path)
     if name.endswith(".gpkg"):
         return nuplan_map(path)
+    if name.endswith(".pkl"):
+        raise MapError(path, "is a gzipped record", "unpack it first, with gunzip")
     raise MapError(path, "is of no known map format", f"give {FORMATS}")

@@ -29,14 +29,23 @@ LANE_TYPES = {
     "LANE_BIKE_LANE": LaneUse.BICYCLE,
     "LANE_BUS_LANE": LaneUse.BUS,
 }
+_NO_PLACE = ", moved"  # at the end of a location: no name of a place whose frame is known
 CONNECTOR_TYPES = frozenset({"LANE_SURFACE_UNSTRUCTURE"})
 
 
-def read_record_map(record: object, path: Path) -> SourceMap:
+def read_record_map(
+    record: object, path: Path, offset_m: tuple[float, float] | None = (0.0, 0.0)
+) -> SourceMap:
     """Return the map of a ScenarioNet record that was loaded from *path*.
 
     Lanes of type LANE_SURFACE_UNSTRUCTURE are connectors (ScenarioNet writes those of nuScenes so). The drivable
     area is what the lanes cover; links come from ``entry_lanes`` and ``exit_lanes``.
+
+    Args:
+        record: the plain value.
+        path: of its file.
+        offset_m: to be added to its points to get those of the place's own frame; None where that is lost: then
+            the map stays where it is, at no place on the globe.
 
     Raises:
         MapError: no ScenarioNet record, or a map without usable lanes.
@@ -47,20 +56,21 @@ def read_record_map(record: object, path: Path) -> SourceMap:
             path, "is no ScenarioNet record ('map_features' is missing)", "give a record's .pkl file"
         )
     notes: Counter[str] = Counter()
+    shift = np.array(offset_m or (0.0, 0.0))
     rows = {str(name): row for name, row in features.items() if _is_lane(row)}
-    lanes = [lane for name, row in rows.items() if (lane := _lane(name, row, notes)) is not None]
+    lanes = [lane for name, row in rows.items() if (lane := _lane(name, row, shift, notes)) is not None]
     if not lanes:
         raise MapError(path, "holds no lane with a centre line", "give a record with a map")
     known = {lane.token for lane in lanes}
     areas = [_area(lane) for lane in lanes]
     return SourceMap(
         path=path,
-        location=_location(record, path),
+        location=_location(record, path) + (_NO_PLACE if offset_m is None else ""),
         lanes=tuple(lanes),
         links=tuple(_links(rows, known, notes)),
         drivable=as_multi(shapely.union_all(areas)),
-        crossings=tuple(_polygons(features, "CROSSWALK")),
-        walkways=tuple(_polygons(features, "SIDEWALK")),
+        crossings=tuple(_polygons(features, "CROSSWALK", shift)),
+        walkways=tuple(_polygons(features, "SIDEWALK", shift)),
         notes=notes,
     )
 
@@ -75,8 +85,8 @@ def _location(record: Mapping[str, Any], path: Path) -> str:
     return str(place) if place else path.stem
 
 
-def _lane(name: str, row: Mapping[str, Any], notes: Counter[str]) -> SourceLane | None:
-    centre = _points(row.get("polyline"))
+def _lane(name: str, row: Mapping[str, Any], shift: FloatArray, notes: Counter[str]) -> SourceLane | None:
+    centre = _points(row.get("polyline"), shift)
     if centre is None:
         notes["lane without usable centre line"] += 1
         return None
@@ -84,27 +94,27 @@ def _lane(name: str, row: Mapping[str, Any], notes: Counter[str]) -> SourceLane 
         token=name,
         is_connector=str(row["type"]) in CONNECTOR_TYPES,
         centre_m=centre,
-        polygon=_polygon(row.get("polygon")),
+        polygon=_polygon(row.get("polygon"), shift),
         use=LANE_TYPES[str(row["type"])],
         speed_mps=_speed(row),
         width_m=_width(row.get("width")),
     )
 
 
-def _points(value: Any) -> FloatArray | None:
-    """Return the (N, 2) points of a centre line, or None where there are not two that are finite and apart."""
+def _points(value: Any, shift: FloatArray) -> FloatArray | None:
+    """Return the (N, 2) points of a line, moved by *shift*; None where there are not two that are finite and apart."""
     try:
         line = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         return None
     if line.ndim != 2 or len(line) < 2 or line.shape[1] < 2 or not np.isfinite(line[:, :2]).all():
         return None
-    line = drop_repeats(line[:, :2])
+    line = drop_repeats(line[:, :2] + shift)
     return line if len(line) > 1 and polyline.length(line) > 0.01 else None
 
 
-def _polygon(value: Any) -> Polygon | None:
-    ring = _points(value)
+def _polygon(value: Any, shift: FloatArray) -> Polygon | None:
+    ring = _points(value, shift)
     if ring is None or len(ring) < 3:
         return None
     parts = as_multi(shapely.make_valid(Polygon(ring)))
@@ -151,7 +161,7 @@ def _links(
     return list(links)
 
 
-def _polygons(features: Mapping[str, Any], kind: str) -> list[Polygon]:
+def _polygons(features: Mapping[str, Any], kind: str, shift: FloatArray) -> list[Polygon]:
     rows = [row for row in features.values() if isinstance(row, Mapping) and row.get("type") == kind]
-    polygons = [_polygon(row.get("polygon")) for row in rows]
+    polygons = [_polygon(row.get("polygon"), shift) for row in rows]
     return [polygon for polygon in polygons if polygon is not None]

@@ -1,0 +1,74 @@
+"""What a file is that was given as a net and is none, and the command that makes a net of it."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+from advdiff_sumo.core.errors import NetError
+from advdiff_sumo.core.gzipped import DAMAGED_GZIP, unpacked
+
+_ROOT = re.compile(rb"<([A-Za-z]\w*)")
+_HEAD_BYTES = 1 << 16
+_LANELET = re.compile(rb"""v\s*=\s*["']lanelet["']""")
+_JSON_MAPS = (
+    (b'"lane_segments"', "an Argoverse 2 map"),
+    (b'"arcline_path_3"', "a nuScenes map"),
+    (b'"lane_connector"', "a nuScenes map"),
+)
+_XML_MAPS = {b"OpenDRIVE": "an OpenDRIVE map", b"commonRoad": "a CommonRoad scenario"}
+_ENDINGS = (".gz", ".xml", ".json", ".pkl", ".osm", ".xodr", ".gpkg")
+_EXTRACT = "an OpenStreetMap extract"
+_BY_ENDING = {".pkl": "a ScenarioNet record", ".gpkg": "a nuPlan map"}
+
+
+def map_error(path: Path) -> NetError | None:
+    """Return the error for an HD map or an OpenStreetMap extract that was given as a net; None for other files.
+
+    Args:
+        path: a file that is no SUMO net.
+    """
+    kind = _kind(path)
+    if kind is None:
+        return None
+    given, net = shlex.quote(str(path)), shlex.quote(f"{map_name(path)}.net.xml")
+    command = f"advdiff-sumo convert {given} -o {net}"
+    if kind == _EXTRACT:
+        command = f"netconvert --osm-files {given} -o {net}"
+    return NetError(path, f"is {kind}, not a SUMO net", f"make a net of it: {command}")
+
+
+def folder_error(path: Path) -> NetError:
+    """Return the error for a folder that was given as a net."""
+    if any(path.glob("maps/expansion/*.json")):
+        command = f"advdiff-sumo convert --all {shlex.quote(str(path))} -o networks"
+        return NetError(
+            path, "is the root of nuScenes' maps, not a SUMO net", f"make nets of them: {command}"
+        )
+    return NetError(path, "is no file", "give a .net.xml file")
+
+
+def _kind(path: Path) -> str | None:
+    ending = Path(path.name.removesuffix(".gz")).suffix
+    if ending in _BY_ENDING:
+        return _BY_ENDING[ending]
+    try:
+        with unpacked(path) as file:
+            content = file.read()
+    except (OSError, *DAMAGED_GZIP):
+        return None
+    if ending == ".json":
+        return next((kind for mark, kind in _JSON_MAPS if mark in content), None)
+    root = _ROOT.search(content[:_HEAD_BYTES])
+    if root is not None and root[1] == b"osm":
+        return "a Lanelet2 map" if _LANELET.search(content) else _EXTRACT
+    return None if root is None else _XML_MAPS.get(root[1])
+
+
+def map_name(path: Path) -> str:
+    """Return the name of a map's file without endings; dots within it stay, as in records of Waymo."""
+    name = path.name
+    for ending in _ENDINGS:
+        name = name.removesuffix(ending)
+    return name

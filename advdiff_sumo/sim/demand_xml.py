@@ -1,0 +1,77 @@
+"""Elements of demand files and SUMO configurations, gzipped or not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree.ElementTree import Element, ParseError
+
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import iterparse
+
+from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP, GZIP_PROBLEM, GZIP_REMEDY, unpacked
+
+_CHUNK_BYTES = 1 << 20
+
+
+def content_of(path: Path) -> bytes:
+    """Return the content of a demand file, unpacked where it is gzipped.
+
+    Raises:
+        FileError: it cannot be read, or its gzip data are damaged.
+    """
+    return b"".join(_chunks(path))
+
+
+def check_whole(path: Path) -> None:
+    """Read *path* to its end, which a check of its first routes does not get to, where it is gzipped.
+
+    Raises:
+        FileError: it cannot be read, or its gzip data are damaged.
+    """
+    with path.open("rb") as file:
+        zipped = file.read(len(GZIP)) == GZIP
+    if zipped:
+        for _ in _chunks(path):
+            pass
+
+
+def _chunks(path: Path) -> Iterator[bytes]:
+    try:
+        with unpacked(path) as file:
+            while chunk := file.read(_CHUNK_BYTES):
+                yield chunk
+    except DAMAGED_GZIP:
+        raise FileError(path, GZIP_PROBLEM, GZIP_REMEDY) from None
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror})") from None
+
+
+def elements(path: Path) -> Iterator[Element]:
+    """Yield the elements of *path* as they end, inner ones first.
+
+    Raises:
+        FileError: it cannot be read, is truncated, or no XML.
+    """
+    try:
+        with unpacked(path) as file:
+            yield from (element for _, element in iterparse(file, events=("end",)))
+    except DAMAGED_GZIP:
+        raise FileError(path, GZIP_PROBLEM, GZIP_REMEDY) from None
+    except (ParseError, DefusedXmlException, LookupError) as error:  # LookupError: unknown encoding
+        raise FileError(
+            path, f"not well-formed XML ({error})", "it may be truncated: export it again"
+        ) from None
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror})") from None
+
+
+def seconds(text: str) -> float | None:
+    """Return a time of SUMO, in seconds or [days:]hours:minutes:seconds; None where it tells none, as "triggered"."""
+    parts = text.split(":")
+    factors = (1.0, 60.0, 3600.0, 86_400.0)
+    try:
+        return sum(factor * float(part) for factor, part in zip(factors, reversed(parts), strict=False))
+    except ValueError:
+        return None

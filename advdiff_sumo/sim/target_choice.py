@@ -1,0 +1,147 @@
+"""Which vehicle of natural traffic becomes the target of a seed scene, and why none does."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+from enum import StrEnum
+from itertools import pairwise, takewhile
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import IntArray
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.situations import in_situation
+from advdiff_sumo.sim.world import Frame, World
+
+_NEIGHBOUR_RADIUS_M = 50.0
+
+
+class Lacking(StrEnum):
+    """What none of the cars had any more, in the order in which it is asked for."""
+
+    CAR = "no car was there long enough"
+    SPEED = "no car was fast enough"
+    NEIGHBOURS = "no car had so many others near it"
+    ROUTE = "all routes ahead were shorter"
+    SITUATION = "no car was in the situation"
+
+
+_ADVICE = {
+    Lacking.CAR: "raise scene.density_per_km or scene.warmup_s",
+    Lacking.SPEED: "lower scene.min_speed_mps",
+    Lacking.NEIGHBOURS: "raise scene.density_per_km or scene.warmup_s, or lower scene.min_neighbours",
+    Lacking.ROUTE: "lower scene.min_route_m, or give a larger net",
+    Lacking.SITUATION: "choose another scene.situation, or raise scene.density_per_km",
+}
+_ADVICE_ON_DEMAND = {
+    Lacking.CAR: "give demand with cars that goes on for longer, or lower scene.warmup_s",
+    Lacking.NEIGHBOURS: "give demand of more vehicles, raise scene.warmup_s or lower scene.min_neighbours",
+    Lacking.ROUTE: "give demand with longer routes, or lower scene.min_route_m and take a shorter horizon",
+    Lacking.SITUATION: "choose another scene.situation, or give other demand",
+}
+
+
+class TargetChoice:
+    """Chooses targets in running traffic, and counts why there was none.
+
+    Attributes:
+        lacking: how often each thing was what no car had.
+    """
+
+    def __init__(self, road: RoadMap, scene: SceneOptions, sim: SimOptions) -> None:
+        """Seek cars on *road* such as *scene* wants, seen for the history of *sim*."""
+        self.road, self.scene, self.sim = road, scene, sim
+        self.lacking: Counter[Lacking] = Counter()
+
+    def choose(self, api: Any, world: World, frames: Sequence[Frame], rng: np.random.Generator) -> int | None:
+        """Return the row of a car with traffic around it and a route ahead, drawn among all such, or None.
+
+        Args:
+            api: libsumo, at the last of *frames*.
+            world: names and lanes of the rows.
+            frames: states so far, one a step.
+            rng: draws among the cars.
+        """
+        usable, lacking = self._usable(api, world, frames)
+        if usable:
+            return int(rng.choice(usable))
+        self.lacking[lacking] += 1
+        return None
+
+    @property
+    def wanted(self) -> str:
+        """What a target had to be, as the middle of a sentence."""
+        scene = self.scene
+        situation = "" if scene.situation == "any" else f" is '{scene.situation}'"
+        near = f"with {scene.min_neighbours} others near it"
+        return f"{near} and a route of {scene.min_route_m:g} m ahead{situation}"
+
+    def advice(self, own_demand: bool) -> str:
+        """Return what was lacking most often, and what helps, as the end of a sentence.
+
+        Args:
+            own_demand: whether the user brought the demand, whose density is no option.
+        """
+        (lacking, count), *_ = self.lacking.most_common(1)
+        advice = (_ADVICE | _ADVICE_ON_DEMAND if own_demand else _ADVICE)[lacking]
+        return f"{lacking} (at {count} of {self.lacking.total()} looks): {advice}"
+
+    def _usable(self, api: Any, world: World, frames: Sequence[Frame]) -> tuple[list[int], Lacking]:
+        """Return the rows of cars that may be a target, and what the last of them lacked where there is none."""
+        frame = frames[-1]
+        cars = _cars(world, frames, self.sim)
+        moving = cars[frame.speed_mps[cars] > self.scene.min_speed_mps]
+        vehicles = frame.present & (world.classes[: len(frame.present)] != AgentClass.PEDESTRIAN)
+        gaps = np.linalg.norm(frame.xy_m[moving, None] - frame.xy_m[None, vehicles], axis=-1)
+        crowded = moving[(gaps < _NEIGHBOUR_RADIUS_M).sum(-1) - 1 >= self.scene.min_neighbours]
+        routed = [row for row in crowded.tolist() if self._has_route(api, world, row)]
+        signals = {
+            name: api.trafficlight.getRedYellowGreenState(name) for name in api.trafficlight.getIDList()
+        }
+        usable = [row for row in routed if self._fits(api, world, frame, row, signals)]
+        stages = zip(Lacking, (cars, moving, crowded, routed, usable), strict=True)
+        return usable, next((lacking for lacking, rows in stages if not len(rows)), Lacking.SITUATION)
+
+    def _fits(self, api: Any, world: World, frame: Frame, row: int, signals: dict[str, str]) -> bool:
+        route = remaining_route(api, world.ids[row], self.road.beyond_rim)
+        return in_situation(self.scene.situation, self.road, world, frame, row, route, signals)
+
+    def _has_route(self, api: Any, world: World, row: int) -> bool:
+        road, lane = self.road, world.lane[row]
+        if lane not in road.lanes or road.lanes[lane].is_internal:
+            return False
+        name = world.ids[row]
+        if api.vehicle.getVehicleClass(name) != "passenger" or api.vehicle.getStops(name):
+            return False
+        route = remaining_route(api, name, road.beyond_rim)
+        length = sum(road.edges[edge].length_m for edge in route)
+        long_enough = length - float(api.vehicle.getLanePosition(name)) >= self.scene.min_route_m
+        return long_enough and not any(turns_round(road, a, b) for a, b in pairwise(route))
+
+
+def remaining_route(api: Any, name: str, beyond_rim: Collection[str]) -> tuple[str, ...]:
+    """Return the edges of vehicle *name* from the present one on, up to the first that lies *beyond_rim*."""
+    vehicle = api.vehicle
+    ahead = vehicle.getRoute(name)[max(vehicle.getRouteIndex(name), 0) :]
+    return tuple(takewhile(lambda edge: edge not in beyond_rim, ahead))
+
+
+def turns_round(road: RoadMap, before: str, after: str) -> bool:
+    """Return whether one gets from *before* to *after* by turning round: SUMO does so on the spot, a car cannot."""
+    links = (link for lane in road.edges[before].lane_ids for link in road.lanes[lane].successors)
+    directions = {link.direction for link in links if road.lanes[link.to_lane].edge_id == after}
+    return bool(directions) and directions <= {"t", "T"}
+
+
+def _cars(world: World, frames: Sequence[Frame], sim: SimOptions) -> IntArray:
+    """Return the rows of cars that have been there for a whole history."""
+    frame, earlier = frames[-1], len(frames) - 1 - sim.substeps * (sim.history_steps - 1)
+    there = frame.present & (world.classes[: len(frame.present)] == AgentClass.CAR)
+    past = frames[earlier].present if earlier >= 0 else there[:0]
+    there[len(past) :] = False
+    there[: len(past)] &= past
+    return np.flatnonzero(there)

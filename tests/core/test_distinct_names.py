@@ -1,0 +1,27 @@
+"""Names of files of one name in several folders."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from advdiff_sumo.core.distinct_names import distinct_names
+
+
+def named(*paths: str) -> list[str]:
+    files = {Path(path): Path(path).name.split(".")[0] for path in paths}
+    return list(distinct_names(files).values())
+
+
+def test_as_many_folders_as_it_takes() -> None:
+    assert named("a/n/b.xml", "c/n/b.xml", "n/d.xml") == ["a-n-b", "c-n-b", "d"]
+    assert named("b.xml", "a/b.xml") == ["b", "a-b"]
+    assert named("/b.xml", "/a/b.xml") == ["b", "a-b"]
+
+
+def test_files_of_one_folder_go_by_all_of_their_name() -> None:
+    assert named("a/b.xml", "a/b.net.xml") == ["a-b.xml", "a-b.net.xml"]
+
+
+def test_names_that_differ_stay() -> None:
+    assert named("a/b.xml", "a/c.xml") == ["b", "c"]
+    assert distinct_names({}) == {}

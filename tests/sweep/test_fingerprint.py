@@ -1,0 +1,37 @@
+"""Keys of seed scenes tell the logs that they are made of apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from advdiff_sumo.sim.run_episodes import RunOptions
+from advdiff_sumo.sweep.fingerprint import source_digest
+
+
+def digest_of(root: Path) -> str:
+    return source_digest(RunOptions(net="downtown", scenes=str(root)), None)
+
+
+@pytest.mark.parametrize("name", ["a.xml", "town/scenario_a.parquet", "states.parquet", "sd_a.pkl"])
+def test_logs_of_every_kind_count(tmp_path: Path, name: str) -> None:
+    """Of Argoverse 2 and CommonRoad nothing had: two folders of them had one key."""
+    digests = set()
+    for folder, content in (("one", "<commonRoad/>"), ("other", "<commonRoad> </commonRoad>")):
+        path = tmp_path / folder / name
+        path.parent.mkdir(parents=True)
+        path.write_text(content)
+        digests.add(digest_of(tmp_path / folder))
+    assert len(digests) == 2
+
+
+def test_what_a_run_writes_into_the_folder_of_a_log_does_not_count(tmp_path: Path) -> None:
+    (tmp_path / "log" / "runs" / "a").mkdir(parents=True)
+    (tmp_path / "log" / "a.xml").write_text("<commonRoad/>")
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    (copy / "a.xml").write_text("<commonRoad/>")
+    for name in ("runs/a/states.parquet", "runs/a/run.toml", "a.net.xml"):
+        (tmp_path / "log" / name).write_text("<net/>")
+    assert digest_of(tmp_path / "log") == digest_of(copy)

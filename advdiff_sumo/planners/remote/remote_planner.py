@@ -16,6 +16,7 @@ from advdiff_sumo.core.errors import (
     ConfigError,
     EpisodeFailure,
     PlannerCrashedError,
+    PlannerError,
     PlannerTimeoutError,
     PlanRefusedError,
 )
@@ -187,9 +188,10 @@ class RemotePlanner:
         timeout_s = self.options.start_timeout_s if self._process is not None else _REACH_S
         description = self._call(connection, "Describe", request, timeout_s, wait)
         if description.protocol_version < messages.VERSION:
-            raise PlannerCrashedError(
-                f"{self._who} speaks version {description.protocol_version} of the protocol, "
-                f"advdiff-sumo {__version__} needs {messages.VERSION}"
+            raise PlannerError(
+                f"{self._who} says that it speaks version {description.protocol_version} of the protocol, "
+                f"advdiff-sumo {__version__} needs {messages.VERSION}; set protocol_version in the answer to Describe, "
+                "and build the server from the files that `advdiff-sumo planner-kit` writes"
             )
         self._wants_osi = description.wants_osi
 

@@ -114,6 +114,15 @@ def test_a_description_that_is_none_is_said_before_anything_is_run(tmp_path: Pat
         planner.check()
 
 
+def test_a_server_that_does_not_say_which_version_it_speaks_is_told_to(tmp_path: Path) -> None:
+    silent = messages.Description(name="mine").SerializeToString()
+    with (
+        answering(Answers(description=silent), tmp_path) as planner,
+        pytest.raises(ConfigError, match=r"version 0 of the protocol.* set protocol_version .* writes$"),
+    ):
+        planner.check()
+
+
 @pytest.mark.parametrize(
     ("plan", "words"),
     [

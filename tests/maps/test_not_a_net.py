@@ -23,7 +23,7 @@ LANELET = b'<?xml version="1.0"?><osm><relation id="1"><tag k="type" v="lanelet"
         ("boston.json", b'{"lane_connector": []}', "a nuScenes map"),
         ("log_map_archive_a.json", b'{"lane_segments": {}}', "an Argoverse 2 map"),
         ("ZAM_T-1.xml", b"<commonRoad/>", "a CommonRoad scenario"),
-        ("ZAM_T-1.xml.gz", gzip.compress(b"<commonRoad/>"), "a CommonRoad scenario"),
+        ("ZAM_T-1.xml.gz", gzip.compress(b"<commonRoad/>", mtime=0), "a CommonRoad scenario"),
         ("sd_a.pkl", b"\x80\x04N.", "a ScenarioNet record"),
         ("map.gpkg", b"SQLite format 3", "a nuPlan map"),
     ],

@@ -170,7 +170,7 @@ def test_traffic_on_windows_of_its_own(tmp_path: Path) -> None:
     [
         (("adversarial", "--scenes", "0"), "--scenes 0: give a number above 0, or the file of a list"),
         (("adversarial", "--scenes", "none.json"), "none.json: cannot be read"),
-        (("adversarial", "--scenes", "."), "it begins with <net>, not <commonRoad>"),
+        (("adversarial", "--scenes", "."), "holds no driving log of a known kind"),
         (("adversarial", "--licence", "legal"), "bench adversarial: licence = 'legal'"),
         (
             ("adversarial", "--policies", "diffusoin"),

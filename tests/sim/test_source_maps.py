@@ -79,6 +79,7 @@ def test_a_frame_that_is_no_place_is_named(tmp_path: Path) -> None:
         read_source(path)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("scene", ["scene-0553", "scene-0796"])
 def test_real_records_are_on_the_net_of_their_map_and_on_that_of_the_data_set(

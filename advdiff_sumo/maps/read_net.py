@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import parse as parse_xml
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP_PROBLEM, GZIP_REMEDY, unpacked
+from advdiff_sumo.core.xml_errors import UNREADABLE_XML
 from advdiff_sumo.maps.not_a_net import map_error
 
 SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml")
@@ -136,12 +136,7 @@ def read_root(path: Path, tag: str, what: str) -> ET.Element:
         raise NetError(path, GZIP_PROBLEM, GZIP_REMEDY) from None
     except OSError as error:
         raise NetError(path, f"cannot be read ({error.strerror or error})") from None
-    except (
-        ET.ParseError,
-        DefusedXmlException,
-        ValueError,
-        LookupError,
-    ) as error:  # LookupError: unknown encoding
+    except UNREADABLE_XML as error:
         remedy = "it is truncated or not XML; copy or make it anew"
         raise NetError(path, f"is not readable as XML ({error})", remedy) from None
     if root.tag != tag:

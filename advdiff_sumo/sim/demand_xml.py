@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from xml.etree.ElementTree import Element, ParseError
+from xml.etree.ElementTree import Element
 
-from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import iterparse
 
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP, GZIP_PROBLEM, GZIP_REMEDY, unpacked
+from advdiff_sumo.core.xml_errors import UNREADABLE_XML
 
 _CHUNK_BYTES = 1 << 20
 
@@ -59,7 +59,7 @@ def elements(path: Path) -> Iterator[Element]:
             yield from (element for _, element in iterparse(file, events=("end",)))
     except DAMAGED_GZIP:
         raise FileError(path, GZIP_PROBLEM, GZIP_REMEDY) from None
-    except (ParseError, DefusedXmlException, LookupError) as error:  # LookupError: unknown encoding
+    except UNREADABLE_XML as error:
         raise FileError(
             path, f"not well-formed XML ({error})", "it may be truncated: export it again"
         ) from None

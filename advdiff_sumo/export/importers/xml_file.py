@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import DefusedXMLParser
 
 from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.xml_errors import UNREADABLE_XML
 from advdiff_sumo.export.importers.assemble import AGAIN
 
 
@@ -23,12 +23,7 @@ def read_xml(path: Path, tag: str, what: str) -> ET.Element:
         root: ET.Element | None = ET.parse(path, parser).getroot()  # noqa: S314 - the parser is the safe one
     except OSError as error:
         raise FileError(path, f"cannot be read ({error.strerror})", f"give {what}") from None
-    except (
-        ET.ParseError,
-        DefusedXmlException,
-        ValueError,
-        LookupError,
-    ) as error:  # LookupError: unknown encoding
+    except UNREADABLE_XML as error:
         raise FileError(path, f"is not readable as XML ({error})", AGAIN) from None
     if root is None or root.tag != tag:
         root_name = "nothing" if root is None else f"<{root.tag}>"

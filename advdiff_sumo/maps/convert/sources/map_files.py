@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, ParseError
+from xml.etree.ElementTree import Element
 
-from defusedxml import DefusedXmlException, ElementTree
+from defusedxml import ElementTree
 
 from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP_PROBLEM, GZIP_REMEDY, unpacked
+from advdiff_sumo.core.xml_errors import UNREADABLE_XML
 
 MAX_FILE_BYTES = 600_000_000  # the largest genuine file has about a tenth of that
 
@@ -35,12 +36,7 @@ def load_xml(path: Path) -> Element:
     """
     try:
         root: Element = ElementTree.fromstring(_bytes(path), forbid_dtd=True)
-    except (
-        ParseError,
-        DefusedXmlException,
-        ValueError,
-        LookupError,
-    ) as error:  # LookupError: unknown encoding
+    except UNREADABLE_XML as error:
         problem = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise MapError(path, f"is no XML text ({problem})", "give an unchanged file") from None
     return root

@@ -73,9 +73,8 @@ class NaturalTraffic:
             try:
                 return self._run(number, seed, files, Path(folder))
             except SimulationError as error:
-                raise SceneError(
-                    f"{self._culprit(error)}: no natural traffic could be made: {error}"
-                ) from error
+                problem = f"no natural traffic could be made: {error}{self._remedy(error)}"
+                raise SceneError(f"{self._culprit(error)}: {problem}") from error
 
     def _culprit(self, error: SimulationError) -> Path:
         """Return the file that SUMO complains of, as far as its words tell: it names vehicles and no files."""

@@ -114,10 +114,21 @@ def test_vehicles_may_be_in_an_additional_file_alone(road: RoadMap, tmp_path: Pa
 def test_the_file_with_the_vehicle_that_sumo_refuses_is_named(road: RoadMap, tmp_path: Path) -> None:
     second = cars(SEVEN_S + 1, attributes='type="none"').replace('id="v', 'id="w')
     path = files(tmp_path, first=cars(), second=second)
+    refused = r"^\S*second\.rou\.xml: .*type 'none' for vehicle 'w0' is not known"
     with pytest.raises(
-        SceneError, match=r"^\S*second\.rou\.xml: .*type 'none' for vehicle 'w0' is not known"
+        SceneError, match=rf"{refused}.*; define it in this file, or give a \.sumocfg that names"
     ):
         scene_of(road, path)
+
+
+def test_demand_that_sumo_refuses_for_another_reason_is_to_be_corrected(
+    road: RoadMap, tmp_path: Path
+) -> None:
+    wrong = cars(SEVEN_S + 1, attributes='departSpeed="-5"').replace('id="v', 'id="w')
+    with pytest.raises(
+        SceneError, match=r"^\S*second\.rou\.xml: .*; correct the demand, or give other demand$"
+    ):
+        scene_of(road, files(tmp_path, first=cars(), second=wrong))
 
 
 def test_the_file_of_another_net_is_named_though_the_first_one_fits(road: RoadMap, tmp_path: Path) -> None:

@@ -17,7 +17,8 @@ from advdiff_sumo.sim.demand_files import read_demand
 from advdiff_sumo.sim.source_maps import read_source
 from tests.sim.records_made import record
 
-DAMAGED = r"the gzip data are cut off or damaged; copy or (make the file anew|convert the record again)"
+DAMAGED = "the gzip data are cut off or damaged; copy or make the file anew"
+DAMAGED_RECORD = "the gzip data are cut off or damaged; copy or convert the record again"
 SCENARIO = b"<commonRoad>" + b"<!-- some words to pack -->" * 400 + b"</commonRoad>"
 
 
@@ -47,22 +48,29 @@ def road(street: Path) -> RoadMap:
     return RoadMap.read(street)
 
 
-def check(path: Path, whole: bytes, read: Callable[[Path], object]) -> None:
+def refusals(path: Path, whole: bytes, read: Callable[[Path], object]) -> set[str]:
+    """Return what *read* says of *path* with *whole* damaged in each way; it must refuse every one."""
+    said = set()
     for content in damaged(gzip.compress(whole, mtime=0)):
         path.write_bytes(content)
-        with pytest.raises(InputError, match=rf"^{path}: {DAMAGED}$"):
+        with pytest.raises(InputError) as refused:
             read(path)
+        said.add(str(refused.value))
+    return said
 
 
 def test_a_net_and_its_side_car(street: Path, tmp_path: Path) -> None:
-    check(tmp_path / "n.net.xml.gz", street.read_bytes(), RoadMap.read)
+    net, area = tmp_path / "n.net.xml.gz", tmp_path / "m.poly.xml.gz"
+    assert refusals(net, street.read_bytes(), RoadMap.read) == {f"{net}: {DAMAGED}"}
     (tmp_path / "m.net.xml").write_bytes(street.read_bytes())
-    area = b'<additional><poly type="drivable_area" shape="0,0 400,0 400,9 0,9"/></additional>'
-    check(tmp_path / "m.poly.xml.gz", area, lambda _: RoadMap.read(tmp_path / "m.net.xml"))
+    drivable = b'<additional><poly type="drivable_area" shape="0,0 400,0 400,9 0,9"/></additional>'
+    said = refusals(area, drivable, lambda _: RoadMap.read(tmp_path / "m.net.xml"))
+    assert said == {f"{area}: {DAMAGED}"}
 
 
 def test_demand_also_behind_what_is_looked_at(road: RoadMap, tmp_path: Path) -> None:
-    check(tmp_path / "d.rou.xml.gz", routes(), lambda path: read_demand(path, road))
+    demand, extra = tmp_path / "d.rou.xml.gz", tmp_path / "t.add.xml.gz"
+    assert refusals(demand, routes(), lambda path: read_demand(path, road)) == {f"{demand}: {DAMAGED}"}
     (tmp_path / "d.rou.xml.gz").write_bytes(gzip.compress(routes(), mtime=0))
     assert read_demand(tmp_path / "d.rou.xml.gz", road).begin_s == 0.0
     (tmp_path / "all.sumocfg").write_text(
@@ -72,19 +80,21 @@ def test_demand_also_behind_what_is_looked_at(road: RoadMap, tmp_path: Path) -> 
     types = b'<additional><vType id="mine" maxSpeed="3"/></additional>'
     with pytest.raises(FileError, match=r"t\.add\.xml\.gz: no such"):
         read_demand(tmp_path / "all.sumocfg", road)
-    check(tmp_path / "t.add.xml.gz", types, lambda _: read_demand(tmp_path / "all.sumocfg", road))
+    said = refusals(extra, types, lambda _: read_demand(tmp_path / "all.sumocfg", road))
+    assert said == {f"{extra}: {DAMAGED}"}
 
 
 @pytest.mark.parametrize("read", [read_source, read_log], ids=["map", "log"])
 def test_a_scenario(tmp_path: Path, read: Callable[[Path], object]) -> None:
-    check(tmp_path / "a.xml.gz", SCENARIO, read)
+    path = tmp_path / "a.xml.gz"
+    assert refusals(path, SCENARIO, read) == {f"{path}: {DAMAGED}"}
 
 
 @pytest.mark.parametrize("read", [read_source, read_log], ids=["map", "log"])
 def test_a_record_that_was_gzipped(tmp_path: Path, read: Callable[[Path], object]) -> None:
     whole = pickle.dumps(record(), protocol=4)
     path = tmp_path / "sd_a.pkl"
-    check(path, whole, read)
+    assert refusals(path, whole, read) == {f"{path}: {DAMAGED_RECORD}"}
     path.write_bytes(gzip.compress(whole))
     read(path)
     path.write_bytes(whole[:-100])

@@ -54,7 +54,8 @@ def report_html(run: FinishedRun) -> str:
     ordered = worst_first(run.episodes)
     places = list(dict.fromkeys(str(row["net"]) for row in ordered))
     sections = list(Sections(run, nets, naturals, labels, places).of(ordered))
-    maps = _maps(run, nets, sections)
+    names = place_names(places)
+    maps = _maps(run, nets, sections, names)
     streets = _streets(nets, places, sections)
     return (
         templates()
@@ -66,7 +67,7 @@ def report_html(run: FinishedRun) -> str:
             labels=labels,
             targets=sorted({labels.target(row) for row in run.episodes}),
             backgrounds=sorted({labels.background(row) for row in run.episodes}),
-            places=list(place_names(places).values()),
+            places=list(names.values()),
             verdicts=list(dict.fromkeys(badge(row) for row in ordered)),
             breaches=sorted({name for row in run.episodes for name in breaches_of(row)}),
             kinds=sorted({str(row["collision_type"]) for row in run.episodes if row["collision_type"]}),
@@ -107,12 +108,11 @@ def _trails(sections: list[Section]) -> dict[str, list[FloatArray]]:
     return trails
 
 
-def _maps(run: FinishedRun, nets: Nets, sections: list[Section]) -> list[Overview]:
-    """Return the maps of the nets, those with the most collisions first."""
+def _maps(run: FinishedRun, nets: Nets, sections: list[Section], names: Mapping[str, str]) -> list[Overview]:
+    """Return the maps of the nets, by their *names*, those with the most collisions first."""
     trails = _trails(sections)
     rows = {net: [row for row in run.episodes if row["net"] == net] for net in trails}
     busiest = sorted(trails, key=lambda net: (-sum(bool(r["target_collision"]) for r in rows[net]), net))
-    names = place_names(dict.fromkeys(str(row["net"]) for row in run.episodes))
     return [overview_of(names[net], nets.layer(net), trails[net], rows[net]) for net in busiest[:MOST_MAPS]]
 
 

@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --disable-pip-version-check --progress-bar on
-TESTS := $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 15 --quiet
+TESTS := $(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder --durations 15 --quiet
 
 .PHONY: install setup demo test test-all readers planners check docs proto package bench soak weights clean
 

@@ -44,6 +44,11 @@ class Registry:
         plugins = {plugin.name: plugin.value for plugin in self._plugins()}
         return self.builtins.get(name) or plugins[name]
 
+    def builtin_module(self, name: str) -> str | None:
+        """Return the module of the built-in that *name* stands for; None where it is none."""
+        target = next((self.builtins[known] for known in self.builtins if fold(known) == fold(name)), None)
+        return None if target is None else target.partition(":")[0]
+
     def canonical(self, name: str) -> str:
         """Return *name* as it is spelt in the registry (or unchanged for ``package.module:Class``).
 

@@ -13,7 +13,16 @@ settings.register_profile("desk", **_BUSY)
 settings.register_profile("ci", derandomize=True, **_BUSY)
 settings.load_profile("desk")
 
-LONG = ("test_bench.py", "test_commands.py", "test_converted_nets.py", "test_browser.py", "test_faults.py")
+LONG = (
+    *(
+        "test_bench.py",
+        "test_commands.py",
+        "test_misbehaving.py",
+        "test_converted_nets.py",
+        "test_browser.py",
+    ),
+    *("test_faults.py", "test_any_net.py"),
+)
 """Files of minutes, longest first: begun last, one of them would run alone while the other worker waits."""
 
 

@@ -78,8 +78,6 @@ def run(
     Exit code 0: some episodes came to their end; 1: every one failed; 2: something given cannot be used.
     """
     one_thread_for_good()
-    if not gui:
-        _start_workers()
     where = {"net": net, "demand": demand and str(demand), "scenes": scenes and str(scenes), "seed": seed}
     what = {"target": target, "background": background, "episodes": episodes, "horizon_s": horizon}
     attacking = {"licence": licence, "strength": strength, "attackers": attackers, "attack": attack}
@@ -88,7 +86,10 @@ def run(
     if resume:
         config = config or _begun(out)
     flags.check_display(gui)
-    prepared = _prepared(options_given(config, where | what, policy, assign or [], defect), gui)
+    options = options_given(config, where | what, policy, assign or [], defect)
+    if not gui:
+        _start_workers(options)
+    prepared = _prepared(options, gui)
     notes = prepared.left_out()  # before there is a folder: a log that cannot be read leaves none
     folder = _folder(prepared, out, resume)
     console = verb_console(quiet, as_json)
@@ -99,11 +100,14 @@ def run(
     _tell_outcome(console, folder, prepared, count, check, as_json)
 
 
-def _start_workers() -> None:
+def _start_workers(options: RunOptions) -> None:
     """Let workers import what they need while this process does."""
+    from advdiff_sumo.planners.planner_registry import TARGETS
     from advdiff_sumo.sweep.executors import prepare_workers  # late: --help needs neither SUMO nor plots
+    from advdiff_sumo.traffic.policy_registry import POLICIES
 
-    prepare_workers()
+    modules = TARGETS.builtin_module(options.target), POLICIES.builtin_module(options.background)
+    prepare_workers(module for module in modules if module is not None)
 
 
 def _prepared(options: RunOptions, gui: bool) -> Run:

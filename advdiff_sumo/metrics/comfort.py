@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import Tracks
@@ -57,7 +56,7 @@ def comfort(tracks: Tracks, row: int) -> Comfort:
 
     Stretches of fewer than five instants are left out.
     """
-    parts = [_derivatives(tracks, row, part) for part in _stretches(tracks, row)]
+    parts = [derivatives(tracks, row, part) for part in _stretches(tracks, row)]
     if not parts:
         return Comfort()
     accel, jerk, yaw_rate, lateral = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -70,9 +69,18 @@ def comfort(tracks: Tracks, row: int) -> Comfort:
     )
 
 
-def _derivatives(
+def derivatives(
     tracks: Tracks, row: int, part: slice
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return acceleration (m/s²), jerk (m/s³), yaw rate (rad/s) and lateral acceleration (m/s²) of agent *row*.
+
+    Args:
+        tracks: T instants.
+        row: of the agent.
+        part: a stretch of instants, five or more, without a break; each result has its length.
+    """
+    from scipy.signal import savgol_filter  # late: a second to import
+
     speed = tracks.speed_mps[row, part]
     yaw = np.unwrap(tracks.yaw_rad[row, part])
     window = min(WINDOW, len(speed) - 1 + len(speed) % 2)

@@ -6,15 +6,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import savgol_filter
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.record import Controller, EpisodeRecord
 from advdiff_sumo.core.scene import MOTOR_CLASSES, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.background_metrics import background_collisions
 from advdiff_sumo.metrics.collision import collisions, find_touches
+from advdiff_sumo.metrics.comfort import derivatives
 from advdiff_sumo.metrics.offroad import BACKGROUND_EVERY_S, OFF_ROAD_SHARE, shares
 
 JERK_MPS3 = 25.0
@@ -23,7 +23,6 @@ SLACK = 1.05
 """Share of a limit that is let pass as rounding and smoothing."""
 THROUGH_M = 0.5
 """Boxes that overlap by more than this have been driven through each other, not just touched."""
-_WINDOW = 11
 _LEAST = 5
 
 
@@ -99,7 +98,7 @@ def _driving(tracks: Tracks, moved: BoolArray) -> Iterator[Implausibility]:
 
 def _too_hard(tracks: Tracks, row: int, start: int, stop: int) -> Iterator[Implausibility]:
     limits = Limits()
-    accel, lateral, jerk = _derivatives(tracks, row, slice(start, stop))
+    accel, jerk, _, lateral = derivatives(tracks, row, slice(start, stop))
     for what, unit, limit, value in (
         ("acceleration", "m/s²", limits.accel_mps2, accel),
         ("braking", "m/s²", limits.brake_mps2, -accel),
@@ -110,16 +109,6 @@ def _too_hard(tracks: Tracks, row: int, start: int, stop: int) -> Iterator[Impla
         if value[worst] > SLACK * limit:
             time = tracks.t0_s + tracks.dt_s * (start + worst)
             yield Implausibility(tracks.ids[row], time, what, float(value[worst]), unit)
-
-
-def _derivatives(tracks: Tracks, row: int, part: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return acceleration, lateral acceleration and jerk, of polynomials over a second as in ``comfort``."""
-    speed, yaw = tracks.speed_mps[row, part], np.unwrap(tracks.yaw_rad[row, part])
-    window = min(_WINDOW, len(speed) - 1 + len(speed) % 2)
-    accel = savgol_filter(speed, window, 2, deriv=1, delta=tracks.dt_s)
-    turn = savgol_filter(yaw, window, 2, deriv=1, delta=tracks.dt_s)
-    jerk = savgol_filter(speed, window, 3, deriv=2, delta=tracks.dt_s)
-    return np.asarray(accel), np.asarray(turn * speed), np.asarray(jerk)
 
 
 def _spans(mask: BoolArray) -> list[tuple[int, int]]:

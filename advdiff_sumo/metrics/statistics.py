@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.special import rel_entr
-from scipy.stats import binomtest, norm
+from scipy.special import ndtri, rel_entr
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from scipy.stats._result_classes import BinomTestResult
 
 #: Percentiles between which an interval of the bootstrap lies: 95 %.
 TAILS = (2.5, 97.5)
@@ -56,20 +59,28 @@ def wilson(count: int, total: int, confidence: float = 0.95) -> tuple[float, flo
     """
     if not 0 <= count <= total or total == 0:
         raise ValueError(f"{count} of {total} is no rate")
-    interval = binomtest(count, total).proportion_ci(confidence, method="wilson")
+    interval = _binomial_test(count, total).proportion_ci(confidence, method="wilson")
     return float(interval.low), float(interval.high)
 
 
 def mcnemar(only_a: int, only_b: int) -> float:
     """Return the two-sided p of the exact McNemar test (doi:10.1007/BF02295996); 1 without discordant pairs."""
-    return float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
+    return float(_binomial_test(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
 
 
 def mcnemar_more(only_a: int, only_b: int) -> float:
     """Return the one-sided p of the exact McNemar test that a happens more often than b; 1 without discordant pairs."""
     if not only_a + only_b:
         return 1.0
-    return float(binomtest(only_a, only_a + only_b, alternative="greater").pvalue)
+    return float(_binomial_test(only_a, only_a + only_b, "greater").pvalue)
+
+
+def _binomial_test(
+    count: int, total: int, alternative: Literal["two-sided", "greater"] = "two-sided"
+) -> BinomTestResult:
+    from scipy.stats import binomtest  # late: it takes half a second to import
+
+    return binomtest(count, total, alternative=alternative)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
@@ -125,5 +136,5 @@ def cohens_kappa(first: BoolArray, second: BoolArray, confidence: float = 0.95) 
     off = share * (columns[:, None] + rows[None, :]) ** 2
     apart = (1.0 - kappa) ** 2 * float(off.sum() - np.trace(off))
     spread = same + apart - (kappa - chance * (1.0 - kappa)) ** 2
-    half = float(norm.ppf(0.5 + 0.5 * confidence)) * (max(spread, 0.0) / count) ** 0.5 / (1.0 - chance)
+    half = float(ndtri(0.5 + 0.5 * confidence)) * (max(spread, 0.0) / count) ** 0.5 / (1.0 - chance)
     return kappa, kappa - half, kappa + half

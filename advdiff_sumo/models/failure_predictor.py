@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import WeightsError
-from advdiff_sumo.models.stored import read_stored, write_stored
+from advdiff_sumo.models.stored import read_stored_arrays, write_stored
 
 FORMAT = "advdiff-failures-1"
 _NEWTON_STEPS, _CONVERGED = 100, 1e-9
@@ -85,8 +84,7 @@ def posterior(
 
 def save_failures(predictor: FailurePredictor, path: Path, extra: Mapping[str, Any] | None = None) -> None:
     """Write *predictor* to *path*, a ".safetensors" file; *extra* goes into its header as JSON."""
-    tensors = {name: torch.from_numpy(value) for name, value in vars(predictor).items()}
-    write_stored(path, tensors, {"format": FORMAT, "extra": dict(extra or {})})
+    write_stored(path, vars(predictor), {"format": FORMAT, "extra": dict(extra or {})})
 
 
 def load_failures(path: Path, features: int) -> FailurePredictor:
@@ -99,8 +97,7 @@ def load_failures(path: Path, features: int) -> FailurePredictor:
     Raises:
         WeightsError: no such file, another format, or for other features.
     """
-    _, tensors = read_stored(path, FORMAT, _MISSING, _REMEDY)
-    arrays = {name: value.numpy() for name, value in tensors.items()}
+    _, arrays = read_stored_arrays(path, FORMAT, _MISSING, _REMEDY)
     shapes = {name: value.shape for name, value in arrays.items()}
     typical = shapes.pop("typical", ())
     if shapes != {"mean": (features,), "covariance": (features, features)} or typical[1:] != (features,):

@@ -1,35 +1,44 @@
-"""Tensors with a JSON header in one safetensors file; no pickle is ever loaded."""
+"""Tensors or arrays with a JSON header in one safetensors file; no pickle is ever loaded."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
-from torch import Tensor
+from safetensors.numpy import save_file
 
 from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.core.whole_file import whole_file
 
+if TYPE_CHECKING:  # who stores arrays alone need not wait for PyTorch
+    from torch import Tensor
+
 _HEADER = "advdiff"
 
 
-def write_stored(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
+def write_stored(
+    path: Path, values: Mapping[str, Tensor] | Mapping[str, NDArray[np.float64]], header: Mapping[str, Any]
+) -> None:
     """Write *path*; the same contents give the same bytes."""
-    cpu = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    arrays = {
+        name: np.asarray(value if isinstance(value, np.ndarray) else value.detach().cpu().numpy(), order="C")
+        for name, value in values.items()
+    }
     with whole_file(path) as aside:
         # one key alone: safetensors writes several in an order that changes from run to run
-        save_file(cpu, str(aside), metadata={_HEADER: json.dumps(dict(header), sort_keys=True)})
+        save_file(arrays, str(aside), metadata={_HEADER: json.dumps(dict(header), sort_keys=True)})
 
 
 def read_stored(path: Path, kind: str, missing: str, remedy: str) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """Return header and tensors of *path*.
+    """Return header and tensors of *path*, a file of :func:`write_stored`.
 
     Args:
-        path: a file of :func:`write_stored`.
+        path: of the file.
         kind: the "format" that the header must name.
         missing: what to do where there is no such file.
         remedy: what to do where it cannot be used.
@@ -37,10 +46,23 @@ def read_stored(path: Path, kind: str, missing: str, remedy: str) -> tuple[dict[
     Raises:
         WeightsError: no such file, damaged, or of another format.
     """
+    return _read(path, kind, missing, remedy, "pt")
+
+
+def read_stored_arrays(
+    path: Path, kind: str, missing: str, remedy: str
+) -> tuple[dict[str, Any], dict[str, NDArray[np.float64]]]:
+    """Return the same with NumPy arrays, without PyTorch."""
+    return _read(path, kind, missing, remedy, "np")
+
+
+def _read(
+    path: Path, kind: str, missing: str, remedy: str, framework: Literal["pt", "np"]
+) -> tuple[dict[str, Any], dict[str, Any]]:
     if not path.is_file():
         raise WeightsError(path, "no such file", missing)
     try:
-        with safe_open(str(path), framework="pt") as file:
+        with safe_open(str(path), framework=framework) as file:
             header = _header(file.metadata() or {})
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dictionary
     except (SafetensorError, OSError) as error:
@@ -53,7 +75,7 @@ def read_stored(path: Path, kind: str, missing: str, remedy: str) -> tuple[dict[
 def stored_format(path: Path) -> str:
     """Return the "format" that the file at *path* names; "" where there is no such file, or it names none."""
     try:
-        with safe_open(str(path), framework="pt") as file:
+        with safe_open(str(path), framework="np") as file:
             return str(_header(file.metadata() or {}).get("format", ""))
     except (SafetensorError, OSError):
         return ""

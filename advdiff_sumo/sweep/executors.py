@@ -7,8 +7,10 @@ import math
 import multiprocessing
 import os
 import signal
+import sys
 import time
 from collections import deque
+from collections.abc import Iterable
 from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from concurrent.futures.process import BrokenProcessPool
@@ -23,6 +25,7 @@ from pebble import ProcessExpired, ProcessPool
 from advdiff_sumo.core.process_end import how_it_ended
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.planners.planner_protocol import Served
+from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.heartbeat import Heartbeat
 from advdiff_sumo.sim.run_episodes import Run
 from advdiff_sumo.sweep.tasks import Limits, Outcome, Task
@@ -33,6 +36,7 @@ from advdiff_sumo.sweep.worker_sandbox import (
     prepare_worker,
     run_sandboxed,
 )
+from advdiff_sumo.traffic.policy_registry import POLICIES
 
 _WORKER = "pebble_pool_worker"  # the name that pebble gives its processes
 _LOOK_S = 1.0  # between looks at where the workers stand
@@ -198,9 +202,13 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         pool.join()
 
 
-def prepare_workers() -> None:
-    """Let the process that workers come from start now, deaf to Ctrl-C, and import while this one goes on."""
-    context = _context()
+def prepare_workers(modules: Iterable[str] = ()) -> None:
+    """Let the process that workers come from start now, deaf to Ctrl-C, and import while this one goes on.
+
+    Args:
+        modules: that workers will need, beside those of built-in planners and policies that this process has loaded.
+    """
+    context = _context(modules)
     if context.get_start_method() == "forkserver":
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
@@ -209,12 +217,16 @@ def prepare_workers() -> None:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
-def _context() -> BaseContext:
+def _context(modules: Iterable[str] = ()) -> BaseContext:
     """Return how workers are started: from a clean process that has the modules loaded, where there is one."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     from advdiff_sumo.core.fork_server import SharedContext  # not there on every system
 
     context = SharedContext()
-    context.set_forkserver_preload(["advdiff_sumo.sweep.worker_sandbox"])
+    builtins = {
+        registry.builtin_module(name) for registry in (TARGETS, POLICIES) for name in registry.builtins
+    }
+    loaded = sorted(module for module in builtins if module in sys.modules)
+    context.set_forkserver_preload(["advdiff_sumo.sweep.worker_sandbox", *modules, *loaded])
     return context

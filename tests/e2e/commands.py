@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,6 +58,36 @@ def advdiff(
         timeout=HANG_S,
     )
     return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+_IN_TURN = """
+import contextlib, io, json, sys
+from advdiff_sumo.cli.main import main
+for words in json.load(sys.stdin):
+    sys.argv, code, out, err = ["advdiff-sumo", *words], 0, io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+    print(json.dumps([code or 0, out.getvalue(), err.getvalue()]))
+"""
+
+
+def advdiff_in_turn(commands: Iterable[Iterable[object]], cwd: Path) -> list[Outcome]:
+    """Run commands one after the other in one process, each to its end, where starting would take longest."""
+    words = json.dumps([[*map(str, command)] for command in commands])
+    done = subprocess.run(
+        [sys.executable, "-c", _IN_TURN],
+        input=words,
+        cwd=cwd,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=HANG_S,
+    )
+    return [Outcome(*json.loads(line)) for line in done.stdout.splitlines()]
 
 
 def begin(*words: object, cwd: Path, hash_seed: int = 0) -> subprocess.Popen[str]:

@@ -60,7 +60,9 @@ FAST = settings(
     derandomize=True,
     suppress_health_check=[*HealthCheck],
 )
-THOROUGH = settings(deadline=None, max_examples=25, suppress_health_check=[*HealthCheck])
+THOROUGH = settings(
+    deadline=None, max_examples=10 if settings().derandomize else 25, suppress_health_check=[*HealthCheck]
+)
 SOME = st.sets(st.sampled_from(sorted(FEATURES)), min_size=2, max_size=8)
 
 

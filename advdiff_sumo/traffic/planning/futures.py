@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,8 +12,10 @@ from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.core.resample import with_middles
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import MODEL_STEP_S
+
+if TYPE_CHECKING:
+    from advdiff_sumo.models.decoder import Rollout
 
 
 @dataclass(frozen=True)

@@ -205,7 +205,6 @@ def test_a_net_that_the_tools_refuse_is_one_sentence(tmp_path: Path) -> None:
 
 @pytest.mark.data
 @pytest.mark.slow
-@pytest.mark.parametrize("crossings", ["none", "guess"])
 @pytest.mark.parametrize(
     ("name", "least"),
     [
@@ -219,7 +218,8 @@ def test_a_net_that_the_tools_refuse_is_one_sentence(tmp_path: Path) -> None:
         ("commonroad/HRV_Pula-27_3_T-1.xml.gz", 0),
     ],
 )
-def test_real_maps(name: str, least: int, crossings: str, adv_data: Path, tmp_path: Path) -> None:
+def test_real_maps_with_crossings(name: str, least: int, adv_data: Path, tmp_path: Path) -> None:
+    """Without crossings: ``test_hour``."""
     source = read_map(adv_data / name)
-    result = convert_source(source, tmp_path / "n.net.xml", guess_signals=True, crossings=crossings)  # type: ignore[arg-type]  # one of the three
+    result = convert_source(source, tmp_path / "n.net.xml", guess_signals=True, crossings="guess")
     assert check_signals(result.net) >= least

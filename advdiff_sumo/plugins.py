@@ -7,7 +7,7 @@ A name is a built-in ("lane_graph"), an entry point of a group such as ``advdiff
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -46,8 +46,8 @@ class Registry:
 
     def builtin_module(self, name: str) -> str | None:
         """Return the module of the built-in that *name* stands for; None where it is none."""
-        target = next((self.builtins[known] for known in self.builtins if fold(known) == fold(name)), None)
-        return None if target is None else target.partition(":")[0]
+        known = _same(self.builtins, name)
+        return None if known is None else self.builtins[known].partition(":")[0]
 
     def canonical(self, name: str) -> str:
         """Return *name* as it is spelt in the registry (or unchanged for ``package.module:Class``).
@@ -57,9 +57,9 @@ class Registry:
         """
         if ":" in name:
             return name
-        for known in self.names():
-            if fold(known) == fold(name):
-                return known
+        known = _same(self.builtins, name) or _same(self.names(), name)  # looking for plug-ins takes a while
+        if known is not None:
+            return known
         raise UnknownNameError(self.kind, name, self.names())
 
     def load(self, name: str) -> Any:
@@ -79,6 +79,11 @@ class Registry:
 
     def _plugins(self) -> list[EntryPoint]:
         return sorted(entry_points(group=self.group), key=lambda e: e.name)
+
+
+def _same(names: Iterable[str], name: str) -> str | None:
+    """Return the first of *names* that is *name* in another spelling."""
+    return next((known for known in names if fold(known) == fold(name)), None)
 
 
 def _import(kind: str, target: str) -> Any:

@@ -35,6 +35,8 @@ from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES
 from advdiff_sumo.sweep.sweep_store import Store
 
+#: As many episodes are judged before other processes have started; the clairvoyant search takes longer.
+_TOO_FEW = 16
 #: What is taken over of an episode's row; the rest stays as it was measured with all that the simulation knew.
 _JUDGED = (
     *("collision_type", "at_fault", "fault_reason"),
@@ -106,10 +108,10 @@ class Judging:
     finish: Callable[[], None]
 
     def judge(self, workers: int, tell: Callable[[], None], search: bool = False) -> list[dict[str, Any]]:
-        """Judge all episodes in *workers* processes and return their rows; *tell* is called after each.
+        """Judge all episodes and return their rows; *tell* is called after each.
 
         Args:
-            workers: as above.
+            workers: processes; few episodes are judged in this one.
             tell: as above.
             search: ask the clairvoyant search of each collision of the target; what it said before is kept otherwise.
 
@@ -117,7 +119,8 @@ class Judging:
             InputError: a table or net cannot be read, or the results not be written.
         """
         rows: list[tuple[str, dict[str, Any]]] = []
-        for key, judged in _judged(self.episodes(), workers, search):
+        few = self.count <= _TOO_FEW and not search
+        for key, judged in _judged(self.episodes(), 1 if few else workers, search):
             self.keep(key, judged)
             rows.append((key, judged.episode))
             tell()

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.experiments.solution import SolveOptions, solve
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import collisions, target_collision
+
+if TYPE_CHECKING:
+    from advdiff_sumo.experiments.solution import SolveOptions
 
 
 def solvable(record: EpisodeRecord, road: RoadMap, options: SolveOptions | None = None) -> bool | None:
@@ -24,6 +28,8 @@ def solvable(record: EpisodeRecord, road: RoadMap, options: SolveOptions | None 
     Raises:
         WeightsError: the networks are missing or unusable.
     """
+    from advdiff_sumo.experiments.solution import solve  # late: verdicts without it need no PyTorch
+
     struck = target_collision(record, collisions(record))
     if struck is None:
         return None

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import binomtest
 
-from advdiff_sumo.metrics.statistics import Rate, wilson
+from advdiff_sumo.metrics.statistics import Rate, mcnemar, mcnemar_more, wilson
 
 Z2 = 1.959963984540054**2
 
@@ -36,3 +37,14 @@ def test_interval_holds_the_share_and_mirrors(sample: tuple[int, int]) -> None:
     assert 0.0 <= low <= count / n + 1e-12
     assert count / n - 1e-12 <= high <= 1.0
     assert (low, high) == pytest.approx((1.0 - mirrored_high, 1.0 - mirrored_low), abs=1e-9)
+
+
+@given(count=st.integers(0, 400), rest=st.integers(0, 400))
+def test_intervals_and_p_values_are_those_of_scipys_binomial_test(count: int, rest: int) -> None:
+    total = count + rest
+    assert mcnemar(count, rest) == pytest.approx(binomtest(count, total).pvalue if total else 1.0, rel=1e-9)
+    more = binomtest(count, total, alternative="greater").pvalue if total else 1.0
+    assert mcnemar_more(count, rest) == pytest.approx(more, rel=1e-9)
+    if total:
+        interval = binomtest(count, total).proportion_ci(0.95, method="wilson")
+        assert wilson(count, total) == pytest.approx((interval.low, interval.high), abs=1e-12)

@@ -11,7 +11,7 @@ SLOW_TO_IMPORT = "{'torch', 'scipy.stats', 'scipy.signal'}"
 @pytest.mark.parametrize(
     "modules",
     [
-        "advdiff_sumo.sweep.worker_sandbox, advdiff_sumo.cli.sweep_results, advdiff_sumo.report",
+        "advdiff_sumo.sweep.worker_sandbox, advdiff_sumo.cli.sweep_results, advdiff_sumo.experiments.judge_folder",
         "advdiff_sumo.traffic.scripted.scripted_policy, advdiff_sumo.traffic.replay, advdiff_sumo.traffic.sumo_traffic",
         "advdiff_sumo.planners.lane_graph, advdiff_sumo.planners.reference, advdiff_sumo.planners.defects.catalogue",
     ],

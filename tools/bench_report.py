@@ -21,7 +21,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import tomli_w
 
-from advdiff_sumo.report import write_report
+from advdiff_sumo.report.page import write_report
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sim.run_store import TABLES
 from advdiff_sumo.sweep.executors import SerialExecutor

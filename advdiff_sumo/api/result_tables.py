@@ -111,7 +111,7 @@ class Results:
 
     def report(self) -> ReportPage:
         """Write ``report.html`` into the folder and return it."""
-        from advdiff_sumo.report import write_report
+        from advdiff_sumo.report.page import write_report
 
         return ReportPage(write_report(self.folder))
 

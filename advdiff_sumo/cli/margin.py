@@ -73,7 +73,7 @@ def margin(
     one_thread_for_good()
     from advdiff_sumo.cli.run import options_given  # late: --help needs no simulator
     from advdiff_sumo.experiments.margin_trials import MarginTrials
-    from advdiff_sumo.report import write_report
+    from advdiff_sumo.report.page import write_report
 
     asked = _asked(attack, by, within)
     given = {

@@ -44,7 +44,7 @@ def replay(
     so here, too, in this process, where a debugger reaches it.
     """
     one_thread_for_good()
-    from advdiff_sumo.report import write_report  # late: --help is quick
+    from advdiff_sumo.report.page import write_report  # late: --help is quick
     from advdiff_sumo.sim.free_folder import free_folder
     from advdiff_sumo.sweep.repeat import repeat, settings_for
     from advdiff_sumo.sweep.run_folder import RunFolder

@@ -17,6 +17,6 @@ def report(
 
     One file that opens offline: rates with intervals, targets × backgrounds, the map, and a player for each episode.
     """
-    from advdiff_sumo.report import write_report  # late: --help needs no plots
+    from advdiff_sumo.report.page import write_report  # late: --help needs no plots
 
     typer.echo(str(write_report(run)))

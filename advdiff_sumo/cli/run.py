@@ -158,8 +158,8 @@ def print_notes(console: Console, notes: Iterable[str]) -> None:
 
 def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits) -> int:
     """Run what *folder* lacks behind a bar, write the report whatever happens, and return how many there are."""
-    from advdiff_sumo.report import write_report
     from advdiff_sumo.report.attack_words import out_of_position
+    from advdiff_sumo.report.page import write_report
     from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
     from advdiff_sumo.sweep.run_engine import run_into
 

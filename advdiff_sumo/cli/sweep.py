@@ -85,7 +85,7 @@ def sweep(
 
 def _draw(console: Console, folder: Path) -> None:
     """Write the page; that there is no room for it, say, does not change what the sweep came to."""
-    from advdiff_sumo.report import write_report
+    from advdiff_sumo.report.page import write_report
 
     try:
         console.print(f"look at {write_report(folder)}", soft_wrap=True)

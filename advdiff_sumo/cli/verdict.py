@@ -56,7 +56,7 @@ def verdict(
     from advdiff_sumo.cli.summary import run_object
     from advdiff_sumo.experiments.judge_folder import open_folder
     from advdiff_sumo.metrics.severity import is_valid_failure
-    from advdiff_sumo.report import write_report
+    from advdiff_sumo.report.page import write_report
 
     console = verb_console(False, as_json)
     judging = open_folder(folder)

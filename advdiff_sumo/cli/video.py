@@ -30,7 +30,7 @@ def video(
 
     GIF needs nothing more; MP4 needs pip install 'advdiff-sumo\[video]'. The same run gives the same bytes.
     """
-    from advdiff_sumo.report import video as film  # late: --help needs no plots
+    from advdiff_sumo.report.video import video as film  # late: --help needs no plots
 
     film(run, episode, out, speed, start, end)
     typer.echo(str(out))

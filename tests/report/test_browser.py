@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from advdiff_sumo.report import write_report
 from advdiff_sumo.report.folder import FinishedRun
+from advdiff_sumo.report.page import write_report
 from tests.hang_guard import HANG_S
 from tests.metrics.encounter_folder import encounter_folder
 from tests.report.conftest import drive, episode, write_folder

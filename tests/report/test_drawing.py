@@ -9,8 +9,7 @@ import pytest
 
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.report import figure
-from advdiff_sumo.report.drawing import COLOURS, draw
+from advdiff_sumo.report.drawing import COLOURS, draw, figure
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.scene_picture import Role, picture_of
 from tests.metrics.encounters import record_of, straight

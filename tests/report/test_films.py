@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 from advdiff_sumo.core.errors import ConfigError, FileError
-from advdiff_sumo.report import film_strip, video
 from advdiff_sumo.report.selection import ChosenEpisode, poses_at
-from advdiff_sumo.report.strip import draw_strip
+from advdiff_sumo.report.strip import draw_strip, film_strip
+from advdiff_sumo.report.video import video
 
 
 @pytest.mark.parametrize("ending", ["svg", "png"])

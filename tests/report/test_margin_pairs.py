@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.report import write_report
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.margin_pairs import margins_of
 from advdiff_sumo.report.margin_table import TRIALS, TrialRow, read_trials, trials_text
 from advdiff_sumo.report.nets import Nets
+from advdiff_sumo.report.page import write_report
 from tests.report.conftest import drive, episode, struck, write_folder
 
 ROWS = (

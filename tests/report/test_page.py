@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.report import sections, write_report
-from advdiff_sumo.report.page import own_modules
+from advdiff_sumo.report import sections
+from advdiff_sumo.report.page import own_modules, write_report
 from advdiff_sumo.report.templates import number, percent
 
 VOID = {"meta", "br", "rect", "circle", "path", "use", "input"}

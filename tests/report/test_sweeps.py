@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from advdiff_sumo.report import write_report
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.matrix import matrix_of
 from advdiff_sumo.report.nets import place_name, place_names
+from advdiff_sumo.report.page import write_report
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes, thinned
 from advdiff_sumo.report.sample_pictures import Samples, samples_by_background, samples_of
 from advdiff_sumo.sweep.spec import SweepSpec

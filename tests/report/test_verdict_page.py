@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from advdiff_sumo.report import write_report
 from advdiff_sumo.report.careful_driver import drive_of, tracks_of
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.nets import Nets
+from advdiff_sumo.report.page import write_report
 from advdiff_sumo.report.series import series_of
 from tests.metrics.encounter_folder import encounter_folder
 

@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --disable-pip-version-check --progress-bar on
-TESTS := $(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder --durations 15 --quiet
+TESTS := $(BIN)/pytest --dist loadfile --no-loadscope-reorder --durations 15 --quiet
 
 .PHONY: install setup demo test test-all readers planners check docs proto package bench soak weights clean
 
@@ -39,11 +39,11 @@ demo: install
 
 # values worked by hand, contracts, and one of everything end to end: five minutes on two cores
 test: setup
-	$(TESTS) -m "not slow"
+	$(TESTS) --numprocesses 2 -m "not slow"
 
-# all there is, the quick ones first
+# all there is, the quick ones first; slow ones wait for other processes now and then, so that three keep two cores busy
 test-all: test
-	$(TESTS) -m slow
+	$(TESTS) --numprocesses 3 -m slow
 
 # other people's programs that read what we export, in environments of their own; tests/export uses them where they are
 readers: build/readers/commonroad/.ready build/readers/asam/.ready build/readers/av2/.ready build/readers/lanelet2/.ready build/readers/nuplan/.ready build/readers/opendrive/.ready

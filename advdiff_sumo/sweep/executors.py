@@ -228,5 +228,6 @@ def _context(modules: Iterable[str] = ()) -> BaseContext:
         registry.builtin_module(name) for registry in (TARGETS, POLICIES) for name in registry.builtins
     }
     loaded = sorted(module for module in builtins if module in sys.modules)
-    context.set_forkserver_preload(["advdiff_sumo.sweep.worker_sandbox", *modules, *loaded])
+    # every worker filters speeds by scipy.signal, which this process need not wait for
+    context.set_forkserver_preload(["advdiff_sumo.sweep.worker_sandbox", "scipy.signal", *modules, *loaded])
     return context

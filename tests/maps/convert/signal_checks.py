@@ -9,6 +9,18 @@ from typing import Any
 
 from defusedxml.ElementTree import parse
 
+LEAST_SIGNALS = {
+    "nuscenes-mini/maps/expansion/singapore-onenorth.json": 7,
+    "nuscenes-mini/maps/expansion/singapore-queenstown.json": 14,
+    "nuscenes-mini/maps/expansion/singapore-hollandvillage.json": 19,
+    "nuscenes-mini/maps/expansion/boston-seaport.json": 58,
+    "argoverse2/log_map_archive_0a1e6f0a-1817-4a98-b02e-db8c9327d151.json": 1,
+    "commonroad/USA_Lanker-1_3_T-1.xml.gz": 2,
+    "commonroad/DEU_Moabit-4_1_T-1.xml.gz": 0,
+    "commonroad/HRV_Pula-27_3_T-1.xml.gz": 0,
+}
+"""Real maps, and how many signals are guessed there at least, with crossings for people on foot and without."""
+
 
 @dataclass(frozen=True)
 class WrittenSignal:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sumolib
-from signal_checks import check_signals, written_signals
+from signal_checks import LEAST_SIGNALS, check_signals, written_signals
 from small_maps import crossroads
 
 from advdiff_sumo.core.errors import NetError
@@ -205,19 +205,7 @@ def test_a_net_that_the_tools_refuse_is_one_sentence(tmp_path: Path) -> None:
 
 @pytest.mark.data
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "least"),
-    [
-        ("nuscenes-mini/maps/expansion/singapore-onenorth.json", 7),
-        ("nuscenes-mini/maps/expansion/singapore-queenstown.json", 14),
-        ("nuscenes-mini/maps/expansion/singapore-hollandvillage.json", 19),
-        ("nuscenes-mini/maps/expansion/boston-seaport.json", 58),
-        ("argoverse2/log_map_archive_0a1e6f0a-1817-4a98-b02e-db8c9327d151.json", 1),
-        ("commonroad/USA_Lanker-1_3_T-1.xml.gz", 2),
-        ("commonroad/DEU_Moabit-4_1_T-1.xml.gz", 0),
-        ("commonroad/HRV_Pula-27_3_T-1.xml.gz", 0),
-    ],
-)
+@pytest.mark.parametrize(("name", "least"), LEAST_SIGNALS.items())
 def test_real_maps_with_crossings(name: str, least: int, adv_data: Path, tmp_path: Path) -> None:
     """Without crossings: ``test_hour``."""
     source = read_map(adv_data / name)

@@ -15,6 +15,7 @@ from advdiff_sumo.core.plan import Controls
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.report.run_summary import summary_figures, summary_lines
+from tests.e2e.commands import advdiff
 
 SCENE = {"warmup_s": 10.0, "scenes_per_warmup": 2, "min_neighbours": 1}
 
@@ -55,12 +56,7 @@ def test_a_name_gives_the_bytes_of_the_command(tmp_path: Path) -> None:
     ads.run(target="lane_graph", episodes=1, horizon_s=3.0, scene=SCENE, out=tmp_path / "api")
     words = ["run", "--target", "lane_graph", "--episodes", "1", "--horizon", "3", "--out", "cli"]
     settings = [word for key, value in SCENE.items() for word in ("--set", f"scene.{key}={value}")]
-    subprocess.run(
-        [sys.executable, "-m", "advdiff_sumo", *words, *settings],
-        cwd=tmp_path,
-        check=True,
-        capture_output=True,
-    )
+    assert advdiff(*words, *settings, cwd=tmp_path).code == 0
     for name in ("episodes", "states"):
         path = f"{name}.parquet"
         assert (tmp_path / "api" / path).read_bytes() == (tmp_path / "cli" / path).read_bytes()

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
+import atexit
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.e2e.warm_start import WarmStart
 from tests.hang_guard import HANG_S
 
 MODULE = (sys.executable, "-m", "advdiff_sumo")
@@ -48,6 +48,9 @@ def advdiff(
     variables = environment(hash_seed)
     if not narrow:
         del variables["COLUMNS"]
+    started = _warm_start(variables) if program == MODULE else None
+    if started is not None:
+        return Outcome(*started.run([*map(str, words)], cwd, variables, HANG_S))
     done = subprocess.run(
         [*program, *map(str, words)],
         cwd=cwd,
@@ -60,34 +63,19 @@ def advdiff(
     return Outcome(done.returncode, done.stdout, done.stderr)
 
 
-_IN_TURN = """
-import contextlib, io, json, sys
-from advdiff_sumo.cli.main import main
-for words in json.load(sys.stdin):
-    sys.argv, code, out, err = ["advdiff-sumo", *words], 0, io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            main()
-        except SystemExit as end:
-            code = end.code
-    print(json.dumps([code or 0, out.getvalue(), err.getvalue()]))
-"""
+#: What may differ between a command and the process it is forked from: no library reads it while it is imported.
+_READ_LATE = frozenset({"COLUMNS", "PYTEST_CURRENT_TEST"})
+_started: list[WarmStart] = []
 
 
-def advdiff_in_turn(commands: Iterable[Iterable[object]], cwd: Path) -> list[Outcome]:
-    """Run commands one after the other in one process, each to its end, where starting would take longest."""
-    words = json.dumps([[*map(str, command)] for command in commands])
-    done = subprocess.run(
-        [sys.executable, "-c", _IN_TURN],
-        input=words,
-        cwd=cwd,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=HANG_S,
-    )
-    return [Outcome(*json.loads(line)) for line in done.stdout.splitlines()]
+def _warm_start(variables: dict[str, str]) -> WarmStart | None:
+    """Return the process that commands are forked from, or None for one in another environment: it starts cold."""
+    if not _started:
+        _started.append(WarmStart(environment()))
+        atexit.register(_started[0].end)
+    kept = _started[0].environment
+    changed = {name for name in kept.keys() | variables.keys() if kept.get(name) != variables.get(name)}
+    return _started[0] if changed <= _READ_LATE else None
 
 
 def begin(*words: object, cwd: Path, hash_seed: int = 0) -> subprocess.Popen[str]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +19,7 @@ from advdiff_sumo.maps.convert.signals.signal_links import SignalLink
 from advdiff_sumo.maps.convert.signals.stages import stages, state_of
 from advdiff_sumo.maps.convert.sources.read_map import read_map
 from advdiff_sumo.maps.convert.sources.source_map import CIRCULAR, Direction, Lamp
+from tests.e2e.commands import advdiff
 
 EAST, WEST, NORTH = (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)
 LEFT_ARROW = Lamp(frozenset({Direction.LEFT}), protected=True)
@@ -174,11 +173,9 @@ def test_fixed_times_for_the_traffic_of_an_hour(tmp_path: Path) -> None:
     states, greens = [], []
     for vehicles in ("0", "300", "1500"):
         net = tmp_path / f"{vehicles}.net.xml"
-        command = [sys.executable, "-m", "advdiff_sumo", "convert", str(road.write(tmp_path / "m.json"))]
-        done = subprocess.run(
-            [*command, "-o", str(net), "--tls-cycle", vehicles], capture_output=True, text=True, check=False
-        )
-        assert (done.returncode, done.stderr) == (0, "")
+        path = road.write(tmp_path / "m.json")
+        done = advdiff("convert", path, "-o", net, "--tls-cycle", vehicles, cwd=tmp_path)
+        assert (done.code, done.err) == (0, "")
         assert check_signals(net) == 1
         (program,) = sumolib.xml.parse(str(net), "tlLogic")
         assert program.type == ("actuated" if vehicles == "0" else "static")

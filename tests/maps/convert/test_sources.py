@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +16,7 @@ from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.fidelity import measure
 from advdiff_sumo.maps.convert.sources.bounded_lanes import midline, midline_by_length
 from advdiff_sumo.maps.convert.sources.read_map import read_map
+from tests.e2e.commands import advdiff
 
 KINDS = tuple(small_sources.NAMES)
 GENUINE = (
@@ -168,9 +167,8 @@ def test_genuine_files_are_exact_and_complete(name: str, adv_data: Path, tmp_pat
 @pytest.mark.parametrize("kind", KINDS)
 def test_command_converts(kind: str, tmp_path: Path) -> None:
     path = small_sources.write(kind, tmp_path)
-    command = [sys.executable, "-m", "advdiff_sumo", "convert", str(path), "-o", str(tmp_path / "n.net.xml")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "hold 4 of 4 lanes and connectors of the file and 2 of its 2 links" in done.stdout
+    done = advdiff("convert", path, "-o", tmp_path / "n.net.xml", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "hold 4 of 4 lanes and connectors of the file and 2 of its 2 links" in done.out
     figures = json.loads((tmp_path / "n.fidelity.json").read_text("utf-8"))
     assert figures["centre_line_error_m"]["net_to_source"]["median"] == pytest.approx(0.0, abs=1e-3)

@@ -1,0 +1,108 @@
+"""A process that has imported what commands import, and forks one for each command; this script is that process.
+
+A command started so ends as one started cold: it has its own working folder, environment, standard streams and exit
+code, and leaves through the interpreter's own end. Only the seconds of importing are saved, hundreds of times.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import runpy
+import signal
+import socket
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from tempfile import TemporaryFile
+
+#: What most commands import, planners and policies left out, as what is loaded of them decides what workers import.
+MODULES = (
+    *("advdiff_sumo.cli.main", "advdiff_sumo.sim.run_episodes", "advdiff_sumo.sweep.executors"),
+    *("advdiff_sumo.sweep.work", "advdiff_sumo.report.page", "scipy.signal"),
+)
+_REQUEST_BYTES = 1 << 20
+
+
+class WarmStart:
+    """Starts commands from one process, in the environment that it began with."""
+
+    def __init__(self, environment: dict[str, str]) -> None:
+        self.environment = environment
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, __file__, str(theirs.fileno())],
+                env=environment,
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+
+    def run(
+        self, words: list[str], cwd: Path, environment: dict[str, str], limit_s: float
+    ) -> tuple[int, str, str]:
+        """Run ``python -m advdiff_sumo`` with *words* and return its exit code, output and errors."""
+        self._socket.settimeout(limit_s)
+        with TemporaryFile() as out, TemporaryFile() as err:
+            request = json.dumps([words, str(cwd), environment]).encode()
+            socket.send_fds(self._socket, [request], [out.fileno(), err.fileno()])
+            code = int(self._socket.recv(64))
+            return code, _text(out.fileno()), _text(err.fileno())
+
+    def end(self) -> None:
+        """Let the process end, and whatever hangs in it."""
+        self._socket.close()
+        if self._process.poll() is None:
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+
+
+def _text(descriptor: int) -> str:
+    with os.fdopen(os.dup(descriptor), encoding="utf-8") as stream:
+        stream.seek(0)
+        return stream.read()
+
+
+def _become_next_command(requests: socket.socket) -> None:
+    """Serve requests; return in each process that is to run a command, and never in the one that serves."""
+    while True:
+        request, streams, _, _ = socket.recv_fds(requests, _REQUEST_BYTES, 2)
+        if not request:
+            os._exit(0)
+        child = os.fork()
+        if child == 0:
+            requests.close()
+            _take_over(json.loads(request), streams)
+            return
+        for stream in streams:
+            os.close(stream)
+        requests.send(str(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])).encode())
+
+
+def _take_over(request: tuple[list[str], str, dict[str, str]], streams: list[int]) -> None:
+    """Give this process the words, the folder, the environment and the streams of a command."""
+    words, cwd, environment = request
+    for number, stream in zip((1, 2), streams, strict=True):
+        os.dup2(stream, number)
+        os.close(stream)
+    os.chdir(cwd)
+    os.environ.clear()
+    os.environ.update(environment)
+    sys.path[0] = cwd
+    sys.argv = ["advdiff-sumo", *words]
+
+
+def _serve() -> None:
+    with socket.socket(fileno=int(sys.argv[1])) as requests:
+        for module in MODULES:
+            import_module(module)
+        gc.freeze()
+        _become_next_command(requests)
+    runpy.run_module("advdiff_sumo", run_name="__main__", alter_sys=True)
+
+
+if __name__ == "__main__":
+    _serve()

@@ -16,6 +16,8 @@ from advdiff_sumo.experiments.bench.scene_list import (
     DEFECTS_LIST,
     DEFECTS_SEED,
     HORIZON_S,
+    RED_LIGHTS_LIST,
+    RED_LIGHTS_SEED,
     TABLE_LIST,
     TABLE_SEED,
     TUNING_LIST,
@@ -49,12 +51,18 @@ STRATA = {
     "merging": Stratum(nets=MOTORWAY, scene=_found(8.0, "merging", 15.0)),
     "sparse": Stratum(nets=MOTORWAY, scene=_found(4.0, "merging", 15.0)),
 }
+#: The target comes first to a red light, which in the strata above it seldom does.
+RED_LIGHTS = {"red-light": Stratum(nets=TOWN, scene=_found(8.0, "red-light", 6.0))}
 LISTS: dict[str, tuple[int, int, str, float, Mapping[str, Stratum] | None]] = {
     TUNING_LIST: (20, TUNING_SEED, "to tune on: no table uses these scenes", HORIZON_S, None),
     TABLE_LIST: (100, TABLE_SEED, "seed scenes of the tables: nothing is tuned on them", HORIZON_S, None),
     DEFECTS_LIST: (
         *(30, DEFECTS_SEED, "seed scenes of bench defects, by situation: nothing is tuned on them"),
         *(DEFECTS_HORIZON_S, STRATA),
+    ),
+    RED_LIGHTS_LIST: (
+        *(30, RED_LIGHTS_SEED, "seed scenes before red lights, for bench defects: nothing is tuned on them"),
+        *(DEFECTS_HORIZON_S, RED_LIGHTS),
     ),
 }
 

@@ -115,6 +115,7 @@ def _print_rates(
             "n",
             "valid failures",
             "critical",
+            "breaks rules",
             "collides",
             "at fault",
             "arrives",
@@ -140,6 +141,7 @@ def _cells(figures: Figures) -> list[str]:
     names = (
         "valid_failure_rate",
         "critical_rate",
+        "offence_rate",
         "collision_rate",
         "fault_rate",
         "completion_rate",

@@ -67,6 +67,9 @@ def verdict(
     valid, critical = sum(map(is_valid_failure, rows)), sum(bool(row["critical"]) for row in rows)
     console.print(f"{len(rows)} episodes, {len(hits)} collisions of the target: {valid} valid failures")
     console.print(f"{critical} critical near misses")
+    console.print(
+        f"{sum(bool(row.get('offences')) for row in rows)} episodes in which the target broke a rule"
+    )
     if search:
         console.print(f"{sum(bool(row['unavoidable']) for row in hits)} unavoidable")
     if (folder / "report.html").exists():

@@ -22,7 +22,14 @@ from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.arrow_tables import schema_of, table_of
 from advdiff_sumo.metrics.breaches import BreachKind
-from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, VERDICT_COLUMNS, Column
+from advdiff_sumo.metrics.columns import (
+    COLLISION_COLUMNS,
+    CRITICAL_COLUMNS,
+    EPISODE_COLUMNS,
+    OFFENCE_COLUMNS,
+    VERDICT_COLUMNS,
+    Column,
+)
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.metrics.summary import summarise
 from advdiff_sumo.report.nets import net_path
@@ -41,7 +48,7 @@ _TOO_FEW = 16
 _JUDGED = (
     *("collision_type", "at_fault", "fault_reason"),
     *VERDICT_COLUMNS,
-    *("critical", "critical_brake_mps2", "resolved_by"),
+    *CRITICAL_COLUMNS,
 )
 _ON_RED = "entered the junction on red."
 _OF_COLLISIONS = ("type", "at_fault", "fault_reason", *VERDICT_COLUMNS)
@@ -221,7 +228,10 @@ def judge_episode(stored: EpisodeTables, search: bool = False) -> JudgedRows:
     metrics = summarise(record, road, solvable(record, road) if search else row.get("solvable"))
     judged = episode_row(record, road, metrics)
     if bool(judged["target_collision"]) == bool(row["target_collision"]):
-        row |= _with_red_light(row, {name: judged[name] for name in _JUDGED}, stored.signals)
+        known = (
+            _JUDGED if stored.signals is None else (*_JUDGED, *OFFENCE_COLUMNS)
+        )  # no red lights without signals
+        row |= _with_red_light(row, {name: judged[name] for name in known}, stored.signals)
     by_pair = {_pair(x): x for x in collision_rows(record, road, metrics)}
     for one in collisions:
         if _pair(one) in by_pair:

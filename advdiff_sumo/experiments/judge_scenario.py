@@ -17,6 +17,7 @@ from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.export import ImportedScene, import_scene
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.breaches.offences import offences_sentence
 from advdiff_sumo.metrics.columns import CRITICAL_COLUMNS, VERDICT_COLUMNS
 from advdiff_sumo.metrics.metric_rows import episode_row
 from advdiff_sumo.metrics.near_miss import resolved
@@ -120,7 +121,12 @@ def judge_scenario(scenario: Scenario, road: RoadMap, search: bool = False) -> J
 
 
 def outcome(metrics: EpisodeMetrics) -> str:
-    """Return what came of it as text for people."""
+    """Return what came of it, and which rules the target broke of itself, as text for people."""
+    came, broke = _came_of(metrics), offences_sentence(metrics.offences)
+    return f"{came.rstrip('.')}. {broke}" if broke else came
+
+
+def _came_of(metrics: EpisodeMetrics) -> str:
     if metrics.struck is not None:
         verdict = metrics.struck.verdict
         usual = "unavoidable" if verdict.unavoidable else "not counted"

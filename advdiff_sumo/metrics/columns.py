@@ -74,6 +74,11 @@ CRITICAL_COLUMNS: Mapping[str, Column] = {
     ),
 }
 
+OFFENCE_COLUMNS: Mapping[str, Column] = {
+    "offences": _text("rules that the target broke, contact or not; empty: unknown, as in earlier versions"),
+    "offences_text": _text("what it did, and when, as a sentence"),
+}
+
 EPISODE_COLUMNS: Mapping[str, Column] = {
     "episode": _count("number of the episode in its run"),
     "scene": _text("name of the seed scene", nullable=False),
@@ -92,6 +97,7 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "fault_reason": _text("the rule that says so, as a sentence"),
     **VERDICT_COLUMNS,
     **CRITICAL_COLUMNS,
+    **OFFENCE_COLUMNS,
     "attacker_visible": _flag("a SUMO-driven target perceived the partner", nullable=True),
     "relative_speed_mps": _real("m/s", "length of the difference of the velocities"),
     "closing_speed_mps": _real("m/s", "relative speed along the contact normal"),

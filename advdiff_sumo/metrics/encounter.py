@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -83,6 +84,21 @@ class Party:
     def is_pedestrian(self) -> bool:
         """Whether it walks; rules about lanes do not bind it."""
         return self.agent_class == AgentClass.PEDESTRIAN
+
+
+@dataclass(frozen=True)
+class JunctionEntry:
+    """How a vehicle entered a junction.
+
+    Attributes:
+        link: by which it crosses the junction.
+        line_step: instant since which its front was over the stop line.
+        entered_step: instant at which its centre entered the junction.
+    """
+
+    link: Link
+    line_step: int
+    entered_step: int
 
 
 @dataclass(frozen=True)
@@ -216,6 +232,20 @@ def _party(
         entered_step=None if entered is None else start + entered,
         line_step=None if over is None else start + over,
     )
+
+
+def junction_entries(view: TrafficView, row: int) -> Iterator[JunctionEntry]:
+    """Yield every junction that vehicle *row* is seen to enter from a lane that leads onto it, in the order of time."""
+    lanes, route = view.place(row, 0, view.tracks.steps), view.routes.get(row, ())
+    inside = [_junction(view.road, name) for name in lanes.lane]
+    for step, (approach, junction) in enumerate(zip(lanes.lane[:-1], inside[1:], strict=True), start=1):
+        if approach is None or junction is None or junction == inside[step - 1]:
+            continue
+        driven = [name for name in lanes.lane[step:] if name is not None]
+        options = [x for x in view.road.lanes[approach].successors if x.junction_id == junction]
+        link = max(options, key=lambda x: _fit(view.road, x, driven, route), default=None)
+        if link is not None:
+            yield JunctionEntry(link, _over_line(view, row, lanes, step), step)
 
 
 def _noses_in(view: TrafficView, row: int, lanes: Placement, link: Link) -> bool:

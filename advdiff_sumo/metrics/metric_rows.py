@@ -10,6 +10,7 @@ from advdiff_sumo.core.frames import local_from_world
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.background_metrics import both_replayed
+from advdiff_sumo.metrics.breaches.offences import offences_sentence
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, VERDICT_COLUMNS
@@ -43,6 +44,8 @@ def episode_row(
         "agents": int(tracks.valid.any(axis=1).sum()),
         **_collision_values(record, road, m),
         **critical_values(m),
+        "offences": ", ".join(dict.fromkeys(one.kind for one in m.offences)),
+        "offences_text": offences_sentence(m.offences) or None,
         "initial_overlaps": sum(c.initial for c in m.contacts),
         "sumo_collisions": m.sumo.listed,
         "sumo_only": m.sumo.sumo_only,

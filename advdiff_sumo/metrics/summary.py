@@ -15,6 +15,8 @@ from advdiff_sumo.metrics.background_metrics import (
     compare_with_sumo,
     replayed_collisions,
 )
+from advdiff_sumo.metrics.breaches.breach import Breach
+from advdiff_sumo.metrics.breaches.offences import offences
 from advdiff_sumo.metrics.collision import Collision, collisions, find_touches, target_collision
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.comfort import Comfort, comfort
@@ -88,6 +90,7 @@ class EpisodeMetrics:
         left_road: when the target left the road, unless it was hit before.
         near_miss: of an episode without a collision of the target, what asks for the hardest braking; None where
             nothing came near.
+        offences: rules that the target broke of itself, contact or not.
         sumo: SUMO's list against ours.
         criticality: how near it came.
         comfort: how the ride felt.
@@ -101,6 +104,7 @@ class EpisodeMetrics:
     struck: Judged | None
     left_road: OffRoad | None
     near_miss: NearMiss | None
+    offences: tuple[Breach, ...]
     sumo: SumoComparison
     criticality: Criticality
     comfort: Comfort
@@ -140,6 +144,7 @@ def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None
         struck=None if struck is None else judged(record, road, struck, solvable),
         left_road=left_road,
         near_miss=None if collided else near_miss(record, road),
+        offences=offences(record, road),
         sumo=compare_with_sumo(record, touches),
         criticality=criticality,
         comfort=comfort(before, record.target),

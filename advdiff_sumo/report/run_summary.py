@@ -25,6 +25,7 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
     lines = [
         ("valid failures", _rate(_valid_failures(finished), len(finished))),
         ("critical near misses", _rate(sum(bool(row["critical"]) for row in finished), len(finished))),
+        ("target breaks a rule", _rate(sum(bool(row["offences"]) for row in finished), len(finished))),
         ("target collides", _rate(len(hits), len(finished))),
         ("… target at fault", _rate(sum(row["at_fault"] == "target" for row in hits), len(finished))),
         ("route completed", _rate(sum(bool(row["route_completed"]) for row in finished), len(finished))),
@@ -51,6 +52,7 @@ def summary_figures(rows: Rows) -> dict[str, Any]:
         "finished": len(finished),
         "valid_failures": _valid_failures(finished),
         "critical": sum(bool(row["critical"]) for row in finished),
+        "offences": sum(bool(row["offences"]) for row in finished),
         "collisions": len(hits),
         "at_fault": sum(row["at_fault"] == "target" for row in hits),
         "routes_completed": sum(bool(row["route_completed"]) for row in finished),

@@ -190,6 +190,11 @@ def facts_of(row: Row, charts: Sequence[Chart], contacts: Sequence[Row]) -> dict
 
 
 def _verdict(row: Row) -> str:
+    """Return what came of it, and which rules the target broke of itself."""
+    return " ".join(f"{_outcome(row)} {row['offences_text'] or ''}".split())
+
+
+def _outcome(row: Row) -> str:
     if row["end"] == "failed":
         return str(row["failure_message"] or "No reason was recorded.")
     if row["critical"]:

@@ -27,6 +27,7 @@ _SHOWN = 4
 _HAPPENED: Mapping[str, tuple[Callable[[Row], bool], str]] = {
     "valid failures": (is_valid_failure, "valid_failure"),
     "critical near misses": (lambda row: bool(row.get("critical")), "critical"),
+    "rules broken by the target": (lambda row: bool(row.get("offences")), "offences"),
     "collisions": (lambda row: bool(row["target_collision"]), "target_collision"),
     "… target at fault": (lambda row: row["at_fault"] == "target", "target_collision"),
     "route completed": (lambda row: bool(row["route_completed"]), "route_completed"),

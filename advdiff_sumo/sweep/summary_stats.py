@@ -15,13 +15,14 @@ Row: TypeAlias = Mapping[str, Any]
 _RATES: Mapping[str, Callable[[Row], bool]] = {
     "valid_failure_rate": is_valid_failure,
     "critical_rate": lambda row: bool(row.get("critical")),
+    "offence_rate": lambda row: bool(row.get("offences")),
     "collision_rate": lambda row: bool(row["target_collision"]),
     "fault_rate": lambda row: row["at_fault"] == "target",
     "completion_rate": lambda row: bool(row["route_completed"]),
 }
 _MEDIANS = ("min_ttc_s", "min_pet_s", "min_clearance_m", "max_drac_mps2", "brake_max_mps2", "jerk_max_mps3")
 #: Rates over the episodes in which a column is known: folders of earlier versions have no verdicts.
-_NEEDS = {"valid_failure_rate": "valid_failure", "critical_rate": "critical"}
+_NEEDS = {"valid_failure_rate": "valid_failure", "critical_rate": "critical", "offence_rate": "offences"}
 #: Every name that a condition may use.
 FIGURE_NAMES = frozenset(
     {"episodes", "finished", "valid_failures", "collisions", "failures", "missing"}

@@ -146,11 +146,19 @@ def test_figures_by_hand() -> None:
         "target_collision": False,
         "route_completed": True,
         "critical": False,
+        "offences": "",
         "failure_kind": None,
     }
     rows = [
         {**done, "min_ttc_s": 2.0, "min_clearance_m": 1.0, "at_fault": None, "valid": None},
-        {**done, "min_ttc_s": 4.0, "min_clearance_m": None, "at_fault": None, "valid": None},
+        {
+            **done,
+            "offences": "speeding",
+            "min_ttc_s": 4.0,
+            "min_clearance_m": None,
+            "at_fault": None,
+            "valid": None,
+        },
         {"end": "failed", "failure_kind": "planner_error", "target_collision": False},
     ]
     figures = summary_figures(rows)
@@ -158,6 +166,8 @@ def test_figures_by_hand() -> None:
     assert figures["failed"] == {"planner_error": 1}
     assert (figures["median_min_ttc_s"], figures["median_min_clearance_m"]) == (3.0, 1.0)
     lines = dict(summary_lines(rows, []))
+    assert figures["offences"] == 1
+    assert lines["target breaks a rule"].endswith("1 of 2")
     assert lines["failed episodes"].endswith("1 of 3")
     assert lines["median of minimum TTC"] == "3.00 s"
     assert lines["median of minimum clearance"] == "1.00 m (of 1 of 2 episodes)"

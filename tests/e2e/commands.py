@@ -10,6 +10,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from advdiff_sumo.core.threads import VARIABLES
 from tests.e2e.warm_start import WarmStart
 from tests.hang_guard import HANG_S
 
@@ -63,8 +64,8 @@ def advdiff(
     return Outcome(done.returncode, done.stdout, done.stderr)
 
 
-#: What may differ between a command and the process it is forked from: no library reads it while it is imported.
-_READ_LATE = frozenset({"COLUMNS", "PYTEST_CURRENT_TEST"})
+#: What may differ between a command and the process it is forked from: it is read late, or set by commands themselves.
+_READ_LATE = frozenset({"COLUMNS", "PYTEST_CURRENT_TEST", *VARIABLES})
 _started: list[WarmStart] = []
 
 

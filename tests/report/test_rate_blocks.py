@@ -9,16 +9,17 @@ from advdiff_sumo.report.rate_blocks import headline
 
 def test_headline_counts(rows: Any) -> None:
     episodes = [
-        rows.struck(0, attacker_visible=True, valid_failure=True, critical=False),
+        rows.struck(0, attacker_visible=True, valid_failure=True, critical=False, offences="red_light"),
         rows.struck(1, at_fault="other", attacker_visible=False, valid_failure=False, critical=False),
         rows.struck(2, at_fault="unclear"),
-        rows.episode(3, route_completed=True, valid_failure=False, critical=True),
+        rows.episode(3, route_completed=True, valid_failure=False, critical=True, offences=""),
         rows.episode(4, end="failed", failure_kind="plan_refused"),
     ]
     counts = {line.label: (line.rate.count, line.rate.total) for line in headline(episodes)}
     assert counts == {
         "Valid failures": (1, 3),
         "Critical near misses": (1, 3),
+        "Rules broken by the target": (1, 2),
         "Collisions": (3, 4),
         "Collisions, target at fault": (1, 4),
         "Target saw the other": (1, 2),

@@ -20,8 +20,9 @@ from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.sweep_files import write_whole
 
 FORMAT: Literal["advdiff-scenes-1"] = "advdiff-scenes-1"
-TABLE_LIST, TUNING_LIST, DEFECTS_LIST = "scenes-300", "scenes-tuning", "scenes-defects"
-TABLE_SEED, TUNING_SEED, DEFECTS_SEED = 3001, 7001, 9201
+TABLE_LIST, TUNING_LIST = "scenes-300", "scenes-tuning"
+DEFECTS_LIST, RED_LIGHTS_LIST = "scenes-defects", "scenes-red-lights"
+TABLE_SEED, TUNING_SEED, DEFECTS_SEED, RED_LIGHTS_SEED = 3001, 7001, 9201, 9301
 _LATER = {"situation": "any", "pedestrians_per_km": 0.0, "stratum": "", "strata": {}, "log": ""}
 """Fields that lists had not from the beginning, and what stands for their absence."""
 HORIZON_S, DEFECTS_HORIZON_S = 10.0, 30.0

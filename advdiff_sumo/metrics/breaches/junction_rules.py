@@ -6,9 +6,11 @@ import shapely
 
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
-from advdiff_sumo.metrics.encounter import BREACH_WINDOW_S, Encounter, Party
+from advdiff_sumo.metrics.encounter import BREACH_WINDOW_S, Encounter, JunctionEntry, Party
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
+#: What who runs a red light did.
+ON_RED = "entered the junction on red"
 #: At a junction without rule, whoever came this much later gives way.
 ARRIVAL_MARGIN_S = 1.0
 #: A crossing is a line in the net; whoever walks within this distance of it is on it.
@@ -21,7 +23,7 @@ def red_light(view: TrafficView, met: Encounter, which: int) -> Breach | None:
     walker = met.parties[1 - which].is_pedestrian
     if not (met.crossing or walker) or not ran_red(view, party) or not _lately(view, met, party):
         return None
-    return _breach(view, met, BreachKind.RED_LIGHT, party, "entered the junction on red")
+    return _breach(view, met, BreachKind.RED_LIGHT, party, ON_RED)
 
 
 def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None:
@@ -49,13 +51,13 @@ def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None
     )
 
 
-def ran_red(view: TrafficView, party: Party) -> bool:
+def ran_red(view: TrafficView, party: Party | JunctionEntry) -> bool:
     """Return whether *party* entered the junction while its signal was red, from its front's passing the line on."""
     states = signals_at_entry(view, party)
     return bool(states) and all(state in "ru" for state in states)
 
 
-def signals_at_entry(view: TrafficView, party: Party) -> list[str]:
+def signals_at_entry(view: TrafficView, party: Party | JunctionEntry) -> list[str]:
     """Return the letters of the signal of *party* from the instant before its front passed the line to its entry.
 
     [] if unknown. Who waits with its front over the line enters by what it sees as it goes on.

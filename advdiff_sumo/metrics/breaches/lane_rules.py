@@ -8,6 +8,7 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
 from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, Encounter, Party
 from advdiff_sumo.metrics.lane_entry import OPPOSITE_RAD
+from advdiff_sumo.metrics.placement import Placement
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
 #: Headings that differ by less than this go the same way (45°).
@@ -36,7 +37,7 @@ def wrong_side(view: TrafficView, met: Encounter, which: int) -> Breach | None:
     over = opposed and party.leaves_lane and party.intrudes
     comes_over = entry is not None and entry.oncoming and entry.row == party.row and entry.leaves_lane
     entered = comes_over and not _ways_meet(view, met)
-    if over or entered or on_opposite_lane(view, party, step):
+    if over or entered or on_opposite_lane(view, party.row, party.lanes, step - met.start, met.start):
         return _breach(view, met, BreachKind.WRONG_SIDE, party, "was on the wrong side of the road")
     return None
 
@@ -50,12 +51,19 @@ def _ways_meet(view: TrafficView, met: Encounter) -> bool:
     return second.request_index in foes.get(first.request_index, frozenset())
 
 
-def on_opposite_lane(view: TrafficView, party: Party, step: int) -> bool:
-    """Return whether the centre of *party* is out of its lane and on one of the opposite direction."""
-    lanes = party.lanes
-    if lanes.lane[-1] is not None and abs(lanes.d_m[-1]) <= lanes.half_width_m[-1]:
+def on_opposite_lane(view: TrafficView, row: int, lanes: Placement, at: int, start: int) -> bool:
+    """Return whether the centre of *row* is out of its lane and on one of the opposite direction.
+
+    Args:
+        view: the traffic.
+        row: of whom.
+        lanes: its lanes.
+        at: instant of them.
+        start: their first instant.
+    """
+    if lanes.lane[at] is not None and abs(lanes.d_m[at]) <= lanes.half_width_m[at]:
         return False
-    xy, yaw = view.tracks.xy_m[party.row, step], float(view.tracks.yaw_rad[party.row, step])
+    xy, yaw = view.tracks.xy_m[row, start + at], float(view.tracks.yaw_rad[row, start + at])
     nearest = view.road.locate(xy, internal=False)
     if nearest is None or abs(nearest.d_m) > 0.5 * view.road.lanes[nearest.lane_id].width_m:
         return False

@@ -15,6 +15,7 @@ from advdiff_sumo.experiments.bench.cells import BenchCell, plan_cells
 from advdiff_sumo.experiments.bench.defect_score import scene_order
 from advdiff_sumo.experiments.bench.scene_list import (
     DEFECTS_LIST,
+    RED_LIGHTS_LIST,
     TABLE_LIST,
     TABLE_SEED,
     TUNING_LIST,
@@ -33,6 +34,7 @@ DIGESTS = {
     TUNING_LIST: "4bc5a5e4ead4aaa472b56f488c7e7bf51ca03c717ad8968f9e5e7645b5ec2a75",
     TABLE_LIST: "c34b7930804bf5646eeff8e9e2dbaec77b4dfaa45c5988e174ed2d2853219cb5",
     DEFECTS_LIST: "3523276600883a28508ddb2a437f59666a15574f6722c8a2e178a2cf2b9ffcdf",
+    RED_LIGHTS_LIST: "922c7caf421e0357cadfa259e0f25164b4aa2e52697edf9cc95c5b24a14edd57",
 }
 
 
@@ -112,12 +114,13 @@ def test_the_shipped_lists_are_what_their_tool_makes(tmp_path: Path) -> None:
         assert (tmp_path / name).read_bytes() == shipped_list(name).read_bytes()
 
 
-def test_the_list_by_situation_is_what_its_tool_makes() -> None:
+@pytest.mark.parametrize("name", [DEFECTS_LIST, RED_LIGHTS_LIST])
+def test_the_lists_by_situation_are_what_their_tool_makes(name: str) -> None:
     tool = Path(__file__).parents[3] / "tools" / "make_bench_scenes.py"
     done = subprocess.run(
-        [sys.executable, tool, "--check", "--only", DEFECTS_LIST], capture_output=True, text=True, check=False
+        [sys.executable, tool, "--check", "--only", name], capture_output=True, text=True, check=False
     )
-    assert (done.returncode, DIGESTS[DEFECTS_LIST] in done.stdout) == (0, True), done.stdout + done.stderr
+    assert (done.returncode, DIGESTS[name] in done.stdout) == (0, True), done.stdout + done.stderr
 
 
 def test_strata_take_turns_with_a_seed_each() -> None:

@@ -1,0 +1,85 @@
+"""Rules that the target broke of itself, whether or not it led to a contact: what a test engineer files as well."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import chain
+
+import numpy as np
+
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
+from advdiff_sumo.metrics.breaches.conduct_rules import drove_backwards, drove_too_fast
+from advdiff_sumo.metrics.breaches.junction_rules import ON_RED, ran_red
+from advdiff_sumo.metrics.breaches.lane_rules import on_opposite_lane
+from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, junction_entries
+from advdiff_sumo.metrics.traffic_view import TrafficView
+
+#: Against the direction of traffic for at least so long, looked at so often, and faster than this.
+WRONG_SIDE_S, _EVERY_S, _MOVES_MPS = 1.5, 0.5, 1.0
+
+
+def offences(record: EpisodeRecord, road: RoadMap) -> tuple[Breach, ...]:
+    """Return the rules that the target broke, in the order of time: each red light, and the first of every other kind.
+
+    Leaving the road is a collision, and giving way concerns somebody else: neither is among them. A red light counts
+    where the signal was red from the instant before the front passed the line until the centre was on the junction.
+
+    Args:
+        record: the episode; without signals it has no red lights.
+        road: its map.
+    """
+    if record.tracks.classes[record.target] == AgentClass.PEDESTRIAN:
+        return ()
+    view = TrafficView.of_record(record, road)
+    found = chain(
+        _red_lights(view, record.target),
+        _wrong_side(view, record.target),
+        _speed_and_direction(view, record.target),
+    )
+    return tuple(sorted(found, key=lambda one: one.time_s))
+
+
+def offences_sentence(some: Sequence[Breach]) -> str:
+    """Return *some* as a sentence: "The target entered the junction on red (4.2 s)."; "" for none."""
+    return f"The target {', '.join(f'{one.text} ({one.time_s:.1f} s)' for one in some)}." if some else ""
+
+
+def _red_lights(view: TrafficView, row: int) -> Iterator[Breach]:
+    for entry in junction_entries(view, row):
+        if ran_red(view, entry):
+            yield Breach(BreachKind.RED_LIGHT, row, view.time_s(entry.entered_step), ON_RED)
+
+
+def _speed_and_direction(view: TrafficView, row: int) -> Iterator[Breach]:
+    """Yield the greatest excess of the limit, and the first second in which it drove backwards."""
+    stop, second = view.tracks.steps, view.steps(1.0)
+    too_fast = drove_too_fast(view, row, 0, stop)
+    backwards = (drove_backwards(view, row, k, min(k + second, stop)) for k in range(0, stop, second))
+    for one in (too_fast, next((one for one in backwards if one is not None), None)):
+        if one is not None:
+            yield one
+
+
+def _wrong_side(view: TrafficView, row: int) -> Iterator[Breach]:
+    """Yield the first time that it goes on against its lane, or on one of the opposite direction, between junctions."""
+    tracks, lanes, every = view.tracks, view.place(row, 0, view.tracks.steps), max(1, view.steps(_EVERY_S))
+    count, needed = 0, round(WRONG_SIDE_S / _EVERY_S)
+    for at in range(0, tracks.steps, every):
+        name = lanes.lane[at]
+        drives = tracks.valid[row, at] and tracks.speed_mps[row, at] > _MOVES_MPS
+        between = name is None or not view.road.lanes[name].is_internal
+        against = drives and between and _is_against(view, row, at)
+        count = count + 1 if against else 0
+        if count > needed:
+            text = "drove on the wrong side of the road"
+            yield Breach(BreachKind.WRONG_SIDE, row, view.time_s(at - count * every + every), text)
+            return
+
+
+def _is_against(view: TrafficView, row: int, at: int) -> bool:
+    lanes = view.place(row, 0, view.tracks.steps)
+    turned = np.abs(lanes.yaw_error_rad[at]) > WRONG_WAY_RAD and lanes.lane[at] is not None
+    return bool(turned or on_opposite_lane(view, row, lanes, at, 0))

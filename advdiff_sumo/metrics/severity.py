@@ -31,15 +31,17 @@ def badge(row: Row) -> str:
         if row["valid_failure"]:
             return "valid failure"
         return "unavoidable" if row.get("unavoidable") else "not counted"
-    return "critical" if row.get("critical") else "no collision"
+    if row.get("critical"):
+        return "critical"
+    return "rule broken" if row.get("offences") else "no collision"
 
 
 def worst_first(rows: Iterable[Row]) -> list[Row]:
     """Return the episodes by severity.
 
     Collisions (valid failures first, then those the target caused, then by the speed at which the boxes closed),
-    failures, then critical near misses by the braking they would have taken, then the others from the least time to
-    collision to the largest, then by clearance.
+    failures, then critical near misses by the braking they would have taken, then those in which the target broke a
+    rule, then the others; both from the least time to collision to the largest, then by clearance.
 
     Args:
         rows: of ``episodes.parquet``.
@@ -63,7 +65,8 @@ def severity(row: Row) -> tuple[float, ...]:
         return 1.0, number
     if row.get("critical"):
         return 2.0, -_known(row["critical_brake_mps2"], 0.0), number
-    return 3.0, _known(row["min_ttc_s"]), _known(row["min_clearance_m"]), number
+    tier = 3.0 if row.get("offences") else 4.0
+    return tier, _known(row["min_ttc_s"]), _known(row["min_clearance_m"]), number
 
 
 def _known(value: float | None, otherwise: float = math.inf) -> float:

@@ -63,8 +63,8 @@ def words(name: str | None) -> str:
 
 
 def breaches_of(row: Mapping[str, Any]) -> list[str]:
-    """Return the rules that either side of an episode's collision broke, as the words of the table."""
-    listed = f"{row['target_breaches'] or ''}, {row['other_breaches'] or ''}"
+    """Return the rules that led to an episode's collision, and those that the target broke of itself."""
+    listed = ", ".join(row[name] or "" for name in ("target_breaches", "other_breaches", "offences"))
     return sorted({word for word in listed.split(", ") if word})
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from advdiff_sumo.metrics.severity import badge
 from advdiff_sumo.report.select import UNEVENTFUL_SHOWN, attacker_of, pictured, worst_first
 
 
@@ -22,8 +23,11 @@ def test_worst_first(rows: Any) -> None:
         rows.struck(6, closing_speed_mps=9.0),
         rows.struck(7, closing_speed_mps=None, collision_partner=None),
         rows.episode(8, min_clearance_m=0.4),
+        rows.episode(9, offences="red_light"),
+        rows.episode(10, critical=True, critical_brake_mps2=5.0),
     ]
-    assert _numbers(worst_first(episodes)) == [6, 5, 7, 4, 3, 2, 1, 8, 0]
+    assert _numbers(worst_first(episodes)) == [6, 5, 7, 4, 3, 10, 9, 2, 1, 8, 0]
+    assert [badge(row) for row in episodes[-4:]] == ["not judged", "no collision", "rule broken", "critical"]
 
 
 def test_equal_episodes_keep_their_numbers_order(rows: Any) -> None:

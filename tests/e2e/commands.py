@@ -64,8 +64,14 @@ def advdiff(
     return Outcome(done.returncode, done.stdout, done.stderr)
 
 
-#: What may differ between a command and the process it is forked from: it is read late, or set by commands themselves.
-_READ_LATE = frozenset({"COLUMNS", "PYTEST_CURRENT_TEST", *VARIABLES})
+#: What may differ between a command and the process it is forked from: what is read late, what commands set themselves,
+#: and what SUMO, pyproj and PyTorch set in this process when a test imports them.
+_READ_LATE = frozenset(
+    {
+        *("COLUMNS", "PYTEST_CURRENT_TEST", "TMPDIR", *VARIABLES),
+        *("SUMO_HOME", "PROJ_LIB", "PROJ_DATA", "KMP_DUPLICATE_LIB_OK"),
+    }
+)
 _started: list[WarmStart] = []
 
 

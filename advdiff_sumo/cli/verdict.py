@@ -55,7 +55,7 @@ def verdict(
         raise ConfigError("--target is for scenarios, which need --net, too; a run knows its target")
     from advdiff_sumo.cli.summary import run_object
     from advdiff_sumo.experiments.judge_folder import open_folder
-    from advdiff_sumo.metrics.severity import is_valid_failure
+    from advdiff_sumo.metrics.severity import broke_rule, is_valid_failure
     from advdiff_sumo.report.page import write_report
 
     console = verb_console(False, as_json)
@@ -67,9 +67,7 @@ def verdict(
     valid, critical = sum(map(is_valid_failure, rows)), sum(bool(row["critical"]) for row in rows)
     console.print(f"{len(rows)} episodes, {len(hits)} collisions of the target: {valid} valid failures")
     console.print(f"{critical} critical near misses")
-    console.print(
-        f"{sum(bool(row.get('offences')) for row in rows)} episodes in which the target broke a rule"
-    )
+    console.print(f"{sum(map(broke_rule, rows))} episodes in which the target broke a rule")
     if search:
         console.print(f"{sum(bool(row['unavoidable']) for row in hits)} unavoidable")
     if (folder / "report.html").exists():

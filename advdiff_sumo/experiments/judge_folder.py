@@ -22,6 +22,7 @@ from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.arrow_tables import schema_of, table_of
 from advdiff_sumo.metrics.breaches import BreachKind
+from advdiff_sumo.metrics.breaches.junction_rules import ON_RED
 from advdiff_sumo.metrics.columns import (
     COLLISION_COLUMNS,
     CRITICAL_COLUMNS,
@@ -50,7 +51,6 @@ _JUDGED = (
     *VERDICT_COLUMNS,
     *CRITICAL_COLUMNS,
 )
-_ON_RED = "entered the junction on red."
 _OF_COLLISIONS = ("type", "at_fault", "fault_reason", *VERDICT_COLUMNS)
 
 
@@ -228,10 +228,8 @@ def judge_episode(stored: EpisodeTables, search: bool = False) -> JudgedRows:
     metrics = summarise(record, road, solvable(record, road) if search else row.get("solvable"))
     judged = episode_row(record, road, metrics)
     if bool(judged["target_collision"]) == bool(row["target_collision"]):
-        known = (
-            _JUDGED if stored.signals is None else (*_JUDGED, *OFFENCE_COLUMNS)
-        )  # no red lights without signals
-        row |= _with_red_light(row, {name: judged[name] for name in known}, stored.signals)
+        seen = () if stored.signals is None else OFFENCE_COLUMNS  # red lights are unknown without signals
+        row |= _with_red_light(row, {name: judged[name] for name in (*_JUDGED, *seen)}, stored.signals)
     by_pair = {_pair(x): x for x in collision_rows(record, road, metrics)}
     for one in collisions:
         if _pair(one) in by_pair:
@@ -245,7 +243,7 @@ def _with_red_light(
 ) -> dict[str, Any]:
     """Return what was *judged*, with the red light that the run saw where its signals were not kept."""
     reason = str(before.get("fault_reason") or "")
-    if signals is not None or not reason.endswith(_ON_RED):
+    if signals is not None or not reason.endswith(f"{ON_RED}."):
         return judged
     by_target = reason.startswith("The target")
     side = "target_breaches" if by_target else "other_breaches"

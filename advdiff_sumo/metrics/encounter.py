@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -242,8 +242,7 @@ def junction_entries(view: TrafficView, row: int) -> Iterator[JunctionEntry]:
         if approach is None or junction is None or junction == inside[step - 1]:
             continue
         driven = [name for name in lanes.lane[step:] if name is not None]
-        options = [x for x in view.road.lanes[approach].successors if x.junction_id == junction]
-        link = max(options, key=lambda x: _fit(view.road, x, driven, route), default=None)
+        link = _link_onto(view.road, approach, junction, route, driven)
         if link is not None:
             yield JunctionEntry(link, _over_line(view, row, lanes, step), step)
 
@@ -296,7 +295,7 @@ def _crossing(
         return None, None
     inside = [_junction(road, x) == junction for x in lanes.lane]
     if True not in inside[-recent - 1 :]:
-        return _link_ahead(road, lanes.lane[-1], junction, route), None
+        return _link_onto(road, lanes.lane[-1], junction, route), None
     upto = len(inside) - inside[::-1].index(True)
     entry = upto - inside[:upto][::-1].index(False) if False in inside[:upto] else None
     approach = lanes.lane[entry - 1] if entry is not None else None
@@ -306,14 +305,24 @@ def _crossing(
     return max(options, key=lambda x: _fit(road, x, driven, route), default=None), entry
 
 
-def _link_ahead(road: RoadMap, lane_id: str | None, junction: str, route: tuple[str, ...]) -> Link | None:
-    """Return the link that a vehicle still before *junction* will take; None when it has left it."""
+def _link_onto(
+    road: RoadMap, lane_id: str | None, junction: str, route: tuple[str, ...], driven: Sequence[str] = ()
+) -> Link | None:
+    """Return the link by which a vehicle goes onto *junction* from a lane; None where that does not lead there.
+
+    Args:
+        road: the map.
+        lane_id: the lane.
+        junction: its id.
+        route: edges of the vehicle's route.
+        driven: lanes that it is seen on from there on.
+    """
     if lane_id is None:
         return None
     ahead = [x for x in road.lanes[lane_id].successors if x.junction_id == junction]
-    return max(ahead, key=lambda x: _fit(road, x, [], route), default=None)
+    return max(ahead, key=lambda x: _fit(road, x, driven, route), default=None)
 
 
-def _fit(road: RoadMap, link: Link, driven: list[str], route: tuple[str, ...]) -> tuple[int, bool]:
+def _fit(road: RoadMap, link: Link, driven: Sequence[str], route: tuple[str, ...]) -> tuple[int, bool]:
     on_route = (road.lanes[link.from_lane].edge_id, road.lanes[link.to_lane].edge_id) in set(pairwise(route))
     return sum(x in link.via or x == link.to_lane for x in driven), on_route

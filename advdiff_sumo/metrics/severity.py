@@ -21,6 +21,11 @@ def is_valid_failure(row: Row) -> bool:
     return bool(row["target_collision"]) and bool(row.get("valid_failure"))
 
 
+def broke_rule(row: Row) -> bool:
+    """Return whether the target broke a rule of itself, contact or not; False where that is not known."""
+    return bool(row.get("offences"))
+
+
 def badge(row: Row) -> str:
     """Return the verdict of an episode in a word or two."""
     if is_failure(row):
@@ -33,7 +38,7 @@ def badge(row: Row) -> str:
         return "unavoidable" if row.get("unavoidable") else "not counted"
     if row.get("critical"):
         return "critical"
-    return "rule broken" if row.get("offences") else "no collision"
+    return "rule broken" if broke_rule(row) else "no collision"
 
 
 def worst_first(rows: Iterable[Row]) -> list[Row]:
@@ -65,7 +70,7 @@ def severity(row: Row) -> tuple[float, ...]:
         return 1.0, number
     if row.get("critical"):
         return 2.0, -_known(row["critical_brake_mps2"], 0.0), number
-    tier = 3.0 if row.get("offences") else 4.0
+    tier = 3.0 if broke_rule(row) else 4.0
     return tier, _known(row["min_ttc_s"]), _known(row["min_clearance_m"]), number
 
 

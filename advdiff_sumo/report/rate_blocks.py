@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from advdiff_sumo.metrics.severity import is_valid_failure
+from advdiff_sumo.metrics.severity import broke_rule, is_valid_failure
 from advdiff_sumo.metrics.statistics import Rate
 
 
@@ -39,11 +39,11 @@ def headline(episodes: Sequence[Mapping[str, Any]]) -> tuple[HeadlineRate, ...]:
     seen = [bool(row["attacker_visible"]) for row in struck if row["attacker_visible"] is not None]
     judged = [row for row in finished if row["valid_failure"] is not None]
     critical = [row for row in finished if row["critical"] is not None]
-    obeyed = [row for row in finished if row["offences"] is not None]
+    looked_at = [row for row in finished if row["offences"] is not None]
     return (
         _line("Valid failures", "judged episodes", [is_valid_failure(r) for r in judged]),
         _line("Critical near misses", "judged episodes", [bool(r["critical"]) for r in critical]),
-        _line("Rules broken by the target", "judged episodes", [bool(r["offences"]) for r in obeyed]),
+        _line("Rules broken by the target", "judged episodes", [broke_rule(r) for r in looked_at]),
         _line("Collisions", "finished episodes", [bool(r["target_collision"]) for r in finished]),
         _line(
             "Collisions, target at fault", "finished episodes", [r["at_fault"] == "target" for r in finished]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from statistics import median
 from typing import Any, TypeAlias
 
-from advdiff_sumo.metrics.severity import is_valid_failure
+from advdiff_sumo.metrics.severity import broke_rule, is_valid_failure
 from advdiff_sumo.metrics.statistics import wilson
 from advdiff_sumo.report.attack_words import out_of_position, position_lines
 
@@ -25,7 +25,7 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
     lines = [
         ("valid failures", _rate(_valid_failures(finished), len(finished))),
         ("critical near misses", _rate(sum(bool(row["critical"]) for row in finished), len(finished))),
-        ("target breaks a rule", _rate(sum(bool(row["offences"]) for row in finished), len(finished))),
+        ("target breaks a rule", _rate(sum(map(broke_rule, finished)), len(finished))),
         ("target collides", _rate(len(hits), len(finished))),
         ("… target at fault", _rate(sum(row["at_fault"] == "target" for row in hits), len(finished))),
         ("route completed", _rate(sum(bool(row["route_completed"]) for row in finished), len(finished))),
@@ -52,7 +52,7 @@ def summary_figures(rows: Rows) -> dict[str, Any]:
         "finished": len(finished),
         "valid_failures": _valid_failures(finished),
         "critical": sum(bool(row["critical"]) for row in finished),
-        "offences": sum(bool(row["offences"]) for row in finished),
+        "offences": sum(map(broke_rule, finished)),
         "collisions": len(hits),
         "at_fault": sum(row["at_fault"] == "target" for row in hits),
         "routes_completed": sum(bool(row["route_completed"]) for row in finished),

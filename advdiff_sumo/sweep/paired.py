@@ -12,7 +12,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, did_you_mean
-from advdiff_sumo.metrics.severity import is_failure, is_valid_failure
+from advdiff_sumo.metrics.severity import broke_rule, is_failure, is_valid_failure
 from advdiff_sumo.metrics.statistics import TAILS, Rate, bootstrap_counts, mcnemar
 
 Row: TypeAlias = Mapping[str, Any]
@@ -27,7 +27,7 @@ _SHOWN = 4
 _HAPPENED: Mapping[str, tuple[Callable[[Row], bool], str]] = {
     "valid failures": (is_valid_failure, "valid_failure"),
     "critical near misses": (lambda row: bool(row.get("critical")), "critical"),
-    "rules broken by the target": (lambda row: bool(row.get("offences")), "offences"),
+    "rules broken by the target": (broke_rule, "offences"),
     "collisions": (lambda row: bool(row["target_collision"]), "target_collision"),
     "… target at fault": (lambda row: row["at_fault"] == "target", "target_collision"),
     "route completed": (lambda row: bool(row["route_completed"]), "route_completed"),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any, TypeAlias
 
-from advdiff_sumo.metrics.severity import is_failure, is_valid_failure
+from advdiff_sumo.metrics.severity import broke_rule, is_failure, is_valid_failure
 from advdiff_sumo.metrics.statistics import Rate
 
 Row: TypeAlias = Mapping[str, Any]
@@ -15,7 +15,7 @@ Row: TypeAlias = Mapping[str, Any]
 _RATES: Mapping[str, Callable[[Row], bool]] = {
     "valid_failure_rate": is_valid_failure,
     "critical_rate": lambda row: bool(row.get("critical")),
-    "offence_rate": lambda row: bool(row.get("offences")),
+    "offence_rate": broke_rule,
     "collision_rate": lambda row: bool(row["target_collision"]),
     "fault_rate": lambda row: row["at_fault"] == "target",
     "completion_rate": lambda row: bool(row["route_completed"]),

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from advdiff_sumo.core.threads import VARIABLES
@@ -72,17 +73,21 @@ _READ_LATE = frozenset(
         *("SUMO_HOME", "PROJ_LIB", "PROJ_DATA", "KMP_DUPLICATE_LIB_OK"),
     }
 )
-_started: list[WarmStart] = []
+
+
+@cache
+def _started() -> WarmStart:
+    """Return the process that commands are forked from, begun once."""
+    begun = WarmStart(environment())
+    atexit.register(begun.end)
+    return begun
 
 
 def _warm_start(variables: dict[str, str]) -> WarmStart | None:
-    """Return the process that commands are forked from, or None for one in another environment: it starts cold."""
-    if not _started:
-        _started.append(WarmStart(environment()))
-        atexit.register(_started[0].end)
-    kept = _started[0].environment
+    """Return the process that a command is forked from, or None for one in another environment: it starts cold."""
+    kept = _started().environment
     changed = {name for name in kept.keys() | variables.keys() if kept.get(name) != variables.get(name)}
-    return _started[0] if changed <= _READ_LATE else None
+    return _started() if changed <= _READ_LATE else None
 
 
 def begin(*words: object, cwd: Path, hash_seed: int = 0) -> subprocess.Popen[str]:

@@ -15,6 +15,7 @@ from advdiff_sumo.metrics.breaches.conduct_rules import drove_backwards, drove_t
 from advdiff_sumo.metrics.breaches.junction_rules import ON_RED, ran_red
 from advdiff_sumo.metrics.breaches.lane_rules import on_opposite_lane
 from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, junction_entries
+from advdiff_sumo.metrics.placement import Placement
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
 #: Against the direction of traffic for at least so long, looked at so often, and faster than this.
@@ -71,7 +72,7 @@ def _wrong_side(view: TrafficView, row: int) -> Iterator[Breach]:
         name = lanes.lane[at]
         drives = tracks.valid[row, at] and tracks.speed_mps[row, at] > _MOVES_MPS
         between = name is None or not view.road.lanes[name].is_internal
-        against = drives and between and _is_against(view, row, at)
+        against = drives and between and _is_against(view, row, lanes, at)
         count = count + 1 if against else 0
         if count > needed:
             text = "drove on the wrong side of the road"
@@ -79,7 +80,6 @@ def _wrong_side(view: TrafficView, row: int) -> Iterator[Breach]:
             return
 
 
-def _is_against(view: TrafficView, row: int, at: int) -> bool:
-    lanes = view.place(row, 0, view.tracks.steps)
+def _is_against(view: TrafficView, row: int, lanes: Placement, at: int) -> bool:
     turned = np.abs(lanes.yaw_error_rad[at]) > WRONG_WAY_RAD and lanes.lane[at] is not None
     return bool(turned or on_opposite_lane(view, row, lanes, at, 0))

@@ -18,7 +18,7 @@ from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.export import ImportedScene, import_scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.offences import offences_sentence
-from advdiff_sumo.metrics.columns import CRITICAL_COLUMNS, VERDICT_COLUMNS
+from advdiff_sumo.metrics.columns import CRITICAL_COLUMNS, OFFENCE_COLUMNS, VERDICT_COLUMNS
 from advdiff_sumo.metrics.metric_rows import episode_row
 from advdiff_sumo.metrics.near_miss import resolved
 from advdiff_sumo.metrics.summary import EpisodeMetrics, summarise
@@ -30,6 +30,7 @@ JSON_COLUMNS = (
     *("target_collision", "collision_time_s", "collision_partner", "collision_type", "at_fault"),
     *VERDICT_COLUMNS,
     *CRITICAL_COLUMNS,
+    *OFFENCE_COLUMNS,
 )
 _EXPORTED = (".xosc", ".cr.xml", ".pkl", ".fcd.xml", ".csv")
 

@@ -155,7 +155,7 @@ def encounter(view: TrafficView, collision: Collision) -> Encounter:
     step = collision.step
     start = max(0, step - view.steps(HISTORY_S))
     placed = [view.place(row, start, step + 1) for row in collision.rows]
-    junction = next((j for j in (_junction(view.road, p.lane[-1]) for p in placed) if j is not None), None)
+    junction = next((j for j in (junction_of(view.road, p.lane[-1]) for p in placed) if j is not None), None)
     merged = None if junction is not None else _merging(view, collision, placed)
     target, other = (_party(view, collision, which, placed, junction or merged, start) for which in (0, 1))
     return Encounter(
@@ -176,7 +176,7 @@ def _entry_of(view: TrafficView, target: Party, other: Party, start: int, step: 
 def _merging(view: TrafficView, collision: Collision, placed: list[Placement]) -> str | None:
     """Return the junction by which both came lately, from different edges onto the same one."""
     recent, rows = view.steps(BREACH_WINDOW_S), collision.rows
-    one, two = ([_junction(view.road, x) for x in p.lane[: -recent - 2 : -1]] for p in placed)
+    one, two = ([junction_of(view.road, x) for x in p.lane[: -recent - 2 : -1]] for p in placed)
     for junction in dict.fromkeys(x for both in zip(one, two, strict=True) for x in both if x is not None):
         first, second = (_came_by(view, rows[k], placed[k], junction) for k in (0, 1))
         if first is None or second is None:
@@ -194,7 +194,7 @@ def _came_by(view: TrafficView, row: int, lanes: Placement, junction: str) -> Li
     """Return the link by which *row* crossed *junction* lately, or begins to with its front; None: it did not."""
     recent = view.steps(BREACH_WINDOW_S)
     link, _ = _crossing(view.road, lanes, junction, view.routes.get(row, ()), recent)
-    been = any(_junction(view.road, x) == junction for x in lanes.lane[-recent - 1 :])
+    been = any(junction_of(view.road, x) == junction for x in lanes.lane[-recent - 1 :])
     return link if been or (link is not None and _noses_in(view, row, lanes, link)) else None
 
 
@@ -237,7 +237,7 @@ def _party(
 def junction_entries(view: TrafficView, row: int) -> Iterator[JunctionEntry]:
     """Yield every junction that vehicle *row* is seen to enter from a lane that leads onto it, in the order of time."""
     lanes, route = view.place(row, 0, view.tracks.steps), view.routes.get(row, ())
-    inside = [_junction(view.road, name) for name in lanes.lane]
+    inside = [junction_of(view.road, name) for name in lanes.lane]
     for step, (approach, junction) in enumerate(zip(lanes.lane[:-1], inside[1:], strict=True), start=1):
         if approach is None or junction is None or junction == inside[step - 1]:
             continue
@@ -278,7 +278,8 @@ def _rests(view: TrafficView, row: int, step: int, seconds: float) -> bool:
     return bool((np.hypot(*(xy - xy[-1]).T) <= _LEAST_MOVE_M).all())
 
 
-def _junction(road: RoadMap, lane_id: str | None) -> str | None:
+def junction_of(road: RoadMap, lane_id: str | None) -> str | None:
+    """Return the id of the junction that lane *lane_id* is part of; None for a lane between junctions."""
     if lane_id is None or not road.lanes[lane_id].is_internal:
         return None
     return road.edges[road.lanes[lane_id].edge_id].from_junction
@@ -293,7 +294,7 @@ def _crossing(
     """
     if junction is None:
         return None, None
-    inside = [_junction(road, x) == junction for x in lanes.lane]
+    inside = [junction_of(road, x) == junction for x in lanes.lane]
     if True not in inside[-recent - 1 :]:
         return _link_onto(road, lanes.lane[-1], junction, route), None
     upto = len(inside) - inside[::-1].index(True)
@@ -317,10 +318,15 @@ def _link_onto(
         route: edges of the vehicle's route.
         driven: lanes that it is seen on from there on.
     """
-    if lane_id is None:
-        return None
-    ahead = [x for x in road.lanes[lane_id].successors if x.junction_id == junction]
+    ahead = links_onto(road, lane_id, junction)
     return max(ahead, key=lambda x: _fit(road, x, driven, route), default=None)
+
+
+def links_onto(road: RoadMap, lane_id: str | None, junction: str) -> tuple[Link, ...]:
+    """Return the connections by which a vehicle may go onto *junction* from a lane."""
+    if lane_id is None:
+        return ()
+    return tuple(x for x in road.lanes[lane_id].successors if x.junction_id == junction)
 
 
 def _fit(road: RoadMap, link: Link, driven: Sequence[str], route: tuple[str, ...]) -> tuple[int, bool]:

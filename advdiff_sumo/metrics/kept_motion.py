@@ -16,7 +16,10 @@ from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact
 from advdiff_sumo.metrics.kinematics import velocities
+from advdiff_sumo.metrics.safe_gap import RESPONSE_S
 
+#: Brakings that are tried, the gentlest first; where none avoids a contact, the hardest is the answer.
+BRAKES_MPS2 = np.arange(0.0, 9.25, 0.25)
 _AHEAD_M = 250.0
 _TURN_OVER_M = 5.0
 _LEAST_TURN_OVER_M = 1.0
@@ -130,6 +133,16 @@ def _driven_on_m(tracks: Tracks, row: int, count: int) -> FloatArray:
     if braking > 0.0:
         time = np.minimum(time, speed[-1] / braking)
     return np.asarray(speed[-1] * time - 0.5 * braking * time**2)
+
+
+def braked_s_m(speed_mps: float, brake_mps2: float, count: int, dt_s: float) -> FloatArray:
+    """Return (count,) distances of a driver who goes on for the response time and then brakes evenly to a stop."""
+    time = dt_s * np.arange(count)
+    braking = np.maximum(0.0, time - RESPONSE_S)
+    if brake_mps2 > 0.0:
+        braking = np.minimum(braking, speed_mps / brake_mps2)
+    held = np.minimum(time, RESPONSE_S)
+    return np.asarray(speed_mps * (held + braking) - 0.5 * brake_mps2 * braking**2)
 
 
 def _joined(tracks: Tracks, row: int, recorded: slice, after: Poses) -> Poses:

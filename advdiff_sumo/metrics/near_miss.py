@@ -16,7 +16,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
@@ -24,7 +24,9 @@ from advdiff_sumo.metrics.breaches.striking_rules import EXPECTED_BRAKE_MPS2
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.kept_motion import (
+    BRAKES_MPS2,
     Poses,
+    braked_s_m,
     contact_at,
     gone_on,
     kept,
@@ -33,15 +35,11 @@ from advdiff_sumo.metrics.kept_motion import (
 )
 from advdiff_sumo.metrics.reference import ReferenceDrive, ReferenceDrivers
 from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
-from advdiff_sumo.metrics.safe_gap import RESPONSE_S
 
 #: A near miss is looked at where the least time to collision is below this.
 NEAR_MISS_TTC_S = 2.5
-#: The hardest braking that is asked for; where the target would still run into the other, this is the answer.
-HARDEST_BRAKE_MPS2 = 9.0
 _AFTER_S = 4.0
 _REACH_M = 150.0
-_BRAKE_STEP_MPS2 = 0.25
 #: Slower than this the target stands.
 _STANDS_MPS = 0.05
 
@@ -177,11 +175,11 @@ def _own_way(record: EpisodeRecord, road: RoadMap, start: int, step: int) -> Own
 
 
 def _driven_poses(record: EpisodeRecord, way: OwnWay, start: int, brake_mps2: float, count: int) -> Poses:
-    """Return *count* poses of a driver on *way* from instant *start* on, as in :func:`_braked_s_m`."""
+    """Return *count* poses of a driver on *way* from instant *start* on, as ``braked_s_m`` says."""
     tracks, target = record.tracks, record.target
     begin = float(way.line.project(tracks.xy_m[target, start])[0])
     speed = max(float(tracks.speed_mps[target, start]), 0.0)
-    return Poses(*way.poses(begin + _braked_s_m(speed, brake_mps2, count, tracks.dt_s)))
+    return Poses(*way.poses(begin + braked_s_m(speed, brake_mps2, count, tracks.dt_s)))
 
 
 def _least_brake_mps2(record: EpisodeRecord, way: OwnWay, row: int, start: int, other: Poses) -> float:
@@ -191,7 +189,7 @@ def _least_brake_mps2(record: EpisodeRecord, way: OwnWay, row: int, start: int, 
     """
     tracks, target = record.tracks, record.target
     front, ahead, moved = 0.5 * float(tracks.size_m[target, 0]), 0.0, 0.0
-    for brake in np.arange(0.0, HARDEST_BRAKE_MPS2 + _BRAKE_STEP_MPS2, _BRAKE_STEP_MPS2):
+    for brake in BRAKES_MPS2:
         own = _driven_poses(record, way, start, float(brake), len(other))
         met = contact_at(own, other, *tracks.size_m[[target, row]])
         if met is None:
@@ -199,22 +197,12 @@ def _least_brake_mps2(record: EpisodeRecord, way: OwnWay, row: int, start: int, 
         ahead, moved = _ahead_m(own, other, met), float(np.hypot(*(own.xy_m[met + 1] - own.xy_m[met])))
         if brake == 0.0 and ahead < -front:
             return 0.0
-    return HARDEST_BRAKE_MPS2 if ahead > front and moved > _STANDS_MPS * tracks.dt_s else 0.0
+    return float(BRAKES_MPS2[-1]) if ahead > front and moved > _STANDS_MPS * tracks.dt_s else 0.0
 
 
 def _ahead_m(own: Poses, other: Poses, step: int) -> float:
     """Return how far the centre of *other* is ahead of that of *own* at instant *step*."""
     return float((other.xy_m[step] - own.xy_m[step]) @ unit(own.yaw_rad[step]))
-
-
-def _braked_s_m(speed_mps: float, brake_mps2: float, count: int, dt_s: float) -> FloatArray:
-    """Return (T,) distances of a driver who goes on for the response time and then brakes evenly to a stop."""
-    time = dt_s * np.arange(count)
-    braking = np.maximum(0.0, time - RESPONSE_S)
-    if brake_mps2 > 0.0:
-        braking = np.minimum(braking, speed_mps / brake_mps2)
-    held = np.minimum(time, RESPONSE_S)
-    return np.asarray(speed_mps * (held + braking) - 0.5 * brake_mps2 * braking**2)
 
 
 def _resolved_by(record: EpisodeRecord, row: int, step: int) -> ResolvedBy | None:

@@ -12,6 +12,7 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
 from advdiff_sumo.metrics.breaches.conduct_rules import drove_backwards, drove_too_fast
+from advdiff_sumo.metrics.breaches.giving_way import not_given_way
 from advdiff_sumo.metrics.breaches.junction_rules import ON_RED, ran_red
 from advdiff_sumo.metrics.breaches.lane_rules import on_opposite_lane
 from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, junction_entries
@@ -23,10 +24,11 @@ WRONG_SIDE_S, _EVERY_S, _MOVES_MPS = 1.5, 0.5, 1.0
 
 
 def offences(record: EpisodeRecord, road: RoadMap) -> tuple[Breach, ...]:
-    """Return the rules that the target broke, in the order of time: each red light, and the first of every other kind.
+    """Return the rules that the target broke, in the order of time; speed, side and direction once at most.
 
-    Leaving the road is a collision, and giving way concerns somebody else: neither is among them. A red light counts
-    where the signal was red from the instant before the front passed the line until the centre was on the junction.
+    Leaving the road is a collision, and not among them. A red light counts where the signal was red from the instant
+    before the front passed the line until the centre was on the junction, and giving way where somebody with the right
+    of way had to brake hard (:mod:`~advdiff_sumo.metrics.breaches.giving_way`).
 
     Args:
         record: the episode; without signals it has no red lights.
@@ -37,6 +39,7 @@ def offences(record: EpisodeRecord, road: RoadMap) -> tuple[Breach, ...]:
     view = TrafficView.of_record(record, road)
     found = chain(
         _red_lights(view, record.target),
+        not_given_way(record, view),
         _wrong_side(view, record.target),
         _speed_and_direction(view, record.target),
     )

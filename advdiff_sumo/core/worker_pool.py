@@ -5,8 +5,6 @@ Episodes have executors of their own (``sweep.executors``), with time and memory
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from itertools import islice
@@ -15,6 +13,7 @@ from typing import Any, TypeAlias, TypeVar
 from pebble import ProcessPool
 
 from advdiff_sumo.core.threads import one_thread_for_good
+from advdiff_sumo.core.worker_start import ignore_interrupts, worker_context
 
 Key = TypeVar("Key")
 Task: TypeAlias = tuple[Callable[..., Any], *tuple[Any, ...]]
@@ -45,7 +44,8 @@ def futures_of(
     first = list(islice(source, workers))
     if not first:
         return
-    context = multiprocessing.get_context("spawn")
+    needed = {function.__module__ for _, (function, *_) in first}
+    context = worker_context(sorted(needed if prepare is None else needed | {prepare.__module__}))
     with ProcessPool(len(first), initializer=_begin, initargs=(prepare,), context=context) as pool:
         try:
             waiting: dict[Future[Any], Key] = {
@@ -62,7 +62,7 @@ def futures_of(
 
 
 def _begin(prepare: Callable[[], None] | None) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
+    ignore_interrupts()
     one_thread_for_good()
     if prepare is not None:
         prepare()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.core.worker_start import ignore_interrupts, worker_context
 from advdiff_sumo.rl import ENVIRONMENT
 from advdiff_sumo.rl.ppo import actor_net, new_ppo
 from advdiff_sumo.rl.rl_options import AdversaryOptions, PpoOptions
@@ -140,7 +140,10 @@ def make_envs(options: AdversaryOptions, workers: int) -> VecEnv:
     """Return *workers* environments: libsumo holds one simulation in a process, so several are several processes."""
     values = options.model_dump()
     makers = [_maker(values) for _ in range(workers)]
-    return DummyVecEnv(makers) if workers == 1 else SubprocVecEnv(makers, start_method="spawn")
+    if workers == 1:
+        return DummyVecEnv(makers)
+    start = worker_context([__name__]).get_start_method()
+    return SubprocVecEnv(makers, start_method=start)
 
 
 def _maker(values: dict[str, Any]) -> Callable[[], gymnasium.Env[Any, Any]]:
@@ -148,7 +151,7 @@ def _maker(values: dict[str, Any]) -> Callable[[], gymnasium.Env[Any, Any]]:
         import advdiff_sumo.rl  # noqa: F401 - a new process knows no environment yet
 
         if multiprocessing.parent_process() is not None:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the trainer, which ends its workers
+            ignore_interrupts()
         return gymnasium.make(ENVIRONMENT, disable_env_checker=True, **values)
 
     return make

@@ -16,7 +16,6 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
 from multiprocessing.context import BaseContext
-from multiprocessing.forkserver import ensure_running
 from types import TracebackType
 from typing import Any, Protocol, Self
 
@@ -24,6 +23,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from advdiff_sumo.core.process_end import how_it_ended
 from advdiff_sumo.core.threads import one_thread
+from advdiff_sumo.core.worker_start import worker_context
 from advdiff_sumo.planners.planner_protocol import Served
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.heartbeat import Heartbeat
@@ -186,13 +186,12 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
     def _pool(self, slot: int) -> Any:
         if slot not in self._pools:
             limits = self.limits
-            prepare_workers()
             self._pools[slot] = ProcessPool(
                 max_workers=1,
                 max_tasks=limits.tasks,
                 initializer=prepare_worker,
                 initargs=(limits,),
-                context=_context(),
+                context=prepare_workers(),
             )
         return self._pools[slot]
 
@@ -202,32 +201,15 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         pool.join()
 
 
-def prepare_workers(modules: Iterable[str] = ()) -> None:
-    """Let the process that workers come from start now, deaf to Ctrl-C, and import while this one goes on.
+def prepare_workers(modules: Iterable[str] = ()) -> BaseContext:
+    """Let the process that workers come from start now, and import while this one goes on; return what makes workers.
 
     Args:
         modules: that workers will need, beside those of built-in planners and policies that this process has loaded.
     """
-    context = _context(modules)
-    if context.get_start_method() == "forkserver":
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            ensure_running()
-        finally:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-
-
-def _context(modules: Iterable[str] = ()) -> BaseContext:
-    """Return how workers are started: from a clean process that has the modules loaded, where there is one."""
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
-    from advdiff_sumo.core.fork_server import SharedContext  # not there on every system
-
-    context = SharedContext()
     builtins = {
         registry.builtin_module(name) for registry in (TARGETS, POLICIES) for name in registry.builtins
     }
     loaded = sorted(module for module in builtins if module in sys.modules)
     # every worker filters speeds by scipy.signal, which this process need not wait for
-    context.set_forkserver_preload(["advdiff_sumo.sweep.worker_sandbox", "scipy.signal", *modules, *loaded])
-    return context
+    return worker_context(["advdiff_sumo.sweep.worker_sandbox", "scipy.signal", *modules, *loaded])

@@ -7,7 +7,6 @@ import faulthandler
 import logging
 import math
 import os
-import signal
 import sys
 import tempfile
 import threading
@@ -21,6 +20,7 @@ import pyarrow as pa
 
 from advdiff_sumo.core.plug_in_source import crashed_at
 from advdiff_sumo.core.threads import one_thread_for_good
+from advdiff_sumo.core.worker_start import ignore_interrupts
 from advdiff_sumo.sim.heartbeat import NOT_STARTED, Beat, Heartbeat, Phase
 from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Limits, Outcome, Task
 from advdiff_sumo.sweep.work import data_bytes, perform, rss_mb
@@ -43,9 +43,7 @@ def prepare_worker(limits: Limits) -> None:
 
     Its temporary files, and those of the programs that it starts, lie where the parent removes them if it is killed.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(signal, "pthread_sigmask"):  # blocked since the server of workers was started
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    ignore_interrupts()
     bound_memory(limits.memory_mb)
     tempfile.tempdir = os.environ["TMPDIR"] = str(limits.logs)
     if limits.log_level < logging.WARNING:

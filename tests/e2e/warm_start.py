@@ -1,7 +1,8 @@
 """A process that has imported what commands import, and forks one for each command; this script is that process.
 
 A command started so ends as one started cold: it has its own working folder, environment, standard streams and exit
-code, and leaves through the interpreter's own end. Only the seconds of importing are saved, hundreds of times.
+code, and leaves through the interpreter's own end. So does the server that its workers are forked from. Only the
+seconds of importing are saved, hundreds of times.
 """
 
 from __future__ import annotations
@@ -15,15 +16,18 @@ import socket
 import subprocess
 import sys
 from importlib import import_module
+from multiprocessing import util
 from pathlib import Path
 from tempfile import TemporaryFile
 
-#: What most commands import, planners and policies left out, as what is loaded of them decides what workers import.
+#: What most commands and workers import; not planners and policies: which of them are loaded says what workers import.
 MODULES = (
     *("advdiff_sumo.cli.main", "advdiff_sumo.sim.run_episodes", "advdiff_sumo.sweep.executors"),
-    *("advdiff_sumo.sweep.work", "advdiff_sumo.report.page", "scipy.signal"),
+    *("advdiff_sumo.sweep.work", "advdiff_sumo.report.page", "scipy.signal", "torch"),
 )
 _REQUEST_BYTES = 1 << 20
+_MOST_DESCRIPTORS = 4096
+_COLD = util.spawnv_passfds
 
 
 class WarmStart:
@@ -93,6 +97,28 @@ def _take_over(request: tuple[list[str], str, dict[str, str]], streams: list[int
     os.environ.update(environment)
     sys.path[0] = cwd
     sys.argv = ["advdiff-sumo", *words]
+    util.spawnv_passfds = _fork_servers
+
+
+def _fork_servers(program: bytes, words: list[str], kept: tuple[int, ...]) -> int:
+    """Start what multiprocessing asks for as it does, but fork its fork server; return the process's number."""
+    if "multiprocessing.forkserver" not in words[-1]:
+        return int(_COLD(program, words, kept))
+    sys.stdout.flush()
+    sys.stderr.flush()
+    child = os.fork()
+    if child == 0:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_DFL)
+        lowest = 3
+        for descriptor in (*sorted(kept), _MOST_DESCRIPTORS):
+            os.closerange(lowest, descriptor)
+            lowest = descriptor + 1
+        try:
+            exec(words[-1], {})  # noqa: S102 - the line that a new interpreter would be given
+        finally:  # it leaves by SystemExit when the command is gone
+            os._exit(0)
+    return child
 
 
 def _serve() -> None:

@@ -7,6 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from advdiff_sumo.core.errors import ConfigError, WeightsError
 from advdiff_sumo.core.threads import one_thread
@@ -21,6 +22,7 @@ from advdiff_sumo.models.reward import RewardModel
 from advdiff_sumo.models.reward_file import load_reward
 from advdiff_sumo.models.shipped_weights import device_of
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions
+from advdiff_sumo.traffic.planning.pace import faster_latent
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Networks:
         reward: Q for run time.
         schedule: what the denoiser was trained with.
         sampling: how plans are drawn.
+        faster: (C, L) direction of scaled latents in which vehicles drive faster, see ``planning.pace``.
         device: where they are.
     """
 
@@ -45,6 +48,7 @@ class Networks:
     reward: FastReward
     schedule: NoiseSchedule
     sampling: Sampling
+    faster: Tensor
     device: torch.device
 
     def guided_by(self, reward: RewardModel) -> Networks:
@@ -91,7 +95,9 @@ def _networks(path: str, reward: str, device: torch.device, sampling: Sampling) 
             f"options of background 'diffusion': steps = {sampling.steps}: "
             f"the networks were trained with {schedule.steps}; ask for at most so many"
         )
-    bundle = bundle.frozen().to(device)
+    bundle = bundle.frozen()
+    faster = faster_latent(bundle).to(device)
+    bundle = bundle.to(device)
     return Networks(
         bundle=bundle,
         codec=bundle.codec,
@@ -100,6 +106,7 @@ def _networks(path: str, reward: str, device: torch.device, sampling: Sampling) 
         reward=FastReward(bundle.reward),
         schedule=schedule,
         sampling=sampling,
+        faster=faster,
         device=device,
     )
 

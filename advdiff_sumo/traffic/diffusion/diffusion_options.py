@@ -65,6 +65,8 @@ class DiffusionOptions(Options):
         persistence: how much of a vehicle's starting noise, and so of its intention, is kept from plan to plan.
         temperature: of that noise: 1 draws as the networks were trained, 0 what they hold for likeliest; None: 1 under
             "reckless", as in the paper, else 0.4, with which traffic keeps going and drives more smoothly.
+        pace: how much more briskly natural plans are driven than the networks alone would, see ``planning.pace``; 1 is
+            about as fast as SUMO's drivers, 0 nothing; None: 0 under "reckless", as in the paper, else 1.
         replan: model steps of 0.5 s of a plan that are driven before the next one (the paper's l).
         samples: joint futures drawn at once, of which the most plausible is driven.
         weights: a bundle of networks, or the name of a shipped one; empty: "closed-loop", which drives most like
@@ -86,6 +88,7 @@ class DiffusionOptions(Options):
     eta: float = Field(0.0, ge=0.0, le=1.0)
     persistence: float = Field(0.9, ge=0.0, le=1.0)
     temperature: float | None = Field(None, ge=0.0, le=1.0)
+    pace: float | None = Field(None, ge=0.0, le=2.0)
     replan: int = Field(1, ge=1, le=12)
     samples: int = Field(1, ge=1, le=64)
     weights: str = ""
@@ -125,6 +128,13 @@ class DiffusionOptions(Options):
         if self.temperature is not None:
             return self.temperature
         return 1.0 if self.licence == "reckless" else 0.4
+
+    @property
+    def briskness(self) -> float:
+        """Share of the shift of latents with which natural plans are driven."""
+        if self.pace is not None:
+            return self.pace
+        return 0.0 if self.licence == "reckless" else 1.0
 
     @property
     def q_file(self) -> str:

@@ -22,6 +22,7 @@ from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions
 from advdiff_sumo.traffic.diffusion.guidance import Scenes, guidance
+from advdiff_sumo.traffic.planning.pace import with_pace
 
 _FASTEST_MPS = 40.0
 
@@ -83,6 +84,8 @@ def draw_plan(
         generator,
         guide,
     )
+    natural = torch.tensor([name not in chosen for name in view.ids], device=networks.device)
+    x = with_pace(x, networks.faster, many.pose[..., 3], options.briskness * natural)
     rollout = decode(networks, x, several, many)
     best = _most_plausible(rollout, many) if options.samples > 1 else 0
     kept = start[best].flatten(1).numpy().astype(np.float64)

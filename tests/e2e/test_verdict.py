@@ -162,6 +162,7 @@ def test_an_exported_scenario_and_one_of_others(collided: Path, here: Callable[.
     (told,) = json.loads(here("verdict", commonroad, "--net", net, "--json").out)["scenarios"]
     assert (told["scenario"], told["target"], told["collision_partner"]) == ("run-0000", "ego", "lead")
     assert (told["valid_failure"], told["target_breaches"]) == (True, "ran_into")
+    assert (told["offences"], told["offences_text"]) == ("", None)
     nameless = out / "others.xml"
     nameless.write_text(re.sub("<!--.*?-->", "", commonroad.read_text()))
     done = here("verdict", nameless, "--net", net)

@@ -193,3 +193,17 @@ class Scene:
         return replace(
             self, history=self.history.copied(), movable=self.movable.copy(), signals=dict(self.signals)
         )
+
+    def without(self, hidden: BoolArray) -> Scene:
+        """Return the scene without the road users of *hidden* (A,); the target always stays."""
+        kept = ~hidden
+        kept[self.target] = True
+        if kept.all():
+            return self
+        return replace(
+            self,
+            history=self.history.rows(kept),
+            target=int(kept[: self.target].sum()),
+            movable=self.movable[kept],
+            routes=tuple(route for route, stays in zip(self.routes, kept.tolist(), strict=True) if stays),
+        )

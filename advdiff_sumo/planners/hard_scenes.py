@@ -20,7 +20,7 @@ def hard_scenes(scene: Scene) -> dict[str, Scene]:
         scene: an ordinary instant with others around the target.
     """
     variants = {
-        "nobody else is there": _alone(scene),
+        "nobody else is there": scene.without(np.ones(scene.history.agents, dtype=np.bool_)),
         "it stands": _standing(scene),
         "no route is known": replace(scene, routes=tuple(() for _ in scene.routes)),
         "nothing is known of the past": _without_past(scene),
@@ -28,17 +28,6 @@ def hard_scenes(scene: Scene) -> dict[str, Scene]:
     }
     blocked = _blocked(scene)
     return variants if blocked is None else {**variants, "somebody stands right before it": blocked}
-
-
-def _alone(scene: Scene) -> Scene:
-    row = np.array([scene.target])
-    return replace(
-        scene,
-        history=scene.history.rows(row),
-        target=0,
-        movable=scene.movable[row],
-        routes=(scene.routes[scene.target],),
-    )
 
 
 def _standing(scene: Scene) -> Scene:

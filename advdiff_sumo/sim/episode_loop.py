@@ -9,6 +9,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.errors import NotInsertedError
+from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, Failure
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.metrics.contact import standing_overlaps, target_contact
@@ -31,7 +32,9 @@ from advdiff_sumo.sim.target_choice import remaining_route
 from advdiff_sumo.sim.world import Frame, World, read, register
 from advdiff_sumo.traffic.policy_protocol import moves_everywhere
 
-_AROUND_JUNCTION_M = 40.0  # who is so near a vehicle that keeps its hands beyond the radius is looked at, too
+_SIGHT_M, _SIGHT_S, _BEHIND_M = 40.0, 3.0, 10.0
+"""Who is so near a vehicle that we move, and not far behind it, is looked at beyond the radius, too."""
+_STOPS_MPS2 = 4.0
 
 
 class Loop:
@@ -93,7 +96,7 @@ class Loop:
         self.standing = standing_overlaps(None, frame.xy_m, frame.xy_m, frame.yaw_rad, size, self.target)
         self.recorder.add(frame, self.signals, self.drive.visible())
         now = self.scene_now()
-        self.drive.start(now)
+        self.drive.start(self._seen_by_target(now))
         self.background.start(now)
         heartbeat.note(Phase.SIMULATOR, 0)
 
@@ -136,7 +139,7 @@ class Loop:
         period = self.sim.substeps * self.sim.replan_every
         while self.steps < steps:
             scene = self.scene_now()
-            self.drive.replan(scene, period)
+            self.drive.replan(self._seen_by_target(scene), period)
             motion = self._plan_background(scene, period)
             self.recorder.add_plans(scene, self.drive.planned, self.background.planned)
             for k in range(min(period, steps - self.steps)):
@@ -275,15 +278,11 @@ class Loop:
     def scene_now(self) -> Scene:
         """Return the scene around the target now, as the policy sees it."""
         world, target = self.world, self.target
-        xy = world.xy_m[: len(world)]
-        gap = np.linalg.norm(xy - world.xy_m[target], axis=-1)
-        kept = self._inside_junctions()
-        beside = np.linalg.norm(xy[:, None] - xy[kept], axis=-1) <= _AROUND_JUNCTION_M
-        rows = np.flatnonzero(
-            (gap <= self.sim.observe_radius_m) | beside.any(axis=1)
-        )  # NaN compares as False
-        if self.everywhere:
-            rows = np.flatnonzero(np.isfinite(gap))
+        gap = np.linalg.norm(world.xy_m[: len(world)] - world.xy_m[target], axis=-1)
+        seen = np.isfinite(gap)
+        if not self.everywhere:
+            seen &= (gap <= self.sim.observe_radius_m) | self._in_the_way()
+        rows = np.flatnonzero(seen)
         history = self.recorder.history(rows, self.time_s)
         return Scene(
             history=history,
@@ -292,6 +291,24 @@ class Loop:
             routes=tuple(self._route(row) for row in rows.tolist()),
             signals=self.signals,
         )
+
+    def _seen_by_target(self, scene: Scene) -> Scene:
+        """Return *scene* as far as the target sees."""
+        if self.everywhere:
+            return scene
+        now = scene.history.xy_m[:, -1]
+        gap = np.linalg.norm(now - now[scene.target], axis=-1)
+        return scene.without(gap > self.sim.observe_radius_m)
+
+    def _in_the_way(self) -> BoolArray:
+        """Return (n,) whom a vehicle that we move may meet, however far from the target both are."""
+        world = self.world
+        moved = np.array(sorted(self.actuator.moved.keys() - {self.target}), dtype=np.int64)
+        offset = world.xy_m[: len(world), None] - world.xy_m[moved]
+        ahead_m = (offset * unit(world.yaw_rad[moved])).sum(axis=-1)
+        sight_m = np.maximum(_SIGHT_M, _SIGHT_S * world.speed_mps[moved])
+        near = (np.linalg.norm(offset, axis=-1) <= sight_m) & (ahead_m >= -_BEHIND_M)  # NaN compares as False
+        return np.asarray(near.any(axis=1))
 
     def _movable(self, rows: IntArray, gap_m: FloatArray) -> BoolArray:
         others: BoolArray = (rows != self.target) & ~np.isin(rows, list(self.world.on_foot))
@@ -303,7 +320,17 @@ class Loop:
         radius[np.isin(rows, self._inside_junctions())] = np.inf
         on_lane = np.array([bool(self.world.lane[row]) for row in rows.tolist()], dtype=np.bool_)
         free = ~np.isin(rows, self.context.rows())
-        return np.asarray(others & (gap_m <= radius) & (on_lane | moved) & free)
+        movable = np.asarray(others & (gap_m <= radius) & (on_lane | moved) & free)
+        for k in np.flatnonzero(movable & ~moved).tolist():
+            movable[k] = not self._arrives(int(rows[k]))
+        return movable
+
+    def _arrives(self, row: int) -> bool:
+        """Return whether SUMO takes *row* off the net before it could stop: it looks at nobody beyond its goal."""
+        vehicle, name = self.api.vehicle, self.world.sumo_ids[row]
+        goal = vehicle.getRoute(name)[-1]
+        left_m = float(vehicle.getDrivingDistance(name, goal, self.api.lane.getLength(f"{goal}_0")))
+        return bool(0.0 <= left_m < 0.5 * self.world.speed_mps[row] ** 2 / _STOPS_MPS2)
 
     def _inside_junctions(self) -> IntArray:
         """Return the rows of moved vehicles inside a junction, where nobody changes hands."""

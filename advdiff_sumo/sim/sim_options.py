@@ -23,7 +23,8 @@ class SimOptions(Options):
         lateral_resolution_m: SUMO's sublane width; 0 switches the sublane model off.
         control_radius_m: background vehicles nearer than this to the target may be moved by the policy.
         release_factor: a moved vehicle is handed back beyond ``release_factor`` × ``control_radius_m``.
-        observe_radius_m: planners and policies see road users up to here.
+        observe_radius_m: planners and policies see road users up to here, policies also who is in the way of a vehicle
+            that is moved.
         record_radius_m: the record keeps road users that come this near to the target.
         record_plans: the record keeps the plans of the target and of so many vehicles nearest to it; 0: none.
         record_natural: the record keeps what happened in the seed scene without attack.

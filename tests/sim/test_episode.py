@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.errors import ConfigError
-from advdiff_sumo.core.frames import bumper_from_centre, wrap_angle, yaw_from_sumo
+from advdiff_sumo.core.frames import bumper_from_centre, unit, wrap_angle, yaw_from_sumo
 from advdiff_sumo.core.plan import Controls, JointPlan, Trajectory
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
 from advdiff_sumo.core.scene import Scene
@@ -141,9 +141,55 @@ def test_inside_a_junction_nobody_changes_hands(scene: SeedScene, road: RoadMap,
         assert world.ids[row] not in loop.scene_now().history.ids
         loop.actuator.take(row)
         now = loop.scene_now()
-        around = np.linalg.norm(world.xy_m[: len(world)] - world.xy_m[row], axis=-1) <= 40.0
+        offset = world.xy_m[: len(world)] - world.xy_m[row]
+        ahead = offset @ unit(world.yaw_rad[row]) >= -10.0
+        around = (np.linalg.norm(offset, axis=-1) <= 40.0) & ahead
         assert {world.ids[other] for other in np.flatnonzero(around)} <= set(now.history.ids)
         assert [now.history.ids[k] for k in np.flatnonzero(now.movable)] == [world.ids[row]]
+
+
+class FarthestSeen(StraightOn):
+    """Traffic that drives straight on, and remembers how far from the target it sees anybody."""
+
+    farthest_m = 0.0
+
+    def plan(self, road: RoadMap, scene: Scene, memory: None, rng: np.random.Generator) -> Any:
+        now = scene.history.xy_m[:, -1]
+        self.farthest_m = max(self.farthest_m, float(np.linalg.norm(now - now[scene.target], axis=-1).max()))
+        return super().plan(road, scene, memory, rng)
+
+
+def test_who_is_moved_sees_farther_than_the_target(scene: SeedScene, road: RoadMap) -> None:
+    planner, policy = Straight(), FarthestSeen()
+    radii = {"control_radius_m": 30.0, "observe_radius_m": 30.0, "horizon_s": 5.0}
+    record, _ = episode(scene, road, target=planner, background=policy, **radii).run()
+    assert record.failure is None
+    assert (record.controller == Controller.POLICY).any()
+    assert 20.0 < planner.farthest_m <= 30.0
+    assert policy.farthest_m > 40.0
+
+
+def test_who_sumo_is_about_to_take_off_the_net_is_left_to_it(
+    scene: SeedScene, road: RoadMap, tmp_path: Path
+) -> None:
+    """At its goal a vehicle does not brake for whoever stands beyond it: taken over, it could not stop any more."""
+    with running(episode(scene, road, horizon_s=30.0, control_radius_m=200.0), tmp_path) as loop:
+        world, vehicle = loop.world, loop.api.vehicle
+        for steps in range(5, 301, 5):
+            loop.run(steps)
+            now = loop.scene_now()
+            for k in np.flatnonzero(now.movable).tolist():
+                row = world.row_of(now.history.ids[k])
+                name = now.history.ids[k]
+                left_m = loop.api.lane.getLength(vehicle.getLaneID(name)) - vehicle.getLanePosition(name)
+                stops_m = world.speed_mps[row] ** 2 / 8.0
+                if left_m < stops_m and not vehicle.getRoadID(name).startswith(":"):
+                    vehicle.setRoute(name, [vehicle.getRoadID(name)])
+                    later = loop.scene_now()
+                    assert not later.movable[later.history.index[name]]
+                    assert later.movable.sum() == now.movable.sum() - 1
+                    return
+    pytest.fail("nobody was about to leave an edge")
 
 
 def test_the_same_episode_gives_the_same_record(scene: SeedScene, road: RoadMap) -> None:
@@ -159,7 +205,7 @@ class Straight:
     """A planner that drives on, or does something that it must not do."""
 
     def __init__(self, fault: str = "") -> None:
-        self.fault = fault
+        self.fault, self.farthest_m = fault, 0.0
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> int:
         return 0
@@ -168,6 +214,8 @@ class Straight:
         assert scene.routes[scene.target]
         assert not any(route for k, route in enumerate(scene.routes) if k != scene.target)
         assert not scene.movable.any()
+        now = scene.history.xy_m[:, -1]
+        self.farthest_m = max(self.farthest_m, float(np.linalg.norm(now - now[scene.target], axis=-1).max()))
         if memory >= 2 and self.fault == "raises":
             raise RuntimeError("out of ideas")
         if memory >= 2 and self.fault == "nan":

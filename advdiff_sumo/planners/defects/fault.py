@@ -46,21 +46,6 @@ def others_of(scene: Scene) -> BoolArray:
     return np.asarray(np.arange(scene.history.agents) != scene.target)
 
 
-def without(scene: Scene, hidden: BoolArray) -> Scene:
-    """Return *scene* without the road users of *hidden* (A,); the target always stays."""
-    kept = ~hidden
-    kept[scene.target] = True
-    if kept.all():
-        return scene
-    return replace(
-        scene,
-        history=scene.history.rows(kept),
-        target=int(kept[: scene.target].sum()),
-        movable=scene.movable[kept],
-        routes=tuple(route for route, stays in zip(scene.routes, kept.tolist(), strict=True) if stays),
-    )
-
-
 def with_states(
     scene: Scene,
     rows: BoolArray,

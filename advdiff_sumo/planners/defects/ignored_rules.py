@@ -13,7 +13,7 @@ import numpy as np
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import Link, RoadMap
-from advdiff_sumo.planners.defects.fault import Fault, chance, others_of, with_states, without
+from advdiff_sumo.planners.defects.fault import Fault, chance, others_of, with_states
 from advdiff_sumo.planners.lane_graph.rules import signal_state
 
 _STOP, _YELLOW, _FREE, _RED = "ru", "yY", "G", "r"
@@ -57,7 +57,7 @@ class IgnoredPriority(Fault):
         lanes, *_ = road.locate_many(history.xy_m[:, -1], history.yaw_rad[:, -1])
         foes = [lane is not None and bool(before & _requests_from(road, lane)) for lane in lanes]
         drawn = [chance(seed, "priority", name) < self.value for name in history.ids]
-        return without(scene, np.array(foes) & np.array(drawn) & others_of(scene)), memory
+        return scene.without(np.array(foes) & np.array(drawn) & others_of(scene)), memory
 
 
 @dataclass(frozen=True)

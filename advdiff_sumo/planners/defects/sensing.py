@@ -12,7 +12,7 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.fault import Fault, chance, others_of, seen_from_target, without
+from advdiff_sumo.planners.defects.fault import Fault, chance, others_of, seen_from_target
 
 DROPOUT_PERIOD_S = 6.0
 _HEAVY = (AgentClass.TRUCK, AgentClass.BUS)
@@ -25,7 +25,7 @@ class Blindness(Fault, ABC):
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
         """Return *scene* without those who are not seen."""
         del road, seed
-        return without(scene, self.hidden(scene) & others_of(scene)), memory
+        return scene.without(self.hidden(scene) & others_of(scene)), memory
 
     @abstractmethod
     def hidden(self, scene: Scene) -> BoolArray:
@@ -57,7 +57,7 @@ class Flicker(Fault):
         del road
         now = f"{scene.time_s:.3f}"
         missed = np.array([chance(seed, name, now) < self.value for name in scene.history.ids])
-        return without(scene, missed & others_of(scene)), memory
+        return scene.without(missed & others_of(scene)), memory
 
 
 class Dropout(Fault):
@@ -68,7 +68,7 @@ class Dropout(Fault):
         del road
         phase = np.array([chance(seed, name) for name in scene.history.ids])
         lost = (scene.time_s + DROPOUT_PERIOD_S * phase) % DROPOUT_PERIOD_S < self.value
-        return without(scene, lost & others_of(scene)), memory
+        return scene.without(lost & others_of(scene)), memory
 
 
 class BlindToCrossing(Blindness):

@@ -13,7 +13,7 @@ from advdiff_sumo.core.frames import unit, wrap_angle
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.fault import Fault, others_of, with_states, without
+from advdiff_sumo.planners.defects.fault import Fault, others_of, with_states
 
 _SLACK_S = 1e-6
 
@@ -51,7 +51,7 @@ class Late(Fault):
         late = replace(late, history=replace(late.history, valid=shown))
         earlier = [signals for time, signals in past.signals if time <= scene.time_s - self.value + _SLACK_S]
         late = replace(late, signals=earlier[-1] if earlier else past.signals[0][1])
-        return without(late, rows & ~shown[:, -1]), past
+        return late.without(rows & ~shown[:, -1]), past
 
 
 class ConstantVelocity(Fault):

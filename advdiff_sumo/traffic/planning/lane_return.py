@@ -1,7 +1,7 @@
 """Drives vehicles that nobody plans for any more along their lanes, among everybody else, until SUMO can take them.
 
-They go on as vehicles far from the target do: on their lanes, under the safeguard, so that who is left in a turn
-clears the junction in the gaps of the others.
+They go on along their lanes, under the safeguard, so that who is left in a turn clears the junction in the gaps of
+the others.
 """
 
 from __future__ import annotations

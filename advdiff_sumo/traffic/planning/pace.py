@@ -23,7 +23,7 @@ from advdiff_sumo.models.model_options import (
     PIECE_POINTS,
 )
 
-_CRUISES, _STANDS, _FADES_MPS = 0.15, 0.6, 8.0
+_CRUISES, _STANDS, _FADES_MPS = 0.22, 0.9, 8.0
 """Standard deviations for who drives fast, those in addition for who stands, and the speed at which these are gone."""
 _ALONE_MPS, _CAR_M, _STEP = 8.0, (4.6, 1.9), 0.5
 

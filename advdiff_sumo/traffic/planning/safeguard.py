@@ -1,15 +1,14 @@
 """Keeps sampled plans plausible by construction; applied to every plan, guided or not.
 
-In this order: a vehicle far from the target, one whose plan leaves the road or goes on beside it (it stops where it
-has no lane), one that is no attacker and plans to drive on the wrong side, and one that has crept on a junction for
-its whole history or plans to stop on one, follows its lane instead, or stops where it is too fast for that; all are
-slowed to their share of the speed limit (``speed_bound``); one that stands and has nowhere to go stands exactly
-still, and one that has stood for its whole history and means to leave within its plan leaves now; who has no plan
-and has stood for as long is taken to stand; who follows the target keeps a gap in which it can stop
-(``following_gap``); plans are braked (``braking``) where boxes would meet or a red light
-would be passed. Who could not avoid another box by braking drives on as the plan before said, which was free, or
-along its lane, where that helps. Attackers are left alone towards the target, and signals do not bind them; everybody
-else behaves.
+In this order: a vehicle whose plan leaves the road or goes on beside it (it stops where it has no lane), one that is
+no attacker and plans to drive on the wrong side, and one that has crept on a junction for its whole history or plans
+to stop on one, follows its lane instead, or stops where it is too fast for that; all are slowed to their share of the
+speed limit (``speed_bound``); one that stands and has nowhere to go stands exactly still, and one that has stood for
+its whole history and means to leave within its plan leaves now; who has no plan and has stood for as long is taken to
+stand; who follows the target keeps a gap in which it can stop (``following_gap``); plans are braked (``braking``)
+where boxes would meet or a red light would be passed. Who could not avoid another box by braking drives on as the
+plan before said, which was free, or along its lane, where that helps. Attackers are left alone towards the target,
+and signals do not bind them; everybody else behaves.
 """
 
 from __future__ import annotations
@@ -33,8 +32,6 @@ from advdiff_sumo.traffic.planning.right_of_way import right_of_way
 from advdiff_sumo.traffic.planning.road_bound import leaves_road
 from advdiff_sumo.traffic.planning.speed_bound import bound_speeds
 
-FAR_M = 55.0
-"""Vehicles farther from the target follow their lanes, so that SUMO gets them back aligned."""
 _STANDS_MPS, _WALKS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 2.0, 0.3, 3
 _LEAVES_M, _BUDGES_M = 1.5, 0.1
 _CLEARS_M = 1.5
@@ -109,9 +106,7 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> SafeguardedP
     off = leaves_road(road, plans, watched.planned, watched.motor)
     lost = off & nowhere
     off |= drives_against(road, plans, watched.planned & ~watched.attacker & ~nowhere)
-    far = np.linalg.norm(plans.xy_m[:, 0] - plans.xy_m[watched.target, 0], axis=-1) > FAR_M
-    followed = off | (far & watched.planned & ~watched.attacker) | _blocks_junction(plans, watched)
-    followed &= ~nowhere
+    followed = (off | _blocks_junction(plans, watched)) & ~nowhere
     back_to_lane(plans, np.flatnonzero(followed), watched)
     rows = np.flatnonzero(watched.planned)
     bound_speeds(plans, rows, watched.lanes, road.legal_limits_mps, watched.over_limit)

@@ -27,7 +27,7 @@ def test_who_stands_is_shifted_most_and_attackers_not_at_all() -> None:
     speed, share = torch.tensor([[0.0, 4.0, 8.0, 20.0, 0.0]]), torch.tensor([1.0, 1.0, 1.0, 0.5, 0.0])
     shifted = with_pace(x, torch.tensor([[0.0, 1.0]]), speed, share)
     assert torch.equal(shifted[..., 0], x[..., 0])
-    expected = torch.tensor([3.75, 3.45, 3.15, 3.075, 3.0])
+    expected = torch.tensor([4.12, 3.67, 3.22, 3.11, 3.0])
     torch.testing.assert_close(shifted[0, :, 0, 1], expected)
 
 

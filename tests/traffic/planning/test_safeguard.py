@@ -86,14 +86,12 @@ def test_a_plan_off_the_road_becomes_one_along_the_lane(downtown: RoadMap, lane:
     assert (np.diff(s) > -0.01).all()
 
 
-def test_far_from_the_target_cars_follow_their_lanes(downtown: RoadMap, lane: Lane) -> None:
-    """Half a metre beside its lane and 60 m from the target, it is on its way back to the middle."""
+def test_a_sound_plan_is_left_alone_however_far_the_target_is(downtown: RoadMap, lane: Lane) -> None:
+    """Half a metre beside the middle of its lane: SUMO gets it back on the lane when it is handed over, no sooner."""
     plans = on(lane, 10.0, 4.0, left=0.5)
-    assert abs(lane.line.project(guarded(downtown, plans).futures.xy_m[1, -1])[1]) > 0.4
-    plans.xy_m[0] += plans.xy_m[0] - plans.xy_m[1, :1]  # twice as far
-    made = guarded(downtown, plans)
-    assert not made.lane.any()  # which counts plans that would have left the road
-    assert abs(lane.line.project(made.futures.xy_m[1, 6])[1]) < 0.3
+    for _ in range(3):
+        np.testing.assert_array_equal(guarded(downtown, plans).futures.xy_m[1], plans.xy_m[1])
+        plans.xy_m[0] += plans.xy_m[0] - plans.xy_m[1, :1]
 
 
 def test_a_car_that_has_left_the_road_is_no_worse_for_staying(downtown: RoadMap, lane: Lane) -> None:

@@ -41,9 +41,9 @@ demo: install
 test: setup
 	$(TESTS) --numprocesses 2 -m "not slow"
 
-# all there is; tests wait for other processes now and then, so that three keep two cores busy
+# all there is; a third of the time tests wait for other processes, so that four keep two cores busy
 test-all: setup
-	$(TESTS) --numprocesses 3
+	$(TESTS) --numprocesses 4
 
 # other people's programs that read what we export, in environments of their own; tests/export uses them where they are
 readers: build/readers/commonroad/.ready build/readers/asam/.ready build/readers/av2/.ready build/readers/lanelet2/.ready build/readers/nuplan/.ready build/readers/opendrive/.ready

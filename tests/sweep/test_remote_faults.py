@@ -61,7 +61,7 @@ KINDS = {"planner_crashed", "planner_timeout", "plan_refused"}
 def test_every_episode_has_its_row_and_no_process_stays(place: Path, tmp_path: Path, limits: Limits) -> None:
     server = tmp_path / "draws_server.py"
     server.write_text(SERVER)
-    rows, failures = with_time(lambda limit_s: attempt(server, place, tmp_path, limits, limit_s), 20.0)
+    rows, failures = with_time(lambda limit_s: attempt(server, place, tmp_path, limits, limit_s), 8.0)
     assert len(rows) == 12
     kinds = [row["failure_kind"] for row in rows if row["end"] == "failed"]
     assert set(kinds) == KINDS

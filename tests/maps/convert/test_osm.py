@@ -386,13 +386,15 @@ def test_genuine_streets_around_a_genuine_map(adv_data: Path, tmp_path: Path) ->
 
 @pytest.mark.data
 @pytest.mark.slow
-@pytest.mark.parametrize("place", ["singapore-onenorth", "boston-seaport"])
-def test_nobody_collides_with_streets_and_return_edges(place: str, adv_data: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("place", "seeds"), [("singapore-onenorth", (1, 2, 3)), ("boston-seaport", (1,))])
+def test_nobody_collides_with_streets_and_return_edges(
+    place: str, seeds: tuple[int, ...], adv_data: Path, tmp_path: Path
+) -> None:
     extract = extract_of_net(adv_data / "sumo" / f"drivearena-{place}" / "osm.net.xml")
     source = read_map(adv_data / "nuscenes-mini" / "maps" / "expansion" / f"{place}.json")
     osm = extract.write(tmp_path / "streets.osm")
     result = convert_source(source, tmp_path / "n.net.xml", osm=osm, guess_signals=True, close_rim=True)
-    for seed in (1, 2, 3):
+    for seed in seeds:
         figures = driving_test(result.net, vehicles=300, seed=seed)
         assert {bar: figures[bar] for bar in BARS} == dict.fromkeys(BARS, 0)
         assert figures["arrived"] >= 250

@@ -224,6 +224,7 @@ def _watched(
         lanes=ahead,
         signals=scene.signals,
         keeps_back=not attack.exempt,
+        lanes_afar=attack.exempt,
     )
 
 

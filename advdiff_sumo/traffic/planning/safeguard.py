@@ -8,7 +8,8 @@ its whole history and means to leave within its plan leaves now; who has no plan
 stand; who follows the target keeps a gap in which it can stop (``following_gap``); plans are braked (``braking``)
 where boxes would meet or a red light would be passed. Who could not avoid another box by braking drives on as the
 plan before said, which was free, or along its lane, where that helps. Attackers are left alone towards the target,
-and signals do not bind them; everybody else behaves.
+and signals do not bind them; everybody else behaves. Around reckless ones, who is far from the target follows its lane,
+too.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ from advdiff_sumo.traffic.planning.right_of_way import right_of_way
 from advdiff_sumo.traffic.planning.road_bound import leaves_road
 from advdiff_sumo.traffic.planning.speed_bound import bound_speeds
 
+_FAR_M = 55.0
+"""Farther from the target, vehicles among reckless ones follow their lanes: the paper's networks drive slowly."""
 _STANDS_MPS, _WALKS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 2.0, 0.3, 3
 _LEAVES_M, _BUDGES_M = 1.5, 0.1
 _CLEARS_M = 1.5
@@ -63,6 +66,7 @@ class Watched:
         signals: states of the traffic lights.
         before: row → what is left of the plan before, as long as the new one.
         keeps_back: whether who follows the target keeps so far behind that it can stop if that brakes in full.
+        lanes_afar: whether who is far from the target follows its lane.
     """
 
     planned: BoolArray
@@ -77,6 +81,7 @@ class Watched:
     signals: Mapping[str, str]
     before: Mapping[int, VehiclePlan] = field(default_factory=dict)
     keeps_back: bool = False
+    lanes_afar: bool = False
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,9 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> SafeguardedP
     off = leaves_road(road, plans, watched.planned, watched.motor)
     lost = off & nowhere
     off |= drives_against(road, plans, watched.planned & ~watched.attacker & ~nowhere)
-    followed = (off | _blocks_junction(plans, watched)) & ~nowhere
+    far = np.linalg.norm(plans.xy_m[:, 0] - plans.xy_m[watched.target, 0], axis=-1) > _FAR_M
+    far &= watched.planned & ~watched.attacker & watched.lanes_afar
+    followed = (off | far | _blocks_junction(plans, watched)) & ~nowhere
     back_to_lane(plans, np.flatnonzero(followed), watched)
     rows = np.flatnonzero(watched.planned)
     bound_speeds(plans, rows, watched.lanes, road.legal_limits_mps, watched.over_limit)

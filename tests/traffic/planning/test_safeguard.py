@@ -94,6 +94,19 @@ def test_a_sound_plan_is_left_alone_however_far_the_target_is(downtown: RoadMap,
         plans.xy_m[0] += plans.xy_m[0] - plans.xy_m[1, :1]
 
 
+def test_among_reckless_ones_who_is_far_from_the_target_follows_its_lane(
+    downtown: RoadMap, lane: Lane
+) -> None:
+    """Half a metre beside the middle of its lane; 30 m from the target it stays there, 60 m from it it returns."""
+    plans = on(lane, 10.0, 4.0, left=0.5)
+    made = guarded(downtown, plans, lanes_afar=True)
+    np.testing.assert_array_equal(made.futures.xy_m[1], plans.xy_m[1])
+    plans.xy_m[0] += plans.xy_m[0] - plans.xy_m[1, :1]
+    made = guarded(downtown, plans, lanes_afar=True)
+    assert not made.lane.any()  # which counts plans that would have left the road
+    assert abs(lane.line.project(made.futures.xy_m[1, 6])[1]) < 0.3
+
+
 def test_a_car_that_has_left_the_road_is_no_worse_for_staying(downtown: RoadMap, lane: Lane) -> None:
     """What is off the road now does not count, as with cars parked on the kerb."""
     plans = on(lane, 10.0, 0.0, left=-60.0)

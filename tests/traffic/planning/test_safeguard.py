@@ -46,7 +46,9 @@ def ahead(road: RoadMap, futures: Futures) -> list[LaneAhead | None]:
     ]
 
 
-def watched(road: RoadMap, futures: Futures, attacks: bool = False, light: str = "G") -> Watched:
+def watched(
+    road: RoadMap, futures: Futures, attacks: bool = False, light: str = "G", lanes_afar: bool = False
+) -> Watched:
     planned = np.arange(futures.agents) > 0
     lights = {x.tls_id: 60 * light for y in road.lanes.values() for x in y.successors if x.tls_id}
     stood = planned & (futures.speed_mps[:, 0] == 0.0)
@@ -59,6 +61,7 @@ def watched(road: RoadMap, futures: Futures, attacks: bool = False, light: str =
         stood=stood,
         dawdled=planned & (futures.speed_mps[:, 0] < 2.0),
         over_limit=np.where(planned & attacks, 1.5, 1.15),
+        lanes_afar=lanes_afar,
         lanes=ahead(road, futures),
         signals=lights,
     )
@@ -97,7 +100,7 @@ def test_a_sound_plan_is_left_alone_however_far_the_target_is(downtown: RoadMap,
 def test_among_reckless_ones_who_is_far_from_the_target_follows_its_lane(
     downtown: RoadMap, lane: Lane
 ) -> None:
-    """Half a metre beside the middle of its lane; 30 m from the target it stays there, 60 m from it it returns."""
+    """Half a metre beside the middle of its lane; 40 m from the target it stays there, 80 m from it it returns."""
     plans = on(lane, 10.0, 4.0, left=0.5)
     made = guarded(downtown, plans, lanes_afar=True)
     np.testing.assert_array_equal(made.futures.xy_m[1], plans.xy_m[1])

@@ -303,7 +303,7 @@ class Loop:
     def _in_the_way(self) -> BoolArray:
         """Return (n,) whom a vehicle that we move may meet, however far from the target both are."""
         world = self.world
-        moved = np.array(sorted(self.actuator.moved.keys() - {self.target}), dtype=np.int64)
+        moved = np.array(self._others_moved(), dtype=np.int64)
         offset = world.xy_m[: len(world), None] - world.xy_m[moved]
         ahead_m = (offset * unit(world.yaw_rad[moved])).sum(axis=-1)
         sight_m = np.maximum(_SIGHT_M, _SIGHT_S * world.speed_mps[moved])
@@ -332,10 +332,14 @@ class Loop:
         left_m = float(vehicle.getDrivingDistance(name, goal, self.api.lane.getLength(f"{goal}_0")))
         return bool(0.0 <= left_m < 0.5 * self.world.speed_mps[row] ** 2 / _STOPS_MPS2)
 
+    def _others_moved(self) -> list[int]:
+        """Return the rows that we move in SUMO, without the target."""
+        return sorted(self.actuator.moved.keys() - {self.target})
+
     def _inside_junctions(self) -> IntArray:
         """Return the rows of moved vehicles inside a junction, where nobody changes hands."""
         lanes = self.road.lanes
-        names = ((row, self.world.lane[row]) for row in sorted(self.actuator.moved) if row != self.target)
+        names = ((row, self.world.lane[row]) for row in self._others_moved())
         inside = [row for row, name in names if name in lanes and lanes[name].is_internal]
         return np.array(inside, dtype=np.int64)
 

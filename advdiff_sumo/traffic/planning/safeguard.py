@@ -34,7 +34,7 @@ from advdiff_sumo.traffic.planning.road_bound import leaves_road
 from advdiff_sumo.traffic.planning.speed_bound import bound_speeds
 
 _FAR_M = 55.0
-"""Farther from the target, vehicles among reckless ones follow their lanes: the paper's networks drive slowly."""
+"""Farther from the target, vehicles among reckless ones follow their lanes, as in the paper's tables here."""
 _STANDS_MPS, _WALKS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 2.0, 0.3, 3
 _LEAVES_M, _BUDGES_M = 1.5, 0.1
 _CLEARS_M = 1.5

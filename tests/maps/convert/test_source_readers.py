@@ -139,7 +139,7 @@ def test_net_holds_what_pyxodr_sees_of_an_opendrive_file(tmp_path: Path) -> None
 @pytest.mark.slow
 @pytest.mark.data
 def test_net_holds_what_pyxodr_sees_of_a_city_as_opendrive(adv_data: Path, tmp_path: Path) -> None:
-    check_opendrive(adv_data / "nuscenes-mini/maps/expansion/singapore-onenorth.json", tmp_path)
+    check_opendrive(adv_data / "nuscenes-mini/maps/expansion/singapore-hollandvillage.json", tmp_path)
 
 
 def check_opendrive(path: Path, folder: Path) -> None:

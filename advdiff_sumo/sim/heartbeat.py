@@ -6,6 +6,7 @@ import mmap
 import os
 import struct
 import time
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from enum import IntEnum
 from pathlib import Path
 
 _LAYOUT = struct.Struct("<qqqd")
+_CHECK = struct.Struct("<I")
 NOT_STARTED = -1
 """Steps of an episode whose start is not over."""
 
@@ -55,18 +57,20 @@ class Heartbeat:
         """Write to *path*, which another process may read at any time; None: for this process alone."""
         self.phase, self.steps = Phase.OTHER, NOT_STARTED
         self._pid = os.getpid()
-        self._memory: mmap.mmap | bytearray = bytearray(_LAYOUT.size)
+        size = _LAYOUT.size + _CHECK.size
+        self._memory: mmap.mmap | bytearray = bytearray(size)
         if path is not None:
             with path.open("w+b") as file:
-                file.truncate(_LAYOUT.size)
-                self._memory = mmap.mmap(file.fileno(), _LAYOUT.size)
+                file.truncate(size)
+                self._memory = mmap.mmap(file.fileno(), size)
         self.note(Phase.OTHER)
 
     def note(self, phase: Phase, steps: int | None = None) -> None:
         """Write down that *phase* begins now, after *steps* steps where they have changed."""
         self.phase = phase
         self.steps = self.steps if steps is None else steps
-        _LAYOUT.pack_into(self._memory, 0, self._pid, phase, self.steps, time.monotonic())
+        beat = _LAYOUT.pack(self._pid, phase, self.steps, time.monotonic())
+        self._memory[:] = beat + _CHECK.pack(zlib.crc32(beat))
 
     @contextmanager
     def during(self, phase: Phase) -> Iterator[None]:
@@ -80,12 +84,17 @@ class Heartbeat:
 
     @staticmethod
     def read(path: Path) -> Beat | None:
-        """Return what the process that writes to *path* noted last; None where it has written nothing."""
+        """Return what the process that writes to *path* noted last.
+
+        None where it has written nothing, or is halfway through a note just now: memory that two processes share can
+        be read between two of its bytes, and a beat of old and new ones would look long overdue.
+        """
         try:
             content = path.read_bytes()
         except OSError:
             return None
-        if len(content) != _LAYOUT.size:
+        beat, check = content[: _LAYOUT.size], content[_LAYOUT.size :]
+        if check != _CHECK.pack(zlib.crc32(beat)):
             return None
-        pid, phase, steps, since_s = _LAYOUT.unpack(content)
-        return Beat(pid, Phase(phase), steps, since_s) if pid else None
+        pid, phase, steps, since_s = _LAYOUT.unpack(beat)
+        return Beat(pid, Phase(phase), steps, since_s)

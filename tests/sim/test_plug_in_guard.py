@@ -117,3 +117,22 @@ def test_the_heartbeat_can_be_read_from_outside(tmp_path: Path) -> None:
     assert (after.phase, after.steps) == (Phase.SIMULATOR, 12)
     path.write_bytes(b"half")
     assert Heartbeat.read(path) is None
+
+
+def test_a_note_that_is_half_written_is_not_read(tmp_path: Path) -> None:
+    """Whoever reads between two bytes of a note sees the start of it, then zeros or what was there before."""
+    path = tmp_path / "beat"
+    heartbeat = Heartbeat(path)
+    before = path.read_bytes()
+    heartbeat.note(Phase.BACKGROUND, 34)
+    after = path.read_bytes()
+    whole = {Heartbeat.read(path)}
+    path.write_bytes(before)
+    whole.add(Heartbeat.read(path))
+    assert len(whole) == 2
+    assert None not in whole
+    for cut in range(len(after)):
+        path.write_bytes(after[:cut] + before[cut:])
+        assert Heartbeat.read(path) in {None, *whole}
+        path.write_bytes(after[:cut] + bytes(len(after) - cut))
+        assert Heartbeat.read(path) in {None, *whole}

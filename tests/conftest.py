@@ -21,7 +21,15 @@ LONG = (
         "test_converted_nets.py",
         "test_browser.py",
     ),
-    *("test_faults.py", "test_any_net.py"),
+    *(
+        "test_hour.py",
+        "test_source_readers.py",
+        "test_rim.py",
+        "test_osm.py",
+        "test_data.py",
+        "test_threads.py",
+    ),
+    *("test_faults.py", "test_any_net.py", "test_staged_encounters.py", "test_closed_loop.py"),
 )
 """Files of minutes, longest first: begun last, one of them would run alone while the other worker waits."""
 

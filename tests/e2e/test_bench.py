@@ -17,17 +17,13 @@ from tests.hang_guard import HANG_S
 STEADY = ("table.csv", "differences.csv", "table.json")
 
 
-def scene_list(folder: Path, count: int) -> Path:
-    path = folder / f"{count}.json"
-    scene = SceneOptions(warmup_s=8.0, scenes_per_warmup=2, spacing_s=2.0, min_neighbours=1)
-    write_scene_list(path, make_list(count, 5, "a test", ("motorway",), scene))
-    return path
-
-
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A list of four seed scenes of which two come from each of two warm-ups."""
-    return scene_list(tmp_path_factory.mktemp("scenes"), 4)
+    path = tmp_path_factory.mktemp("scenes") / "four.json"
+    scene = SceneOptions(warmup_s=8.0, scenes_per_warmup=2, spacing_s=2.0, min_neighbours=1)
+    write_scene_list(path, make_list(4, 5, "a test", ("motorway",), scene))
+    return path
 
 
 def words(scenes: Path, out: str, targets: str = "IDM") -> tuple[str, ...]:
@@ -66,8 +62,8 @@ def test_a_bench_that_was_killed_goes_on_and_ends_with_the_same_bytes(scenes: Pa
 
 
 @pytest.mark.slow
-def test_fewshot_and_transfer(tmp_path: Path) -> None:
-    small = ("--scenes", scene_list(tmp_path, 2), "--horizon", "3", "--workers", "2")
+def test_fewshot_and_transfer(scenes: Path, tmp_path: Path) -> None:
+    small = ("--scenes", scenes, "--horizon", "3", "--workers", "2")
     done = advdiff(
         "bench",
         "fewshot",
@@ -84,7 +80,7 @@ def test_fewshot_and_transfer(tmp_path: Path) -> None:
     )
     assert done.code == 0, done.err
     rows = list(csv.DictReader((tmp_path / "few" / "table.csv").read_text().splitlines()))
-    ladder = [("steps_0", "2"), ("steps_1", "4"), ("steps_2", "4")]
+    ladder = [("steps_0", "4"), ("steps_1", "8"), ("steps_2", "8")]
     assert [(row["target"], row["row"], row["column"], row["n"]) for row in rows] == [
         (f"guided by {guide}", "EIDM", *step)
         for guide in ("Q alone", "Q and the attack's terms")

@@ -14,7 +14,7 @@ from enum import IntEnum
 from pathlib import Path
 
 _LAYOUT = struct.Struct("<qqqd")
-_CHECK = struct.Struct("<I")
+_SIZE = _LAYOUT.size + 4  # with its checksum
 NOT_STARTED = -1
 """Steps of an episode whose start is not over."""
 
@@ -57,20 +57,18 @@ class Heartbeat:
         """Write to *path*, which another process may read at any time; None: for this process alone."""
         self.phase, self.steps = Phase.OTHER, NOT_STARTED
         self._pid = os.getpid()
-        size = _LAYOUT.size + _CHECK.size
-        self._memory: mmap.mmap | bytearray = bytearray(size)
+        self._memory: mmap.mmap | bytearray = bytearray(_SIZE)
         if path is not None:
             with path.open("w+b") as file:
-                file.truncate(size)
-                self._memory = mmap.mmap(file.fileno(), size)
+                file.truncate(_SIZE)
+                self._memory = mmap.mmap(file.fileno(), _SIZE)
         self.note(Phase.OTHER)
 
     def note(self, phase: Phase, steps: int | None = None) -> None:
         """Write down that *phase* begins now, after *steps* steps where they have changed."""
         self.phase = phase
         self.steps = self.steps if steps is None else steps
-        beat = _LAYOUT.pack(self._pid, phase, self.steps, time.monotonic())
-        self._memory[:] = beat + _CHECK.pack(zlib.crc32(beat))
+        self._memory[:] = _sealed(_LAYOUT.pack(self._pid, phase, self.steps, time.monotonic()))
 
     @contextmanager
     def during(self, phase: Phase) -> Iterator[None]:
@@ -93,8 +91,13 @@ class Heartbeat:
             content = path.read_bytes()
         except OSError:
             return None
-        beat, check = content[: _LAYOUT.size], content[_LAYOUT.size :]
-        if check != _CHECK.pack(zlib.crc32(beat)):
+        beat = content[: _LAYOUT.size]
+        if content != _sealed(beat):
             return None
         pid, phase, steps, since_s = _LAYOUT.unpack(beat)
         return Beat(pid, Phase(phase), steps, since_s)
+
+
+def _sealed(beat: bytes) -> bytes:
+    """Return the packed *beat* and the checksum by which a reader tells that it is whole."""
+    return beat + zlib.crc32(beat).to_bytes(4, "little")

@@ -2,7 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --disable-pip-version-check --progress-bar on
-TESTS := $(BIN)/pytest --dist loadfile --no-loadscope-reorder --durations 40 --quiet
+# more than two at a time take longer on two cores
+TESTS := $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 15 --quiet
 
 .PHONY: install setup demo test test-all readers planners check docs proto package bench soak weights clean
 
@@ -39,11 +40,11 @@ demo: install
 
 # values worked by hand, contracts, and one of everything end to end: five minutes on two cores
 test: setup
-	$(TESTS) --numprocesses 2 -m "not slow"
+	$(TESTS) -m "not slow"
 
-# all there is; more than two at a time take longer on two cores, and each up to three times as long
+# all there is
 test-all: setup
-	$(TESTS) --numprocesses 2
+	$(TESTS)
 
 # other people's programs that read what we export, in environments of their own; tests/export uses them where they are
 readers: build/readers/commonroad/.ready build/readers/asam/.ready build/readers/av2/.ready build/readers/lanelet2/.ready build/readers/nuplan/.ready build/readers/opendrive/.ready

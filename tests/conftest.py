@@ -14,22 +14,21 @@ settings.register_profile("ci", derandomize=True, **_BUSY)
 settings.load_profile("desk")
 
 LONG = (
-    *(
-        "test_bench.py",
-        "test_commands.py",
-        "test_misbehaving.py",
-        "test_converted_nets.py",
-        "test_browser.py",
-    ),
-    *(
-        "test_hour.py",
-        "test_source_readers.py",
-        "test_rim.py",
-        "test_osm.py",
-        "test_data.py",
-        "test_threads.py",
-    ),
-    *("test_faults.py", "test_any_net.py", "test_staged_encounters.py", "test_closed_loop.py"),
+    "test_bench.py",
+    "test_commands.py",
+    "test_misbehaving.py",
+    "test_converted_nets.py",
+    "test_browser.py",
+    "test_hour.py",
+    "test_source_readers.py",
+    "test_rim.py",
+    "test_osm.py",
+    "test_data.py",
+    "test_threads.py",
+    "test_faults.py",
+    "test_any_net.py",
+    "test_staged_encounters.py",
+    "test_closed_loop.py",
 )
 """Files of minutes, longest first: begun last, one of them would run alone while the other worker waits."""
 

@@ -1,4 +1,4 @@
-"""What a licence makes of a plan: guided vehicles that would break a rule are refused, lawful manoeuvres are added."""
+"""What a licence makes of a plan: who would break a rule is refused or waits, lawful manoeuvres are added."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.giving_way import waiting_lines_m
 from advdiff_sumo.traffic.manoeuvres.licence import (
     LAWFUL,
     RECKLESS_OVER_LIMIT,
@@ -46,6 +47,7 @@ class LicensedAttack:
         commitments: manoeuvres under way, for the next plan.
         over_limit: highest share of the speed limit at which guided vehicles may drive.
         newcomers: who comes in.
+        waits_m: row → how far it may drive while the target, which has the right of way over it, has not passed.
     """
 
     exempt: bool = True
@@ -54,6 +56,7 @@ class LicensedAttack:
     commitments: Commitments | None = None
     over_limit: float = RECKLESS_OVER_LIMIT
     newcomers: tuple[Newcomer, ...] = ()
+    waits_m: Mapping[int, float] = field(default_factory=dict)
 
 
 RECKLESS = LicensedAttack()
@@ -97,7 +100,9 @@ def licensed_attack(
         newcomers, kept = let_in(situation, kept)
     guided = [row for row in map(view.ids.index, attackers) if row not in driven]
     refused = _refused(situation, view, futures, guided, licence)
-    return LicensedAttack(False, refused, driven, kept, licence.over_limit, newcomers)
+    lines = waiting_lines_m(situation, view.rows.tolist(), futures).tolist()
+    waits = {k: line for k, line in enumerate(lines) if np.isfinite(line)}
+    return LicensedAttack(False, refused, driven, kept, licence.over_limit, newcomers, waits)
 
 
 def _refused(

@@ -212,6 +212,7 @@ def _watched(
         if ahead[row] is None:
             ahead[row] = way_out(road, view.now.xy_m[row, -1], float(view.now.yaw_rad[row, -1]))
     over_limit = np.where(guided, attack.over_limit, NATURAL_OVER_LIMIT)
+    waits = np.array([attack.waits_m.get(row, np.inf) for row in range(len(rows))])
     return Watched(
         planned=_with_rest(planned, rest),
         attacker=_with_rest(guided & attack.exempt, rest),
@@ -223,6 +224,7 @@ def _watched(
         over_limit=np.concatenate((over_limit, np.ones(len(rest)))),
         lanes=ahead,
         signals=scene.signals,
+        waits_m=waits,
         keeps_back=not attack.exempt,
         lanes_afar=attack.exempt,
     )

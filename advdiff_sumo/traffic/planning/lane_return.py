@@ -67,6 +67,7 @@ def _watched(road: RoadMap, scene: Scene) -> Watched:
         over_limit=np.where(scene.movable, NATURAL_OVER_LIMIT, 1.0),
         lanes=lanes,
         signals=scene.signals,
+        waits_m=np.full(now.agents, np.inf),
     )
 
 

@@ -6,10 +6,10 @@ to stop on one, follows its lane instead, or stops where it is too fast for that
 speed limit (``speed_bound``); one that stands and has nowhere to go stands exactly still, and one that has stood for
 its whole history and means to leave within its plan leaves now; who has no plan and has stood for as long is taken to
 stand; who follows the target keeps a gap in which it can stop (``following_gap``); plans are braked (``braking``)
-where boxes would meet or a red light would be passed. Who could not avoid another box by braking drives on as the
-plan before said, which was free, or along its lane, where that helps. Attackers are left alone towards the target,
-and signals do not bind them; everybody else behaves. Around reckless ones, who is far from the target follows its lane,
-too.
+where boxes would meet, a red light would be passed, or the right of way of the target would be taken. Who could not
+avoid another box by braking drives on as the plan before said, which was free, or along its lane, where that helps.
+Attackers are left alone towards the target, and signals do not bind them; everybody else behaves. Around reckless
+ones, who is far from the target follows its lane, too.
 """
 
 from __future__ import annotations
@@ -64,6 +64,7 @@ class Watched:
         over_limit: (N,) highest share of the speed limit that each may drive at.
         lanes: what each would follow, where asked for.
         signals: states of the traffic lights.
+        waits_m: (N,) how far each may drive before the target has passed, which has the right of way over it.
         before: row → what is left of the plan before, as long as the new one.
         keeps_back: whether who follows the target keeps so far behind that it can stop if that brakes in full.
         lanes_afar: whether who is far from the target follows its lane.
@@ -79,6 +80,7 @@ class Watched:
     over_limit: FloatArray
     lanes: Sequence[LaneAhead | None]
     signals: Mapping[str, str]
+    waits_m: FloatArray
     before: Mapping[int, VehiclePlan] = field(default_factory=dict)
     keeps_back: bool = False
     lanes_afar: bool = False
@@ -229,19 +231,19 @@ def _start_now(futures: Futures, row: int) -> None:
 
 
 def stop_distances(futures: Futures, watched: Watched, rows: BoolArray) -> FloatArray:
-    """Return (N,) how far each of *rows* may go before a red light; inf for none, and for attackers.
+    """Return (N,) how far each of *rows* may go before a red light or giving way; no light stops attackers.
 
     A yellow light counts where it asks for no more than comfortable braking, and a red one where the vehicle can
     stop at all: who is over the line, or too near to stop, goes on, as in real traffic.
     """
-    stop = np.full(futures.agents, np.inf)
+    stop = np.where(rows, watched.waits_m, np.inf)
     for row in np.flatnonzero(rows & ~watched.attacker).tolist():
         lane = watched.lanes[row]
         for distance, link in lane.stops[:1] if lane is not None else ():
             room = distance - 0.5 * futures.size_m[row, 0] - _BEFORE_LINE_M
             need = 0.5 * futures.speed_mps[row, 0] ** 2 / max(room, 0.1)
             if need <= _limit(link.signal(watched.signals)) and room > -_BEFORE_LINE_M:
-                stop[row] = max(room, 0.0)
+                stop[row] = min(stop[row], max(room, 0.0))
     return stop
 
 

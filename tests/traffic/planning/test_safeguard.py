@@ -64,6 +64,7 @@ def watched(
         lanes_afar=lanes_afar,
         lanes=ahead(road, futures),
         signals=lights,
+        waits_m=np.full(futures.agents, np.inf),
     )
 
 

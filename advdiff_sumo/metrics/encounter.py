@@ -301,15 +301,19 @@ def _crossing(
     entry = upto - inside[:upto][::-1].index(False) if False in inside[:upto] else None
     approach = lanes.lane[entry - 1] if entry is not None else None
     driven = [x for x in lanes.lane[entry or 0 :] if x is not None]
-    options = [x for x in road.links.values() if x.junction_id == junction]
-    options = [x for x in options if x.from_lane == approach] or options
-    return max(options, key=lambda x: _fit(road, x, driven, route), default=None), entry
+    link = _link_onto(road, approach, junction, route, driven)
+    if link is None:
+        options = [x for x in road.links.values() if x.junction_id == junction]
+        link = max(options, key=lambda x: _fit(road, x, driven, route), default=None)
+    return link, entry
 
 
 def _link_onto(
     road: RoadMap, lane_id: str | None, junction: str, route: tuple[str, ...], driven: Sequence[str] = ()
 ) -> Link | None:
     """Return the link by which a vehicle goes onto *junction* from a lane; None where that does not lead there.
+
+    Who is seen on none of the ways that begin on that lane, but on one that begins beside it, takes that one.
 
     Args:
         road: the map.
@@ -319,7 +323,15 @@ def _link_onto(
         driven: lanes that it is seen on from there on.
     """
     ahead = links_onto(road, lane_id, junction)
-    return max(ahead, key=lambda x: _fit(road, x, driven, route), default=None)
+    if lane_id is None or not ahead:
+        return None
+    link = max(ahead, key=lambda x: _fit(road, x, driven, route))
+    if _fit(road, link, driven, route)[0]:
+        return link
+    lanes = road.edges[road.lanes[lane_id].edge_id].lane_ids
+    beside = (x for lane in lanes for x in links_onto(road, lane, junction))
+    taken = [x for x in beside if _fit(road, x, driven, route)[0]]
+    return max(taken, key=lambda x: _fit(road, x, driven, route), default=link)
 
 
 def links_onto(road: RoadMap, lane_id: str | None, junction: str) -> tuple[Link, ...]:

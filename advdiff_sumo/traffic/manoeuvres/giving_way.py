@@ -44,17 +44,23 @@ class _Entry:
     @property
     def is_late(self) -> bool:
         """Whether it is over the line, or could not stop before it by braking with 4 m/s²."""
-        over = self.room_m + _BEFORE_LINE_M < 0.0
-        return over or self.speed_mps**2 > 2.0 * _STOPS_MPS2 * max(self.room_m, _STANDS_MPS)
+        room_m = max(self.room_m, 0.5 * _BEFORE_LINE_M)
+        return self.is_over or self.speed_mps**2 > 2.0 * _STOPS_MPS2 * room_m
+
+    @property
+    def is_over(self) -> bool:
+        """Whether its front is over the line."""
+        return self.line_m < self.half_m
 
 
 def waiting_lines_m(view: SituationView, rows: Sequence[int], futures: Futures) -> FloatArray:
     """Return (N,) how far each may drive before the target has passed; inf where it need not wait.
 
-    Who has to give way to the target waits unless its plan takes it past the place where they meet a second before the
-    target, were it to hurry, can be there; or it is over its line; or it would have to brake harder than 4 m/s². Nobody
-    waits for a target that has a red light, that follows somebody who will still be in its way, that is not there
-    before the plans end, or that has stood for its whole history and has to let somebody else pass itself.
+    Who has to give way to the target, by the net's rules or, where these say nothing, as it is over its line already,
+    waits; unless its plan takes it past the place where they meet a second before the target, were it to hurry, can be
+    there; or it is over its own line; or it would have to brake harder than 4 m/s². Nobody waits for a target that has
+    a red light, that follows somebody who will still be in its way, that is not there before the plans end, or that has
+    stood for its whole history and has to let somebody else pass itself.
 
     Args:
         view: the scene.
@@ -68,9 +74,9 @@ def waiting_lines_m(view: SituationView, rows: Sequence[int], futures: Futures) 
     driven = futures.travelled_m()
     for k, row in enumerate(rows):
         own = _entry(view, row)
-        if own is None or not view.gives_way(own.link, target.link) or view.signal(own.link) == _PROTECTED:
+        if own is None or own.is_late or not _gives_way(view, own, target):
             continue
-        if not own.is_late and _gets_in_the_way(view, own, target, driven[k], futures.dt_s):
+        if _gets_in_the_way(view, own, target, driven[k], futures.dt_s):
             lines[k] = max(own.room_m, 0.0)
     return lines
 
@@ -101,6 +107,16 @@ def _may_go(view: SituationView, target: _Entry) -> bool:
     first = goes_first(view, target.link)
     others = (_entry(view, other) for other in view.ways if other != row)
     return not any(other.link in first and other.line_m < _AT_LINE_M for other in others if other is not None)
+
+
+def _gives_way(view: SituationView, own: _Entry, target: _Entry) -> bool:
+    """Return whether who is before its line has to let the target pass: by the net's rules, or as it comes later."""
+    if own.link == target.link or own.link.junction_id != target.link.junction_id:
+        return False
+    if view.signal(own.link) == _PROTECTED:
+        return False
+    yields = view.road.must_yield(own.link, target.link), view.road.must_yield(target.link, own.link)
+    return target.is_over if yields[0] == yields[1] else yields[0]
 
 
 def _gets_in_the_way(

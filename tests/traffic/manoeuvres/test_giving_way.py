@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -102,6 +103,13 @@ def test_a_target_that_stands_and_must_wait_itself_holds_up_nobody(road: RoadMap
     assert lines_of(road, cars)[1] == np.inf
     alone = {name: car for name, car in cars.items() if name != "oncoming"}
     assert lines_of(road, alone) == [pytest.approx(4.0 - 0.5 * LENGTH_M - 0.5)]
+
+
+def test_where_the_net_has_no_rule_who_is_over_its_line_goes_first(tmp_path: Path) -> None:
+    free = RoadMap.read(nets.crossing(tmp_path, "unregulated"))
+    for away, waits in ((1.0, True), (6.0, False)):
+        cars = {"target": (("WC", "CE"), away, 5.0), "minor": (SIDE_ROAD, 6.0, 5.0)}
+        assert np.isfinite(lines_of(free, cars)).tolist() == [waits]
 
 
 def test_a_target_on_the_junction_is_let_past_and_forgotten_beyond_the_place_where_they_meet(

@@ -40,10 +40,11 @@ def keep_back(futures: Futures, rows: BoolArray, target: int, ladder_mps2: tuple
         (N,) who brakes.
     """
     out = np.zeros(futures.agents, dtype=np.bool_)
-    if not rows.any():
+    may_follow = rows & _near_plan(futures, target)
+    if not may_follow.any():
         return out
     path = PlannedPaths(futures)
-    for row in np.flatnonzero(rows).tolist():
+    for row in np.flatnonzero(may_follow).tolist():
         place = _place_ahead(futures, row, target)
         if place is None:
             continue
@@ -59,17 +60,30 @@ def keep_back(futures: Futures, rows: BoolArray, target: int, ladder_mps2: tuple
     return out
 
 
+def _near_plan(futures: Futures, target: int) -> BoolArray:
+    """Return (N,) whose path goes anywhere and has the rear of the target within its bounding box, with room."""
+    low, high = futures.xy_m.min(axis=1), futures.xy_m.max(axis=1)
+    width = futures.size_m[:, 1] + futures.size_m[target, 1]
+    room = (0.5 * (futures.size_m[:, 0] + width) + _ASIDE_M)[:, None]
+    rear = _rear(futures, target)
+    within = ((low - room <= rear) & (rear <= high + room)).all(axis=1)
+    return np.asarray(within & ((high - low).max(axis=1) >= _CREEPS_M))
+
+
+def _rear(futures: Futures, row: int) -> FloatArray:
+    """Return (2,) the middle of the rear of *row*."""
+    heading = unit(futures.yaw_rad[row, 0])
+    return np.asarray(futures.xy_m[row, 0] - 0.5 * futures.size_m[row, 0] * heading)
+
+
 def _place_ahead(futures: Futures, row: int, target: int) -> tuple[float, float] | None:
     """Return the bumper gap from *row* to *target* on its planned path, and the speed of that along it.
 
     None where the target is not on it, is beside, or comes the other way.
     """
-    if np.ptp(futures.xy_m[row], axis=0).max() < _CREEPS_M:
-        return None
     line = Polyline.of(futures.xy_m[row])
     yaw = float(futures.yaw_rad[target, 0])
-    rear = futures.xy_m[target, 0] - 0.5 * futures.size_m[target, 0] * unit(np.array(yaw))
-    s, left = (float(value) for value in line.project(rear, extrapolate=True))
+    s, left = (float(value) for value in line.project(_rear(futures, target), extrapolate=True))
     cos = float(np.cos(yaw - float(line.at(float(np.clip(s, 0.0, line.length_m)))[1])))
     gap = s - 0.5 * float(futures.size_m[row, 0])
     aside = 0.5 * float(futures.size_m[[row, target], 1].sum()) + _ASIDE_M

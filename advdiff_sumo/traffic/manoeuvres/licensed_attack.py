@@ -20,7 +20,7 @@ from advdiff_sumo.traffic.manoeuvres.licence import (
     LicenceName,
     licence_of,
 )
-from advdiff_sumo.traffic.manoeuvres.manoeuvre import futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import planned_motions
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
@@ -91,9 +91,8 @@ def licensed_attack(
     newcomers: tuple[Newcomer, ...] = ()
     if kept is not None:
         manoeuvres, kept = advance(situation, kept, most, PAUSE_S, licence)
-        speed = np.array([situation.speed(m.row) for m in manoeuvres])
         row_of = {row: k for k, row in enumerate(view.rows.tolist()) if view.moved[k]}
-        xy, yaw, planned_speed = futures_of_manoeuvres(manoeuvres, speed).at_model_steps()
+        xy, yaw, planned_speed = planned_motions(situation, manoeuvres)
         for k, manoeuvre in enumerate(manoeuvres):
             if manoeuvre.row in row_of and manoeuvre.kind != WAITS:  # the safeguard sees boxes
                 driven[row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]

@@ -16,7 +16,8 @@ from advdiff_sumo.traffic.manoeuvres.profiles import (
     SpeedProfile,
     drive_profiles,
 )
-from advdiff_sumo.traffic.manoeuvres.ways import Way, facing, settling
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.ways import STANDS_M, Way, facing, moving_s, settling
 
 LATERAL_MPS = 1.1
 """Mean lateral speed of a lane change: 3 to 3.5 s for a lane, as people drive (Toledo and Zohar 2007,
@@ -105,6 +106,21 @@ def futures_of_manoeuvres(manoeuvres: Sequence[Manoeuvre], speed_mps: FloatArray
     return ManoeuvreFutures(xy, yaw, speed, driven)
 
 
+def planned_motions(
+    view: SituationView, manoeuvres: Sequence[Manoeuvre]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return centres (C, S, 2), headings (C, S) and speeds (C, S) at the instants of a plan.
+
+    Who has not set off yet is exactly where it is now, askew or not.
+    """
+    rows = [manoeuvre.row for manoeuvre in manoeuvres]
+    futures = futures_of_manoeuvres(manoeuvres, np.array([view.speed(row) for row in rows]))
+    xy, yaw, speed = futures.at_model_steps()
+    still, now = futures.driven_m[:, _EVERY - 1 :: _EVERY] < STANDS_M, view.scene.history
+    xy = np.where(still[..., None], now.xy_m[rows, -1:], xy)
+    return xy, np.where(still, now.yaw_rad[rows, -1:], yaw), speed
+
+
 def _changing(manoeuvre: Manoeuvre, goal: Way, driven_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return centres (T, 2) and headings (T,) of a change from the own way to *goal*."""
     way = manoeuvre.way
@@ -112,6 +128,7 @@ def _changing(manoeuvre: Manoeuvre, goal: Way, driven_m: FloatArray) -> tuple[Fl
     begin, across = goal.line.project(here)
     there, along = goal.line.at(float(begin) + driven_m, extrapolate=True)
     beside = way.line.at(way.lane.s_m + driven_m, way.lane.offset_m, extrapolate=True)[0]
-    left = manoeuvre.offsets(float(across), np.maximum(CHECK_TIMES_S - manoeuvre.delay_s, 0.0))
+    since_s = np.maximum(moving_s(driven_m, CHECK_TIMES_S) - manoeuvre.delay_s, 0.0)
+    left = manoeuvre.offsets(float(across), since_s)
     xy = there + (left / across if across else 0.0 * left)[:, None] * (beside - there)
     return xy, facing(here, xy, driven_m, along)

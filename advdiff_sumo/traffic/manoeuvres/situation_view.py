@@ -24,6 +24,7 @@ _IN_LANE_M, _SAME_WAY = 1.5, 0.8
 _GAINS_MPS2 = 3.0
 _CLEARS_S = 1.0
 _RED = ("r", "u")
+_STANDS_MPS = 0.2
 _PAST = 3  # places that tell how fast somebody moves sideways
 
 
@@ -176,11 +177,17 @@ class SituationView:
         return None if ahead is None else Way(replace(ahead, offset_m=0.0))
 
     def coasting(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return centres (R, T, 2) and headings (R, T) of *rows* on their ways that keep their speed."""
-        poses = [self.ways[r].poses(self.speed(r) * CHECK_TIMES_S, CHECK_TIMES_S) for r in rows.tolist()]
-        if not poses:
-            return np.zeros((0, len(CHECK_TIMES_S), 2)), np.zeros((0, len(CHECK_TIMES_S)))
-        return np.stack([xy for xy, _ in poses]), np.stack([yaw for _, yaw in poses])
+        """Return centres (R, T, 2) and headings (R, T) of *rows* on their ways that keep their speed.
+
+        Who stands stays as it is, askew or beside its lane.
+        """
+        now, times = self.scene.history, CHECK_TIMES_S
+        xy = np.repeat(now.xy_m[rows, -1:], len(times), axis=1)
+        yaw = np.repeat(now.yaw_rad[rows, -1:], len(times), axis=1)
+        for k, row in enumerate(rows.tolist()):
+            if self.speed(row) > _STANDS_MPS:
+                xy[k], yaw[k] = self.ways[row].poses(self.speed(row) * times, times)
+        return xy, yaw
 
     @cached_property
     def straight_on(self) -> tuple[FloatArray, FloatArray]:

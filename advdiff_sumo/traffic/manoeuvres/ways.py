@@ -16,6 +16,8 @@ _SETTLES_S = 2.0
 _DRIFTS_MPS = 0.2
 _TURNS_M = 0.12
 """Least stride from one instant to the next that tells where somebody faces."""
+STANDS_M = 0.01
+"""Shorter strides are none."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +54,11 @@ class Way:
     def poses(self, driven_m: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return box centres (…, T, 2) and headings (…, T) after *driven_m* (…, T) metres at *time_s* (T,).
 
-        The lateral offset and drift that the vehicle has now decay within ``_SETTLES_S``; who drifts faces its course.
+        The lateral offset and drift that the vehicle has now decay within ``_SETTLES_S`` of driving; who drifts faces
+        its course.
         """
-        left = settling(self.lane.offset_m, self.drift_mps, time_s, _SETTLES_S)
-        xy, along = self.line.at(
-            self.lane.s_m + driven_m, np.broadcast_to(left, driven_m.shape), extrapolate=True
-        )
+        left = settling(self.lane.offset_m, self.drift_mps, moving_s(driven_m, time_s), _SETTLES_S)
+        xy, along = self.line.at(self.lane.s_m + driven_m, left, extrapolate=True)
         if abs(self.drift_mps) < _DRIFTS_MPS:
             return xy, along
         return xy, facing(self.line.at(self.lane.s_m, self.lane.offset_m)[0], xy, driven_m, along)
@@ -80,13 +81,19 @@ class Way:
         return self.lane.lanes[0]
 
 
+def moving_s(driven_m: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Return for how long (…, T) who has driven *driven_m* (…, T) metres at *time_s* (T,) has moved by then."""
+    moves = np.diff(driven_m, axis=-1, prepend=0.0) > STANDS_M
+    return np.cumsum(np.diff(time_s, prepend=0.0) * moves, axis=-1)
+
+
 def settling(offset_m: float, drift_mps: float, since_s: FloatArray, lasts_s: float) -> FloatArray:
-    """Return offsets (T,) on the way to a line: the cubic that begins as now and ends on the line and along it.
+    """Return offsets (…, T) on the way to a line: the cubic that begins as now and ends on the line and along it.
 
     Args:
         offset_m: now.
         drift_mps: how fast the offset grows now; where it shrinks so fast that the cubic would cross the line, less.
-        since_s: (T,) times from now.
+        since_s: (…, T) times from now.
         lasts_s: when it is on the line.
     """
     x = np.clip(since_s / lasts_s, 0.0, 1.0)
@@ -102,13 +109,15 @@ def facing(here_m: FloatArray, xy_m: FloatArray, driven_m: FloatArray, along_rad
         here_m: where it begins.
         xy_m: where it leads.
         driven_m: (…, T) distances driven, without what is driven sideways.
-        along_rad: (…, T) headings where next to nothing is driven.
+        along_rad: (…, T) headings where next to nothing is driven; who then stands keeps its heading.
     """
     begin = np.broadcast_to(here_m, (*xy_m.shape[:-2], 1, 2))
     stride = np.gradient(np.concatenate((begin, xy_m), axis=-2), axis=-2)[..., 1:, :]
     forward = np.diff(driven_m, axis=-1, prepend=0.0)
-    moves = (forward > _TURNS_M) & (np.hypot(stride[..., 0], stride[..., 1]) > _TURNS_M)
-    return np.where(moves, np.arctan2(stride[..., 1], stride[..., 0]), along_rad)
+    turns = (forward > _TURNS_M) & (np.hypot(stride[..., 0], stride[..., 1]) > _TURNS_M)
+    yaw = np.where(turns, np.arctan2(stride[..., 1], stride[..., 0]), along_rad)
+    last = np.maximum.accumulate(np.where(forward > STANDS_M, np.arange(yaw.shape[-1]), -1), axis=-1)
+    return np.where(last < 0, along_rad, np.take_along_axis(yaw, np.maximum(last, 0), axis=-1))
 
 
 def _leads_to(link: Link, lane: Lane) -> bool:

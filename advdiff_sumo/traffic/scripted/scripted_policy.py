@@ -23,7 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.intensity import (
     Intensity,
 )
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName, licence_of
-from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, planned_motions
 from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -110,8 +110,7 @@ def tracks_of_manoeuvres(view: SituationView, manoeuvres: Sequence[Manoeuvre]) -
     if not manoeuvres:
         return Tracks.empty(steps=1, dt_s=PLAN_DT_S, t0_s=begin)
     rows = [m.row for m in manoeuvres]
-    futures = futures_of_manoeuvres(manoeuvres, np.array([view.speed(row) for row in rows]))
-    xy, yaw, speed = futures.at_model_steps()
+    xy, yaw, speed = planned_motions(view, manoeuvres)
     now = view.scene.history.rows(rows)
     return Tracks(
         ids=now.ids,

@@ -126,3 +126,16 @@ def test_a_lane_change_asks_something_once_it_slows(motorway: RoadMap) -> None:
     ):
         assert replace(change, profile=profile).asks_s(xy) == asks
     assert replace(change, goal=None, profile=SpeedProfile(switch_s=2.0, then_mps2=-5.0)).asks_s(xy) == 0.0
+
+
+def test_who_stands_askew_in_a_change_is_expected_to_stay_so(motorway: RoadMap) -> None:
+    """Who drives goes on onto its lane."""
+    view = view_of(motorway, target=(0, 100.0, 20.0), stands=(0, 130.0, 0.0), drives=(0, 160.0, 10.0))
+    history = view.scene.history
+    xy_m, yaw_rad = history.xy_m.copy(), history.yaw_rad + np.array([[0.0], [0.6], [0.0]])
+    xy_m[1:] += 1.2 * np.stack((-np.sin(history.yaw_rad[1:]), np.cos(history.yaw_rad[1:])), axis=-1)
+    scene = replace(view.scene, history=replace(history, xy_m=xy_m, yaw_rad=yaw_rad))
+    xy, yaw = SituationView.of(motorway, scene).coasting(np.array([1, 2]))
+    np.testing.assert_array_equal(xy[0], np.broadcast_to(xy_m[1, -1], xy[0].shape))
+    np.testing.assert_array_equal(yaw[0], yaw_rad[1, -1])
+    assert abs(view.ways[2].line.project(xy[1, -1])[1]) < 0.01

@@ -71,6 +71,16 @@ def test_the_one_whose_front_would_hit_a_side_brakes() -> None:
     assert not touching(made.futures)
 
 
+def test_who_would_clip_the_corner_of_a_bus_that_stands_brakes() -> None:
+    """A car drives south past the front of a bus of 12 m, 0.3 m too near: the bus's middle is beside it, not ahead."""
+    plans = cars((0, 0, 0, 0), (6.7, 8, -np.pi / 2, 3))
+    plans.size_m[0] = 12.0, 2.5
+    assert touching(plans)
+    made = braked(plans)
+    assert made.rows.tolist() == [False, True]
+    assert not touching(made.futures)
+
+
 def test_for_one_that_is_not_ours_everybody_brakes_that_has_it_ahead() -> None:
     """As above, but the one from the south is SUMO's and will not brake; who has such a one behind still does not."""
     plans = cars((0, 0, 0, 10), (30, -32, np.pi / 2, 10))

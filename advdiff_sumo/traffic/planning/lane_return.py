@@ -59,6 +59,7 @@ def _watched(road: RoadMap, scene: Scene) -> Watched:
     return Watched(
         planned=scene.movable,
         attacker=nobody,
+        trusting=nobody,
         target=scene.target,
         motor=np.isin(now.classes, MOTOR_CLASSES),
         people=np.isin(now.classes, PEOPLE),

@@ -1,4 +1,4 @@
-"""Who waits at its line for a target with the right of way, and who trusts a target without to wait at its own."""
+"""Who has to wait at its line until the target, which has the right of way there, has passed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import goes_first, meeting_m
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -79,28 +79,6 @@ def waiting_lines_m(view: SituationView, rows: Sequence[int], futures: Futures) 
         if _gets_in_the_way(view, own, target, driven[k], futures.dt_s):
             lines[k] = max(own.room_m, 0.0)
     return lines
-
-
-def trusting(view: SituationView, rows: Sequence[int]) -> BoolArray:
-    """Return (N,) of *rows* of the scene who goes first and takes the target to wait, as people do.
-
-    They are right until its front is over its line; a plan later they have seen that, 0.5 to 1 s after it happened.
-    """
-    out, target = np.zeros(len(rows), dtype=np.bool_), _entry(view, view.scene.target)
-    if target is None or _came_out(view, target):
-        return out
-    first = goes_first(view, target.link)
-    for k, row in enumerate(rows) if first else ():
-        own = _entry(view, row)
-        out[k] = row != view.scene.target and own is not None and own.link in first
-    return out
-
-
-def _came_out(view: SituationView, target: _Entry) -> bool:
-    """Return whether the target was over its line at the instant of the history before now already."""
-    xy = view.scene.history.xy_m[view.scene.target, -2:]
-    driven_m = float(np.nan_to_num(np.linalg.norm(xy[-1] - xy[0])))
-    return target.line_m + driven_m < target.half_m
 
 
 def _entry(view: SituationView, row: int) -> _Entry | None:

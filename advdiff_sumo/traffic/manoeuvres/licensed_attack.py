@@ -12,7 +12,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
-from advdiff_sumo.traffic.manoeuvres.giving_way import trusting, waiting_lines_m
+from advdiff_sumo.traffic.manoeuvres.giving_way import waiting_lines_m
 from advdiff_sumo.traffic.manoeuvres.licence import (
     LAWFUL,
     RECKLESS_OVER_LIMIT,
@@ -47,7 +47,6 @@ class LicensedAttack:
         commitments: manoeuvres under way, for the next plan.
         over_limit: highest share of the speed limit at which guided vehicles may drive.
         newcomers: who comes in.
-        trusting: rows that have the right of way over the target and take it to wait.
         waits_m: row → how far it may drive while the target, which has the right of way over it, has not passed.
     """
 
@@ -57,7 +56,6 @@ class LicensedAttack:
     commitments: Commitments | None = None
     over_limit: float = RECKLESS_OVER_LIMIT
     newcomers: tuple[Newcomer, ...] = ()
-    trusting: tuple[int, ...] = ()
     waits_m: Mapping[int, float] = field(default_factory=dict)
 
 
@@ -101,11 +99,9 @@ def licensed_attack(
         newcomers, kept = let_in(situation, kept)
     guided = [row for row in map(view.ids.index, attackers) if row not in driven]
     refused = _refused(situation, view, futures, guided, licence)
-    rows = view.rows.tolist()
-    trust = tuple(np.flatnonzero(trusting(situation, rows)).tolist())
-    lines = waiting_lines_m(situation, rows, futures).tolist()
+    lines = waiting_lines_m(situation, view.rows.tolist(), futures).tolist()
     waits = {k: line for k, line in enumerate(lines) if np.isfinite(line)}
-    return LicensedAttack(False, refused, driven, kept, licence.over_limit, newcomers, trust, waits)
+    return LicensedAttack(False, refused, driven, kept, licence.over_limit, newcomers, waits)
 
 
 def _refused(

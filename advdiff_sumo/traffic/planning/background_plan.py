@@ -216,7 +216,6 @@ def _watched(
     return Watched(
         planned=_with_rest(planned, rest),
         attacker=_with_rest(guided & attack.exempt, rest),
-        trusting=_with_rest(np.isin(np.arange(len(view.ids)), attack.trusting), rest),
         target=0,
         motor=np.isin(scene.history.classes[rows], MOTOR_CLASSES),
         people=np.isin(scene.history.classes[rows], PEOPLE),

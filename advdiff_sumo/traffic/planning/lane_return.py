@@ -59,7 +59,6 @@ def _watched(road: RoadMap, scene: Scene) -> Watched:
     return Watched(
         planned=scene.movable,
         attacker=nobody,
-        trusting=nobody,
         target=scene.target,
         motor=np.isin(now.classes, MOTOR_CLASSES),
         people=np.isin(now.classes, PEOPLE),

@@ -56,7 +56,6 @@ class Watched:
     Attributes:
         planned: (N,) whose futures are plans; the others' are predictions and stay.
         attacker: (N,) who is guided against the target.
-        trusting: (N,) who takes the target to wait for it and does not brake for it.
         target: row of the target.
         motor: (N,) who is a motor vehicle.
         people: (N,) who is on foot or on a bicycle, and is given more room.
@@ -73,7 +72,6 @@ class Watched:
 
     planned: BoolArray
     attacker: BoolArray
-    trusting: BoolArray
     target: int
     motor: BoolArray
     people: BoolArray
@@ -198,10 +196,10 @@ def _braked(
 
 
 def _minds(watched: Watched) -> BoolArray:
-    """Return (N, N) whether the first gives way to the second: all, but attackers and who trusts it to the target."""
+    """Return (N, N) whether the first gives way to the second: everybody to all, but attackers to the target."""
     count = len(watched.planned)
     minds = ~np.eye(count, dtype=np.bool_)
-    minds[watched.attacker | watched.trusting, watched.target] = False
+    minds[watched.attacker, watched.target] = False
     return minds
 
 

@@ -1,4 +1,4 @@
-"""Who waits for whom at a crossing whose street along x has priority."""
+"""Who waits for a target with the right of way, on a crossing whose street along x has priority."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
-from advdiff_sumo.traffic.manoeuvres.giving_way import trusting, waiting_lines_m
+from advdiff_sumo.traffic.manoeuvres.giving_way import waiting_lines_m
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.planning.futures import coasting
 from tests.sim import nets
@@ -127,28 +127,3 @@ def test_a_target_on_the_junction_is_let_past_and_forgotten_beyond_the_place_whe
         scene = replace(view.scene, history=replace(history, xy_m=xy_m, yaw_rad=yaw_rad))
         cars = {"target": TARGET, "minor": (SIDE_ROAD, 4.0, 0.0)}
         assert np.isfinite(lines_of(road, cars, SituationView.of(road, scene))).tolist() == [waits]
-
-
-FROM_SIDE_ROAD = (SIDE_ROAD, 12.0, 6.0)
-
-
-@pytest.mark.parametrize(
-    ("target", "other", "trusts"),
-    [
-        (FROM_SIDE_ROAD, (("WC", "CE"), 20.0, 10.0), True),
-        ((("WC", "CN"), 12.0, 6.0), (("EC", "CW"), 20.0, 10.0), True),  # it turns left
-        (TARGET, (SIDE_ROAD, 12.0, 6.0), False),  # the target goes first
-        (FROM_SIDE_ROAD, (("NC", "CS"), 12.0, 6.0), False),  # neither does
-        ((SIDE_ROAD, 1.5, 3.0), (("WC", "CE"), 20.0, 10.0), True),  # its front has just come over its line
-        ((SIDE_ROAD, 0.2, 4.0), (("WC", "CE"), 20.0, 10.0), False),  # since 0.5 s
-        ((SIDE_ROAD, 1.5, 0.0), (("WC", "CE"), 20.0, 10.0), False),  # it stands there
-    ],
-)
-def test_who_goes_first_trusts_the_target_to_wait_until_it_is_seen_over_its_line(
-    road: RoadMap,
-    target: tuple[tuple[str, str], float, float],
-    other: tuple[tuple[str, str], float, float],
-    trusts: bool,
-) -> None:
-    view = view_of(road, {"target": target, "other": other})
-    assert trusting(view, [0, 1]).tolist() == [False, trusts]

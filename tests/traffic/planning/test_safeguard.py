@@ -47,12 +47,7 @@ def ahead(road: RoadMap, futures: Futures) -> list[LaneAhead | None]:
 
 
 def watched(
-    road: RoadMap,
-    futures: Futures,
-    attacks: bool = False,
-    light: str = "G",
-    lanes_afar: bool = False,
-    trusts: bool = False,
+    road: RoadMap, futures: Futures, attacks: bool = False, light: str = "G", lanes_afar: bool = False
 ) -> Watched:
     planned = np.arange(futures.agents) > 0
     lights = {x.tls_id: 60 * light for y in road.lanes.values() for x in y.successors if x.tls_id}
@@ -60,7 +55,6 @@ def watched(
     return Watched(
         planned=planned,
         attacker=planned & attacks,
-        trusting=planned & trusts,
         target=0,
         motor=np.ones_like(planned),
         people=np.zeros_like(planned),
@@ -322,17 +316,3 @@ def test_who_cannot_brake_in_time_goes_on_as_before(downtown: RoadMap, lane: Lan
     made = safeguard(downtown, plans, replace(who, before={1: before}))
     assert not made.unsolved.any()
     np.testing.assert_allclose(made.futures.xy_m[1, 1:7], before[0][:6], atol=1e-9)
-
-
-def test_who_trusts_the_target_to_wait_does_not_brake_for_it(downtown: RoadMap, lane: Lane) -> None:
-    """The target, in its way 18 m ahead, stands for whoever may not trust it."""
-    moving, target = on(lane, 10.0, 10.0), on(lane, 32.0, 0.0)
-    plans = replace(
-        moving,
-        xy_m=np.concatenate((target.xy_m[1:], moving.xy_m[1:])),
-        yaw_rad=np.concatenate((target.yaw_rad[1:], moving.yaw_rad[1:])),
-        speed_mps=np.concatenate((target.speed_mps[1:], moving.speed_mps[1:])),
-        size_m=np.tile(SIZE, (2, 1)),
-    )
-    assert guarded(downtown, plans).braked.tolist() == [False, True]
-    assert not guarded(downtown, plans, trusts=True).braked.any()

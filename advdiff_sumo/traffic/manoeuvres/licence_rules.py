@@ -16,6 +16,7 @@ from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, RECKLESS_OVER_LIMIT, Licence
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
+from advdiff_sumo.traffic.manoeuvres.pace import takes_bends
 from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
@@ -59,12 +60,14 @@ def _keeps(
     over_limit = RECKLESS_OVER_LIMIT if licence is None else licence.over_limit
     if not _keeps_limit(manoeuvre, float(futures.speed_mps[k].max()), view.speed(manoeuvre.row), over_limit):
         return False
+    by_then = float(futures.driven_m[k, _SET_UP_STEPS]), float(futures.speed_mps[k, _SET_UP_STEPS])
+    if not takes_bends(manoeuvre.goal or manoeuvre.way, *by_then):
+        return False
     soon = _SOON_STEPS[begun] if manoeuvre.kind == "crossing" else None  # beyond, others have given way
     driven = float(futures.driven_m[k, -1])
     until_line = driven if soon is None else float(futures.driven_m[k, _CROSSED_STEPS])
     if manoeuvre.sets_up:  # it is planned anew at once, and can still stop
-        speed = float(futures.speed_mps[k, _SET_UP_STEPS])
-        until_line = min(driven, float(futures.driven_m[k, _SET_UP_STEPS]) + speed**2 / (2.0 * _STOPS_MPS2))
+        until_line = min(driven, by_then[0] + by_then[1] ** 2 / (2.0 * _STOPS_MPS2))
     if licence is not None and not (
         _respects_links(view, manoeuvre, until_line, licence)
         and _stops_clear(manoeuvre, driven)

@@ -13,7 +13,7 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 PICKS_UP_MPS2 = 0.5
 """Acceleration of who goes on, towards the limit."""
 _SLOWS_MPS2, _SLOWS_AT_MOST_MPS2 = 2.5, 4.0
-_LATERAL_MPS2 = 2.5
+_LATERAL_MPS2, _HARD_LATERAL_MPS2, _SLOWS_FOR_BENDS_MPS2 = 2.5, 4.0, 3.0
 _STRAIGHT_RAD = 0.2
 FINE_DT_S = CHECK_DT_S / FINE
 """Spacing of ``speeds_along``."""
@@ -48,6 +48,16 @@ def _bounds(way: Way, speed_mps: float) -> tuple[FloatArray, FloatArray, FloatAr
     highest = np.array([min(lane.speed_mps, _bend_mps(lane)) for lane in lanes])
     highest[0] = max(float(highest[0]), speed_mps)
     return begins, ends, highest
+
+
+def takes_bends(way: Way, driven_m: float, speed_mps: float) -> bool:
+    """Return whether who drives *speed_mps* after *driven_m* metres can still slow for bends: to 4 m/s² sideways."""
+    begins, ends, _ = _bounds(way, speed_mps)
+    bends = np.array([_bend_mps(lane) for lane in way.lane.lanes])
+    most = bends**2 * _HARD_LATERAL_MPS2 / _LATERAL_MPS2 + 2.0 * _SLOWS_FOR_BENDS_MPS2 * np.maximum(
+        begins - driven_m, 0.0
+    )
+    return bool((speed_mps**2 <= most)[ends > driven_m].all())
 
 
 def _bend_mps(lane: Lane) -> float:

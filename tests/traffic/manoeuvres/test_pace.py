@@ -9,7 +9,7 @@ import pytest
 
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.answers import TargetWay, contact_share
-from advdiff_sumo.traffic.manoeuvres.pace import FINE_TIMES_S, speeds_along
+from advdiff_sumo.traffic.manoeuvres.pace import FINE_TIMES_S, speeds_along, takes_bends
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
@@ -79,3 +79,25 @@ def test_a_contact_that_needs_no_timing_is_certain(motorway: RoadMap) -> None:
     share = contact_share(target, futures, np.full(futures.shape[:2], float(yaw)), size)
     assert share[0] == 1.0
     assert 0.0 < share[1] < 0.6
+
+
+def test_who_can_still_slow_for_a_bend_takes_it(downtown: RoadMap) -> None:
+    """A quarter turn over L metres takes 4 m/s² at √(8 L / π); 25 m before it, with 3 m/s², at √(8 L / π + 150)."""
+    lane, link = next(
+        (lane, link)
+        for lane in downtown.lanes.values()
+        for link in lane.successors
+        if not lane.is_internal and lane.length_m > 60.0 and link.direction == "r" and len(link.via) == 1
+    )
+    scene = replace(
+        scene_on({"target": (lane, lane.length_m - 35.0, 11.0)}),
+        routes=((lane.edge_id, downtown.lanes[link.to_lane].edge_id),),
+    )
+    way = SituationView.of(downtown, scene).ways[0]
+    bend = downtown.lanes[link.via[0]]
+    turned = abs(float(bend.line.segment_yaw_rad[-1] - bend.line.segment_yaw_rad[0]))
+    in_bend = 4.0 * bend.length_m / turned
+    for driven, most in ((10.0, np.sqrt(in_bend + 150.0)), (36.0, np.sqrt(in_bend))):
+        assert takes_bends(way, driven, 0.99 * most)
+        assert not takes_bends(way, driven, 1.01 * most)
+    assert takes_bends(way, 36.0 + bend.length_m, 20.0), "the bend is behind"

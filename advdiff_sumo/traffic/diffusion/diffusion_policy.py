@@ -114,8 +114,7 @@ class DiffusionTraffic:
         drawn = draw_plan(self.networks, self.options, view, memory.noise, memory.shifts, seed)
         if self.listener is not None:
             self.listener(view, drawn)
-        licence = self.options.licence if self.options.guided else "reckless"
-        rules = Rules(licence, self.options.attackers, memory.commitments)
+        rules = Rules(self.options.licence, self.options.attackers, memory.commitments)
         plan = plausible_plan(road, view, lanes, drawn, (memory.plan, memory.driven), rules)
         attack = plan.attack
         state = self._state(drawn.attackers, attack.commitments)

@@ -18,8 +18,10 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.reward_file import load_reward, save_reward
 from advdiff_sumo.models.view import MOST_AGENTS, look
+from advdiff_sumo.traffic.diffusion import diffusion_policy
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic, Memory
 from advdiff_sumo.traffic.diffusion.guidance import ALPHA
+from advdiff_sumo.traffic.planning.background_plan import PlausiblePlan, plausible_plan
 from advdiff_sumo.traffic.planning.draw import draw_plan
 from advdiff_sumo.traffic.policy_check import check_policy
 from advdiff_sumo.traffic.policy_registry import make_policy
@@ -382,6 +384,23 @@ def test_natural_traffic_asks_for_no_attack(weights: str, downtown: RoadMap, str
     policy = DiffusionTraffic(weights=weights, guide="none")
     plan, _ = policy.plan(downtown, street(PLACES, SPEEDS), Memory(), np.random.default_rng(3))
     assert plan.attack is None
+
+
+@pytest.mark.parametrize("licence", ["lawful", "careless", "reckless"])
+def test_natural_traffic_keeps_the_rules_of_its_licence(
+    licence: str, weights: str, downtown: RoadMap, street: Street, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = []
+
+    def told(*args: Any) -> PlausiblePlan:
+        given.append(args[-1].licence)
+        return plausible_plan(*args)
+
+    monkeypatch.setattr(diffusion_policy, "plausible_plan", told)
+    planned(
+        DiffusionTraffic(weights=weights, guide="none", licence=licence), downtown, street(PLACES, SPEEDS)
+    )
+    assert set(given) == {licence}
 
 
 def test_the_guide_has_no_term_for_a_cut_out(weights: str, downtown: RoadMap, street: Street) -> None:

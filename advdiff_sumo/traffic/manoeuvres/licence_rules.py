@@ -61,8 +61,8 @@ def _keeps(
     if not _keeps_limit(manoeuvre, float(futures.speed_mps[k].max()), view.speed(manoeuvre.row), over_limit):
         return False
     by_then = float(futures.driven_m[k, _SET_UP_STEPS]), float(futures.speed_mps[k, _SET_UP_STEPS])
-    turns = manoeuvre.kind != "crossing"  # who crosses is timed at one speed, in a turn as well
-    if turns and not takes_bends(manoeuvre.goal or manoeuvre.way, *by_then):
+    # who crosses is timed at one speed, in a turn as well
+    if manoeuvre.kind != "crossing" and not takes_bends(manoeuvre.goal or manoeuvre.way, *by_then):
         return False
     soon = _SOON_STEPS[begun] if manoeuvre.kind == "crossing" else None  # beyond, others have given way
     driven = float(futures.driven_m[k, -1])

@@ -28,6 +28,8 @@ _ENTERS_SHARE = 0.67
 _FINE_S: FloatArray = 0.05 * np.arange(160.0)
 _NARROW_M = 0.3
 _EVERY = round(PLAN_DT_S / CHECK_DT_S)
+_OF_A_PLAN = slice(_EVERY - 1, None, _EVERY)
+"""The instants of a plan among those at which boxes are compared."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +92,7 @@ class ManoeuvreFutures(KinematicStates):
 
     def at_model_steps(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return centres (C, S, 2), headings (C, S) and speeds (C, S) at the instants of a plan alone."""
-        at = slice(_EVERY - 1, None, _EVERY)
-        return self.xy_m[:, at], self.yaw_rad[:, at], self.speed_mps[:, at]
+        return self.xy_m[:, _OF_A_PLAN], self.yaw_rad[:, _OF_A_PLAN], self.speed_mps[:, _OF_A_PLAN]
 
 
 def futures_of_manoeuvres(manoeuvres: Sequence[Manoeuvre], speed_mps: FloatArray) -> ManoeuvreFutures:
@@ -116,7 +117,7 @@ def planned_motions(
     rows = [manoeuvre.row for manoeuvre in manoeuvres]
     futures = futures_of_manoeuvres(manoeuvres, np.array([view.speed(row) for row in rows]))
     xy, yaw, speed = futures.at_model_steps()
-    still, now = futures.driven_m[:, _EVERY - 1 :: _EVERY] < STANDS_M, view.scene.history
+    still, now = futures.driven_m[:, _OF_A_PLAN] < STANDS_M, view.scene.history
     xy = np.where(still[..., None], now.xy_m[rows, -1:], xy)
     return xy, np.where(still, now.yaw_rad[rows, -1:], yaw), speed
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
@@ -27,7 +29,9 @@ def speeds_along(way: Way, speed_mps: float) -> FloatArray:
     It picks up to the limit of its lane, slows in time for lower ones and for the bends of junctions, and keeps a speed
     above the limit that it has now on the lane that it is on.
     """
-    begins, ends, highest = _bounds(way, speed_mps)
+    begins, ends, bends = _bends(way)
+    highest = np.minimum([lane.speed_mps for lane in way.lane.lanes], bends)
+    highest[0] = max(float(highest[0]), speed_mps)
     speed = np.empty(len(FINE_TIMES_S))
     speed[0], driven = speed_mps, 0.0
     for k in range(1, len(speed)):
@@ -40,26 +44,23 @@ def speeds_along(way: Way, speed_mps: float) -> FloatArray:
     return speed
 
 
-def _bounds(way: Way, speed_mps: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return where each lane begins and ends (L,), in metres from the box centre, and the highest speed there."""
-    lanes = way.lane.lanes
-    ends = np.cumsum([lane.length_m for lane in lanes]) - way.lane.s_m
-    begins = np.concatenate(([-np.inf], ends[:-1]))
-    highest = np.array([min(lane.speed_mps, _bend_mps(lane)) for lane in lanes])
-    highest[0] = max(float(highest[0]), speed_mps)
-    return begins, ends, highest
-
-
 def takes_bends(way: Way, driven_m: float, speed_mps: float) -> bool:
     """Return whether who drives *speed_mps* after *driven_m* metres can still slow for bends: to 4 m/s² sideways."""
-    begins, ends, _ = _bounds(way, speed_mps)
-    bends = np.array([_bend_mps(lane) for lane in way.lane.lanes])
-    most = bends**2 * _HARD_LATERAL_MPS2 / _LATERAL_MPS2 + 2.0 * _SLOWS_FOR_BENDS_MPS2 * np.maximum(
-        begins - driven_m, 0.0
-    )
+    begins, ends, bends = _bends(way)
+    in_bend = bends**2 * _HARD_LATERAL_MPS2 / _LATERAL_MPS2
+    most = in_bend + 2.0 * _SLOWS_FOR_BENDS_MPS2 * np.maximum(begins - driven_m, 0.0)
     return bool((speed_mps**2 <= most)[ends > driven_m].all())
 
 
+def _bends(way: Way) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return where each lane begins and ends (L,), in metres from the box centre, and the speed of its bend."""
+    lanes = way.lane.lanes
+    ends = np.cumsum([lane.length_m for lane in lanes]) - way.lane.s_m
+    begins = np.concatenate(([-np.inf], ends[:-1]))
+    return begins, ends, np.array([_bend_mps(lane) for lane in lanes])
+
+
+@lru_cache(maxsize=4096)
 def _bend_mps(lane: Lane) -> float:
     """Return the speed at which the mean lateral acceleration over an internal lane is 2.5 m/s²; inf elsewhere."""
     if not lane.is_internal:

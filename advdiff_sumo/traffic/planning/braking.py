@@ -1,11 +1,10 @@
 """Brakes planned vehicles along their own paths where plans would run through each other or a stop line.
 
 Who brakes: of two whose boxes would meet, the one that has the other before its front; both where neither or both
-have. For one that stays where it is everybody brakes, whose front or side meets it: the middle of a bus may be behind
-who drives into its front corner. Of two that would stay for each other one goes: who gets past the other, has the right
-of way, or moves. For one whose speed is not ours to change everybody brakes that has it before its front, even if it
-ought to brake itself.
-Nobody brakes for a vehicle that comes from behind, and attackers never brake for the target.
+have. For one that stays where it is everybody brakes whom it meets: the middle of a bus is beside who drives into its
+front corner. Of two that would stay for each other one goes: who gets past the other, has the right of way, or moves.
+For one whose speed is not ours to change everybody brakes that has it before its front, even if it ought to brake
+itself. Nobody brakes for a vehicle that comes from behind, and attackers never brake for the target.
 """
 
 from __future__ import annotations
@@ -173,8 +172,9 @@ def _conflicts(
     out[first, second] = (mine >= yours - _SAME_BEARING) | (~may[second] & (mine > _BEFORE_FRONT))
     out[second, first] = (yours >= mine - _SAME_BEARING) | (~may[first] & (yours > _BEFORE_FRONT))
     stays = futures.travelled_m()[:, -1] <= _STAYS_M
-    one, goes = stays[first] != stays[second], ~stays
-    out[first[one], second[one]], out[second[one], first[one]] = goes[first[one]], goes[second[one]]
+    one = stays[first] != stays[second]
+    out[first[one], second[one]] = stays[second[one]]
+    out[second[one], first[one]] = stays[first[one]]
     out &= minds
     _one_goes(futures, out, (first, second), mine < yours, room[hit], yields)
     return out

@@ -43,7 +43,7 @@ class Seat:
     def observe(self, road: RoadMap, scene: Scene) -> Situation:
         """Take in what the attacker sees, and return it."""
         before = self.now.attackers if self.now is not None else ()
-        self.now = situation(road, scene, self.prior, 1, before)
+        self.now = situation(road, scene, self.prior, 1, before, "reckless")
         return self.now
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> None:  # noqa: ARG002 - the contract

@@ -48,7 +48,7 @@ from advdiff_sumo.traffic.baselines.baseline_policy import (
 )
 from advdiff_sumo.traffic.baselines.surrogate import Answer
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
-from advdiff_sumo.traffic.planning.attackers import choose
+from advdiff_sumo.traffic.planning.attackers import can_attack, choose
 from advdiff_sumo.traffic.planning.draw import Drawn
 from advdiff_sumo.traffic.planning.futures import futures_of
 
@@ -132,7 +132,8 @@ class AdvSim(BaselinePolicy):
     def _case(self, task: Task, batch: SceneBatch, rollout: Rollout) -> _Case | None:
         """Return who shall attack and how they would drive; None where nobody can."""
         futures = futures_of(task.view.now, rollout)
-        rows = choose(futures, task.view.moved, "any", self.options.attackers, task.before())
+        may = can_attack(futures, task.view.moved, self.options.licence)
+        rows = choose(futures, may, "any", self.options.attackers, task.before())
         if not len(rows):
             return None
         chosen = torch.from_numpy(rows).to(self.prior.device)

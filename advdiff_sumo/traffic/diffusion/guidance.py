@@ -18,7 +18,7 @@ from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions
-from advdiff_sumo.traffic.planning.attackers import choose, standing_of
+from advdiff_sumo.traffic.planning.attackers import can_attack, choose
 from advdiff_sumo.traffic.planning.futures import futures_of
 
 ALPHA = 10.0
@@ -66,9 +66,7 @@ def guidance(
     attack = options.attack_term
     natural = naturally(networks, scenes, NEAR_STEPS if attack == "any" else HORIZON_STEPS)
     futures = futures_of(view.now, natural.rollout)
-    may = view.moved
-    if options.licence != "reckless":
-        may = may & (standing_of(futures).ahead_m > 0.0)  # who follows could only ram
+    may = can_attack(futures, view.moved, options.licence)
     rows = choose(futures, may, attack, options.attackers, np.isin(view.ids, tuple(before)))
     if not len(rows):
         return None, ()

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 PAUSE_S = 8.0
 """Rest of a vehicle after a manoeuvre."""
+SETS_OFF_MPS = 6.0
+"""Who rests and drives more slowly follows its lane until it is up to speed."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class LicensedAttack:
 
     Attributes:
         exempt: whether red lights, lanes and the target itself do not bind attackers (the licence "reckless").
-        refused: rows whose plans would break a rule; they follow their lanes.
+        refused: rows whose plans would break a rule, or who set off after a manoeuvre; they follow their lanes.
         driven: row → positions (T, 2), headings (T,) and speeds (T,) of a lawful manoeuvre.
         commitments: manoeuvres under way, for the next plan.
         over_limit: highest share of the speed limit at which guided vehicles may drive.
@@ -98,10 +100,22 @@ def licensed_attack(
                 driven[row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]
         newcomers, kept = let_in(situation, kept)
     guided = [row for row in map(view.ids.index, attackers) if row not in driven]
-    refused = _refused(situation, view, futures, guided, licence)
+    refused = tuple(
+        sorted({*_refused(situation, view, futures, guided, licence), *_set_off(view, kept, driven)})
+    )
     lines = waiting_lines_m(situation, view.rows.tolist(), futures).tolist()
     waits = {k: line for k, line in enumerate(lines) if np.isfinite(line)}
     return LicensedAttack(False, refused, driven, kept, licence.over_limit, newcomers, waits)
+
+
+def _set_off(view: View, kept: Commitments | None, driven: Mapping[int, object]) -> list[int]:
+    """Return which rows are slow after a manoeuvre: the model, which saw them brake, would let them stand."""
+    if kept is None:
+        return []
+    now = view.scene.time_s
+    rests = [kept.rested_s.get(name, now) > now for name in view.ids]
+    slow = view.scene.history.speed_mps[view.rows, -1] < SETS_OFF_MPS
+    return [row for row in np.flatnonzero(view.moved & slow).tolist() if rests[row] and row not in driven]
 
 
 def _refused(

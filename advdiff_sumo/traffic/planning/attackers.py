@@ -8,12 +8,17 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.frames import local_from_world
+from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
 from advdiff_sumo.traffic.planning.futures import Futures
 
 STICKY_M = 8.0
 """An attacker is kept unless another one would come nearer than it by so much."""
 FARTHEST_M = 45.0
 """Who stays farther away than this throughout is of no use."""
+IN_LANE_M = 2.0
+"""Who is ahead of the target, and no farther to the side of its way, leads it."""
+STANDS_MPS = 2.0
+"""Nobody is guided against a target that drives more slowly, unless attackers may ram."""
 _SLANTED = np.cos(np.radians(40.0))
 
 
@@ -50,6 +55,33 @@ def choose(futures: Futures, moved: BoolArray, attack: str, count: int, before: 
     score = np.where(fit, near - STICKY_M * before, np.inf)
     order = np.argsort(score, kind="stable")[:count]
     return np.asarray(order[np.isfinite(score[order])], dtype=np.int64)
+
+
+def can_attack(futures: Futures, moved: BoolArray, licence: LicenceName) -> BoolArray:
+    """Return (N,) whom a guide may draw to the target.
+
+    Unless they are "reckless": nobody behind the target, who could only ram it, nobody who leads it, who would come
+    nearer by standing in its way and nothing else, and nobody while it stands.
+
+    Args:
+        futures: natural futures; row 0 is the target.
+        moved: (N,) who can be guided at all.
+        licence: what attackers may do.
+    """
+    if licence == "reckless":
+        return moved
+    if futures.speed_mps[0, 0] < STANDS_MPS:
+        return np.zeros_like(moved)
+    return np.asarray(moved & (standing_of(futures).ahead_m > 0.0) & ~_leads(futures))
+
+
+def _leads(futures: Futures) -> BoolArray:
+    """Return (N,) who drives ahead on the natural way of the target, and in its direction there."""
+    way, yaw = futures.xy_m[0], futures.yaw_rad[0]
+    nearest = np.linalg.norm(futures.xy_m[:, :1] - way, axis=-1).argmin(axis=1)
+    left = local_from_world(futures.xy_m[:, 0], way[nearest], yaw[nearest])[:, 1]
+    along = np.cos(futures.yaw_rad[:, 0] - yaw[nearest]) > _SLANTED
+    return np.asarray(along & (np.abs(left) < IN_LANE_M) & (standing_of(futures).ahead_m > 0.0))
 
 
 def closest_m(futures: Futures) -> FloatArray:

@@ -72,9 +72,10 @@ class AdvRl:
         rng: np.random.Generator,  # noqa: ARG002 - the contract
     ) -> tuple[JointPlan, Memory]:
         """Return the futures of all movable vehicles, 4 s at 2 Hz; nothing is drawn."""
-        now = situation(road, scene, self.prior, self.options.attackers, memory.attackers)
-        residuals = self.options.strength * self.actor.residuals(now.observations)
-        plan = joint_plan(road, now, self.prior, residuals, memory.plan, self.options.licence)
+        options = self.options
+        now = situation(road, scene, self.prior, options.attackers, memory.attackers, options.licence)
+        residuals = options.strength * self.actor.residuals(now.observations)
+        plan = joint_plan(road, now, self.prior, residuals, memory.plan, options.licence)
         return plan, Memory(now.attackers, plan.tracks)
 
 

@@ -15,7 +15,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
-from advdiff_sumo.traffic.planning.attackers import choose
+from advdiff_sumo.traffic.planning.attackers import can_attack, choose
 from advdiff_sumo.traffic.planning.background_plan import Rules, nobody, outlook, plausible_plan
 from advdiff_sumo.traffic.planning.draw import Drawn
 from advdiff_sumo.traffic.planning.futures import futures_of
@@ -49,7 +49,9 @@ class Situation:
         return tuple(self.view.ids[row] for row in self.rows.tolist())
 
 
-def situation(road: RoadMap, scene: Scene, prior: Prior, count: int, before: tuple[str, ...]) -> Situation:
+def situation(
+    road: RoadMap, scene: Scene, prior: Prior, count: int, before: tuple[str, ...], licence: LicenceName
+) -> Situation:
     """Return the situation of at most *count* attackers.
 
     Args:
@@ -58,13 +60,15 @@ def situation(road: RoadMap, scene: Scene, prior: Prior, count: int, before: tup
         prior: the behaviour model.
         count: most attackers.
         before: who attacked last; they stay where they still can do something.
+        licence: what attackers may do.
     """
     view, lanes = outlook(road, scene, prior.options.map_view)
     if not view.moved.any():
         return Situation(view, lanes, None, np.zeros(0, dtype=np.int64), np.zeros((0, FEATURES)))
     natural = prior.rollout(view.batch)
     futures = futures_of(view.now, natural)
-    rows = choose(futures, view.moved, "any", count, np.isin(view.ids, before))
+    may = can_attack(futures, view.moved, licence)
+    rows = choose(futures, may, "any", count, np.isin(view.ids, before))
     observations = [
         observe(road, view.now, futures, row, lanes.get(int(view.rows[row])), _actions(natural, row))
         for row in rows.tolist()

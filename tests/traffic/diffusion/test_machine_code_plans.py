@@ -14,7 +14,7 @@ from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
 from tests.diffusion.shipped_code import assert_close, checked_against_networks, needs_code
 
 Street = Callable[..., Scene]
-CROWD = [(60.0, 0.0), (78.0, 0.0), (42.0, 3.0), (95.0, 0.0)]
+CROWD = [(60.0, 0.0), (78.0, 3.0), (42.0, 3.0), (95.0, 0.0)]
 SPEEDS = [8.0, 7.0, 9.0, 6.0]
 USED = {
     "lawful": ("denoiser-2827", "decoder-step-bd77", "reward-37f6", "attack-costs"),

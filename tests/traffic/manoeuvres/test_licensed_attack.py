@@ -79,6 +79,22 @@ def test_a_lawful_manoeuvre_is_driven_beside_guided_plans(
     assert attack.driven[1][2][-1] == 0.0
 
 
+@pytest.mark.parametrize(
+    ("speed_mps", "rests_until_s", "refused"), [(3.0, 60.0, (1,)), (3.0, 0.0, ()), (8.0, 60.0, ())]
+)
+def test_who_sets_off_after_a_manoeuvre_follows_its_lane(
+    downtown: RoadMap,
+    street: Callable[..., Scene],
+    speed_mps: float,
+    rests_until_s: float,
+    refused: tuple[int, ...],
+) -> None:
+    scene = street([(30.0, 0.0), (80.0, 0.0)], [8.0, speed_mps])
+    kept = Commitments.start("any", np.random.default_rng(0))
+    kept = replace(kept, rested_s={"v1": scene.time_s + rests_until_s})
+    assert attack_of(downtown, scene, "lawful", kept).refused == refused
+
+
 def test_reckless_is_the_paper(downtown: RoadMap, street: Callable[..., Scene]) -> None:
     assert attack_of(downtown, street([(60.0, 0.0), (40.0, 0.0)], [5.0, 13.0]), "reckless") is RECKLESS
 

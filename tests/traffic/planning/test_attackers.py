@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from advdiff_sumo.traffic.planning.attackers import STICKY_M, choose, closest_m
+from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
+from advdiff_sumo.traffic.planning.attackers import STICKY_M, can_attack, choose, closest_m
 from advdiff_sumo.traffic.planning.futures import Futures, coasting
 
 #          x, y, yaw, speed
@@ -19,6 +20,7 @@ CARS = {
     "far": (200, 100, 0, 5),
 }
 NAMES = list(CARS)
+SIZES = np.tile([4.0, 2.0], (3, 1))
 
 
 def futures() -> Futures:
@@ -70,3 +72,38 @@ def test_an_attacker_is_kept_until_somebody_comes_much_nearer() -> None:
     assert chosen("any", count=1, moved=both, before="ahead") == ["ahead"]
     assert near["ahead"] - near["beside"] > STICKY_M
     assert chosen("any", count=1, before="ahead", moved=("ahead", "beside")) == ["beside"]
+
+
+@pytest.mark.parametrize(
+    ("licence", "names"),
+    [
+        ("reckless", set(NAMES)),
+        ("careless", {"beside", "oncoming", "crossing", "far"}),
+        ("lawful", {"beside", "oncoming", "crossing", "far"}),
+    ],
+)
+def test_who_breaks_no_rule_is_drawn_to_the_target_neither_from_behind_nor_from_its_lane(
+    licence: LicenceName, names: set[str]
+) -> None:
+    may = can_attack(futures(), np.ones(len(NAMES), dtype=np.bool_), licence)
+    assert {name for name, can in zip(NAMES, may, strict=True) if can} == names
+
+
+def test_a_leader_round_a_bend_leads() -> None:
+    """The target turns left by 90° on a radius of 20 m; one car is 10 m past the bend, one 10 m off its way."""
+    angle = np.linspace(0.0, 0.5 * np.pi, 9)
+    bend = np.stack((20.0 * np.sin(angle), 20.0 - 20.0 * np.cos(angle)), axis=-1)
+    cars = np.array([[0.0, 0.0], [20.0, 30.0], [30.0, 30.0]])
+    still = coasting(
+        cars, np.array([0.0, 0.5 * np.pi, 0.5 * np.pi]), np.array([8.0, 0.0, 0.0]), SIZES, 8, 0.5
+    )
+    still.put(0, bend[1:], angle[1:], np.full(8, 8.0))
+    assert can_attack(still, np.ones(3, dtype=np.bool_), "lawful").tolist() == [False, False, True]
+
+
+def test_nobody_is_drawn_to_a_target_that_stands_unless_it_may_ram() -> None:
+    cars = np.array([[0.0, 0.0], [5.0, 3.5], [20.0, 3.5]])
+    standing = coasting(cars, np.zeros(3), np.array([1.9, 8.0, 8.0]), SIZES, 8, 0.5)
+    every = np.ones(3, dtype=np.bool_)
+    assert not can_attack(standing, every, "lawful").any()
+    assert can_attack(standing, every, "reckless").all()

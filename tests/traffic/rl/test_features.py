@@ -88,16 +88,16 @@ def test_nobody_attacks_where_nobody_can(downtown: RoadMap, street: Street, weig
     scene = street([(60.0, 0.0), (75.0, 0.0)], [8.0, 7.0])
     alone = replace(scene, movable=np.zeros(2, dtype=np.bool_))
     prior = load_prior("traffic", weights)
-    found = situation(downtown, alone, prior, 1, ())
+    found = situation(downtown, alone, prior, 1, (), "reckless")
     assert found.attackers == ()
     assert found.observations.shape == (0, FEATURES)
-    assert situation(downtown, scene, prior, 1, ()).attackers == ("v1",)
+    assert situation(downtown, scene, prior, 1, (), "reckless").attackers == ("v1",)
 
 
 def test_the_attacker_of_before_stays(downtown: RoadMap, street: Street, weights: str) -> None:
     scene = street([(60.0, 0.0), (72.0, 0.0), (46.0, 0.0)], [8.0, 8.0, 8.0])
     prior = load_prior("traffic", weights)
     assert Path(weights).exists()
-    first = situation(downtown, scene, prior, 1, ()).attackers
+    first = situation(downtown, scene, prior, 1, (), "reckless").attackers
     other = tuple({"v1", "v2"} - set(first))
-    assert situation(downtown, scene, prior, 1, other).attackers == other
+    assert situation(downtown, scene, prior, 1, other, "reckless").attackers == other

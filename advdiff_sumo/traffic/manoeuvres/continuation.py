@@ -96,13 +96,15 @@ def _cutting_in(view: SituationView, manoeuvre: Manoeuvre, intensity: Intensity)
     over = goal is None or _over_line_m(view, manoeuvre.row, goal) > INTRUSION_M
     if goal is None or (over and manoeuvre.profile.switch_s == 0.0):
         return manoeuvre
-    later = manoeuvre if over else _slowing_once_over(view, manoeuvre)
+    later = manoeuvre if over else _slowing_once_over(view, manoeuvre, goal)
     return later if intensity.is_asked_of("cut-in") or _is_answerable(view, later) else None
 
 
-def _slowing_once_over(view: SituationView, manoeuvre: Manoeuvre) -> Manoeuvre:
-    """Return *manoeuvre*, which slows on the lane that it changes to alone, however long it takes to get there."""
-    enters_s = manoeuvre.enters_s(view.scene.history.xy_m[manoeuvre.row, -1])
+def _slowing_once_over(view: SituationView, manoeuvre: Manoeuvre, goal: Way) -> Manoeuvre:
+    """Return *manoeuvre*, which slows on the lane of *goal* alone, however long it takes to get there."""
+    row = manoeuvre.row
+    within_m = _half_widths_m(view, row, goal) - INTRUSION_M
+    enters_s = manoeuvre.enters_s(view.scene.history.xy_m[row, -1], within_m)
     profile = manoeuvre.profile
     return replace(manoeuvre, profile=replace(profile, switch_s=max(profile.switch_s, enters_s)))
 
@@ -169,4 +171,9 @@ def still_lawful(view: SituationView, manoeuvre: Manoeuvre, licence: Licence | N
 def _over_line_m(view: SituationView, row: int, goal: Way) -> float:
     """Return by how much the box of *row* reaches into the lane of *goal*; negative where it does not."""
     across = abs(float(goal.line.project(view.scene.history.xy_m[row, -1])[1]))
-    return 0.5 * float(goal.present_lane.width_m + view.size(row)[1]) - across
+    return _half_widths_m(view, row, goal) - across
+
+
+def _half_widths_m(view: SituationView, row: int, goal: Way) -> float:
+    """Return half the lane of *goal* and half of *row*: so far apart, their edges touch."""
+    return 0.5 * float(goal.present_lane.width_m + view.size(row)[1])

@@ -56,12 +56,18 @@ class Manoeuvre:
     delay_s: float = 0.0
     reveals: int | None = None
 
-    def enters_s(self, xy_m: FloatArray) -> float:
-        """Return when the vehicle, which is at *xy_m* (2,) now, enters the lane that it changes to; 0 if it stays."""
+    def enters_s(self, xy_m: FloatArray, within_m: float | None = None) -> float:
+        """Return when the vehicle enters the lane that it changes to; 0 if it stays.
+
+        Args:
+            xy_m: (2,) where it is now.
+            within_m: from the middle of that lane it has entered it; None: as a car enters it.
+        """
         if self.goal is None:
             return 0.0
         apart, across = self.goal.line.project(np.stack((self.way.line.at(self.way.lane.s_m)[0], xy_m)))[1]
-        over = np.abs(self.offsets(float(across), _FINE_S)) <= _ENTERS_SHARE * abs(float(apart))
+        within_m = _ENTERS_SHARE * abs(float(apart)) if within_m is None else within_m
+        over = np.abs(self.offsets(float(across), _FINE_S)) <= within_m
         return self.delay_s + float(_FINE_S[np.argmax(over)])
 
     def asks_s(self, xy_m: FloatArray) -> float:

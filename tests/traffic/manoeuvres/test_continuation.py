@@ -15,30 +15,39 @@ from tests.traffic.manoeuvres.scenes import view_of
 
 
 @pytest.mark.parametrize(
-    ("over_m", "licence", "later"),
-    [(-0.5, LAWFUL, True), (0.2, LAWFUL, True), (0.5, LAWFUL, False), (0.2, None, False)],
+    ("over_m", "width_m", "licence", "later"),
+    [
+        (-0.5, 1.8, LAWFUL, True),
+        (0.2, 1.8, LAWFUL, True),
+        (0.2, 0.8, LAWFUL, True),
+        (0.5, 1.8, LAWFUL, False),
+        (0.5, 0.8, LAWFUL, False),
+        (0.2, 1.8, None, False),
+    ],
 )
 def test_who_cuts_in_brakes_once_it_has_entered_unless_it_is_reckless(
-    motorway: RoadMap, over_m: float, licence: Licence | None, later: bool
+    motorway: RoadMap, over_m: float, width_m: float, licence: Licence | None, later: bool
 ) -> None:
-    """Its box, of 1.8 m, reaches *over_m* over the line between lanes of 3.5 m; 0.3 m are entering.
+    """Its box reaches *over_m* over the line between lanes of 3.5 m; 0.3 m are entering.
 
     It should brake now, but goes on for as long as it takes to come over. It does not move sideways yet: of the way
-    left, at 1.1 m/s in the mean, 3 x² − 2 x³ are behind it after x of the time, and 0.67 of 3.5 m are before it when it
-    enters.
+    left, at 1.1 m/s in the mean, 3 x² − 2 x³ are behind it after x of the time, and half of both widths less 0.3 m are
+    before it when it enters: 2.35 m for a car, 1.85 m for a motorcycle.
     """
     view = view_of(motorway, time_s=5.0, target=(0, 80.0, 15.0), other=(1, 120.0, 15.0))
     lane = view.target.way.present_lane if view.target is not None else None
     assert lane is not None
-    across = 0.5 * (lane.width_m + 1.8) - over_m
+    across = 0.5 * (lane.width_m + width_m) - over_m
     beside = lane.line.at(120.0, across)[0] - view.scene.history.xy_m[1, -1]
     view.scene.history.xy_m[1] += beside
+    view.scene.history.size_m[1, 1] = width_m
     view = SituationView.of(motorway, view.scene)
     cuts_in = Commitment("cut-in", SpeedProfile(then_mps2=-6.5), 3.0, 4.5, sets_up=False, goal_lane=lane.id)
     going, _ = carry_on(view, Commitments({"cut-in": 1.0}, active={"other": cuts_in}), 8.0, licence)
     assert [m.kind for m in going] == ["cut-in"]
     x = np.linspace(0.0, 1.0, 1001)
-    share = float(np.interp(1.0 - 0.67 * lane.width_m / across, 3.0 * x**2 - 2.0 * x**3, x))
+    entered = 0.5 * (lane.width_m + width_m) - 0.3
+    share = float(np.interp(1.0 - entered / across, 3.0 * x**2 - 2.0 * x**3, x))
     expected = share * across / 1.1 if later else 0.0
     assert going[0].profile.switch_s == pytest.approx(expected, abs=0.06)  # it looks every 0.05 s
     assert np.isclose(going[0].profile.then_mps2, -6.5)

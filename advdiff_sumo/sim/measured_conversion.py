@@ -18,7 +18,6 @@ from advdiff_sumo.maps.convert.fidelity import measure
 from advdiff_sumo.maps.convert.fidelity_report import fidelity_path, write_figures, write_page
 from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
 from advdiff_sumo.maps.not_a_net import map_name
-from advdiff_sumo.sim.driving_test import driving_test
 from advdiff_sumo.sim.source_maps import read_source
 
 
@@ -138,6 +137,10 @@ def _measured(result: ConversionResult, dataroot: Path | None) -> dict[str, Any]
 
 def _driven(net: Path, options: ConvertOptions) -> dict[str, Any]:
     """Return what came of the driving tests that are asked for with a number of vehicles."""
+    if not (options.drive or options.drive_at_once):
+        return {}
+    from advdiff_sumo.sim.driving_test import driving_test  # late: SUMO is slow to import
+
     figures: dict[str, Any] = {}
     if options.drive:
         figures["driving_test_in_the_hour"] = driving_test(net, vehicles=options.drive, seed=options.seed)

@@ -106,7 +106,7 @@ def test_windows_of_the_far_view_need_networks_that_see_as_far(tmp_path: Path) -
 
 @pytest.mark.slow
 def test_windows_in_which_a_model_drove_train_its_denoiser(tmp_path: Path) -> None:
-    words = ("data", "simulate", "--out", "w", "--windows", 8, "--net", "downtown-left", "--random-share", 0)
+    words = ("data", "simulate", "--out", "w", "--windows", 4, "--net", "downtown-left", "--random-share", 0)
     driven = ("--map-view", "far", "--driven-by", "closed-loop", "--seed", 5, "--workers", 1)
     done = advdiff(*words, *driven, cwd=tmp_path)
     assert (done.code, done.err) == (0, "")
@@ -143,7 +143,7 @@ def test_windows_in_which_a_model_drove_train_its_denoiser(tmp_path: Path) -> No
     assert load_bundle(tmp_path / "told" / "weights.safetensors").options.model.denoiser_situation
     refused = advdiff(*words, "--set", "driven_share=0.5", "--out", "o", cwd=tmp_path)
     assert refused.code == 2
-    assert "the windows hold 8 that a model drove and 0 others" in refused.err
+    assert "the windows hold 4 that a model drove and 0 others" in refused.err
 
 
 @pytest.mark.parametrize("verb", ["simulate", "build", "stats"])

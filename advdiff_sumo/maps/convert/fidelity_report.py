@@ -12,11 +12,6 @@ from typing import Any
 
 import jinja2
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
-from matplotlib.patches import PathPatch
-from matplotlib.path import Path as MplPath
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.convert import ConversionResult
@@ -210,6 +205,12 @@ def _pictures(result: ConversionResult) -> list[tuple[str, str]]:
 
 def _picture(result: ConversionResult, net: WrittenNet, extent: FloatArray, scale: float) -> str:
     """Return the overlay within *extent*, lower left and upper right corner in m, as base64 PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # late, with what follows: slow to import
+    from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as MplPath
+
     width, height = extent[1] - extent[0]
     inches = PICTURE_IN * np.array([width, height]) / max(width, height)
     figure = Figure(figsize=tuple(np.maximum(inches, 2.0)), dpi=150, layout="constrained")

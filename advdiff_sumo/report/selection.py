@@ -111,6 +111,13 @@ class ChosenEpisode:
             parts.append(self.impact_m[None])
         return View.around(np.concatenate(parts), margin_m=10.0, least_width_m=45.0, aspect=aspect)
 
+    def view_at(self, moment_s: float, aspect: float, width_m: float) -> View:
+        """Return a view, at least *width_m* wide, of where the target is at *moment_s*, and the attacker if near."""
+        places = poses_at(self.states.tracks, moment_s)[0]
+        rows = [self.states.target] if self.attacker is None else [self.states.target, self.attacker]
+        near = np.linalg.norm(places[rows] - places[self.states.target], axis=-1) <= _ATTACKER_NEAR_M
+        return View.around(places[rows][near], margin_m=10.0, least_width_m=width_m, aspect=aspect)
+
     def steps(self, start_s: float, end_s: float) -> slice:
         """Return the instants from *start_s* to *end_s*."""
         dt = self.states.tracks.dt_s

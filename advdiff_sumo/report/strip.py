@@ -34,6 +34,8 @@ from advdiff_sumo.report.selection import ChosenEpisode, poses_at
 STRIP_S, CIRCLES_S = 6.0, 0.5
 _PANEL_IN, _ASPECT, _LEGEND_IN = 3.1, 1.0, 0.34
 _PALE = "#ffffff"
+_WIDEST_M = 90.0
+"""Where the ways of a strip need more, each panel shows where the two are then: a car would be a dot."""
 
 
 def film_strip(
@@ -69,11 +71,11 @@ def film_strip(
 
 def draw_strip(chosen: ChosenEpisode, moments_s: FloatArray, start_s: float) -> Figure:
     """Return the strip as a figure of matplotlib."""
-    view = chosen.view(start_s, float(moments_s[-1]), _ASPECT)
     width, height = _PANEL_IN * len(moments_s), _PANEL_IN / _ASPECT + _LEGEND_IN
     drawn = Figure(figsize=(width, height), dpi=130, facecolor="white")
     FigureCanvasAgg(drawn)
-    for k, moment in enumerate(moments_s.tolist()):
+    views = _views(chosen, moments_s.tolist(), start_s)
+    for k, (moment, view) in enumerate(zip(moments_s.tolist(), views, strict=True)):
         gap = 0.02 / len(moments_s)
         left, share = k / len(moments_s) + gap / 2, 1.0 / len(moments_s) - gap
         axes = drawn.add_axes((left, _LEGEND_IN / height, share, 1.0 - _LEGEND_IN / height))
@@ -82,6 +84,15 @@ def draw_strip(chosen: ChosenEpisode, moments_s: FloatArray, start_s: float) -> 
         _panel(axes, chosen, view, start_s, moment)
     _legend(drawn, chosen)
     return drawn
+
+
+def _views(chosen: ChosenEpisode, moments_s: list[float], start_s: float) -> list[View]:
+    """Return what each panel shows, all at one scale."""
+    whole = chosen.view(start_s, moments_s[-1], _ASPECT)
+    if whole.width_m <= _WIDEST_M:
+        return [whole] * len(moments_s)
+    width_m = max(chosen.view_at(moment, _ASPECT, 45.0).width_m for moment in moments_s)
+    return [chosen.view_at(moment, _ASPECT, width_m) for moment in moments_s]
 
 
 def _panel(axes: Axes, chosen: ChosenEpisode, view: View, start_s: float, moment_s: float) -> None:

@@ -45,6 +45,21 @@ def test_strip_of_the_worst_ends_at_its_contact(sweep_folder: Path) -> None:
     ]
 
 
+def test_panels_go_along_with_a_target_that_drives_far(sweep_folder: Path) -> None:
+    """Both drive 40 m/s faster to the east than they did: 120 m in three seconds."""
+    chosen = ChosenEpisode.read(sweep_folder, 1)
+    near = [axes.get_xlim() for axes in draw_strip(chosen, np.array([0.0, 3.0]), 0.0).axes]
+    assert near[0] == near[1]
+    tracks = chosen.states.tracks
+    tracks.xy_m[..., 0] += 40.0 * tracks.dt_s * np.arange(tracks.steps)
+    far = np.array([axes.get_xlim() for axes in draw_strip(chosen, np.array([0.0, 3.0]), 0.0).axes])
+    widths = np.ptp(far, axis=1)
+    assert widths[0] == pytest.approx(widths[1])
+    assert widths[0] < 90.0
+    for moment, (west, east) in zip((0.0, 3.0), far.tolist(), strict=True):
+        assert west < poses_at(tracks, moment)[0][chosen.states.target, 0] < east
+
+
 def test_strip_ends_at_the_contact_where_the_episode_goes_on(sweep_folder: Path) -> None:
     """A second later before; who leaves the road, say, drives on."""
     chosen = ChosenEpisode.read(sweep_folder, 1)

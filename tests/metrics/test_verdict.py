@@ -151,6 +151,23 @@ def test_what_is_left_of_the_impact_is_that_with_who_counts(road) -> None:
     assert followed.sentence == alone.sentence
 
 
+def test_a_contact_after_one_that_does_not_count_is_told_though_the_record_has_ended(road) -> None:
+    """The careful driver is run into from behind and stands, with its front at -127.6 m.
+
+    Somebody comes from the right with 5 m/s, 22.4 m from its side: 4.48 s, the record ends at 3.1 s.
+    """
+    ego, lead = straight("ego", (-150, -1.6), 0, 12, steps=32), straight("lead", (-110, -1.6), 0, 0, steps=32)
+    tail = straight("tail", (-156, -1.6), 0, 12, steps=32)
+    result = verdict(record_of(ego, lead, tail, straight("cross", (-128, -27), NORTH, 5, steps=32)), road)
+    drive = result.drives[YARDSTICK]
+    assert [(touch.name, touch.step) for touch in drive.touches] == [("tail", 16), ("cross", 44)]
+    assert drive.states.xy_m[44, 0] == pytest.approx(-129.6, abs=0.1)
+    assert result.sentence.startswith(
+        "Even a careful and competent driver who brakes 2.2 s before contact is run"
+    )
+    assert "into by 'cross' at 5.0 m/s" in result.sentence
+
+
 def test_who_overlaps_the_target_as_the_driver_takes_over_is_not_held_against_it(road) -> None:
     """Held against it before, though the log puts that car there: no driver avoided anything. 29 m to a stop at 10."""
     ego, lead = straight("ego", (-150, -1.6), 0, 10, steps=61), straight("lead", (-115, -1.6), 0, 0, steps=61)

@@ -49,7 +49,8 @@ class ReferenceDrive:
         model: name of the model.
         takeover_step: instant of the record at which it takes over: the first of the T.
         states: (T,) its states, the first of which is the target's at the takeover. They reach beyond the record's
-            end until it stands, at most ``AFTER_S``; the others go on as they last did.
+            end until it stands, or has met the last of those whom it touches, at most ``AFTER_S``; the others go on
+            as they last did.
         accel_mps2: (T,) acceleration from each instant on.
         touches: its first contact with each of those whom it touches, in their order.
         spare_m: least gap to the other party of the collision; 0 on contact.
@@ -323,7 +324,7 @@ class ReferenceDrivers:
         stands = self._until_standing(speed, start)
         kept = stands
         if touched:
-            kept = min(len(speed), max(self._record.tracks.steps - first, touched[0].step - first + 2))
+            kept = min(len(speed), max(self._record.tracks.steps - first, touched[-1].step - first + 2))
         return ReferenceDrive(
             model=driver.name,
             takeover_step=first,

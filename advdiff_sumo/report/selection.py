@@ -18,7 +18,7 @@ from advdiff_sumo.report.nets import Nets
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
 from advdiff_sumo.report.select import attacker_of, worst_first
 
-_ATTACKER_NEAR_M = 50.0
+_ATTACKER_NEAR_M, _MARGIN_M, _LEAST_WIDTH_M = 50.0, 10.0, 45.0
 
 
 @dataclass(frozen=True)
@@ -109,14 +109,14 @@ class ChosenEpisode:
             parts.append(other[np.linalg.norm(other - own, axis=-1) <= _ATTACKER_NEAR_M])
         if self.impact_m is not None:
             parts.append(self.impact_m[None])
-        return View.around(np.concatenate(parts), margin_m=10.0, least_width_m=45.0, aspect=aspect)
+        return View.around(np.concatenate(parts), _MARGIN_M, _LEAST_WIDTH_M, aspect)
 
-    def view_at(self, moment_s: float, aspect: float, width_m: float) -> View:
+    def view_at(self, moment_s: float, aspect: float, width_m: float = _LEAST_WIDTH_M) -> View:
         """Return a view, at least *width_m* wide, of where the target is at *moment_s*, and the attacker if near."""
         places = poses_at(self.states.tracks, moment_s)[0]
         rows = [self.states.target] if self.attacker is None else [self.states.target, self.attacker]
         near = np.linalg.norm(places[rows] - places[self.states.target], axis=-1) <= _ATTACKER_NEAR_M
-        return View.around(places[rows][near], margin_m=10.0, least_width_m=width_m, aspect=aspect)
+        return View.around(places[rows][near], _MARGIN_M, width_m, aspect)
 
     def steps(self, start_s: float, end_s: float) -> slice:
         """Return the instants from *start_s* to *end_s*."""

@@ -91,7 +91,7 @@ def _views(chosen: ChosenEpisode, moments_s: list[float], start_s: float) -> lis
     whole = chosen.view(start_s, moments_s[-1], _ASPECT)
     if whole.width_m <= _WIDEST_M:
         return [whole] * len(moments_s)
-    width_m = max(chosen.view_at(moment, _ASPECT, 45.0).width_m for moment in moments_s)
+    width_m = max(chosen.view_at(moment, _ASPECT).width_m for moment in moments_s)
     return [chosen.view_at(moment, _ASPECT, width_m) for moment in moments_s]
 
 

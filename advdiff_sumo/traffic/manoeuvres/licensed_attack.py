@@ -100,30 +100,27 @@ def licensed_attack(
                 driven[row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]
         newcomers, kept = let_in(situation, kept)
     guided = [row for row in map(view.ids.index, attackers) if row not in driven]
-    refused = tuple(
-        sorted({*_refused(situation, view, futures, guided, licence), *_set_off(view, kept, driven)})
-    )
+    refused = _refused(situation, view, futures, guided, licence) | _set_off(view, kept, driven)
     lines = waiting_lines_m(situation, view.rows.tolist(), futures).tolist()
     waits = {k: line for k, line in enumerate(lines) if np.isfinite(line)}
-    return LicensedAttack(False, refused, driven, kept, licence.over_limit, newcomers, waits)
+    return LicensedAttack(False, tuple(sorted(refused)), driven, kept, licence.over_limit, newcomers, waits)
 
 
-def _set_off(view: View, kept: Commitments | None, driven: Mapping[int, object]) -> list[int]:
+def _set_off(view: View, kept: Commitments | None, driven: Mapping[int, object]) -> set[int]:
     """Return which rows are slow after a manoeuvre: the model, which saw them brake, would let them stand."""
     if kept is None:
-        return []
-    now = view.scene.time_s
+        return set()
+    now, slow = view.scene.time_s, view.scene.history.speed_mps[view.rows, -1] < SETS_OFF_MPS
     rests = [kept.rested_s.get(name, now) > now for name in view.ids]
-    slow = view.scene.history.speed_mps[view.rows, -1] < SETS_OFF_MPS
-    return [row for row in np.flatnonzero(view.moved & slow).tolist() if rests[row] and row not in driven]
+    return set(np.flatnonzero(view.moved & slow & rests).tolist()) - driven.keys()
 
 
 def _refused(
     situation: SituationView, view: View, futures: Futures, guided: list[int], licence: Licence
-) -> tuple[int, ...]:
+) -> set[int]:
     """Return which of the *guided* rows break a rule, or leave the target no answer."""
     if not guided:
-        return ()
+        return set()
     futures = futures.lasting(round(CHECK_TIMES_S[-1] / futures.dt_s))
     xy, yaw = futures.halves()
     speed = np.empty(yaw.shape)
@@ -138,4 +135,4 @@ def _refused(
         now = np.zeros(len(guided))
         needed = needed_braking(target, xy[guided], yaw[guided], futures.size_m[guided], now)
         out |= {k for k, braking in zip(guided, needed.tolist(), strict=True) if braking > BRAKING_MPS2[-1]}
-    return tuple(sorted(out))
+    return out

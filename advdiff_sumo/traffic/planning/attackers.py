@@ -72,16 +72,16 @@ def can_attack(futures: Futures, moved: BoolArray, licence: LicenceName) -> Bool
         return moved
     if futures.speed_mps[0, 0] < STANDS_MPS:
         return np.zeros_like(moved)
-    return np.asarray(moved & (standing_of(futures).ahead_m > 0.0) & ~_leads(futures))
+    return np.asarray(moved & (standing_of(futures).ahead_m > 0.0) & ~_is_on_way_of_target(futures))
 
 
-def _leads(futures: Futures) -> BoolArray:
-    """Return (N,) who drives ahead on the natural way of the target, and in its direction there."""
+def _is_on_way_of_target(futures: Futures) -> BoolArray:
+    """Return (N,) who drives on the natural way of the target, or that carried straight on, in its direction."""
     way, yaw = futures.xy_m[0], futures.yaw_rad[0]
     nearest = np.linalg.norm(futures.xy_m[:, :1] - way, axis=-1).argmin(axis=1)
     left = local_from_world(futures.xy_m[:, 0], way[nearest], yaw[nearest])[:, 1]
     along = np.cos(futures.yaw_rad[:, 0] - yaw[nearest]) > _SLANTED
-    return np.asarray(along & (np.abs(left) < IN_LANE_M) & (standing_of(futures).ahead_m > 0.0))
+    return np.asarray(along & (np.abs(left) < IN_LANE_M))
 
 
 def closest_m(futures: Futures) -> FloatArray:
@@ -110,7 +110,7 @@ def eligible(where: Standing, attack: str) -> BoolArray:
     fits: dict[str, BoolArray] = {
         "any": np.ones(len(ahead), dtype=np.bool_),
         "cut-in": along & (side > 1.5) & (side < 8.0) & (ahead > -15.0) & (ahead < 35.0),
-        "brake": along & (side < 2.0) & (ahead > 0.0) & (ahead < 45.0),
+        "brake": along & (side < IN_LANE_M) & (ahead > 0.0) & (ahead < 45.0),
         "rear-end": along & (side < 6.0) & (ahead < 0.0) & (ahead > -45.0),
         "head-on": against & (side < 10.0) & (ahead > 0.0),
         "junction": where.crosses & ((ahead > 0.0) | (side > 3.0)),

@@ -31,12 +31,11 @@ NAMES = ("strive", "advsim")
 
 @pytest.fixture
 def made(weights: str, simnet: str) -> Callable[..., BaselinePolicy]:
-    """Return a function (name, options) → the rival with small networks, a short search and no law."""
+    """Return a function (name, options) → the rival with small networks, a short search and, for AdvSim, no law."""
 
     def make(name: str, **options: Any) -> BaselinePolicy:
-        more = {"simnet": simnet, "candidates": 8} if name == "advsim" else {}
-        chosen = {"weights": weights, "rounds": 3, "licence": "reckless", **more, **options}
-        policy = make_policy(name, chosen)
+        more = {"simnet": simnet, "candidates": 8, "licence": "reckless"} if name == "advsim" else {}
+        policy = make_policy(name, {"weights": weights, "rounds": 3, **more, **options})
         assert isinstance(policy, Strive | AdvSim)
         return policy
 

@@ -14,6 +14,7 @@ from advdiff_sumo.core.tracking import State, densify, track
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background_control import Motion
+from advdiff_sumo.sim.headway_relaxation import HeadwayRelaxation
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.target_choice import remaining_route
 from advdiff_sumo.sim.world import World
@@ -35,6 +36,7 @@ class Handover:
     def __init__(self, world: World, actuator: Actuator, road: RoadMap, sim: SimOptions) -> None:
         self.world, self.actuator, self.road, self.sim = world, actuator, road, sim
         self.rough: list[str] = []
+        self._relaxation = HeadwayRelaxation(actuator, world, sim.step_s)
         self._waiting_s: dict[int, float] = {}
         self._routes: dict[int, tuple[str, ...]] = {}
 
@@ -57,6 +59,7 @@ class Handover:
             signals: states of the traffic lights.
             plans: what the policy has just planned.
         """
+        self._relaxation.advance(steps * self.sim.step_s)
         planned = set(motion.rows.tolist())
         inside = {row for row, state in self.actuator.moved.items() if state.inserted}
         left = sorted((inside | self.actuator.outside) - planned - {target})
@@ -78,6 +81,7 @@ class Handover:
             if row in inside and self._fits(row, lane, place, sure, steps * self.sim.step_s):
                 self.actuator.release(row, self.route(row, routes))
                 self._routes.pop(row, None)
+                self._relaxation.begin(row)
             else:
                 askew.append(row)
         if not askew:

@@ -273,3 +273,79 @@ def test_any_offset_in_a_curve(bend: Path, s_m: float, d_m: float, turn: float, 
         got = hand_over(s, RoadMap.read(bend), ("AB", "BZ"), "AB_0", s_m, d_m, turn, speed)
     if not got.rough:
         got.check_smooth(BEND_CORNER_RAD)
+
+
+@dataclass
+class TakenBack:
+    """A follower at each step after SUMO took it back: speed, gap to its leader, and the headway that SUMO holds."""
+
+    speed_mps: np.ndarray
+    gap_m: np.ndarray
+    min_gap_m: np.ndarray
+    tau_s: np.ndarray
+
+    @property
+    def braking_mps2(self) -> float:
+        return float(-np.diff(self.speed_mps).min() / STEP_S)
+
+
+def take_back_behind(net: Path, speed: float, gap: float, seconds: float, goes: float = np.inf) -> TakenBack:
+    """Hold two cars one behind the other for 1 s, then let SUMO take back the one behind, and go on.
+
+    The leader drives at *speed*, as the follower did; after *goes* seconds at 12 m/s.
+    """
+    with stage(net) as s:
+        s.add("lead", ("WM", "ME"), at=60.0)
+        s.add("b", ("WM", "ME"), at=40.0)
+        world, road = World(), RoadMap.read(net)
+        register(world, s.api, ["b", "lead"])
+        read(world, s.api, np.zeros(0, dtype=np.int64))
+        actuator = Actuator(s.api, world, road)
+        handover = Handover(world, actuator, road, SimOptions())
+        actuator.take(0)
+        actuator.take(1)
+        rows, routes, out = np.array([0, 1]), {"b": ("WM", "ME"), "lead": ("WM", "ME")}, []
+        place = np.array([60.0, 60.0 + LENGTH_M + gap])
+        for k in range(10 + round(seconds / STEP_S)):
+            held = rows if k < 10 else rows[1:]
+            place += STEP_S * (speed if k < 10 + goes / STEP_S else 12.0)
+            xy = np.array([road.to_world("WM_0", place[row])[0] for row in held])
+            yaw = np.array([road.to_world("WM_0", place[row])[1] for row in held])
+            motion = Motion.none(PERIOD)
+            if k >= 10:
+                motion = Motion(
+                    xy[:, None], yaw[:, None], np.full((1, 1), speed), held, np.ones((1, 1), np.bool_)
+                )
+            if k >= 10 and k % PERIOD == 0:
+                handover.settle(motion, -1, PERIOD, routes)
+            world.set_state(held, xy, yaw, np.full(len(held), speed), Controller.POLICY)
+            actuator.move(held, xy, yaw)
+            s.session.step()
+            read(world, s.api, actuator.ours)
+            if k >= 10:
+                between = world.xy_m[1, 0] - world.xy_m[0, 0] - LENGTH_M
+                vehicle = s.api.vehicle
+                out.append((world.speed_mps[0], between, vehicle.getMinGap("b"), vehicle.getTau("b")))
+    return TakenBack(*np.array(out).T)
+
+
+def test_who_follows_closely_widens_the_gap_slowly(street: Path) -> None:
+    """1.7 m at 3 m/s, where the driver keeps 2.5 + 3 m: SUMO alone brakes with 5 m/s² and more at once."""
+    got = take_back_behind(street, speed=3.0, gap=1.7, seconds=8.0)
+    assert got.braking_mps2 < 1.0
+    assert got.gap_m.min() > 1.5
+    assert got.gap_m[-1] > 2.4
+
+
+def test_the_headway_is_the_drivers_own_again_once_the_gap_is(street: Path) -> None:
+    """The leader drives away after 2 s."""
+    got = take_back_behind(street, speed=3.0, gap=1.7, seconds=8.0, goes=2.0)
+    assert got.min_gap_m[0] == pytest.approx(2.5 * 1.7 / 5.5, abs=0.05)
+    assert got.tau_s[0] == pytest.approx(1.7 / 5.5, abs=0.02)
+    assert (got.min_gap_m[-1], got.tau_s[-1]) == (2.5, 1.0)
+
+
+def test_who_keeps_its_distance_is_left_as_it_is(street: Path) -> None:
+    got = take_back_behind(street, speed=3.0, gap=8.0, seconds=2.0)
+    assert set(got.min_gap_m) == {2.5}
+    assert set(got.tau_s) == {1.0}

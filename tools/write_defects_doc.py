@@ -20,7 +20,7 @@ from write_results import PROVENANCE, TABLES, read_selection, tables_of
 from advdiff_sumo.experiments.bench.bench_rows import policy_row
 from advdiff_sumo.experiments.bench.defect_cells import SOUND
 from advdiff_sumo.experiments.bench.defect_score import SCORE
-from advdiff_sumo.experiments.bench.detection import LEVEL
+from advdiff_sumo.experiments.bench.detection import LEVEL, ranking_auc
 from advdiff_sumo.planners.defects.catalogue import catalogue_table
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "defects.md"
@@ -35,7 +35,7 @@ def filled(page: str) -> str:
     names, counted = tables_of("defects", selection), selection["defects"].get("findings", [])
     page = _PLACE.sub(lambda place: place[1] + catalogue_table() + place[2], page)
     page = _BASELINE.sub(lambda place: place[1] + baseline(names) + place[2], page)
-    return _FINDINGS.sub(lambda place: place[1] + findings(counted) + place[2], page)
+    return _FINDINGS.sub(lambda place: place[1] + findings(counted, rankings(names)) + place[2], page)
 
 
 def baseline(names: list[str]) -> str:
@@ -67,18 +67,29 @@ def baseline(names: list[str]) -> str:
     return f"Valid failures in % of the episodes. {runs}:\n\n{text}"
 
 
-def findings(names: list[str]) -> str:
+def rankings(names: list[str]) -> dict[str, float]:
+    """Return by column how well the valid failures of the tables *names* rank defective above sound planners."""
+    rates: dict[str, tuple[list[float], list[float]]] = {}
+    for line in _lines(names, ""):
+        if line["row"] != SCORE and line["value"]:
+            sound, defective = rates.setdefault(line["column"], ([], []))
+            (sound if line["row"] == SOUND else defective).append(float(line["value"]))
+    ranked = {column: ranking_auc(*pair) for column, pair in rates.items()}
+    return {column: auc for column, auc in ranked.items() if auc is not None}
+
+
+def findings(names: list[str], ranked: dict[str, float]) -> str:
     """Return what the collisions of ``lane_graph``, sound and with each defect, were worth, a row a background."""
-    heads = ("episodes", "collisions", "valid, %", "the other broke a rule, %", "kinds per 100 episodes")
-    text = (
-        f"|  | {' | '.join(heads)} | first detection of a defect, CPU s |\n|---|{'--:|' * (len(heads) + 1)}\n"
-    )
+    counts = ("episodes", "collisions", "valid, %", "the other broke a rule, %", "kinds per 100 episodes")
+    heads = (*counts, "first detection of a defect, CPU s", "AUC")
+    text = f"|  | {' | '.join(heads)} |\n|---|{'--:|' * len(heads)}\n"
     for line in _lines(names, "-findings"):
         if line["target"] == "lane_graph":
             episodes, collisions = line["episodes"], int(line["collisions"])
             shares = (f"{100 * int(line[key]) / max(collisions, 1):.1f}" for key in ("valid", "others_broke"))
             rest = (line["cells_per_100"] or "–", line["median_first_cpu_s"] or "–")
-            cells = (policy_row(line["background"]).title, episodes, str(collisions), *shares, *rest)
+            auc, title = f"{ranked[line['background']]:.3f}", policy_row(line["background"]).title
+            cells = (title, episodes, str(collisions), *shares, *rest, auc)
             text += f"| {' | '.join(cells)} |\n"
     return text
 

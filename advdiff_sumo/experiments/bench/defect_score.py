@@ -20,6 +20,7 @@ from advdiff_sumo.experiments.bench.detection import (
     Tried,
     detections,
     first_detection,
+    ranking_auc,
 )
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.finding_counts import findings_text, first_costs
@@ -70,7 +71,7 @@ def defects_of(gathered: Gathered, cells: BenchCells, folder: Folder) -> Table:
     write_whole(folder.path / FIRST, first_text(contests).encode())
     write_whole(folder.path / BY_STRATUM, by_stratum_text(contests, cells).encode())
     costs = {(one.background, one.target): first_costs(one.sound, one.defective) for one in contests}
-    write_whole(folder.path / FINDINGS, findings_text(gathered, costs).encode())
+    write_whole(folder.path / FINDINGS, findings_text(gathered, costs, rankings(contests)).encode())
     return defects_table(contests, gathered, cells, folder)
 
 
@@ -88,6 +89,20 @@ def contests_of(gathered: Gathered, cells: BenchCells) -> tuple[Contest, ...]:
             Contest(background, target, sound, by_defect, detected, first_detection(sound, by_defect))
         )
     return tuple(contests)
+
+
+def rankings(contests: tuple[Contest, ...]) -> Mapping[tuple[str, str], float | None]:
+    """Return :func:`~advdiff_sumo.experiments.bench.detection.ranking_auc` by background and target.
+
+    Of the target with each defect against every sound target before that background, ``careful`` among them.
+    """
+    return {
+        (one.background, one.target): ranking_auc(
+            [_share(other.sound) for other in contests if other.background == one.background],
+            [_share(tried) for tried in one.defective.values()],
+        )
+        for one in contests
+    }
 
 
 def scene_order(cells: BenchCells) -> Mapping[str, int]:
@@ -113,7 +128,10 @@ def defects_table(
             lines.append(_score_line(target, here))
     scenes = cells.scenes
     title = f"Planted defects: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
-    firsts = tuple(_first_note(contest) for contest in contests if contest.defective)
+    ranked = rankings(contests)
+    firsts = tuple(
+        _first_note(one) + _rank_note(ranked[one.background, one.target]) for one in contests if one.defective
+    )
     notes = (*NOTES, *firsts, *notes_of(gathered, scenes, folder, ()))
     return Table("defects", title, heads, tuple(lines), _gaps(contests), notes)
 
@@ -174,6 +192,10 @@ def _tried(episodes: list[EpisodeResult], order: Mapping[str, int]) -> Tried:
     return {one.scene: Outcome.of(one.row, one.cpu_s) for one in ranked}
 
 
+def _share(tried: Tried) -> float:
+    return sum(one.failed for one in tried.values()) / max(len(tried), 1)
+
+
 def _rate(tried: Tried) -> Ratio:
     return ratio(list(tried), [float(one.failed) for one in tried.values()], [1.0] * len(tried), rate=True)
 
@@ -220,3 +242,7 @@ def _first_note(contest: Contest) -> str:
         return f"{sentence}."
     names = " and ".join(first.defects)
     return f"{sentence}; the first, {names}, after {first.scenes} scenes, {first.episodes} episodes."
+
+
+def _rank_note(auc: float | None) -> str:
+    return "" if auc is None else f" Its valid failures rank defective above sound planners: AUC {auc:.3f}."

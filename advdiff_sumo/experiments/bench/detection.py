@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, TypeAlias
@@ -119,3 +119,17 @@ def first_detection(sound: Tried, defective: Mapping[str, Tried]) -> FirstDetect
             outcomes = [one for tried in (scenes, *parts.values()) for one in tried.values()]
             return FirstDetection(names, count, len(outcomes), sum(one.cpu_s for one in outcomes))
     return None
+
+
+def ranking_auc(sound: Sequence[float], defective: Sequence[float]) -> float | None:
+    """Return how often the valid-failure rate of a defective planner exceeds a sound one's, a tie counting half.
+
+    That is the area under the ROC curve of the rate as a judge of planners (Hanley and McNeil 1982,
+    doi:10.1148/radiology.143.1.7063747): 1 where every defective planner ranks above every sound one.
+
+    Args:
+        sound: rates of sound planners.
+        defective: rates of planners with a defect; None is returned where either is empty.
+    """
+    pairs = [(d > s) + 0.5 * (d == s) for d in defective for s in sound]
+    return sum(pairs) / len(pairs) if pairs else None

@@ -79,12 +79,17 @@ def first_costs(sound: Tried, defective: Mapping[str, Tried]) -> list[float]:
     return [math.inf if first is None else first.cpu_s for first in firsts]
 
 
-def findings_text(gathered: Gathered, costs: Mapping[tuple[str, str], Sequence[float]]) -> str:
+def findings_text(
+    gathered: Gathered,
+    costs: Mapping[tuple[str, str], Sequence[float]],
+    ranked: Mapping[tuple[str, str], float | None],
+) -> str:
     """Return one line a target and background.
 
     Args:
         gathered: the episodes.
         costs: of :func:`first_costs`, by background and target; they differ between machines.
+        ranked: how well valid failures tell defective from sound planners (AUC), by background and target.
     """
     rows: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for cell, episodes in gathered.finished.items():
@@ -94,13 +99,14 @@ def findings_text(gathered: Gathered, costs: Mapping[tuple[str, str], Sequence[f
     writer = csv.writer(sink, lineterminator="\n")
     counts = ("episodes", "collisions", "valid", "others_broke")
     writer.writerow(
-        ("background", "target", *counts, "breaches", "cells", "cells_per_100", "median_first_cpu_s")
+        ("background", "target", *counts, "breaches", "cells", "cells_per_100", "median_first_cpu_s", "auc")
     )
     for key, some in rows.items():
         found = count_findings(some)
         breaches = " ".join(f"{kind}:{count}" for kind, count in found.breaches.items())
         numbers = (getattr(found, name) for name in counts)
-        shares = (_figure(found.cells_per_100, 2), _figure(_median(costs.get(key, ())), 1))
+        cost = _figure(_median(costs.get(key, ())), 1)
+        shares = (_figure(found.cells_per_100, 2), cost, _figure(ranked.get(key), 3))
         writer.writerow((*key, *numbers, breaches, found.cells, *shares))
     return sink.getvalue()
 

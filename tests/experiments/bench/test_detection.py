@@ -23,7 +23,7 @@ from advdiff_sumo.experiments.bench.defect_score import (
     first_text,
     scene_order,
 )
-from advdiff_sumo.experiments.bench.detection import Outcome, Tried, detections, first_detection
+from advdiff_sumo.experiments.bench.detection import Outcome, Tried, detections, first_detection, ranking_auc
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.progress import Silent
 from advdiff_sumo.experiments.bench.traces import UNTRACED
@@ -169,6 +169,13 @@ def test_the_order_of_scenes_is_that_of_the_list_in_which_nets_take_turns(tmp_pa
     )
     assert [net for _, net in first[:4]] == ["downtown", "downtown-left", "motorway", "downtown"]
     assert sorted(order.values()) == list(range(12))
+
+
+def test_a_rate_that_every_defect_raises_ranks_all_of_them_above_the_sound_ones() -> None:
+    """Of six pairs four are right and one is a tie: (4 + 1/2) / 6."""
+    assert ranking_auc([0.0, 0.1], [0.2, 0.1, 0.05]) == pytest.approx(4.5 / 6.0)
+    assert ranking_auc([0.0], [0.1, 0.5]) == 1.0
+    assert ranking_auc([0.0], []) is None
 
 
 def test_what_is_planted_in_whom() -> None:

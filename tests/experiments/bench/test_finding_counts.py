@@ -94,9 +94,12 @@ def test_a_line_a_target_and_background_and_no_median_where_half_are_never_detec
             late: [EpisodeResult("s", episode(0, True, "from_left"), UNTRACED, None)],
         }
     )
-    text = findings_text(gathered, {("sumo", "lane_graph"): [24.0, math.inf]})
+    text = findings_text(
+        gathered, {("sumo", "lane_graph"): [24.0, math.inf]}, {("sumo", "lane_graph"): 0.975}
+    )
     (row,) = csv.DictReader(io.StringIO(text))
     assert (row["episodes"], row["valid"], row["cells"], row["cells_per_100"]) == ("100", "1", "1", "1.00")
     assert row["median_first_cpu_s"] == ""
-    (row,) = csv.DictReader(io.StringIO(findings_text(gathered, {("sumo", "lane_graph"): [24.0]})))
-    assert row["median_first_cpu_s"] == "24.0"
+    assert row["auc"] == "0.975"
+    (row,) = csv.DictReader(io.StringIO(findings_text(gathered, {("sumo", "lane_graph"): [24.0]}, {})))
+    assert (row["median_first_cpu_s"], row["auc"]) == ("24.0", "")

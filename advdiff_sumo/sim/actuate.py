@@ -4,7 +4,8 @@ Rules that SUMO does not state: a vehicle must have been on a lane before anythi
 front bumper beside the lane that SUMO holds it on, nobody sees it, and with sublanes a step can end the process, so it
 is taken out of SUMO until it comes back to a lane (our own states go on); removed straight after a move, a vehicle can
 end a step, too, so that it is left to SUMO for one before; a moved vehicle loses its route unless it is given the edges
-that it is about to drive; and its speed, as others see it, is clipped to the lane's limit times its speed factor.
+that it is about to drive; its speed, as others see it, is clipped to the lane's limit times its speed factor; and with
+a stop ahead it is the speed of SUMO's own driver, so that followers run into who stands, and stops are set aside.
 """
 
 from __future__ import annotations
@@ -38,12 +39,14 @@ class Moved:
     Attributes:
         speed_factor: SUMO's own, to be restored.
         max_speed_mps: SUMO's own, to be restored.
+        stops: SUMO's own, still ahead, to be restored.
         route: edges last given to SUMO; () where it may look for a lane anywhere.
         inserted: False until SUMO has taken the vehicle in.
     """
 
     speed_factor: float
     max_speed_mps: float
+    stops: tuple[Any, ...] = ()
     route: tuple[str, ...] = ()
     inserted: bool = True
 
@@ -78,7 +81,8 @@ class Actuator:
     def take(self, row: int) -> None:
         """Begin to move *row*, which is on a lane."""
         vehicle, name = self.api.vehicle, self.world.sumo_ids[row]
-        self.moved[row] = Moved(vehicle.getSpeedFactor(name), vehicle.getMaxSpeed(name))
+        speed_factor, max_speed = vehicle.getSpeedFactor(name), vehicle.getMaxSpeed(name)
+        self.moved[row] = Moved(speed_factor, max_speed, _set_aside_stops(vehicle, name))
         vehicle.setMaxSpeed(name, _FREE_MAX_SPEED)  # draws the speed factor anew, so it comes first
         vehicle.setSpeedFactor(name, _FREE_SPEED_FACTOR)
         vehicle.setSpeedMode(name, _NO_CHECKS)
@@ -95,6 +99,7 @@ class Actuator:
         vehicle.setSpeedMode(name, _USUAL_SPEED_MODE)
         vehicle.setLaneChangeMode(name, _USUAL_LANE_CHANGE_MODE)
         vehicle.setPreviousSpeed(name, max(float(self.world.speed_mps[row]), 0.0))
+        _restore_stops(vehicle, name, before.stops)
 
     def insert(self, row: int, type_id: str) -> None:
         """Bring *row* into SUMO: on the lane nearest to its pose in the next step, exactly from then on.
@@ -264,6 +269,30 @@ class Actuator:
         name = self.world.ids[row] + (f"~{count}" if count else "")
         self.world.rename(row, name)
         return name
+
+
+def _set_aside_stops(vehicle: Any, name: str) -> tuple[Any, ...]:
+    """Take the stops from *name* that it still has, and return them; who stands at one may go on."""
+    stops = tuple(vehicle.getStops(name))
+    if stops and vehicle.isStopped(name):
+        vehicle.resume(name)
+        stops = stops[1:]
+    for _ in stops:
+        vehicle.replaceStop(name, 0, "")
+    return stops
+
+
+def _restore_stops(vehicle: Any, name: str, stops: Sequence[Any]) -> None:
+    """Give *name* those of *stops* that still lie ahead of it on its route."""
+    for stop in stops:
+        edge, _, lane = stop.lane.rpartition("_")
+        place = stop.stoppingPlaceID or edge
+        with contextlib.suppress(
+            Exception
+        ):  # libsumo and traci raise different kinds; it has passed that one
+            vehicle.setStop(
+                name, place, stop.endPos, int(lane), stop.duration, stop.stopFlags, stop.startPos, stop.until
+            )
 
 
 def _mirrored(bumper_xy_m: FloatArray, d_m: FloatArray, along_rad: FloatArray) -> FloatArray:

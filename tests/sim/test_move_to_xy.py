@@ -231,6 +231,51 @@ def test_the_actuator_lets_others_see_the_true_speed_and_restores_the_limits(str
         assert s.api.vehicle.getLaneChangeMode("b") == 1621
 
 
+def test_a_vehicle_with_a_stop_ahead_shows_others_the_speed_of_sumos_own_driver(street: Path) -> None:
+    """It is held where it is; SUMO's driver would have set off."""
+    with stage(street) as s:
+        s.add("b", EASTBOUND)
+        s.api.vehicle.setStop("b", "ME", 50.0, duration=20.0)
+        (x, y), yaw = s.pose("b")
+        s.hold("b", x, y, yaw)
+        for _ in range(30):
+            s.step()
+        assert s.api.vehicle.getSpeed("b") > 5.0
+
+
+@pytest.mark.parametrize("begins_at_a_stop", [False, True])
+def test_the_actuator_sets_stops_aside_and_gives_back_those_that_lie_ahead(
+    street: Path, begins_at_a_stop: bool
+) -> None:
+    with stage(street) as s:
+        vehicle = s.api.vehicle
+        s.add("b", EASTBOUND, at=60.0)
+        if begins_at_a_stop:
+            vehicle.setStop("b", "WM", 62.0, duration=1000.0)
+            for _ in range(60):
+                s.session.step()
+            assert vehicle.isStopped("b")
+        vehicle.setStop("b", "WM", 100.0, duration=5.0)
+        vehicle.setStop("b", "ME", 40.0, duration=5.0)
+        actuator = actuator_on(s, street)
+        x, y = actuator.world.xy_m[0].tolist()
+        actuator.take(0)
+        assert not vehicle.getStops("b")
+        for _ in range(10):
+            move(actuator, s, 0, (x, y), EAST)
+        assert vehicle.getSpeed("b") == 0.0
+        for k in range(1, 31):
+            move(actuator, s, 0, (x + 2.0 * k, y), EAST, 20.0)  # past the second stop
+        actuator.release(0, EASTBOUND)
+        assert [(stop.lane, stop.endPos) for stop in vehicle.getStops("b")] == [("ME_0", 40.0)]
+        for _ in range(400):
+            s.session.step()
+            if vehicle.isStopped("b"):
+                break
+        assert vehicle.isStopped("b")
+        assert vehicle.getLaneID("b") == "ME_0"
+
+
 def test_sumo_shows_reverse_motion_as_forward_and_sideways_motion_as_none(street: Path) -> None:
     with stage(street) as s:
         s.add("b", EASTBOUND)

@@ -272,7 +272,9 @@ class Actuator:
 
 
 def _set_aside_stops(vehicle: Any, name: str) -> tuple[Any, ...]:
-    """Take the stops from *name* that it still has, and return them; who stands at one may go on."""
+    """Take its stops from *name*, unless it is parked, and return those still ahead; who stands at one may go on."""
+    if vehicle.isStoppedParking(name):
+        return ()
     stops = tuple(vehicle.getStops(name))
     if stops and vehicle.isStopped(name):
         vehicle.resume(name)

@@ -276,6 +276,20 @@ def test_the_actuator_sets_stops_aside_and_gives_back_those_that_lie_ahead(
         assert vehicle.getLaneID("b") == "ME_0"
 
 
+def test_who_is_parked_stays_parked(street: Path) -> None:
+    with stage(street) as s:
+        s.add("b", EASTBOUND, at=60.0)
+        s.api.vehicle.setStop("b", "WM", 90.0, duration=99.0, flags=1)
+        for _ in range(100):
+            s.session.step()
+        actuator = actuator_on(s, street)
+        actuator.take(0)
+        assert s.api.vehicle.isStoppedParking("b")
+        actuator.release(0, EASTBOUND)
+        s.session.step()
+        assert s.api.vehicle.isStoppedParking("b")
+
+
 def test_sumo_shows_reverse_motion_as_forward_and_sideways_motion_as_none(street: Path) -> None:
     with stage(street) as s:
         s.add("b", EASTBOUND)

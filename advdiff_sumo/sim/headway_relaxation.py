@@ -15,6 +15,7 @@ RELAXATION_S = 25.0
 _LOOKS_M = 60.0
 _RELAXED = 0.98
 _LEAST_SHARE = 0.05
+_CLOSES_MPS = 1.0
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,11 @@ class HeadwayRelaxation:
         self._share: dict[int, float] = {}
 
     def begin(self, row: int) -> None:
-        """Let *row*, which SUMO has just taken back, keep the gap that it has, if that is shorter than its own."""
-        share = self._present_share(row)
+        """Let *row*, which SUMO has just taken back, keep the gap that it has, if that is shorter than its own.
+
+        Who closes up, as on somebody who stands, brakes as SUMO's driver would.
+        """
+        share = self._present_share(row) if self._follows(row) else 1.0
         if share < 1.0:
             self._set(row, share)
         elif row in self._usual:
@@ -73,6 +77,13 @@ class HeadwayRelaxation:
                 self._forget(row)
             else:
                 self._set(row, share)
+
+    def _follows(self, row: int) -> bool:
+        vehicle = self.actuator.api.vehicle
+        leader = vehicle.getLeader(self.world.sumo_ids[row], _LOOKS_M)
+        if not leader or not leader[0]:
+            return False
+        return bool(float(self.world.speed_mps[row]) - float(vehicle.getSpeed(leader[0])) <= _CLOSES_MPS)
 
     def _present_share(self, row: int) -> float:
         """Return the gap to the leader as a share of the gap that *row* keeps; 1 at most, and with nobody ahead."""

@@ -289,10 +289,12 @@ class TakenBack:
         return float(-np.diff(self.speed_mps).min() / STEP_S)
 
 
-def take_back_behind(net: Path, speed: float, gap: float, seconds: float, goes: float = np.inf) -> TakenBack:
+def take_back_behind(
+    net: Path, speed: float, gap: float, seconds: float, goes: float = np.inf, stands: bool = False
+) -> TakenBack:
     """Hold two cars one behind the other for 1 s, then let SUMO take back the one behind, and go on.
 
-    The leader drives at *speed*, as the follower did; after *goes* seconds at 12 m/s.
+    The leader drives at *speed*, as the follower did; after *goes* seconds at 12 m/s; or it *stands* all the time.
     """
     with stage(net) as s:
         s.add("lead", ("WM", "ME"), at=60.0)
@@ -308,7 +310,8 @@ def take_back_behind(net: Path, speed: float, gap: float, seconds: float, goes: 
         place = np.array([60.0, 60.0 + LENGTH_M + gap])
         for k in range(10 + round(seconds / STEP_S)):
             held = rows if k < 10 else rows[1:]
-            place += STEP_S * (speed if k < 10 + goes / STEP_S else 12.0)
+            leads = 0.0 if stands else speed if k < 10 + goes / STEP_S else 12.0
+            place += STEP_S * np.array([speed, leads])
             xy = np.array([road.to_world("WM_0", place[row])[0] for row in held])
             yaw = np.array([road.to_world("WM_0", place[row])[1] for row in held])
             motion = Motion.none(PERIOD)
@@ -343,6 +346,14 @@ def test_the_headway_is_the_drivers_own_again_once_the_gap_is(street: Path) -> N
     assert got.min_gap_m[0] == pytest.approx(2.5 * 1.7 / 5.5, abs=0.05)
     assert got.tau_s[0] == pytest.approx(1.7 / 5.5, abs=0.02)
     assert (got.min_gap_m[-1], got.tau_s[-1]) == (2.5, 1.0)
+
+
+def test_who_closes_up_on_somebody_who_stands_brakes_as_it_would(street: Path) -> None:
+    """5.5 m a second before, 2.5 m now, at 3 m/s."""
+    got = take_back_behind(street, speed=3.0, gap=5.5, seconds=2.0, stands=True)
+    assert set(got.min_gap_m) == {2.5}
+    assert set(got.tau_s) == {1.0}
+    assert got.gap_m.min() > 0.5
 
 
 def test_who_keeps_its_distance_is_left_as_it_is(street: Path) -> None:

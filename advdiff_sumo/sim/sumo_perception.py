@@ -18,11 +18,18 @@ _NEIGHBOURS = (0b00, 0b01, 0b10, 0b11)  # left and right, followers and leaders
 def visible_ids(api: Any, name: str) -> frozenset[str]:
     """Return whom the models of SUMO-driven *name* see now: leader, neighbours, junction foes, people on crossings."""
     vehicle = api.vehicle
-    visible = {other for other, _ in _pairs(vehicle.getLeader(name, _LOOK_AHEAD_M))}
+    leader = leader_of(api, name, _LOOK_AHEAD_M)
+    visible = set() if leader is None else {leader[0]}
     for mode in _NEIGHBOURS:
         visible.update(other for other, _ in vehicle.getNeighbors(name, mode))
     visible |= _foes(api, name) | _on_crossings(api, name)
     return frozenset(visible - {"", name})
+
+
+def leader_of(api: Any, name: str, within_m: float) -> tuple[str, float] | None:
+    """Return who is ahead on the way of *name*, and the gap beyond its gap at standstill; None: nobody near enough."""
+    leader = api.vehicle.getLeader(name, within_m)
+    return None if leader is None or not leader[0] else (str(leader[0]), float(leader[1]))
 
 
 def _foes(api: Any, name: str) -> set[str]:
@@ -49,10 +56,6 @@ def _on_crossings(api: Any, name: str) -> set[str]:
     lanes = {lane for way in ways if way for lane in api.lane.getInternalFoes(way)}
     crossings = {lane.rpartition("_")[0] for lane in lanes if _CROSSING.match(lane)}
     return {PERSON + person for edge in crossings for person in api.edge.getLastStepPersonIDs(edge)}
-
-
-def _pairs(leader: Any) -> list[tuple[str, float]]:
-    return [] if leader is None or not leader[0] else [(str(leader[0]), float(leader[1]))]
 
 
 def watch_signals(api: Any) -> None:

@@ -21,9 +21,11 @@ from advdiff_sumo.sim.handover import Handover
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.world import World, read, register
 from tests.sim import nets
+from tests.sim.actuated import EASTBOUND, actuator_on
 from tests.sim.nets import BEND_CORNER_RAD, LENGTH_M, Stage, stage
 
 STEP_S, PERIOD = 0.1, 5
+_BEFORE = 10  # steps before SUMO takes a follower back
 POSITION_M, SPEED_MPS, HEADING_RAD = 0.01, 0.5, 0.06
 
 
@@ -297,38 +299,36 @@ def take_back_behind(
     The leader drives at *speed*, as the follower did; after *goes* seconds at 12 m/s; or it *stands* all the time.
     """
     with stage(net) as s:
-        s.add("lead", ("WM", "ME"), at=60.0)
-        s.add("b", ("WM", "ME"), at=40.0)
-        world, road = World(), RoadMap.read(net)
-        register(world, s.api, ["b", "lead"])
-        read(world, s.api, np.zeros(0, dtype=np.int64))
-        actuator = Actuator(s.api, world, road)
+        s.add("lead", EASTBOUND, at=60.0)
+        s.add("b", EASTBOUND, at=40.0)
+        actuator, road = actuator_on(s, net), RoadMap.read(net)
+        world, vehicle = actuator.world, s.api.vehicle
         handover = Handover(world, actuator, road, SimOptions())
-        actuator.take(0)
-        actuator.take(1)
-        rows, routes, out = np.array([0, 1]), {"b": ("WM", "ME"), "lead": ("WM", "ME")}, []
+        rows = np.array([world.index["b"], world.index["lead"]])
+        for row in rows.tolist():
+            actuator.take(row)
+        routes, out = {"b": EASTBOUND, "lead": EASTBOUND}, []
         place = np.array([60.0, 60.0 + LENGTH_M + gap])
-        for k in range(10 + round(seconds / STEP_S)):
-            held = rows if k < 10 else rows[1:]
-            leads = 0.0 if stands else speed if k < 10 + goes / STEP_S else 12.0
+        for k in range(round(seconds / STEP_S) + _BEFORE):
+            leads = 0.0 if stands else speed if k < _BEFORE + goes / STEP_S else 12.0
             place += STEP_S * np.array([speed, leads])
-            xy = np.array([road.to_world("WM_0", place[row])[0] for row in held])
-            yaw = np.array([road.to_world("WM_0", place[row])[1] for row in held])
-            motion = Motion.none(PERIOD)
-            if k >= 10:
-                motion = Motion(
-                    xy[:, None], yaw[:, None], np.full((1, 1), speed), held, np.ones((1, 1), np.bool_)
+            taken = k >= _BEFORE
+            poses = [road.to_world("WM_0", s_m) for s_m in place[int(taken) :]]
+            held, speeds = rows[int(taken) :], np.full(len(poses), speed)
+            xy, yaw = np.array([point for point, _ in poses]), np.array([along for _, along in poses])
+            if taken and k % PERIOD == 0:
+                there = np.ones((1, 1), dtype=np.bool_)
+                handover.settle(
+                    Motion(xy[:, None], yaw[:, None], speeds[:, None], held, there), -1, PERIOD, routes
                 )
-            if k >= 10 and k % PERIOD == 0:
-                handover.settle(motion, -1, PERIOD, routes)
-            world.set_state(held, xy, yaw, np.full(len(held), speed), Controller.POLICY)
+            world.set_state(held, xy, yaw, speeds, Controller.POLICY)
             actuator.move(held, xy, yaw)
             s.session.step()
             read(world, s.api, actuator.ours)
-            if k >= 10:
-                between = world.xy_m[1, 0] - world.xy_m[0, 0] - LENGTH_M
-                vehicle = s.api.vehicle
-                out.append((world.speed_mps[0], between, vehicle.getMinGap("b"), vehicle.getTau("b")))
+            if taken:
+                between = world.xy_m[rows[1], 0] - world.xy_m[rows[0], 0] - LENGTH_M
+                own = world.speed_mps[rows[0]]
+                out.append((own, between, vehicle.getMinGap("b"), vehicle.getTau("b")))
     return TakenBack(*np.array(out).T)
 
 

@@ -50,6 +50,8 @@ class Contest:
         defective: the same with each defect, by its name.
         detections: what is detected.
         first: after how much; None where nothing is.
+        auc: how well valid failures rank the target with a defect above the sound targets before this background,
+            ``careful`` among them; None without a defect.
     """
 
     background: str
@@ -58,6 +60,7 @@ class Contest:
     defective: Mapping[str, Tried]
     detections: tuple[Detection, ...]
     first: FirstDetection | None
+    auc: float | None
 
 
 def defects_of(gathered: Gathered, cells: BenchCells, folder: Folder) -> Table:
@@ -71,7 +74,8 @@ def defects_of(gathered: Gathered, cells: BenchCells, folder: Folder) -> Table:
     write_whole(folder.path / FIRST, first_text(contests).encode())
     write_whole(folder.path / BY_STRATUM, by_stratum_text(contests, cells).encode())
     costs = {(one.background, one.target): first_costs(one.sound, one.defective) for one in contests}
-    write_whole(folder.path / FINDINGS, findings_text(gathered, costs, rankings(contests)).encode())
+    ranked = {(one.background, one.target): one.auc for one in contests}
+    write_whole(folder.path / FINDINGS, findings_text(gathered, costs, ranked).encode())
     return defects_table(contests, gathered, cells, folder)
 
 
@@ -81,28 +85,16 @@ def contests_of(gathered: Gathered, cells: BenchCells) -> tuple[Contest, ...]:
     tried: dict[tuple[str, str], dict[str, Tried]] = {}
     for cell, episodes in gathered.finished.items():
         tried.setdefault((cell.row, cell.target), {})[cell.defect] = _tried(episodes, order)
+    sound_shares: dict[str, list[float]] = {}
+    for (background, _), by_defect in tried.items():
+        sound_shares.setdefault(background, []).append(_share(by_defect[SOUND]))
     contests = []
     for (background, target), by_defect in tried.items():
         sound = by_defect.pop(SOUND)
-        detected = detections(sound, by_defect)
-        contests.append(
-            Contest(background, target, sound, by_defect, detected, first_detection(sound, by_defect))
-        )
+        detected, first = detections(sound, by_defect), first_detection(sound, by_defect)
+        auc = ranking_auc(sound_shares[background], [_share(one) for one in by_defect.values()])
+        contests.append(Contest(background, target, sound, by_defect, detected, first, auc))
     return tuple(contests)
-
-
-def rankings(contests: tuple[Contest, ...]) -> Mapping[tuple[str, str], float | None]:
-    """Return :func:`~advdiff_sumo.experiments.bench.detection.ranking_auc` by background and target.
-
-    Of the target with each defect against every sound target before that background, ``careful`` among them.
-    """
-    return {
-        (one.background, one.target): ranking_auc(
-            [_share(other.sound) for other in contests if other.background == one.background],
-            [_share(tried) for tried in one.defective.values()],
-        )
-        for one in contests
-    }
 
 
 def scene_order(cells: BenchCells) -> Mapping[str, int]:
@@ -128,10 +120,7 @@ def defects_table(
             lines.append(_score_line(target, here))
     scenes = cells.scenes
     title = f"Planted defects: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
-    ranked = rankings(contests)
-    firsts = tuple(
-        _first_note(one) + _rank_note(ranked[one.background, one.target]) for one in contests if one.defective
-    )
+    firsts = tuple(_first_note(one) + _rank_note(one.auc) for one in contests if one.defective)
     notes = (*NOTES, *firsts, *notes_of(gathered, scenes, folder, ()))
     return Table("defects", title, heads, tuple(lines), _gaps(contests), notes)
 

@@ -1,0 +1,46 @@
+"""Vehicles that an actuator moves on the tiny nets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from advdiff_sumo.core.record import Controller
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.actuate import Actuator
+from advdiff_sumo.sim.world import World, read, register
+from tests.sim.nets import Stage
+
+EASTBOUND, WESTBOUND = ("WM", "ME"), ("EM", "MW")
+NOBODY = np.zeros(0, dtype=np.int64)
+
+
+def actuator_on(s: Stage, net: Path) -> Actuator:
+    """Return an actuator whose world knows every vehicle of SUMO."""
+    world = World()
+    register(world, s.api, s.api.vehicle.getIDList())
+    read(world, s.api, NOBODY)
+    return Actuator(s.api, world, RoadMap.read(net))
+
+
+def move(
+    actuator: Actuator,
+    s: Stage,
+    row: int,
+    xy: tuple[float, float],
+    yaw: float,
+    speed: float = 0.0,
+    *,
+    take_out: bool = True,
+) -> None:
+    """Move *row* as the loop does, one step, and take out whom SUMO should not have."""
+    rows = np.array([row])
+    at, heading = np.array([xy], dtype=np.float64), np.array([yaw])
+    actuator.world.set_state(rows, at, heading, np.array([speed]), Controller.POLICY)
+    actuator.move(rows, at, heading)
+    s.session.step()
+    actuator.settle(register(actuator.world, s.api, s.api.simulation.getDepartedIDList()))
+    read(actuator.world, s.api, actuator.ours)
+    if take_out:
+        actuator.leave_lanes()

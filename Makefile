@@ -5,7 +5,7 @@ PIP := $(BIN)/pip install --disable-pip-version-check --progress-bar on
 # more than two at a time take longer on two cores
 TESTS := $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 15 --quiet
 
-.PHONY: install setup demo test test-all readers planners check docs proto package bench soak weights clean
+.PHONY: install setup demo test test-all readers planners lint check docs proto package bench soak weights clean
 
 # what running needs: PyTorch, SUMO and the libraries around them
 install: .venv/.installed
@@ -63,12 +63,15 @@ build/tum_planners/%/.ready: examples/tum_planners/setup.sh .venv/.installed
 	PATH="$(CURDIR)/$(BIN):$$PATH" examples/tum_planners/setup.sh $* build/tum_planners/$*
 	touch $@
 
-check: setup
+lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python tools/check_links.py
+
+# that, and whether the pages make a site; tests/docs/test_site.py, which is slow, builds it, too
+check: lint
 	site=$$(mktemp -d) && trap 'rm -rf "$$site"' EXIT && NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir "$$site"
 
 docs: setup

@@ -50,7 +50,7 @@ def advdiff(
     variables = environment(hash_seed)
     if not narrow:
         del variables["COLUMNS"]
-    started = _warm_start(variables) if program == MODULE else None
+    started = _warm_start(variables, hash_seed) if program == MODULE else None
     if started is not None:
         return Outcome(*started.run([*map(str, words)], cwd, variables, HANG_S))
     done = subprocess.run(
@@ -76,18 +76,18 @@ _READ_LATE = frozenset(
 
 
 @cache
-def _started() -> WarmStart:
-    """Return the process that commands are forked from, begun once."""
-    begun = WarmStart(environment())
+def _started(hash_seed: int) -> WarmStart:
+    """Return the process that commands with this order of Python's sets are forked from, begun once."""
+    begun = WarmStart(environment(hash_seed))
     atexit.register(begun.end)
     return begun
 
 
-def _warm_start(variables: dict[str, str]) -> WarmStart | None:
+def _warm_start(variables: dict[str, str], hash_seed: int) -> WarmStart | None:
     """Return the process that a command is forked from, or None for one in another environment: it starts cold."""
-    kept = _started().environment
+    kept = _started(hash_seed).environment
     changed = {name for name in kept.keys() | variables.keys() if kept.get(name) != variables.get(name)}
-    return _started() if changed <= _READ_LATE else None
+    return _started(hash_seed) if changed <= _READ_LATE else None
 
 
 def begin(*words: object, cwd: Path, hash_seed: int = 0) -> subprocess.Popen[str]:

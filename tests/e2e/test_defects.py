@@ -24,7 +24,7 @@ def test_a_run_with_defects_is_repeated_by_its_own_file(tmp_path: Path) -> None:
     assert first.code == 0, first.err
     settings = tomllib.loads((tmp_path / "first" / "run.toml").read_text())
     assert settings["options"]["target_options"] == {"defects": ["localisation:2m", "flicker:middle"]}
-    again = advdiff("run", "--config", "first/run.toml", "--out", "again", cwd=tmp_path, hash_seed=2)
+    again = advdiff("run", "--config", "first/run.toml", "--out", "again", cwd=tmp_path, hash_seed=1)
     assert again.code == 0, again.err
     sound = advdiff(*RUN, "--out", "sound", cwd=tmp_path)
     assert sound.code == 0, sound.err
@@ -111,7 +111,7 @@ def test_what_a_users_own_test_can_see(scenes: Path, tmp_path: Path) -> None:
         *("bench", "defects", "--targets", "mine:Mine", "--policies", "sumo", "--scenes", str(scenes)),
         *("--defects", "localisation:3.5,late", *more[:4], "--out", "bench"),
         cwd=tmp_path,
-        hash_seed=2,
+        hash_seed=1,
     )
     assert bench.code == 0, bench.err
     for name in ("detections.csv", "table.csv", "differences.csv", "table.json"):

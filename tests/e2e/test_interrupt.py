@@ -41,7 +41,7 @@ class Endless(LaneGraphPlanner):
 def undisturbed(grid: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run to compare with."""
     folder = _place(grid, tmp_path_factory.mktemp("undisturbed"))
-    done = advdiff(*RUN, cwd=folder, hash_seed=1)
+    done = advdiff(*RUN, cwd=folder)
     assert done.code == 0, done.err
     return folder / "run"
 
@@ -121,7 +121,7 @@ def test_a_killed_run_can_be_resumed(waiting: tuple[Path, subprocess.Popen[str]]
 
 def _resume(folder: Path, undisturbed: Path) -> None:
     (folder / "hold").unlink()
-    done = advdiff("run", "--resume", "--out", "run", cwd=folder, hash_seed=3)
+    done = advdiff("run", "--resume", "--out", "run", cwd=folder, hash_seed=1)
     assert done.code == 0, done.err
     assert f"{EPISODES} episodes" in done.out
     assert bytes_of(folder / "run") == bytes_of(undisturbed)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from tests.e2e.commands import advdiff, bytes_of
+from tests.e2e.commands import TINY, advdiff, bytes_of
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,19 @@ class DrivenTwice:
 def driven_twice(target: str, horizon_s: int, *options: str, folder: Path) -> DrivenTwice:
     """Drive two episodes with *target*, twice, in *folder*."""
     for out in ("one", "two"):
-        words = ("run", "--target", target, "--episodes", 2, "--horizon", horizon_s, *options, "--out", out)
+        words = (
+            "run",
+            *TINY,
+            "--target",
+            target,
+            "--episodes",
+            2,
+            "--horizon",
+            horizon_s,
+            *options,
+            "--out",
+            out,
+        )
         done = advdiff(*words, cwd=folder)
         assert done.code == 0, done.err
     rows = pq.read_table(folder / "one/episodes.parquet").to_pylist()

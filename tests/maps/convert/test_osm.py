@@ -350,7 +350,7 @@ def test_command(tmp_path: Path) -> None:
     assert "lead on from 2 edges and back to 2, 0 ends have none: 100% of the map's length" in done.out
     figures = json.loads((tmp_path / "n.fidelity.json").read_text("utf-8"))
     assert figures["routability"]["dead_ends"] == []
-    again = advdiff("convert", path, "-o", tmp_path / "m", "--osm", osm, cwd=tmp_path, hash_seed=7)
+    again = advdiff("convert", path, "-o", tmp_path / "m", "--osm", osm, cwd=tmp_path, hash_seed=1)
     assert again.code == 0
     assert (tmp_path / "n.net.xml").read_bytes() == (tmp_path / "m.net.xml").read_bytes()
     several = advdiff("convert", "--all", tmp_path, "--osm", osm, cwd=tmp_path)

@@ -59,9 +59,9 @@ def open_log(path: Path) -> LogReader:
 def _unknown(path: Path) -> LogError:
     """Return the error for a file or folder of no known kind: what was looked for, and what may help."""
     inside = [path] if path.is_file() else list(path.iterdir())
-    found = (mark for mark in _ADVICE for file in inside if mark in file.name)
+    marks = (mark for mark in _ADVICE for file in inside if mark in file.name)
     problem = (
         "is no driving log of a known kind" if path.is_file() else "holds no driving log of a known kind"
     )
     looked_for = f"those of {LOGS} are looked for"
-    return LogError(path, f"{problem}: {looked_for}", _ADVICE.get(next(found, ""), "give one of these"))
+    return LogError(path, f"{problem}: {looked_for}", _ADVICE.get(next(marks, ""), "give one of these"))

@@ -56,9 +56,9 @@ def map_offset_m(record: Mapping[str, Any]) -> FloatArray | None:
     Raises:
         ValueError: what the record tells of its frame is no place.
     """
-    told = record["metadata"].get("old_origin_in_current_coordinate")
-    if told is not None:
-        origin = np.asarray(told, dtype=np.float64).reshape(-1)[:2]
+    old_origin = record["metadata"].get("old_origin_in_current_coordinate")
+    if old_origin is not None:
+        origin = np.asarray(old_origin, dtype=np.float64).reshape(-1)[:2]
         if origin.shape != (2,) or not np.isfinite(origin).all():
             raise ValueError("its old_origin_in_current_coordinate is no place")
         return -origin

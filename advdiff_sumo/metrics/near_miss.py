@@ -85,10 +85,12 @@ def near_miss(record: EpisodeRecord, road: RoadMap) -> NearMiss | None:
         record: the episode, in which the target did not collide.
         road: its map.
     """
-    found = [(_needed_brake_mps2(record, road, row, step), row, step) for row, step in _candidates(record)]
-    if not found:
+    candidates = [
+        (_needed_brake_mps2(record, road, row, step), row, step) for row, step in _candidates(record)
+    ]
+    if not candidates:
         return None
-    brake, row, step = max(found, key=lambda x: x[0])
+    brake, row, step = max(candidates, key=lambda x: x[0])
     time_s = record.tracks.t0_s + step * record.tracks.dt_s
     return NearMiss(row, time_s, brake, _resolved_by(record, row, step))
 

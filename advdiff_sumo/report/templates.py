@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,9 @@ _DASH = "–"
 _NO_BREAK = "\u00a0"
 
 
+@cache
 def templates() -> Environment:
-    """Return the environment of the templates, with filters for numbers and words."""
+    """Return the environment of the templates, with filters for numbers and words; a template is compiled once."""
     environment = Environment(
         loader=FileSystemLoader(ASSETS),
         autoescape=True,

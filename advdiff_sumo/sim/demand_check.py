@@ -19,7 +19,7 @@ _ROUTED = _VEHICLES | {"route", "walk", "ride", "personTrip"}
 
 
 @dataclass
-class _Found:
+class _FileDemand:
     """What one file holds, as far as it was looked at."""
 
     path: Path
@@ -48,17 +48,17 @@ def first_departure_s(asked: Path, files: Sequence[Path], road: RoadMap, begin_s
         FileError: a file cannot be read, or none holds a vehicle that departs.
         SceneError: the routes of a file are of another net.
     """
-    found = [_look(path, road, begin_s) for path in files]
-    for one in found:
+    demands = [_look(path, road, begin_s) for path in files]
+    for one in demands:
         if one.foreign > one.routes // 2:
             raise SceneError(
                 f"{one.path}: {one.foreign} of its first {one.routes} routes use edges that {road.path.name} does not "
                 f"have (such as '{one.example}'); it is the demand of another net, give that net or other demand"
             )
-    if not any(one.vehicles for one in found):
+    if not any(one.vehicles for one in demands):
         problem = "holds no vehicle, trip or flow with a route"
         raise FileError(asked, problem, "give demand made for the net")
-    first = min(one.first_s for one in found)
+    first = min(one.first_s for one in demands)
     if math.isfinite(first):
         return float(math.floor(first))
     if begin_s > 0.0:
@@ -76,17 +76,17 @@ def file_that_names(ids: Iterable[str], files: Iterable[Path]) -> Path | None:
     return None
 
 
-def _look(path: Path, road: RoadMap, begin_s: float) -> _Found:
-    found = _Found(path)
+def _look(path: Path, road: RoadMap, begin_s: float) -> _FileDemand:
+    demand = _FileDemand(path)
     for element in elements(path):
         if element.tag in _DEPARTING:
-            found.vehicles += element.tag in _VEHICLES
-            found.first_s = min(found.first_s, _first_s(element, begin_s))
+            demand.vehicles += element.tag in _VEHICLES
+            demand.first_s = min(demand.first_s, _first_s(element, begin_s))
         if element.tag in _ROUTED:
-            _hold_against(road, element, found)
-        if found.enough:
+            _hold_against(road, element, demand)
+        if demand.enough:
             break
-    return found
+    return demand
 
 
 def _first_s(element: Element, begin_s: float) -> float:
@@ -99,12 +99,12 @@ def _first_s(element: Element, begin_s: float) -> float:
     return math.inf if begin is None or over else max(begin, begin_s)
 
 
-def _hold_against(road: RoadMap, element: Element, found: _Found) -> None:
+def _hold_against(road: RoadMap, element: Element, demand: _FileDemand) -> None:
     """Count the route of *element*, and whether it uses edges that *road* does not have."""
     edges = (element.get("edges") or f"{element.get('from') or ''} {element.get('to') or ''}").split()
     if not edges:
         return
     unknown = next((e for e in edges if e not in road.edges and e not in road.beyond_rim), None)
-    found.routes += 1
-    found.foreign += unknown is not None
-    found.example = found.example or unknown or ""
+    demand.routes += 1
+    demand.foreign += unknown is not None
+    demand.example = demand.example or unknown or ""

@@ -248,5 +248,7 @@ def _nothing(logs: Sequence[tuple[Path, LogReader]], nets: Nets, built: Built) -
     if not built.drives and not nets.given and nets.converted is None:
         return f"{first}: no net was given for its drives; name one with --net, or add --convert"
     reasons = Counter(one.reason for one in built.skipped)
-    found = "; ".join(f"{count} of {reasons.total()}: {reason}" for reason, count in reasons.most_common(3))
-    return f"{first}: none of the {reasons.total()} drives gives a window ({found})"
+    hindrances = "; ".join(
+        f"{count} of {reasons.total()}: {reason}" for reason, count in reasons.most_common(3)
+    )
+    return f"{first}: none of the {reasons.total()} drives gives a window ({hindrances})"

@@ -92,13 +92,13 @@ class LoggedTraffic:
                 f"it has {longest_s:.1f} s at most, and {self.sim.history_s:g} s before a start and "
                 f"{_SHORTEST_FUTURE_S:g} s after it are needed; give a longer log"
             )
-        found = ", ".join(
+        hindrances = ", ".join(
             f"{reason or _NO_WAY} (at {count} of {reasons.total()} instants)"
             for reason, count in reasons.most_common()
         )
         return (
-            f"where one could start, {found}; give a log whose ego drives along a lane {self.sim.history_s:g} s after "
-            f"it appears and {_SHORTEST_FUTURE_S:g} s before the end"
+            f"where one could start, {hindrances}; give a log whose ego drives along a lane "
+            f"{self.sim.history_s:g} s after it appears and {_SHORTEST_FUTURE_S:g} s before the end"
         )
 
     def _due(self, drive: LogScene) -> range:

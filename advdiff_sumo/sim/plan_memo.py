@@ -57,15 +57,15 @@ class MadePlans:
 
     def get(self, key: bytes) -> MadePlan | None:
         """Return the plan of *key*, if it is kept."""
-        made = self._made.get(key)
-        if made is not None:
+        plan = self._made.get(key)
+        if plan is not None:
             self._made.move_to_end(key)
-        return made
+        return plan
 
-    def keep(self, key: bytes, made: MadePlan) -> None:
-        """Keep *made* under *key*, which is not kept, and drop what was used longest ago where there is no room."""
-        self._made[key] = made
-        self._futures += made.plan.tracks.agents + 1
+    def keep(self, key: bytes, plan: MadePlan) -> None:
+        """Keep *plan* under *key*, which is not kept, and drop what was used longest ago where there is no room."""
+        self._made[key] = plan
+        self._futures += plan.plan.tracks.agents + 1
         while self._futures > self._most:
             self._futures -= self._made.popitem(last=False)[1].plan.tracks.agents + 1
 
@@ -119,9 +119,9 @@ class PlanSource:
         """
         if self.memo is not None:
             self._key = _digest((self._key, *_of_scene(scene), _of_random(rng)))
-            made = self.memo.made.get(self._key)
-            if made is not None:
-                return self._again(made, rng)
+            kept = self.memo.made.get(self._key)
+            if kept is not None:
+                return self._again(kept, rng)
         given = scene.copied()
         begun, used = time.perf_counter(), time.process_time()
         answer: Any = self.policy.plan(road, given, self.memory, rng)
@@ -130,15 +130,16 @@ class PlanSource:
             raise PlanRefusedError(f"{who} returned {type(answer).__name__}, not (JointPlan, memory)")
         plan, self.memory = answer
         if self.memo is not None:
-            made = MadePlan(plan, self.memory, rng.bit_generator.state, wall_s, cpu_s)
-            self.memo.made.keep(self._key, made)
+            self.memo.made.keep(
+                self._key, MadePlan(plan, self.memory, rng.bit_generator.state, wall_s, cpu_s)
+            )
         return plan, wall_s
 
-    def _again(self, made: MadePlan, rng: np.random.Generator) -> tuple[JointPlan, float]:
-        self.memory, rng.bit_generator.state = made.memory, dict(made.random)
-        self.spared_s += made.wall_s
-        self.spared_cpu_s += made.cpu_s
-        return made.plan, made.wall_s
+    def _again(self, kept: MadePlan, rng: np.random.Generator) -> tuple[JointPlan, float]:
+        self.memory, rng.bit_generator.state = kept.memory, dict(kept.random)
+        self.spared_s += kept.wall_s
+        self.spared_cpu_s += kept.cpu_s
+        return kept.plan, kept.wall_s
 
 
 def _digest(parts: Iterable[bytes]) -> bytes:

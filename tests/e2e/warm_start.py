@@ -131,6 +131,8 @@ def _serve() -> None:
     with socket.socket(fileno=int(sys.argv[1])) as requests:
         for module in MODULES:
             import_module(module)
+        for page in ("page.html", "episode.html"):
+            import_module("advdiff_sumo.report.templates").templates().get_template(page)  # compiles it
         gc.freeze()
         _become_next_command(requests)
     _end(_exit_code_of_command())

@@ -102,12 +102,12 @@ def findings_text(
         ("background", "target", *counts, "breaches", "cells", "cells_per_100", "median_first_cpu_s", "auc")
     )
     for key, some in rows.items():
-        found = count_findings(some)
-        breaches = " ".join(f"{kind}:{count}" for kind, count in found.breaches.items())
-        numbers = (getattr(found, name) for name in counts)
+        worth = count_findings(some)
+        breaches = " ".join(f"{kind}:{count}" for kind, count in worth.breaches.items())
+        numbers = (getattr(worth, name) for name in counts)
         cost = _figure(_median(costs.get(key, ())), 1)
-        shares = (_figure(found.cells_per_100, 2), cost, _figure(ranked.get(key), 3))
-        writer.writerow((*key, *numbers, breaches, found.cells, *shares))
+        shares = (_figure(worth.cells_per_100, 2), cost, _figure(ranked.get(key), 3))
+        writer.writerow((*key, *numbers, breaches, worth.cells, *shares))
     return sink.getvalue()
 
 

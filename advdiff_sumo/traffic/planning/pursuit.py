@@ -63,8 +63,8 @@ def in_a_row(lines: Lines) -> Row:
 
 def segments(lines: Lines, row: Row, s_m: FloatArray) -> IntArray:
     """Return the segments (…, V) of all lines at arc lengths *s_m* (…, V); the end ones go on."""
-    found = row.s_m.searchsorted(np.maximum(s_m, 0.0) + row.begin_m, side="right") - 1
-    return np.minimum(found, lines.last)
+    segment = row.s_m.searchsorted(np.maximum(s_m, 0.0) + row.begin_m, side="right") - 1
+    return np.minimum(segment, lines.last)
 
 
 def aim(lines: Lines, row: Row, s_m: FloatArray, states: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -157,8 +157,12 @@ class Run:
             yield from self.scene_batch(number)
             number += 1
 
-    def scene_batch(self, number: int) -> list[SeedScene]:
-        """Return the scenes of stretch *number* of SUMO traffic, ``scene.scenes_per_warmup`` of them.
+    def scene_batch(self, number: int, wanted: int | None = None) -> list[SeedScene]:
+        """Return scenes of stretch *number* of SUMO traffic.
+
+        Args:
+            number: of the stretch.
+            wanted: the first so many of ``scene.scenes_per_warmup``; None: all of them.
 
         Raises:
             SceneError: the traffic never has a usable target.
@@ -166,7 +170,7 @@ class Run:
         options = self.options
         seed = SeedTree(options.seed).child("scenes")
         source = NaturalTraffic(self.road, self.demand, options.scene, options.sim, options.horizon_s, seed)
-        return source.batch(number)
+        return source.batch(number, wanted)
 
     def episode(self, number: int, scene: SeedScene) -> Episode:
         """Return episode *number* of this run, which starts in *scene*."""

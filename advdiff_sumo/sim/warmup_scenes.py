@@ -61,8 +61,12 @@ class NaturalTraffic:
     horizon_s: float
     seed: SeedTree
 
-    def batch(self, number: int) -> list[SeedScene]:
-        """Return ``scenes_per_warmup`` scenes of one stretch of traffic; the same number, the same scenes.
+    def batch(self, number: int, wanted: int | None = None) -> list[SeedScene]:
+        """Return the scenes of one stretch of traffic; the same number, the same scenes.
+
+        Args:
+            number: of the stretch.
+            wanted: the first so many of ``scenes_per_warmup``, without the traffic that the others take; None: all.
 
         Raises:
             SceneError: the traffic never has a usable target.
@@ -71,7 +75,7 @@ class NaturalTraffic:
         with tempfile.TemporaryDirectory(prefix="advdiff-") as folder:
             files = self.demand or self._generate(seed, Path(folder))
             try:
-                return self._run(number, seed, files, Path(folder))
+                return self._run(number, seed, files, Path(folder), wanted or self.scene.scenes_per_warmup)
             except SimulationError as error:
                 problem = f"no natural traffic could be made: {error}{self._remedy(error)}"
                 raise SceneError(f"{self._culprit(error)}: {problem}") from error
@@ -100,7 +104,9 @@ class NaturalTraffic:
         path = write_demand(self.road, self.scene, duration, seed.child("demand"), folder / "demand.rou.xml")
         return DemandFiles((path,), (), 0.0)
 
-    def _run(self, number: int, seed: SeedTree, files: DemandFiles, folder: Path) -> list[SeedScene]:
+    def _run(
+        self, number: int, seed: SeedTree, files: DemandFiles, folder: Path, wanted: int
+    ) -> list[SeedScene]:
         options = SessionOptions(
             net=self.road.path,
             seed=seed.child("sumo").integer(),
@@ -112,7 +118,7 @@ class NaturalTraffic:
         )
         with Session(options) as session:
             stretch = _Stretch(session, self.sim, folder, self.road.beyond_rim)
-            candidates = list(self._look(stretch, seed.child("target").generator()))
+            candidates = list(self._look(stretch, seed.child("target").generator(), wanted))
             stretch.advance(self.horizon_s)
         routes, extra = ([content_of(f) for f in group] for group in (files.routes, files.additional))
         return [
@@ -122,12 +128,12 @@ class NaturalTraffic:
             for k, f in enumerate(candidates)
         ]
 
-    def _look(self, stretch: _Stretch, rng: np.random.Generator) -> Iterator[_SceneChoice]:
+    def _look(self, stretch: _Stretch, rng: np.random.Generator, wanted: int) -> Iterator[_SceneChoice]:
         stretch.skip(max(self.scene.warmup_s - self.sim.history_s, 0.0))
         stretch.advance(self.sim.history_s)
         sought = TargetChoice(self.road, self.scene, self.sim)
         count = tries = 0
-        while count < self.scene.scenes_per_warmup:
+        while True:
             target = sought.choose(stretch.session.api, stretch.world, stretch.frames, rng)
             if target is None:
                 tries += 1
@@ -136,6 +142,8 @@ class NaturalTraffic:
             else:
                 count, tries = count + 1, 0
                 yield stretch.save(target)
+                if count == wanted:
+                    return
             stretch.advance(self.scene.spacing_s)
 
     def _no_target(self, sought: TargetChoice, session: Session) -> str:

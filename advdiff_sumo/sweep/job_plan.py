@@ -30,7 +30,7 @@ class Batch:
         key: of their content.
         options: of a run that they belong to.
         number: of the stretch of traffic; 0 for a log.
-        scenes: how many there are, or are wanted from a log.
+        scenes: how many are wanted: of a warm-up those up to the last one that an episode starts in.
     """
 
     key: str
@@ -192,11 +192,10 @@ def _source_of(run: Run, options: RunOptions) -> str:
 
 
 def _batch(options: RunOptions, source: str, number: int, batches: dict[str, Batch]) -> tuple[str, int]:
-    size = options.episodes if options.scenes else options.scene.scenes_per_warmup
-    stretch, place = (0, number) if options.scenes else divmod(number, size)
+    stretch, place = (0, number) if options.scenes else divmod(number, options.scene.scenes_per_warmup)
     key = digest([source, "batch", stretch])
-    if key not in batches or batches[key].scenes < size:
-        batches[key] = Batch(key, options, stretch, size)
+    if key not in batches or batches[key].scenes <= place:
+        batches[key] = Batch(key, options, stretch, place + 1)
     return key, place
 
 

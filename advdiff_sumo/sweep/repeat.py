@@ -127,7 +127,7 @@ def episode_again(store: Store, plan: Plan, job: Job, gui: bool = False) -> tupl
     """Return the run and the episode of *job*, ready to go; errors as in :func:`repeat`."""
     options = plan.options(job)
     run = replace(run_of(options, file_digest(*net_files(options.net))), gui=gui)
-    return run, run.episode(job.number, _scene(store, run, job))
+    return run, run.episode(job.number, _scene(store, plan, run, job))
 
 
 def settings_for(job: Job, run: Run) -> dict[str, Any]:
@@ -136,13 +136,13 @@ def settings_for(job: Job, run: Run) -> dict[str, Any]:
     return {**settings, "options": {**settings["options"], "episodes": job.number + 1}}
 
 
-def _scene(store: Store, run: Run, job: Job) -> SeedScene:
+def _scene(store: Store, plan: Plan, run: Run, job: Job) -> SeedScene:
     """Return the seed scene, out of the store where it is still there; else it is made again."""
     kept = store.read_scenes(job.batch)
     if kept is not None and job.place < len(kept):
         return scene_from_bytes(kept[job.place], run.road.path)
     if run.log is None:
-        return run.scene_batch(job.number // run.options.scene.scenes_per_warmup)[job.place]
+        return run.scene_batch(plan.batches[job.batch].number, job.place + 1)[job.place]
     scene = next(islice(run.seed_scenes(), job.place, None), None)
     if scene is None:
         raise SceneError(f"{run.options.scenes}: has no seed scene number {job.place + 1}")

@@ -102,7 +102,10 @@ class Scheduler:
         """Return the next task: seed scenes while fewer episodes than slots are ready, else an episode."""
         while self._unmade and len(self._ready) < self.executor.slots:
             batch = self._unmade.popleft()
-            if self.store.read_scenes(batch.key) is None:
+            kept = self.store.read_scenes(batch.key)
+            if kept is None or (
+                len(kept) < batch.scenes and not batch.options.scenes
+            ):  # a log may have no more
                 return self._scene_task(batch)
             self._release(batch)
         while self._ready:

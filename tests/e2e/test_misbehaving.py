@@ -263,7 +263,7 @@ def test_one_episode_of_a_run_again(place: Path) -> None:
 @pytest.mark.parametrize("deed", CHECKED)
 def test_check_planner_says_what_a_planner_does(place: Path, deed: str) -> None:
     words = ("check-planner", "ill:Always", "--set", f"deed={deed}", "--net", "grid.net.xml")
-    limit = ("--timeout", 20) if deed == "hang" else ()
+    limit = ("--timeout", 40) if deed == "hang" else ()
     done = advdiff(*words, "--episodes", 1, "--horizon", 2, "--memory", 800, *limit, cwd=place)
     assert done.code == 1, done.err
     assert "Traceback" not in done.out + done.err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.scene_file import scene_to_bytes
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.target_choice import turns_round
@@ -66,6 +68,18 @@ def test_the_same_seed_gives_the_same_scenes(scenes: list[SeedScene], road: Road
         assert isinstance(first.start, SavedTraffic)
         assert isinstance(second.start, SavedTraffic)
         assert first.start.time_s == second.start.time_s
+
+
+def test_the_first_scenes_alone_are_those_of_the_whole_batch(scenes: list[SeedScene], road: RoadMap) -> None:
+    (alone,) = source(road).batch(0, wanted=1)
+    assert scene_to_bytes(_undated(alone)) == scene_to_bytes(_undated(scenes[0]))
+
+
+def _undated(scene: SeedScene) -> SeedScene:
+    """Return *scene* without SUMO's comment on when its state was saved, and from which files it had begun."""
+    assert isinstance(scene.start, SavedTraffic)
+    state_xml = re.sub(rb"<!--.*?-->", b"", scene.start.state_xml, count=1, flags=re.DOTALL)
+    return replace(scene, start=replace(scene.start, state_xml=state_xml))
 
 
 def test_draws_of_earlier_simulations_of_the_process_do_not_count() -> None:

@@ -11,11 +11,13 @@ from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.page import report_html
 from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
+from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.job_plan import Plan
 from advdiff_sumo.sweep.repeat import of_sweep, repeat
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.sweep.tasks import Limits, SceneTask
+from advdiff_sumo.sweep.work import perform
 from tests.sweep.conftest import bytes_of, planned, serially
 
 
@@ -64,6 +66,26 @@ def test_a_worker_that_holds_much_is_replaced_before_its_next_task(
         assert again is not None
         assert part is not None
         assert part.tables["states"].equals(again.tables["states"])
+
+
+def test_seed_scenes_of_a_warm_up_that_are_too_few_are_made_again(
+    plan: Plan, one_by_one: Store, tmp_path: Path
+) -> None:
+    """A folder may hold those of a sweep with fewer episodes."""
+    store = open_store(tmp_path / "s", plan, 1, resume=False)
+    first = plan.batches[plan.jobs[0].batch]
+    net = file_digest(*net_files(first.options.net))
+    outcome = perform(SceneTask(first.key, first.options, first.number, 1, net))
+    assert len(outcome.product) == 1
+    store.write_scenes(first.key, outcome.product)
+    todo = RemainingJobs.of(plan, store, limit=2)
+    assert [job.place for job in todo.jobs] == [0, 1]
+    run_sweep(plan, store, todo, SerialExecutor(), 0, lambda *_: None)
+    for job in todo.jobs:
+        part, same = store.read(job.key), one_by_one.read(job.key)
+        assert part is not None
+        assert same is not None
+        assert part.tables["episodes"] == same.tables["episodes"]
 
 
 def test_an_episode_is_repeated_exactly(plan: Plan, one_by_one: Store) -> None:

@@ -38,7 +38,7 @@ demo: install
 	echo "what only the second one fails at, with a careful driver beside it: $$folder/short-sighted/report.html"
 	@echo "next: . .venv/bin/activate    then advdiff-sumo run --help (or type .venv/bin/advdiff-sumo without activating)"
 
-# values worked by hand, contracts, and one of everything end to end: five minutes on two cores
+# values worked by hand, contracts, and one of everything end to end
 test: setup
 	$(TESTS) -m "not slow"
 

@@ -63,6 +63,7 @@ build/tum_planners/%/.ready: examples/tum_planners/setup.sh .venv/.installed
 	PATH="$(CURDIR)/$(BIN):$$PATH" examples/tum_planners/setup.sh $* build/tum_planners/$*
 	touch $@
 
+# style, types, import layers, links in the pages
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

@@ -57,15 +57,15 @@ class MadePlans:
 
     def get(self, key: bytes) -> MadePlan | None:
         """Return the plan of *key*, if it is kept."""
-        plan = self._made.get(key)
-        if plan is not None:
+        kept = self._made.get(key)
+        if kept is not None:
             self._made.move_to_end(key)
-        return plan
+        return kept
 
-    def keep(self, key: bytes, plan: MadePlan) -> None:
-        """Keep *plan* under *key*, which is not kept, and drop what was used longest ago where there is no room."""
-        self._made[key] = plan
-        self._futures += plan.plan.tracks.agents + 1
+    def keep(self, key: bytes, kept: MadePlan) -> None:
+        """Keep *kept* under *key*, which is not kept, and drop what was used longest ago where there is no room."""
+        self._made[key] = kept
+        self._futures += kept.plan.tracks.agents + 1
         while self._futures > self._most:
             self._futures -= self._made.popitem(last=False)[1].plan.tracks.agents + 1
 

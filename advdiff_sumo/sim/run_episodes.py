@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -158,15 +159,17 @@ class Run:
             number += 1
 
     def scene_batch(self, number: int, wanted: int | None = None) -> list[SeedScene]:
-        """Return scenes of stretch *number* of SUMO traffic.
+        """Return scenes of stretch *number* of SUMO traffic, or those of the driving log.
 
         Args:
-            number: of the stretch.
-            wanted: the first so many of ``scene.scenes_per_warmup``; None: all of them.
+            number: of the stretch; a log has but one.
+            wanted: the first so many of ``scene.scenes_per_warmup``, or of the log; None: all of them.
 
         Raises:
             SceneError: the traffic never has a usable target.
         """
+        if self.log is not None:
+            return list(islice(self._logged(self.log).scenes(), wanted))
         options = self.options
         seed = SeedTree(options.seed).child("scenes")
         source = NaturalTraffic(self.road, self.demand, options.scene, options.sim, options.horizon_s, seed)

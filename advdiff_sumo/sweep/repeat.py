@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -141,12 +140,10 @@ def _scene(store: Store, plan: Plan, run: Run, job: Job) -> SeedScene:
     kept = store.read_scenes(job.batch)
     if kept is not None and job.place < len(kept):
         return scene_from_bytes(kept[job.place], run.road.path)
-    if run.log is None:
-        return run.scene_batch(plan.batches[job.batch].number, job.place + 1)[job.place]
-    scene = next(islice(run.seed_scenes(), job.place, None), None)
-    if scene is None:
+    scenes = run.scene_batch(plan.batches[job.batch].number, job.place + 1)
+    if job.place >= len(scenes):
         raise SceneError(f"{run.options.scenes}: has no seed scene number {job.place + 1}")
-    return scene
+    return scenes[job.place]
 
 
 def _same(stored: StoredEpisode | None, again: StoredEpisode) -> bool | None:

@@ -102,10 +102,7 @@ class Scheduler:
         """Return the next task: seed scenes while fewer episodes than slots are ready, else an episode."""
         while self._unmade and len(self._ready) < self.executor.slots:
             batch = self._unmade.popleft()
-            kept = self.store.read_scenes(batch.key)
-            if kept is None or (
-                len(kept) < batch.scenes and not batch.options.scenes
-            ):  # a log may have no more
+            if not self._has_scenes(batch):
                 return self._scene_task(batch)
             self._release(batch)
         while self._ready:
@@ -121,6 +118,11 @@ class Scheduler:
                 return EpisodeTask(job.key, options, job.number, scenes[job.place], self._net(options.net))
             self._short.append((job, len(scenes)))
         return None
+
+    def _has_scenes(self, batch: Batch) -> bool:
+        """Return whether the seed scenes of *batch* are stored; of a driving log they may be fewer than are wanted."""
+        scenes = self.store.read_scenes(batch.key)
+        return scenes is not None and (bool(batch.options.scenes) or len(scenes) >= batch.scenes)
 
     def _scene_task(self, batch: Batch) -> SceneTask:
         return SceneTask(batch.key, batch.options, batch.number, batch.scenes, self._net(batch.options.net))

@@ -9,7 +9,6 @@ import traceback
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -121,12 +120,7 @@ def _scenes(task: SceneTask) -> tuple[bytes, ...]:
     road = _road(task.options.net, task.net_digest)
     plain = task.options.model_copy(update={"target": "IDM", "target_options": {}})
     run = Run(plain, road, target_of(plain), _policy("sumo", _Plain(plain, {})), ("IDM", "sumo"))
-    scenes = (
-        islice(run.seed_scenes(), task.scenes)
-        if plain.scenes
-        else iter(run.scene_batch(task.number, task.scenes))
-    )
-    return tuple(scene_to_bytes(scene) for scene in scenes)
+    return tuple(scene_to_bytes(scene) for scene in run.scene_batch(task.number, task.scenes))
 
 
 def _episode(task: EpisodeTask, heartbeat: Heartbeat, run: Run | None) -> bytes:

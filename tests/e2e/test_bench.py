@@ -20,17 +20,17 @@ STEADY = ("table.csv", "differences.csv", "table.json")
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A list of four seed scenes of which two come from each of two warm-ups."""
-    return _scene_list(tmp_path_factory.mktemp("scenes") / "four.json", 4, 2)
+    return _scene_list(tmp_path_factory.mktemp("scenes") / "four.json", 4)
 
 
 @pytest.fixture(scope="module")
-def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A list of one seed scene."""
-    return _scene_list(tmp_path_factory.mktemp("scenes") / "one.json", 1, 1)
+def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A list of the two seed scenes of one warm-up."""
+    return _scene_list(tmp_path_factory.mktemp("scenes") / "two.json", 2)
 
 
-def _scene_list(path: Path, count: int, per_warmup: int) -> Path:
-    scene = SceneOptions(warmup_s=8.0, scenes_per_warmup=per_warmup, spacing_s=2.0, min_neighbours=1)
+def _scene_list(path: Path, count: int) -> Path:
+    scene = SceneOptions(warmup_s=8.0, scenes_per_warmup=2, spacing_s=2.0, min_neighbours=1)
     write_scene_list(path, make_list(count, 5, "a test", ("motorway",), scene))
     return path
 
@@ -71,8 +71,8 @@ def test_a_bench_that_was_killed_goes_on_and_ends_with_the_same_bytes(scenes: Pa
 
 
 @pytest.mark.slow
-def test_fewshot_and_transfer(one: Path, tmp_path: Path) -> None:
-    small = ("--scenes", one, "--horizon", "3", "--workers", "2")
+def test_fewshot_and_transfer(pair: Path, tmp_path: Path) -> None:
+    small = ("--scenes", pair, "--horizon", "3", "--workers", "2")
     done = advdiff(
         "bench",
         "fewshot",
@@ -89,7 +89,7 @@ def test_fewshot_and_transfer(one: Path, tmp_path: Path) -> None:
     )
     assert done.code == 0, done.err
     rows = list(csv.DictReader((tmp_path / "few" / "table.csv").read_text().splitlines()))
-    ladder = [("steps_0", "1"), ("steps_1", "2"), ("steps_2", "2")]
+    ladder = [("steps_0", "2"), ("steps_1", "4"), ("steps_2", "4")]
     assert [(row["target"], row["row"], row["column"], row["n"]) for row in rows] == [
         (f"guided by {guide}", "EIDM", *step)
         for guide in ("Q alone", "Q and the attack's terms")

@@ -24,14 +24,15 @@ def checked(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
 def test_collisions_of_a_run(tmp_path: Path, here: Callable[..., Outcome]) -> None:
     """A planner that sees 2 m runs into those ahead; who takes over from it seconds before does not."""
     out = tmp_path / "run"
-    asked = ["--target", "lane_graph", "--defect", "range:2", "--episodes", "3", "--horizon", "15"]
+    asked = ["--target", "lane_graph", "--defect", "range:2", "--episodes", "6", "--horizon", "15"]
     asked += ["--set", "scene.density_per_km=20", "--set", "scene.warmup_s=20", "--out", out]
     assert here("run", *asked).code == 0
     hits = pq.read_table(out / "episodes.parquet")["collision_partner"]
-    assert len(hits) - hits.null_count > 0
-    done = checked(out, "--collisions", "1")
+    count = len(hits) - hits.null_count
+    assert count > 0
+    done = checked(out, "--collisions", "2")
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("1 collisions")
+    assert done.stdout.startswith(f"{min(count, 2)} collisions")
     same = checked(out, "--driver", "same", "--collisions", "1", "--differences")
     assert same.returncode == 0, same.stderr
     assert "agreement" in same.stdout

@@ -23,7 +23,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import NoReturn
 
-#: What commands and workers import; what takes longest there is imported by single verbs alone.
+#: What commands and workers import, that included which single verbs need and which takes long.
 MODULES = (
     *("advdiff_sumo.cli.main", "advdiff_sumo.sim.run_episodes", "advdiff_sumo.sweep.executors"),
     *("advdiff_sumo.sweep.work", "advdiff_sumo.report.page", "scipy.signal", "torch"),
@@ -131,30 +131,22 @@ def _serve() -> None:
     with socket.socket(fileno=int(sys.argv[1])) as requests:
         for module in MODULES:
             import_module(module)
-        for page in ("page.html", "episode.html"):
-            import_module("advdiff_sumo.report.templates").templates().get_template(page)  # compiles it
+        pages = import_module("advdiff_sumo.report.templates").templates()
+        for name in ("page.html", "episode.html"):
+            pages.get_template(name)  # compiles it
         gc.freeze()
         _become_next_command(requests)
-    _end(_exit_code_of_command())
-
-
-def _exit_code_of_command() -> int:
-    """Run the command and return its exit code as the interpreter would find it."""
     try:
         runpy.run_module("advdiff_sumo", run_name="__main__", alter_sys=True)
     except SystemExit as left:
-        if isinstance(left.code, str):
-            print(left.code, file=sys.stderr)  # noqa: T201 - what the interpreter does with it
-        return left.code if isinstance(left.code, int) else int(left.code is not None)
-    except BaseException:  # noqa: BLE001 - as the interpreter
-        sys.excepthook(*sys.exc_info())
-        return 1
-    return 0
+        if not isinstance(left.code, int):
+            raise
+        _end(left.code)
 
 
 def _end(code: int) -> NoReturn:
     """End as the interpreter does, but leave taking modules apart to the system."""
-    threading._shutdown()  # type: ignore[attr-defined] # waits for threads; the interpreter calls it, too
+    threading._shutdown()  # waits for threads; the interpreter calls it, too
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         stream.flush()

@@ -37,21 +37,9 @@ class DrivenTwice:
 
 def driven_twice(target: str, horizon_s: int, *options: str, folder: Path) -> DrivenTwice:
     """Drive two episodes with *target*, twice, in *folder*."""
+    words = ("run", *TINY, "--target", target, "--episodes", 2, "--horizon", horizon_s, *options)
     for out in ("one", "two"):
-        words = (
-            "run",
-            *TINY,
-            "--target",
-            target,
-            "--episodes",
-            2,
-            "--horizon",
-            horizon_s,
-            *options,
-            "--out",
-            out,
-        )
-        done = advdiff(*words, cwd=folder)
+        done = advdiff(*words, "--out", out, cwd=folder)
         assert done.code == 0, done.err
     rows = pq.read_table(folder / "one/episodes.parquet").to_pylist()
     return DrivenTwice(bytes_of(folder / "one"), bytes_of(folder / "two"), rows)

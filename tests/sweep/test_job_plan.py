@@ -55,12 +55,8 @@ def test_targets_and_backgrounds_share_their_seed_scenes(place: Path) -> None:
     assert len(plan.batches) == 2 * 2  # two scenes a warm-up
     for job in plan.jobs:
         assert (job.number // 2, job.place) == (plan.batches[job.batch].number, job.number % 2)
-    assert [batch.scenes for batch in plan.batches.values()] == [
-        2,
-        1,
-        2,
-        1,
-    ]  # as far as episodes start in them
+    wanted = [batch.scenes for batch in plan.batches.values()]
+    assert wanted == [2, 1, 2, 1]  # as far as episodes start in them
 
 
 def test_more_episodes_keep_the_keys_of_the_first_ones(place: Path) -> None:

@@ -37,13 +37,13 @@ def offences(record: EpisodeRecord, road: RoadMap) -> tuple[Breach, ...]:
     if record.tracks.classes[record.target] == AgentClass.PEDESTRIAN:
         return ()
     view = TrafficView.of_record(record, road)
-    offences = chain(
+    breaches = chain(
         _red_lights(view, record.target),
         not_given_way(record, view),
         _wrong_side(view, record.target),
         _speed_and_direction(view, record.target),
     )
-    return tuple(sorted(offences, key=lambda one: one.time_s))
+    return tuple(sorted(breaches, key=lambda one: one.time_s))
 
 
 def offences_sentence(some: Sequence[Breach]) -> str:

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 from scipy.spatial import cKDTree
 
-from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 
@@ -55,27 +55,39 @@ def _pairs_by_line(source: SourceMap) -> set[tuple[int, int]]:
     for divider in source.dashed_dividers:
         line = np.asarray(divider.coords)[:, :2]
         points, s = polyline.resample(line, 1.0)
-        for point, along in zip(points, polyline.heading(line, s), strict=True):
-            near = np.asarray(tree.query_ball_point(point, REACH_M), dtype=np.int64)
-            pair = _beside(xy[near] - point, yaw[near], lane[near], float(along))
-            if pair is not None:
-                metres[pair] += 1
+        near = cKDTree(points).sparse_distance_matrix(tree, REACH_M, output_type="ndarray")
+        place, which = near["i"], near["j"]
+        delta, along = xy[which] - points[place], polyline.heading(line, s)[place]
+        metres.update(_beside(place, delta, yaw[which], lane[which], along))
     return {pair for pair, length in metres.items() if length >= SHARED_M}
 
 
-def _beside(delta: FloatArray, yaw: FloatArray, lane: FloatArray, along: float) -> tuple[int, int] | None:
-    """Return the (left, right) lanes nearest to a place on a divider with heading *along*, or None."""
+def _beside(
+    place: IntArray, delta: FloatArray, yaw: FloatArray, lane: IntArray, along: FloatArray
+) -> list[tuple[int, int]]:
+    """Return the (left, right) lanes nearest to each place on a divider that has one of a direction on either side.
+
+    Args:
+        place: (N,) numbers of places on the divider that points on lanes are near to.
+        delta: (N, 2) from the places to these points.
+        yaw: (N,) headings of the lanes there.
+        lane: (N,) their numbers.
+        along: (N,) headings of the divider.
+    """
     ahead = np.cos(along) * delta[:, 0] + np.sin(along) * delta[:, 1]
     aside = np.cos(along) * delta[:, 1] - np.sin(along) * delta[:, 0]
     agree = np.cos(yaw - along)
     abreast = (np.abs(ahead) <= STEP_M) & (np.abs(agree) >= PARALLEL)
-    nearest = []
+    sides = []
     for side in (1.0, -1.0):
         mine = np.flatnonzero(abreast & (side * aside > 0))
-        if not len(mine):
-            return None
-        nearest.append(mine[np.abs(aside[mine]).argmin()])
-    left, right = (int(index) for index in nearest)
-    if lane[left] == lane[right] or agree[left] * agree[right] < 0:
-        return None
-    return (int(lane[left]), int(lane[right])) if agree[left] > 0 else (int(lane[right]), int(lane[left]))
+        mine = mine[np.lexsort((lane[mine], np.abs(aside[mine]), place[mine]))]
+        places, first = np.unique(place[mine], return_index=True)
+        sides.append((places, mine[first]))
+    (left_places, left), (right_places, right) = sides
+    _, of_left, of_right = np.intersect1d(left_places, right_places, return_indices=True)
+    left, right = left[of_left], right[of_right]
+    agreed = (lane[left] != lane[right]) & (agree[left] * agree[right] >= 0)
+    forward = agree[left] > 0
+    first, second = np.where(forward, lane[left], lane[right]), np.where(forward, lane[right], lane[left])
+    return list(zip(first[agreed].tolist(), second[agreed].tolist(), strict=True))

@@ -150,8 +150,8 @@ def _net_lines(result: ConversionResult, net: WrittenNet) -> Iterable[tuple[Floa
 
 def _distances(line: FloatArray, truth: Sequence[FloatArray]) -> FloatArray:
     """Return the distance of places every half metre on *line* to the nearest of *truth*."""
-    points, _ = polyline.resample(line, STEP_M)
-    return np.asarray(np.min([np.abs(polyline.project(other, points)[1]) for other in truth], axis=0))
+    points = shapely.points(polyline.resample(line, STEP_M)[0])
+    return np.asarray(shapely.distance(points, shapely.MultiLineString(list(truth))))
 
 
 def _spread(values: Sequence[FloatArray]) -> dict[str, float]:

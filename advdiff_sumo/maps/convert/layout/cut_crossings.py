@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -157,9 +157,9 @@ def _shorten(
     """End (side 1) or begin (side 0) each edge at the crossing, if enough of all is left; return whether it is."""
     shorter = [
         [
-            replace(piece, to_m=min(piece.to_m, hits[piece].from_m))
+            piece._replace(to_m=min(piece.to_m, hits[piece].from_m))
             if side
-            else replace(piece, from_m=max(piece.from_m, hits[piece].to_m))
+            else piece._replace(from_m=max(piece.from_m, hits[piece].to_m))
             for piece in group
         ]
         for group, side in zip(groups, sides, strict=True)

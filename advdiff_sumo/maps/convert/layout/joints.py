@@ -19,6 +19,12 @@ class Joints:
         representative: Hashable = self._sets[end]
         return representative
 
+    def members(self, end: Hashable) -> set[Hashable]:
+        """Return all ends of the set that holds *end*."""
+        self._sets.add(end)
+        members: set[Hashable] = self._sets.subset(end)
+        return members
+
     def join(self, ends: Iterable[Hashable]) -> Hashable:
         """Put all *ends* into one set and return its representative."""
         first, *others = dict.fromkeys(ends)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide
 
@@ -19,8 +19,7 @@ ROOM_M = 7.5  # of an edge on which a car can wait clear of what is at its ends
 CUT_M = 1.0  # length of the internal lane that bridges a cut
 
 
-@dataclass(frozen=True, order=True)
-class Piece:
+class Piece(NamedTuple):
     """Part of a lane, by lane number and arc lengths in m, that becomes a lane of a SUMO edge."""
 
     lane: int

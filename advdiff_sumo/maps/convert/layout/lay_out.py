@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import replace
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
@@ -116,7 +115,7 @@ def _keep_open_end(layout: Layout, piece: Piece, new: Piece, side: int) -> Piece
     if taken <= 0.0 or own[-side] != piece:
         return new
     if taken < CUT_M + SHORTEST_EDGE_M:
-        return replace(new, from_m=piece.from_m) if side == 0 else replace(new, to_m=piece.to_m)
+        return new._replace(from_m=piece.from_m) if side == 0 else new._replace(to_m=piece.to_m)
     if side == 0:
         rest = Piece(piece.lane, piece.from_m, new.from_m - CUT_M)
     else:

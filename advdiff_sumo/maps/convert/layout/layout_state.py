@@ -46,8 +46,11 @@ class Layout:
         return self.joints.find((piece, 0)), self.joints.find((piece, 1))
 
     def between(self, junctions: set[Hashable]) -> list[Piece]:
-        """Return the pieces that begin and end in *junctions*."""
-        return [piece for piece in self.all_pieces() if set(self.junctions(piece)) <= junctions]
+        """Return the pieces that begin and end in *junctions*, ordered by lane and arc length."""
+        ends = set[Hashable]().union(*(self.joints.members(junction) for junction in junctions))
+        begun = {end[0] for end in ends if isinstance(end, tuple) and isinstance(end[0], Piece)}
+        within = {piece for piece in begun if {(piece, 0), (piece, 1)} <= ends}
+        return sorted(piece for piece in within if piece in self.pieces[piece.lane])
 
 
 def joints_of(layout: Layout, more: Iterable[tuple[Hashable, Hashable]] = ()) -> Joints:

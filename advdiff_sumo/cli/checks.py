@@ -17,6 +17,10 @@ PACKAGES = ("numpy", "scipy", "shapely", "pyproj", "pyarrow", "torch", "pydantic
 SUMO_PACKAGES = ("eclipse-sumo", "libsumo", "sumolib")
 NEEDED_BINARIES, WELCOME_BINARIES = ("sumo", "netconvert"), ("sumo-gui",)
 EXTRAS = {
+    "sql": ("duckdb",),
+    "pandas": ("pandas",),
+    "osi": ("osi-python",),
+    "train": ("tensorboard",),
     "openscenario": ("scenariogeneration",),
     "video": ("imageio", "imageio-ffmpeg"),
     "ray": ("ray",),

@@ -62,6 +62,7 @@ def defects(
         "policies": background or ["sumo"],
         "targets": [target],
         "defects": defect,
+        "severity": severity,
+        "horizon_s": horizon,
     }
-    given |= {"policies": background or ["sumo"], "severity": severity, "horizon_s": horizon}
     run_or_print("defects", out or _FOLDER / f"defects-{name}", workers, timeout, given)

@@ -71,9 +71,10 @@ def run(
 
     advdiff-sumo run --net city.net.xml --target lane_graph --background diffusion --attack cut-in --check
 
-    The folder of results holds run.toml (repeats the run: advdiff-sumo run --config run.toml),
-    episodes.parquet, collisions.parquet, states.parquet, timing.parquet and report.html; where episodes failed,
-    failures.parquet. A planner or SUMO that crashes, hangs or eats memory costs its episode, never the run.
+    The folder of results holds run.toml (repeats the run: advdiff-sumo run --config run.toml), report.html, and
+    tables: episodes.parquet, collisions.parquet, states.parquet, plans.parquet, unattacked.parquet, signals.parquet,
+    timing.parquet; where episodes failed, failures.parquet. A planner or SUMO that crashes, hangs or eats memory
+    costs its episode, never the run.
 
     Exit code 0: some episodes came to their end; 1: every one failed; 2: something given cannot be used.
     """
@@ -137,7 +138,7 @@ def _tell_outcome(
     console: Console, folder: RunFolder, prepared: Run, count: int, check: bool, as_json: bool
 ) -> None:
     """Print what the *count* episodes came to; leave with 1 where every one failed."""
-    from advdiff_sumo.cli.check_exports import print_check  # late: --help needs neither SUMO nor plots
+    from advdiff_sumo.cli.check_run import print_check  # late: --help needs neither SUMO nor plots
     from advdiff_sumo.cli.summary import print_summary, run_object
 
     failures = folder.failures()

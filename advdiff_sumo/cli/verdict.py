@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +9,7 @@ import typer
 
 from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.cli.terminal import print_json, progress_bar, terminal, verb_console
+from advdiff_sumo.cli.worker_flags import cores
 from advdiff_sumo.core.errors import ConfigError
 
 
@@ -62,7 +62,7 @@ def verdict(
     judging = open_folder(folder)
     with progress_bar(console) as bar:
         task = bar.add_task("episodes judged", total=judging.count)
-        rows = judging.judge(workers or os.cpu_count() or 1, lambda: bar.advance(task), search)
+        rows = judging.judge(workers or cores(), lambda: bar.advance(task), search)
     hits = [row for row in rows if row["target_collision"]]
     valid, critical = sum(map(is_valid_failure, rows)), sum(bool(row["critical"]) for row in rows)
     console.print(f"{len(rows)} episodes, {len(hits)} collisions of the target: {valid} valid failures")

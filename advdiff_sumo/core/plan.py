@@ -10,6 +10,11 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.core.scene import Tracks
 
+MAX_SPEED_MPS = 90.0
+"""No plan drives faster."""
+SLACK_M = 0.5
+"""How much farther than that speed allows a plan may move somebody in a step: the noise of annotated logs."""
+
 
 @dataclass(frozen=True)
 class Trajectory(KinematicStates):

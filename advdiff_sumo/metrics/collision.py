@@ -118,7 +118,7 @@ def tracks_collisions(tracks: Tracks, target: int, touches: Touches | None = Non
 
 
 def target_collision(record: EpisodeRecord, collisions: list[Collision]) -> Collision | None:
-    """Return the target's first collision among *found* that was not there from the beginning."""
+    """Return the target's first collision among *collisions* that was not there from the beginning."""
     return next((c for c in collisions if c.rows[0] == record.target and not c.initial), None)
 
 

@@ -180,6 +180,14 @@ COLLISION_COLUMNS: Mapping[str, Column] = {
 
 _LATER_COUNTS = ("refused_insertions", "safeguarded_plans", "moved_plans", "replayed_collisions", "replayed")
 LATER_COLUMNS = frozenset(
-    ("route", "attack_kind", "in_position", *_LATER_COUNTS, *VERDICT_COLUMNS, *CRITICAL_COLUMNS)
+    (
+        "route",
+        "attack_kind",
+        "in_position",
+        *_LATER_COUNTS,
+        *VERDICT_COLUMNS,
+        *CRITICAL_COLUMNS,
+        *OFFENCE_COLUMNS,
+    )
 )
 """Columns that folders of earlier versions lack; ``advdiff-sumo verdict`` adds those of the verdict."""

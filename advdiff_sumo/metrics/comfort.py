@@ -1,6 +1,6 @@
 """How the target's ride felt: accelerations, jerk and yaw rate, from our own states.
 
-Derivatives are those of a least-squares polynomial over ``WINDOW`` instants around each instant (Savitzky and
+Derivatives are those of a least-squares polynomial over ``WINDOW_S`` around each instant (Savitzky and
 Golay 1964, doi:10.1021/ac60214a047): second degree for acceleration and yaw rate, third for jerk, which is the
 second derivative of speed. SUMO turns a vehicle on the spot by some degrees where a lane bends or a lane change
 begins; the window spreads such a step, whose plain difference would read as tens of m/s² sideways. A sideways
@@ -17,8 +17,8 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.kinematics import unbroken
 
-#: Instants under one polynomial: 1 s at 0.1 s.
-WINDOW = 11
+#: Time under one polynomial; five instants where steps are long.
+WINDOW_S = 1.0
 _LEAST_WINDOW = 5
 #: A faster motion sideways is no driving but a change of lane in no time.
 SNAP_MPS = 8.0
@@ -83,7 +83,8 @@ def derivatives(
 
     speed = tracks.speed_mps[row, part]
     yaw = np.unwrap(tracks.yaw_rad[row, part])
-    window = min(WINDOW, len(speed) - 1 + len(speed) % 2)
+    wanted = max(_LEAST_WINDOW, 2 * round(0.5 * WINDOW_S / tracks.dt_s) + 1)
+    window = min(wanted, len(speed) - 1 + len(speed) % 2)
     accel = savgol_filter(speed, window, 2, deriv=1, delta=tracks.dt_s)
     jerk = savgol_filter(speed, window, 3, deriv=2, delta=tracks.dt_s)
     yaw_rate = savgol_filter(yaw, window, 2, deriv=1, delta=tracks.dt_s)

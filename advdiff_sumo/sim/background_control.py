@@ -159,7 +159,7 @@ class Background:
                 f"background '{self.name}' planned a jump for '{tracks.ids[int(far.argmax())]}'"
             )
         self.skipped.update(name for name, away in zip(tracks.ids, far, strict=True) if away)
-        dense = self._exact(tracks, steps) if plan.exact else self._driven(tracks, rows, steps)
+        dense = self._exact(tracks, rows, steps) if plan.exact else self._driven(tracks, rows, steps)
         return Motion(*dense[:3], rows, dense[3]).keep(~far)
 
     def row_for(self, tracks: Tracks, k: int) -> int:
@@ -170,15 +170,31 @@ class Background:
         length, width = tracks.size_m[k].tolist()
         return self.world.add(tracks.ids[k], AgentClass(tracks.classes[k]), length, width)
 
-    def _exact(self, tracks: Tracks, steps: int) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    def _exact(
+        self, tracks: Tracks, rows: IntArray, steps: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         if abs(tracks.dt_s - self.step_s) > 1e-9:
-            tracks = resample(tracks, self.step_s, t0_s=tracks.t0_s - tracks.dt_s + self.step_s)
+            t0_s = tracks.t0_s - tracks.dt_s + self.step_s
+            tracks = resample(self._from_now(tracks, rows), self.step_s, t0_s=t0_s)
         cut = tracks.window(0, min(steps, tracks.steps))
         if cut.steps < steps:
             raise PlanRefusedError(
                 f"background '{self.name}' planned {cut.steps} steps of {self.step_s:g} s, not {steps}"
             )
         return cut.xy_m, cut.yaw_rad, cut.speed_mps, cut.valid
+
+    def _from_now(self, tracks: Tracks, rows: IntArray) -> Tracks:
+        """Return *tracks* with where *rows* are now before their first instant."""
+        world = self.world
+        xy, yaw, speed = world.xy_m[rows], world.yaw_rad[rows], world.speed_mps[rows]
+        return replace(
+            tracks,
+            xy_m=np.concatenate((xy[:, None], tracks.xy_m), axis=1),
+            yaw_rad=np.concatenate((yaw[:, None], tracks.yaw_rad), axis=1),
+            speed_mps=np.concatenate((speed[:, None], tracks.speed_mps), axis=1),
+            valid=np.concatenate((np.isfinite(yaw)[:, None], tracks.valid), axis=1),
+            t0_s=tracks.t0_s - tracks.dt_s,
+        )
 
     def _driven(
         self, tracks: Tracks, rows: IntArray, steps: int

@@ -6,7 +6,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -78,10 +78,15 @@ class Episode(EpisodeSetup):
         """
         begun, cpu_s = time.perf_counter(), time.process_time()
         if ended is not None and ended.steps < 0:
-            return self._unstarted(ended), Timing(time.perf_counter() - begun)
+            return self._unstarted(ended.failure(0.0)), Timing(time.perf_counter() - begun)
         self.heartbeat.note(Phase.SIMULATOR)
         failure: Failure | None = None
-        with self.opened() as loop:
+        with ExitStack() as opened:
+            try:
+                loop = opened.enter_context(self.opened())
+            except EpisodeFailure as error:
+                at_once = Failure(error.kind, str(error), 0.0, _trace(error))
+                return self._unstarted(at_once), Timing(time.perf_counter() - begun)
             try:
                 loop.start()
                 end = loop.run(self.steps if ended is None else min(ended.steps, self.steps))
@@ -100,8 +105,8 @@ class Episode(EpisodeSetup):
         timing = Timing(time.perf_counter() - begun + spared.spared_s, *loop.planning_s(), cpu_s=used_s)
         return record, timing
 
-    def _unstarted(self, ended: Ended) -> EpisodeRecord:
-        """Return the record of an episode that died before its first step: its seed scene."""
+    def _unstarted(self, failure: Failure) -> EpisodeRecord:
+        """Return the record of an episode that failed before its first step: its seed scene."""
         history = self.scene.history
         tracks = replace(history.window(history.steps - 1, history.steps), t0_s=0.0, dt_s=self.sim.step_s)
         return EpisodeRecord(
@@ -114,7 +119,7 @@ class Episode(EpisodeSetup):
             route=self.scene.routes.get(self.scene.target, ()),
             end=EndReason.FAILED,
             signals=({},),
-            failure=ended.failure(0.0),
+            failure=failure,
         )
 
     @contextmanager

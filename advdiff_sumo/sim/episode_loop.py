@@ -178,8 +178,7 @@ class Loop:
         self.drive.move(k)
         self._advance()
         self.steps += 1
-        if self.steps % self.sim.substeps == 0:
-            self.signals = read_signals(self.api)
+        self.signals = read_signals(self.api)
         if self.target_left:
             return EndReason.ARRIVED
         frame = self.world.frame()

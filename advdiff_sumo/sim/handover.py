@@ -63,6 +63,7 @@ class Handover:
         planned = set(motion.rows.tolist())
         inside = {row for row, state in self.actuator.moved.items() if state.inserted}
         left = sorted((inside | self.actuator.outside) - planned - {target})
+        self._waiting_s = {row: waited for row, waited in self._waiting_s.items() if row in left}
         if not left:
             return motion
         rows = np.array(left, dtype=np.int64)

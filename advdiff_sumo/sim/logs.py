@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -11,6 +12,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.log_reader import LogReader, LogScene
@@ -25,6 +27,7 @@ _MIN_FUTURE_S = 6.0
 _SHORTEST_FUTURE_S = 1.5  # of logs that are too short for the whole of it
 _BEYOND_LOG_M = 300.0
 _FIT_SHARE, _FIT_M = 0.8, 3.0
+_SAME_S = 1e-6
 _NO_WAY = "no route of the net follows the ego"
 
 
@@ -104,9 +107,13 @@ class LoggedTraffic:
     def _due(self, drive: LogScene) -> range:
         """Return the instants with enough of the drive before and after them."""
         dt = drive.tracks.dt_s
-        first = round(self.sim.history_s / dt)
+        first = self._past_instants(dt)
         future_s = min(_MIN_FUTURE_S, max(_SHORTEST_FUTURE_S, (drive.tracks.steps - 1 - first) * dt))
         return range(first, drive.tracks.steps - round(future_s / dt))
+
+    def _past_instants(self, dt_s: float) -> int:
+        """Return how many instants of a log of spacing *dt_s* a history needs before now."""
+        return math.ceil(self.sim.history_s / dt_s - _SAME_S)
 
     def _starts(self, drive: LogScene) -> list[int]:
         stride = max(1, round(self.scene.stride_s / drive.tracks.dt_s))
@@ -119,7 +126,7 @@ class LoggedTraffic:
 
     def _hindrance(self, drive: LogScene, now: int) -> str:
         """Return why SUMO could not take the ego over without a jump, as a clause; "" where it can."""
-        first = round(self.sim.history_s / drive.tracks.dt_s)
+        first = self._past_instants(drive.tracks.dt_s)
         if not drive.tracks.valid[drive.ego, now - first : now + 1].all():
             return "the ego was not there all the time before"
         xy, yaw = drive.tracks.xy_m[drive.ego, now], float(drive.tracks.yaw_rad[drive.ego, now])
@@ -134,16 +141,14 @@ class LoggedTraffic:
 
     def _scene(self, drive: LogScene, now: int) -> SeedScene | None:
         tracks = drive.tracks
-        per_model_step = round(self.sim.model_step_s / tracks.dt_s)
-        first = now - round(self.sim.history_s / tracks.dt_s)
+        first = now - self._past_instants(tracks.dt_s)
         log = tracks.window(first, tracks.steps)
         log = log.shifted(-tracks.t0_s - now * tracks.dt_s)
         near = _near_ego(log, drive.ego, self.sim.record_radius_m)
         log = log.rows(near)
         target = int(np.flatnonzero(np.flatnonzero(near) == drive.ego)[0])
         steps = now - first
-        history = log.window(0, steps + 1).rows(log.valid[:, steps])
-        history = history.every(per_model_step, (history.steps - 1) % per_model_step)
+        history = self._history(log.window(0, steps + 1).rows(log.valid[:, steps]))
         parked = drive.parked[near] | parked_agents(log.xy_m, log.valid, log.dt_s)  # or parks by now
         parked[target] = False
         routes = {name: route for name, route in self._routes(log, parked, target, steps) if route}
@@ -161,6 +166,16 @@ class LoggedTraffic:
             start=PlacedTraffic(_drivable(self.road, log, parked)),
             horizon_s=(tracks.steps - 1 - now) * tracks.dt_s,
         )
+
+    def _history(self, past: Tracks) -> Tracks:
+        """Return *past*, which ends now, at model steps: its own instants where these are among them."""
+        step_s = self.sim.model_step_s
+        stride = round(step_s / past.dt_s)
+        if abs(stride * past.dt_s - step_s) < _SAME_S:
+            return past.every(stride, (past.steps - 1) % stride)
+        now_s = past.t0_s + past.dt_s * (past.steps - 1)
+        count = int((now_s - past.t0_s) / step_s + _SAME_S) + 1
+        return resample(past, step_s, t0_s=now_s - step_s * (count - 1), steps=count)
 
     def _routes(
         self, log: Tracks, parked: BoolArray, target: int, now: int

@@ -8,12 +8,9 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.errors import PlanRefusedError
-from advdiff_sumo.core.plan import Controls, JointPlan, Plan, Trajectory
+from advdiff_sumo.core.plan import MAX_SPEED_MPS, SLACK_M, Controls, JointPlan, Plan, Trajectory
 from advdiff_sumo.core.plan_form import form_problem, in_float64, interval_problem, values_problem
 from advdiff_sumo.core.scene import AgentClass, Tracks
-
-MAX_SPEED_MPS = 90.0
-SLACK_M = 0.5  # annotation noise of logs
 
 
 def check_plan(plan: Plan, xy_m: FloatArray, model_step_s: float, who: str) -> Plan:
@@ -86,9 +83,8 @@ def check_joint_plan(plan: JointPlan, xy_m: FloatArray, who: str) -> BoolArray:
     _refuse(
         both & (stride > bound), tracks.ids, who, f"a jump of more than {bound:.1f} m in {tracks.dt_s:g} s"
     )
-    _refuse(
-        tracks.valid & (np.abs(tracks.speed_mps) > MAX_SPEED_MPS), tracks.ids, who, "a speed beyond 90 m/s"
-    )
+    too_fast = tracks.valid & (np.abs(tracks.speed_mps) > MAX_SPEED_MPS)
+    _refuse(too_fast, tracks.ids, who, f"a speed beyond {MAX_SPEED_MPS:g} m/s")
     first = np.linalg.norm(tracks.xy_m[:, 0] - xy_m, axis=-1) if tracks.steps else np.zeros(tracks.agents)
     return np.asarray(first > bound)  # NaN compares as False
 
@@ -102,5 +98,8 @@ def _refuse(wrong: BoolArray, ids: tuple[str, ...], who: str, what: str) -> None
 def _check_jumps(plan: Trajectory, xy_m: FloatArray, who: str) -> None:
     path = np.concatenate((xy_m[None], plan.xy_m))
     jump = float(np.linalg.norm(np.diff(path, axis=0), axis=-1).max())
-    if jump > MAX_SPEED_MPS * plan.dt_s + SLACK_M or np.abs(plan.speed_mps).max() > MAX_SPEED_MPS:
+    if jump > MAX_SPEED_MPS * plan.dt_s + SLACK_M:
         raise PlanRefusedError(f"{who} planned a jump of {jump:.1f} m in {plan.dt_s:g} s")
+    fastest = float(np.abs(plan.speed_mps).max())
+    if fastest > MAX_SPEED_MPS:
+        raise PlanRefusedError(f"{who} planned a speed of {fastest:.0f} m/s, beyond {MAX_SPEED_MPS:g} m/s")

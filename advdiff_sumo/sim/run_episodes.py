@@ -240,7 +240,11 @@ def target_of(options: RunOptions) -> Target:
 def policy_of(options: RunOptions) -> TrafficPolicy:
     """Return the background policy that *options* name; errors as in :func:`target_of`."""
     name = POLICIES.canonical(options.background)
-    return _made(f"background '{name}'", make_policy, name, options.background_options)
+    own = options.background_options
+    if name == "replay":  # its plans are the log at SUMO's own steps, until the next plan at least
+        period_s = max(1.0, options.sim.model_step_s * options.sim.replan_every)
+        own = {"step_s": options.sim.step_s, "period_s": period_s, **own}
+    return _made(f"background '{name}'", make_policy, name, own)
 
 
 def check_together(options: RunOptions, target: Target) -> None:
@@ -291,9 +295,12 @@ def _made(what: str, make: Callable[..., _Made], name: str, options: Mapping[str
 
 def git_revision() -> str:
     """Return the revision of the checkout that the package runs from; "" for an installed one."""
+    package = Path(__file__).resolve().parent.parent
+    if not (package.parent / ".git").exists():  # of whatever project the environment lies in
+        return ""
     try:
         done = subprocess.run(
-            ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"],
+            ["git", "-C", str(package), "rev-parse", "HEAD"],
             capture_output=True,
             text=True,
             check=False,

@@ -10,10 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.core.scene import TRACK_ARRAYS, Tracks
 from advdiff_sumo.sim.seed_scene import PlacedTraffic, SavedTraffic, SeedScene
-
-_ARRAYS = ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
 
 
 def scene_to_bytes(scene: SeedScene) -> bytes:
@@ -28,7 +26,7 @@ def scene_to_bytes(scene: SeedScene) -> bytes:
     }
     for prefix, tracks in (("history", scene.history), ("log", scene.log)):
         meta[prefix] = {"ids": list(tracks.ids), "t0_s": tracks.t0_s, "dt_s": tracks.dt_s}
-        arrays |= {f"{prefix}.{name}": getattr(tracks, name) for name in _ARRAYS}
+        arrays |= {f"{prefix}.{name}": getattr(tracks, name) for name in TRACK_ARRAYS}
     if isinstance(scene.start, SavedTraffic):
         meta["start"] = {"time_s": scene.start.time_s}
         arrays["state_xml"] = _bytes(scene.start.state_xml)
@@ -74,7 +72,7 @@ def _start(meta: Mapping[str, Any], arrays: Mapping[str, Any]) -> SavedTraffic |
 
 def _tracks(prefix: str, meta: Mapping[str, Any], arrays: Mapping[str, Any]) -> Tracks:
     plain = meta[prefix]
-    fields = {name: arrays[f"{prefix}.{name}"] for name in _ARRAYS}
+    fields = {name: arrays[f"{prefix}.{name}"] for name in TRACK_ARRAYS}
     return Tracks(ids=tuple(plain["ids"]), **fields, t0_s=plain["t0_s"], dt_s=plain["dt_s"])
 
 

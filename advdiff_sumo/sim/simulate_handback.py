@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -137,7 +137,7 @@ def driven_in_turn(
                 pass
         except EpisodeFailure:
             pass  # what was recorded until then is as good
-        return _recording(loop, handbacks)
+        return recorded(loop, handbacks)
 
 
 def _span_s(rng: np.random.Generator, least_s: float, most_s: float) -> float:
@@ -159,13 +159,18 @@ def _in_turn(loop: Loop, policy: TrafficPolicy, span_s: float, handbacks: list[i
     return True
 
 
-def _recording(loop: Loop, handbacks: list[int]) -> Recording:
-    """Return what *loop* recorded; windows begin where SUMO's drivers take over, and end where they no longer drive."""
+def recorded(loop: Loop, handbacks: Sequence[int]) -> Recording:
+    """Return what *loop* recorded; windows begin where SUMO's drivers take over, and end where they no longer drive.
+
+    Args:
+        loop: of an episode that has come to its end, or failed.
+        handbacks: instants at which SUMO's drivers take over.
+    """
     frames, sim = loop.recorder.model_frames, loop.sim
     tracks, who = stack(loop.world, frames, np.arange(len(loop.world)), 0.0, DT_S)
     focal = np.zeros_like(tracks.valid)
     for handback in handbacks:
-        later = [handback + steps for steps in _LATER]
+        later = [handback + steps for steps in _LATER if handback + steps < len(frames)]
         focal[:, later] = (who[:, handback] == Controller.POLICY)[:, None]
     before = sim.history_steps - 1
     signals = [loop.recorder.signals[max(k - before, 0) * sim.substeps] for k in range(len(frames))]

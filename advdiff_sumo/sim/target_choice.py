@@ -94,7 +94,7 @@ class TargetChoice:
         """Return the rows of cars that may be a target, and what the last of them lacked where there is none."""
         frame = frames[-1]
         cars = _cars(world, frames, self.sim)
-        moving = cars[frame.speed_mps[cars] > self.scene.min_speed_mps]
+        moving = cars[frame.speed_mps[cars] >= self.scene.min_speed_mps]
         vehicles = frame.present & (world.classes[: len(frame.present)] != AgentClass.PEDESTRIAN)
         gaps = np.linalg.norm(frame.xy_m[moving, None] - frame.xy_m[None, vehicles], axis=-1)
         crowded = moving[(gaps < _NEIGHBOUR_RADIUS_M).sum(-1) - 1 >= self.scene.min_neighbours]

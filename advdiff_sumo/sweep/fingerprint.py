@@ -84,8 +84,13 @@ def cell_digest(options: RunOptions, source: str) -> str:
     return digest({"source": source, **{name: dumped[name] for name in names}})
 
 
-@lru_cache(maxsize=256)
 def _kept(files: tuple[Path, ...]) -> str:
+    """Return the digest of *files*, worked out again when one of them has changed."""
+    return _digest_of(files, tuple((stat.st_mtime_ns, stat.st_size) for stat in map(Path.stat, files)))
+
+
+@lru_cache(maxsize=256)
+def _digest_of(files: tuple[Path, ...], states: tuple[tuple[int, int], ...]) -> str:  # noqa: ARG001 - of the cache's key
     return file_digest(*files)
 
 

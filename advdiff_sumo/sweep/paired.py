@@ -6,32 +6,19 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
 
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, did_you_mean
-from advdiff_sumo.metrics.severity import broke_rule, is_failure, is_valid_failure
+from advdiff_sumo.metrics.severity import is_failure
 from advdiff_sumo.metrics.statistics import TAILS, Rate, bootstrap_counts, mcnemar
-
-Row: TypeAlias = Mapping[str, Any]
+from advdiff_sumo.sweep.summary_stats import EVENTS, Row
 
 _KIND = ("target", "target_options", "background", "background_options")
 _VALUES = ("min_ttc_s", "min_pet_s", "min_clearance_m", "max_drac_mps2", "brake_max_mps2", "route_progress_m")
 _RESAMPLES = 10_000
 _SHOWN = 4
-
-
-#: What is compared, and the column without which it cannot be: folders of earlier versions have no verdicts.
-_HAPPENED: Mapping[str, tuple[Callable[[Row], bool], str]] = {
-    "valid failures": (is_valid_failure, "valid_failure"),
-    "critical near misses": (lambda row: bool(row.get("critical")), "critical"),
-    "rules broken by the target": (broke_rule, "offences"),
-    "collisions": (lambda row: bool(row["target_collision"]), "target_collision"),
-    "… target at fault": (lambda row: row["at_fault"] == "target", "target_collision"),
-    "route completed": (lambda row: bool(row["route_completed"]), "route_completed"),
-}
 
 
 @dataclass(frozen=True)
@@ -138,9 +125,9 @@ def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Compa
         scenes=draw.scenes,
         unpaired=len(first) + len(second) - 2 * len(pairs),
         rates={
-            name: _rate(pairs, draw, happened)
-            for name, (happened, needed) in _HAPPENED.items()
-            if all(row.get(needed, "") is not None for pair in pairs for row in pair)
+            event.label: _rate(pairs, draw, event.happened)
+            for event in EVENTS.values()
+            if all(row.get(event.known_by, "") is not None for pair in pairs for row in pair)
         },
         values=_values(pairs, draw),
     )

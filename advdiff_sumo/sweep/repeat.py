@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from advdiff_sumo.core.errors import ConfigError, FileError, SceneError
+from advdiff_sumo.core.errors import ConfigError, FileError, InputError, SceneError
 from advdiff_sumo.data.run_tables import RUN_SETTINGS, SWEEP_SETTINGS
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
@@ -77,12 +77,20 @@ def of_sweep(key: str, folder: Path | None, among: Path) -> Before:
         plan = plan_sweep(store.spec())
         store.must_match(plan.keys)
         return _kept(store, plan, plan.find(key))
+    unread = list[InputError]()
     for settings_path in sorted(among.glob(f"*/{SWEEP_SETTINGS}")):
         store = Store(settings_path.parent)
-        plan = plan_sweep(store.spec())
+        try:
+            plan = plan_sweep(store.spec())
+        except InputError as error:  # its net or log is gone, say; the episode may be another sweep's
+            unread.append(error)
+            continue
         if any(job.key.startswith(key) for job in plan.jobs):
             return _kept(store, plan, plan.find(key))
-    raise ConfigError(f"no sweep in {among} has an episode '{key}'; name its folder with --sweep")
+    passed_over = f" (passed over: {'; '.join(map(str, unread))})" if unread else ""
+    raise ConfigError(
+        f"no sweep in {among} has an episode '{key}'{passed_over}; name its folder with --sweep"
+    )
 
 
 def _kept(store: Store, plan: Plan, job: Job) -> Before:
@@ -150,7 +158,8 @@ def _same(stored: StoredEpisode | None, again: StoredEpisode) -> bool | None:
     if stored is None or not stored.tables:
         return None
     try:
-        pairs = [(stored.tables[name], again.tables[name]) for name in _SAME]
+        names = (*_SAME, *({"signals"} & stored.tables.keys()))  # which earlier versions did not keep
+        pairs = [(stored.tables[name], again.tables[name]) for name in names]
     except KeyError as lacking:
         raise FileError(Path("episode"), f"lacks the table {lacking}", "resume the sweep") from None
     return all(old.equals(new.select(old.column_names)) for old, new in pairs)

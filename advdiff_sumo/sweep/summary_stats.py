@@ -12,21 +12,36 @@ from advdiff_sumo.metrics.statistics import Rate
 
 Row: TypeAlias = Mapping[str, Any]
 
-_RATES: Mapping[str, Callable[[Row], bool]] = {
-    "valid_failure_rate": is_valid_failure,
-    "critical_rate": lambda row: bool(row.get("critical")),
-    "offence_rate": broke_rule,
-    "collision_rate": lambda row: bool(row["target_collision"]),
-    "fault_rate": lambda row: row["at_fault"] == "target",
-    "completion_rate": lambda row: bool(row["route_completed"]),
+
+@dataclass(frozen=True)
+class Event:
+    """What may happen in an episode.
+
+    Attributes:
+        label: for people.
+        happened: whether it did, as a row of ``episodes`` tells.
+        known_by: the column without which nobody knows: folders of earlier versions have no verdicts.
+    """
+
+    label: str
+    happened: Callable[[Row], bool]
+    known_by: str
+
+
+EVENTS: Mapping[str, Event] = {
+    "valid_failure_rate": Event("valid failures", is_valid_failure, "valid_failure"),
+    "critical_rate": Event("critical near misses", lambda row: bool(row.get("critical")), "critical"),
+    "offence_rate": Event("rules broken by the target", broke_rule, "offences"),
+    "collision_rate": Event("collisions", lambda row: bool(row["target_collision"]), "target_collision"),
+    "fault_rate": Event("… target at fault", lambda row: row["at_fault"] == "target", "target_collision"),
+    "completion_rate": Event("route completed", lambda row: bool(row["route_completed"]), "route_completed"),
 }
+"""By the name of the rate at which it happens."""
 _MEDIANS = ("min_ttc_s", "min_pet_s", "min_clearance_m", "max_drac_mps2", "brake_max_mps2", "jerk_max_mps3")
-#: Rates over the episodes in which a column is known: folders of earlier versions have no verdicts.
-_NEEDS = {"valid_failure_rate": "valid_failure", "critical_rate": "critical", "offence_rate": "offences"}
 #: Every name that a condition may use.
 FIGURE_NAMES = frozenset(
     {"episodes", "finished", "valid_failures", "collisions", "failures", "missing"}
-    | {f"{rate}{end}" for rate in (*_RATES, "failure_rate") for end in ("", "_low", "_high")}
+    | {f"{rate}{end}" for rate in (*EVENTS, "failure_rate") for end in ("", "_low", "_high")}
     | {f"median_{column}" for column in _MEDIANS}
 )
 
@@ -52,7 +67,7 @@ class Figures:
         """Return the figures of rows of ``episodes`` and ``failures``."""
         finished = [row for row in episodes if not is_failure(row)]
         total = len(finished) + len(failures)
-        rates = {name: _rate(finished, test, _NEEDS.get(name)) for name, test in _RATES.items()}
+        rates = {name: _rate(finished, event) for name, event in EVENTS.items()}
         rates["failure_rate"] = Rate.of(len(failures), total)
         values = {c: [row[c] for row in finished if row[c] is not None] for c in _MEDIANS}
         medians = {name: float(median(known)) if known else None for name, known in values.items()}
@@ -74,9 +89,9 @@ class Figures:
         return named | {f"median_{name}": value for name, value in self.medians.items()}
 
 
-def _rate(finished: Sequence[Row], test: Callable[[Row], bool], needed: str | None) -> Rate:
-    known = [row for row in finished if needed is None or row.get(needed) is not None]
-    return Rate.of(sum(map(test, known)), len(known))
+def _rate(finished: Sequence[Row], event: Event) -> Rate:
+    known = [row for row in finished if row.get(event.known_by) is not None]
+    return Rate.of(sum(map(event.happened, known)), len(known))
 
 
 def by_kind(

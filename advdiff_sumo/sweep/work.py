@@ -14,7 +14,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from advdiff_sumo.core.errors import AdvdiffError, NetError, SceneError
+from advdiff_sumo.core.errors import AdvdiffError, EpisodeFailure, NetError, SceneError
 from advdiff_sumo.core.process_end import hears_ctrl_c
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
@@ -145,14 +145,17 @@ def _memo_of(task: EpisodeTask) -> PlanMemo | None:
 
 
 def _kind(error: AdvdiffError) -> str:
+    if isinstance(error, EpisodeFailure):
+        return error.kind
     return "no_scene" if isinstance(error, SceneError) else "input_error"
 
 
 class _Plain:
-    """Options as an argument of a cache: equal when the target's or policy's own options are."""
+    """Options as an argument of a cache: equal when the target's or policy's own options and the steps are."""
 
     def __init__(self, options: RunOptions, own: dict[str, Any]) -> None:
-        self.options, self.own, self._text = options, own, repr(sorted(own.items()))
+        self.options, self.own = options, own
+        self._text = repr((sorted(own.items()), options.sim))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Plain) and self._text == other._text

@@ -7,6 +7,7 @@ import faulthandler
 import logging
 import math
 import os
+import re
 import sys
 import tempfile
 import threading
@@ -29,7 +30,7 @@ from advdiff_sumo.sweep.work import data_bytes, perform, rss_mb
 RECYCLED = 75
 _FROM_OUTSIDE = {-9, -15}  # SIGKILL, as of the system where memory runs out, and SIGTERM
 _TIMED_OUT, _CRASHED, _MODULES = (
-    "Timeout (",
+    re.compile(r"^Timeout \(\d+:\d\d:\d\d", re.MULTILINE),
     "Fatal Python error",
     "Extension modules:",
 )  # faulthandler's words
@@ -101,7 +102,7 @@ def lost(task: Task, limits: Limits, exit_code: int | None, how: str, overdue: b
     steps = NOT_STARTED if beat is None else beat.steps
     if overdue and beat is not None and isinstance(task, EpisodeTask):
         failed = _overdue(task, limits, beat, tail)
-    elif _TIMED_OUT in tail or not how:
+    elif _TIMED_OUT.search(tail) or not how:
         failed = timed_out(limits, tail)
     elif (
         isinstance(task, EpisodeTask)
@@ -162,7 +163,7 @@ def tail_of(log: Path) -> str:
     except OSError:
         return ""
     text = "\n".join(line for line in text.splitlines() if not line.startswith(_MODULES))
-    stack = max(text.rfind(mark) for mark in (_TIMED_OUT, _CRASHED))
+    stack = max([text.rfind(_CRASHED), *(stuck.start() for stuck in _TIMED_OUT.finditer(text))])
     if stack >= 0:
         return text[max(0, stack - _BEFORE) : stack + _TAIL].strip()
     return text[-_TAIL:].strip()

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
-from advdiff_sumo.core.plan import JointPlan
-from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.core.plan import MAX_SPEED_MPS, SLACK_M, JointPlan
+from advdiff_sumo.core.scene import TRACK_ARRAYS, Scene, Tracks
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 _SEED = 20240501
 _CLOCK_S = 1e-6
-_FASTEST_MPS = 80.0
-_ARRAYS = ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
 
 
 def check_policy(policy: TrafficPolicy, road: RoadMap, scene: Scene, log: Tracks | None) -> list[str]:
@@ -124,7 +122,7 @@ def _values(tracks: Tracks) -> Iterator[str]:
 
 
 def _continuity(tracks: Tracks, scene: Scene) -> Iterator[str]:
-    bound = _FASTEST_MPS * tracks.dt_s
+    bound = MAX_SPEED_MPS * tracks.dt_s + SLACK_M
     for row, name in enumerate(tracks.ids):
         at = scene.history.index.get(name)
         path = tracks.xy_m[row]
@@ -133,7 +131,7 @@ def _continuity(tracks: Tracks, scene: Scene) -> Iterator[str]:
         jumps = np.linalg.norm(np.diff(path, axis=0), axis=-1)
         if (jumps > bound).any():
             yield (
-                f"'{name}' jumps {np.nanmax(jumps):.1f} m in {tracks.dt_s:g} s, beyond {_FASTEST_MPS:g} m/s"
+                f"'{name}' jumps {np.nanmax(jumps):.1f} m in {tracks.dt_s:g} s, beyond {MAX_SPEED_MPS:g} m/s"
             )
 
 
@@ -157,5 +155,5 @@ def _prints(scene: Scene) -> tuple[object, ...]:
 def _track_prints(tracks: Tracks | None) -> tuple[object, ...]:
     if tracks is None:
         return ()
-    arrays = (np.asarray(getattr(tracks, name)).tobytes() for name in _ARRAYS)
+    arrays = (np.asarray(getattr(tracks, name)).tobytes() for name in TRACK_ARRAYS)
     return (tracks.ids, tracks.t0_s, tracks.dt_s, *arrays)

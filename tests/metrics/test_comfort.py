@@ -55,6 +55,16 @@ def test_a_lane_change_in_no_time_breaks_the_stretch(straight, record_of) -> Non
     assert ride.yaw_rate_max_radps == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("dt_s", [0.05, 0.1, 0.2, 0.5])
+def test_the_step_does_not_matter(straight, record_of, dt_s: float) -> None:
+    """Two seconds at 8 m/s²: over eleven instants of half a second it would be 5 m/s²."""
+    t = dt_s * np.arange(round(6.0 / dt_s) + 1)
+    speed = np.clip(20.0 - 8.0 * (t - 2.0), 4.0, 20.0)
+    car = replace(straight("ego", (0, 0), 0, 10, steps=len(t)), speed_mps=speed)
+    tracks = replace(record_of(car).tracks, dt_s=dt_s)
+    assert comfort(tracks, 0).brake_max_mps2 == pytest.approx(8.0, abs=0.1)
+
+
 def test_too_short_a_record_has_no_comfort(straight, record_of) -> None:
     ride = comfort(record_of(straight("ego", (0, 0), 0, 10, steps=4)).tracks, 0)
     assert set(vars(ride).values()) == {None}

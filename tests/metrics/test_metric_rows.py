@@ -8,7 +8,8 @@ from dataclasses import replace
 import pytest
 
 from advdiff_sumo.core.record import EndReason, Failure
-from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, Column
+from advdiff_sumo.metrics.arrow_tables import schema_of, upgraded
+from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, LATER_COLUMNS, Column
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.metrics.progress import progress
 from advdiff_sumo.metrics.summary import summarise
@@ -152,3 +153,12 @@ def test_metrics_do_not_change_when_other_rows_are_reordered(straight, record_of
     for name in EPISODE_COLUMNS:
         expected = rows[1][name]
         assert rows[0][name] == (pytest.approx(expected) if isinstance(expected, float) else expected), name
+
+
+@pytest.mark.parametrize("columns", [EPISODE_COLUMNS, COLLISION_COLUMNS])
+def test_what_an_earlier_version_did_not_write_is_unknown(columns: dict[str, Column]) -> None:
+    unknown = {name for name, column in columns.items() if "earlier versions" in column.description}
+    assert unknown <= LATER_COLUMNS
+    whole = schema_of(columns).empty_table()
+    earlier = whole.drop_columns([name for name in columns if name in LATER_COLUMNS])
+    assert set(upgraded(earlier, columns).column_names) == set(columns)

@@ -295,6 +295,40 @@ class Exact(StraightOn):
         ), None
 
 
+def test_an_exact_plan_on_another_step_begins_where_its_vehicles_are(scene: SeedScene, road: RoadMap) -> None:
+    """Between now and its first instant nobody was there, and all were taken off the scene."""
+    made = episode(scene, road, background=Exact(0.0, 0.0), horizon_s=1.0, step_s=0.05, control_radius_m=40.0)
+    record, _ = made.run()
+    moved = (record.controller == Controller.POLICY).any(axis=1)
+    assert moved.any()
+    assert record.tracks.valid[moved].all()
+
+
+def test_what_is_between_two_instants_of_the_model_is_seen_of_signals(
+    scene: SeedScene, road: RoadMap, tmp_path: Path
+) -> None:
+    with running(episode(scene, road, horizon_s=1.0), tmp_path) as loop:
+        name = next(iter(loop.signals))
+        before, lights = loop.signals[name], loop.api.trafficlight
+        lights.setPhaseDuration(name, 0.25)
+        loop.run(5)
+        shown = [signals[name] for signals in loop.recorder.signals]
+        assert lights.getRedYellowGreenState(name) != before
+    assert shown == [before] * shown.count(before) + [shown[-1]] * (6 - shown.count(before))
+    assert 1 <= shown.count(before) <= 4  # the next phase begins after 0.3 s, not with the next model step
+
+
+def test_sumo_that_does_not_start_is_a_failure_of_its_episode(
+    scene: SeedScene, road: RoadMap, tmp_path: Path
+) -> None:
+    record, _ = episode(replace(scene, net=tmp_path / "lost.net.xml"), road).run()
+    assert record.end == EndReason.FAILED
+    assert record.failure is not None
+    assert record.failure.kind == "start_refused"
+    assert "lost.net.xml" in record.failure.message
+    assert record.tracks.steps == 1
+
+
 def test_vehicles_that_sumo_gets_back_askew_are_counted(scene: SeedScene, road: RoadMap) -> None:
     near: dict[str, Any] = {"background": Exact(0.5 * np.pi, 0.0), "control_radius_m": 40.0}
     record, _ = episode(scene, road, horizon_s=7.0, **near).run()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.log_reader import LogScene
@@ -54,6 +55,20 @@ class OneDrive:
 def source(street: Path, speed_mps: float, **scene: float) -> LoggedTraffic:
     options = SceneOptions.parse({"stride_s": 2.0, **scene})
     return LoggedTraffic(RoadMap.read(street), OneDrive(speed_mps), options, SimOptions(), SeedTree(0))
+
+
+@pytest.mark.parametrize("step_s", [0.04, 0.1, 0.2, 0.3, 1.0])
+def test_histories_are_at_model_steps_whatever_the_spacing_of_the_log(street: Path, step_s: float) -> None:
+    """Of a log every 0.2 s the instants 0.4 s apart had been taken for ones 0.5 s apart."""
+    made = source(street, SPEED_MPS)
+    drive = OneDrive(SPEED_MPS)
+    drive.tracks = resample(drive.tracks, step_s)
+    scenes = [scene for scene in replace(made, reader=drive).scenes() if scene.history.xy_m[0, 0, 0] > 30.0]
+    assert scenes
+    for scene in scenes:
+        np.testing.assert_allclose(scene.history.times_s, [-2.0, -1.5, -1.0, -0.5, 0.0], atol=1e-9)
+        moved = np.diff(scene.history.xy_m[0, :, 0])
+        np.testing.assert_allclose(moved, 0.5 * SPEED_MPS, atol=0.01)
 
 
 def test_starts_at_which_the_ego_stands_are_passed_over_and_counted(street: Path) -> None:

@@ -11,16 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from advdiff_sumo.core.errors import EpisodeFailure, PlanRefusedError
-from advdiff_sumo.core.plan import Controls, JointPlan, Trajectory
+from advdiff_sumo.core.plan import MAX_SPEED_MPS, SLACK_M, Controls, JointPlan, Trajectory
 from advdiff_sumo.core.plan_form import plan_arrays
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.sim.plan_validation import (
-    MAX_SPEED_MPS,
-    SLACK_M,
-    check_joint_form,
-    check_joint_plan,
-    check_plan,
-)
+from advdiff_sumo.sim.plan_validation import check_joint_form, check_joint_plan, check_plan
 
 HERE = np.array((3.0, 4.0))
 

@@ -13,8 +13,9 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.window_files import FUTURE, PAST
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.sim.simulate_handback import driven_in_turn
+from advdiff_sumo.sim.simulate_handback import driven_in_turn, recorded
 from advdiff_sumo.sim.simulate_run import Recording, cut
+from tests.sim.scenes import episode
 
 _BRAKES_MPS2 = 3.0
 
@@ -83,6 +84,18 @@ def test_futures_end_where_nobody_but_sumo_drives(recording: Recording, road: Ro
     assert (known[:, :-1] >= known[:, 1:]).all()  # nothing is known beyond a gap
     assert all(window.past_valid[0, -PAST:].all() for window in windows)
     assert all((window.future[~window.future_valid] == 0.0).all() for window in windows)
+
+
+def test_a_turn_of_sumo_that_ends_early_has_fewer_instants(road: RoadMap, scene: SeedScene) -> None:
+    made = episode(scene, road, background=StopsForGood(), horizon_s=8.0)
+    with made.opened() as loop:
+        loop.start()
+        loop.run(40)
+        last = len(loop.recorder.model_frames) - 1
+        ended = recorded(loop, [last - 3])
+    assert ended.instants == ()
+    assert ended.focal[:, last - 3].any()
+    assert ended.focal.shape[1] == last + 1
 
 
 def test_the_same_seed_gives_the_same_traffic(recording: Recording, road: RoadMap, scene: SeedScene) -> None:

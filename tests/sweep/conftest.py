@@ -67,6 +67,7 @@ class Coasts:
     def segfaults(self, memory):
         import libsumo
 
+        print("requests.Timeout (5 s)", flush=True)  # not what Python says where a time limit is over
         libsumo.vehicle.add("ghost", libsumo.route.getIDList()[0], depart="100000")
         libsumo.vehicle.moveToXY("ghost", "", -1, -5000.0, -5000.0, 0.0, 2)
         libsumo.simulationStep()

@@ -35,3 +35,13 @@ def test_what_a_run_writes_into_the_folder_of_a_log_does_not_count(tmp_path: Pat
     for name in ("runs/a/states.parquet", "runs/a/run.toml", "a.net.xml"):
         (tmp_path / "log" / name).write_text("<net/>")
     assert digest_of(tmp_path / "log") == digest_of(copy)
+
+
+def test_a_net_that_has_changed_has_another_key_in_the_same_process(tmp_path: Path, networks: Path) -> None:
+    net = tmp_path / "a.net.xml"
+    text = (networks / "downtown.net.xml").read_text(encoding="utf-8")
+    digests = set[str]()
+    for content in (text, text + "<!-- later -->"):
+        net.write_text(content, encoding="utf-8")
+        digests.add(source_digest(RunOptions(net=str(net)), None))
+    assert len(digests) == 2

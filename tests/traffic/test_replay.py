@@ -12,6 +12,7 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.data.nuscenes import NuScenesReader
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.run_episodes import RunOptions, policy_of
 from advdiff_sumo.traffic.replay import Replay
 
 RNG = np.random.default_rng(0)
@@ -30,6 +31,27 @@ def test_the_plan_is_the_log_from_the_next_step_on(road: RoadMap, scene: Scene, 
     np.testing.assert_array_equal(tracks.valid[2], t > 1.95)
     np.testing.assert_allclose(tracks.speed_mps[2][tracks.valid[2]], 20.0)
     assert memory.t0_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("sim", "period_s", "step_s"),
+    [
+        ({}, 1.0, 0.1),
+        ({"replan_every": 3}, 1.5, 0.1),
+        ({"model_step_s": 2.0}, 2.0, 0.1),
+        ({"step_s": 0.05}, 1.0, 0.05),
+    ],
+)
+def test_a_run_has_it_plan_up_to_the_next_plan_at_sumos_steps(
+    sim: dict[str, float], period_s: float, step_s: float
+) -> None:
+    made = policy_of(RunOptions.parse({"background": "replay", "sim": sim}))
+    assert isinstance(made, Replay)
+    assert (made.options.period_s, made.options.step_s) == (period_s, step_s)
+    own = RunOptions.parse({"background": "replay", "background_options": {"period_s": 4.0}, "sim": sim})
+    chosen = policy_of(own)
+    assert isinstance(chosen, Replay)
+    assert chosen.options.period_s == 4.0
 
 
 def test_a_vehicle_of_the_scene_whose_log_ended_leaves(road: RoadMap, scene: Scene, log: Tracks) -> None:

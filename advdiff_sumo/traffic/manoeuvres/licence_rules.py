@@ -1,6 +1,6 @@
 """Which manoeuvres break no rule: judged on what they would do, before anybody drives them.
 
-The rules are those of ``docs/metrics.md``: red lights, right of way, the safe gap of RSS at an entry (Shalev-Shwartz
+The rules are those of ``docs/verdict.md``: red lights, right of way, the safe gap of RSS at an entry (Shalev-Shwartz
 et al. 2017, arXiv:1708.06374, Definition 1), the limit, and room to everybody else.
 """
 

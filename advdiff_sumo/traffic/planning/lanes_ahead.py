@@ -17,12 +17,12 @@ _YAW_TOLERANCE_RAD = 1.2
 
 @dataclass(frozen=True)
 class LaneAhead:
-    """The lane that a vehicle is on and those behind it.
+    """The lane that a vehicle is on and those that follow.
 
     Attributes:
         s_m: place of the box centre along the first lane; negative before its beginning.
         lanes: the lanes in driving order, internal ones included.
-        speed_mps: the lowest limit within the next few seconds.
+        speed_mps: the limit of the lane that it is on.
         stops: (distance from the box centre to a stop line, its link) of signalled links, nearest first.
         end_m: distance to where the road ends; inf where it goes on.
         offset_m: of the vehicle to the left of its lane.

@@ -13,7 +13,10 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from advdiff_sumo.core.errors import ConfigError, UnknownNameError
+from advdiff_sumo.core.errors import ConfigError, UnknownNameError, did_you_mean
+from advdiff_sumo.core.plug_in_source import raised_at
+
+_OF_A_SCRIPT = "; it was defined in a script or a notebook: put it into a module of its own"
 
 
 def fold(name: str) -> str:
@@ -60,6 +63,11 @@ class Registry:
         known = _same(self.builtins, name) or _same(self.names(), name)  # looking for plug-ins takes a while
         if known is not None:
             return known
+        module = name.removesuffix(".py")
+        if Path(f"{module}.py").is_file():
+            raise ConfigError(
+                f"unknown {self.kind} '{name}'; a class of {module}.py is given as {module}:CLASS"
+            )
         raise UnknownNameError(self.kind, name, self.names())
 
     def load(self, name: str) -> Any:
@@ -88,21 +96,38 @@ def _same(names: Iterable[str], name: str) -> str | None:
 
 def _import(kind: str, target: str) -> Any:
     module_name, _, attribute = target.partition(":")
+    if not (module_name and attribute):
+        raise ConfigError(f"{kind} '{target}' cannot be imported: give it as module:CLASS")
     try:
         value: Any = importlib.import_module(module_name)
-        for part in attribute.split("."):
-            value = getattr(value, part)
     except (ImportError, AttributeError, ValueError) as error:
-        problem = f"{kind} '{target}' cannot be imported: {error}{_remedy(module_name, error)}"
+        problem = f"{kind} '{target}' cannot be imported: {error}{_remedy(target, error)}"
         raise ConfigError(problem) from error
+    for part in attribute.split("."):
+        if not hasattr(value, part):
+            raise ConfigError(f"{kind} '{target}' cannot be imported: {_lacks(value, part)}")
+        value = getattr(value, part)
     return value
 
 
-def _remedy(module: str, error: Exception) -> str:
-    """Return what to do where *module* itself was not found, or could not be by another process."""
+def _lacks(owner: Any, part: str) -> str:
+    """Return that *owner*, a module or a class, has no *part*, and which of its own classes may be meant."""
+    public = ((name, own) for name, own in vars(owner).items() if not name.startswith("_"))
+    kinds = [name for name, own in public if getattr(own, "__module__", "") == owner.__name__]
+    near = f"; {did_you_mean(part, kinds)}" if kinds else ""
+    if owner.__name__ == "__main__":
+        near = _OF_A_SCRIPT
+    return f"'{owner.__name__}' has no attribute '{part}'{near}"
+
+
+def _remedy(target: str, error: Exception) -> str:
+    """Return what to do where a module was not found, or could not be by another process; else where it failed."""
+    module, _, attribute = target.partition(":")
     if module == "__main__":
-        return "; it was defined in a script or a notebook: put it into a module of its own"
+        return _OF_A_SCRIPT
+    if module.endswith(".py") and Path(module).is_file():
+        return f"; leave .py out: {module.removesuffix('.py')}:{attribute}"
     if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
         here = Path.cwd()
         return f"; start in the folder of {error.name}.py or put that on PYTHONPATH ({here} was searched)"
-    return ""
+    return f"{raised_at(error, None)}; correct it"

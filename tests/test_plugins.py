@@ -52,6 +52,29 @@ def test_what_cannot_be_imported_is_said_in_one_sentence(name: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [
+        ("fractions:Fractoin", "; did you mean 'Fraction'?"),
+        ("fractions:", ": give it as module:CLASS"),
+        (":Fraction", ": give it as module:CLASS"),
+        ("own_shape.py:Square", "; leave .py out: own_shape:Square"),
+        ("own_shape", "a class of own_shape.py is given as own_shape:CLASS"),
+        ("own_shape.py", "a class of own_shape.py is given as own_shape:CLASS"),
+        ("own_shape:Square", "No module named 'no_such_thing' (own_shape.py, line 1, <module>); correct it"),
+    ],
+)
+def test_a_class_of_ones_own_that_is_given_wrongly_comes_with_a_remedy(
+    name: str, remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own_shape.py").write_text("import no_such_thing\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(ConfigError) as caught:
+        SHAPES.load(name)
+    assert remedy in str(caught.value)
+
+
 def test_a_module_that_was_not_found_comes_with_where_to_start() -> None:
     with pytest.raises(ConfigError, match=r"start in the folder of no_such\.py or put that on PYTHONPATH"):
         SHAPES.load("no_such.part:X")

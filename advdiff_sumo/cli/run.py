@@ -182,7 +182,8 @@ def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits
                     console.print(f"episode {row['episode']}: no one was in a position to {lacking}")
 
             def hear(line: str) -> None:
-                sys.stderr.write(f"{line}\n")  # above the bar, which minds it
+                if not console.quiet:
+                    sys.stderr.write(f"{line}\n")  # above the bar, which minds it
 
             return run_into(prepared, folder, executor, tell, hear)
     finally:

@@ -29,7 +29,8 @@ Target: TypeAlias = Annotated[
 Background: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="What moves the others: sumo, replay, diffusion, or package.module:Class.", show_default="sumo"
+        help="What moves the others: sumo, replay, scripted, diffusion, …, or package.module:Class.",
+        show_default="sumo",
     ),
 ]
 Episodes: TypeAlias = Annotated[int | None, typer.Option(help="How many episodes.", show_default="10")]
@@ -43,7 +44,7 @@ Demand: TypeAlias = Annotated[
 ]
 Scenes: TypeAlias = Annotated[
     Path | None,
-    typer.Option(help="Driving log to start from: a nuScenes dataset root or ScenarioNet records."),
+    typer.Option(help="Driving log to start from: nuScenes, Argoverse 2, ScenarioNet, CommonRoad, or a run."),
 ]
 Out: TypeAlias = Annotated[
     Path | None,

@@ -15,7 +15,7 @@ from advdiff_sumo.cli import worker_flags as worker
 from advdiff_sumo.cli.interruption import says_how_to_go_on
 from advdiff_sumo.cli.run_flags import Json, Quiet
 from advdiff_sumo.cli.terminal import print_json, verb_console
-from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.errors import ConfigError, FileError, UnknownNameError
 from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
@@ -70,7 +70,9 @@ def sweep(
             _tell_estimate(console, plan, RemainingJobs.of(plan, begun, limit, retry_failed), slots, limits)
             return
         done_by = _executor(executor, workers if ray_address else slots, ray_address, plan, limits)
-        store = open_store(resume or out or _new_folder(file), plan, done_by.slots, resume is not None)
+        store = open_store(
+            resume or out or _new_folder(console, file), plan, done_by.slots, resume is not None
+        )
         stack.enter_context(
             says_how_to_go_on(lambda: f"advdiff-sumo sweep --resume {shlex.quote(str(store.path))}")
         )
@@ -125,15 +127,30 @@ def _plan(console: Console, file: Path | None, begun: Store | None, diverse: boo
     from advdiff_sumo.sweep.job_plan import plan_sweep
     from advdiff_sumo.sweep.notes import sweep_notes
 
-    plan = plan_sweep(_spec(file, begun, diverse))
+    try:
+        plan = plan_sweep(_spec(file, begun, diverse))
+    except (ConfigError, UnknownNameError) as error:
+        if file is None or str(file) in str(error):
+            raise
+        raise ConfigError(f"{file}: {error}") from error
     print_notes(console, sweep_notes(plan))
     return plan
 
 
-def _new_folder(file: Path | None) -> Path:
-    from advdiff_sumo.sim.free_folder import free_folder
+def _new_folder(console: Console, file: Path | None) -> Path:
+    """Return a folder for a sweep that nobody named; say so where there is one of its name."""
+    from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
+    from advdiff_sumo.sim.free_folder import RUNS, free_folder
 
-    return free_folder(file.stem if file is not None else "sweep")
+    name = file.stem if file is not None else "sweep"
+    folder = free_folder(name)
+    if folder.name != name and (RUNS / name / SWEEP_SETTINGS).exists():
+        before = shlex.quote(str(RUNS / name))
+        again = f"advdiff-sumo sweep --resume {before}"
+        console.print(
+            f"{before} is there already ({again} goes on with it): this one goes to {folder}", soft_wrap=True
+        )
+    return folder
 
 
 def _executor(

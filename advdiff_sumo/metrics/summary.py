@@ -16,7 +16,7 @@ from advdiff_sumo.metrics.background_metrics import (
     replayed_collisions,
 )
 from advdiff_sumo.metrics.breaches.breach import Breach
-from advdiff_sumo.metrics.breaches.offences import offences
+from advdiff_sumo.metrics.breaches.offences import OF_ITSELF, offences
 from advdiff_sumo.metrics.collision import Collision, collisions, find_touches, target_collision
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.comfort import Comfort, comfort
@@ -139,12 +139,13 @@ def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None
     before = _before(record, struck, left_road)
     criticality = _criticality(record, road, before, struck)
     collided = struck is not None or left_road is not None or record.failure is not None
+    hit = None if struck is None else judged(record, road, struck, solvable)
     return EpisodeMetrics(
         contacts=tuple(contacts),
-        struck=None if struck is None else judged(record, road, struck, solvable),
+        struck=hit,
         left_road=left_road,
         near_miss=None if collided else near_miss(record, road),
-        offences=offences(record, road),
+        offences=_with_those_of(hit, offences(record, road)),
         sumo=compare_with_sumo(record, touches),
         criticality=criticality,
         comfort=comfort(before, record.target),
@@ -153,6 +154,14 @@ def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None
         replayed=tuple(replayed_collisions(record, contacts)),
         background_off_road=background_off_road(record, road),
     )
+
+
+def _with_those_of(hit: Judged | None, offences: tuple[Breach, ...]) -> tuple[Breach, ...]:
+    """Return *offences* and rules of their kinds that the target broke in its collision, in the order of time."""
+    known = {one.kind for one in offences}
+    led_to_it = () if hit is None else hit.verdict.target_breaches
+    more = (one for one in led_to_it if one.kind in OF_ITSELF - known)
+    return tuple(sorted((*offences, *more), key=lambda one: one.time_s))
 
 
 def _before(record: EpisodeRecord, struck: Collision | None, left_road: OffRoad | None) -> Tracks:

@@ -91,7 +91,11 @@ def choose(rows: Sequence[Row], conditions: Sequence[str], what: str) -> list[Ro
         column, equals, value = condition.partition("=")
         if rows and (not equals or column not in rows[0]):
             raise ConfigError(f"{what} {condition}: expected COLUMN=VALUE; {did_you_mean(column, rows[0])}")
+        values = {str(row[column]) for row in chosen}
         chosen = [row for row in chosen if str(row[column]) == value]
+        if values and not chosen:
+            problem = "no episode of that sweep is so"
+            raise ConfigError(f"{what} {condition}: {problem}; {did_you_mean(value, values)}")
     if not chosen:
         raise ConfigError(f"{what} {' '.join(conditions)}: no episode of that sweep is so".replace("  ", " "))
     return chosen

@@ -16,7 +16,7 @@ import tomli_w
 from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.whole_file import ASIDE
-from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
+from advdiff_sumo.data.run_tables import RUN_SETTINGS, SWEEP_SETTINGS
 from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.stored_episode import StoredEpisode, pack, unpack
 from advdiff_sumo.sweep.sweep_files import read_checked, unwritable, write_checked, write_whole
@@ -77,6 +77,9 @@ class Store:
         Raises:
             FileError: it holds no sweep.
         """
+        if not (path / SWEEP_SETTINGS).is_file() and (path / RUN_SETTINGS).is_file():
+            remedy = "look at it with advdiff-sumo report or verdict; for this, sweep what is to be compared"
+            raise FileError(path, "holds a run, no sweep", remedy)
         if not (path / SWEEP_SETTINGS).is_file():
             raise FileError(path, "holds no sweep", "give the folder that advdiff-sumo sweep wrote")
         return Store(path)

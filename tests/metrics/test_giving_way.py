@@ -51,6 +51,15 @@ def test_who_has_priority_must_not_be_made_to_brake_hard(road, d_m, brake) -> No
     assert [one.removesuffix(" not to hit it") for one in text_of(road, from_west(d_m))] == expected
 
 
+def test_it_counts_however_little_braking_was_needed_where_the_other_is_hit(road) -> None:
+    record = record_of(EGO, from_west(27.0), route=ROUTE)
+    assert not text_of(road, from_west(27.0))
+    row = episode_row(record, road)
+    assert row["target_breaches"] == "right_of_way"
+    assert row["offences"] == "right_of_way"
+    assert str(row["offences_text"]).startswith("The target did not give way to 'other' at the junction")
+
+
 def test_it_counts_too_where_the_other_brakes_and_nobody_is_hit(road) -> None:
     careful = driven("other", (-31.4, -1.6), 0, braking(12.0, 0.6, 6.0, 41))
     row = episode_row(record_of(EGO, careful, route=ROUTE), road)

@@ -252,6 +252,19 @@ def test_table_of_another_version(two_episodes: Path) -> None:
         write_report(two_episodes)
 
 
+def test_rules_broken_without_a_contact_stand_beside_those_of_collisions(
+    make_folder: Callable[..., Path], rows: Any
+) -> None:
+    alone = rows.episode(0) | {
+        "offences": "red_light",
+        "offences_text": "The target ran a red light (1.0 s).",
+    }
+    page = write_report(make_folder([alone], rows.drive(0, "ego", 0.0, 10.0, 5.0, target=True))).read_text(
+        "utf-8"
+    )
+    assert "<td>target, without a contact: red light</td>" in page
+
+
 def test_numbers_as_text() -> None:
     assert number(-1.26, 1, "m") == "−1.3\u00a0m"
     assert number(-0.04) == "0.0"

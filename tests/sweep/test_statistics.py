@@ -216,6 +216,10 @@ def test_rows_are_chosen_by_column() -> None:
         choose(rows, ["tarket=ACC"], "--a")
     with pytest.raises(ConfigError, match="no episode of that sweep is so"):
         choose(rows, ["target=W99"], "--a")
+    with pytest.raises(
+        ConfigError, match="--a target=AC: no episode of that sweep is so; did you mean 'ACC'"
+    ):
+        choose(rows, ["number=7", "target=AC"], "--a")
 
 
 def test_junit_tells_collisions_from_failures() -> None:

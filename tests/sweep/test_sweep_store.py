@@ -68,6 +68,10 @@ def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
         open_store(tmp_path / "other", PLAN, 1, resume=False)
     with pytest.raises(FileError, match="holds no sweep"):
         open_store(tmp_path / "other", PLAN, 1, resume=True)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.toml").touch()
+    with pytest.raises(FileError, match="holds a run, no sweep; look at it with advdiff-sumo report"):
+        open_store(tmp_path / "run", PLAN, 1, resume=True)
     assert [path.name for path in (tmp_path / "other").iterdir()] == ["file"]
 
 

@@ -19,6 +19,13 @@ from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, junction_entries
 from advdiff_sumo.metrics.placement import Placement
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
+OF_ITSELF = frozenset(
+    {
+        *(BreachKind.RED_LIGHT, BreachKind.WRONG_SIDE, BreachKind.RIGHT_OF_WAY),
+        *(BreachKind.SPEEDING, BreachKind.REVERSING),
+    }
+)
+"""Rules that a target can break without a contact."""
 #: Against the direction of traffic for at least so long, looked at so often, and faster than this.
 WRONG_SIDE_S, _EVERY_S, _MOVES_MPS = 1.5, 0.5, 1.0
 

@@ -29,8 +29,9 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.view import look
+from advdiff_sumo.traffic import background_plan
+from advdiff_sumo.traffic.diffusion import draw
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
-from advdiff_sumo.traffic.planning import background_plan, draw
 
 APART_M = 8.0
 STAGES = ("view", "encoder", "denoiser", "guide", "decoder", "safeguard")

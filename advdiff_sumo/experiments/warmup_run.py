@@ -20,7 +20,7 @@ from advdiff_sumo.models.reward import RewardModel
 from advdiff_sumo.models.view import View
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
-from advdiff_sumo.traffic.planning.draw import Drawn
+from advdiff_sumo.traffic.planning.drawn import Drawn
 from advdiff_sumo.training.experience import Experience, observed
 from advdiff_sumo.training.guide_adaptation import WarmUp
 from advdiff_sumo.training.presets import RewardOptions

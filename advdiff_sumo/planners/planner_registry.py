@@ -74,7 +74,7 @@ def _sound(name: str, options: Mapping[str, Any]) -> Target:
 def _call(name: str, factory: Any, options: Mapping[str, Any]) -> Any:
     """Return ``factory(**options)``; a TypeError raised inside it stays one."""
     if not callable(factory):
-        raise ConfigError(f"target '{name}' is of type {type(factory).__name__}, not a class or function")
+        raise ConfigError(f"target '{name}' is a {type(factory).__name__}, not a class or function")
     try:
         signature = inspect.signature(factory)
     except ValueError:  # some built-in classes have none

@@ -49,9 +49,7 @@ def make_policy(name: str, options: Mapping[str, Any]) -> TrafficPolicy:
     factory = POLICIES.load(canonical)
     where = f"options of background '{canonical}'"
     if not callable(factory):
-        raise ConfigError(
-            f"background '{canonical}' is of type {type(factory).__name__}, not a class or function"
-        )
+        raise ConfigError(f"background '{canonical}' is a {type(factory).__name__}, not a class or function")
     model = getattr(factory, "Options", None)
     if isinstance(model, type) and issubclass(model, Options):
         model.parse(options, where)

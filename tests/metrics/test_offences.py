@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,6 +90,16 @@ def test_the_wrong_side_counts_after_a_while(road, seconds) -> None:
     left = np.where((times >= 1.0) & (times < 1.0 + seconds), 3.2, 0.0)
     record = record_of(driven("ego", (-150, -1.6), 0, [8.0] * 61, left))
     assert told(record, road) == ([("wrong_side", 1.0)] if seconds > 1.5 else [])
+
+
+@pytest.mark.parametrize(("seconds", "expected"), [(1.4, []), (2.4, [("wrong_side", 0.8)])])
+def test_long_steps_do_not_make_it_count_sooner(road, seconds, expected) -> None:
+    """Every 0.2 s it is looked at every 0.4 s: 1.2 s, four looks, are not over 1.5 s."""
+    times = DT_S * np.arange(61)
+    left = np.where((times > 0.75) & (times < 0.8 + seconds), 3.2, 0.0)
+    record = record_of(driven("ego", (-150, -1.6), 0, [8.0] * 61, left))
+    coarse = replace(record, tracks=record.tracks.every(2), controller=record.controller[:, ::2])
+    assert told(coarse, road) == expected
 
 
 def test_against_the_lane_is_the_wrong_side_and_nobody_who_walks_breaks_such_rules(road) -> None:

@@ -17,7 +17,7 @@ from advdiff_sumo.plugins import Registry, fold
 from advdiff_sumo.sim.run_episodes import versions
 from advdiff_sumo.sweep.fingerprint import digest, file_digest
 from advdiff_sumo.sweep.sweep_files import write_whole
-from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
+from advdiff_sumo.traffic.licence import LicenceName
 
 BenchName: TypeAlias = Literal["traffic", "adversarial", "transfer", "fewshot", "defects"]
 _FILE = "bench.json"

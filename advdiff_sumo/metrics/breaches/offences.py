@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from itertools import chain
 
@@ -28,6 +29,7 @@ OF_ITSELF = frozenset(
 """Rules that a target can break without a contact."""
 #: Against the direction of traffic for at least so long, looked at so often, and faster than this.
 WRONG_SIDE_S, _EVERY_S, _MOVES_MPS = 1.5, 0.5, 1.0
+_ROUNDING = 1e-6
 
 
 def offences(record: EpisodeRecord, road: RoadMap) -> tuple[Breach, ...]:
@@ -77,14 +79,14 @@ def _speed_and_direction(view: TrafficView, row: int) -> Iterator[Breach]:
 def _wrong_side(view: TrafficView, row: int) -> Iterator[Breach]:
     """Yield the first time that it goes on against its lane, or on one of the opposite direction, between junctions."""
     tracks, lanes, every = view.tracks, view.place(row, 0, view.tracks.steps), max(1, view.steps(_EVERY_S))
-    count, needed = 0, round(WRONG_SIDE_S / _EVERY_S)
+    count, looks = 0, math.ceil(WRONG_SIDE_S / (every * tracks.dt_s) - _ROUNDING) + 1
     for at in range(0, tracks.steps, every):
         name = lanes.lane[at]
         drives = tracks.valid[row, at] and tracks.speed_mps[row, at] > _MOVES_MPS
         between = name is None or not view.road.lanes[name].is_internal
         against = drives and between and _is_against(view, row, lanes, at)
         count = count + 1 if against else 0
-        if count > needed:
+        if count == looks:
             text = "drove on the wrong side of the road"
             yield Breach(BreachKind.WRONG_SIDE, row, view.time_s(at - count * every + every), text)
             return

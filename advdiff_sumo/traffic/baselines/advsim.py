@@ -49,7 +49,7 @@ from advdiff_sumo.traffic.baselines.baseline_policy import (
 from advdiff_sumo.traffic.baselines.surrogate import Answer
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
 from advdiff_sumo.traffic.planning.attackers import can_attack, choose
-from advdiff_sumo.traffic.planning.draw import Drawn
+from advdiff_sumo.traffic.planning.drawn import Drawn
 from advdiff_sumo.traffic.planning.futures import futures_of
 
 Driver: TypeAlias = Callable[[SceneBatch], Rollout]

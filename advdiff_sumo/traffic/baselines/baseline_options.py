@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from advdiff_sumo.config import Options
-from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
+from advdiff_sumo.traffic.licence import LicenceName
 
 
 class BaselineOptions(Options):

@@ -18,13 +18,13 @@ from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
 from advdiff_sumo.models.view import View
+from advdiff_sumo.traffic.background_plan import Rules, nobody, outlook, plausible_plan, rest_of
 from advdiff_sumo.traffic.baselines.baseline_networks import Prior
 from advdiff_sumo.traffic.baselines.baseline_options import BaselineOptions
 from advdiff_sumo.traffic.baselines.surrogate import Answer, Surrogate, ask, imagine, make_surrogate
 from advdiff_sumo.traffic.diffusion.diffusion_policy import Listener
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
-from advdiff_sumo.traffic.planning.background_plan import Rules, nobody, outlook, plausible_plan, rest_of
-from advdiff_sumo.traffic.planning.draw import Drawn
+from advdiff_sumo.traffic.planning.drawn import Drawn
 from advdiff_sumo.traffic.planning.futures import futures_of
 
 if TYPE_CHECKING:

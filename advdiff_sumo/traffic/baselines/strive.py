@@ -37,7 +37,7 @@ from advdiff_sumo.traffic.baselines.baseline_policy import (
 from advdiff_sumo.traffic.baselines.strive_loss import Terms, strive_loss
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
 from advdiff_sumo.traffic.planning.attackers import FARTHEST_M, closest_m
-from advdiff_sumo.traffic.planning.draw import Drawn
+from advdiff_sumo.traffic.planning.drawn import Drawn
 from advdiff_sumo.traffic.planning.futures import futures_of
 
 

@@ -13,8 +13,8 @@ from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.models.failure_predictor import FORMAT
 from advdiff_sumo.models.shipped_weights import ShippedName, find_weights
 from advdiff_sumo.models.stored import stored_format
+from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
-from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
 from advdiff_sumo.traffic.manoeuvres.staging import STAGED
 
 Attack: TypeAlias = Literal[

@@ -13,14 +13,15 @@ from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.view import View
+from advdiff_sumo.traffic.background_plan import Rules, nobody, outlook, plausible_plan, rest_of
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks, networks_of
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions, Traj2TrajOptions
+from advdiff_sumo.traffic.diffusion.draw import draw_plan
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.schedule import let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, plan_with
-from advdiff_sumo.traffic.planning.background_plan import Rules, nobody, outlook, plausible_plan, rest_of
-from advdiff_sumo.traffic.planning.draw import Drawn, draw_plan
+from advdiff_sumo.traffic.planning.drawn import Drawn
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.answers import (
     TargetWay,
     contact_share,
@@ -18,7 +19,6 @@ from advdiff_sumo.traffic.manoeuvres.answers import (
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.graded import closeness
 from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
-from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links

@@ -10,13 +10,13 @@ import numpy as np
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.metrics.breaches.lane_rules import SAME_WAY_RAD
 from advdiff_sumo.metrics.lane_entry import INTRUSION_M
+from advdiff_sumo.traffic.licence import Licence
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.commitments import KEEP_OFF, STANDS, SUPPORTS, Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, follows_still
 from advdiff_sumo.traffic.manoeuvres.graded import target_brakes
 from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
-from advdiff_sumo.traffic.manoeuvres.licence import Licence
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, crossing_on

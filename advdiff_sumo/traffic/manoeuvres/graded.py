@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.traffic.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.intensity import BRAKING_KINDS, Intensity
-from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_spare_m
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import meeting_m

@@ -10,16 +10,16 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
-from advdiff_sumo.traffic.manoeuvres.giving_way import waiting_lines_m
-from advdiff_sumo.traffic.manoeuvres.licence import (
+from advdiff_sumo.traffic.licence import (
     LAWFUL,
     RECKLESS_OVER_LIMIT,
     Licence,
     LicenceName,
     licence_of,
 )
+from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.giving_way import waiting_lines_m
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import planned_motions
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches

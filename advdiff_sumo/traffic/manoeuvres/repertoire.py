@@ -12,8 +12,8 @@ import numpy as np
 
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
+from advdiff_sumo.traffic.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
-from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import LATERAL_MPS, Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView

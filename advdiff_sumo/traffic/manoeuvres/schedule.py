@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.agenda import comes_to_yield, is_possible
 from advdiff_sumo.traffic.manoeuvres.beginning import begin, behind_target
 from advdiff_sumo.traffic.manoeuvres.commitments import STANDS, SUPPORTS, Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.continuation import carry_on
-from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.obstruction import blocked_since, waiting
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since

@@ -15,7 +15,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
-from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL
+from advdiff_sumo.traffic.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import Approach, approaches
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.repertoire import HEADWAY_S

@@ -8,7 +8,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.frames import local_from_world
-from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
+from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.planning.futures import Futures
 
 STICKY_M = 8.0

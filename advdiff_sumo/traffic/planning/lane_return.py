@@ -14,7 +14,7 @@ from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.scene import MOTOR_CLASSES, AgentClass, Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
-from advdiff_sumo.traffic.manoeuvres.licence import NATURAL_OVER_LIMIT
+from advdiff_sumo.traffic.licence import NATURAL_OVER_LIMIT
 from advdiff_sumo.traffic.planning.futures import Futures, coasting
 from advdiff_sumo.traffic.planning.lanes_ahead import lanes_ahead
 from advdiff_sumo.traffic.planning.people import PEOPLE

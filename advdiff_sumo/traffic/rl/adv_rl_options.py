@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from advdiff_sumo.config import Options
-from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
+from advdiff_sumo.traffic.licence import LicenceName
 
 
 class AdvRlOptions(Options):

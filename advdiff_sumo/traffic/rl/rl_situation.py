@@ -14,10 +14,10 @@ from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
+from advdiff_sumo.traffic.background_plan import Rules, nobody, outlook, plausible_plan
+from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.planning.attackers import can_attack, choose
-from advdiff_sumo.traffic.planning.background_plan import Rules, nobody, outlook, plausible_plan
-from advdiff_sumo.traffic.planning.draw import Drawn
+from advdiff_sumo.traffic.planning.drawn import Drawn
 from advdiff_sumo.traffic.planning.futures import futures_of
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 from advdiff_sumo.traffic.rl.features import FEATURES, observe

@@ -12,6 +12,7 @@ from pydantic import Field
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.traffic.licence import LicenceName, licence_of
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.intensity import (
@@ -22,7 +23,6 @@ from advdiff_sumo.traffic.manoeuvres.intensity import (
     MOST_SPARE_GAP_M,
     Intensity,
 )
-from advdiff_sumo.traffic.manoeuvres.licence import LicenceName, licence_of
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, planned_motions
 from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in

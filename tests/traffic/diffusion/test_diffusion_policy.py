@@ -18,11 +18,11 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.reward_file import load_reward, save_reward
 from advdiff_sumo.models.view import MOST_AGENTS, look
+from advdiff_sumo.traffic.background_plan import PlausiblePlan, plausible_plan
 from advdiff_sumo.traffic.diffusion import diffusion_policy
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic, Memory
+from advdiff_sumo.traffic.diffusion.draw import draw_plan
 from advdiff_sumo.traffic.diffusion.guidance import ALPHA
-from advdiff_sumo.traffic.planning.background_plan import PlausiblePlan, plausible_plan
-from advdiff_sumo.traffic.planning.draw import draw_plan
 from advdiff_sumo.traffic.policy_check import check_policy
 from advdiff_sumo.traffic.policy_registry import make_policy
 

@@ -16,7 +16,7 @@ from advdiff_sumo.models.bundle import BundleOptions, new_bundle, save_bundle
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic, Traj2Traj
-from advdiff_sumo.traffic.planning.draw import without_jumps
+from advdiff_sumo.traffic.diffusion.draw import without_jumps
 from advdiff_sumo.traffic.policy_check import check_policy
 from advdiff_sumo.traffic.policy_registry import make_policy
 from tests.traffic.small_networks import MODEL

@@ -9,6 +9,7 @@ import pytest
 
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.graded import (
     AFTER_ENTRY_MPS2,
@@ -20,7 +21,6 @@ from advdiff_sumo.traffic.manoeuvres.graded import (
     target_brakes,
 )
 from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
-from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_spare_m
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, SpeedProfile

@@ -9,8 +9,8 @@ import pytest
 
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
-from advdiff_sumo.traffic.manoeuvres.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS, blocked_since, waiting
 from advdiff_sumo.traffic.manoeuvres.schedule import advance

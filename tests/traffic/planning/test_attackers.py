@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from advdiff_sumo.traffic.manoeuvres.licence import LicenceName
+from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.planning.attackers import STICKY_M, can_attack, choose, closest_m
 from advdiff_sumo.traffic.planning.futures import Futures, coasting
 

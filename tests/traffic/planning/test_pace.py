@@ -14,7 +14,7 @@ from advdiff_sumo.models.bundle import BundleOptions, load_bundle, new_bundle
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
-from advdiff_sumo.traffic.planning.draw import draw_plan
+from advdiff_sumo.traffic.diffusion.draw import draw_plan
 from advdiff_sumo.traffic.planning.pace import faster_latent, with_pace
 from tests.traffic.small_networks import MODEL
 

@@ -10,8 +10,8 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.planning.background_plan import Rules, outlook, plausible_plan
-from advdiff_sumo.traffic.planning.draw import Drawn
+from advdiff_sumo.traffic.background_plan import Rules, outlook, plausible_plan
+from advdiff_sumo.traffic.planning.drawn import Drawn
 
 PLACES = [(60.0, 0.0), (75.0, 0.0), (45.0, 0.0), (90.0, 0.0), (30.0, 0.0)]
 

@@ -17,7 +17,7 @@ from advdiff_sumo.core.errors import ConfigError, WeightsError
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.stored import write_stored
-from advdiff_sumo.traffic.planning import background_plan
+from advdiff_sumo.traffic import background_plan
 from advdiff_sumo.traffic.policy_check import check_policy
 from advdiff_sumo.traffic.policy_registry import make_policy
 from advdiff_sumo.traffic.rl.actor import load_actor, save_actor

@@ -17,10 +17,10 @@ from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.scene import MOTOR_CLASSES, Scene, Tracks
 from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.view import View, look
+from advdiff_sumo.traffic.licence import NATURAL_OVER_LIMIT, LicenceName
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
-from advdiff_sumo.traffic.manoeuvres.licence import NATURAL_OVER_LIMIT, LicenceName
 from advdiff_sumo.traffic.manoeuvres.licensed_attack import RECKLESS, LicensedAttack, licensed_attack
-from advdiff_sumo.traffic.planning.draw import Drawn
+from advdiff_sumo.traffic.planning.drawn import Drawn
 from advdiff_sumo.traffic.planning.futures import Futures, coasting, futures_of, join
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.planning.people import PEOPLE, go_straight, velocities

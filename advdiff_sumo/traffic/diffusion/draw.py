@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -22,28 +22,10 @@ from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions
 from advdiff_sumo.traffic.diffusion.guidance import Scenes, guidance
+from advdiff_sumo.traffic.planning.drawn import Drawn
 from advdiff_sumo.traffic.planning.pace import with_pace
 
 _FASTEST_MPS = 40.0
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A drawn plan.
-
-    Attributes:
-        rollout: joint future of the view's agents, a batch of one.
-        noise: id → starting noise that led to it.
-        attackers: ids that were guided.
-        shifts: id → what an attacker's latent was shifted by in the last step, (Z,).
-        latents: (A, Z) what the decoder was given, scaled.
-    """
-
-    rollout: Rollout
-    noise: Mapping[str, FloatArray]
-    attackers: tuple[str, ...]
-    latents: Tensor
-    shifts: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 def draw_plan(

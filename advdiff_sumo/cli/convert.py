@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
@@ -20,6 +21,16 @@ MAP_HELP = (
 _console = terminal(highlight=False, soft_wrap=True)
 
 
+_Output = Annotated[
+    str | None,
+    typer.Option(
+        "--out",
+        "--output",
+        "-o",
+        metavar="PATH",
+        help="Net to be written, NAME.net.xml, or its folder; with --all: a folder.",
+    ),
+]
 _Lefthand = Annotated[
     bool | None,
     typer.Option("--lefthand/--righthand", help="Side of the road; default: by the map's name."),
@@ -62,15 +73,7 @@ _DriveAtOnce = Annotated[
 
 def convert(
     map_file: Annotated[Path | None, typer.Argument(metavar="MAP", help=MAP_HELP)] = None,
-    output: Annotated[
-        str | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="PATH",
-            help="Net to be written, NAME.net.xml, or its folder; with --all: a folder.",
-        ),
-    ] = None,
+    output: _Output = None,
     all_of: Annotated[
         Path | None,
         typer.Option("--all", metavar="DATAROOT", help="Convert every map of a nuScenes data set."),
@@ -115,13 +118,17 @@ def convert(
         "drive_at_once": drive_at_once,
         "seed": seed,
     }
-    for name in ("tls", "crossings"):
-        *others, last = map(repr, get_args(ConvertOptions.model_fields[name].annotation))
-        if repr(values[name]) not in (*others, last):
-            raise ConfigError(f"--{name} {values[name]}: known are {', '.join(others)} and {last}")
+    for name, word in (("tls", tls), ("crossings", crossings)):
+        _check_word(f"--{name}", word, get_args(ConvertOptions.model_fields[name].annotation))
     options = ConvertOptions.parse(values, "convert")
     for source, net in _jobs(map_file, output, all_of):
         _say(convert_and_measure(source, net, options))
+
+
+def _check_word(option: str, word: str, known: Sequence[str]) -> None:
+    *others, last = map(repr, known)
+    if word not in known:
+        raise ConfigError(f"{option} {word}: known are {', '.join(others)} and {last}")
 
 
 def _jobs(map_file: Path | None, output: str | None, all_of: Path | None) -> list[tuple[Path, str | Path]]:

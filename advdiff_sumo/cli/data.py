@@ -15,7 +15,7 @@ from advdiff_sumo.core.map_view import MapView
 
 if TYPE_CHECKING:
     from advdiff_sumo.sim.log_windows import Built
-    from advdiff_sumo.sim.simulate import ShardResult
+    from advdiff_sumo.sim.simulate import ShardResult, SimulateOptions
 
 data = typer.Typer(
     name="data",
@@ -64,8 +64,7 @@ def simulate(
     advdiff-sumo data simulate --out windows --windows 20000 --seed 1
     """
     from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS  # late: --help needs no SUMO
-    from advdiff_sumo.sim.simulate import SimulateOptions, plan
-    from advdiff_sumo.sim.simulate import simulate as simulated
+    from advdiff_sumo.sim.simulate import SimulateOptions
 
     options = SimulateOptions.parse(
         {
@@ -79,19 +78,25 @@ def simulate(
     )
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out} is a file; name a folder")
-    shards = plan(options)
+    _simulate(options, out, workers)
+
+
+def _simulate(options: SimulateOptions, out: Path, workers: int) -> None:
+    """Make the windows behind a bar, and say how many there are."""
+    from advdiff_sumo.sim.simulate import plan, simulate
+
     with progress_bar(terminal(stderr=True)) as progress:
-        task = progress.add_task("windows", total=windows)
+        task = progress.add_task("windows", total=options.windows)
 
         def tell(result: ShardResult) -> None:
             progress.update(task, advance=result.windows)
             if result.problem:
                 progress.console.print(f"note: {result.problem}")
 
-        results = simulated(shards, out, workers, tell)
+        results = simulate(plan(options), out, workers, tell)
     total = sum(result.windows for result in results)
     _say.print(f"{out}: {total} windows in {len(results)} files")
-    if total < windows:
+    if total < options.windows:
         _say.print("note: traffic on small nets brought fewer windows than asked for")
 
 

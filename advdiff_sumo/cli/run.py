@@ -72,9 +72,8 @@ def run(
     advdiff-sumo run --net city.net.xml --target lane_graph --background diffusion --attack cut-in --check
 
     The folder of results holds run.toml (repeats the run: advdiff-sumo run --config run.toml), report.html, and
-    tables: episodes.parquet, collisions.parquet, states.parquet, plans.parquet, unattacked.parquet, signals.parquet,
-    timing.parquet; where episodes failed, failures.parquet. A planner or SUMO that crashes, hangs or eats memory
-    costs its episode, never the run.
+    tables such as episodes.parquet and, where episodes failed, failures.parquet. A planner or SUMO that crashes,
+    hangs or eats memory costs its episode, never the run.
 
     Exit code 0: some episodes came to their end; 1: every one failed; 2: something given cannot be used.
     """
@@ -84,8 +83,7 @@ def run(
     attacking = {"licence": licence, "strength": strength, "attackers": attackers, "attack": attack}
     files = {"weights": flags.weights_of(weights), "reward": reward and str(reward.resolve())}
     policy = attacking | {"guide": guide} | files | {"device": device}
-    if resume:
-        config = config or _begun(out)
+    config = (config or _begun(out)) if resume else config
     flags.check_display(gui)
     options = options_given(config, where | what, policy, assign or [], defect)
     if not gui:
@@ -95,8 +93,7 @@ def run(
     folder = _folder(prepared, out, resume)
     console = verb_console(quiet, as_json)
     print_notes(console, notes)
-    with ExitStack() as stack:
-        stack.enter_context(says_how_to_go_on(lambda: _to_go_on(folder)))
+    with says_how_to_go_on(lambda: _to_go_on(folder)), ExitStack() as stack:
         count = _episodes(prepared, folder, console, limits_of(stack, math.inf, plan_timeout, memory))
     _tell_outcome(console, folder, prepared, count, check, as_json)
 

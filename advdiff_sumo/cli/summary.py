@@ -42,8 +42,9 @@ def print_summary(
     console.print(table)
     if missing > 0:
         console.print(f"the log held {missing} seed scenes fewer than asked for", style="yellow")
+    total = len({row["episode"] for row in (*rows, *failures)})  # who died without a word has no row
     for failure, count in _distinct(failures):
-        sentence = f"failed, {count} of {len(rows)}: {failure['kind']}: {failure['message']}"
+        sentence = f"failed, {count} of {total}: {failure['kind']}: {failure['message']}"
         report = f"\n  {UNEXPLAINED}" if failure["kind"] in UNEXPLAINED_KINDS else ""
         again = f"\n  again: {failure['command']}{report}"
         console.print(sentence + again, style="red", soft_wrap=True)

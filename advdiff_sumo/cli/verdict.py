@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from rich.console import Console
 
 from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.cli.terminal import print_json, progress_bar, terminal, verb_console
@@ -55,7 +57,6 @@ def verdict(
         raise ConfigError("--target is for scenarios, which need --net, too; a run knows its target")
     from advdiff_sumo.cli.summary import run_object
     from advdiff_sumo.experiments.judge_folder import open_folder
-    from advdiff_sumo.metrics.severity import broke_rule, is_valid_failure
     from advdiff_sumo.report.page import write_report
 
     console = verb_console(False, as_json)
@@ -63,6 +64,17 @@ def verdict(
     with progress_bar(console) as bar:
         task = bar.add_task("episodes judged", total=judging.count)
         rows = judging.judge(workers or cores(), lambda: bar.advance(task), search)
+    _say(console, rows, search)
+    if (folder / "report.html").exists():
+        console.print(f"look at {write_report(folder)}", soft_wrap=True)
+    if as_json:
+        print_json(run_object(folder))
+
+
+def _say(console: Console, rows: Sequence[Mapping[str, Any]], search: bool) -> None:
+    """Say what episodes, *rows* of ``episodes``, came to; *search*: and how many collisions nobody avoids."""
+    from advdiff_sumo.metrics.severity import broke_rule, is_valid_failure
+
     hits = [row for row in rows if row["target_collision"]]
     valid, critical = sum(map(is_valid_failure, rows)), sum(bool(row["critical"]) for row in rows)
     console.print(f"{len(rows)} episodes, {len(hits)} collisions of the target: {valid} valid failures")
@@ -70,10 +82,6 @@ def verdict(
     console.print(f"{sum(map(broke_rule, rows))} episodes in which the target broke a rule")
     if search:
         console.print(f"{sum(bool(row['unavoidable']) for row in hits)} unavoidable")
-    if (folder / "report.html").exists():
-        console.print(f"look at {write_report(folder)}", soft_wrap=True)
-    if as_json:
-        print_json(run_object(folder))
 
 
 def _scenarios(path: Path, net: str, target: str, search: bool, as_json: bool) -> None:

@@ -84,26 +84,11 @@ def rank(
     target = view.target
     if target is None or not proposals:
         return []
-    speed = np.array([view.speed(m.row) for m in proposals])
-    futures = futures_of_manoeuvres(proposals, speed)
-    size = view.scene.history.size_m[[m.row for m in proposals]]
+    futures = futures_of_manoeuvres(proposals, np.array([view.speed(m.row) for m in proposals]))
     now = view.scene.history.xy_m[:, -1]
     perceived = np.array([m.asks_s(now[m.row]) for m in proposals])
     needed = needed_braking(target, *_obstacles(view, proposals, futures), perceived)
-    merit = np.array([_merit(m, n, begun) for m, n in zip(proposals, needed.tolist(), strict=True)])
-    timed = np.flatnonzero([m.kind == "crossing" and not m.sets_up for m in proposals])
-    if len(timed):
-        crossing = [proposals[k] for k in timed.tolist()]
-        of_them = _rows(futures, timed)
-        merit[timed] *= _certain(contact_share(target, of_them.xy_m, of_them.yaw_rad, size[timed]))
-        at_red = _merit_at_red(view, target, crossing, of_them, size[timed])
-        if begun:
-            merit[timed] = np.where(np.isnan(at_red), merit[timed], at_red)
-        else:
-            merit[timed] *= np.where(at_red < _TRAPPED * _WAITS, _UNCERTAIN, 1.0)  # it is seen to come
-    for k, manoeuvre in enumerate(proposals):
-        near = closeness(view, manoeuvre, futures.driven_m[k], intensity)
-        merit[k] = merit[k] if near is None else near
+    merit = _merits(view, proposals, futures, needed, intensity, begun)
     worth = merit * np.array([weights.get(m.kind, 0.0) for m in proposals])
     features: Sequence[tuple[float, ...]] = [()] * len(proposals)
     if preference is not None:
@@ -125,6 +110,33 @@ def rank(
         )
         for k in order
     ]
+
+
+def _merits(
+    view: SituationView,
+    proposals: Sequence[Manoeuvre],
+    futures: ManoeuvreFutures,
+    needed: FloatArray,
+    intensity: Intensity,
+    begun: bool,
+) -> FloatArray:
+    """Return (N,) how well each proposal serves, given the braking (N,) *needed* of the target; see :func:`rank`."""
+    target = view.target
+    merit = np.array([_merit(m, n, begun) for m, n in zip(proposals, needed.tolist(), strict=True)])
+    timed = np.flatnonzero([m.kind == "crossing" and not m.sets_up for m in proposals])
+    if target is not None and len(timed):
+        crossing = [proposals[k] for k in timed.tolist()]
+        of_them, size = _rows(futures, timed), view.scene.history.size_m[[m.row for m in crossing]]
+        merit[timed] *= _certain(contact_share(target, of_them.xy_m, of_them.yaw_rad, size))
+        at_red = _merit_at_red(view, target, crossing, of_them, size)
+        if begun:
+            merit[timed] = np.where(np.isnan(at_red), merit[timed], at_red)
+        else:
+            merit[timed] *= np.where(at_red < _TRAPPED * _WAITS, _UNCERTAIN, 1.0)  # it is seen to come
+    for k, manoeuvre in enumerate(proposals):
+        near = closeness(view, manoeuvre, futures.driven_m[k], intensity)
+        merit[k] = merit[k] if near is None else near
+    return merit
 
 
 def _obstacles(

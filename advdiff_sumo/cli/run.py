@@ -94,7 +94,7 @@ def run(
     console = verb_console(quiet, as_json)
     print_notes(console, notes)
     with says_how_to_go_on(lambda: _to_go_on(folder)), ExitStack() as stack:
-        count = _episodes(prepared, folder, console, limits_of(stack, math.inf, plan_timeout, memory))
+        count = _episodes(prepared, folder, console, limits_of(stack, math.inf, plan_timeout, memory), quiet)
     _tell_outcome(console, folder, prepared, count, check, as_json)
 
 
@@ -154,7 +154,7 @@ def print_notes(console: Console, notes: Iterable[str]) -> None:
         console.print(f"note: {note}", soft_wrap=True)
 
 
-def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits) -> int:
+def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits, quiet: bool) -> int:
     """Run what *folder* lacks behind a bar, write the report whatever happens, and return how many there are."""
     from advdiff_sumo.report.attack_words import out_of_position
     from advdiff_sumo.report.page import write_report
@@ -179,7 +179,7 @@ def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits
                     console.print(f"episode {row['episode']}: no one was in a position to {lacking}")
 
             def hear(line: str) -> None:
-                if not console.quiet:
+                if not quiet:
                     sys.stderr.write(f"{line}\n")  # above the bar, which minds it
 
             return run_into(prepared, folder, executor, tell, hear)

@@ -166,8 +166,8 @@ def tail_of(log: Path) -> str:
     stack = max([text.rfind(_CRASHED), *(stuck.start() for stuck in _TIMED_OUT.finditer(text))])
     if stack >= 0:
         return text[max(0, stack - _BEFORE) : stack + _TAIL].strip()
-    left_out = max(0, log.stat().st_size - _TAIL)
-    return f"{f'… ({left_out} bytes before this are left out)' if left_out else ''}\n{text[-_TAIL:]}".strip()
+    tail, whole = text[-_TAIL:].strip(), text.strip()
+    return tail if tail == whole else f"… (of what was printed the last {_TAIL} characters)\n{tail}"
 
 
 def _follow_parent() -> None:

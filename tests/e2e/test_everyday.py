@@ -40,6 +40,19 @@ def test_quiet_prints_nothing(here: Callable[..., Outcome], workplace: Path) -> 
     assert "our_planners:Nothing" in sentence(here(*RUN, "-q", "--target", "our_planners:Nothing"))
 
 
+def test_what_a_planner_prints_is_told_unless_one_wants_it_quiet(
+    here: Callable[..., Outcome], workplace: Path
+) -> None:
+    (workplace / "talker.py").write_text(
+        "from our_planners import Still\n\n"
+        "class Talks(Still):\n"
+        "    def spoil(self, xy):\n        print('thinking')\n        return xy\n"
+    )
+    run = (*RUN, "--episodes", 1, "--target", "talker:Talks")
+    assert "thinking" in here(*run, "--out", "a").err
+    assert here(*run, "--quiet", "--out", "b") == Outcome(0, "", "")
+
+
 def test_a_sweep_as_json(workplace: Path) -> None:
     (workplace / "sweep.toml").write_text(SWEEP)
     done = advdiff("sweep", "sweep.toml", "--executor", "serial", "--json", "--out", "s", cwd=workplace)

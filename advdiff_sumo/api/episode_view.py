@@ -87,7 +87,9 @@ class EpisodeView:
         return self.run.collisions_of(self.number)
 
     def __repr__(self) -> str:
-        facts = (f"{name} {_short(self.row[name])}" for name in _FACTS if self.row.get(name))
+        facts = (
+            f"{name} {_short(self.row[name])}" for name in _FACTS if self.row.get(name) not in (None, "")
+        )
         return f"episode {self.number}: {', '.join(facts)}"
 
     def _repr_html_(self) -> str:

@@ -43,10 +43,15 @@ class InputError(AdvdiffError):
 
 
 class FileError(InputError):
-    """A file is missing, truncated, of another format, or cannot be written."""
+    """A file is missing, truncated, of another format, or cannot be written.
+
+    Attributes:
+        path: the file.
+        problem: what is wrong with it, as a sentence whose subject it is.
+    """
 
     def __init__(self, path: str | Path, problem: str, remedy: str = "") -> None:
-        self.path = Path(path)
+        self.path, self.problem = Path(path), problem
         super().__init__(f"{self.path}: {problem}" + (f"; {remedy}" if remedy else ""))
 
 

@@ -139,10 +139,14 @@ def _tracks(rows: list[Element], states: list[FloatArray], dt_s: float) -> Track
     xy = np.full((len(rows), steps, 2), np.nan)
     yaw = np.full((len(rows), steps), np.nan)
     for number, own in enumerate(states):
-        at = own[:, 0].astype(np.int64)
-        xy[number, at], yaw[number, at] = own[:, 1:3], own[:, 3]
         if not np.isfinite(own).all():
             raise ValueError(f"a state of obstacle {rows[number].get('id')} is not finite")
+        at = np.rint(own[:, 0]).astype(np.int64)
+        if at.min() < 0 or len(np.unique(at)) < len(at):
+            raise ValueError(
+                f"obstacle {rows[number].get('id')} has states before step 0, or two of one step"
+            )
+        xy[number, at], yaw[number, at] = own[:, 1:3], own[:, 3]
     valid = np.isfinite(yaw)
     boxes = [row.find("shape/rectangle") for row in rows]
     sizes = [

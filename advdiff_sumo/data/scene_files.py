@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from advdiff_sumo.core.distinct_names import distinct_names
-from advdiff_sumo.core.errors import LogError, UnknownNameError
+from advdiff_sumo.core.errors import LogError, MapError, UnknownNameError
 from advdiff_sumo.data.log_reader import LogScene
 
 
@@ -76,6 +76,8 @@ class SceneFiles(ABC):
     def _read(self, name: str, path: Path) -> LogScene:
         try:
             return self.read_file(name, path)
+        except MapError as error:  # of what maps and logs share
+            raise LogError(path, error.problem, self.remedy) from None
         except (KeyError, TypeError, ValueError, IndexError) as error:
             problem = f"cannot be used ({type(error).__name__}: {error})"
             raise LogError(path, problem, self.remedy) from None

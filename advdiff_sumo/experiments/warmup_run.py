@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
-from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
@@ -26,6 +26,8 @@ from advdiff_sumo.training.guide_adaptation import WarmUp
 from advdiff_sumo.training.presets import RewardOptions
 
 UPDATES_PER_STEP = 2
+_IDLE = 5
+"""After so many episodes in a row that nothing can be learned from a warm-up gives up."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,7 @@ def warm_up(
 
     Raises:
         ConfigError: the background is another one, or is not guided.
+        EpisodeFailure: planner or background fail before anything can be learned, again and again.
     """
     run = Run.prepare(options)
     policy = run.policy
@@ -91,11 +94,16 @@ def warm_up(
     learner, reward_options = WarmUp(bundle, RewardOptions(), seed=options.seed), RewardOptions()
     stored: list[Experience] = []
     losses: list[float] = []
-    episodes, contacts = 0, 0
+    episodes, contacts, idle = 0, 0, 0
     for record, plans in _episodes(run, policy):
         episodes += 1
         contacts += int(record.end == "collision")
         fresh = list(experiences(record, plans, reward_options))[: steps - len(stored)]
+        idle = 0 if fresh else idle + 1
+        if idle >= _IDLE:
+            raise EpisodeFailure(
+                f"{idle} episodes that nothing can be learned from; the last one: {_why(record)}"
+            )
         for piece in _cut(fresh, len(stored), marks):
             stored += piece
             losses += learner.fit(stored, UPDATES_PER_STEP * len(piece))
@@ -107,6 +115,13 @@ def warm_up(
             break
     bundle.reward.eval().requires_grad_(False)
     return WarmedUp(bundle.reward, len(stored), episodes, contacts, tuple(losses))
+
+
+def _why(record: EpisodeRecord) -> str:
+    """Return why there is nothing to learn from *record*."""
+    if record.failure is not None:
+        return record.failure.message
+    return f"it ended after {record.tracks.times_s[-1]:.1f} s ({record.end}); give a longer --horizon"
 
 
 def _cut(fresh: list[Experience], done: int, marks: Sequence[int]) -> Iterator[list[Experience]]:

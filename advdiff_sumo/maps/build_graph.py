@@ -205,7 +205,7 @@ def _links(raw: RawNet, junctions: Mapping[str, Junction]) -> dict[str, list[Lin
         outgoing[origin].append(connection)
         if origin.startswith(":"):
             second.setdefault(origin, connection)
-    numbers = _request_numbers(junctions, outgoing)
+    numbers = _request_numbers(junctions, raw.counted)
     return {
         origin: [_link(origin, c, raw, second, numbers) for c in connections]
         for origin, connections in outgoing.items()
@@ -240,20 +240,19 @@ def _link(
     )
 
 
-def _request_numbers(
-    junctions: Mapping[str, Junction], outgoing: Mapping[str, Sequence[ET.Element]]
-) -> dict[int, int]:
+def _request_numbers(junctions: Mapping[str, Junction], counted: Iterable[ET.Element]) -> dict[int, int]:
     """Return the request index of each connection element (by its identity).
 
     SUMO numbers the links of a junction lane by lane in the order of ``incLanes``, each lane's connections in
     file order; those over crossings come last.
     """
+    leaving: dict[str, list[ET.Element]] = defaultdict(list)
+    for connection in counted:
+        leaving[f"{connection.attrib['from']}_{connection.attrib['fromLane']}"].append(connection)
     numbers: dict[int, int] = {}
     for junction in junctions.values():
-        counted: Iterable[ET.Element] = (
-            c for lane in junction.incoming_lanes for c in outgoing.get(lane, ())
-        )
-        for number, connection in enumerate(counted):
+        rows = (connection for lane in junction.incoming_lanes for connection in leaving[lane])
+        for number, connection in enumerate(rows):
             if number in junction.foes:
                 numbers[id(connection)] = number
     return numbers

@@ -51,6 +51,7 @@ class RawNet:
         edges: id → element with its lanes; crossings and walking areas are left out.
         junctions: id → element with its requests; internal junctions and those beyond the rim are left out.
         connections: elements in file order, those of crossings and walking areas left out.
+        counted: the same with those to and from edges beyond the rim, which have rows in the right of way, too.
         pedestrian_shapes: id → outline (K, 2) of crossings (as a line) and walking areas.
         beyond_rim: ids of the edges beyond the rim, ways to and from them among them, which are in none of these.
     """
@@ -61,6 +62,7 @@ class RawNet:
     edges: Mapping[str, ET.Element]
     junctions: Mapping[str, ET.Element]
     connections: tuple[ET.Element, ...]
+    counted: tuple[ET.Element, ...]
     pedestrian_shapes: Mapping[str, FloatArray]
     beyond_rim: frozenset[str]
 
@@ -86,15 +88,16 @@ def read_raw_net(path: Path) -> RawNet:
             edges[edge.get("id", "")] = edge
         elif edge.get("function") in ("crossing", "walkingarea") and lane is not None:
             pedestrian[edge.get("id", "")] = shape_of(lane)
+    known = edges.keys() | beyond
+    counted = [c for c in root.iterfind("connection") if c.get("from") in known and c.get("to") in known]
     return RawNet(
         path=path,
         lefthand=root.get("lefthand", "false").lower() in ("true", "1"),
         location=_location(root.find("location")),
         edges=edges,
         junctions=_junctions(root, beyond, edges),
-        connections=tuple(
-            c for c in root.iterfind("connection") if c.get("from") in edges and c.get("to") in edges
-        ),
+        connections=tuple(c for c in counted if c.get("from") in edges and c.get("to") in edges),
+        counted=tuple(counted),
         pedestrian_shapes=pedestrian,
         beyond_rim=frozenset(beyond),
     )

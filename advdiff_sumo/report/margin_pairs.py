@@ -20,6 +20,7 @@ from advdiff_sumo.report.series import Series, series_of
 from advdiff_sumo.report.svg import SvgPicture, svg_picture
 
 SHOWN_S = 6.0
+_ROUNDING = 1e-6
 """What is shown of both ends at the contact of the failing one, and is so long."""
 
 
@@ -112,9 +113,9 @@ def _side_by_side(run: FinishedRun, nets: Nets, trials: tuple[TrialRow, TrialRow
 
 def _last_seconds(states: EpisodeStates, end_s: float) -> EpisodeStates:
     tracks = states.tracks
-    last = min(int(np.ceil((end_s - tracks.t0_s) / tracks.dt_s)) + 1, tracks.steps)
-    first = max(last - 1 - round(SHOWN_S / tracks.dt_s), 0)
-    return replace(states, tracks=tracks.window(first, last))
+    last = int(np.ceil((end_s - tracks.t0_s) / tracks.dt_s - _ROUNDING)) + 1
+    first = int(np.clip(last - 1 - round(SHOWN_S / tracks.dt_s), 0, tracks.steps - 1))
+    return replace(states, tracks=tracks.window(first, min(last, tracks.steps)))
 
 
 def _common_view(states: Sequence[EpisodeStates], rows: Sequence[Row]) -> View:
@@ -128,6 +129,13 @@ def _charts(series: Series, both: Sequence[Series]) -> tuple[Chart, ...]:
     widest = max((float(np.nanmax(one.gap_m)) for one in both if np.isfinite(one.gap_m).any()), default=1.0)
     speeds = {"attacker": series.attacker_mps, "target": series.speed_mps}
     return (
-        chart("Speed", "m/s", series.times_s, speeds, None, least=(0.0, fastest)),
-        chart("Gap to the nearest", "m", series.times_s, {"target": series.gap_m}, None, least=(0.0, widest)),
+        chart("Speed", "m/s", series.times_s, speeds, None, least=(0.0, max(fastest, 1.0))),
+        chart(
+            "Gap to the nearest",
+            "m",
+            series.times_s,
+            {"target": series.gap_m},
+            None,
+            least=(0.0, max(widest, 1.0)),
+        ),
     )

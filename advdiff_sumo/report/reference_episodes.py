@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from advdiff_sumo.core.errors import AdvdiffError
+from advdiff_sumo.core.errors import AdvdiffError, UnknownNameError
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data import open_log
 from advdiff_sumo.data.episode_states import EpisodeStates
@@ -29,7 +29,9 @@ class ReferenceEpisodes:
 
     def __init__(self, run: FinishedRun) -> None:
         self._run = run
-        self._logs = dict(run.logs())
+        self._logs: dict[str, list[str]] = {}
+        for net, root in run.logs():
+            self._logs.setdefault(net, []).append(root)
         self._readers: dict[str, LogReader | None] = {}
         self._drive = lru_cache(maxsize=_KEPT_DRIVES)(self._read_drive)
         self._episodes = {
@@ -40,8 +42,11 @@ class ReferenceEpisodes:
 
     def of(self, row: Row) -> Tracks | None:
         """Return (A, T) natural tracks of the episode in *row*, clock 0 at its start; None when none are known."""
-        tracks = self._logged(row) if str(row["net"]) in self._logs else self._simulated(row)
-        return tracks if tracks is not None else self._kept(row)
+        for known in (self._logged, self._simulated, self._kept):
+            tracks = known(row)
+            if tracks is not None:
+                return tracks
+        return None
 
     def kept(self, row: Row) -> EpisodeStates | None:
         """Return the traffic that the seed scene of *row* was cut from, as the episode has kept it, or None."""
@@ -54,8 +59,9 @@ class ReferenceEpisodes:
 
     def drive_of(self, row: Row) -> LogScene | None:
         """Return the logged drive that the episode's seed scene was cut from; None without a log."""
-        root = self._logs.get(str(row["net"]))
-        return self._drive(root, str(row["scene"]).rpartition("-")[0]) if root else None
+        name = str(row["scene"]).rpartition("-")[0]
+        drives = (self._drive(root, name) for root in self._logs.get(str(row["net"]), ()))
+        return next((drive for drive in drives if drive is not None), None)
 
     def _logged(self, row: Row) -> Tracks | None:
         drive, now = self.drive_of(row), str(row["scene"]).rpartition("-")[2]
@@ -70,6 +76,8 @@ class ReferenceEpisodes:
                 self._readers[root] = open_log(Path(root))
             reader = self._readers[root]
             return None if reader is None else reader.read(name)
+        except UnknownNameError:  # of another log, or of none
+            return None
         except AdvdiffError:  # the log was moved or changed since: the page is drawn without it
             self._readers.setdefault(root, None)
             return None

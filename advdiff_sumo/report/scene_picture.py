@@ -162,7 +162,7 @@ def _focus(tracks: Tracks, target: int, other: int | None, impact: FloatArray | 
 
 
 def _close_up(tracks: Tracks, target: int, other: int | None, impact: FloatArray, contact_s: float) -> View:
-    after = int(np.ceil((contact_s - tracks.t0_s) / tracks.dt_s))  # instant at or after the contact
+    after = int(np.ceil((contact_s - tracks.t0_s) / tracks.dt_s - 1e-6))  # instant at or after the contact
     stop = min(max(after, 0) + 1, tracks.steps)
     last = tracks.window(max(0, stop - round(_CLOSE_UP_S / tracks.dt_s)), stop)
     focus = _focus(last, target, other, impact)

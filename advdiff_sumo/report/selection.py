@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from advdiff_sumo.report.nets import Nets
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
 from advdiff_sumo.report.select import attacker_of, worst_first
 
+_ROUNDING = 1e-6
 _ATTACKER_NEAR_M, _MARGIN_M, _LEAST_WIDTH_M = 50.0, 10.0, 45.0
 
 
@@ -121,7 +123,7 @@ class ChosenEpisode:
     def steps(self, start_s: float, end_s: float) -> slice:
         """Return the instants from *start_s* to *end_s*."""
         dt = self.states.tracks.dt_s
-        return slice(round(start_s / dt), round(end_s / dt) + 1)
+        return slice(round(start_s / dt), math.floor(end_s / dt + _ROUNDING) + 1)
 
 
 def poses_at(tracks: Tracks, time_s: float) -> tuple[FloatArray, FloatArray]:

@@ -14,7 +14,7 @@ from advdiff_sumo.core.record import EndReason
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.rl.adversary_reward import DecisionInterval, mean_accel, reward_terms
+from advdiff_sumo.rl.adversary_reward import DecisionInterval, hit_by_attacker, mean_accel, reward_terms
 from advdiff_sumo.rl.episode_env import OVER, EpisodeEnv, Observation
 from advdiff_sumo.rl.rl_options import adversary_options
 from advdiff_sumo.rl.sources import Sources
@@ -89,10 +89,10 @@ class AdversaryEnv(EpisodeEnv):
         self.options = adversary_options(options)
         self._sources = Sources(self.options)
         self._seat = Seat(load_prior(self.options.prior, self.options.prior_weights))
-        self._accel_mps2, self._paid, self._done = 0.0, 0.0, 0
+        self._accel_mps2, self._paid, self._done, self._by_attacker = 0.0, 0.0, 0, False
 
     def _first(self, loop: Loop) -> tuple[Observation, dict[str, Any]]:
-        self._accel_mps2, self._paid, self._done = 0.0, 0.0, 0
+        self._accel_mps2, self._paid, self._done, self._by_attacker = 0.0, 0.0, 0, False
         return self._look(loop), {"scene": loop.episode.scene.name, "target": loop.episode.names[0]}
 
     def _draw(self) -> Episode:
@@ -120,7 +120,7 @@ class AdversaryEnv(EpisodeEnv):
         terminated = end not in OVER
         info: dict[str, Any] = {"reward_terms": terms}
         if terminated or truncated:
-            info["episode_summary"] = self._summary(end, terms)
+            info["episode_summary"] = self._summary(end)
         observation = self._blank() if terminated else self._look(loop)
         if terminated or truncated:
             self.close()
@@ -148,17 +148,18 @@ class AdversaryEnv(EpisodeEnv):
             dt_s=loop.sim.step_s,
         )
         terms = reward_terms(half, self.options.reward, loop.road)
+        self._by_attacker = hit_by_attacker(half)
         self._accel_mps2 = mean_accel(half, attacker) if "jerk" in terms and attacker is not None else 0.0
         return terms
 
-    def _summary(self, end: EndReason, terms: dict[str, float]) -> dict[str, Any]:
+    def _summary(self, end: EndReason) -> dict[str, Any]:
         hit = end is EndReason.COLLISION
         return {
             "reward": self._paid,
             "steps": self._done,
             "end": str(end),
             "collision": float(hit),
-            "by_attacker": float(hit and terms["hit"] >= self.options.reward.hit),
+            "by_attacker": float(hit and self._by_attacker),
         }
 
     def _failed(self, error: EpisodeFailure) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

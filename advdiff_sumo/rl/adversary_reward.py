@@ -68,6 +68,14 @@ def reward_terms(half: DecisionInterval, weights: RewardWeights, road: RoadMap) 
     }
 
 
+def hit_by_attacker(half: DecisionInterval) -> bool:
+    """Return whether the target's collision in this interval is with the attacker."""
+    attacker = half.attacker
+    if not half.collided or attacker is None or not _there(half, attacker):
+        return False
+    return bool(np.nanmin(_gaps(half, attacker)[:, half.target]) < TOUCH_M)
+
+
 def mean_accel(half: DecisionInterval, row: int) -> float:
     """Return the mean acceleration of *row* in the half second."""
     first, last = half.frames[0].speed_mps[row], half.frames[-1].speed_mps[row]

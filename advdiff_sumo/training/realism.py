@@ -23,10 +23,17 @@ def histograms(rollout: Rollout, batch: SceneBatch) -> tuple[NDArray[np.float64]
 
     Accelerations are differences of speeds, for logs and models alike; the outermost bins take what lies beyond.
     """
-    counted = driving(batch)[..., None] & batch.future_valid
+    driven = driving(batch)[..., None]
     before = torch.cat((batch.pose[..., 3:4], rollout.speed[..., :-1]), dim=-1)
     accel = (rollout.speed - before) / MODEL_STEP_S
-    return _counts(rollout.speed[counted], SPEED_BINS), _counts(accel[counted], ACCEL_BINS)
+    known, changes = driven & batch.future_valid, driven & known_steps(batch)
+    return _counts(rollout.speed[known], SPEED_BINS), _counts(accel[changes], ACCEL_BINS)
+
+
+def known_steps(batch: SceneBatch) -> Tensor:
+    """Return (B, A, T) the instants of the future that are known, as is the one before them."""
+    now = torch.ones_like(batch.future_valid[..., :1])
+    return batch.future_valid & torch.cat((now, batch.future_valid[..., :-1]), dim=-1)
 
 
 def final_diversity(last: Tensor, mask: Tensor) -> tuple[float, float]:

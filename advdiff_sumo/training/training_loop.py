@@ -117,6 +117,12 @@ class Trainer:
         self._drawn = time.monotonic()
         whole = (options.epoch_windows or len(job.train)) / options.batch_size
         self.per_epoch = math.floor(whole) if options.compiled else math.ceil(whole)
+        if not self.per_epoch:
+            count = options.epoch_windows or len(job.train)
+            raise ConfigError(
+                f"an epoch has {count} windows, fewer than batch_size = {options.batch_size}, and compiled trainings "
+                "have whole batches alone; lower batch_size, or leave compiled out"
+            )
         self.total = self.per_epoch * options.epochs
 
     def resume(self) -> None:

@@ -81,6 +81,23 @@ def test_commonroad_without_trajectories(tmp_path: Path) -> None:
         CommonRoadReader(path).read("x")
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("<time><exact>3</exact>", "<time><exact>-3</exact>"), "states before step 0, or two of one step"),
+        (("<time><exact>3</exact>", "<time><exact>4</exact>"), "states before step 0, or two of one step"),
+        (("</commonRoad>", ""), "x.xml"),
+    ],
+)
+def test_commonroad_with_damaged_states(tmp_path: Path, change: tuple[str, str], words: str) -> None:
+    path = tmp_path / "x.xml"
+    text = small_sources.commonroad()
+    assert change[0] in text
+    path.write_text(text.replace(*change, 1), encoding="utf-8")
+    with pytest.raises(LogError, match=words):
+        CommonRoadReader(path).read("x")
+
+
 @pytest.mark.data
 def test_genuine_logs(adv_data: Path) -> None:
     (scene,) = Argoverse2Reader(adv_data / "argoverse2").scenes()

@@ -9,7 +9,7 @@ import pytest
 import torch
 from safetensors import safe_open
 
-from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.experiments.warmup_run import DrawnLatents, WarmedUp, experiences, warm_up
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
 from advdiff_sumo.models.reward_file import load_reward, save_reward
@@ -131,6 +131,14 @@ def test_a_file_holds_q_alone(warmed: tuple[WarmedUp, list[int]], weights: Path,
         load_reward(path, bundle).parameters(), warmed[0].reward.parameters(), strict=True
     ):
         assert torch.equal(mine, theirs)
+
+
+def test_episodes_that_teach_nothing_end_it(weights: Path) -> None:
+    short = options(weights).model_copy(update={"horizon_s": 0.5})
+    with pytest.raises(
+        EpisodeFailure, match=r"5 episodes that nothing can be learned from; .* longer --horizon"
+    ):
+        warm_up(short, STEPS, [].append)
 
 
 @pytest.mark.parametrize("background", [{"guide": "none"}, {"strength": 0.0}])

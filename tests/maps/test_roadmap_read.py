@@ -12,6 +12,7 @@ import sumolib
 
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.read_net import BEYOND_TYPE
 
 REAL = (
     "bologna-acosta/acosta_buslanes.net.xml",
@@ -31,6 +32,23 @@ def test_cross_lanes(cross):
     assert lane.length_m == pytest.approx(92.8)
     assert (lane.left_id, lane.right_id) == ("WC_1", None)
     assert (road.lanes["WC_1"].left_id, road.lanes["WC_1"].right_id) == (None, "WC_0")
+
+
+@pytest.mark.parametrize("edge", ["CN", "NC", "CE"])
+def test_what_leads_beyond_the_rim_counts_in_the_right_of_way(cross, tmp_path: Path, edge: str) -> None:
+    """Rows of a junction are numbered over all its connections; without those, later ones had another's row."""
+    whole = RoadMap.read(cross)
+    text = Path(cross).read_text(encoding="utf-8")
+    net = tmp_path / "rim.net.xml"
+    net.write_text(
+        text.replace(f'<edge id="{edge}"', f'<edge id="{edge}" type="{BEYOND_TYPE}"', 1), encoding="utf-8"
+    )
+    road = RoadMap.read(net)
+    assert edge not in road.edges
+    ends = {pair: link for pair, link in road.links.items() if not pair[0].startswith(":")}
+    assert 0 < len(ends) < len([pair for pair in whole.links if not pair[0].startswith(":")])
+    for pair, link in ends.items():
+        assert link.request_index == whole.links[pair].request_index, pair
 
 
 def test_left_hand_neighbours(cross_left):

@@ -20,6 +20,7 @@ from advdiff_sumo.planners.defects import DEFECTS, SEVERITIES, parse_defect, par
 from advdiff_sumo.planners.defects.actuation import SlowBrakes, StuckReplanning, WeakBrakes
 from advdiff_sumo.planners.defects.defective_planner import DefectivePlanner
 from advdiff_sumo.planners.defects.fault import Fault
+from advdiff_sumo.planners.defects.misjudgement import LocalisationOffset
 from advdiff_sumo.planners.planner_check import check_planner, same_plan
 from advdiff_sumo.planners.planner_protocol import Served, SumoDriver
 from advdiff_sumo.planners.planner_registry import make_target
@@ -363,6 +364,19 @@ def test_stuck_drives_the_old_plan_on_and_then_straight_on() -> None:
         assert held.xy_m[-1, 0] == pytest.approx(16.0 + 6.0 * seconds, abs=0.01)  # 16 m in 2 s, then 6 m/s
     _, memory = planner.plan(None, later(scene, 3.0), memory, rng)  # type: ignore[arg-type] # the same
     assert memory.planner == 2
+
+
+def test_faults_before_a_stuck_one_act_on_the_plan_that_it_drives_on() -> None:
+    """It had undone them: brakes that are worn were whole again while the old plan was driven."""
+    scene = agents((0.0, 0.0, 0.0, 10.0))
+    planner = DefectivePlanner(Counting(), (LocalisationOffset(2.0), StuckReplanning(3.0)))  # type: ignore[arg-type] # no map is needed
+    rng = np.random.default_rng(0)
+    memory = planner.start(None, scene, rng)  # type: ignore[arg-type] # the same
+    for seconds in (0.0, 0.5, 1.0):
+        plan, memory = planner.plan(None, later(scene, seconds), memory, rng)  # type: ignore[arg-type] # the same
+        assert isinstance(plan, Trajectory)
+        assert plan.xy_m[:5, 1] == pytest.approx(np.full(5, -2.0))
+    assert memory.planner == 1
 
 
 # --- together, and in SUMO's drivers ----------------------------------------------------------------------

@@ -64,8 +64,8 @@ def test_the_human_driver_lets_go_of_the_pedal_and_then_brakes(crossing: Callabl
     memory = planner.start(road, scene, rng)
     _, after = planner.plan(road, scene, memory, rng)
     assert after.alarmed_s == scene.time_s
-    assert float(after.reaction.delay_left_s) == pytest.approx(0.75 - 5 * 0.1)
-    assert float(memory.reaction.delay_left_s) == 0.75
+    assert float(after.at(0.5)[0].delay_left_s) == pytest.approx(0.75 - 5 * 0.1)
+    assert float(memory.at(0.0)[0].delay_left_s) == 0.75
 
 
 def test_rss_brakes_where_its_gap_is_too_short(crossing: Callable[..., RoadMap]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.rl.adversary_reward import DecisionInterval, mean_accel, reward_terms
+from advdiff_sumo.rl.adversary_reward import DecisionInterval, hit_by_attacker, mean_accel, reward_terms
 from advdiff_sumo.rl.rl_options import RewardWeights
 from advdiff_sumo.sim.world import Frame
 
@@ -60,6 +60,13 @@ def test_nearness_is_of_the_nearest_instant(road: RoadMap, place: tuple[np.ndarr
     assert terms == pytest.approx(
         {"hit": 0.0, "near": 0.2 / np.e, "touch": 0.0, "off_road": 0.0, "jerk": 0.0, "align": 0.0}
     )
+
+
+def test_who_was_hit_does_not_depend_on_what_it_is_worth(place: tuple[np.ndarray, float]) -> None:
+    assert hit_by_attacker(half(place, [[6.0, 0.0], [4.0, 0.0]], collided=True))
+    assert not hit_by_attacker(half(place, [[6.0, 0.0], [5.0, 0.0]], collided=True))
+    assert not hit_by_attacker(half(place, [[6.0, 0.0], [4.0, 0.0]], collided=False))
+    assert not hit_by_attacker(half(place, [[6.0, 0.0], [4.0, 0.0]], collided=True, attacker=None))
 
 
 def test_a_hit_counts_most_for_who_hit(road: RoadMap, place: tuple[np.ndarray, float]) -> None:

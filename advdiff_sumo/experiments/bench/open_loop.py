@@ -204,20 +204,20 @@ def _spread(rollout: Rollout, several: SceneBatch, times: int, who: Tensor) -> T
 
 def _histograms(rollout: Rollout, batch: SceneBatch, times: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return (W, bins) counts of speeds, accelerations and times to collision at the known instants."""
-    counted = driving(batch)[..., None] & batch.future_valid
+    driven, known = driving(batch)[..., None], realism.known_steps(batch)
     before = torch.cat((batch.pose[..., 3:4], rollout.speed[..., :-1]), dim=-1)
     accel = (rollout.speed - before) / MODEL_STEP_S
     seconds = ttc_of(rollout, batch)
-    rows = counted.shape[0] // times
-    mask = counted.numpy().reshape(rows, -1)
+    rows = len(known) // times
+    mask, changes = ((driven & one).numpy().reshape(rows, -1) for one in (batch.future_valid, known))
     parts = [_array(values).reshape(rows, -1) for values in (rollout.speed, accel)]
     parts.append(seconds.reshape(rows, -1))
     bins = (realism.SPEED_BINS, realism.ACCEL_BINS)
     counts = [
-        np.stack([np.histogram(np.clip(v[m], b[0], b[-1]), b)[0] for v, m in zip(part, mask, strict=True)])
-        for part, b in zip(parts, bins, strict=False)
+        np.stack([np.histogram(np.clip(v[m], b[0], b[-1]), b)[0] for v, m in zip(part, which, strict=True)])
+        for part, which, b in zip(parts, (mask, changes), bins, strict=False)
     ]
-    ttc = np.stack([ttc_counts(v[m]) for v, m in zip(parts[2], mask, strict=True)])
+    ttc = np.stack([ttc_counts(v[m]) for v, m in zip(parts[2], changes, strict=True)])
     assert ttc.shape[1] == len(TTC_BINS_S)  # noqa: S101 - one more bin than edges less one
     return counts[0].astype(np.float64), counts[1].astype(np.float64), ttc
 
@@ -229,7 +229,7 @@ def ttc_of(rollout: Rollout, batch: SceneBatch) -> FloatArray:
     """
     before = torch.cat((batch.pose[:, :, None, :2], rollout.xy[:, :, :-1]), dim=2)
     velocity = _array((rollout.xy - before) / MODEL_STEP_S).swapaxes(1, 2)
-    there = (batch.future_valid & batch.present[..., None]).numpy().swapaxes(1, 2)
+    there = (realism.known_steps(batch) & batch.present[..., None]).numpy().swapaxes(1, 2)
     seconds = least_ttc(
         _array(rollout.xy).swapaxes(1, 2),
         _array(rollout.yaw).swapaxes(1, 2),

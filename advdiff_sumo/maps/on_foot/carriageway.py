@@ -12,9 +12,16 @@ import shapely
 from shapely.geometry import LineString, Point
 from shapely.geometry.base import BaseGeometry
 
-from advdiff_sumo.maps.build_graph import DEFAULT_LANE_WIDTH_M
+from advdiff_sumo.maps.build_graph import DEFAULT_LANE_WIDTH_M, permissions
 from advdiff_sumo.maps.read_net import ids_beyond, shape_of
 
+_NOT_ON_WHEELS = frozenset(
+    {
+        *("pedestrian", "wheelchair", "scooter", "container", "drone", "aircraft", "ship", "cable_car"),
+        *("tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway"),
+    }
+)
+"""Classes of SUMO that do not drive on a carriageway; its footways are open to several of them."""
 NARROW_M = 1.2  # a gap between lanes narrower than this is no island to stand on
 
 
@@ -165,5 +172,4 @@ def _strip(lane: ET.Element, junction: str = "", link: int = -1, straight: bool 
 def _for_vehicles(lane: ET.Element) -> bool:
     if len(shape_of(lane)) < 2:
         return False
-    allowed = set(lane.get("allow", "all").split())
-    return not allowed <= {"pedestrian", "rail", "rail_urban", "rail_electric", "rail_fast", "tram", "ship"}
+    return not permissions(lane.get("allow"), lane.get("disallow")) <= _NOT_ON_WHEELS

@@ -77,7 +77,8 @@ def corridor_of(way: OwnWay, tracks: Tracks, rows: IntArray, future: Expected, w
     now = clear[:, :, 0]
     ahead = np.diff(now, axis=0, append=now[-1:])  # a lateral speed holds from its instant on
     rate = np.where(np.isfinite(ahead), ahead, 0.0) / tracks.dt_s
-    rate[-1:] = rate[-2:-1]
+    if len(rate) > 1:
+        rate[-1] = rate[-2]
     speed = tracks.speed_mps[rows].T * np.cos(turn[:, :, 0])
     return Corridor(rows, along, extent, clear, speed, -rate, tracks.size_m[rows, 0])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -68,10 +69,10 @@ class DefectivePlanner:
         """Return what is driven, and the new memory."""
         scenes, perceived = self._perceive(road, scene, memory.seeds, memory.perceived)
         memory = replace(memory, perceived=perceived)
-        for fault, acted in zip(self.faults, memory.acted, strict=True):
+        for k, (fault, acted) in enumerate(zip(self.faults, memory.acted, strict=True)):
             held = fault.held_plan(scene, acted)
             if held is not None:
-                return held, memory
+                return self._acted_on(held, scenes, memory, k)
         planned: Any = self.planner.plan(road, scenes[-1].copied(), memory.planner, rng)
         if not (isinstance(planned, tuple) and len(planned) == 2):
             return planned  # type: ignore[no-any-return] # no plan: the episode refuses it and says so
@@ -80,10 +81,16 @@ class DefectivePlanner:
             return plan, replace(
                 memory, planner=own
             )  # the episode refuses it, in the words that it has without faults
-        plan, acted_now = in_float64(plan), list(memory.acted)
-        for k in reversed(range(len(self.faults))):
-            plan, acted_now[k] = self.faults[k].act(plan, scenes[k], memory.acted[k])
-        return plan, replace(memory, planner=own, acted=tuple(acted_now))
+        return self._acted_on(in_float64(plan), scenes, replace(memory, planner=own), len(self.faults))
+
+    def _acted_on(
+        self, plan: Plan, scenes: Sequence[Scene], memory: _Memory, count: int
+    ) -> tuple[Plan, _Memory]:
+        """Return what the first *count* faults, the last of them first, make of *plan*, and their memories."""
+        acted = list(memory.acted)
+        for k in reversed(range(count)):
+            plan, acted[k] = self.faults[k].act(plan, scenes[k], memory.acted[k])
+        return plan, replace(memory, acted=tuple(acted))
 
     def _perceive(
         self, road: RoadMap, scene: Scene, seeds: tuple[SeedTree, ...], memories: tuple[Any, ...]

@@ -5,7 +5,7 @@ The models are those of :mod:`advdiff_sumo.metrics.reference`; ``docs/reference-
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -41,15 +41,26 @@ class ReferenceMemory:
 
     Attributes:
         base: memory of the lane-graph planner.
-        reaction: how far the driver's reaction is.
+        reactions: how far the driver's reaction is at each instant of the last plan.
         alarmed_s: when the situation was last unsafe; −inf for never.
-        accel_mps2: acceleration planned for now.
+        accel_mps2: acceleration planned for now, of a plan without alarm.
+        plan: the last plan with alarm; None where the last one had none.
+        planned_s: when it was made.
     """
 
     base: Memory
-    reaction: Reaction
+    reactions: tuple[Reaction, ...]
     alarmed_s: float = -np.inf
     accel_mps2: float = 0.0
+    plan: Trajectory | None = None
+    planned_s: float = 0.0
+
+    def at(self, time_s: float) -> tuple[Reaction, float]:
+        """Return the reaction, and the acceleration in m/s², that were planned for *time_s*."""
+        if self.plan is None:
+            return self.reactions[-1], self.accel_mps2
+        due = max(round((time_s - self.planned_s) / self.plan.dt_s) - 1, 0)
+        return self.reactions[min(due, len(self.reactions) - 1)], _accel(self.plan, due)
 
 
 class ReferencePlanner:
@@ -66,7 +77,7 @@ class ReferencePlanner:
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> ReferenceMemory:
         """Return the memory of a driver whom nothing has alarmed yet."""
-        return ReferenceMemory(self.normal.start(road, scene, rng), Reaction.fresh(self.model))
+        return ReferenceMemory(self.normal.start(road, scene, rng), (Reaction.fresh(self.model),))
 
     def plan(
         self, road: RoadMap, scene: Scene, memory: ReferenceMemory, rng: np.random.Generator
@@ -75,22 +86,21 @@ class ReferencePlanner:
         # 1. normal driving
         normal, base = self.normal.plan(road, scene, memory.base, rng)
         if not isinstance(normal, Trajectory):  # the lane-graph planner plans trajectories only
-            return normal, ReferenceMemory(base, memory.reaction, memory.alarmed_s)
+            return normal, replace(memory, base=base)
         # 2. who is, or will be, in the way of it
-        met = self._meeting(road, scene, normal, base, memory.accel_mps2)
-        reaction = memory.reaction
+        reaction, accel = memory.at(scene.time_s)
+        met = self._meeting(road, scene, normal, base, accel)
         if scene.time_s - memory.alarmed_s > CALM_S:
             reaction = Reaction.fresh(self.model)
         reacting = bool(reaction.delay_left_s < self.model.delay_s)
         demand = float(demands(self.model, met, reacting, CRITICAL_TTC_S).max(initial=0.0))
         if demand <= 0.0:
             calm = Reaction(reaction.delay_left_s, np.zeros(()))
-            return normal, ReferenceMemory(base, calm, memory.alarmed_s, _accel(normal, 0))
+            return normal, ReferenceMemory(base, (calm,), memory.alarmed_s, _accel(normal, 0))
         # 3. react
         speed = float(scene.history.speed_mps[scene.target, -1])
         braked, states = self._braked(normal, scene, max(speed, 0.0), demand, reaction)
-        due = min(round(scene.history.dt_s / normal.dt_s), len(states)) - 1
-        return braked, ReferenceMemory(base, states[due], scene.time_s, _accel(braked, due))
+        return braked, ReferenceMemory(base, tuple(states), scene.time_s, 0.0, braked, scene.time_s)
 
     def _meeting(
         self, road: RoadMap, scene: Scene, normal: Trajectory, base: Memory, accel_mps2: float

@@ -86,11 +86,12 @@ class PlannerProcess:
 
     def ended(self) -> str:
         """Return how the command ended, as the end of a sentence; "" where it has not within a second."""
-        try:
-            output, _ = self._keeper.communicate(timeout=1.0)
-        except (subprocess.TimeoutExpired, ValueError):
+        try:  # its input stays open: that it ends is what tells the keeper to end the command
+            self._keeper.wait(timeout=1.0)
+        except subprocess.TimeoutExpired:
             return ""
-        lines = output.decode().split()
+        assert self._keeper.stdout is not None  # noqa: S101 - it is a pipe
+        lines = self._keeper.stdout.read().decode().split()
         return how_it_ended(int(lines[-1])) if lines else "was lost"
 
     def said(self) -> str:

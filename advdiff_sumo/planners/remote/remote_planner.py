@@ -38,7 +38,8 @@ class RemoteOptions(Options):
 
     Attributes:
         plan_timeout_s: deadline of a plan, and of the end of an episode.
-        start_timeout_s: for a server to come up, and to take the map and the start of an episode.
+        start_timeout_s: for a server that is started to come up (one that runs has 10 s), and to take the map and the
+            start of an episode.
     """
 
     plan_timeout_s: float = Field(5.0, gt=0.0)

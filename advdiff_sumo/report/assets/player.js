@@ -12,7 +12,7 @@ class Player {
   }
 
   listen() {
-    const click = (name, act) => this[name + "Part"].addEventListener("click", act);
+    const click = (name, act) => this[name + "Part"].addEventListener("click", () => { if (this.episode) act(); });
     click("play", () => this.toggle());
     click("previous", () => this.step(-1));
     click("next", () => this.step(1));
@@ -38,6 +38,7 @@ class Player {
     canvas.addEventListener("wheel", (event) => {
       if (!event.ctrlKey && document.activeElement !== canvas) return; // the page scrolls on
       event.preventDefault();
+      if (!this.episode) return;
       this.scene.zoom(Math.exp(-0.002 * event.deltaY), event.offsetX, event.offsetY);
       this.draw();
     }, { passive: false });

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import shlex
 import sys
@@ -178,8 +179,10 @@ def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits
                 if row and lacking is not None:
                     console.print(f"episode {row['episode']}: no one was in a position to {lacking}")
 
+            silent = quiet and not logging.getLogger("advdiff_sumo").isEnabledFor(logging.INFO)
+
             def hear(line: str) -> None:
-                if not quiet:
+                if not silent:  # with -v it is logs, too
                     sys.stderr.write(f"{line}\n")  # above the bar, which minds it
 
             return run_into(prepared, folder, executor, tell, hear)

@@ -48,10 +48,11 @@ class FileError(InputError):
     Attributes:
         path: the file.
         problem: what is wrong with it, as a sentence whose subject it is.
+        remedy: what to do, "" where that is plain.
     """
 
     def __init__(self, path: str | Path, problem: str, remedy: str = "") -> None:
-        self.path, self.problem = Path(path), problem
+        self.path, self.problem, self.remedy = Path(path), problem, remedy
         super().__init__(f"{self.path}: {problem}" + (f"; {remedy}" if remedy else ""))
 
 

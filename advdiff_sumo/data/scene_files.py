@@ -77,7 +77,7 @@ class SceneFiles(ABC):
         try:
             return self.read_file(name, path)
         except MapError as error:  # of what maps and logs share
-            raise LogError(path, error.problem, self.remedy) from None
+            raise LogError(path, error.problem, error.remedy) from None
         except (KeyError, TypeError, ValueError, IndexError) as error:
             problem = f"cannot be used ({type(error).__name__}: {error})"
             raise LogError(path, problem, self.remedy) from None

@@ -25,6 +25,7 @@ from rich.table import Table
 from advdiff_sumo.experiments.bench.bench_rows import policy_row
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
 from advdiff_sumo.experiments.bench.scene_list import TUNING_LIST, SceneList, read_scene_list, shipped_list
+from advdiff_sumo.metrics.severity import is_failure
 from advdiff_sumo.metrics.statistics import wilson
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
@@ -94,7 +95,8 @@ def results(cells: BenchCells, store: Store) -> dict[tuple[str, str], Result]:
         part = store.read(job.key)
         if part is not None and "episodes" in part.tables:
             (row,), (timing,) = part.tables["episodes"].to_pylist(), part.tables["timing"].to_pylist()
-            rows.append((row, timing["wall_s"]))
+            if not is_failure(row):
+                rows.append((row, timing["wall_s"]))
     return {key: Result.of(rows) for key, rows in rows_of.items()}
 
 

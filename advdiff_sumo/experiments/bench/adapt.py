@@ -42,7 +42,8 @@ class Adaptation:
         """Return where what was learnt in *mark* plans lies: Q, under a licence the belief about encounters."""
         options = (*sorted(self.target_options.items()), *sorted(self.background_options.items()))
         extra = "".join(f"-{key}={value}" for key, value in options)
-        return folder / f"{self.target}{extra}-s{self.seed}-{mark:04d}.safetensors".replace("/", "_")
+        name = f"{self.target}{extra}-h{self.horizon_s:g}-s{self.seed}-{mark:04d}.safetensors"
+        return folder / name.replace("/", "_")
 
     def missing(self, folder: Path) -> bool:
         """Return whether it is still to be made."""

@@ -57,7 +57,9 @@ def _row(foe: Key, span: Span, indent: str) -> str:
 
 def shared_span(line_m: FloatArray, foe_m: FloatArray) -> Span:
     """Return from where to where *line_m* lies so near to *foe_m* that bodies of cars touch."""
-    line = LineString(line_m)
-    near = shapely.get_coordinates(line.intersection(LineString(foe_m).buffer(BODIES_M)))
+    line, foe = LineString(line_m), LineString(foe_m)
+    near = shapely.get_coordinates(line.intersection(foe.buffer(BODIES_M)))
+    if not len(near):  # a buffer is a polygon within the round shape, some millimetres short of it
+        near = shapely.get_coordinates(shapely.shortest_line(line, foe))[:1]
     places = [line.project(Point(place)) for place in near]
     return min(places), max(places)

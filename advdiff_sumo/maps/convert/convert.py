@@ -1,4 +1,4 @@
-"""A nuScenes HD map or a ScenarioNet record's map → SUMO net, side-car and figures."""
+"""An HD map of any format that is read → SUMO net, side-car and figures."""
 
 from __future__ import annotations
 

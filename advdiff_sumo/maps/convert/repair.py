@@ -26,19 +26,22 @@ def repair(source: SourceMap) -> SourceMap:
     Counts go into ``notes``; each kind of repair that happened also gets a sentence in ``warnings``.
     """
     notes = Counter(source.notes)
-    lanes, links = _merge_duplicates(list(source.lanes), list(source.links), notes)
+    lanes, links, kept_for = _merge_duplicates(list(source.lanes), list(source.links), notes)
+    signals = (
+        replace(one, lanes=tuple(kept_for.get(lane, lane) for lane in one.lanes)) for one in source.signals
+    )
     links = _add_links(lanes, links, notes)
     _count_gaps(lanes, links, notes)
     if not any(lane.is_connector for lane in lanes):
         lanes = _mark_connectors(lanes, links, notes)
     lanes = [_inside_if_tiny(lane, notes) for lane in lanes]
-    return replace(source, lanes=tuple(lanes), links=tuple(links), notes=notes)
+    return replace(source, lanes=tuple(lanes), links=tuple(links), signals=tuple(signals), notes=notes)
 
 
 def _merge_duplicates(
     lanes: list[SourceLane], links: list[tuple[str, str]], notes: Counter[str]
-) -> tuple[list[SourceLane], list[tuple[str, str]]]:
-    """Keep the first of lanes with one centre line and give it the links of the others."""
+) -> tuple[list[SourceLane], list[tuple[str, str]], dict[str, str]]:
+    """Keep the first of lanes with one centre line and give it the links of the others; return who stands for whom."""
     lines = [shapely.LineString(lane.centre_m) for lane in lanes]
     starts = np.array([lane.centre_m[0] for lane in lanes])
     kept_for: dict[str, str] = {}
@@ -51,7 +54,7 @@ def _merge_duplicates(
             kept_for[other.token] = one.token
     notes["duplicate lanes merged"] += len(kept_for)
     moved = [(kept_for.get(a, a), kept_for.get(b, b)) for a, b in links]
-    return [lane for lane in lanes if lane.token not in kept_for], list(dict.fromkeys(moved))
+    return [lane for lane in lanes if lane.token not in kept_for], list(dict.fromkeys(moved)), kept_for
 
 
 def _add_links(

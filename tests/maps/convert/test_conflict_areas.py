@@ -41,6 +41,17 @@ def narrow_road(folder: Path) -> ConversionResult:
     return convert_source(read_map(road.write(folder / "m.json")), folder / "n.net.xml")
 
 
+def test_shared_span_of_lines_that_hardly_come_so_near() -> None:
+    """2.1995 m from a corner: within 2.2 m of it, and outside the polygon that stands for a circle around it."""
+    corner = np.array([(-10.0, -10.0), (0.0, 0.0), (10.0, -10.0)])
+    away = math.radians(90.0 + 0.5 * 90.0 / 16.0)  # halfway between two vertices of that polygon
+    nearest = 2.1995 * np.array([math.cos(away), math.sin(away)])
+    along = np.array([-math.sin(away), math.cos(away)])
+    assert shared_span(np.array([nearest - 5.0 * along, nearest + 5.0 * along]), corner) == pytest.approx(
+        (5.0, 5.0)
+    )
+
+
 def test_shared_span_of_lines_two_metres_apart() -> None:
     """The other one runs along the middle third, and leaves at right angles."""
     line = np.array([(0.0, 0.0), (30.0, 0.0)])

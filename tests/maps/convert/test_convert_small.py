@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,10 @@ from small_maps import MapBuilder, crossroads, two_lane_road
 from advdiff_sumo.maps.convert import ConversionResult, convert_map
 from advdiff_sumo.maps.convert.fidelity import measure
 from advdiff_sumo.maps.convert.netread import read_net
+from advdiff_sumo.maps.convert.poses import compare_poses
+from advdiff_sumo.maps.convert.repair import repair
+from advdiff_sumo.maps.convert.sources.read_map import read_map
+from advdiff_sumo.maps.convert.sources.source_map import Signal
 
 
 def converted(road: MapBuilder, folder: Path, **options: bool) -> ConversionResult:
@@ -104,6 +109,23 @@ def test_duplicate_lane_is_merged(tmp_path: Path) -> None:
     result = converted(road, tmp_path)
     assert result.counts["duplicate lanes merged"] == 1
     check_invariants(result)
+
+
+def test_signals_of_a_lane_that_is_merged_stop_the_one_that_stays(tmp_path: Path) -> None:
+    road = two_lane_road()
+    road.straight("a2", (100.0, 103.5, 0.0), 80.0)
+    source = read_map(road.write(tmp_path / "m.json"))
+    lights = tuple(Signal(f"over {lane}", None, lanes=(lane,)) for lane in ("a2", "b"))
+    mended = repair(replace(source, signals=lights))
+    assert "a2" not in {lane.token for lane in mended.lanes}
+    assert [light.lanes for light in mended.signals] == [("a",), ("b",)]
+
+
+def test_poses_near_no_lane_are_no_difference(tmp_path: Path) -> None:
+    result = converted(two_lane_road(), tmp_path)
+    figures = compare_poses(result, np.array([(5000.0, 5000.0, 0.0), (120.0, 103.5, 0.0)]))
+    assert (figures["poses"], figures["on_a_lane_of_the_map"]) == (2, 1)
+    assert figures["differences_above_0.05_m"] == 0
 
 
 def test_connector_at_the_rim_ends_in_an_edge(tmp_path: Path) -> None:

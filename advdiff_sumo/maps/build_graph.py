@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -15,7 +14,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.core.polylines import Polyline, without_repeats
 from advdiff_sumo.maps.lanes import Edge, Junction, Lane, Link
-from advdiff_sumo.maps.read_net import RawNet, marked_requests, shape_of
+from advdiff_sumo.maps.read_net import RawNet, leaving_lanes, marked_requests, shape_of
 
 DEFAULT_LANE_WIDTH_M = 3.2
 """SUMO's width of a lane that states none (SUMO_const_laneWidth)."""
@@ -198,13 +197,8 @@ def _with_directions(lanes: Mapping[str, Lane]) -> dict[str, Lane]:
 
 def _links(raw: RawNet, junctions: Mapping[str, Junction]) -> dict[str, list[Link]]:
     """Return the links from each lane; those whose second half the net lists apart are joined."""
-    second: dict[str, ET.Element] = {}
-    outgoing: dict[str, list[ET.Element]] = defaultdict(list)
-    for connection in raw.connections:
-        origin = f"{connection.attrib['from']}_{connection.attrib['fromLane']}"
-        outgoing[origin].append(connection)
-        if origin.startswith(":"):
-            second.setdefault(origin, connection)
+    outgoing = leaving_lanes(raw.connections)
+    second = {origin: first for origin, (first, *_) in outgoing.items() if origin.startswith(":")}
     numbers = _request_numbers(junctions, raw.counted)
     return {
         origin: [_link(origin, c, raw, second, numbers) for c in connections]
@@ -246,9 +240,7 @@ def _request_numbers(junctions: Mapping[str, Junction], counted: Iterable[ET.Ele
     SUMO numbers the links of a junction lane by lane in the order of ``incLanes``, each lane's connections in
     file order; those over crossings come last.
     """
-    leaving: dict[str, list[ET.Element]] = defaultdict(list)
-    for connection in counted:
-        leaving[f"{connection.attrib['from']}_{connection.attrib['fromLane']}"].append(connection)
+    leaving = leaving_lanes(counted)
     numbers: dict[int, int] = {}
     for junction in junctions.values():
         rows = (connection for lane in junction.incoming_lanes for connection in leaving[lane])

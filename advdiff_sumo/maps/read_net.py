@@ -8,7 +8,8 @@ sumolib's. External entities are refused (defusedxml).
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Mapping
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -112,6 +113,14 @@ def _junctions(
         return rows
     on_map = {edge.get(end) for edge in edges.values() for end in ("from", "to")}
     return {name: row for name, row in rows.items() if name in on_map}
+
+
+def leaving_lanes(connections: Iterable[ET.Element]) -> defaultdict[str, list[ET.Element]]:
+    """Return lane → its *connections*, in their order; none for other lanes."""
+    leaving = defaultdict[str, list[ET.Element]](list)
+    for connection in connections:
+        leaving[f"{connection.attrib['from']}_{connection.attrib['fromLane']}"].append(connection)
+    return leaving
 
 
 def ids_beyond(root: ET.Element) -> set[str]:

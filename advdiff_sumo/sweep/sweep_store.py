@@ -77,12 +77,12 @@ class Store:
         Raises:
             FileError: it holds no sweep.
         """
-        if not (path / SWEEP_SETTINGS).is_file() and (path / RUN_SETTINGS).is_file():
+        if (path / SWEEP_SETTINGS).is_file():
+            return Store(path)
+        if (path / RUN_SETTINGS).is_file():
             remedy = "look at it with advdiff-sumo report or verdict; for this, sweep what is to be compared"
             raise FileError(path, "holds a run, no sweep", remedy)
-        if not (path / SWEEP_SETTINGS).is_file():
-            raise FileError(path, "holds no sweep", "give the folder that advdiff-sumo sweep wrote")
-        return Store(path)
+        raise FileError(path, "holds no sweep", "give the folder that advdiff-sumo sweep wrote")
 
     def spec(self) -> SweepSpec:
         """Return what was asked.

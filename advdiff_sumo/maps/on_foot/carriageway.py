@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +12,7 @@ from shapely.geometry import LineString, Point
 from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.maps.build_graph import DEFAULT_LANE_WIDTH_M, permissions
-from advdiff_sumo.maps.read_net import ids_beyond, shape_of
+from advdiff_sumo.maps.read_net import ids_beyond, leaving_lanes, shape_of
 
 _NOT_ON_WHEELS = frozenset(
     {
@@ -152,9 +151,7 @@ def _closed(parts: Sequence[BaseGeometry]) -> BaseGeometry:
 
 def _links(root: ET.Element) -> dict[tuple[str, int], ET.Element]:
     """Return the connections of each junction by the number of their right-of-way row."""
-    leaving: dict[str, list[ET.Element]] = defaultdict(list)
-    for row in root.iterfind("connection"):
-        leaving[f"{row.get('from')}_{row.get('fromLane')}"].append(row)
+    leaving = leaving_lanes(root.iterfind("connection"))
     links = {}
     for junction in root.iterfind("junction"):
         if junction.get("type") != "internal":

@@ -100,7 +100,7 @@ class Results:
 
     def summary(self) -> Summary:
         """Return rates with intervals, medians, planning times, and why episodes failed."""
-        rows, timing = self.episodes.to_pylist(), self.table("timing").to_pylist()
+        rows, timing = RunTables(self.folder).all_episodes(), self.table("timing").to_pylist()
         failed = {
             str(row["failure_kind"]): str(row["failure_message"])
             for row in reversed(rows)

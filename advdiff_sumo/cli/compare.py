@@ -16,29 +16,26 @@ if TYPE_CHECKING:
 
 
 def compare(
-    first: Annotated[Path, typer.Argument(help="Folder of a sweep.", show_default=False)],
+    first: Annotated[Path, typer.Argument(help="Folder of a run or sweep.", show_default=False)],
     second: Annotated[Path, typer.Argument(help="Folder of another, or the same.", show_default=False)],
     choose_a: Annotated[
         list[str] | None, typer.Option("--a", help="Of the first only episodes with COLUMN=VALUE.")
     ] = None,
     choose_b: Annotated[list[str] | None, typer.Option("--b", help="The same for the second.")] = None,
 ) -> None:
-    """Compare two sweeps over the same seed scenes, episode by episode.
+    """Compare two runs or sweeps over the same seed scenes, episode by episode.
 
     advdiff-sumo compare runs/planners runs/planners --a target=IDM --b target=lane_graph
 
     Rates: exact McNemar test, and the difference with a bootstrap interval that draws whole seed scenes.
     """
-    from advdiff_sumo.cli.sweep_results import must_be_sweep  # late: --help is quick
-    from advdiff_sumo.sweep.consolidate import read_rows, tables_of
+    from advdiff_sumo.experiments.folder_rows import rows_of_folder  # late: --help is quick
     from advdiff_sumo.sweep.paired import choose
     from advdiff_sumo.sweep.paired import compare as paired
 
     sides = []
     for folder, conditions, what in ((first, choose_a, "--a"), (second, choose_b, "--b")):
-        store, plan = must_be_sweep(folder)
-        tables_of(store, plan)
-        sides.append(choose(read_rows(store.path, "episodes"), conditions or [], what))
+        sides.append(choose(rows_of_folder(folder).episodes, conditions or [], what))
     _print(terminal(), paired(sides[0], sides[1]))
 
 

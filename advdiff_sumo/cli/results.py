@@ -24,7 +24,9 @@ class Form(StrEnum):
 
 
 def results(
-    folder: Annotated[Path, typer.Argument(help="Folder of a sweep, finished or not.", show_default=False)],
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of a run or sweep, finished or not.", show_default=False)
+    ],
     sql: Annotated[
         str | None,
         typer.Option(
@@ -35,26 +37,25 @@ def results(
     junit: JUnit = None,
     fail_if: FailIf = None,
 ) -> None:
-    """Put a sweep's episodes together and say what they came to.
+    """Say what the episodes of a run or sweep came to; a sweep's are put together.
 
     advdiff-sumo results runs/planners --sql "select target, avg(target_collision::int) from episodes group by 1"
 
     Without --sql: rates with intervals, failures, findings (near-duplicates among the collisions taken as one), the
     twenty worst episodes, and coverage. Works while a sweep is running, too.
     """
-    from advdiff_sumo.cli.sweep_results import conclude, condition_of, must_be_sweep  # late: --help is quick
-    from advdiff_sumo.sweep.consolidate import tables_of
+    from advdiff_sumo.cli.sweep_results import conclude, condition_of  # late: --help is quick
+    from advdiff_sumo.experiments.folder_rows import rows_of_folder
 
     condition = condition_of(fail_if)
-    store, plan = must_be_sweep(folder)
-    missing = tables_of(store, plan)
+    rows = rows_of_folder(folder)
     console = terminal()
     if sql is None:
-        conclude(console, store, plan, missing, condition, junit)
+        conclude(console, rows, condition, junit)
         return
     from advdiff_sumo.sweep.sql import query
 
-    _write(console, query(store.path, sql), form)
+    _write(console, query(folder, sql, rows.tables()), form)
 
 
 def _write(console: Console, answer: Any, form: Form) -> None:

@@ -31,7 +31,7 @@ def print_summary(
         failures: rows of ``failures.parquet``.
     """
     tables = RunTables(folder)
-    rows, timing = tables.rows("episodes").to_pylist(), tables.rows("timing").to_pylist()
+    rows, timing = tables.all_episodes(), tables.rows("timing").to_pylist()
     table = Table(
         title=f"{len(rows)} episodes, rates with 95 % Wilson intervals",
         title_justify="left",
@@ -53,7 +53,7 @@ def print_summary(
 
 def run_object(folder: Path) -> dict[str, Any]:
     """Return what ``--json`` prints of a run or sweep: where its results lie and what it came to."""
-    rows = RunTables(folder).rows("episodes").to_pylist()
+    rows = RunTables(folder).all_episodes()
     files = {"folder": str(folder.resolve()), "report": str((folder / "report.html").resolve())}
     return files | summary_figures(rows)
 

@@ -57,6 +57,7 @@ def sweep(
     one_thread_for_good()
     from advdiff_sumo.cli.summary import run_object  # late: --help needs no simulator
     from advdiff_sumo.cli.sweep_results import conclude, condition_of
+    from advdiff_sumo.experiments.folder_rows import rows_of_sweep
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store
 
     worker.end_as_by_ctrl_c()
@@ -82,7 +83,7 @@ def sweep(
         _draw(console, store.path)
     if as_json:
         print_json({**run_object(store.path), "missing": missing})
-    conclude(console, store, plan, missing, condition, junit)
+    conclude(console, rows_of_sweep(store, plan, missing), condition, junit)
 
 
 def _draw(console: Console, folder: Path) -> None:

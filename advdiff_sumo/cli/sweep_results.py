@@ -13,6 +13,7 @@ from rich.table import Table
 
 from advdiff_sumo.cli.summary import UNEXPLAINED
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
+from advdiff_sumo.experiments.folder_rows import FolderRows
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, archive
 from advdiff_sumo.metrics.near_miss import resolved
 from advdiff_sumo.metrics.severity import is_failure, is_valid_failure, worst_first
@@ -20,7 +21,6 @@ from advdiff_sumo.metrics.statistics import Rate
 from advdiff_sumo.report.attack_words import position_lines
 from advdiff_sumo.report.nets import place_names
 from advdiff_sumo.sweep.condition import Condition, Undefined
-from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.coverage import bands, coverage
 from advdiff_sumo.sweep.findings import Finding, findings
 from advdiff_sumo.sweep.job_plan import Plan
@@ -28,7 +28,6 @@ from advdiff_sumo.sweep.junit import junit_xml
 from advdiff_sumo.sweep.summary_stats import FIGURE_NAMES, Figures, by_kind
 from advdiff_sumo.sweep.sweep_columns import job_row
 from advdiff_sumo.sweep.sweep_files import write_whole
-from advdiff_sumo.sweep.sweep_store import Store
 
 CONDITION_MET = 1
 _WORST, _FINDINGS = 20, 12
@@ -47,25 +46,17 @@ def condition_of(text: str | None) -> Condition | None:
     return None if text is None else Condition(text, FIGURE_NAMES)
 
 
-def conclude(
-    console: Console,
-    store: Store,
-    plan: Plan,
-    missing: int,
-    condition: Condition | None,
-    junit: Path | None,
-) -> None:
+def conclude(console: Console, results: FolderRows, condition: Condition | None, junit: Path | None) -> None:
     """Write JUnit XML, print what the sweep came to, and leave with code 1 where the condition is met."""
-    episodes, failures = read_rows(store.path, "episodes"), read_rows(store.path, "failures")
-    overall = Figures.of(episodes, failures, missing)
+    overall = Figures.of(results.episodes, results.failures, results.missing)
     verdict = None if condition is None else _verdict(condition, overall)
     if junit is not None:
-        timing = {row["episode"]: row["wall_s"] for row in read_rows(store.path, "timing")}
+        timing = {row["episode"]: row["wall_s"] for row in results.timing}
         outcome = None if condition is None else (condition.text, verdict)
         junit.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(junit, junit_xml(episodes, failures, timing, outcome))
-    _print(console, plan, episodes, failures, overall)
-    console.print(f"results: {store.path}", soft_wrap=True)
+        write_whole(junit, junit_xml(results.episodes, results.failures, timing, outcome))
+    _print(console, results.plan, results.episodes, results.failures, overall)
+    console.print(f"results: {results.path}", soft_wrap=True)
     if verdict is not None:
         console.print(verdict, style="red", soft_wrap=True)
         raise typer.Exit(CONDITION_MET)
@@ -259,15 +250,3 @@ def duration(seconds: float) -> str:
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400.0 else f"{seconds / 3600:.1f} h"
-
-
-def must_be_sweep(folder: Path) -> tuple[Store, Plan]:
-    """Open the sweep in *folder* with its plan.
-
-    Raises:
-        InputError: there is none, or its nets are no longer what they were.
-    """
-    from advdiff_sumo.sweep.rounds import stored_plan
-
-    store = Store.open(folder)
-    return store, stored_plan(store)

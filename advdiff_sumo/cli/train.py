@@ -108,8 +108,8 @@ def train(
 def _judge(job: Job, windows: int) -> None:
     """Print the table of the trained weights on so many held-out *windows*, and keep it beside them."""
     from advdiff_sumo.models.bundle import load_bundle
+    from advdiff_sumo.models.shipped_weights import WEIGHTS
     from advdiff_sumo.training.evaluation import Judging
-    from advdiff_sumo.training.setup import WEIGHTS
 
     bundle, judging = load_bundle(job.out / WEIGHTS), Judging(windows=windows)
     judge_and_show(bundle, job.held_out, judging, job.device, job.out / "evaluation.json")

@@ -61,6 +61,10 @@ def verdict(
 
     console = verb_console(False, as_json)
     judging = open_folder(folder)
+    if judging.doubt:
+        console.print(
+            f"judged on the nets that are there now: {judging.doubt}", style="yellow", soft_wrap=True
+        )
     with progress_bar(console) as bar:
         task = bar.add_task("episodes judged", total=judging.count)
         rows = judging.judge(workers or cores(), lambda: bar.advance(task), search)
@@ -72,9 +76,10 @@ def verdict(
 
 
 def _say(console: Console, rows: Sequence[Mapping[str, Any]], search: bool) -> None:
-    """Say what episodes, *rows* of ``episodes``, came to; *search*: and how many collisions nobody avoids."""
-    from advdiff_sumo.metrics.severity import broke_rule, is_valid_failure
+    """Say what the finished ones of *rows* of ``episodes`` came to; *search*: and how many collisions nobody avoids."""
+    from advdiff_sumo.metrics.severity import broke_rule, is_failure, is_valid_failure
 
+    rows = [row for row in rows if not is_failure(row)]
     hits = [row for row in rows if row["target_collision"]]
     valid, critical = sum(map(is_valid_failure, rows)), sum(bool(row["critical"]) for row in rows)
     console.print(f"{len(rows)} episodes, {len(hits)} collisions of the target: {valid} valid failures")

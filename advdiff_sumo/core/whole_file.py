@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
+from typing import TypeVar
+
+A = TypeVar("A")
+T = TypeVar("T")
 
 #: In the name of every file that is being written.
 ASIDE = ".aside"
@@ -48,3 +53,32 @@ def settle(aside: Path, path: Path) -> None:
             os.fsync(folder)
         finally:
             os.close(folder)
+
+
+def file_state(path: str | Path) -> tuple[int, int]:
+    """Return what changes when *path* is written anew: its time and size; zeros where it is missing."""
+    try:
+        about = Path(path).stat()
+    except OSError:
+        return 0, 0
+    return about.st_mtime_ns, about.st_size
+
+
+def kept_while_same(most: int) -> Callable[[Callable[[str, A], T]], Callable[[str, A], T]]:
+    """Return a decorator that keeps what a reader of a file made of it, until the file changes.
+
+    Args:
+        most: how many of its results are kept.
+    """
+
+    def decorate(read: Callable[[str, A], T]) -> Callable[[str, A], T]:
+        @lru_cache(maxsize=most)
+        def kept(_state: tuple[int, int], path: str, how: A) -> T:
+            return read(path, how)
+
+        def reader(path: str, how: A, /) -> T:
+            return kept(file_state(path), path, how)
+
+        return reader
+
+    return decorate

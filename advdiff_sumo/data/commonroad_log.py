@@ -74,7 +74,7 @@ def _scene(name: str, path: Path, root: Element) -> LogScene:
         raise ValueError(f"it begins with <{root.tag}>, not <commonRoad>")
     dt_s = float(root.attrib["timeStepSize"])
     obstacles = [*root.iterfind("dynamicObstacle"), *root.iterfind("obstacle")]  # the latter in version 2018b
-    rows = [row for row in obstacles if _kind(row) is not None and _has_states(row)]
+    rows = [row for row in obstacles if _is_driven(row)]
     if not rows:
         raise ValueError("no obstacle has a trajectory, so there is nobody to drive")
     states = [_states(row) for row in rows]
@@ -107,8 +107,26 @@ def _kind(row: Element) -> AgentClass | None:
     return CLASSES.get((row.findtext("type") or "").strip())
 
 
-def _has_states(row: Element) -> bool:
-    return row.find("trajectory/state") is not None and row.find("shape/rectangle") is not None
+def _is_driven(row: Element) -> bool:
+    return _kind(row) is not None and row.find("trajectory/state") is not None and _size_m(row) is not None
+
+
+def _size_m(row: Element) -> tuple[float, float] | None:
+    """Return length and width in m: of a rectangle, or of the box around a circle or polygon; None without a shape."""
+    box = row.find("shape/rectangle")
+    if box is not None:
+        return float(box.findtext("length") or "nan"), float(box.findtext("width") or "nan")
+    radius = row.findtext("shape/circle/radius")
+    if radius is not None:
+        return 2.0 * float(radius), 2.0 * float(radius)
+    corners = [
+        (float(point.findtext("x") or "nan"), float(point.findtext("y") or "nan"))
+        for point in row.iterfind("shape/polygon/point")
+    ]
+    if not corners:
+        return None
+    length, width = np.ptp(np.array(corners), axis=0).tolist()
+    return length, width
 
 
 def _states(row: Element) -> FloatArray:
@@ -148,10 +166,7 @@ def _tracks(rows: list[Element], states: list[FloatArray], dt_s: float) -> Track
             )
         xy[number, at], yaw[number, at] = own[:, 1:3], own[:, 3]
     valid = np.isfinite(yaw)
-    boxes = [row.find("shape/rectangle") for row in rows]
-    sizes = [
-        [float(box.findtext(key) or "nan") for key in ("length", "width")] for box in boxes if box is not None
-    ]
+    sizes = [size for row in rows if (size := _size_m(row)) is not None]
     return Tracks(
         ids=tuple(row.get("id", "") for row in rows),
         classes=np.array([_kind(row) for row in rows], dtype=np.int64),

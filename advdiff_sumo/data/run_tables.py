@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,8 @@ import pyarrow.parquet as pq
 from advdiff_sumo.core.errors import FileError
 
 RUN_SETTINGS, SWEEP_SETTINGS = "run.toml", "sweep.toml"
+#: Folder in a run's that holds its episodes until the last one is there.
+RUN_PARTS = "parts"
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,31 @@ class RunTables:
             return pq.read_table(path, columns=named, filters=chosen, schema=schema)
         except (OSError, pa.ArrowException) as error:
             raise self._unusable(path, error) from None
+
+    def all_episodes(self) -> list[dict[str, Any]]:
+        """Return the rows of ``episodes``; of those that failed before they had one, what ``failures`` tells.
+
+        Raises:
+            FileError: a table is missing or damaged.
+        """
+        rows: list[dict[str, Any]] = self.rows("episodes").to_pylist()
+        return sorted([*rows, *self.unstarted(rows)], key=lambda row: int(row["episode"]))
+
+    def unstarted(self, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        """Return of each failed episode that has none of *rows* its number, end, and why it failed."""
+        if not self.path("failures").exists():
+            return []
+        known = {int(row["episode"]) for row in rows}
+        return [
+            {
+                "episode": failure["episode"],
+                "end": "failed",
+                "failure_kind": failure["kind"],
+                "failure_message": failure["message"],
+            }
+            for failure in self.rows("failures").to_pylist()
+            if int(failure["episode"]) not in known
+        ]
 
     def _unusable(self, path: Path, error: Exception) -> FileError:
         missing = isinstance(error, FileNotFoundError)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import pairwise
 from pathlib import Path
@@ -36,8 +36,9 @@ from advdiff_sumo.metrics.summary import summarise
 from advdiff_sumo.report.nets import net_path
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sweep.consolidate import consolidate
-from advdiff_sumo.sweep.job_plan import Plan
+from advdiff_sumo.sweep.job_plan import Plan, run_key
 from advdiff_sumo.sweep.rounds import stored_plan
+from advdiff_sumo.sweep.run_folder import RunFolder
 from advdiff_sumo.sweep.situation import SITUATION_COLUMNS
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES
@@ -107,12 +108,14 @@ class Judging:
         episodes: gives them, each with its key.
         keep: called with a key and what was judged, as each is done.
         finish: called at the end.
+        doubt: why the nets that are there now may not be those of the episodes; "" where they are, or for a run.
     """
 
     count: int
     episodes: Callable[[], Iterator[tuple[str, EpisodeTables]]]
     keep: Callable[[str, JudgedRows], None]
     finish: Callable[[], None]
+    doubt: str = ""
 
     def judge(self, workers: int, tell: Callable[[], None], search: bool = False) -> list[dict[str, Any]]:
         """Judge all episodes and return their rows; *tell* is called after each.
@@ -146,8 +149,10 @@ def open_folder(folder: Path) -> Judging:
     store = Store.open(folder)
     try:
         plan = stored_plan(store)
-    except ConfigError:  # of an earlier version, or its nets have changed: its tables are all there is
-        return _tables(folder, SWEEP_TABLES["episodes"])
+    except (
+        ConfigError
+    ) as error:  # of an earlier version, or its nets have changed: its tables are all there is
+        return replace(_tables(folder, SWEEP_TABLES["episodes"]), doubt=str(error))
     return _sweep(store, plan)
 
 
@@ -173,6 +178,8 @@ def _tables(folder: Path, columns: Mapping[str, Column]) -> Judging:
 
     def keep(key: str, judged: JudgedRows) -> None:
         rows[int(key)], hits[int(key)] = judged.episode, judged.collisions
+        if not tables.is_sweep:  # one that was interrupted goes on from its parts
+            _keep_in_part(RunFolder(folder).store, run_key(int(key)), judged)
 
     def finish() -> None:
         _replace(tables.path("episodes"), list(rows.values()), columns)
@@ -195,18 +202,27 @@ def _sweep(store: Store, plan: Plan) -> Judging:
             yield key, EpisodeTables(net, row, part.tables["states"], hits, part.tables.get("signals"))
 
     def keep(key: str, judged: JudgedRows) -> None:
-        part = store.read(key)
-        if part is not None:
-            tables = {
-                "episodes": table_of([judged.episode], {**EPISODE_COLUMNS, **SITUATION_COLUMNS}),
-                "collisions": table_of(judged.collisions, COLLISION_COLUMNS),
-            }
-            store.write(key, StoredEpisode({**part.tables, **tables}, part.failed).to_bytes())
+        _keep_in_part(store, key, judged)
 
     def finish() -> None:
         consolidate(store, plan)
 
     return Judging(len(jobs), episodes, keep, finish)
+
+
+def _keep_in_part(store: Store, key: str, judged: JudgedRows) -> None:
+    """Put what was judged into the file of an episode, where there is one."""
+    part = store.read(key)
+    if part is None:
+        return
+    before = part.tables["episodes"]
+    columns = {**EPISODE_COLUMNS, **SITUATION_COLUMNS}
+    row = dict.fromkeys(columns) | before.to_pylist()[0] | judged.episode
+    tables = {
+        "episodes": table_of([row], columns),
+        "collisions": table_of(judged.collisions, COLLISION_COLUMNS),
+    }
+    store.write(key, StoredEpisode({**part.tables, **tables}, part.failed).to_bytes())
 
 
 def judge_episode(stored: EpisodeTables, search: bool = False) -> JudgedRows:

@@ -101,6 +101,7 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
                 seed=options.seed,
                 episodes=1,
                 demand=options.demand,
+                scenes=options.scenes,
             ).model_dump(mode="json", exclude_none=True)
             for attack, scale, value in trials
         ]

@@ -40,7 +40,7 @@ def check_in_worker(
     failed = outcome.failed
     if failed is None:
         return [Verdict(**content) for content in json.loads(outcome.product[0])]
-    if failed.kind == "input_error":
+    if failed.kind in {"input_error", "no_scene"}:
         raise ConfigError(failed.message)
     return [Verdict(LASTS, False, f"{failed.message}{crashed_at(failed.log_tail)}")]
 

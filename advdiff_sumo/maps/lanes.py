@@ -20,10 +20,11 @@ class Link:
         from_lane: where it begins; an internal lane when this is the second half of a connection.
         to_lane: the lane beyond the junction, never internal.
         via: internal lanes in driving order: none, one, or two when there is a waiting position.
-        direction: SUMO's letter: s straight, l left, r right, L and R partly so, t turn-round.
+        direction: SUMO's letter: s straight, l left, r right, L and R partly so, t turn-round (T where one drives on
+            the left).
         tls_id: traffic light that controls it.
         tls_index: position in that light's state string.
-        state: SUMO's letter: M major, m minor, = equal, s all-way stop, w stop, Z zipper, o and O light off.
+        state: SUMO's letter: M major, m minor, = equal, s stop, w all-way stop, Z zipper, o and O light off.
         junction_id: where.
         request_index: row of the junction's right-of-way matrix; −1 when the net has none for it.
     """
@@ -37,6 +38,11 @@ class Link:
     state: str
     junction_id: str
     request_index: int
+
+    @property
+    def turns_round(self) -> bool:
+        """Whether it leads back."""
+        return self.direction in ("t", "T")
 
     @property
     def yields(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from advdiff_sumo.maps.read_net import base_name, read_root, shape_of
 
 AREA_TYPE = "drivable_area"
 HOLE_TYPE = "drivable_area_hole"
+_SAME_M2 = 1e-3
 
 
 def sidecar_of(net_path: Path) -> Path | None:
@@ -27,6 +29,8 @@ def sidecar_of(net_path: Path) -> Path | None:
 
 def read_sidecar(path: Path) -> BaseGeometry | None:
     """Return the union of the drivable areas of *path* less their holes; None when it holds no such polygon.
+
+    An area that lies within a hole, such as a car park in a ring of streets, is no part of that hole.
 
     Raises:
         NetError: the file cannot be read, is no SUMO additional file, or holds a malformed shape.
@@ -46,4 +50,11 @@ def read_sidecar(path: Path) -> BaseGeometry | None:
             (areas if kind == AREA_TYPE else holes).append(shapely.make_valid(polygon))
     if not areas:
         return None
-    return shapely.difference(shapely.union_all(areas), shapely.union_all(holes))
+    return shapely.union_all([_less_holes(area, holes) for area in areas])
+
+
+def _less_holes(area: BaseGeometry, holes: Sequence[BaseGeometry]) -> BaseGeometry:
+    """Return *area* without those of the *holes* that it does not lie in."""
+    shared = shapely.area(shapely.intersection(area, holes)) if holes else np.zeros(0)
+    cut = [hole for hole, m2 in zip(holes, shared.tolist(), strict=True) if 0.0 < m2 < area.area - _SAME_M2]
+    return shapely.difference(area, shapely.union_all(cut)) if cut else area

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.record import EndReason, EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.background_metrics import (
@@ -138,7 +138,7 @@ def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None
             struck = None
     before = _before(record, struck, left_road)
     criticality = _criticality(record, road, before, struck)
-    collided = struck is not None or left_road is not None or record.failure is not None
+    collided = struck is not None or left_road is not None or record.end is EndReason.FAILED
     hit = None if struck is None else judged(record, road, struck, solvable)
     return EpisodeMetrics(
         contacts=tuple(contacts),

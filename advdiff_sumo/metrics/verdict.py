@@ -166,7 +166,7 @@ def _not_judged(view: TrafficView, met: Encounter, driven: bool) -> tuple[str, .
     if met.crossing and None in links:
         missing.append("right of way (no connection over the junction fits)")
     if met.collision.rows[0] not in view.routes:
-        missing.append("the target's way beyond the contact (no route recorded)")
+        missing.append("the target's way beyond what it drove (no route recorded)")
     if not driven:
         missing.append("whether it was preventable (contact at the first instant)")
     return tuple(missing)

@@ -10,6 +10,8 @@ import torch
 
 from advdiff_sumo.core.errors import ConfigError
 
+#: File in the folder of a training that holds its networks.
+WEIGHTS = "weights.safetensors"
 ShippedName: TypeAlias = Literal["traffic", "closed-loop", "simnet", "traj2traj", "failures"]
 
 
@@ -25,10 +27,18 @@ def shipped_weights(name: ShippedName = "traffic") -> Path:
 
 
 def find_weights(given: str, default: ShippedName = "traffic") -> Path:
-    """Return the file that a user's *given* text means: a path, the name of shipped networks, or "" for *default*."""
-    if given in get_args(ShippedName) and not Path(given).exists():
+    """Return the file that a user's *given* text means.
+
+    Args:
+        given: a file, the folder of a training, the name of shipped networks, or "" for *default*.
+        default: of the shipped networks.
+    """
+    path = Path(given)
+    if given and (path / WEIGHTS).is_file():
+        return path / WEIGHTS
+    if given in get_args(ShippedName) and not path.is_file():
         default, given = cast("ShippedName", given), ""
-    return Path(given) if given else shipped_weights(default)
+    return path if given else shipped_weights(default)
 
 
 def device_of(name: str, whose: str) -> torch.device:

@@ -27,7 +27,7 @@ DEFAULT_ADDRESS = "localhost:50051"
 #: Key of a reply's trailing metadata that holds where the planner raised.
 TRACE_KEY = "advdiff-trace-bin"
 _KEPT_EPISODES, _KEPT_MAPS = 64, 8
-_SENTENCE, _TRACE = 500, 4000  # characters; gRPC bounds the size of headers
+_SENTENCE, _TRACE = 500, 4000  # bytes; gRPC bounds the size of headers
 
 
 @dataclass
@@ -202,9 +202,9 @@ def _answering(call: Callable[[Any], Any]) -> Callable[[Any, Any], Any]:
 
 
 def _refuse(context: Any, code: Any, sentence: str) -> NoReturn:
-    trace = traceback.format_exc()[-_TRACE:]
-    context.set_trailing_metadata(((TRACE_KEY, trace.encode()),))
-    context.abort(code, sentence[:_SENTENCE])
+    trace = traceback.format_exc().encode(errors="replace")[-_TRACE:]
+    context.set_trailing_metadata(((TRACE_KEY, trace),))
+    context.abort(code, sentence.encode(errors="replace")[:_SENTENCE].decode(errors="ignore"))
     raise AssertionError("abort() has raised")
 
 

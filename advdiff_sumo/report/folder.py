@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -12,7 +13,7 @@ import pyarrow as pa
 
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.data.episode_states import STATE_COLUMNS, EpisodeStates, states_of
-from advdiff_sumo.data.run_tables import RunTables
+from advdiff_sumo.data.run_tables import RUN_PARTS, RunTables
 from advdiff_sumo.metrics.arrow_tables import upgraded
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, LATER_COLUMNS, Column
 from advdiff_sumo.report.plans import PLAN_COLUMNS, Planned, plans_of
@@ -74,9 +75,26 @@ class FinishedRun:
 
     @property
     def planned(self) -> int | None:
-        """How many episodes a run was to have; None where that is not known."""
+        """How many episodes a run was to have; None where that is not known, and of one that was run again."""
         planned = self.options.get("episodes")
-        return planned if isinstance(planned, int) and not self.is_sweep else None
+        known = isinstance(planned, int) and not self.is_sweep and self.repeated is None
+        return planned if known else None
+
+    @property
+    def repeated(self) -> int | None:
+        """The episode that this folder is the repetition of; None for a run or sweep."""
+        number = self.settings.get("run", {}).get("repeats")
+        return number if isinstance(number, int) else None
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether a run was left before its end: its episodes are still files of their own, too."""
+        return not self.is_sweep and (self.folder / RUN_PARTS).is_dir()
+
+    @cached_property
+    def unstarted(self) -> int:
+        """How many episodes failed before they had a row."""
+        return len(self._tables.unstarted(self.episodes))
 
     def row(self, episode: int) -> Row:
         """Return the row of *episode*.

@@ -72,7 +72,7 @@ def report_html(run: FinishedRun) -> str:
             breaches=sorted({name for row in run.episodes for name in breaches_of(row)}),
             kinds=sorted({str(row["collision_type"]) for row in run.episodes if row["collision_type"]}),
             settings=list(_flat(run.settings)),
-            rates=headline(run.episodes),
+            rates=headline(run.episodes, run.unstarted),
             margins=margins_of(run, nets),
             archives=archives_of(run.episodes, labels),
             manoeuvres=MANOEUVRES,

@@ -25,7 +25,7 @@ class HeadlineRate:
     rate: Rate
 
 
-def headline(episodes: Sequence[Mapping[str, Any]]) -> tuple[HeadlineRate, ...]:
+def headline(episodes: Sequence[Mapping[str, Any]], unstarted: int = 0) -> tuple[HeadlineRate, ...]:
     """Return the rates that a report begins with.
 
     Failed episodes count in the rate of failures alone: what would have happened in them is not known. Whether the
@@ -33,6 +33,7 @@ def headline(episodes: Sequence[Mapping[str, Any]]) -> tuple[HeadlineRate, ...]:
 
     Args:
         episodes: rows of ``episodes.parquet``.
+        unstarted: how many more failed before they had a row.
     """
     finished = [row for row in episodes if row["end"] != "failed"]
     struck = [row for row in finished if row["target_collision"]]
@@ -50,7 +51,9 @@ def headline(episodes: Sequence[Mapping[str, Any]]) -> tuple[HeadlineRate, ...]:
         ),
         *([_line("Target saw the other", "collisions of SUMO's drivers", seen)] if seen else []),
         _line("Route completed", "finished episodes", [bool(r["route_completed"]) for r in finished]),
-        _line("Failed episodes", "episodes", [r["end"] == "failed" for r in episodes]),
+        _line(
+            "Failed episodes", "episodes", [*(r["end"] == "failed" for r in episodes), *([True] * unstarted)]
+        ),
     )
 
 

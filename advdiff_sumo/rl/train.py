@@ -63,7 +63,7 @@ def train(plan: Plan, resume: bool, tell: Tell) -> checkpoint.Progress:
         InputError: the options cannot be used, or the folder's checkpoint is another training's.
         KeyboardInterrupt: the user wants to stop; the last update is saved.
     """
-    progress = checkpoint.Progress(STAGE, plan.options(), data="")
+    progress = checkpoint.Progress(STAGE, plan.options(), data="", seed=plan.seed)
     groups: dict[str, Any] = {}
     if resume:
         progress, groups = checkpoint.load(plan.out)
@@ -72,6 +72,10 @@ def train(plan: Plan, resume: bool, tell: Tell) -> checkpoint.Progress:
                 plan.out / checkpoint.NAME,
                 "is of a training with other options",
                 "resume without changing them",
+            )
+        if progress.seed not in (None, plan.seed):
+            raise WeightsError(
+                plan.out / checkpoint.NAME, f"was begun with seed {progress.seed}", "resume with that one"
             )
     seed = SeedTree(plan.seed).child("ppo", progress.step)
     envs = make_envs(plan.adversary, plan.workers)

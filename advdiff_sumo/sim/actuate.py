@@ -25,7 +25,8 @@ from advdiff_sumo.core.sumo_classes import VCLASS_OF_CLASS
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.world import World
 
-_ANY_EDGE, _OWN_ROUTE = 2, 3  # moveToXY's keepRoute: exact position; 3 looks for a lane on the own route only
+# moveToXY's keepRoute: 1 is the nearest place on the own route, 2 and 3 the exact one, 3 on the own route only
+_ON_ROUTE, _ANY_EDGE, _OWN_ROUTE = 1, 2, 3
 _FREE_SPEED_FACTOR, _FREE_MAX_SPEED = 20.0, 90.0
 _SAME_PLACE_M = 0.2
 _NO_CHECKS = 0  # SUMO's speed mode and lane-change mode without any
@@ -118,8 +119,9 @@ class Actuator:
         try:
             self.api.route.add(f"insert:{name}", [self.road.edge_of(pose.lane_id)])
             self.api.vehicle.add(name, f"insert:{name}", typeID=type_id, depart="now", departPos="base")
+            # keepRoute 0 before it departs would give it this route again and again, whatever setRoute says
             self.api.vehicle.moveToXY(
-                name, "", -1, *front.tolist(), angle=float(sumo_from_yaw(along)), keepRoute=0
+                name, "", -1, *front.tolist(), angle=float(sumo_from_yaw(along)), keepRoute=_ON_ROUTE
             )
         except Exception as error:
             self._forget(name)

@@ -209,6 +209,9 @@ class Loop:
 
     def _take_or_insert(self, row: int) -> None:
         if row in self.world.in_sumo:
+            self.handover.note_own_route(
+                row, remaining_route(self.api, self.world.sumo_ids[row], self.road.beyond_rim)
+            )
             self.actuator.take(row)
         elif row not in self.entering:
             self.actuator.outside.add(row)
@@ -293,8 +296,6 @@ class Loop:
 
     def _seen_by_target(self, scene: Scene) -> Scene:
         """Return *scene* as far as the target sees."""
-        if self.everywhere:
-            return scene
         now = scene.history.xy_m[:, -1]
         gap = np.linalg.norm(now - now[scene.target], axis=-1)
         return scene.without(gap > self.sim.observe_radius_m)

@@ -174,6 +174,11 @@ class Handover:
             if row is not None and row not in self._routes:
                 self._routes[row] = route
 
+    def note_own_route(self, row: int, route: tuple[str, ...]) -> None:
+        """Note which edges *row* was going to drive before it was taken from SUMO; () where that is not known."""
+        if route:
+            self._routes[row] = route
+
     def route(self, row: int, routes: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
         """Return the edges that *row*, which we move, is expected to drive from its present one on."""
         return self._routes.get(row) or routes.get(self.world.ids[row], ())
@@ -205,6 +210,11 @@ class Handover:
         known = self.route(row, routes)
         if first in known and (last in known[known.index(first) :]):
             return known[known.index(first) :]
-        joined = (first,) if first == last else self.road.route(first, last) or (first,)
-        onward = self.road.random_route(joined[-1], _ROUTE_AHEAD_M, np.random.default_rng(row))
-        return (*joined[:-1], *(onward or joined[-1:]))
+        return guessed_route(self.road, row, first, last)
+
+
+def guessed_route(road: RoadMap, row: int, first: str, last: str) -> tuple[str, ...]:
+    """Return edges from *first* over *last*, where a plan ends, and on from there, drawn for *row*."""
+    joined = (first,) if first == last else road.route(first, last) or (first,)
+    onward = road.random_route(joined[-1], _ROUTE_AHEAD_M, np.random.default_rng(row))
+    return (*joined[:-1], *(onward or joined[-1:]))

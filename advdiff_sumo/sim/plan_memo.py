@@ -75,11 +75,11 @@ class PlanMemo:
     """The plans of a policy with its options on a net.
 
     Attributes:
-        about: net, policy and options.
+        about: net, policy, options and the state of files that they name.
         made: by this process, with those of other policies and nets.
     """
 
-    about: tuple[str, ...]
+    about: tuple[Any, ...]
     made: MadePlans
 
 

@@ -17,6 +17,7 @@ from advdiff_sumo.core.tracking import State, drive_plan
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_protocol import Planner, Served
 from advdiff_sumo.sim.actuate import Actuator
+from advdiff_sumo.sim.handover import guessed_route
 from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
 from advdiff_sumo.sim.plan_validation import check_plan
 from advdiff_sumo.sim.plug_in_guard import PlugInGuard
@@ -109,7 +110,7 @@ class PlannerDrive:
         state: State = world.xy_m[row].copy(), world.yaw_rad[row].copy(), world.speed_mps[row].copy()
         length = world.size_m[row, 0]
         self._states = drive_plan(state, plan, length, self.sim.step_s, steps, Limits())
-        self.actuator.predict_route(row, self.route_ahead())
+        self.actuator.predict_route(row, self._expected_route())
 
     def _plan(self, view: Scene) -> Plan:
         begun = time.perf_counter()
@@ -121,7 +122,7 @@ class PlannerDrive:
             )
         plan, self._memory = answer
         who = f"target '{self.name}'"
-        return check_plan(plan, self.world.xy_m[self.row], self.sim.model_step_s, who)
+        return check_plan(plan, self.world.xy_m[self.row], self.sim.model_step_s * self.sim.replan_every, who)
 
     def end(self, end: str, time_s: float, failure: str) -> None:
         """Tell a planner outside this process that the episode is over."""
@@ -149,6 +150,18 @@ class PlannerDrive:
     def route_ahead(self) -> tuple[str, ...]:
         """Return its remaining edges."""
         return self.route
+
+    def _expected_route(self) -> tuple[str, ...]:
+        """Return its remaining edges; off its route those over which its plan leads, and a guess beyond."""
+        row, route = self.row, self.route_ahead()
+        assert self._states is not None  # noqa: S101 - a plan has just been made
+        xy = np.stack((self.world.xy_m[row], self._states[0][-1]))
+        lanes, *_ = self.road.locate_many(xy, np.array([self.world.yaw_rad[row], self._states[1][-1]]))
+        here, there = lanes
+        if here is None or self.road.edge_of(here) in route:
+            return route
+        first = self.road.edge_of(here)
+        return guessed_route(self.road, row, first, first if there is None else self.road.edge_of(there))
 
     def _find_place(self) -> None:
         """Drop the edges that lie behind, and notice the end of the route."""

@@ -14,6 +14,7 @@ import pyarrow as pa
 from advdiff_sumo.data.run_tables import RunTables
 from advdiff_sumo.metrics.arrow_tables import schema_of, table_of, upgraded
 from advdiff_sumo.metrics.columns import Column
+from advdiff_sumo.sweep.fingerprint import digest
 from advdiff_sumo.sweep.job_plan import Job, Plan
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_columns import FAILURE_COLUMNS, SWEEP_TABLES, job_row
@@ -47,6 +48,7 @@ def consolidate(store: Store, plan: Plan) -> int:
     seal = {
         "episodes": len(plan.jobs),
         "missing": missing,
+        "parts": _parts(store, plan),
         "files": {n: checksum_of(folder / f"{n}.parquet") for n in SWEEP_TABLES},
     }
     write_whole(folder / _SEAL, json.dumps(seal, indent=1).encode())
@@ -56,7 +58,7 @@ def consolidate(store: Store, plan: Plan) -> int:
 def tables_of(store: Store, plan: Plan) -> int:
     """Make sure that the tables are there and whole; return how many episodes are missing.
 
-    They are put together again when one is missing or damaged, or when episodes have come since.
+    They are put together again when one is missing or damaged, or when episodes have come or changed since.
     """
     try:
         seal = json.loads((store.path / _SEAL).read_text(encoding="utf-8"))
@@ -64,9 +66,14 @@ def tables_of(store: Store, plan: Plan) -> int:
     except (OSError, ValueError, KeyError, TypeError):
         whole, seal = False, {}
     missing = sum(not store.has(job.key) for job in plan.jobs)
-    if whole and (seal.get("episodes", len(plan.jobs)), seal["missing"]) == (len(plan.jobs), missing):
+    if whole and seal.get("parts") == _parts(store, plan) and seal["missing"] == missing:
         return missing
     return consolidate(store, plan)
+
+
+def _parts(store: Store, plan: Plan) -> str:
+    """Return the digest of the episodes that are there, in the sweep's order."""
+    return digest([store.checksum(job.key) for job in plan.jobs])
 
 
 def read_rows(folder: Path, table: str) -> list[dict[str, Any]]:

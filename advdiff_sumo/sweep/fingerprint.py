@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from fnmatch import fnmatch
 from functools import lru_cache
 from pathlib import Path
@@ -78,10 +78,23 @@ def source_digest(options: RunOptions, demand: DemandFiles | None) -> str:
 
 
 def cell_digest(options: RunOptions, source: str) -> str:
-    """Return the digest of a run's options, its number of episodes apart; *source* is that of its scenes."""
+    """Return the digest of a run's options, its number of episodes apart; *source* is that of its scenes.
+
+    Files that they name, such as weights, count by their content.
+    """
     dumped = options.model_dump(mode="json")
     names = ("target", "target_options", "background", "background_options", "sim", "horizon_s", "seed")
-    return digest({"source": source, **{name: dumped[name] for name in names}})
+    parts = {"source": source, **{name: dumped[name] for name in names}}
+    files = [
+        _kept((p,)) for own in (options.target_options, options.background_options) for p in files_of(own)
+    ]
+    return digest({**parts, "files": files} if files else parts)
+
+
+def files_of(own: Mapping[str, Any]) -> tuple[Path, ...]:
+    """Return the files that the options *own* name."""
+    texts = (value for _, value in sorted(own.items()) if isinstance(value, str))
+    return tuple(Path(text) for text in texts if os.path.isfile(text))  # noqa: PTH113 - Path's raises for long texts
 
 
 def _kept(files: tuple[Path, ...]) -> str:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+
 from advdiff_sumo.core.errors import ConfigError, FileError, InputError, SceneError
 from advdiff_sumo.data.run_tables import RUN_SETTINGS, SWEEP_SETTINGS
 from advdiff_sumo.sim.episode import Episode
@@ -20,6 +22,7 @@ from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.work import part_of, run_of
 
 _SHORTEST_KEY = 6
+_BY_SEARCH = ("solvable", "unavoidable", "verdict")
 _SAME = ("episodes", "collisions", "states", "plans", "unattacked")
 
 
@@ -140,7 +143,10 @@ def episode_again(store: Store, plan: Plan, job: Job, gui: bool = False) -> tupl
 def settings_for(job: Job, run: Run) -> dict[str, Any]:
     """Return the ``run.toml`` of a folder that holds just *job*."""
     settings = run.settings
-    return {**settings, "options": {**settings["options"], "episodes": job.number + 1}}
+    return {
+        "run": {**settings["run"], "repeats": job.number},
+        "options": {**settings["options"], "episodes": job.number + 1},
+    }
 
 
 def _scene(store: Store, plan: Plan, run: Run, job: Job) -> SeedScene:
@@ -162,4 +168,16 @@ def _same(stored: StoredEpisode | None, again: StoredEpisode) -> bool | None:
         pairs = [(stored.tables[name], again.tables[name]) for name in names]
     except KeyError as lacking:
         raise FileError(Path("episode"), f"lacks the table {lacking}", "resume the sweep") from None
+    if _searched(stored):
+        pairs = [(_without_search(old), _without_search(new)) for old, new in pairs]
     return all(old.equals(new.select(old.column_names)) for old, new in pairs)
+
+
+def _searched(stored: StoredEpisode) -> bool:
+    """Return whether ``verdict --search`` has been at it, which a repetition does not do again."""
+    table = stored.tables["episodes"]
+    return "solvable" in table.column_names and table["solvable"].null_count < table.num_rows
+
+
+def _without_search(table: pa.Table) -> pa.Table:
+    return table.drop_columns([name for name in table.column_names if name in _BY_SEARCH])

@@ -16,7 +16,7 @@ import tomli_w
 
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.whole_file import ASIDE
-from advdiff_sumo.data.run_tables import RUN_SETTINGS, RunTables
+from advdiff_sumo.data.run_tables import RUN_PARTS, RUN_SETTINGS, RunTables
 from advdiff_sumo.metrics.arrow_tables import schema_of, table_of
 from advdiff_sumo.sim.run_store import LATER_TABLES, TABLES
 from advdiff_sumo.sweep.job_plan import run_key
@@ -28,7 +28,6 @@ from advdiff_sumo.sweep.table_writer import TableWriter
 from advdiff_sumo.sweep.tasks import Failed
 
 FAILURES = "failures.parquet"
-_PARTS = "parts"
 _BALLAST_BYTES = 8 << 20
 
 
@@ -69,7 +68,7 @@ class RunFolder:
             if not resume:
                 raise FileError(path, "already holds a run", remedy)
             folder._must_continue(settings)
-        elif path.is_dir() and any(child.name != _PARTS for child in path.iterdir()):
+        elif path.is_dir() and any(child.name != RUN_PARTS for child in path.iterdir()):
             raise FileError(path, "is a folder that holds other files", "choose a new --out")
         finished = folder._to_take_apart()
         try:
@@ -85,13 +84,13 @@ class RunFolder:
     @property
     def store(self) -> Store:
         """Where its episodes are while it is going on; they are called by :func:`run_key`."""
-        return Store(self.path / _PARTS)
+        return Store(self.path / RUN_PARTS)
 
     def discard(self) -> None:
         """Take a new folder away again, for a run of which no episode finished; what was there before stays."""
         if not self.fresh or self.done():
             return
-        shutil.rmtree(self.path / _PARTS, ignore_errors=True)
+        shutil.rmtree(self.path / RUN_PARTS, ignore_errors=True)
         for file in (self.path / RUN_SETTINGS, *self.path.glob(f"{RUN_SETTINGS}*{ASIDE}")):
             with contextlib.suppress(OSError):
                 file.unlink()
@@ -137,6 +136,13 @@ class RunFolder:
             return stored
         return self._from_tables((number,))[number]
 
+    def episodes(self) -> dict[int, StoredEpisode]:
+        """Return what is kept of all episodes by number, while the run is going on and after."""
+        if not (numbers := self.done()):
+            return self._from_tables(self._in_tables())
+        parts = {number: self.store.read(run_key(number)) for number in numbers}
+        return {number: part for number, part in parts.items() if part is not None}
+
     def consolidate(self, finished: bool) -> int:
         """Put the finished episodes together in one file a table.
 
@@ -161,7 +167,7 @@ class RunFolder:
                     failures.append(self._failure_row(number, part.failed))
         self._write_failures(failures)
         if finished:
-            shutil.rmtree(self.path / _PARTS)
+            shutil.rmtree(self.path / RUN_PARTS)
         return rows
 
     def failures(self) -> list[dict[str, Any]]:
@@ -194,18 +200,18 @@ class RunFolder:
 
     def _to_take_apart(self) -> dict[int, StoredEpisode]:
         """Return the episodes of a finished run, which has them in its tables alone."""
-        return {} if (self.path / _PARTS).exists() else self._from_tables(self._in_tables())
+        return {} if (self.path / RUN_PARTS).exists() else self._from_tables(self._in_tables())
 
     def _take_apart(self, finished: Mapping[int, StoredEpisode]) -> None:
         """Make parts of a finished run's tables again, so that none of its episodes is run or lost."""
         if not finished:
             return
-        aside = RunFolder(self.path / f"{_PARTS}{ASIDE}")
+        aside = RunFolder(self.path / f"{RUN_PARTS}{ASIDE}")
         shutil.rmtree(aside.path, ignore_errors=True)
         aside.store.prepare(0)
         for number, part in finished.items():
             aside.add(number, part)
-        (aside.path / _PARTS).replace(self.path / _PARTS)
+        (aside.path / RUN_PARTS).replace(self.path / RUN_PARTS)
         shutil.rmtree(aside.path)
 
     def _from_tables(self, numbers: Sequence[int]) -> dict[int, StoredEpisode]:

@@ -121,8 +121,7 @@ class Scheduler:
 
     def _has_scenes(self, batch: Batch) -> bool:
         """Return whether the seed scenes of *batch* are stored; of a driving log they may be fewer than are wanted."""
-        scenes = self.store.read_scenes(batch.key)
-        return scenes is not None and (bool(batch.options.scenes) or len(scenes) >= batch.scenes)
+        return self.store.has_scenes(batch.key, batch.scenes)
 
     def _scene_task(self, batch: Batch) -> SceneTask:
         return SceneTask(batch.key, batch.options, batch.number, batch.scenes, self._net(batch.options.net))
@@ -154,7 +153,7 @@ class Scheduler:
         if isinstance(task, EpisodeTask):
             self._record(self._jobs[task.key], outcome)
         elif outcome.failed is None:
-            self.store.write_scenes(task.key, outcome.product)
+            self.store.write_scenes(task.key, outcome.product, self.plan.batches[task.key].scenes)
             self._release(self.plan.batches[task.key])
         elif isinstance(task, SceneTask):
             self._give_up(task, outcome.failed)

@@ -1,7 +1,8 @@
-"""SQL over the tables of a sweep, through DuckDB."""
+"""SQL over the tables of a run or sweep, through DuckDB."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import pyarrow as pa
@@ -10,8 +11,13 @@ from advdiff_sumo.core.errors import ConfigError, MissingExtraError
 from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES
 
 
-def query(folder: Path, sql: str) -> pa.Table:
-    """Return the answer to *sql* over the views of the sweep's tables, such as episodes and states.
+def query(folder: Path, sql: str, instead: Mapping[str, pa.Table]) -> pa.Table:
+    """Return the answer to *sql* over the views of the tables in *folder*, such as episodes and states.
+
+    Args:
+        folder: of a run or sweep.
+        sql: what is asked.
+        instead: tables that stand for those of their names in the folder.
 
     Raises:
         MissingExtraError: DuckDB is not installed.
@@ -23,7 +29,10 @@ def query(folder: Path, sql: str) -> pa.Table:
         raise MissingExtraError("results --sql", "sql") from None
     with duckdb.connect(":memory:", config={"threads": 1}) as base:
         for name in SWEEP_TABLES:
-            base.read_parquet(str(folder / f"{name}.parquet")).create_view(name)
+            if name in instead:
+                base.register(name, instead[name])
+            else:
+                base.read_parquet(str(folder / f"{name}.parquet")).create_view(name)
         try:
             answer = base.sql(sql)
             if answer is None:

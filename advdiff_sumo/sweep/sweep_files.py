@@ -41,6 +41,15 @@ def read_checked(path: Path) -> bytes | None:
     return content if newline and head == _MAGIC + checksum else None
 
 
+def written_checksum(path: Path) -> str:
+    """Return the checksum that :func:`write_checked` wrote in front; "" where there is none."""
+    try:
+        with path.open("rb") as file:
+            return file.readline().decode(errors="replace").strip()
+    except OSError:
+        return ""
+
+
 def write_whole(path: Path, content: bytes) -> None:
     """Write *content* to *path*, aside first; errors as in :func:`write_checked`."""
     try:

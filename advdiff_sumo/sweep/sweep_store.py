@@ -19,10 +19,17 @@ from advdiff_sumo.core.whole_file import ASIDE
 from advdiff_sumo.data.run_tables import RUN_SETTINGS, SWEEP_SETTINGS
 from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.stored_episode import StoredEpisode, pack, unpack
-from advdiff_sumo.sweep.sweep_files import read_checked, unwritable, write_checked, write_whole
+from advdiff_sumo.sweep.sweep_files import (
+    read_checked,
+    unwritable,
+    write_checked,
+    write_whole,
+    written_checksum,
+)
 
 _EPISODES, _SCENES, _BALLAST = "episodes", "scenes", "ballast"
 _KEPT_BATCHES = 4
+_WANTED = "wanted"
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,7 @@ class Store:
     """
 
     path: Path
-    _recent: OrderedDict[str, tuple[bytes, ...]] = field(default_factory=OrderedDict)
+    _recent: OrderedDict[str, Mapping[str, bytes]] = field(default_factory=OrderedDict)
 
     # --- the folder --------------------------------------------------------------------------------------
 
@@ -80,7 +87,7 @@ class Store:
         if (path / SWEEP_SETTINGS).is_file():
             return Store(path)
         if (path / RUN_SETTINGS).is_file():
-            remedy = "look at it with advdiff-sumo report or verdict; for this, sweep what is to be compared"
+            remedy = "look at it with advdiff-sumo report, results or verdict, or repeat it with run --config"
             raise FileError(path, "holds a run, no sweep", remedy)
         raise FileError(path, "holds no sweep", "give the folder that advdiff-sumo sweep wrote")
 
@@ -184,30 +191,46 @@ class Store:
         """Return whether a finished episode is there and whole."""
         return read_checked(self._episode(key)) is not None
 
+    def checksum(self, key: str) -> str:
+        """Return what the file of a finished episode says of its content; "" where there is none."""
+        return written_checksum(self._episode(key))
+
     def _episode(self, key: str) -> Path:
         return self.path / _EPISODES / key[:2] / key
 
     # --- seed scenes -------------------------------------------------------------------------------------
 
-    def write_scenes(self, batch: str, scenes: tuple[bytes, ...]) -> None:
-        """Store the seed scenes of a batch; errors as in :meth:`write`."""
-        self._recent[batch] = scenes
-        while len(self._recent) > _KEPT_BATCHES:
-            self._recent.popitem(last=False)
-        content = pack({f"{k}": scene for k, scene in enumerate(scenes)})
-        write_checked(self.path / _SCENES / batch, content)
+    def write_scenes(self, batch: str, scenes: tuple[bytes, ...], wanted: int) -> None:
+        """Store the seed scenes of a batch of which so many were *wanted*; errors as in :meth:`write`."""
+        entries = {f"{k}": scene for k, scene in enumerate(scenes)} | {_WANTED: str(wanted).encode()}
+        self._remember(batch, entries)
+        write_checked(self.path / _SCENES / batch, pack(entries))
 
     def read_scenes(self, batch: str) -> tuple[bytes, ...] | None:
         """Return the seed scenes of a batch; None when they are missing or damaged."""
+        entries = self._scenes(batch)
+        return None if entries is None else tuple(scene for name, scene in entries.items() if name != _WANTED)
+
+    def has_scenes(self, batch: str, wanted: int) -> bool:
+        """Return whether so many seed scenes of a batch are stored, or all that there were when as many were wanted."""
+        entries = self._scenes(batch)
+        if entries is None:
+            return False
+        return max(int(entries.get(_WANTED, b"0")), len(entries.keys() - {_WANTED})) >= wanted
+
+    def _scenes(self, batch: str) -> Mapping[str, bytes] | None:
         if batch not in self._recent:
             content = read_checked(self.path / _SCENES / batch)
             if content is None:
                 return None
-            self._recent[batch] = tuple(unpack(content).values())
-            while len(self._recent) > _KEPT_BATCHES:
-                self._recent.popitem(last=False)
+            self._remember(batch, unpack(content))
         self._recent.move_to_end(batch)
         return self._recent[batch]
+
+    def _remember(self, batch: str, entries: Mapping[str, bytes]) -> None:
+        self._recent[batch] = entries
+        while len(self._recent) > _KEPT_BATCHES:
+            self._recent.popitem(last=False)
 
 
 def must_equal(path: Path, begun: SweepSpec, asked: SweepSpec) -> None:

@@ -17,6 +17,7 @@ import pyarrow as pa
 from advdiff_sumo.core.errors import AdvdiffError, EpisodeFailure, NetError, SceneError
 from advdiff_sumo.core.process_end import hears_ctrl_c
 from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.whole_file import file_state
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.arrow_tables import table_of
 from advdiff_sumo.metrics.columns import Column
@@ -31,7 +32,7 @@ from advdiff_sumo.sim.run_episodes import Run, RunOptions, policy_of, read_road,
 from advdiff_sumo.sim.run_store import episode_tables
 from advdiff_sumo.sim.scene_file import scene_from_bytes, scene_to_bytes
 from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.sweep.fingerprint import file_digest, net_files
+from advdiff_sumo.sweep.fingerprint import file_digest, files_of, net_files
 from advdiff_sumo.sweep.situation import SITUATION_COLUMNS, situation
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Outcome, SceneTask, Task
@@ -141,7 +142,7 @@ def _memo_of(task: EpisodeTask) -> PlanMemo | None:
     ours = surrogate in TARGETS.builtins or surrogate.startswith("advdiff_sumo.")
     if not ours or POLICIES.canonical(name) not in set(POLICIES.builtins) - _AT_HAND:
         return None
-    return PlanMemo((task.net_digest, name, repr(sorted(own.items()))), _MADE)
+    return PlanMemo((task.net_digest, name, repr(sorted(own.items())), _states_of(own)), _MADE)
 
 
 def _kind(error: AdvdiffError) -> str:
@@ -150,12 +151,17 @@ def _kind(error: AdvdiffError) -> str:
     return "no_scene" if isinstance(error, SceneError) else "input_error"
 
 
+def _states_of(own: Mapping[str, Any]) -> tuple[tuple[int, int], ...]:
+    """Return what changes when a file that the options *own* name is written anew."""
+    return tuple(map(file_state, files_of(own)))
+
+
 class _Plain:
-    """Options as an argument of a cache: equal when the target's or policy's own options and the steps are."""
+    """Options as an argument of a cache: equal when the target's or policy's own, their files and the steps are."""
 
     def __init__(self, options: RunOptions, own: dict[str, Any]) -> None:
         self.options, self.own = options, own
-        self._text = repr((sorted(own.items()), options.sim))
+        self._text = repr((sorted(own.items()), _states_of(own), options.sim))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Plain) and self._text == other._text

@@ -29,6 +29,7 @@ class Progress:
         stage: its name.
         options: every hyper-parameter, as plain values.
         data: hash of the training data and of the weights it began with.
+        seed: of its random numbers; None in checkpoints of earlier versions.
         epoch: epochs finished.
         batch: batches finished of the epoch that runs.
         step: steps of the optimiser done.
@@ -42,6 +43,7 @@ class Progress:
     stage: str
     options: dict[str, Any]
     data: str
+    seed: int | None = None
     epoch: int = 0
     batch: int = 0
     step: int = 0

@@ -82,7 +82,7 @@ def judge(bundle: Bundle, batch: SceneBatch, generator: torch.Generator) -> Tall
     schedule = schedule_of(bundle)
     k = spread_steps(batch, schedule)
     loss = noise_loss(bundle.denoiser, x0, context, batch, schedule, k, generator)
-    drawn = diffused(bundle, context, min(_JUDGED_STEPS, schedule.steps), generator)
+    drawn = diffused(bundle, context, _JUDGED_STEPS, generator)
     tally = displacement(bundle.codec.decode(drawn, context, batch), batch)
     weight = float(batch.scenes)
     return {
@@ -199,11 +199,16 @@ def sample_score(
 
 
 def diffused(bundle: Bundle, context: Context, steps: int, generator: torch.Generator) -> Tensor:
-    """Return samples x̃⁰ (B, A, C, L) of the denoiser, without a guide."""
+    """Return samples x̃⁰ (B, A, C, L) of the denoiser in at most so many *steps*, without a guide."""
+    schedule = schedule_of(bundle)
     shape = (*context.h.shape[:2], *bundle.codec.shape)
     start = torch.randn(shape, generator=generator).to(context.h)
     return sample(
-        noise_at(bundle.denoiser, context), start, schedule_of(bundle), Sampling(steps=steps), generator
+        noise_at(bundle.denoiser, context),
+        start,
+        schedule,
+        Sampling(steps=min(steps, schedule.steps)),
+        generator,
     )
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from advdiff_sumo.config import Options, set_dotted
 from advdiff_sumo.core.errors import UnknownNameError
 from advdiff_sumo.models.codec import CodecName
-from advdiff_sumo.models.model_options import ModelOptions
+from advdiff_sumo.models.model_options import FUTURE_STEPS, ModelOptions
 from advdiff_sumo.training.learning_rates import ScheduleName
 
 StageName = Literal["traffic", "denoiser", "joint", "reward", "decoder", "simnet"]
@@ -101,6 +101,15 @@ class RewardOptions(Options):
     noise: float = Field(0.1, ge=0.0)
     diffusion: float = Field(0.5, ge=0.0)
     sampling_steps: int = Field(10, ge=1, le=1000)
+
+    @model_validator(mode="after")
+    def _fit(self) -> Self:
+        """Refuse returns that no window is long enough for."""
+        if self.execute * self.returns > FUTURE_STEPS:
+            raise ValueError(
+                f"execute × returns = {self.execute * self.returns}: the future of a window has {FUTURE_STEPS} steps"
+            )
+        return self
 
 
 class SimnetOptions(Options):

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,8 @@ from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
-from advdiff_sumo.models.shipped_weights import find_weights
+from advdiff_sumo.models.model_options import ModelOptions
+from advdiff_sumo.models.shipped_weights import WEIGHTS, find_weights
 from advdiff_sumo.models.simnet_file import begin_simnet, save_simnet
 from advdiff_sumo.training.checkpoint import Progress
 from advdiff_sumo.training.cvae import TrafficStage
@@ -32,7 +34,11 @@ from advdiff_sumo.training.simnet_stage import SimnetStage
 from advdiff_sumo.training.stage import BundleStage, Stage
 from advdiff_sumo.training.training_loop import Job
 
-WEIGHTS = "weights.safetensors"
+#: Sizes of what a stage makes anew, which may be other ones than those of the weights begun with.
+_NEW_PARTS: Mapping[str, frozenset[str]] = {
+    "denoiser": frozenset({"denoiser_layers", "denoiser_situation", "channels"}),
+    "decoder": frozenset({"decoder", "neighbours"}),
+}
 _NEEDS: Mapping[StageName, tuple[StageName, ...]] = {
     "traffic": (),
     "denoiser": ("traffic",),
@@ -201,12 +207,17 @@ def _bundle(plan: Plan, begun: Bundle | None, windows: WindowSet) -> Bundle:
 
 def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions, windows: WindowSet) -> Bundle:
     """Return *begun*, with a new denoiser where that is to work on something else; refuse what cannot be."""
+    closing = plan.stage == "decoder" or (
+        plan.stage == "traffic" and plan.options.model.decoder == "closed-loop"
+    )
+    asked = _asked_of_new_parts(plan, begun, "decoder" if closing else plan.stage)
     if plan.stage in ("reward", "decoder") and begun.options.codec != "latent":
         raise ConfigError(
             f"{plan.init}: its denoiser works on trajectories, but the stage '{plan.stage}' needs latents"
         )
-    if plan.stage == "decoder" or (plan.stage == "traffic" and plan.options.model.decoder == "closed-loop"):
-        return with_closed_loop(begun, SeedTree(plan.seed, ("weights",)).integer(), windows.map_view)
+    if closing:
+        seed = SeedTree(plan.seed, ("weights",)).integer()
+        return with_closed_loop(begun, seed, windows.map_view, asked)
     windows.must_show(begun.options.model.map_view)
     if plan.stage != "denoiser":
         if begun.options.codec != wanted.codec:
@@ -216,7 +227,7 @@ def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions, windows: WindowSet
         return begun
     if "denoiser" in begun.stages and begun.options.codec == wanted.codec:
         return _informed(plan, begun)
-    options = wanted.model_copy(update={"model": begun.options.model})
+    options = wanted.model_copy(update={"model": _resized(begun.options.model, asked)})
     bundle = new_bundle(options, SeedTree(plan.seed, ("weights",)).integer())
     bundle.traffic.load_state_dict(begun.traffic.state_dict())
     bundle.reward.load_state_dict(begun.reward.state_dict())
@@ -232,16 +243,42 @@ def _informed(plan: Plan, begun: Bundle) -> Bundle:
     return _grown(begun, options, SeedTree(plan.seed, ("weights",)).integer())
 
 
-def with_closed_loop(begun: Bundle, seed: int, view: MapView | None = None) -> Bundle:
+def _asked_of_new_parts(plan: Plan, begun: Bundle, stage: str) -> dict[str, Any]:
+    """Return the sizes asked for of what *stage* makes anew.
+
+    Raises:
+        ConfigError: others are asked for than *begun* has, of what is not made anew.
+    """
+    usual, free = ModelOptions(), _NEW_PARTS.get(stage, frozenset())
+    asked = {name: value for name, value in plan.options.model if value != getattr(usual, name)}
+    for name, value in asked.items():
+        has = getattr(begun.options.model, name)
+        if name not in free and name != "map_view" and value != has:
+            raise ConfigError(
+                f"model.{name} = {value}: the networks of {plan.init} have {has}, and the stage '{plan.stage}' makes "
+                "none anew to which it applies; leave it out, or train from new weights"
+            )
+    return {name: value for name, value in asked.items() if name in free}
+
+
+def _resized(model: ModelOptions, changed: Mapping[str, Any]) -> ModelOptions:
+    """Return *model* with what is *changed*, checked as a whole."""
+    return ModelOptions.model_validate(model.model_dump() | dict(changed))
+
+
+def with_closed_loop(
+    begun: Bundle, seed: int, view: MapView | None = None, asked: Mapping[str, Any] = MappingProxyType({})
+) -> Bundle:
     """Return *begun* with a decoder that closes the loop; a new one gives the futures of the one before at first.
 
     Args:
         begun: networks; left as they are.
         seed: of weights that are new.
         view: how much of the map they shall see; None: as before.
+        asked: further options of the decoder.
     """
-    changed = {"decoder": "closed-loop", "map_view": view or begun.options.model.map_view}
-    options = begun.options.model_copy(update={"model": begun.options.model.model_copy(update=changed)})
+    changed = {**asked, "decoder": "closed-loop", "map_view": view or begun.options.model.map_view}
+    options = begun.options.model_copy(update={"model": _resized(begun.options.model, changed)})
     return _grown(begun, options, seed)
 
 

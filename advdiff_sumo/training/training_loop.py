@@ -113,7 +113,7 @@ class Trainer:
             parameters, lr=options.learning_rate, fused=job.device.type == "cuda" or None
         )
         self.ema = Ema(job.stage.module, options.ema_decay)
-        self.progress = Progress(job.stage.name, options.model_dump(mode="json"), job.source)
+        self.progress = Progress(job.stage.name, options.model_dump(mode="json"), job.source, job.seed)
         self._drawn = time.monotonic()
         whole = (options.epoch_windows or len(job.train)) / options.batch_size
         self.per_epoch = math.floor(whole) if options.compiled else math.ceil(whole)
@@ -329,5 +329,9 @@ def _same(folder: Path, old: Progress, new: Progress) -> None:
                 f"{folder} was begun with {name} = {old.options.get(name)}, not {value}; leave it out, or choose "
                 "another --out"
             )
+    if old.seed not in (None, new.seed):
+        raise ConfigError(
+            f"{folder} was begun with --seed {old.seed}, not {new.seed}; give that one, or choose another --out"
+        )
     if old.data != new.data:
         raise ConfigError(f"{folder} was begun with other data or other --init weights; choose another --out")

@@ -176,9 +176,17 @@ def test_empty_run(make_folder: Callable[..., Path]) -> None:
 
 
 def test_interrupted_run(make_folder: Callable[..., Path], rows: Any) -> None:
-    text = _read(make_folder([rows.episode(0)], options={"episodes": 5})).text
+    folder = make_folder([rows.episode(0)], options={"episodes": 5})
+    (folder / "parts").mkdir()
+    text = _read(folder).text
     assert "1 of 5 episodes" in text
     assert "The run was interrupted" in text
+
+
+def test_a_log_of_fewer_scenes_was_not_interrupted(make_folder: Callable[..., Path], rows: Any) -> None:
+    text = _read(make_folder([rows.episode(0)], options={"episodes": 5})).text
+    assert "1 of 5 episodes" in text
+    assert "interrupted" not in text
 
 
 def test_failure_without_states(make_folder: Callable[..., Path], rows: Any) -> None:

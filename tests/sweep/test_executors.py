@@ -77,7 +77,7 @@ def test_seed_scenes_of_a_warm_up_that_are_too_few_are_made_again(
     net = file_digest(*net_files(first.options.net))
     outcome = perform(SceneTask(first.key, first.options, first.number, 1, net))
     assert len(outcome.product) == 1
-    store.write_scenes(first.key, outcome.product)
+    store.write_scenes(first.key, outcome.product, 1)
     todo = RemainingJobs.of(plan, store, limit=2)
     assert [job.place for job in todo.jobs] == [0, 1]
     run_sweep(plan, store, todo, SerialExecutor(), 0, lambda *_: None)

@@ -51,11 +51,20 @@ def test_a_damaged_episode_is_missing(tmp_path: Path, damage: str) -> None:
 
 def test_scenes_are_checked_too(tmp_path: Path) -> None:
     store = open_store(tmp_path / "s", PLAN, 1, resume=False)
-    store.write_scenes("batch", (b"one", b"two"))
+    store.write_scenes("batch", (b"one", b"two"), 2)
     assert Store(store.path).read_scenes("batch") == (b"one", b"two")
     path = store.path / "scenes" / "batch"
     path.write_bytes(path.read_bytes()[:-1])
     assert Store(store.path).read_scenes("batch") is None
+    assert not Store(store.path).has_scenes("batch", 1)
+
+
+def test_a_log_has_fewer_scenes_than_wanted_only_if_as_many_were_wanted(tmp_path: Path) -> None:
+    store = open_store(tmp_path / "s", PLAN, 1, resume=False)
+    store.write_scenes("batch", (b"one", b"two"), 5)
+    again = Store(store.path)
+    assert [again.has_scenes("batch", wanted) for wanted in (2, 5, 6)] == [True, True, False]
+    assert again.read_scenes("batch") == (b"one", b"two")
 
 
 def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:

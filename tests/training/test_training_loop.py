@@ -13,12 +13,13 @@ import torch
 
 from advdiff_sumo.core.errors import ConfigError, TrainingError, WeightsError
 from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.shipped_weights import WEIGHTS
 from advdiff_sumo.training import checkpoint
 from advdiff_sumo.training.ema import Ema
 from advdiff_sumo.training.history import NoEvents
 from advdiff_sumo.training.learning_rates import rate_factor
 from advdiff_sumo.training.presets import STAGES, StageName, TrainOptions, preset
-from advdiff_sumo.training.setup import WEIGHTS, Plan, prepare
+from advdiff_sumo.training.setup import Plan, prepare
 from advdiff_sumo.training.stage import Moment
 from advdiff_sumo.training.training_loop import Job, Trainer
 from tests.training.straight_road import write

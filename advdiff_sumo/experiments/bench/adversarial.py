@@ -52,9 +52,10 @@ def plan_adversarial(folder: Folder, teller: ProgressReporter) -> BenchCells:
     """
     request = folder.request
     scenes, targets, names = asked_of(request, teller, ATTACKED, folder=folder.path)
-    options = {name: licensed(policy_row(name).options, request) for name in names}
+    rows = {name: policy_row(name) for name in names}
+    options = {name: licensed(row.options, request, row.background) for name, row in rows.items()}
     cells = [
-        BenchCell(name, target, policy_row(name).background, background_options=options[name])
+        BenchCell(name, target, rows[name].background, background_options=options[name])
         for target in targets
         for name in names
     ]

@@ -32,7 +32,7 @@ class PolicyRow:
     reference: bool = False
 
 
-NATURAL, UNGUIDED, OURS = "sumo", "unguided", "diffusion"
+NATURAL, UNGUIDED, OURS, SCRIPTED = "sumo", "unguided", "diffusion", "scripted"
 PAPERS_LICENCE: Mapping[str, Any] = {"licence": "reckless"}
 """What attackers may do in the paper's tables: anything that moves like a vehicle; with its kind of decoder."""
 POLICY_ROWS: Mapping[str, PolicyRow] = {
@@ -59,9 +59,9 @@ def policy_row(name: str) -> PolicyRow:
     return POLICY_ROWS.get(name, PolicyRow(name, name))
 
 
-def licensed(options: Mapping[str, Any], request: Request) -> dict[str, Any]:
-    """Return *options* of a row's background with the licence that is asked for in place of the paper's."""
-    if request.licence is None or "licence" not in options:
+def licensed(options: Mapping[str, Any], request: Request, background: str = "") -> dict[str, Any]:
+    """Return *options* of a row's *background* with the licence that is asked for, if any."""
+    if request.licence is None or not ("licence" in options or background == SCRIPTED):
         return dict(options)
     return {**options, "licence": request.licence}
 

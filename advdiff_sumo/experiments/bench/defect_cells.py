@@ -68,20 +68,21 @@ def planted_in(target: str, request: Request, teller: ProgressReporter | None = 
     """
     texts = [text if ":" in text else f"{text}:{request.severity}" for text in request.defects or DEFECTS]
     defects = parse_defects(texts)
-    if not isinstance(make_target(target, {}), SumoDriver):
+    driver = make_target(target, {})
+    if not isinstance(driver, SumoDriver):
         return defects
     if request.defects:
         make_target(target, {"defects": [defect.name for defect in defects]})  # says what has no form
-    lacking = [defect.kind.name for defect in defects if defect.kind.sumo is None]
+    lacking = [defect.kind.name for defect in defects if defect.lacks_form(driver) is not None]
     if lacking and teller is not None:
         teller.say(f"left out, as SUMO, which drives {target}, has no form of them: {', '.join(lacking)}")
-    return tuple(defect for defect in defects if defect.kind.sumo is not None)
+    return tuple(defect for defect in defects if defect.lacks_form(driver) is None)
 
 
 def _cell(request: Request, name: str, target: str, defect: Defect | None = None) -> BenchCell:
     """Return the cell of the row *name*; its attackers keep to the law unless the request says otherwise."""
     row = policy_row(name)
-    allowed = licensed(row.options, request)
+    allowed = licensed(row.options, request, row.background)
     if request.licence is None:
         allowed = {key: value for key, value in allowed.items() if key not in PAPERS_LICENCE}
     options = {} if defect is None else {"defects": [defect.name]}

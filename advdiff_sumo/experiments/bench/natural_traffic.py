@@ -63,7 +63,7 @@ def run_traffic(folder: Folder, workers: int, teller: ProgressReporter) -> Table
         rows = spread_rows(len(windows), _wanted(folder.request.scenes, len(windows)))
         counted |= _counted(folder, seeing, windows, rows, places, workers, teller)
     scenes = tuple(str(row) for row in rows.tolist())
-    samples = [_samples(name, counted, scenes) for name in names]
+    samples = [_samples(name, counted, scenes, folder.request.seeds) for name in names]
     lines = lines_of(HEADS, samples, paper_table("traffic").rows)
     request = folder.request
     title = f"Natural traffic, open loop: {len(rows)} windows, {request.samples} samples each"
@@ -224,7 +224,7 @@ def _over_seeds(parts: list[Counted]) -> Counted:
     return Counted(**counts)
 
 
-def _samples(name: str, counted: Mapping[str, Counted], scenes: tuple[str, ...]) -> RowSamples:
+def _samples(name: str, counted: Mapping[str, Counted], scenes: tuple[str, ...], seeds: int) -> RowSamples:
     own, log = counted[name], counted[LOG]
     some = (own.vehicles > 0.0).astype(np.float64)
     samples: dict[str, Sample] = {
@@ -238,6 +238,6 @@ def _samples(name: str, counted: Mapping[str, Counted], scenes: tuple[str, ...])
             "jsd_accel": Divergence(scenes, (own.accel,), (log.accel,)),
             "jsd_ttc": Divergence(scenes, (own.ttc,), (log.ttc,)),
         }
-        if own.trials.sum() > own.vehicles.sum():
+        if own.trials.sum() > seeds * own.vehicles.sum():
             samples["fdd_m"] = Ratio(scenes, own.fdd_m, own.vehicles)
     return RowSamples(name, "", MODELS[name].title, samples, name == LOG, name == OURS)

@@ -11,6 +11,7 @@ from advdiff_sumo.core.boxes import axis_gaps, corners, distance
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import Trajectory
 from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.metrics.contact import JUMP_MPS
 from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact
 
 
@@ -64,14 +65,17 @@ def touches(drive: Trajectory, others: Tracks, target: int, first_step: int) -> 
 
 
 def _within_reach(drive: Trajectory, others: Tracks, target: int) -> tuple[IntArray, IntArray]:
-    """Return rows and instants of others so near that they might touch the drive before the next instant."""
+    """Return rows and instants of others so near that they might touch the drive before the next instant.
+
+    Whoever jumps is not swept, as in :func:`~advdiff_sumo.metrics.contact.contacts`.
+    """
     size = others.size_m
     offset = others.xy_m[:, :-1] - drive.xy_m[:-1]
     moves = np.hypot(*np.moveaxis(np.diff(others.xy_m, axis=1), -1, 0))
     own = np.hypot(*np.diff(drive.xy_m, axis=0).T)
     reach = 0.5 * (np.hypot(*size.T) + np.hypot(*size[target]))[:, None] + moves + own
     with np.errstate(invalid="ignore"):
-        near = np.hypot(offset[..., 0], offset[..., 1]) <= reach
+        near = (np.hypot(offset[..., 0], offset[..., 1]) <= reach) & (moves <= JUMP_MPS * others.dt_s)
     near[target] = False
     row, step = np.nonzero(near)
     return row, step

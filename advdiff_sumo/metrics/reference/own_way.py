@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import shapely
@@ -58,7 +59,8 @@ class OwnWay:
 def way_from(record: EpisodeRecord, road: RoadMap, step: int, reach_m: float) -> OwnWay:
     """Return the way from the target's pose at *step*: back into its lane, and along its route.
 
-    Without a lane of the route there, the way is the driven path.
+    Where there is no route, or its lane does not lead along it, the way goes where the target drove, and then over the
+    straightest connections. Without a lane there, it is the driven path.
 
     Args:
         record: the episode.
@@ -111,16 +113,58 @@ def joined_way(record: EpisodeRecord, road: RoadMap, start: int, stop: int, reac
 
 
 def _lane_path(record: EpisodeRecord, road: RoadMap, step: int, reach_m: float) -> LanePath | None:
+    """Return the lanes from where the target is: along its route, else as it drove, else straight on."""
     route: Sequence[str] = record.route if all(edge in road.edges for edge in record.route) else ()
     row, tracks = record.target, record.tracks
     xy, yaw = tracks.xy_m[row, step], float(tracks.yaw_rad[row, step])
     pose = road.locate(xy, yaw, route=route or None)
     if pose is None or abs(pose.yaw_error_rad) > 1.0:
         return None
-    if not route:
-        route = (road.lanes[pose.lane_id].edge_id,)
-    paths = road.lane_path(route, pose.lane_id, reach_m, start_s_m=pose.s_m, vclass=None)
+    along = partial(
+        road.lane_path, start_lane=pose.lane_id, horizon_m=reach_m, start_s_m=pose.s_m, vclass=None
+    )
+    planned = along(route) if route else []
+    if planned and _far_enough(planned[0], reach_m):
+        return planned[0]
+    driven = road.match_route(tracks.xy_m[row, step:], tracks.yaw_rad[row, step:]) or ()
+    for edges in (driven, ()):
+        paths = along(_onward(road, pose.lane_id, edges, along, reach_m))
+        if paths and _far_enough(paths[0], reach_m):
+            return paths[0]
     return paths[0] if paths else None
+
+
+def _far_enough(path: LanePath, reach_m: float) -> bool:
+    return path.complete or path.reaches_m >= reach_m
+
+
+def _onward(
+    road: RoadMap,
+    lane_id: str,
+    edges: Sequence[str],
+    along: Callable[[Sequence[str]], Sequence[LanePath]],
+    reach_m: float,
+) -> list[str]:
+    """Return a route from *lane_id* over *edges*, as far as they lead on from it, and over the straightest links."""
+    link = road.link_over.get(lane_id)
+    route = [road.lanes[x].edge_id for x in ((lane_id,) if link is None else (link.from_lane, link.to_lane))]
+    if route[-1] in edges:
+        route += edges[edges.index(route[-1]) + 1 :]
+    paths = along(route)
+    if not (paths and paths[0].complete):
+        return route
+    name, length = paths[0].lane_ids[-1], paths[0].line.length_m
+    while length < reach_m:
+        links = [x for x in road.lanes[name].successors if not x.turns_round]
+        if not links:
+            break
+        straightest = min(links, key=lambda x: (x.direction != "s", x.to_lane))
+        name = straightest.to_lane
+        if road.lanes[name].edge_id in route:
+            break
+        route.append(road.lanes[name].edge_id)
+        length += sum(road.lanes[x].length_m for x in (*straightest.via, name))
+    return route
 
 
 def _blended(line: Polyline, xy_m: FloatArray, blend_m: float) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -26,17 +27,21 @@ class _Braking:
     Attributes:
         at_s: when it began.
         dt_s: spacing.
-        brake_mps2: (T,) decelerations, 0 or more.
+        brake_mps2: (T,) decelerations, 0 or more, each reached at the end of its interval.
+        before_mps2: deceleration when it began.
     """
 
     at_s: float
     dt_s: float
     brake_mps2: FloatArray
+    before_mps2: float
 
-    def reached(self, time_s: float) -> float:
-        """Return the deceleration at *time_s*."""
-        step = round((time_s - self.at_s) / self.dt_s) - 1
-        return float(self.brake_mps2[min(step, len(self.brake_mps2) - 1)]) if step >= 0 else 0.0
+    def reached(self, time_s: float, rise_mps3: float) -> float:
+        """Return the deceleration at *time_s*, also amid an interval, when it builds up by *rise_mps3*."""
+        since = time_s - self.at_s
+        step = min(math.ceil(since / self.dt_s - 1e-6), len(self.brake_mps2)) - 1
+        planned = float(self.brake_mps2[step]) if step >= 0 else self.before_mps2
+        return min(planned, self.before_mps2 + rise_mps3 * since + 1e-9)
 
 
 class WeakBrakes(Fault):
@@ -53,9 +58,9 @@ class SlowBrakes(Fault):
     def act(self, plan: Plan, scene: Scene, memory: Any) -> tuple[Plan, Any]:
         """Return the plan with braking that builds up."""
         rise = Limits().brake_mps2 / self.value
-        reached = memory.reached(scene.time_s) if isinstance(memory, _Braking) else 0.0
+        reached = memory.reached(scene.time_s, rise) if isinstance(memory, _Braking) else 0.0
         slow, brake = _braked(plan, scene, reached, lambda before, dt_s: before + rise * dt_s)
-        return slow, _Braking(scene.time_s, plan.dt_s, brake)
+        return slow, _Braking(scene.time_s, plan.dt_s, brake, reached)
 
 
 @dataclass(frozen=True)

@@ -231,7 +231,8 @@ _KINDS = (
         (0.0, 5.0),
         misjudgement.ShortHeadway,
         lambda s: {"tau": -s},
-        "`tau`, less by so much than the target's own (SUMO's is 1 s), 0.1 s at least",
+        "`tau`, less by so much than the target's own (SUMO's is 1 s), 0.1 s at least; none for W99, Wiedemann and "
+        "CACC, which follow no closer for it",
     ),
     DefectKind(
         "signals",

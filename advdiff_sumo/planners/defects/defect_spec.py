@@ -17,6 +17,8 @@ _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*(.*?)\s*", 
 _SPELLINGS = {"m/s2": "m/s²", "°": "deg"}
 _LONGEST = ("actionStepLength",)
 _SUMO_TAU_S, _LEAST_TAU_S = 1.0, 0.1
+_SUMO_BRAKES_MPS2 = {"decel": 4.5, "emergencyDecel": 9.0}
+_NO_SHORTER_TAU = ("W99", "Wiedemann", "CACC")
 
 
 @dataclass(frozen=True)
@@ -37,16 +39,24 @@ class Defect:
         named = dict(zip(self.kind.values, SEVERITIES, strict=True))
         return f"{self.kind.name}:{named.get(self.value, f'{self.value:g}')}"
 
-    def sumo_params(self, driver: str) -> dict[str, float]:
-        """Return the vType attributes that plant it in *driver*.
+    def lacks_form(self, driver: SumoDriver) -> str | None:
+        """Return why SUMO has no form of it for *driver*; None where it has one."""
+        if self.kind.sumo is None:
+            return self.kind.sumo_note.removeprefix("none: ")
+        if "tau" in self.kind.sumo(self.value) and driver.car_following in _NO_SHORTER_TAU:
+            return f"{driver.car_following} follows no closer for a shorter tau"
+        return None
+
+    def sumo_params(self, driver: SumoDriver, name: str) -> dict[str, float]:
+        """Return the vType attributes that plant it in *driver*, which is called *name*.
 
         Raises:
             ConfigError: SUMO has no form of it.
         """
-        if self.kind.sumo is None:
-            why = self.kind.sumo_note.removeprefix("none: ")
+        why = self.lacks_form(driver)
+        if why is not None or self.kind.sumo is None:
             raise ConfigError(
-                f"defect '{self.kind.name}' has no form for target '{driver}', which SUMO drives: {why}; "
+                f"defect '{self.kind.name}' has no form for target '{name}', which SUMO drives: {why}; "
                 "take a planner as the target, such as lane_graph"
             )
         return dict(self.kind.sumo(self.value))
@@ -104,10 +114,12 @@ def plant(target: Target, defects: Sequence[Defect], name: str) -> Target:
     params: dict[str, Any] = dict(target.params)
     planted: dict[str, float] = {}
     for defect in defects:
-        for key, value in defect.sumo_params(name).items():
+        for key, value in defect.sumo_params(target, name).items():
             planted[key] = max(value, planted.get(key, value)) if key in _LONGEST else value
     if "tau" in planted:
         planted["tau"] = max(float(params.get("tau", _SUMO_TAU_S)) + planted["tau"], _LEAST_TAU_S)
+    for key in planted.keys() & _SUMO_BRAKES_MPS2.keys():  # weak brakes are no stronger than the target's own
+        planted[key] = min(planted[key], float(params.get(key, _SUMO_BRAKES_MPS2[key])))
     return replace(target, params=params | planted)
 
 

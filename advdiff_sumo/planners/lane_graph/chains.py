@@ -169,7 +169,7 @@ def plausible_chains(
         chain = route_chain(road, start, ahead, needed, reach_m)
         if chain.serves:
             return [chain]
-    branches = [x for x in lane.successors if x.direction != "t"] or list(lane.successors)
+    branches = [x for x in lane.successors if not x.turns_round] or list(lane.successors)
     if lane.length_m >= reach_m or not branches:
         return [Chain((start,), ())]
     return [_branch(road, start, link, reach_m) for link in branches]
@@ -185,7 +185,7 @@ def detour(road: RoadMap, lane_id: str, goal: str) -> tuple[str, ...]:
     """Return the quickest edges to *goal* by a connection of *lane_id* itself, its own edge first; () for none."""
     edge = road.lanes[lane_id].edge_id
     exits = sorted(
-        {road.lanes[x.to_lane].edge_id for x in road.lanes[lane_id].successors if x.direction != "t"}
+        {road.lanes[x.to_lane].edge_id for x in road.lanes[lane_id].successors if not x.turns_round}
     )
     ways = [way for e in exits if (way := road.route(e, goal)) is not None] or [(e,) for e in exits]
     shortest = min(ways, key=lambda way: sum(road.edges[e].length_m for e in way), default=())

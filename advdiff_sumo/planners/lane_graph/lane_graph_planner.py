@@ -41,6 +41,8 @@ _PLAN_STEP_S = 0.1
 _PLAN_STEPS = 20
 _MEMORY_STEP = 4  # index of the planned state half a second from now
 _CLAIM_M = 60.0
+_STOPPED_WITHIN_M = 3.0  # of a line: who stands there has stopped for it
+_STOPS_SHORT_M = 1.5  # at most, of the gap that it aims at
 
 
 class LaneGraphPlanner:
@@ -110,7 +112,10 @@ class LaneGraphPlanner:
         side = sides[int(choice.variant[best])]
         plan = _driven(side, candidates, best, state)
         rule = rules[int(choice.variant[best])]
-        return plan, _remember(memory, scene, state, place, side, rule, candidates.s_m[best], plan, others)
+        halt = max(_STOPPED_WITHIN_M, self.options.stop_gap_m + _STOPS_SHORT_M)
+        return plan, _remember(
+            memory, scene, state, place, side, rule, candidates.s_m[best], plan, others, halt
+        )
 
     def _candidates(
         self,
@@ -196,11 +201,13 @@ def _remember(
     s_m: FloatArray,
     plan: Trajectory,
     others: Others,
+    halt_m: float,
 ) -> Memory:
+    """Return what to know at the next plan; who stands *halt_m* or less before a line has stopped there."""
     ahead = [(link, line - side.s_m - state.front_m) for link, line in rule.passing]
     stopped = memory.stopped
     for link, distance in ahead:
-        if state.speed_mps < 0.3 and distance < 3.0:
+        if state.speed_mps < 0.3 and distance < halt_m:
             stopped = (link.from_lane, link.to_lane)
     passed = s_m[-1] + state.front_m
     committed = {(x.from_lane, x.to_lane) for x, line in rule.passing if line < passed}

@@ -147,7 +147,7 @@ def _chains(geometry: Geometry, lane: str, route: Sequence[str], reach_m: float)
     ahead = reach_m + road.lanes[lane].length_m
     if link is None:
         return plausible_chains(road, lane, route, ahead, geometry.changes)
-    parallel = [x for x in road.lanes[link.from_lane].successors if x.via and x.direction != "t"] or [link]
+    parallel = [x for x in road.lanes[link.from_lane].successors if x.via and not x.turns_round] or [link]
     fitting = [x for x in parallel if road.lanes[x.to_lane].edge_id in route]
     return [_over(geometry, x, route, ahead) for x in fitting or parallel]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
@@ -15,6 +14,7 @@ from torch import Tensor
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, WeightsError
 from advdiff_sumo.core.map_view import MapView
+from advdiff_sumo.core.whole_file import kept_while_same
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
 from advdiff_sumo.diffusion.noise_schedule import NoiseSchedule
@@ -167,12 +167,12 @@ class DiffusionModel:
         return fresh
 
 
-@lru_cache(maxsize=2)
+@kept_while_same(2)
 def _simnet(path: str, device: torch.device) -> SimNet:
     return load_simnet(Path(path)).eval().requires_grad_(False).to(device)
 
 
-@lru_cache(maxsize=2)
+@kept_while_same(2)
 def _bundle(path: str, device: torch.device) -> tuple[Bundle, FastDecoder]:
     bundle = load_bundle(Path(path)).frozen().to(device)
     return bundle, FastDecoder(bundle.traffic.decoder)

@@ -43,22 +43,20 @@ class ReferenceMemory:
         base: memory of the lane-graph planner.
         reactions: how far the driver's reaction is at each instant of the last plan.
         alarmed_s: when the situation was last unsafe; −inf for never.
-        accel_mps2: acceleration planned for now, of a plan without alarm.
-        plan: the last plan with alarm; None where the last one had none.
+        plan: the last plan; None before the first.
         planned_s: when it was made.
     """
 
     base: Memory
     reactions: tuple[Reaction, ...]
     alarmed_s: float = -np.inf
-    accel_mps2: float = 0.0
     plan: Trajectory | None = None
     planned_s: float = 0.0
 
     def at(self, time_s: float) -> tuple[Reaction, float]:
         """Return the reaction, and the acceleration in m/s², that were planned for *time_s*."""
         if self.plan is None:
-            return self.reactions[-1], self.accel_mps2
+            return self.reactions[-1], 0.0
         due = max(round((time_s - self.planned_s) / self.plan.dt_s) - 1, 0)
         return self.reactions[min(due, len(self.reactions) - 1)], _accel(self.plan, due)
 
@@ -96,11 +94,11 @@ class ReferencePlanner:
         demand = float(demands(self.model, met, reacting, CRITICAL_TTC_S).max(initial=0.0))
         if demand <= 0.0:
             calm = Reaction(reaction.delay_left_s, np.zeros(()))
-            return normal, ReferenceMemory(base, (calm,), memory.alarmed_s, _accel(normal, 0))
+            return normal, ReferenceMemory(base, (calm,), memory.alarmed_s, normal, scene.time_s)
         # 3. react
         speed = float(scene.history.speed_mps[scene.target, -1])
         braked, states = self._braked(normal, scene, max(speed, 0.0), demand, reaction)
-        return braked, ReferenceMemory(base, tuple(states), scene.time_s, 0.0, braked, scene.time_s)
+        return braked, ReferenceMemory(base, tuple(states), scene.time_s, braked, scene.time_s)
 
     def _meeting(
         self, road: RoadMap, scene: Scene, normal: Trajectory, base: Memory, accel_mps2: float

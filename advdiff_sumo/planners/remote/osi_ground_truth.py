@@ -7,6 +7,7 @@ moving objects with base (position, size, orientation, velocity, acceleration) a
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ _VEHICLE_TYPES = {
 
 
 def ground_truth(scene: Scene) -> Any:
-    """Return *scene* as an ``osi3.GroundTruth`` of now; object ids are places in ``scene.history.ids``.
+    """Return *scene* as an ``osi3.GroundTruth`` of now; object ids are :func:`object_id` of their names.
 
     Raises:
         MissingExtraError: ``osi-python`` is not installed.
@@ -38,10 +39,15 @@ def ground_truth(scene: Scene) -> Any:
     truth.version.version_major, truth.version.version_minor = 3, 7
     nanos = round(scene.time_s * 1e9)
     truth.timestamp.seconds, truth.timestamp.nanos = divmod(nanos, 1_000_000_000)
-    truth.host_vehicle_id.value = scene.target
+    truth.host_vehicle_id.value = object_id(scene.history.ids[scene.target])
     for row in np.flatnonzero(scene.history.valid[:, -1]).tolist():
         _fill(truth.moving_object.add(), scene, row)
     return truth
+
+
+def object_id(name: str) -> int:
+    """Return the OSI id of the road user whom SUMO calls *name*: the same for as long as it is there, and anywhere."""
+    return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") >> 1
 
 
 def ground_truth_bytes(scene: Scene) -> bytes:
@@ -56,7 +62,7 @@ def _fill(thing: Any, scene: Scene, row: int) -> None:
     x, y = now.xy_m[row, -1].tolist()
     yaw, speed = float(now.yaw_rad[row, -1]), float(now.speed_mps[row, -1])
     length, width = now.size_m[row].tolist()
-    thing.id.value = row
+    thing.id.value = object_id(now.ids[row])
     base = thing.base
     base.position.x, base.position.y, base.position.z = x, y, 0.5 * _HEIGHT_M
     base.dimension.length, base.dimension.width, base.dimension.height = length, width, _HEIGHT_M

@@ -11,8 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from importlib.resources import files
-from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
 import cmaes
@@ -21,10 +19,12 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS, ModelOptions
+from advdiff_sumo.models.shipped_weights import find_weights
 from advdiff_sumo.models.simnet_file import load_simnet
 from advdiff_sumo.traffic.baselines.advsim_actions import Initial, driven, initial_of
 from advdiff_sumo.traffic.baselines.advsim_cost import (
@@ -208,12 +208,13 @@ class AdvSim(BaselinePolicy):
         )
 
     def _warm(self, case: _Case) -> Tensor:
-        """Return what the last plan had found, one step on, (R, H, 2)."""
+        """Return what the last plan had found, as many steps on as were driven since, (R, H, 2)."""
+        on = min(max(case.task.memory.driven, 1), HORIZON_STEPS)
         out = np.zeros((len(case.rows), HORIZON_STEPS, 2))
         for number, row in enumerate(case.rows.tolist()):
             old = case.task.memory.searched.get(case.task.view.ids[row])
             if old is not None:
-                out[number, :-1] = old.reshape(HORIZON_STEPS, 2)[1:]
+                out[number, : HORIZON_STEPS - on] = old.reshape(HORIZON_STEPS, 2)[on:]
         return torch.from_numpy(out).to(case.rollout.xy)
 
     def _with(self, case: _Case, changes: Tensor, steps: int = FUTURE_STEPS) -> Rollout:
@@ -250,15 +251,18 @@ class AdvSim(BaselinePolicy):
         return self.prior.codec.scale(context.prior.mean[0][:, None])[:, 0]
 
     def _simnet(self) -> Driver:
-        path = Path(self.options.simnet) if self.options.simnet else shipped_simnet()
-        return load_simnet(path).eval().requires_grad_(False).to(self.prior.device)
+        path = find_weights(self.options.simnet, "simnet")
+        simnet = load_simnet(path)
+        if simnet.options.map_view != self.prior.map_view:
+            raise WeightsError(
+                path,
+                f"sees the {simnet.options.map_view} view of the map, and the weights of the option weights the "
+                f"{self.prior.map_view} one",
+                "give weights of the same view, or initial=model",
+            )
+        return simnet.eval().requires_grad_(False).to(self.prior.device)
 
     def _decoder(self, batch: SceneBatch) -> Rollout:
         context: Context = self.prior.traffic.encoder(batch)
         rollout: Rollout = self.prior.traffic.decoder(context.prior.mean, context.h, batch)
         return rollout
-
-
-def shipped_simnet() -> Path:
-    """Return the path of the shipped SimNet."""
-    return Path(str(files("advdiff_sumo"))) / "weights" / "simnet.safetensors"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import torch
@@ -11,6 +10,7 @@ import torch
 from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.threads import one_thread
+from advdiff_sumo.core.whole_file import kept_while_same
 from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.shipped_weights import device_of, find_weights
@@ -50,7 +50,7 @@ def prior_of(options: BaselineOptions, whose: str) -> Prior:
     return _prior(str(find_weights(options.weights)), device)
 
 
-@lru_cache(maxsize=2)
+@kept_while_same(2)
 def _prior(path: str, device: torch.device) -> Prior:
     bundle = load_bundle(Path(path))
     if not isinstance(bundle.codec, LatentCodec):

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from advdiff_sumo.core.errors import ConfigError, WeightsError
 from advdiff_sumo.core.threads import one_thread
+from advdiff_sumo.core.whole_file import file_state
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
 from advdiff_sumo.diffusion.fast_reward import FastReward
@@ -58,7 +59,7 @@ class Networks:
 
 @one_thread()
 def networks_of(options: DiffusionOptions) -> Networks:
-    """Return the networks that *options* name; read once a process.
+    """Return the networks that *options* name; read once a process, and again when a file changes.
 
     Raises:
         WeightsError: a file is missing, damaged, or holds networks that this policy cannot use.
@@ -66,7 +67,8 @@ def networks_of(options: DiffusionOptions) -> Networks:
     """
     device = device_of(options.device, "background 'diffusion'")
     sampling = Sampling(options.steps, options.family, options.eta, options.begin)
-    networks = _networks(str(options.path), options.q_file, device, sampling)
+    states = file_state(options.path), file_state(options.q_file)
+    networks = _networks(states, str(options.path), options.q_file, device, sampling)
     if options.guided and not isinstance(networks.codec, LatentCodec):
         raise WeightsError(
             options.path,
@@ -84,7 +86,9 @@ def networks_of(options: DiffusionOptions) -> Networks:
 
 
 @lru_cache(maxsize=2)
-def _networks(path: str, reward: str, device: torch.device, sampling: Sampling) -> Networks:
+def _networks(
+    _states: tuple[tuple[int, int], ...], path: str, reward: str, device: torch.device, sampling: Sampling
+) -> Networks:
     _keep_memory()
     bundle = load_bundle(Path(path))
     if reward:

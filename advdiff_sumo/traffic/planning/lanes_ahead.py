@@ -78,7 +78,7 @@ def lane_ahead(
 
 def _onward(lane: Lane, route: Sequence[str]) -> Link | None:
     """Return the link that follows the route, else the straight one, else the first."""
-    links = [link for link in lane.successors if link.direction != "t"] or list(lane.successors)
+    links = [link for link in lane.successors if not link.turns_round] or list(lane.successors)
     if not links:
         return None
     followed = [link for link in links if link.to_lane.rpartition("_")[0] in route]

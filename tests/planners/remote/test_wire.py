@@ -22,7 +22,7 @@ from advdiff_sumo.planner_kit.kit_road import road_of
 from advdiff_sumo.planner_kit.wire import plan_message, plan_of, scene_message, scene_of
 from advdiff_sumo.planners.planner_check import same_plan
 from advdiff_sumo.planners.remote.map_message import map_message
-from advdiff_sumo.planners.remote.osi_ground_truth import ground_truth
+from advdiff_sumo.planners.remote.osi_ground_truth import ground_truth, object_id
 
 KIT = Path(advdiff_sumo.planner_kit.__file__).parent
 ARRAYS = ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
@@ -123,9 +123,11 @@ def test_a_map_has_the_lanes_links_and_rights_of_way_of_the_net(road: RoadMap) -
 
 def test_osi_ground_truth_of_two_cars(scene: Scene) -> None:
     truth = ground_truth(scene)
-    assert (truth.timestamp.seconds, truth.timestamp.nanos, truth.host_vehicle_id.value) == (0, 0, 0)
+    ids = [object_id(name) for name in scene.history.ids]
+    assert len(set(ids)) == 2
+    assert (truth.timestamp.seconds, truth.timestamp.nanos, truth.host_vehicle_id.value) == (0, 0, ids[0])
     first, second = truth.moving_object
-    assert (first.id.value, second.id.value) == (0, 1)
+    assert [first.id.value, second.id.value] == ids
     assert (first.base.position.x, first.base.position.y) == tuple(scene.history.xy_m[0, -1])
     assert (first.base.dimension.length, first.base.dimension.width) == (4.6, 1.8)
     assert (first.base.velocity.x, second.base.velocity.x) == pytest.approx((8.0, -9.0))

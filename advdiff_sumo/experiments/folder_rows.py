@@ -1,0 +1,108 @@
+"""What a run or sweep came to, as rows of one form: a run is a sweep of one cell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.data.run_tables import RUN_SETTINGS, RunTables
+from advdiff_sumo.metrics.arrow_tables import table_of
+from advdiff_sumo.report.stored_record import stored_record
+from advdiff_sumo.sim.run_episodes import Run, RunOptions
+from advdiff_sumo.sweep.consolidate import read_rows, tables_of
+from advdiff_sumo.sweep.job_plan import Plan, plan_run, run_inputs
+from advdiff_sumo.sweep.rounds import stored_plan
+from advdiff_sumo.sweep.run_folder import RunFolder, read_settings
+from advdiff_sumo.sweep.situation import situation
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
+from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES, job_row
+from advdiff_sumo.sweep.sweep_store import Store
+
+Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class FolderRows:
+    """The episodes of a run or sweep, finished or not.
+
+    Attributes:
+        path: the folder.
+        plan: what was asked.
+        episodes: rows with the columns of a sweep's ``episodes``.
+        failures: rows of those that failed, with the columns of a sweep's ``failures``.
+        missing: how many have not been run.
+        of_run: whether it is a run's.
+    """
+
+    path: Path
+    plan: Plan
+    episodes: Rows
+    failures: Rows
+    missing: int
+    of_run: bool = False
+
+    @property
+    def timing(self) -> Rows:
+        """Rows of ``timing``."""
+        return read_rows(self.path, "timing")
+
+    def tables(self) -> dict[str, pa.Table]:
+        """Return the tables that the folder itself does not hold in a sweep's form."""
+        if not self.of_run:
+            return {}
+        rows = {"episodes": self.episodes, "failures": self.failures}
+        return {name: table_of(some, SWEEP_TABLES[name]) for name, some in rows.items()}
+
+
+def rows_of_folder(folder: Path) -> FolderRows:
+    """Return the rows of the run or sweep in *folder*; a sweep's tables are mended where they are missing or behind.
+
+    Raises:
+        InputError: it holds neither, is damaged, or its nets, demand or logs are no longer what they were.
+    """
+    tables = RunTables(folder)
+    if not tables.is_sweep and (folder / RUN_SETTINGS).is_file():
+        return _of_run(folder)
+    store = Store.open(folder)
+    plan = stored_plan(store)
+    return rows_of_sweep(store, plan, tables_of(store, plan))
+
+
+def rows_of_sweep(store: Store, plan: Plan, missing: int) -> FolderRows:
+    """Return the rows of the sweep in *store*, whose tables are there and lack *missing* episodes."""
+    read = partial(read_rows, store.path)
+    return FolderRows(store.path, plan, read("episodes"), read("failures"), missing)
+
+
+def _of_run(folder: Path) -> FolderRows:
+    settings = read_settings(folder)
+    run = Run.prepare(RunOptions.parse(settings.get("options", {}), str(folder / RUN_SETTINGS)))
+    inputs = run_inputs(run)
+    if settings.get("run", {}).get("inputs", inputs) != inputs:
+        raise ConfigError(
+            f"{folder}: a net, demand or log is not what it was when that run was begun; put the old one back, "
+            "or repeat the run with this version of advdiff-sumo"
+        )
+    plan, parts = plan_run(run), RunFolder(folder).episodes()
+    jobs = {job.number: job for job in plan.jobs}
+    episodes, failures = Rows(), Rows()
+    for number, part in parts.items():
+        own = job_row(jobs[number], plan.cells[0])
+        episodes += [own | row for row in _episode_rows(part, run)]
+        if part.failed is not None:
+            command = f"advdiff-sumo replay {number} --run {folder}"
+            failures.append({**own, **vars(part.failed), "command": command})
+    return FolderRows(folder, plan, episodes, failures, len(jobs) - len(parts), of_run=True)
+
+
+def _episode_rows(part: StoredEpisode, run: Run) -> Iterable[dict[str, Any]]:
+    """Yield the row of ``episodes`` of an episode, with where and how it became critical."""
+    for row in part.tables["episodes"].to_pylist() if part.tables else ():
+        record = stored_record(part.tables["states"], row)
+        yield row if record is None else row | situation(record, row, run.road)

@@ -36,7 +36,7 @@ def find_weights(given: str, default: ShippedName = "traffic") -> Path:
     path = Path(given)
     if given and (path / WEIGHTS).is_file():
         return path / WEIGHTS
-    if given in get_args(ShippedName) and not path.is_file():
+    if given in get_args(ShippedName) and not path.exists():
         default, given = cast("ShippedName", given), ""
     return path if given else shipped_weights(default)
 

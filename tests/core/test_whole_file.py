@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from advdiff_sumo.core.whole_file import whole_file
+from advdiff_sumo.core.whole_file import kept_while_same, whole_file
 
 
 def test_the_new_file_is_there_after_the_block_alone(tmp_path: Path) -> None:
@@ -45,3 +45,19 @@ def test_the_ending_is_the_writers(tmp_path: Path) -> None:
         assert aside.suffix == ".mp4"
         aside.write_bytes(b"film")
     assert (tmp_path / "film.mp4").read_bytes() == b"film"
+
+
+def test_what_is_kept_of_a_file_is_read_anew_when_the_file_changes(tmp_path: Path) -> None:
+    asked = []
+
+    @kept_while_same(2)
+    def read(path: str, how: str) -> str:
+        asked.append(how)
+        return Path(path).read_text() + how
+
+    file = tmp_path / "f"
+    file.write_text("one")
+    assert [read(str(file), "!"), read(str(file), "!"), read(str(file), "?")] == ["one!", "one!", "one?"]
+    file.write_text("other")
+    assert read(str(file), "!") == "other!"
+    assert asked == ["!", "?", "!"]

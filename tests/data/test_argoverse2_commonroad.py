@@ -72,6 +72,25 @@ def test_commonroad_tracks(tmp_path: Path) -> None:
     assert scene.tracks.dt_s == 0.1
 
 
+@pytest.mark.parametrize(
+    ("shape", "size"),
+    [
+        ("<circle><radius>0.3</radius></circle>", [0.6, 0.6]),
+        (
+            "<polygon><point><x>-4</x><y>-1</y></point><point><x>4</x><y>-1.2</y></point>"
+            "<point><x>3</x><y>1.2</y></point></polygon>",
+            [8.0, 2.4],
+        ),
+    ],
+)
+def test_commonroad_shapes_other_than_rectangles(tmp_path: Path, shape: str, size: list[float]) -> None:
+    path, text = tmp_path / "x.xml", small_sources.commonroad()
+    start, end = text.index("<rectangle>"), text.index("</rectangle>") + len("</rectangle>")
+    path.write_text(text[:start] + shape + text[end:], encoding="utf-8")
+    (scene,) = CommonRoadReader(path).scenes()
+    assert scene.tracks.size_m.tolist() == [pytest.approx(size)]
+
+
 def test_commonroad_without_trajectories(tmp_path: Path) -> None:
     path = tmp_path / "x.xml"
     text = small_sources.commonroad()

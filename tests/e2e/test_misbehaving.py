@@ -252,6 +252,9 @@ def test_one_episode_of_a_run_again(place: Path) -> None:
     assert "the same as in the run" in done.out
     assert (place / "again" / "report.html").exists()
     assert rows_of(place / "again") == rows_of(place / "run")[2:]
+    page = (place / "again" / "report.html").read_text()
+    assert "advdiff-sumo replay 2 --run ." in page
+    assert "interrupted" not in page
     refused = advdiff("replay", 3, "--run", "run", cwd=place)
     assert refused.code == 2
     assert "'3' is no episode of run; give a number from 0 to 2" in refused.err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 from advdiff_sumo.sim.run_store import TABLES
 from tests.e2e.commands import TINY, Outcome, advdiff, bytes_of
+from tests.e2e.conftest import sentence
 
 ARROW = {"str": "string", "int64": "int64", "float64": "double", "bool": "bool"}
 
@@ -83,3 +85,37 @@ def test_another_seed_is_another_run(here: Callable[..., Outcome], workplace: Pa
     one, two = (bytes_of(workplace / name) for name in ("one", "two"))
     assert one["states.parquet"] != two["states.parquet"]
     assert one["episodes.parquet"] != two["episodes.parquet"]
+
+
+def test_results_of_a_run_are_those_of_a_sweep_of_one_cell(
+    downtown_run: Path, here: Callable[..., Outcome], tmp_path: Path
+) -> None:
+    asked = "select key, target, background, net, target_collision, junction_type is null from episodes"
+    told = here("results", downtown_run, "--sql", asked, "--format", "json")
+    assert told.code == 0, told.err
+    rows = json.loads(told.out)
+    assert [row["key"] for row in rows] == ["000000", "000001"]
+    assert {(row["target"], row["background"], row["net"]) for row in rows} == {("IDM", "sumo", "downtown")}
+    assert not any(row["(junction_type IS NULL)"] for row in rows)
+    junit = tmp_path / "junit.xml"
+    done = here("results", downtown_run, "--junit", junit, "--fail-if", "episodes == 2")
+    assert done.code == 1
+    assert "2 episodes; rates" in done.out
+    assert "2 worst episodes" in done.out
+    assert "--fail-if episodes == 2: episodes = 2" in " ".join(done.out.split())
+    assert 'name="advdiff-sumo" tests="3" failures="1"' in junit.read_text()
+    none = here("results", downtown_run, "--sql", "select count(*) n from failures", "--format", "json")
+    assert json.loads(none.out) == [{"n": 0}]
+
+
+def test_runs_are_compared_by_their_seed_scenes(downtown_run: Path, here: Callable[..., Outcome]) -> None:
+    done = here("compare", downtown_run, downtown_run)
+    assert done.code == 0, done.err
+    assert "2 pairs of episodes from 2 seed scenes" in done.out
+
+
+def test_a_run_whose_net_has_changed_has_no_results(here: Callable[..., Outcome], workplace: Path) -> None:
+    assert here("run", "--net", "grid.net.xml", "--episodes", 1, *TINY, "--out", "one").code == 0
+    net = workplace / "grid.net.xml"
+    net.write_text(net.read_text().replace('speed="13.89"', 'speed="13.88"'))
+    assert "is not what it was when that run was begun" in sentence(here("results", "one"))

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import gzip
 import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 import sumolib
 
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.read_net import BEYOND_TYPE
+from advdiff_sumo.maps.sidecar import read_sidecar
 
 REAL = (
     "bologna-acosta/acosta_buslanes.net.xml",
@@ -251,3 +254,39 @@ def test_lane_drawn_as_a_point_gets_a_direction(cross, tmp_path):
     lane = RoadMap.read(path).lanes[":C_1_0"]
     assert lane.length_m == 0.01
     np.testing.assert_allclose(lane.line.tangents, [[0.0, -1.0]], atol=1e-12)
+
+
+def test_an_area_within_another_ones_hole_is_kept(tmp_path: Path) -> None:
+    """A ring of streets, 100 m wide, around a block with a yard of its own, which reaches the block's corner."""
+    ring, hole, yard = "0,0 100,0 100,100 0,100", "20,20 80,20 80,80 20,80", "20,20 50,20 50,50 20,50"
+    rows = (("drivable_area", ring), ("drivable_area_hole", hole), ("drivable_area", yard))
+    polys = "".join(f'<poly id="{k}" type="{kind}" shape="{shape}"/>' for k, (kind, shape) in enumerate(rows))
+    path = tmp_path / "x.poly.xml"
+    path.write_text(f"<additional>{polys}</additional>", encoding="utf-8")
+    area = read_sidecar(path)
+    assert area is not None
+    assert area.area == pytest.approx(100.0**2 - 60.0**2 + 30.0**2)
+    assert area.contains(shapely.Point(35.0, 35.0))
+    assert not area.contains(shapely.Point(65.0, 65.0))
+
+
+@pytest.mark.parametrize("lefthand", [False, True])
+def test_turning_round_has_a_letter_of_its_own_on_each_side(tmp_path: Path, lefthand: bool) -> None:
+    net = tmp_path / "x.net.xml"
+    words = [
+        "--grid",
+        "--grid.number",
+        "3",
+        "--no-turnarounds",
+        "false",
+        "--lefthand",
+        str(lefthand).lower(),
+        "-o",
+        str(net),
+    ]
+    subprocess.run([sumolib.checkBinary("netgenerate"), *words], check=True, capture_output=True)
+    links = [link for lane in RoadMap.read(net).lanes.values() for link in lane.successors]
+    back = [link for link in links if link.turns_round]
+    assert back
+    assert all(link.direction == ("T" if lefthand else "t") for link in back)
+    assert {link.direction for link in links} > {link.direction for link in back}

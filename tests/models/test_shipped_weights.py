@@ -14,7 +14,7 @@ from advdiff_sumo.data.window_files import WindowFile
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.collate import collate
-from advdiff_sumo.models.shipped_weights import ShippedName, find_weights, shipped_weights
+from advdiff_sumo.models.shipped_weights import WEIGHTS, ShippedName, find_weights, shipped_weights
 from advdiff_sumo.training.denoiser_stage import diffused
 from advdiff_sumo.training.own_samples import faults
 from advdiff_sumo.training.stage import means
@@ -89,3 +89,14 @@ def test_all_together_are_below_fifteen_megabytes() -> None:
 def test_each_has_a_card() -> None:
     card = (FOLDER / "README.md").read_text(encoding="utf-8")
     assert all(path.name in card for path in FOLDER.glob("*.safetensors"))
+
+
+def test_the_folder_of_a_training_stands_for_its_weights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / WEIGHTS).touch()
+    monkeypatch.chdir(tmp_path)
+    assert find_weights("mine") == Path("mine") / WEIGHTS
+    assert find_weights("gone") == Path("gone")
+    assert find_weights("", "simnet") == shipped_weights("simnet")

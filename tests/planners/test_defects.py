@@ -338,6 +338,17 @@ def test_slow_brakes_build_up_and_go_on_from_where_they_were() -> None:
     assert second.accel_mps2[:2] == pytest.approx([-1.2, -1.4])
 
 
+@pytest.mark.parametrize("dt_s", [0.25, 0.5, 1.0, 2.0])
+def test_slow_brakes_build_up_whatever_the_interval(dt_s: float) -> None:
+    """2 m/s³ again, a plan every half second: the fifth one begins 2 s on, when 4 m/s² are reached."""
+    scene, memory = agents((0.0, 0.0, 0.0, 20.0)), None
+    for number in range(5):
+        wish = Controls(np.full(4, -8.0), np.zeros(4), dt_s)
+        plan, memory = SlowBrakes(4.5).act(wish, later(scene, 0.5 * number), memory)
+    assert isinstance(plan, Controls)
+    assert plan.accel_mps2[0] == pytest.approx(-(4.0 + 2.0 * dt_s), abs=1e-6)
+
+
 class Counting:
     """Plans a stop, and counts its plans in its memory."""
 
@@ -429,6 +440,19 @@ def test_sumos_models_get_sumos_own_parameters() -> None:
     assert headway.params["tau"] == pytest.approx(0.7)
     with pytest.raises(ConfigError, match="defect 'tunnel' has no form for target 'IDM', which SUMO drives"):
         make_target("IDM", {"defects": ["tunnel:strong"]})
+
+
+def test_weak_brakes_are_no_stronger_than_the_target_is_without_them() -> None:
+    for options, decel, emergency in (({}, 4.5, 6.0), ({"decel": 2.0}, 2.0, 6.0)):
+        planted = make_target("IDM", {**options, "defects": "weak-brakes:6"})
+        assert isinstance(planted, SumoDriver)
+        assert (planted.params["decel"], planted.params["emergencyDecel"]) == (decel, emergency)
+
+
+@pytest.mark.parametrize("name", ["W99", "Wiedemann", "CACC"])
+def test_a_headway_that_a_model_does_not_read_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match=f"{name} follows no closer for a shorter tau"):
+        make_target(name, {"defects": "headway:strong"})
 
 
 @given(brake=st.floats(0.5, 8.0), bound=st.floats(0.5, 8.0), speed=st.floats(1.0, 30.0))

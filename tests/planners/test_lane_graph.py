@@ -138,6 +138,14 @@ def test_an_all_way_stop_is_a_stop_even_when_alone(crossing: Maker) -> None:
     assert out.xy_m[0, -1, 1] > 20.0
 
 
+def test_who_keeps_far_from_the_line_has_stopped_all_the_same(crossing: Maker) -> None:
+    road = crossing("allway_stop")
+    far = LaneGraphPlanner(stop_gap_m=4.0)
+    out = roll(road, far, make_scene(road, [Car("south_in_0", 140.0, 10.0)], ACROSS), 25.0)
+    assert out.speed_mps[0].min() < 0.3
+    assert out.xy_m[0, -1, 1] > 20.0
+
+
 def test_a_turn_is_slow_enough(crossing: Maker) -> None:
     road = crossing()
     scene = make_scene(road, [Car("south_in_0", 130.0, 12.0)], ("south_in", "east_out"))

@@ -74,6 +74,35 @@ def test_a_move_within_the_own_route_leaves_it(street: Path) -> None:
         assert s.pose("b")[0] == pytest.approx((150.0, -2.0))
 
 
+def test_a_move_before_departure_pins_the_route_unless_it_is_onto_it(street: Path) -> None:
+    """With keepRoute 0 SUMO gives the first route again in every later step, and says nothing of it."""
+    for keep_route, kept in ((0, EASTBOUND[:1]), (1, EASTBOUND)):
+        with stage(street) as s:
+            s.api.route.add("short", EASTBOUND[:1])
+            s.api.vehicle.add("b", "short", depart="now", departPos="base")
+            s.api.vehicle.moveToXY("b", "", -1, 150.0, -4.8, angle=90.0, keepRoute=keep_route)
+            s.session.step()
+            s.api.vehicle.setRoute("b", EASTBOUND)
+            s.session.step()
+            assert s.api.vehicle.getRoute("b") == kept
+
+
+def test_who_is_inserted_and_handed_back_drives_its_route(street: Path) -> None:
+    with stage(street) as s:
+        s.session.step()
+        actuator = actuator_on(s, street)
+        row = actuator.world.add("b", 0, LENGTH_M, WIDTH_M)
+        actuator.world.set_state(
+            np.array([row]), np.array([[150.0, -4.8]]), np.array([EAST]), np.array([5.0]), Controller.POLICY
+        )
+        actuator.insert(row, "car")
+        move(actuator, s, row, (150.0, -4.8), EAST, 5.0, take_out=False)
+        actuator.release(row, EASTBOUND)
+        for _ in range(3):
+            s.session.step()
+        assert s.api.vehicle.getRoute("b") == EASTBOUND
+
+
 def from_the_south(s: Stage, actuator: Actuator | None, route: tuple[str, ...]) -> tuple[float, bool]:
     """Move a vehicle at 10 m/s along the priority road of a crossing, to which an IDM car comes from the south.
 

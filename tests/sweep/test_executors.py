@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.page import report_html
-from advdiff_sumo.sweep.consolidate import read_rows
+from advdiff_sumo.sweep.consolidate import read_rows, tables_of
 from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.job_plan import Plan
 from advdiff_sumo.sweep.repeat import of_sweep, repeat
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import Limits, SceneTask
+from advdiff_sumo.sweep.tasks import Failed, Limits, SceneTask
 from advdiff_sumo.sweep.work import perform
 from tests.sweep.conftest import bytes_of, planned, serially
 
@@ -93,6 +96,34 @@ def test_an_episode_is_repeated_exactly(plan: Plan, one_by_one: Store) -> None:
     before = of_sweep(job.key[:9], None, one_by_one.path.parent)
     assert before.job == job
     assert repeat(before).same is True
+
+
+def test_what_a_search_has_added_is_not_held_against_a_repetition(
+    plan: Plan, one_by_one: Store, tmp_path: Path
+) -> None:
+    store = Store(shutil.copytree(one_by_one.path, tmp_path / "s"))
+    job = plan.jobs[0]
+    part = store.read(job.key)
+    assert part is not None
+    tables = dict(part.tables)
+    for name in ("episodes", "collisions"):
+        rows = [{**row, "solvable": True, "unavoidable": False} for row in tables[name].to_pylist()]
+        tables[name] = pa.Table.from_pylist(rows, schema=tables[name].schema)
+    store.write(job.key, StoredEpisode(tables, None).to_bytes())
+    assert repeat(of_sweep(job.key, store.path, tmp_path)).same is True
+    tables["states"] = tables["states"].slice(1)
+    store.write(job.key, StoredEpisode(tables, None).to_bytes())
+    assert repeat(of_sweep(job.key, store.path, tmp_path)).same is False
+
+
+def test_tables_follow_an_episode_that_was_run_again(plan: Plan, one_by_one: Store, tmp_path: Path) -> None:
+    store = Store(shutil.copytree(one_by_one.path, tmp_path / "s"))
+    assert tables_of(store, plan) == 0
+    assert read_rows(store.path, "failures") == []
+    again = StoredEpisode({}, Failed("timeout", "not finished after 1 s"))
+    store.write(plan.jobs[1].key, again.to_bytes())
+    assert tables_of(store, plan) == 0
+    assert [row["key"] for row in read_rows(store.path, "failures")] == [plan.jobs[1].key]
 
 
 def test_workers_that_know_plans_from_before_change_nothing(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from advdiff_sumo.sim.run_episodes import RunOptions
-from advdiff_sumo.sweep.fingerprint import source_digest
+from advdiff_sumo.sweep.fingerprint import cell_digest, files_of, source_digest
 
 
 def digest_of(root: Path) -> str:
@@ -45,3 +45,15 @@ def test_a_net_that_has_changed_has_another_key_in_the_same_process(tmp_path: Pa
         net.write_text(content, encoding="utf-8")
         digests.add(source_digest(RunOptions(net=str(net)), None))
     assert len(digests) == 2
+
+
+def test_files_that_options_name_count_by_what_they_hold(tmp_path: Path) -> None:
+    file = tmp_path / "seen.safetensors"
+    file.write_bytes(b"one")
+    named = RunOptions(background="scripted", background_options={"reward": str(file), "attack": "any"})
+    before, plain = cell_digest(named, "source"), cell_digest(RunOptions(), "source")
+    assert files_of(named.background_options) == (file,)
+    assert files_of({"reward": "x" * 5000, "seed": 3}) == ()
+    file.write_bytes(b"other")
+    assert cell_digest(named, "source") != before
+    assert cell_digest(RunOptions(), "source") == plain

@@ -9,7 +9,9 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
+from advdiff_sumo.cli.summary import run_object
 from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.data.run_tables import RunTables
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
 from advdiff_sumo.sim.run_store import TABLES, episode_tables
 from advdiff_sumo.sweep.run_folder import FAILURES, RunFolder
@@ -191,3 +193,14 @@ def test_a_net_that_has_changed_is_noticed(tmp_path: Path) -> None:
     RunFolder.create(tmp_path / "run", begun, resume=True)
     with pytest.raises(ConfigError, match="a net, demand or log is not what it was"):
         RunFolder.create(tmp_path / "run", {**asked, "run": {"inputs": "b2"}}, resume=True)
+
+
+def test_what_failed_before_it_had_a_row_counts_in_every_summary(tmp_path: Path) -> None:
+    folder = RunFolder.create(tmp_path / "run", settings(), resume=False)
+    fill(folder, 0, 1).add(2, StoredEpisode({}, Failed("worker_died", "its worker died")))
+    folder.consolidate(finished=True)
+    told = run_object(folder.path)
+    assert (told["episodes"], told["finished"], told["failed"]) == (3, 2, {"worker_died": 1})
+    tables = RunTables(folder.path)
+    assert [row["episode"] for row in tables.all_episodes()] == [0, 1, 2]
+    assert tables.unstarted(tables.all_episodes()) == []

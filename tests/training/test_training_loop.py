@@ -188,3 +188,28 @@ def test_learning_rates() -> None:
     assert rate_factor("one-cycle", 0, 10, 0.2) == pytest.approx(0.04)
     assert rate_factor("one-cycle", 2, 10, 0.2) == pytest.approx(1.0)
     assert rate_factor("one-cycle", 10, 10, 0.2) == pytest.approx(0.002)
+
+
+def test_another_seed_is_no_resumed_training(window_folder: Path, tmp_path: Path) -> None:
+    run(job(window_folder, tmp_path / "out"), stop_after=1)
+    with pytest.raises(ConfigError, match="was begun with --seed 4, not 6"):
+        run(replace(job(window_folder, tmp_path / "out"), seed=6), resume=True)
+
+
+def test_returns_longer_than_a_window_are_refused() -> None:
+    with pytest.raises(ConfigError, match="execute × returns = 14: the future of a window has 12 steps"):
+        preset("small", "reward", ["reward.returns=7"])
+
+
+def test_sizes_of_a_new_denoiser_are_those_that_are_asked_for(window_folder: Path, tmp_path: Path) -> None:
+    init = tmp_path / "traffic"
+    run(job(window_folder, init, "traffic", None, "epochs=1"))
+    own = job(window_folder, tmp_path / "own", "denoiser", init, "model.denoiser_layers=0")
+    usual = job(window_folder, tmp_path / "usual", "denoiser", init)
+    sizes = [made.stage.bundle().options.model for made in (own, usual)]
+    assert [size.denoiser_layers for size in sizes] == [0, 1]
+    assert sizes[0].model_copy(update={"denoiser_layers": 1}) == sizes[1]
+    with pytest.raises(
+        ConfigError, match=r"model.edge = 16: the networks of .*traffic have 8, and the stage"
+    ):
+        job(window_folder, tmp_path / "refused", "denoiser", init, "model.edge=16")

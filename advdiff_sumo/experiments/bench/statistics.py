@@ -155,7 +155,10 @@ class Divergence:
 
 
 def estimate(sample: Sample, seed: int = 0) -> Estimate:
-    """Return the figure of *sample*: Wilson's interval for a rate, else the percentile bootstrap over scenes."""
+    """Return the figure of *sample*: Wilson's interval for a rate, else the percentile bootstrap over scenes.
+
+    Drawing scenes again makes a divergence larger on average; its percentiles are moved back by so much.
+    """
     if not sample.scenes or not sample.n:
         return Estimate()
     value = _one(sample)
@@ -163,7 +166,9 @@ def estimate(sample: Sample, seed: int = 0) -> Estimate:
         return Estimate(n=sample.n)
     if isinstance(sample, Ratio) and sample.rate:
         return Estimate(value, *wilson(round(float(sample.total.sum())), sample.n), sample.n)
-    return Estimate(value, *_percentiles(sample.at(draws(len(sample.scenes), seed))), sample.n)
+    drawn = sample.at(draws(len(sample.scenes), seed))
+    least = 0.0 if isinstance(sample, Divergence) else -np.inf
+    return Estimate(value, *_percentiles(_centred(sample, drawn, value), least), sample.n)
 
 
 def difference(sample: Sample, other: Sample, seed: int = 0) -> Difference:
@@ -175,7 +180,7 @@ def difference(sample: Sample, other: Sample, seed: int = 0) -> Difference:
     if np.isnan(value):
         return Difference(scenes=len(a.scenes))
     times = draws(len(a.scenes), seed)
-    low, high = _percentiles(a.at(times) - b.at(times))
+    low, high = _percentiles(_centred(a, a.at(times) - b.at(times), value))
     return Difference(value, low, high, _mcnemar_of(a, b), len(a.scenes))
 
 
@@ -212,9 +217,14 @@ def _one(sample: Sample) -> float:
     return float(sample.at(np.ones((1, len(sample.scenes))))[0])
 
 
-def _percentiles(values: FloatArray) -> tuple[float | None, float | None]:
+def _centred(sample: Sample, drawn: FloatArray, value: float) -> FloatArray:
+    """Return the bootstrap's figures of a divergence, or of a difference of two, with *value* as their mean."""
+    return drawn - (np.nanmean(drawn) - value) if isinstance(sample, Divergence) else drawn
+
+
+def _percentiles(values: FloatArray, least: float = -np.inf) -> tuple[float | None, float | None]:
     known = values[~np.isnan(values)]
     if not len(known):
         return None, None
-    low, high = np.percentile(known, TAILS)
+    low, high = np.maximum(np.percentile(known, TAILS), least)
     return float(low), float(high)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.errors import UnknownNameError
+from advdiff_sumo.core.polylines import concatenate
 from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.reference import MODELS, drive_all, drive_reference
 
@@ -215,3 +216,32 @@ def _cut_in(straight, ego: float, other: float, gap: float, lateral: float):
     own = straight("ego", (-190.0, -4.8), 0.0, ego, steps=count, size=(4.3, 1.9))
     theirs = straight("other", (begin, -4.8), 0.0, other, steps=count, size=(4.3, 1.9))
     return own, replace(theirs, xy_m=theirs.xy_m + np.stack((np.zeros(count), offset), -1))
+
+
+def test_without_a_route_it_goes_where_the_target_drove(straight, record_of, road) -> None:
+    """The target turns left onto the north arm, where somebody stands just behind the junction."""
+    link = road.links["WC_1", "CN_0"]
+    line = concatenate([road.lanes[x].line for x in ("WC_1", *link.via, "CN_0")])
+    stop = road.lanes["WC_1"].length_m
+    begin, still = (float(x) for x in (stop - 35.0, stop + 14.0))
+    xy, yaw = line.at(begin + 0.8 * np.arange(81))
+    turning = replace(straight("ego", (0.0, 0.0), 0.0, 8.0, steps=81), xy_m=xy, yaw_rad=yaw)
+    place, along = line.at(np.full(81, still))
+    lead = replace(straight("lead", (0.0, 0.0), 0.0, 0.0, steps=81), xy_m=place, yaw_rad=along)
+    known, unknown = (drives(record_of(turning, lead, route=r), road) for r in (("WC", "CN"), ()))
+    assert known.keys() == unknown.keys()
+    assert known["CC_human_driver"].contact_step is None
+    for name, drive in known.items():
+        assert unknown[name].contact_step == drive.contact_step, name
+        np.testing.assert_allclose(unknown[name].states.xy_m, drive.states.xy_m, atol=0.3)
+
+
+def test_who_jumps_is_not_swept(straight, record_of, road) -> None:
+    """Somebody else's id turns up 120 m away within a step, across the way of both."""
+    ego = straight("ego", (-190, -4.8), 0, 15, steps=90)
+    still = straight("still", (-60.5, -4.8), 0, 0, steps=90)
+    jumper = straight("jumper", (-120, 60), 0, 0, steps=90)
+    xy = jumper.xy_m.copy()
+    xy[60:, 1] = -60.0
+    result = drives(record_of(ego, still, replace(jumper, xy_m=xy)), road)
+    assert {name: drive.contact_with for name, drive in result.items()} == dict.fromkeys(result)

@@ -17,6 +17,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from advdiff_sumo.experiments.bench.bench_config import Request
 from advdiff_sumo.experiments.bench.defect_score import BY_STRATUM, FINDINGS
 from advdiff_sumo.experiments.bench.table_cache import read_table
 from advdiff_sumo.experiments.bench.write_table import csv_text
@@ -28,6 +29,8 @@ SELECTION = ROOT / "tools" / "results_tables.toml"
 PROVENANCE = "provenance.json"
 _PLACE = re.compile(r"(<!-- table ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _FLAGS = {"scenes": "--scenes", "policies": "--policies", "targets": "--targets", "horizon_s": "--horizon"}
+#: Said where it is not the usual.
+_UNUSUAL = ("licence", "seeds", "steps", "samples", "defects", "severity")
 _KEY = ("target", "row", "column")
 
 
@@ -126,6 +129,10 @@ def command(bench: Path) -> str:
         if value and not (request["bench"] == "traffic" and key == "horizon_s"):
             words += [flag, f"{value:g}" if isinstance(value, float) else Path(str(value)).name]
     words += ["--data windows"] if request["data"] else []
+    for key in _UNUSUAL:
+        value = request.get(key)
+        if value and value != Request.model_fields[key].default:
+            words += [f"--{key}", ",".join(value) if isinstance(value, list) else str(value)]
     return " ".join(words)
 
 

@@ -122,10 +122,12 @@ def read_toml(path: Path) -> dict[str, Any]:
         FileError: the file is missing or malformed; the message has line and column.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise FileError(path, "no such file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError:
+        raise FileError(path, "not valid TOML: it is not text in UTF-8", "save it as UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
         raise FileError(path, f"not valid TOML ({error})", "correct that line") from None
     except OSError as error:
         raise FileError(path, f"cannot be read ({error.strerror})") from None

@@ -169,6 +169,15 @@ def test_toml_that_cannot_be_read_names_file_and_place(
     assert caught.value.path == path
 
 
+def test_toml_of_other_editors(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_bytes("\ufeffnet = 'a'\r\n".encode())
+    assert read_toml(path) == {"net": "a"}
+    path.write_bytes("net = 'a'".encode("utf-16"))
+    with pytest.raises(FileError, match="not valid TOML: it is not text in UTF-8; save it as UTF-8"):
+        read_toml(path)
+
+
 def test_a_folder_is_no_toml_file(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="cannot be read"):
         read_toml(tmp_path)

@@ -74,6 +74,7 @@ def margin(
     from advdiff_sumo.cli.run import options_given  # late: --help needs no simulator
     from advdiff_sumo.experiments.margin_trials import MarginTrials
     from advdiff_sumo.report.page import write_report
+    from advdiff_sumo.sim.free_folder import named_folder
 
     asked = _asked(attack, by, within)
     given = {
@@ -85,7 +86,9 @@ def margin(
         "background": "scripted",
     }
     options = options_given(config, given, {"attackers": 1}, assign or [], defect)
-    folder = out or Path("runs") / f"margin-{attack}-s{options.seed}"
+    planted = options.target_options.get("defects", ())
+    about = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
+    folder = out or named_folder("margin", attack, *map(str, about), f"s{options.seed}")
     console = terminal()
     with ExitStack() as stack:
         limits = limits_of(stack, timeout, plan_timeout, memory)

@@ -14,6 +14,7 @@ from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
     from advdiff_sumo.sweep.repeat import Before
+    from advdiff_sumo.sweep.stored_episode import StoredEpisode
 
 _DIFFERS = 1
 
@@ -57,14 +58,15 @@ def replay(
     )
     folder.add(before.job.number, done.part)
     folder.consolidate(finished=True)
-    (row,) = done.part.tables["episodes"].to_pylist()
     write_report(folder.path)
-    outcome = row["collision_type"] if row["target_collision"] else row["end"]
     terminal().print(
-        f"{key if run else before.job.key}: {outcome}  ·  look at {folder.path / 'report.html'}",
+        f"{key if run else before.job.key}: {_outcome(done.part)}  ·  look at {folder.path / 'report.html'}",
         soft_wrap=True,
     )
-    _say_whether_same(done.same, "run" if run else "sweep", gui)
+    if done.part.failed is not None:
+        terminal().print(done.part.failed.message, style="red", soft_wrap=True)
+        terminal().print(done.part.failed.log_tail.strip(), markup=False, highlight=False, soft_wrap=True)
+    _say_whether_same(done.same, "run" if run else "sweep", gui, _outcome(before.part))
 
 
 def _before(key: str, run: Path | None, sweep: Path | None) -> Before:
@@ -73,15 +75,28 @@ def _before(key: str, run: Path | None, sweep: Path | None) -> Before:
     Raises:
         InputError: there is none such.
     """
+    from advdiff_sumo.data.run_tables import RUN_SETTINGS, SWEEP_SETTINGS
     from advdiff_sumo.sim.free_folder import RUNS
     from advdiff_sumo.sweep.repeat import of_run, of_sweep  # late, as above
 
     if run is not None and sweep is not None:
         raise ConfigError("--run and --sweep cannot go together; name the folder of one")
-    return of_sweep(key, sweep, RUNS) if run is None else of_run(key, run)
+    folder = run or sweep
+    is_run = folder is not None and (folder / RUN_SETTINGS).is_file()
+    if is_run or (run is not None and not (run / SWEEP_SETTINGS).is_file()):
+        return of_run(key, folder or RUNS)
+    return of_sweep(key, folder, RUNS)
 
 
-def _say_whether_same(same: bool | None, before: str, gui: bool) -> None:
+def _outcome(part: StoredEpisode | None) -> str:
+    """Return what came of an episode in a word; "" where nothing is kept."""
+    if part is None or not part.tables:
+        return ""
+    (row,) = part.tables["episodes"].to_pylist()
+    return str(row["collision_type"] if row["target_collision"] else row["end"])
+
+
+def _say_whether_same(same: bool | None, before: str, gui: bool, outcome: str) -> None:
     console = terminal()
     if same is None:
         console.print(f"the {before} has no result of it to compare with")
@@ -89,6 +104,9 @@ def _say_whether_same(same: bool | None, before: str, gui: bool) -> None:
         console.print(f"the same as in the {before}")
     elif not gui:
         console.print(
-            f"not the same as in the {before}: another version, or a planner with a memory", style="red"
+            f"not the same as in the {before} ({outcome}): the planner's code has changed, another version, or a "
+            "planner with a memory",
+            style="red",
+            soft_wrap=True,
         )
         raise typer.Exit(_DIFFERS)

@@ -221,6 +221,8 @@ def options_given(
         values = content.get("options", {}) if "options" in content else content
         if not isinstance(values, dict):
             raise ConfigError(f"{config}: [options] is not a table")
+        if values.keys() & {"grid", "cases"}:
+            raise ConfigError(f"{config}: is the file of a sweep; give it to advdiff-sumo sweep")
     values |= {key: value for key, value in given.items() if value is not None}
     named = {key: value for key, value in policy.items() if value is not None}
     if named:

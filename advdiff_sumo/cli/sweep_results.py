@@ -18,7 +18,7 @@ from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, archive
 from advdiff_sumo.metrics.near_miss import resolved
 from advdiff_sumo.metrics.severity import is_failure, is_valid_failure, worst_first
 from advdiff_sumo.metrics.statistics import Rate
-from advdiff_sumo.report.attack_words import position_lines
+from advdiff_sumo.report.attack_words import plan_lines, position_lines
 from advdiff_sumo.report.nets import place_names
 from advdiff_sumo.sweep.condition import Condition, Undefined
 from advdiff_sumo.sweep.coverage import bands, coverage
@@ -79,7 +79,8 @@ def _print(
     console: Console, plan: Plan, episodes: Sequence[Row], failures: Sequence[Row], overall: Figures
 ) -> None:
     _print_rates(console, episodes, failures, overall)
-    for what, where in position_lines([row for row in episodes if not is_failure(row)]):
+    finished = [row for row in episodes if not is_failure(row)]
+    for what, where in (*position_lines(finished), *plan_lines(episodes)):
         console.print(f"{what} {where}", soft_wrap=True)
     if overall.missing:
         console.print(f"{overall.missing} episodes have not been run", style="yellow")

@@ -107,6 +107,7 @@ class EpisodeRecord:
         attack: kind of attack that the background was asked for; None where it attacks nobody.
         in_position: whether somebody was in a position for that attack at some time; None without one.
         manoeuvres: id → what it did against the target last, and when it was last at it, s; None where nobody told.
+        implausible: plans of the target that ask for what no vehicle can do, and what the first of them does.
         safeguarded: plans of a vehicle of which a safeguard changed what was driven next, and all it looked at.
         plans: what was planned, in the order of time; of a SUMO-driven vehicle nothing is known.
         natural: what everybody near did from the same start without attack, at the model step; None when it
@@ -132,6 +133,7 @@ class EpisodeRecord:
     attack: str | None = None
     in_position: bool | None = None
     manoeuvres: Mapping[str, tuple[str, float]] | None = None
+    implausible: tuple[int, str] = (0, "")
     safeguarded: tuple[int, int] = (0, 0)
     plans: tuple[MadePlans, ...] = ()
     natural: Tracks | None = None

@@ -10,14 +10,14 @@ from typing import Any
 
 import pyarrow as pa
 
-from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.data.run_tables import RUN_SETTINGS, RunTables
 from advdiff_sumo.metrics.arrow_tables import table_of
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sweep.consolidate import read_rows, tables_of
-from advdiff_sumo.sweep.job_plan import Plan, plan_run, run_inputs
+from advdiff_sumo.sweep.job_plan import Plan, plan_run
 from advdiff_sumo.sweep.rounds import stored_plan
+from advdiff_sumo.sweep.run_engine import must_have_inputs
 from advdiff_sumo.sweep.run_folder import RunFolder, read_settings
 from advdiff_sumo.sweep.situation import situation
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
@@ -83,12 +83,7 @@ def rows_of_sweep(store: Store, plan: Plan, missing: int) -> FolderRows:
 def _of_run(folder: Path) -> FolderRows:
     settings = read_settings(folder)
     run = Run.prepare(RunOptions.parse(settings.get("options", {}), str(folder / RUN_SETTINGS)))
-    inputs = run_inputs(run)
-    if settings.get("run", {}).get("inputs", inputs) != inputs:
-        raise ConfigError(
-            f"{folder}: a net, demand or log is not what it was when that run was begun; put the old one back, "
-            "or repeat the run with this version of advdiff-sumo"
-        )
+    must_have_inputs(folder, settings, run)
     plan, parts = plan_run(run), RunFolder(folder).episodes()
     jobs = {job.number: job for job in plan.jobs}
     episodes, failures = Rows(), Rows()

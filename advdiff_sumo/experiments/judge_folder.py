@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -317,4 +318,7 @@ def _replace(path: Path, rows: list[dict[str, Any]], columns: Mapping[str, Colum
         with whole_file(path) as aside:
             pq.write_table(pa.Table.from_pylist(rows, schema=schema), aside, compression="zstd")
     except OSError as error:
-        raise FileError(path, f"cannot be written ({error.strerror or error})", "free some space") from None
+        remedy = (
+            "free some space" if error.errno == errno.ENOSPC else "make its folder one that can be written to"
+        )
+        raise FileError(path, f"cannot be written ({error.strerror or error})", remedy) from None

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.experiments.bench.cells import open_bench_store
 from advdiff_sumo.experiments.margin import Margin, Scale, Trial
 from advdiff_sumo.metrics.collision_type import CollisionType
@@ -25,6 +26,8 @@ from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Limits
 
 _RETRIES = 1
+#: File that says whose margin a folder holds.
+_SUBJECT = "margin.json"
 
 
 @dataclass(frozen=True)
@@ -49,10 +52,16 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         options: of a run with background ``scripted``, less attack and severity.
         folder: of the results.
         limits: of a worker.
+
+    Raises:
+        FileError: the folder holds a sweep.
+        ConfigError: it holds the margin of another target, net or seed.
     """
 
     def __init__(self, options: RunOptions, folder: Path, limits: Limits) -> None:
         self._options, self._folder = options, folder
+        self._subject = options.model_dump_json(exclude={"episodes"}, indent=1).encode() + b"\n"
+        self._must_be_own()
         self._executor = ProcessExecutor(1, limits)
 
     def __exit__(
@@ -113,8 +122,20 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         }
         return plan_sweep(SweepSpec.of(values, "the margin"))
 
+    def _must_be_own(self) -> None:
+        """Refuse a folder whose sweep is no margin, or that of something else."""
+        marker = self._folder / _SUBJECT
+        if marker.is_file():
+            if marker.read_bytes() != self._subject:
+                raise ConfigError(
+                    f"{self._folder}: holds the margin of another target, net, seed or option; choose another --out"
+                )
+        elif (self._folder / SWEEP_SETTINGS).exists() and not (self._folder / TRIALS).exists():
+            raise FileError(self._folder, "holds a sweep", "choose another --out")
+
     def _run(self, plan: Plan) -> Store:
         store = open_bench_store(self._folder, plan, 1)
+        write_whole(self._folder / _SUBJECT, self._subject)
         run_sweep(
             plan, store, RemainingJobs.of(plan, store), _Lent(self._executor), _RETRIES, lambda *_: None
         )

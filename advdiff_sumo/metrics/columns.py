@@ -116,6 +116,8 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "rough_handovers": _count("times SUMO got a vehicle back askew, not aligned within 8 s"),
     "skipped_agents": _count("agents left to SUMO, out of reach of where their log goes on"),
     "refused_insertions": _later_count("moved vehicles that SUMO would not take in"),
+    "implausible_plans": _later_count("plans of the target that ask for what no vehicle can do"),
+    "implausible_plan": _text("what the first of these does, as check-planner says it"),
     "safeguarded_plans": _later_count("of moved_plans, whose next half second it changed by over 0.1 m"),
     "moved_plans": _later_count("plans of a moved vehicle that the safeguard looked at"),
     "attack_kind": _text("kind of attack asked for; empty without attackers"),
@@ -178,12 +180,20 @@ COLLISION_COLUMNS: Mapping[str, Column] = {
     "penetration_m": _real("m", "deepest overlap within the step of the contact"),
 }
 
-_LATER_COUNTS = ("refused_insertions", "safeguarded_plans", "moved_plans", "replayed_collisions", "replayed")
+_LATER_COUNTS = (
+    "refused_insertions",
+    "implausible_plans",
+    "safeguarded_plans",
+    "moved_plans",
+    "replayed_collisions",
+    "replayed",
+)
 LATER_COLUMNS = frozenset(
     (
         "route",
         "attack_kind",
         "in_position",
+        "implausible_plan",
         *_LATER_COUNTS,
         *VERDICT_COLUMNS,
         *CRITICAL_COLUMNS,

@@ -55,6 +55,8 @@ def episode_row(
         "rough_handovers": record.rough_handovers,
         "skipped_agents": record.skipped_agents,
         "refused_insertions": record.refused_insertions,
+        "implausible_plans": record.implausible[0],
+        "implausible_plan": record.implausible[1] or None,
         "safeguarded_plans": record.safeguarded[0],
         "moved_plans": record.safeguarded[1],
         "attack_kind": record.attack,

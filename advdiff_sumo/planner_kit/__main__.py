@@ -24,14 +24,20 @@ def main() -> None:
     )
     given = parser.parse_args()
     sys.path.insert(0, "")
-    planner = attribute(given.planner)(**json.loads(given.options))
-    read_road = attribute(given.read_road) if given.read_road else None
+    try:
+        made, read_road = attribute(given.planner), attribute(given.read_road) if given.read_road else None
+        options = json.loads(given.options)
+    except (ImportError, AttributeError, ValueError) as error:
+        parser.error(str(error))
+    planner = made(**options)
     serve(planner, given.address, name=given.planner, read_road=read_road)
 
 
 def attribute(name: str) -> Any:
     """Return what ``package.module:attribute`` stands for."""
-    module, _, path = name.partition(":")
+    module, colon, path = name.partition(":")
+    if not colon:
+        raise ValueError(f"{name}: expected package.module:Class")
     value: Any = importlib.import_module(module)
     for part in path.split("."):
         value = getattr(value, part)

@@ -163,8 +163,12 @@ def _of_plan(plan: Plan, scene: Scene) -> list[Problem]:
     for name in plan_arrays(exact):
         if not np.isfinite(getattr(exact, name)).all():
             return [Problem(Part.NUMBERS, f"{name} holds values that are not finite")]
-    faults = _control_problems(exact) if isinstance(exact, Controls) else _trajectory_problems(exact, scene)
-    return [Problem(Part.MOTION, text) for text in faults]
+    return [Problem(Part.MOTION, text) for text in motion_problems(exact, scene)]
+
+
+def motion_problems(plan: Plan, scene: Scene) -> list[str]:
+    """Return what *plan*, of 64-bit numbers, asks of the target in *scene* that no vehicle can do."""
+    return _control_problems(plan) if isinstance(plan, Controls) else _trajectory_problems(plan, scene)
 
 
 def _control_problems(plan: Controls) -> list[str]:

@@ -38,3 +38,13 @@ def position_lines(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
                 (f"no one was in a position to {lacking[0]}", f"in {len(lacking)} of {len(asked)} episodes")
             )
     return lines
+
+
+def plan_lines(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """Return (what, in how many episodes) where targets planned what no vehicle can do in some *rows*."""
+    known = [row for row in rows if row.get("implausible_plans") is not None]
+    some = [row for row in known if row["implausible_plans"]]
+    if not some:
+        return []
+    what = f"plans that no vehicle can drive ({some[0]['implausible_plan']}; see check-planner)"
+    return [(what, f"in {len(some)} of {len(known)} episodes")]

@@ -92,6 +92,14 @@ class FinishedRun:
         return not self.is_sweep and (self.folder / RUN_PARTS).is_dir()
 
     @cached_property
+    def log_tails(self) -> Mapping[int, str]:
+        """What was said last in each failed episode, or where the planner raised, by episode."""
+        if not self._tables.path("failures").exists():
+            return {}
+        rows = self._tables.rows("failures", ("episode", "log_tail")).to_pylist()
+        return {int(row["episode"]): row["log_tail"].strip() for row in rows if row["log_tail"]}
+
+    @cached_property
     def unstarted(self) -> int:
         """How many episodes failed before they had a row."""
         return len(self._tables.unstarted(self.episodes))

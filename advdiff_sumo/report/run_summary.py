@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 from advdiff_sumo.metrics.severity import broke_rule, is_valid_failure
 from advdiff_sumo.metrics.statistics import wilson
-from advdiff_sumo.report.attack_words import out_of_position, position_lines
+from advdiff_sumo.report.attack_words import out_of_position, plan_lines, position_lines
 
 Rows: TypeAlias = Sequence[dict[str, Any]]
 
@@ -21,6 +21,8 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
         timing: of ``timing.parquet``.
     """
     finished = [row for row in rows if row["end"] != "failed"]
+    ended = {row.get("episode") for row in finished}
+    timing = [row for row in timing if row.get("episode") in ended]
     hits = [row for row in finished if row["target_collision"]]
     lines = [
         ("valid failures", _rate(_valid_failures(finished), len(finished))),
@@ -33,6 +35,7 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
         ("median of minimum TTC", _median(finished, "min_ttc_s", "s")),
         ("median of minimum clearance", _median(finished, "min_clearance_m", "m")),
         *position_lines(finished),
+        *plan_lines(rows),
         ("real-time factor (median)", _median(timing, "real_time_factor", "×")),
     ]
     for who in ("target", "background"):

@@ -103,7 +103,13 @@ class Sections:
         episode, net = int(row["episode"]), str(row["net"])
         states, contacts = self._run.states(episode), self._run.collisions_of(episode)
         if states is None:
-            html = self._template.render(row=row, picture=None, contacts=contacts, labels=self._labels)
+            html = self._template.render(
+                row=row,
+                picture=None,
+                contacts=contacts,
+                labels=self._labels,
+                tail=self._run.log_tails.get(episode),
+            )
             fits = wanted and self._pictures.takes(html)
             return Section(episode, net, html if fits else "", left_out=wanted and not fits)
         attacker = attacker_of(row)
@@ -150,6 +156,7 @@ class Sections:
             contacts=contacts,
             target_id=states.tracks.ids[states.target],
             labels=self._labels,
+            tail=self._run.log_tails.get(int(row["episode"])),
         )
 
     def _facts(self, row: Row, charts: Sequence[Chart], contacts: Sequence[Row]) -> dict[str, Any]:

@@ -377,6 +377,7 @@ class Loop:
             attack=self.background.attack,
             in_position=self.background.in_position if self.background.attack is not None else None,
             manoeuvres=self.background.manoeuvres,
+            implausible=self.drive.implausible if isinstance(self.drive, PlannerDrive) else (0, ""),
             safeguarded=self.background.safeguarded,
             failure=failure,
             natural=natural_course(episode.scene.log, self.sim.model_step_s)

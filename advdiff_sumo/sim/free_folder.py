@@ -16,8 +16,13 @@ def run_words(net: str, target: str, background: str, seed: int) -> tuple[str, .
 
 def free_folder(*words: str) -> Path:
     """Return a path in ``RUNS`` that is named after *words* and does not exist."""
-    name = "-".join(re.sub(r"[^\w.-]+", "-", word)[:_LONGEST].strip("-") for word in words)
-    path, number = RUNS / name, 2
+    path, number = named_folder(*words), 2
+    name = path.name
     while path.exists():
         path, number = RUNS / f"{name}-{number}", number + 1
     return path
+
+
+def named_folder(*words: str) -> Path:
+    """Return a path in ``RUNS`` that is named after *words*."""
+    return RUNS / "-".join(re.sub(r"[^\w.-]+", "-", word)[:_LONGEST].strip("-") for word in words)

@@ -15,6 +15,7 @@ from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.tracking import State, drive_plan
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.planners.planner_check import motion_problems
 from advdiff_sumo.planners.planner_protocol import Planner, Served
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.handover import guessed_route
@@ -86,6 +87,7 @@ class PlannerDrive:
         self._guard = PlugInGuard(planner, f"target '{name}'", Phase.TARGET, heartbeat)
         self.planning_s: list[float] = []
         self.planned: Plan | None = None
+        self.implausible = (0, "")
         self._memory: Any = None
         self._states: State | None = None
         self._left_m = np.inf  # to the end of the route, once on its last edge
@@ -107,6 +109,10 @@ class PlannerDrive:
         plan = self._guard.call(lambda: self._plan(view))
         world, row = self.world, self.row
         self.planned = plan
+        problems = motion_problems(plan, scene)
+        if problems:
+            count, first = self.implausible
+            self.implausible = count + 1, first or problems[0]
         state: State = world.xy_m[row].copy(), world.yaw_rad[row].copy(), world.speed_mps[row].copy()
         length = world.size_m[row, 0]
         self._states = drive_plan(state, plan, length, self.sim.step_s, steps, Limits())

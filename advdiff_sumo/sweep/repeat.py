@@ -16,6 +16,8 @@ from advdiff_sumo.sim.scene_file import scene_from_bytes
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.job_plan import Job, Plan, plan_run, plan_sweep
+from advdiff_sumo.sweep.rounds import stored_plan
+from advdiff_sumo.sweep.run_engine import must_have_inputs
 from advdiff_sumo.sweep.run_folder import RunFolder, read_settings
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_store import Store
@@ -71,6 +73,8 @@ def of_sweep(key: str, folder: Path | None, among: Path) -> Before:
     Raises:
         InputError: no sweep has it.
     """
+    if folder is not None and key.isdecimal() and len(key) < _SHORTEST_KEY:
+        return _numbered(int(key), folder)
     if len(key) < _SHORTEST_KEY:
         raise ConfigError(
             f"'{key}' is too short for the key of an episode; give {_SHORTEST_KEY} digits or more"
@@ -96,6 +100,17 @@ def of_sweep(key: str, folder: Path | None, among: Path) -> Before:
     )
 
 
+def _numbered(number: int, folder: Path) -> Before:
+    """Return the episode that the tables of a sweep call *number*."""
+    store = Store.open(folder)
+    plan = stored_plan(store)
+    if number >= len(plan.jobs):
+        raise ConfigError(
+            f"'{number}' is no episode of {folder}; give a number from 0 to {len(plan.jobs) - 1}, or a key"
+        )
+    return _kept(store, plan, plan.jobs[number])
+
+
 def _kept(store: Store, plan: Plan, job: Job) -> Before:
     return Before(store, plan, job, store.read(job.key), job.key)
 
@@ -108,7 +123,9 @@ def of_run(number: str, folder: Path) -> Before:
     """
     settings = read_settings(folder)
     options = RunOptions.parse(settings.get("options", {}), str(folder / RUN_SETTINGS))
-    plan = plan_run(Run.prepare(options))
+    run = Run.prepare(options)
+    must_have_inputs(folder, settings, run)
+    plan = plan_run(run)
     if not (number.isdecimal() and int(number) < len(plan.jobs)):
         raise ConfigError(
             f"'{number}' is no episode of {folder}; give a number from 0 to {len(plan.jobs) - 1}"

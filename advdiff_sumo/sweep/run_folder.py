@@ -22,7 +22,7 @@ from advdiff_sumo.sim.run_store import LATER_TABLES, TABLES
 from advdiff_sumo.sweep.job_plan import run_key
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_columns import RUN_FAILURE_COLUMNS
-from advdiff_sumo.sweep.sweep_files import write_whole
+from advdiff_sumo.sweep.sweep_files import with_earlier, write_whole
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.table_writer import TableWriter
 from advdiff_sumo.sweep.tasks import Failed
@@ -68,6 +68,7 @@ class RunFolder:
             if not resume:
                 raise FileError(path, "already holds a run", remedy)
             folder._must_continue(settings)
+            settings = with_earlier(settings, "run", read_settings(path))
         elif path.is_dir() and any(child.name != RUN_PARTS for child in path.iterdir()):
             raise FileError(path, "is a folder that holds other files", "choose a new --out")
         finished = folder._to_take_apart()

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import errno
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.core.whole_file import whole_file
 
+_NO_VERSIONS = {"inputs", "repeats"}
 _MAGIC = b"advdiff-sumo 1 "
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
@@ -73,3 +76,17 @@ def checksum_of(path: Path) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError:
         return ""
+
+
+def with_earlier(settings: Mapping[str, Any], table: str, before: Mapping[str, Any]) -> dict[str, Any]:
+    """Return *settings* with the versions that *before*, the same file so far, was begun with where these differ.
+
+    Args:
+        settings: what is written.
+        table: in which the versions are.
+        before: what stands there.
+    """
+    now, old = settings[table], before.get(table, {})
+    others = (name for name in old if now.get(name, old[name]) != old[name] and name not in _NO_VERSIONS)
+    kept = old.get("begun_with") or {name: old[name] for name in others}
+    return {**settings, table: {**now, "begun_with": kept}} if kept else dict(settings)

@@ -22,6 +22,7 @@ from advdiff_sumo.sweep.stored_episode import StoredEpisode, pack, unpack
 from advdiff_sumo.sweep.sweep_files import (
     read_checked,
     unwritable,
+    with_earlier,
     write_checked,
     write_whole,
     written_checksum,
@@ -75,6 +76,7 @@ class Store:
         if spec is not None:
             must_equal(path, begun.spec(), spec)
         begun.must_match(str(settings.get("keys", "")))
+        settings = with_earlier(settings, "made_by", read_toml(path / SWEEP_SETTINGS))
         return Store(path)._begin(settings, ballast_bytes)
 
     @staticmethod

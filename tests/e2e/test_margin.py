@@ -97,3 +97,16 @@ def test_all_kinds_of_attack_in_one_scene(tmp_path: Path) -> None:
 def trials(folder: Path) -> list[dict[str, str]]:
     with (folder / "margin.csv").open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s" / "sweep.toml").write_text("[sweep]\n")
+    refused = advdiff("margin", *SCENE, "--out", "s", cwd=tmp_path)
+    assert (refused.code, refused.out) == (2, "")
+    assert "s: holds a sweep; choose another --out" in refused.err
+    (tmp_path / "s" / "margin.json").write_text("{}")
+    other = advdiff("margin", *SCENE, "--out", "s", cwd=tmp_path)
+    assert other.code == 2
+    assert "holds the margin of another target, net, seed or option" in other.err
+    assert (tmp_path / "s" / "sweep.toml").read_text() == "[sweep]\n"

@@ -234,6 +234,23 @@ def test_a_policy_that_crashes_and_where_every_episode_fails(place: Path) -> Non
 
 
 @pytest.mark.slow
+def test_where_a_planner_raised_stands_in_the_report_and_is_told_by_a_replay(place: Path) -> None:
+    deed = ("--target", "ill:Always", "--set", "target_options.deed=exit_")
+    assert advdiff(*RUN, *deed, "--episodes", 1, "--out", "run", cwd=place).code == 1
+    page = (place / "run" / "report.html").read_text(encoding="utf-8")
+    assert "What was said last" in page
+    assert "sys.exit(3)" in page
+    done = advdiff("replay", 0, "--run", "run", "--out", "again", cwd=place)
+    assert done.code == 0, done.err
+    assert "0: failed" in done.out
+    assert "raised SystemExit: 3" in done.out
+    assert "sys.exit(3)" in done.out
+    assert "the same as in the run" in done.out
+    by_sweep = advdiff("replay", 0, "--sweep", "run", "--out", "third", cwd=place)
+    assert "the same as in the sweep" in by_sweep.out
+
+
+@pytest.mark.slow
 def test_a_planner_that_crashes_before_the_first_step(place: Path) -> None:
     done = advdiff(*RUN, "--target", "ill:IllFromTheStart", "--episodes", 1, "--out", "run", cwd=place)
     assert done.code == 1, done.err

@@ -62,7 +62,8 @@ def test_rows_of_a_collision(straight, record_of, road) -> None:
 
 def test_what_the_simulation_counted_is_passed_on(straight, record_of, road) -> None:
     record = replace(record_of(straight("ego", (-150, -1.6), 0, 10)), rough_handovers=2, skipped_agents=3)
-    row = episode_row(replace(record, safeguarded=(4, 90)), road)
+    row = episode_row(replace(record, safeguarded=(4, 90), implausible=(2, "it steers")), road)
+    assert (row["implausible_plans"], row["implausible_plan"]) == (2, "it steers")
     assert (row["rough_handovers"], row["skipped_agents"]) == (2, 3)
     assert (row["safeguarded_plans"], row["moved_plans"]) == (4, 90)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -204,3 +205,13 @@ def test_what_failed_before_it_had_a_row_counts_in_every_summary(tmp_path: Path)
     tables = RunTables(folder.path)
     assert [row["episode"] for row in tables.all_episodes()] == [0, 1, 2]
     assert tables.unstarted(tables.all_episodes()) == []
+
+
+def test_what_a_run_was_begun_with_is_kept_where_it_goes_on_with_something_else(tmp_path: Path) -> None:
+    path, now = tmp_path / "run", settings()
+    before = {**now, "run": {"advdiff_sumo": "0.1", "libsumo": "1.20"}}
+    fill(RunFolder.create(path, before, resume=False), 0).consolidate(finished=False)
+    for _ in range(2):
+        RunFolder.create(path, now, resume=True)
+        kept = tomllib.loads((path / "run.toml").read_text())["run"]
+        assert kept == {"advdiff_sumo": "0", "begun_with": {"advdiff_sumo": "0.1"}}

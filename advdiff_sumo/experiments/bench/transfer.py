@@ -43,8 +43,9 @@ FIXED_SOURCE = {"adv-rl": "lane_graph"}
 """Policies whose shipped weights were trained against that planner (Adv-RL's against SUMO's IDM, too)."""
 NOTES = (
     "A row is a policy and what it was adapted to: Q warmed up against it (ours), expected as the target (AdvSim, "
-    "Strive), or trained against (Adv-RL: the rule-based planner, and IDM). AV CR: share of episodes in which the target collides; BV "
-    "CR: share of moved background vehicles that hit another one or leave the road. Intervals: Wilson, 95 %.",
+    "Strive), or trained against (Adv-RL: the rule-based planner, and IDM). AV CR: share of episodes in which "
+    "the target collides; BV CR: share of moved background vehicles that hit another one or leave the road. Intervals: "
+    "Wilson, 95 %.",
 )
 
 

@@ -56,9 +56,10 @@ def run_netconvert(
     done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     if done.returncode != 0 or not out_net.exists():
-        raise NetError(
-            out_net, "netconvert refused the plan: " + " ".join(lines[:3]), "this is a fault of the converter"
-        )
+        said = " ".join(lines[:3])
+        if "Could not build output file" in said:
+            raise NetError(out_net, f"cannot be written ({said})", "choose another --output")
+        raise NetError(out_net, "netconvert refused the plan: " + said, "this is a fault of the converter")
     drop_header(out_net)
     return tuple(line for line in lines if line.startswith("Warning"))
 

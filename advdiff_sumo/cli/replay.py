@@ -65,7 +65,8 @@ def replay(
     )
     if done.part.failed is not None:
         terminal().print(done.part.failed.message, style="red", soft_wrap=True)
-        terminal().print(done.part.failed.log_tail.strip(), markup=False, highlight=False, soft_wrap=True)
+        if tail := done.part.failed.log_tail.strip():
+            terminal().print(tail, markup=False, highlight=False, soft_wrap=True)
     _say_whether_same(done.same, "run" if run else "sweep", gui, _outcome(before.part))
 
 

@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from advdiff_sumo.data.run_tables import RUN_SETTINGS, RunTables
 from advdiff_sumo.metrics.arrow_tables import table_of
+from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sweep.consolidate import read_rows, tables_of
@@ -49,8 +50,9 @@ class FolderRows:
 
     @property
     def timing(self) -> Rows:
-        """Rows of ``timing``."""
-        return read_rows(self.path, "timing")
+        """Rows of ``timing``; none of a run that is going on."""
+        going_on = self.of_run and not RunTables(self.path).path("timing").exists()
+        return [] if going_on else read_rows(self.path, "timing")
 
     def tables(self) -> dict[str, pa.Table]:
         """Return the tables that the folder itself does not hold in a sweep's form."""
@@ -82,7 +84,8 @@ def rows_of_sweep(store: Store, plan: Plan, missing: int) -> FolderRows:
 
 def _of_run(folder: Path) -> FolderRows:
     settings = read_settings(folder)
-    run = Run.prepare(RunOptions.parse(settings.get("options", {}), str(folder / RUN_SETTINGS)))
+    options = RunOptions.parse(settings.get("options", {}), str(folder / RUN_SETTINGS))
+    run = Run.prepare(options, planner=LaneGraphPlanner())  # nothing is driven: the target need not be at hand
     must_have_inputs(folder, settings, run)
     plan, parts = plan_run(run), RunFolder(folder).episodes()
     jobs = {job.number: job for job in plan.jobs}

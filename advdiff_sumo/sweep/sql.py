@@ -8,6 +8,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from advdiff_sumo.core.errors import ConfigError, MissingExtraError
+from advdiff_sumo.metrics.arrow_tables import schema_of
 from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES
 
 
@@ -28,11 +29,14 @@ def query(folder: Path, sql: str, instead: Mapping[str, pa.Table]) -> pa.Table:
     except ImportError:
         raise MissingExtraError("results --sql", "sql") from None
     with duckdb.connect(":memory:", config={"threads": 1}) as base:
-        for name in SWEEP_TABLES:
-            if name in instead:
-                base.register(name, instead[name])
+        for name, columns in SWEEP_TABLES.items():
+            file = folder / f"{name}.parquet"
+            if (
+                name in instead or not file.exists()
+            ):  # a run that is going on, or of an earlier version, lacks some
+                base.register(name, instead.get(name, schema_of(columns).empty_table()))
             else:
-                base.read_parquet(str(folder / f"{name}.parquet")).create_view(name)
+                base.read_parquet(str(file)).create_view(name)
         try:
             answer = base.sql(sql)
             if answer is None:

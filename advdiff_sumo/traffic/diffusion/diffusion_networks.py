@@ -67,7 +67,7 @@ def networks_of(options: DiffusionOptions) -> Networks:
     """
     device = device_of(options.device, "background 'diffusion'")
     sampling = Sampling(options.steps, options.family, options.eta, options.begin)
-    states = file_state(options.path), file_state(options.q_file)
+    states = tuple(file_state(file) for file in (options.path, options.q_file) if file)
     networks = _networks(states, str(options.path), options.q_file, device, sampling)
     if options.guided and not isinstance(networks.codec, LatentCodec):
         raise WeightsError(

@@ -19,6 +19,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_protocol import SumoDriver
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.target import PlannerDrive
 from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
 from tests.sim.scenes import StraightOn, episode, running
 
@@ -115,6 +116,77 @@ def test_vehicles_are_taken_over_and_handed_back_without_a_jump(scene: SeedScene
     assert ((who[:, 1:] == Controller.POLICY) & (who[:, :-1] == Controller.SUMO)).any()
     assert ((who[:, 1:] == Controller.SUMO) & (who[:, :-1] == Controller.POLICY)).any()
     continuous(record)
+
+
+def test_who_is_taken_keeps_the_route_that_sumo_has_for_it(
+    scene: SeedScene, road: RoadMap, tmp_path: Path
+) -> None:
+    """Another one than its seed scene tells, as of who was put in, or departed later."""
+    with running(episode(scene, road, background=StraightOn(), control_radius_m=60.0), tmp_path) as loop:
+        vehicle, given = loop.api.vehicle, {}
+        for name in scene.history.ids:
+            here = vehicle.getRoute(name)[vehicle.getRouteIndex(name)]
+            onward = road.random_route(here, 300.0, np.random.default_rng(7)) or ()
+            if name != scene.target and len(onward) > 2 and vehicle.getRoadID(name) == here:
+                vehicle.setRoute(name, onward)
+                given[name] = onward
+        loop.run(6)
+        taken = {loop.world.ids[row] for row in loop.actuator.moved} & given.keys()
+        assert len(taken) >= 2
+        for name in taken:
+            row = loop.world.index[name]
+            assert loop.handover.route(row, {}) == given[name][-len(loop.handover.route(row, {})) :]
+            assert len(loop.handover.route(row, {})) > 1
+
+
+def test_a_target_off_its_route_has_the_edges_ahead_as_its_route_in_sumo(
+    scene: SeedScene, road: RoadMap, tmp_path: Path
+) -> None:
+    with running(episode(scene, road, target="lane_graph"), tmp_path) as loop:
+        assert isinstance(loop.drive, PlannerDrive)
+        here = loop.drive.route[0]
+        loop.drive.route = tuple(edge for edge in road.edges if edge not in loop.drive.route)[:1]
+        loop.api.vehicle.setRoute(scene.target, (here,))  # as it has once it is on an edge of no route
+        loop.run(11)
+        told = loop.api.vehicle.getRoute(scene.target)
+        assert loop.drive.route[0] not in told
+        assert here in told
+        assert len(told) > 1
+
+
+def test_a_plan_must_reach_to_the_next_one(scene: SeedScene, road: RoadMap) -> None:
+    """Half a second is long enough with a plan every model step, and not with one every other."""
+    short = Braking()
+    for every, end in ((1, EndReason.HORIZON), (2, EndReason.FAILED)):
+        record, _ = episode(scene, road, target=short, horizon_s=2.0, replan_every=every).run()
+        assert record.end == end
+    assert record.failure is not None
+    assert record.failure.kind == "plan_refused"
+
+
+def test_a_target_sees_as_far_with_replay_as_with_every_background(
+    scene: SeedScene, road: RoadMap, tmp_path: Path
+) -> None:
+    for background in ("sumo", "replay"):
+        made = episode(scene, road, target="lane_graph", background=background, observe_radius_m=40.0)
+        with running(made, tmp_path) as loop:
+            seen = loop._seen_by_target(loop.scene_now())
+        xy = seen.history.xy_m[:, -1]
+        assert len(xy) > 1
+        assert np.linalg.norm(xy - xy[seen.target], axis=-1).max() <= 40.0
+
+
+class Braking:
+    """A target whose plans are half a second long."""
+
+    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> None:
+        """Nothing to remember."""
+
+    def plan(
+        self, road: RoadMap, scene: Scene, memory: None, rng: np.random.Generator
+    ) -> tuple[Controls, None]:
+        """Brake gently."""
+        return Controls(np.full(5, -0.5), np.zeros(5), 0.1), None
 
 
 def test_the_policy_moves_only_what_is_near_the_target(scene: SeedScene, road: RoadMap) -> None:

@@ -96,6 +96,8 @@ def _same(names: Iterable[str], name: str) -> str | None:
 
 def _import(kind: str, target: str) -> Any:
     module_name, _, attribute = target.partition(":")
+    if attribute.startswith("//"):
+        raise ConfigError(f"{kind} '{target}' cannot be reached: write it as grpc://HOST:PORT")
     if not (module_name and attribute):
         raise ConfigError(f"{kind} '{target}' cannot be imported: give it as module:CLASS")
     try:

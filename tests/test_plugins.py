@@ -75,6 +75,11 @@ def test_a_class_of_ones_own_that_is_given_wrongly_comes_with_a_remedy(
     assert remedy in str(caught.value)
 
 
+def test_an_address_is_no_class() -> None:
+    with pytest.raises(ConfigError, match="cannot be reached: write it as grpc://HOST:PORT"):
+        SHAPES.load("http://localhost:5999")
+
+
 def test_a_module_that_was_not_found_comes_with_where_to_start() -> None:
     with pytest.raises(ConfigError, match=r"start in the folder of no_such\.py or put that on PYTHONPATH"):
         SHAPES.load("no_such.part:X")

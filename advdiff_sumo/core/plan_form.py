@@ -51,8 +51,10 @@ def values_problem(plan: Plan) -> str:
         return "" if finite else "a trajectory that holds values that are not numbers"
     if not finite:
         return "controls that are not numbers"
-    if _largest(plan.accel_mps2) > _MAX_CONTROL_MPS2 or _largest(plan.steer_rad) >= 0.5 * np.pi:
-        return f"an acceleration beyond {_MAX_CONTROL_MPS2:g} m/s² or a steering beyond 90°"
+    if _largest(plan.accel_mps2) > _MAX_CONTROL_MPS2:
+        return f"an acceleration of {_largest(plan.accel_mps2):g} m/s², beyond {_MAX_CONTROL_MPS2:g}"
+    if _largest(plan.steer_rad) >= 0.5 * np.pi:
+        return f"a steering of {_largest(plan.steer_rad):g} rad, beyond 90°"
     return ""
 
 

@@ -89,6 +89,9 @@ def choose(rows: Sequence[Row], conditions: Sequence[str], what: str) -> list[Ro
     chosen = list(rows)
     for condition in conditions:
         column, equals, value = condition.partition("=")
+        holds = next((name for name in _KIND if any(row.get(name) == condition for row in rows)), None)
+        if not equals and holds is not None:
+            raise ConfigError(f"{what} {condition}: expected COLUMN=VALUE; did you mean {holds}={condition}?")
         if rows and (not equals or column not in rows[0]):
             raise ConfigError(f"{what} {condition}: expected COLUMN=VALUE; {did_you_mean(column, rows[0])}")
         values = {str(row[column]) for row in chosen}

@@ -136,6 +136,8 @@ class SweepSpec(Options):
             ConfigError: a key is misspelt or a value impossible, or it asks for nothing.
         """
         content = read_toml(path)
+        if content.keys() >= {"run", "options"}:
+            raise ConfigError(f"{path}: is the file of a run; repeat it with advdiff-sumo run --config {path}")
         asked = content.get("sweep", content)  # the sweep.toml that a sweep leaves has it in a table
         return SweepSpec.of(asked if isinstance(asked, dict) else content, str(path))
 

@@ -101,6 +101,13 @@ def test_a_wrong_name_is_one_sentence(place: Path, grid: dict[str, Any], words: 
         assert word in str(caught.value)
 
 
+def test_the_file_of_a_run_is_no_sweep(tmp_path: Path) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text("[run]\n[options]\nnet = 'downtown'\n")
+    with pytest.raises(ConfigError, match="is the file of a run; repeat it with advdiff-sumo run --config"):
+        SweepSpec.read(path)
+
+
 def test_files_are_named_by_their_full_path(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(place)
     content = values(place)

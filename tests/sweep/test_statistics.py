@@ -220,6 +220,8 @@ def test_rows_are_chosen_by_column() -> None:
         ConfigError, match="--a target=AC: no episode of that sweep is so; did you mean 'ACC'"
     ):
         choose(rows, ["number=7", "target=AC"], "--a")
+    with pytest.raises(ConfigError, match="--a ACC: expected COLUMN=VALUE; did you mean target=ACC"):
+        choose(rows, ["ACC"], "--a")
 
 
 def test_junit_tells_collisions_from_failures() -> None:

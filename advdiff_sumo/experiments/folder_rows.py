@@ -85,7 +85,8 @@ def rows_of_sweep(store: Store, plan: Plan, missing: int) -> FolderRows:
 def _of_run(folder: Path) -> FolderRows:
     settings = read_settings(folder)
     options = RunOptions.parse(settings.get("options", {}), str(folder / RUN_SETTINGS))
-    run = Run.prepare(options, planner=LaneGraphPlanner())  # nothing is driven: the target need not be at hand
+    # nothing is driven, so the target need not be at hand
+    run = Run.prepare(options, planner=LaneGraphPlanner())
     must_have_inputs(folder, settings, run)
     plan, parts = plan_run(run), RunFolder(folder).episodes()
     jobs = {job.number: job for job in plan.jobs}

@@ -137,7 +137,9 @@ class SweepSpec(Options):
         """
         content = read_toml(path)
         if content.keys() >= {"run", "options"}:
-            raise ConfigError(f"{path}: is the file of a run; repeat it with advdiff-sumo run --config {path}")
+            raise ConfigError(
+                f"{path}: is the file of a run; repeat it with advdiff-sumo run --config {path}"
+            )
         asked = content.get("sweep", content)  # the sweep.toml that a sweep leaves has it in a table
         return SweepSpec.of(asked if isinstance(asked, dict) else content, str(path))
 

@@ -76,17 +76,17 @@ def _before(key: str, run: Path | None, sweep: Path | None) -> Before:
     Raises:
         InputError: there is none such.
     """
-    from advdiff_sumo.data.run_tables import RUN_SETTINGS, SWEEP_SETTINGS
+    from advdiff_sumo.data.run_tables import RUN_SETTINGS, RunTables
     from advdiff_sumo.sim.free_folder import RUNS
     from advdiff_sumo.sweep.repeat import of_run, of_sweep  # late, as above
 
     if run is not None and sweep is not None:
         raise ConfigError("--run and --sweep cannot go together; name the folder of one")
     folder = run or sweep
-    is_run = folder is not None and (folder / RUN_SETTINGS).is_file()
-    if is_run or (run is not None and not (run / SWEEP_SETTINGS).is_file()):
-        return of_run(key, folder or RUNS)
-    return of_sweep(key, folder, RUNS)
+    if folder is None or RunTables(folder).is_sweep:
+        return of_sweep(key, folder, RUNS)
+    is_run = run is not None or (folder / RUN_SETTINGS).is_file()
+    return of_run(key, folder) if is_run else of_sweep(key, folder, RUNS)
 
 
 def _outcome(part: StoredEpisode | None) -> str:

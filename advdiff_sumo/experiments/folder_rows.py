@@ -16,10 +16,9 @@ from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sweep.consolidate import read_rows, tables_of
-from advdiff_sumo.sweep.job_plan import Plan, plan_run
+from advdiff_sumo.sweep.job_plan import Plan, plan_run, run_inputs
 from advdiff_sumo.sweep.rounds import stored_plan
-from advdiff_sumo.sweep.run_engine import must_have_inputs
-from advdiff_sumo.sweep.run_folder import RunFolder, read_settings
+from advdiff_sumo.sweep.run_folder import AGAIN, RunFolder, must_have_inputs, read_settings
 from advdiff_sumo.sweep.situation import situation
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES, job_row
@@ -87,16 +86,16 @@ def _of_run(folder: Path) -> FolderRows:
     options = RunOptions.parse(settings.get("options", {}), str(folder / RUN_SETTINGS))
     # nothing is driven, so the target need not be at hand
     run = Run.prepare(options, planner=LaneGraphPlanner())
-    must_have_inputs(folder, settings, run)
-    plan, parts = plan_run(run), RunFolder(folder).episodes()
+    must_have_inputs(folder, settings, run_inputs(run), AGAIN)
+    plan, begun = plan_run(run), RunFolder(folder)
+    parts = begun.episodes()
     jobs = {job.number: job for job in plan.jobs}
     episodes, failures = Rows(), Rows()
     for number, part in parts.items():
         own = job_row(jobs[number], plan.cells[0])
         episodes += [own | row for row in _episode_rows(part, run)]
         if part.failed is not None:
-            command = f"advdiff-sumo replay {number} --run {folder}"
-            failures.append({**own, **vars(part.failed), "command": command})
+            failures.append(own | begun.failure_row(number, part.failed))
     return FolderRows(folder, plan, episodes, failures, len(jobs) - len(parts), of_run=True)
 
 

@@ -90,6 +90,7 @@ class PlannerDrive:
         self.implausible = (0, "")
         self._memory: Any = None
         self._states: State | None = None
+        self._off_route: str | None = None  # the edge where it is, off its route
         self._left_m = np.inf  # to the end of the route, once on its last edge
 
     def start(self, scene: Scene) -> None:
@@ -159,24 +160,23 @@ class PlannerDrive:
 
     def _expected_route(self) -> tuple[str, ...]:
         """Return its remaining edges; off its route those over which its plan leads, and a guess beyond."""
-        row, route = self.row, self.route_ahead()
-        assert self._states is not None  # noqa: S101 - a plan has just been made
-        xy = np.stack((self.world.xy_m[row], self._states[0][-1]))
-        lanes, *_ = self.road.locate_many(xy, np.array([self.world.yaw_rad[row], self._states[1][-1]]))
-        here, there = lanes
-        if here is None or self.road.edge_of(here) in route:
-            return route
-        first = self.road.edge_of(here)
-        return guessed_route(self.road, row, first, first if there is None else self.road.edge_of(there))
+        if self._off_route is None or self._states is None:
+            return self.route_ahead()
+        xy, yaw = self._states[0][-1], float(self._states[1][-1])
+        end = self.road.locate(xy, yaw)
+        last = self._off_route if end is None else self.road.edge_of(end.lane_id)
+        return guessed_route(self.road, self.row, self._off_route, last)
 
     def _find_place(self) -> None:
-        """Drop the edges that lie behind, and notice the end of the route."""
+        """Drop the edges that lie behind, and notice the end of the route and whether this is off it."""
+        self._off_route = None
         pose = self.road.locate(
             self.world.xy_m[self.row], float(self.world.yaw_rad[self.row]), route=self.route
         )
         if pose is None:
             return
-        lane = self.road.lanes[pose.lane_id]
+        lane, edge = self.road.lanes[pose.lane_id], self.road.edge_of(pose.lane_id)
+        self._off_route = None if edge in self.route else edge
         if not lane.is_internal and lane.edge_id in self.route:
             self.route = self.route[self.route.index(lane.edge_id) :]
             front = pose.s_m + 0.5 * float(self.world.size_m[self.row, 0])

@@ -15,10 +15,9 @@ from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sim.scene_file import scene_from_bytes
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
-from advdiff_sumo.sweep.job_plan import Job, Plan, plan_run, plan_sweep
+from advdiff_sumo.sweep.job_plan import Job, Plan, plan_run, plan_sweep, run_inputs
 from advdiff_sumo.sweep.rounds import stored_plan
-from advdiff_sumo.sweep.run_engine import must_have_inputs
-from advdiff_sumo.sweep.run_folder import RunFolder, read_settings
+from advdiff_sumo.sweep.run_folder import AGAIN, RunFolder, must_have_inputs, read_settings
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.work import part_of, run_of
@@ -124,7 +123,7 @@ def of_run(number: str, folder: Path) -> Before:
     settings = read_settings(folder)
     options = RunOptions.parse(settings.get("options", {}), str(folder / RUN_SETTINGS))
     run = Run.prepare(options)
-    must_have_inputs(folder, settings, run)
+    must_have_inputs(folder, settings, run_inputs(run), AGAIN)
     plan = plan_run(run)
     if not (number.isdecimal() and int(number) < len(plan.jobs)):
         raise ConfigError(

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
-from advdiff_sumo.core.errors import ConfigError, SceneError
+from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.sim.run_episodes import Run
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.job_plan import plan_run, run_inputs
@@ -18,25 +17,6 @@ def run_settings(run: Run) -> dict[str, Any]:
     """Return what ``run.toml`` holds: all that is needed to repeat the run, and a digest of its files."""
     settings = run.settings
     return {**settings, "run": {**settings["run"], "inputs": run_inputs(run)}}
-
-
-def must_have_inputs(folder: Path, settings: Mapping[str, Any], run: Run) -> None:
-    """Refuse a run whose files are not what they were when it was begun.
-
-    Args:
-        folder: of the run.
-        settings: its ``run.toml``.
-        run: made of these.
-
-    Raises:
-        ConfigError: so it is.
-    """
-    inputs = run_inputs(run)
-    if settings.get("run", {}).get("inputs", inputs) != inputs:
-        raise ConfigError(
-            f"{folder}: a net, demand, log or file of weights is not what it was when that run was begun; put the old "
-            "one back, or repeat the run with this version of advdiff-sumo"
-        )
 
 
 def run_into(

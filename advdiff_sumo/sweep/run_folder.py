@@ -28,6 +28,8 @@ from advdiff_sumo.sweep.table_writer import TableWriter
 from advdiff_sumo.sweep.tasks import Failed
 
 FAILURES = "failures.parquet"
+#: What to do about a run whose files have changed, where it is not to go on.
+AGAIN = "repeat the run with this version of advdiff-sumo"
 _BALLAST_BYTES = 8 << 20
 
 
@@ -113,12 +115,7 @@ class RunFolder:
             raise ConfigError(
                 f"{self.path}: that run has {had} episodes; ask for as many, or choose a new --out"
             )
-        inputs = settings.get("run", {}).get("inputs")
-        if begun.get("run", {}).get("inputs", inputs) != inputs:
-            raise ConfigError(
-                f"{self.path}: a net, demand or log is not what it was when that run was begun; "
-                "put the old one back, or choose a new --out"
-            )
+        must_have_inputs(self.path, begun, settings.get("run", {}).get("inputs"), "choose a new --out")
 
     # --- episodes ----------------------------------------------------------------------------------------
 
@@ -165,7 +162,7 @@ class RunFolder:
                 for name, table in part.tables.items():
                     writers[name].add(table.select([*TABLES[name]]))
                 if part.failed is not None:
-                    failures.append(self._failure_row(number, part.failed))
+                    failures.append(self.failure_row(number, part.failed))
         self._write_failures(failures)
         if finished:
             shutil.rmtree(self.path / RUN_PARTS)
@@ -178,7 +175,8 @@ class RunFolder:
     def _writer(self, name: str) -> TableWriter:
         return TableWriter(self.path / f"{name}.parquet", schema_of(TABLES[name]), rows_together=0)
 
-    def _failure_row(self, number: int, failed: Failed) -> dict[str, Any]:
+    def failure_row(self, number: int, failed: Failed) -> dict[str, Any]:
+        """Return the row of ``failures`` of an episode, with the command that repeats it."""
         command = f"advdiff-sumo replay {number} --run {self.path}"
         return {"episode": number, **vars(failed), "command": command}
 
@@ -233,6 +231,25 @@ class RunFolder:
     def _tables(self) -> RunTables:
         again = f"advdiff-sumo run --config {self.path / RUN_SETTINGS}"
         return RunTables(self.path, remedy=f"begin the run again: {again}")
+
+
+def must_have_inputs(folder: Path, begun: Mapping[str, Any], inputs: str | None, otherwise: str) -> None:
+    """Refuse a run whose files are not what they were when it was begun.
+
+    Args:
+        folder: of the run.
+        begun: its ``run.toml``.
+        inputs: digest of the files now, as in :func:`~advdiff_sumo.sweep.job_plan.run_inputs`.
+        otherwise: what to do in place of putting the old ones back.
+
+    Raises:
+        ConfigError: so it is.
+    """
+    if begun.get("run", {}).get("inputs", inputs) != inputs:
+        raise ConfigError(
+            f"{folder}: a net, demand or log is not what it was when that run was begun, or a file of weights; "
+            f"put the old one back, or {otherwise}"
+        )
 
 
 def _rows_of(tables: Mapping[str, pa.Table], number: int) -> dict[str, pa.Table]:

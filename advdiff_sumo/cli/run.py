@@ -62,6 +62,7 @@ def run(
     memory: Memory = MEMORY_MB,
     gui: flags.Gui = False,
     resume: flags.Resume = False,
+    retry_failed: flags.RetryFailed = False,
     check: flags.Check = False,
     quiet: flags.Quiet = False,
     as_json: flags.Json = False,
@@ -85,6 +86,7 @@ def run(
     files = {"weights": flags.weights_of(weights), "reward": reward and str(reward.resolve())}
     policy = attacking | {"guide": guide} | files | {"device": device}
     config = (config or _begun(out)) if resume else config
+    flags.check_retry(retry_failed, resume)
     flags.check_display(gui)
     options = options_given(config, where | what, policy, assign or [], defect)
     if not gui:
@@ -95,7 +97,8 @@ def run(
     console = verb_console(quiet, as_json)
     print_notes(console, notes)
     with says_how_to_go_on(lambda: _to_go_on(folder)), ExitStack() as stack:
-        count = _episodes(prepared, folder, console, limits_of(stack, math.inf, plan_timeout, memory), quiet)
+        limits = limits_of(stack, math.inf, plan_timeout, memory)
+        count = _episodes(prepared, folder, console, limits, quiet, retry_failed)
     _tell_outcome(console, folder, prepared, count, check, as_json)
 
 
@@ -155,7 +158,9 @@ def print_notes(console: Console, notes: Iterable[str]) -> None:
         console.print(f"note: {note}", soft_wrap=True)
 
 
-def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits, quiet: bool) -> int:
+def _episodes(
+    prepared: Run, folder: RunFolder, console: Console, limits: Limits, quiet: bool, retry_failed: bool
+) -> int:
     """Run what *folder* lacks behind a bar, write the report whatever happens, and return how many there are."""
     from advdiff_sumo.report.attack_words import out_of_position
     from advdiff_sumo.report.page import write_report
@@ -166,7 +171,7 @@ def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits
     hits = failed = 0
     try:
         with progress_bar(console) as progress:
-            done = len(folder.done())
+            done = len(folder.done(retry_failed))
             task = progress.add_task("episodes", total=prepared.options.episodes, completed=done)
 
             def tell(row: Mapping[str, Any] | None, failure: Failed | None) -> None:
@@ -185,7 +190,7 @@ def _episodes(prepared: Run, folder: RunFolder, console: Console, limits: Limits
                 if not silent:  # with -v it is logs, too
                     sys.stderr.write(f"{line}\n")  # above the bar, which minds it
 
-            return run_into(prepared, folder, executor, tell, hear)
+            return run_into(prepared, folder, executor, tell, hear, retry_failed=retry_failed)
     finally:
         if (folder.path / "episodes.parquet").exists():
             write_report(folder.path)

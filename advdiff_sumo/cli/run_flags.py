@@ -59,6 +59,9 @@ Assign: TypeAlias = Annotated[
 ]
 Gui: TypeAlias = Annotated[bool, typer.Option("--gui", help="Watch in sumo-gui (needs a display).")]
 Resume: TypeAlias = Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run in --out.")]
+RetryFailed: TypeAlias = Annotated[
+    bool, typer.Option("--retry-failed", help="With --resume: run failed episodes again.")
+]
 Strength: TypeAlias = Annotated[
     float | None,
     typer.Option(
@@ -120,6 +123,12 @@ Quiet: TypeAlias = Annotated[bool, typer.Option("--quiet", "-q", help="Print not
 Json: TypeAlias = Annotated[
     bool, typer.Option("--json", help="Print one JSON object, what it came to, and nothing else.")
 ]
+
+
+def check_retry(retry_failed: bool, resume: bool) -> None:
+    """Refuse ``--retry-failed`` for what is begun anew."""
+    if retry_failed and not resume:
+        raise ConfigError("--retry-failed runs the failed episodes of an earlier folder again; add --resume")
 
 
 def check_display(gui: bool) -> None:

@@ -13,7 +13,7 @@ from rich.console import Console
 from advdiff_sumo.cli import sweep_flags as flags
 from advdiff_sumo.cli import worker_flags as worker
 from advdiff_sumo.cli.interruption import says_how_to_go_on
-from advdiff_sumo.cli.run_flags import Json, Quiet
+from advdiff_sumo.cli.run_flags import Json, Quiet, RetryFailed, check_retry
 from advdiff_sumo.cli.terminal import print_json, verb_console
 from advdiff_sumo.core.errors import ConfigError, FileError, UnknownNameError
 from advdiff_sumo.core.threads import one_thread_for_good
@@ -39,7 +39,7 @@ def sweep(
     plan_timeout: worker.PlanTimeout = worker.PLAN_TIMEOUT_S,
     memory: worker.Memory = worker.MEMORY_MB,
     retries: flags.Retries = 2,
-    retry_failed: flags.RetryFailed = False,
+    retry_failed: RetryFailed = False,
     dry_run: flags.DryRun = False,
     report: flags.Report = True,
     junit: flags.JUnit = None,
@@ -61,6 +61,7 @@ def sweep(
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store
 
     worker.end_as_by_ctrl_c()
+    check_retry(retry_failed, resume is not None)
     console, condition = verb_console(quiet, as_json), condition_of(fail_if)
     begun = _begun(resume)
     plan = _plan(console, file, begun, diverse)

@@ -40,9 +40,6 @@ Diverse: TypeAlias = Annotated[
 Retries: TypeAlias = Annotated[
     int, typer.Option(min=0, help="Try an episode again so often when its worker died.")
 ]
-RetryFailed: TypeAlias = Annotated[
-    bool, typer.Option("--retry-failed", help="With --resume: run failed episodes again.")
-]
 DryRun: TypeAlias = Annotated[
     bool, typer.Option("--dry-run", help="Check everything, count, measure a few episodes, write nothing.")
 ]

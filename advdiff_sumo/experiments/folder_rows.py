@@ -14,11 +14,12 @@ from advdiff_sumo.data.run_tables import RUN_SETTINGS, RunTables
 from advdiff_sumo.metrics.arrow_tables import table_of
 from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
 from advdiff_sumo.report.stored_record import stored_record
-from advdiff_sumo.sim.run_episodes import Run, RunOptions
+from advdiff_sumo.sim.run_episodes import Run
 from advdiff_sumo.sweep.consolidate import read_rows, tables_of
-from advdiff_sumo.sweep.job_plan import Plan, plan_run, run_inputs
+from advdiff_sumo.sweep.job_plan import Plan, plan_run
 from advdiff_sumo.sweep.rounds import stored_plan
-from advdiff_sumo.sweep.run_folder import AGAIN, RunFolder, must_have_inputs, read_settings
+from advdiff_sumo.sweep.run_engine import stored_run
+from advdiff_sumo.sweep.run_folder import RunFolder
 from advdiff_sumo.sweep.situation import situation
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES, job_row
@@ -82,11 +83,7 @@ def rows_of_sweep(store: Store, plan: Plan, missing: int) -> FolderRows:
 
 
 def _of_run(folder: Path) -> FolderRows:
-    settings = read_settings(folder)
-    options = RunOptions.parse(settings.get("options", {}), str(folder / RUN_SETTINGS))
-    # nothing is driven, so the target need not be at hand
-    run = Run.prepare(options, planner=LaneGraphPlanner())
-    must_have_inputs(folder, settings, run_inputs(run), AGAIN)
+    run = stored_run(folder, planner=LaneGraphPlanner())  # nothing is driven
     plan, begun = plan_run(run), RunFolder(folder)
     parts = begun.episodes()
     jobs = {job.number: job for job in plan.jobs}

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.errors import ConfigError, FileError, InputError
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.core.worker_pool import futures_of
@@ -34,11 +34,13 @@ from advdiff_sumo.metrics.columns import (
 )
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.metrics.summary import summarise
+from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
 from advdiff_sumo.report.nets import net_path
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.job_plan import Plan, run_key
 from advdiff_sumo.sweep.rounds import stored_plan
+from advdiff_sumo.sweep.run_engine import stored_run
 from advdiff_sumo.sweep.run_folder import RunFolder
 from advdiff_sumo.sweep.situation import SITUATION_COLUMNS
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
@@ -109,7 +111,7 @@ class Judging:
         episodes: gives them, each with its key.
         keep: called with a key and what was judged, as each is done.
         finish: called at the end.
-        doubt: why the nets that are there now may not be those of the episodes; "" where they are, or for a run.
+        doubt: why the nets that are there now may not be those of the episodes; "" where they are.
     """
 
     count: int
@@ -146,7 +148,7 @@ def open_folder(folder: Path) -> Judging:
         InputError: it is neither, or is damaged.
     """
     if not (folder / SWEEP_SETTINGS).exists():
-        return _tables(folder, EPISODE_COLUMNS)
+        return replace(_tables(folder, EPISODE_COLUMNS), doubt=_doubt_of_run(folder))
     store = Store.open(folder)
     try:
         plan = stored_plan(store)
@@ -155,6 +157,15 @@ def open_folder(folder: Path) -> Judging:
     ) as error:  # of an earlier version, or its nets have changed: its tables are all there is
         return replace(_tables(folder, SWEEP_TABLES["episodes"]), doubt=str(error))
     return _sweep(store, plan)
+
+
+def _doubt_of_run(folder: Path) -> str:
+    """Return why a net that is there now may not be that of the run in *folder*; "" where it is."""
+    try:
+        stored_run(folder, planner=LaneGraphPlanner())  # nothing is driven
+    except InputError as error:  # of an earlier version, or its net has changed
+        return str(error)
+    return ""
 
 
 def _tables(folder: Path, columns: Mapping[str, Column]) -> Judging:

@@ -9,15 +9,16 @@ from typing import Any
 import pyarrow as pa
 
 from advdiff_sumo.core.errors import ConfigError, FileError, InputError, SceneError
-from advdiff_sumo.data.run_tables import RUN_SETTINGS, SWEEP_SETTINGS
+from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.sim.episode import Episode
-from advdiff_sumo.sim.run_episodes import Run, RunOptions
+from advdiff_sumo.sim.run_episodes import Run
 from advdiff_sumo.sim.scene_file import scene_from_bytes
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
-from advdiff_sumo.sweep.job_plan import Job, Plan, plan_run, plan_sweep, run_inputs
+from advdiff_sumo.sweep.job_plan import Job, Plan, plan_run, plan_sweep
 from advdiff_sumo.sweep.rounds import stored_plan
-from advdiff_sumo.sweep.run_folder import AGAIN, RunFolder, must_have_inputs, read_settings
+from advdiff_sumo.sweep.run_engine import stored_run
+from advdiff_sumo.sweep.run_folder import RunFolder
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.work import part_of, run_of
@@ -120,11 +121,7 @@ def of_run(number: str, folder: Path) -> Before:
     Raises:
         InputError: it holds no run, or none with such an episode.
     """
-    settings = read_settings(folder)
-    options = RunOptions.parse(settings.get("options", {}), str(folder / RUN_SETTINGS))
-    run = Run.prepare(options)
-    must_have_inputs(folder, settings, run_inputs(run), AGAIN)
-    plan = plan_run(run)
+    plan = plan_run(stored_run(folder))
     if not (number.isdecimal() and int(number) < len(plan.jobs)):
         raise ConfigError(
             f"'{number}' is no episode of {folder}; give a number from 0 to {len(plan.jobs) - 1}"

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from advdiff_sumo.core.errors import SceneError
-from advdiff_sumo.sim.run_episodes import Run
+from advdiff_sumo.data.run_tables import RUN_SETTINGS
+from advdiff_sumo.planners.planner_protocol import Planner
+from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.job_plan import plan_run, run_inputs
-from advdiff_sumo.sweep.run_folder import RunFolder
+from advdiff_sumo.sweep.run_folder import RunFolder, must_have_inputs, read_settings
 from advdiff_sumo.sweep.scheduler import Scheduler, Tell
 
 
@@ -19,6 +22,23 @@ def run_settings(run: Run) -> dict[str, Any]:
     return {**settings, "run": {**settings["run"], "inputs": run_inputs(run)}}
 
 
+def stored_run(folder: Path, planner: Planner | None = None) -> Run:
+    """Return the run in *folder* as it was asked for.
+
+    Args:
+        folder: of a run.
+        planner: in place of its target, which need not be at hand then.
+
+    Raises:
+        InputError: it holds no run, or none that can be prepared, or a file of it is no longer what it was.
+    """
+    settings = read_settings(folder)
+    options = RunOptions.parse(settings.get("options", {}), str(folder / RUN_SETTINGS))
+    run = Run.prepare(options, planner=planner)
+    must_have_inputs(folder, settings, run_inputs(run), "repeat the run with this version of advdiff-sumo")
+    return run
+
+
 def run_into(
     run: Run,
     folder: RunFolder,
@@ -26,6 +46,7 @@ def run_into(
     tell: Tell,
     hear: Callable[[str], None] = lambda _: None,
     retries: int = 1,
+    retry_failed: bool = False,
 ) -> int:
     """Run the episodes that *folder* lacks and put its tables together, also after an interrupt.
 
@@ -36,6 +57,7 @@ def run_into(
         tell: called with each finished episode: its row, and why it failed.
         hear: called with what planners and policies printed.
         retries: how often an episode whose worker died is tried again.
+        retry_failed: run the episodes of *folder* again that failed.
 
     Returns:
         Number of episodes in the folder.
@@ -44,7 +66,7 @@ def run_into(
         InputError: no seed scene can be made, or a file cannot be written; what had finished is kept.
     """
     plan = plan_run(run)
-    done = set(folder.done())
+    done = set(folder.done(retry_failed))
     finished = False
     try:
         with executor:

@@ -28,8 +28,6 @@ from advdiff_sumo.sweep.table_writer import TableWriter
 from advdiff_sumo.sweep.tasks import Failed
 
 FAILURES = "failures.parquet"
-#: What to do about a run whose files have changed, where it is not to go on.
-AGAIN = "repeat the run with this version of advdiff-sumo"
 _BALLAST_BYTES = 8 << 20
 
 
@@ -119,9 +117,10 @@ class RunFolder:
 
     # --- episodes ----------------------------------------------------------------------------------------
 
-    def done(self) -> list[int]:
-        """Return the numbers of the episodes that are on disk."""
-        return [int(key) for key in self.store.finished()]
+    def done(self, retry_failed: bool = False) -> list[int]:
+        """Return the numbers of the episodes that are on disk; with *retry_failed* of those that did not fail."""
+        store = self.store
+        return [int(key) for key in store.finished() if not retry_failed or store.is_done(key, retry_failed)]
 
     def add(self, number: int, part: StoredEpisode) -> None:
         """Write one finished episode; it counts only once all of it is on disk."""

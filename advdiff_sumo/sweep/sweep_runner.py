@@ -46,7 +46,7 @@ class RemainingJobs:
         """
         total = plan.wanted if limit is None else min(limit, plan.wanted)
         wanted = chosen_so_far(plan, store).jobs[:total]
-        jobs = tuple(job for job in wanted if store is None or not _is_done(store, job, retry_failed))
+        jobs = tuple(job for job in wanted if store is None or not store.is_done(job.key, retry_failed))
         return RemainingJobs(jobs, len(wanted) - len(jobs), total)
 
     def ahead(self, plan: Plan) -> Sequence[Job]:
@@ -113,10 +113,3 @@ def _parts(plan: Plan, store: Store, todo: RemainingJobs) -> Iterator[tuple[Plan
     if plan.spec.diverse:
         for present, jobs in rounds(plan, store, todo.total):
             yield present, [job for job in jobs if not store.has(job.key)]
-
-
-def _is_done(store: Store, job: Job, retry_failed: bool) -> bool:
-    if not retry_failed:
-        return store.has(job.key)
-    part = store.read(job.key)
-    return part is not None and part.failed is None

@@ -193,6 +193,13 @@ class Store:
         """Return whether a finished episode is there and whole."""
         return read_checked(self._episode(key)) is not None
 
+    def is_done(self, key: str, retry_failed: bool = False) -> bool:
+        """Return whether an episode is not to be run (again): it is there and, with *retry_failed*, did not fail."""
+        if not retry_failed:
+            return self.has(key)
+        part = self.read(key)
+        return part is not None and part.failed is None
+
     def checksum(self, key: str) -> str:
         """Return what the file of a finished episode says of its content; "" where there is none."""
         return written_checksum(self._episode(key))

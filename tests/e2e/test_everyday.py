@@ -53,6 +53,33 @@ def test_what_a_planner_prints_is_told_unless_one_wants_it_quiet(
     assert here(*run, "--quiet", "--out", "b") == Outcome(0, "", "")
 
 
+def test_what_failed_is_run_again_with_a_mended_planner(workplace: Path) -> None:
+    mended = (
+        "from our_planners import LaneGraphPlanner\n\n"
+        "class Ours(LaneGraphPlanner):\n"
+        "    def start(self, road, scene, rng):\n{fault}        return super().start(road, scene, rng)\n"
+    )
+    odd = "        if rng.integers(2):\n            raise RuntimeError('out of ideas')\n"
+    run = (*RUN[:3], "--episodes", 4, *TINY, "--target", "ours:Ours")
+    (workplace / "ours.py").write_text(mended.format(fault=odd))
+    first = json.loads(advdiff(*run, "--json", "--out", "run", cwd=workplace).out)
+    assert first["failed"] == {"planner_error": 4 - first["finished"]}, "some fail, some do not"
+    assert 0 < first["finished"] < 4
+    (workplace / "ours.py").write_text(mended.format(fault=""))
+    again = ("run", "--resume", "--out", "run", "--json", "--quiet")
+    assert json.loads(advdiff(*again, cwd=workplace).out)["failed"] == first["failed"], "left as it was"
+    told = json.loads(advdiff(*again, "--retry-failed", cwd=workplace).out)
+    assert (told["finished"], told["failed"]) == (4, {})
+    advdiff(*run, "--out", "undisturbed", cwd=workplace)
+    runs = [(workplace / name / "states.parquet").read_bytes() for name in ("run", "undisturbed")]
+    assert runs[0] == runs[1]
+
+
+def test_nothing_is_retried_that_is_begun_anew(here: Callable[..., Outcome]) -> None:
+    assert "add --resume" in sentence(here(*RUN, "--retry-failed", "--out", "run"))
+    assert "add --resume" in sentence(here("sweep", "sweep.toml", "--retry-failed"))
+
+
 def test_a_sweep_as_json(workplace: Path) -> None:
     (workplace / "sweep.toml").write_text(SWEEP)
     done = advdiff("sweep", "sweep.toml", "--executor", "serial", "--json", "--out", "s", cwd=workplace)

@@ -119,3 +119,8 @@ def test_a_run_whose_net_has_changed_has_no_results(here: Callable[..., Outcome]
     net = workplace / "grid.net.xml"
     net.write_text(net.read_text().replace('speed="13.89"', 'speed="13.88"'))
     assert "is not what it was when that run was begun" in sentence(here("results", "one"))
+    judged = here("verdict", "one")
+    assert (judged.code, "judged on the nets that are there now" in judged.out.replace("\n", " ")) == (
+        0,
+        True,
+    )

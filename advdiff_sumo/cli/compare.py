@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,10 +12,31 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.run_flags import Json
+from advdiff_sumo.cli.terminal import print_json, terminal
 
 if TYPE_CHECKING:
     from advdiff_sumo.sweep.paired import Comparison
+
+_SHOWN = 8
+
+
+@dataclass(frozen=True)
+class _Side:
+    """One of the two that are compared: its letter, its folder, what of it, and whether it is a run."""
+
+    letter: str
+    folder: Path
+    conditions: Sequence[str]
+    of_run: bool
+
+    def __str__(self) -> str:
+        return f"{self.letter}: {' · '.join((str(self.folder), *self.conditions))}"
+
+    def repeat(self, number: int) -> str:
+        """Return the command that repeats an episode."""
+        option = "--run" if self.of_run else "--sweep"
+        return f"advdiff-sumo replay {number} {option} {shlex.quote(str(self.folder))}"
 
 
 def compare(
@@ -22,42 +46,85 @@ def compare(
         list[str] | None, typer.Option("--a", help="Of the first only episodes with COLUMN=VALUE.")
     ] = None,
     choose_b: Annotated[list[str] | None, typer.Option("--b", help="The same for the second.")] = None,
+    fail_if: Annotated[
+        str | None,
+        typer.Option(help='Exit with code 1 if so, for example "valid_failure_rate_only_b > 0".'),
+    ] = None,
+    as_json: Json = False,
 ) -> None:
     """Compare two runs or sweeps over the same seed scenes, episode by episode.
 
     advdiff-sumo compare runs/planners runs/planners --a target=IDM --b target=lane_graph
 
-    Rates: exact McNemar test, and the difference with a bootstrap interval that draws whole seed scenes.
+    advdiff-sumo compare runs/last-release runs/today --fail-if "valid_failure_rate_only_b > 0"
+
+    Rates: exact McNemar test, and the difference with a bootstrap interval that draws whole seed scenes. A condition
+    knows pairs, scenes, unpaired, and of each rate of a sweep _a, _b, _only_a and _only_b (pairs in which it happened
+    on one side alone), _change (b − a), _change_low, _change_high, and _p.
     """
-    from advdiff_sumo.experiments.folder_rows import rows_of_folder  # late: --help is quick
-    from advdiff_sumo.sweep.paired import choose
+    from advdiff_sumo.cli.sweep_results import CONDITION_MET, condition_met  # late: --help is quick
+    from advdiff_sumo.experiments.folder_rows import rows_of_folder
+    from advdiff_sumo.sweep.condition import Condition
+    from advdiff_sumo.sweep.paired import COMPARED_NAMES, choose
     from advdiff_sumo.sweep.paired import compare as paired
 
-    sides = []
-    for folder, conditions, what in ((first, choose_a, "--a"), (second, choose_b, "--b")):
-        sides.append(choose(rows_of_folder(folder).episodes, conditions or [], what))
-    _print(terminal(), paired(sides[0], sides[1]))
+    condition = None if fail_if is None else Condition(fail_if, COMPARED_NAMES)
+    sides, chosen = [], []
+    for letter, folder, conditions in (("A", first, choose_a or []), ("B", second, choose_b or [])):
+        found = rows_of_folder(folder)
+        chosen.append(choose(found.episodes, conditions, f"--{letter.lower()}"))
+        sides.append(_Side(letter, folder, conditions, found.of_run))
+    comparison = paired(chosen[0], chosen[1])
+    console = terminal(quiet=as_json)
+    _print(console, comparison, sides)
+    if as_json:
+        print_json(_object(comparison))
+    if condition is not None and (met := condition_met(condition, comparison.named())) is not None:
+        console.print(met, style="red", soft_wrap=True)
+        raise typer.Exit(CONDITION_MET)
 
 
-def _print(console: Console, comparison: Comparison) -> None:
+def _object(comparison: Comparison) -> dict[str, object]:
+    """Return what ``--json`` prints: the figures of a condition, who failed alone, and means of differences."""
+    alone = {
+        label: {"a": list(rate.episodes_a), "b": list(rate.episodes_b)}
+        for label, rate in comparison.rates.items()
+    }
+    values = {name: vars(value) for name, value in comparison.values.items()}
+    return {**dict(sorted(comparison.named().items())), "episodes_alone": alone, "differences": values}
+
+
+def _print(console: Console, comparison: Comparison, sides: Sequence[_Side]) -> None:
+    for side in sides:
+        console.print(str(side), soft_wrap=True)
+    _print_rates(console, comparison)
+    _print_values(console, comparison)
+    _print_alone(console, comparison, sides)
+    if comparison.unpaired:
+        console.print(f"{comparison.unpaired} episodes have no finished counterpart")
+
+
+def _print_rates(console: Console, comparison: Comparison) -> None:
     from advdiff_sumo.cli.sweep_results import rate_text
 
     title = f"{comparison.pairs} pairs of episodes from {comparison.scenes} seed scenes; rates in %"
     table = Table(title=title, title_justify="left")
     for name in ("", "A", "B", "A only", "B only", "B − A, 95 % bootstrap", "McNemar p"):
         table.add_column(name)
-    for name, change in comparison.rates.items():
-        gap = (change.b.share or 0.0) - (change.a.share or 0.0)
+    for name, rate in comparison.rates.items():
         table.add_row(
             name,
-            rate_text(change.a),
-            rate_text(change.b),
-            str(change.only_a),
-            str(change.only_b),
-            f"{100 * gap:+.1f} [{100 * change.low:+.1f}, {100 * change.high:+.1f}]",
-            f"{change.p:.4f}",
+            rate_text(rate.a),
+            rate_text(rate.b),
+            str(rate.only_a),
+            str(rate.only_b),
+            f"{100 * rate.change:+.1f} [{100 * rate.low:+.1f}, {100 * rate.high:+.1f}]",
+            f"{rate.p:.4f}",
         )
     console.print(table)
+
+
+def _print_values(console: Console, comparison: Comparison) -> None:
     values = Table(title="means of the differences B − A", title_justify="left")
     for name in ("", "pairs", "mean", "95 % bootstrap"):
         values.add_column(name)
@@ -65,5 +132,13 @@ def _print(console: Console, comparison: Comparison) -> None:
         values.add_row(name, str(value.pairs), f"{value.mean:+.3f}", f"[{value.low:+.3f}, {value.high:+.3f}]")
     if comparison.values:
         console.print(values)
-    if comparison.unpaired:
-        console.print(f"{comparison.unpaired} episodes have no finished counterpart")
+
+
+def _print_alone(console: Console, comparison: Comparison, sides: Sequence[_Side]) -> None:
+    """Say in which episodes the first rate, valid failures where there are verdicts, differs, and what repeats one."""
+    label, rate = next(iter(comparison.rates.items()))
+    for side, numbers in zip(sides, (rate.episodes_a, rate.episodes_b), strict=True):
+        if numbers:
+            some = ", ".join(map(str, numbers[:_SHOWN])) + (", …" if len(numbers) > _SHOWN else "")
+            words = f"{label} in {side.letter} alone: episodes {some}; {side.repeat(numbers[0])}"
+            console.print(words, soft_wrap=True)

@@ -49,7 +49,7 @@ def condition_of(text: str | None) -> Condition | None:
 def conclude(console: Console, results: FolderRows, condition: Condition | None, junit: Path | None) -> None:
     """Write JUnit XML, print what the sweep came to, and leave with code 1 where the condition is met."""
     overall = Figures.of(results.episodes, results.failures, results.missing)
-    verdict = None if condition is None else _verdict(condition, overall)
+    verdict = None if condition is None else condition_met(condition, overall.named())
     if junit is not None:
         timing = {row["episode"]: row["wall_s"] for row in results.timing}
         outcome = None if condition is None else (condition.text, verdict)
@@ -62,16 +62,15 @@ def conclude(console: Console, results: FolderRows, condition: Condition | None,
         raise typer.Exit(CONDITION_MET)
 
 
-def _verdict(condition: Condition, figures: Figures) -> str | None:
-    """Return why the condition is met; None where it is not."""
-    named = figures.named()
+def condition_met(condition: Condition, named: Mapping[str, float | None]) -> str | None:
+    """Return why the condition is met by the figures that are *named*; None where it is not."""
     try:
         met = condition.holds(named)
     except Undefined as error:
         return f"--fail-if {condition.text}: {error} is undefined, no episode has it"
     if not met:
         return None
-    values = (f"{name} = {named[name]:.4g}" for name in sorted(FIGURE_NAMES) if name in condition.names)
+    values = (f"{name} = {named[name]:.4g}" for name in sorted(condition.names))
     return f"--fail-if {condition.text}: {', '.join(values) or 'always so'}"
 
 

@@ -17,7 +17,12 @@ from advdiff_sumo.sweep.summary_stats import EVENTS, Row
 
 _KIND = ("target", "target_options", "background", "background_options")
 _VALUES = ("min_ttc_s", "min_pet_s", "min_clearance_m", "max_drac_mps2", "brake_max_mps2", "route_progress_m")
+_ORDER = {"--a": "first", "--b": "second"}
 _RESAMPLES = 10_000
+_COUNTS = ("pairs", "scenes", "unpaired")
+_OF_A_RATE = ("a", "b", "only_a", "only_b", "change", "change_low", "change_high", "p")
+#: Every name that a condition on a comparison may use.
+COMPARED_NAMES = frozenset({*_COUNTS, *(f"{rate}_{part}" for rate in EVENTS for part in _OF_A_RATE)})
 _SHOWN = 4
 
 
@@ -33,6 +38,8 @@ class RateChange:
         low: lower end of the 95 % bootstrap interval of the difference b − a.
         high: upper end.
         p: exact McNemar test, two-sided (doi:10.1007/BF02295996); 1 without discordant pairs.
+        episodes_a: numbers of the first sweep's episodes of *only_a*.
+        episodes_b: numbers of the second's of *only_b*.
     """
 
     a: Rate
@@ -42,6 +49,13 @@ class RateChange:
     low: float
     high: float
     p: float
+    episodes_a: tuple[int, ...] = ()
+    episodes_b: tuple[int, ...] = ()
+
+    @property
+    def change(self) -> float:
+        """The difference b − a."""
+        return (self.b.share or 0.0) - (self.a.share or 0.0)
 
 
 @dataclass(frozen=True)
@@ -79,6 +93,17 @@ class Comparison:
     rates: Mapping[str, RateChange]
     values: Mapping[str, ValueChange]
 
+    def named(self) -> dict[str, float | None]:
+        """Return every figure of ``COMPARED_NAMES``; None where no episode has it."""
+        named: dict[str, float | None] = dict.fromkeys(COMPARED_NAMES)
+        named |= {name: getattr(self, name) for name in _COUNTS}
+        for name, event in EVENTS.items():
+            if (rate := self.rates.get(event.label)) is not None:
+                own = (rate.a.share, rate.b.share, rate.only_a, rate.only_b)
+                figures = (*own, rate.change, rate.low, rate.high, rate.p)
+                named |= {f"{name}_{part}": figure for part, figure in zip(_OF_A_RATE, figures, strict=True)}
+        return named
+
 
 def choose(rows: Sequence[Row], conditions: Sequence[str], what: str) -> list[Row]:
     """Return the rows that meet each ``column=value``.
@@ -99,8 +124,10 @@ def choose(rows: Sequence[Row], conditions: Sequence[str], what: str) -> list[Ro
         if values and not chosen:
             problem = "no episode of that sweep is so"
             raise ConfigError(f"{what} {condition}: {problem}; {did_you_mean(value, values)}")
+    if not rows:
+        raise ConfigError(f"the {_ORDER[what]} has no episode with results; its failures say why")
     if not chosen:
-        raise ConfigError(f"{what} {' '.join(conditions)}: no episode of that sweep is so".replace("  ", " "))
+        raise ConfigError(f"{what} {' '.join(conditions)}: no episode of that sweep is so")
     return chosen
 
 
@@ -156,9 +183,8 @@ def _indexed(rows: Sequence[Row], columns: Sequence[str], side: str) -> dict[tup
     for row in rows:
         twin = indexed.setdefault(tuple(str(row[column]) for column in columns), row)
         if twin is not row:
-            which = {"--a": "first", "--b": "second"}[side]
             raise ConfigError(
-                f"the {which} sweep has several episodes for one seed scene; "
+                f"the {_ORDER[side]} sweep has several episodes for one seed scene; "
                 f"choose among them{_choices(rows, twin, row, side)}"
             )
     return indexed
@@ -204,8 +230,16 @@ def _rate(pairs: Sequence[tuple[Row, Row]], draw: _Draws, happened: Callable[[Ro
     only_a, only_b = both[(True, False)], both[(False, True)]
     low, high = draw.interval(flags[:, 1] - flags[:, 0], range(len(pairs)))
     n = len(pairs)
-    rates = [Rate.of(int(flags[:, side].sum()), n) for side in (0, 1)]
-    return RateChange(rates[0], rates[1], only_a, only_b, low, high, mcnemar(only_a, only_b))
+    a, b = (Rate.of(int(flags[:, side].sum()), n) for side in (0, 1))
+    alone = [
+        tuple(
+            int(pair[side]["episode"])
+            for pair, own in zip(pairs, flags, strict=True)
+            if own[side] > own[1 - side]
+        )
+        for side in (0, 1)
+    ]
+    return RateChange(a, b, only_a, only_b, low, high, mcnemar(only_a, only_b), *alone)
 
 
 def _values(pairs: Sequence[tuple[Row, Row]], draw: _Draws) -> dict[str, ValueChange]:

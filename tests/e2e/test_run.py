@@ -112,6 +112,14 @@ def test_runs_are_compared_by_their_seed_scenes(downtown_run: Path, here: Callab
     done = here("compare", downtown_run, downtown_run)
     assert done.code == 0, done.err
     assert "2 pairs of episodes from 2 seed scenes" in done.out
+    assert f"A: {downtown_run}\nB: {downtown_run}\n" in done.out
+    gate = ("compare", downtown_run, downtown_run, "--fail-if")
+    assert here(*gate, "valid_failure_rate_only_b > 0 or collision_rate_change > 0").code == 0
+    met = here(*gate, "pairs < 3 and collision_rate_p == 1")
+    assert (met.code, "collision_rate_p = 1, pairs = 2" in " ".join(met.out.split())) == (1, True)
+    assert "no figure 'valid_failure_rate'; " in sentence(here(*gate, "valid_failure_rate > 0"))
+    told = json.loads(here("compare", downtown_run, downtown_run, "--json").out)
+    assert (told["pairs"], told["episodes_alone"]["collisions"]) == (2, {"a": [], "b": []})
 
 
 def test_a_run_whose_net_has_changed_has_no_results(here: Callable[..., Outcome], workplace: Path) -> None:

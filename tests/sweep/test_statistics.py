@@ -14,7 +14,7 @@ from advdiff_sumo.metrics.columns import EPISODE_COLUMNS
 from advdiff_sumo.sweep.coverage import bands, coverage
 from advdiff_sumo.sweep.findings import findings
 from advdiff_sumo.sweep.junit import junit_xml
-from advdiff_sumo.sweep.paired import choose, compare
+from advdiff_sumo.sweep.paired import COMPARED_NAMES, choose, compare
 from advdiff_sumo.sweep.summary_stats import FIGURE_NAMES, Figures, by_kind
 from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES
 
@@ -165,6 +165,11 @@ def test_pairs_are_tested_after_mcnemar() -> None:
     assert change.p == pytest.approx(2 * binom.cdf(1, 8, 0.5))  # 18/256
     assert change.low < -6 / 30 < change.high
     assert compare(first, second).rates["collisions"] == change
+    assert (change.episodes_a, change.episodes_b) == ((*range(1, 8),), (20,))
+    named = found.named()
+    assert named.keys() == COMPARED_NAMES
+    assert (named["collision_rate_a"], named["collision_rate_only_b"]) == (8 / 30, 1)
+    assert named["collision_rate_change"] == pytest.approx(-6 / 30)
 
 
 def test_values_are_compared_where_both_have_them() -> None:
@@ -274,7 +279,9 @@ def test_valid_failures_are_undefined_without_verdicts() -> None:
     assert (older["valid_failure_rate"], older["collision_rate"]) == (None, 1.0)
     found = compare([hit(0, valid_failure=True)], [hit(0, target="ACC")])
     assert found.rates["valid failures"].only_a == 1
-    assert "valid failures" not in compare([hit(0, valid_failure=None)], [hit(0, target="ACC")]).rates
+    unjudged = compare([hit(0, valid_failure=None)], [hit(0, target="ACC")])
+    assert "valid failures" not in unjudged.rates
+    assert unjudged.named()["valid_failure_rate_p"] is None
 
 
 def test_findings_with_valid_failures_come_first() -> None:

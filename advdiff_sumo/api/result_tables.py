@@ -153,6 +153,9 @@ def load(folder: str | Path) -> Results:
     Raises:
         FileError: it is no such folder, or a file in it is damaged.
     """
+    from advdiff_sumo.experiments.folder_rows import put_together  # late: a run's own results need it not
+
+    put_together(Path(folder))
     results = Results(Path(folder))
     _ = results.finished
     return results

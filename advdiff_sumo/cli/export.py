@@ -40,12 +40,14 @@ def export(
 
     What each format holds, and what it cannot, stands in docs/exports.md.
     """
-    from advdiff_sumo.export import EXPORTERS, make_exporter  # late: --help needs none of it
+    from advdiff_sumo.experiments.folder_rows import put_together  # late: --help needs none of it
+    from advdiff_sumo.export import EXPORTERS, make_exporter
 
     if not formats:
         raise ConfigError(f"say which format with --format; known are: {', '.join(EXPORTERS.names())}, all")
     names = EXPORTERS.names() if "all" in formats else formats
     exporters = [make_exporter(name) for name in names]
+    put_together(run)
     scene = scene_of(run, episode)
     folder = out or run / "exports"
     written, refused = _write(scene, exporters, folder)

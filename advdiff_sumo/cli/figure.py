@@ -31,11 +31,13 @@ def figure(
     The same run gives the same bytes.
     """
     from advdiff_sumo.core.errors import ConfigError
-    from advdiff_sumo.report.drawing import figure as draw_picture  # late: --help needs no plots
+    from advdiff_sumo.experiments.folder_rows import put_together  # late: --help needs no plots
+    from advdiff_sumo.report.drawing import figure as draw_picture
     from advdiff_sumo.report.strip import film_strip
 
     if panels == 0 and (start is not None or end is not None):
         raise ConfigError("--start and --end go with --panels of 1 or more")
+    put_together(run)
     if panels == 0:
         draw_picture(run, episode, out)
     else:

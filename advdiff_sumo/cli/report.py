@@ -17,12 +17,8 @@ def report(
 
     One file that opens offline: rates with intervals, targets × backgrounds, the map, and a player for each episode.
     """
-    from advdiff_sumo.data.run_tables import RunTables  # late: --help needs no plots
+    from advdiff_sumo.experiments.folder_rows import put_together  # late: --help needs no plots
     from advdiff_sumo.report.page import write_report
 
-    tables = RunTables(run)
-    if tables.is_sweep and not tables.path("episodes").exists():  # it was interrupted
-        from advdiff_sumo.experiments.folder_rows import rows_of_folder
-
-        rows_of_folder(run)
+    put_together(run)
     typer.echo(str(write_report(run)))

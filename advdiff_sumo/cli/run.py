@@ -22,6 +22,7 @@ from advdiff_sumo.cli.worker_flags import (
     PLAN_TIMEOUT_S,
     Memory,
     PlanTimeout,
+    end_as_by_ctrl_c,
     limits_of,
 )
 from advdiff_sumo.config import read_toml, set_dotted
@@ -80,12 +81,14 @@ def run(
     Exit code 0: some episodes came to their end; 1: every one failed; 2: something given cannot be used.
     """
     one_thread_for_good()
+    end_as_by_ctrl_c()
     where = {"net": net, "demand": demand and str(demand), "scenes": scenes and str(scenes), "seed": seed}
     what = {"target": target, "background": background, "episodes": episodes, "horizon_s": horizon}
     attacking = {"licence": licence, "strength": strength, "attackers": attackers, "attack": attack}
     files = {"weights": flags.weights_of(weights), "reward": reward and str(reward.resolve())}
     policy = attacking | {"guide": guide} | files | {"device": device}
-    config = (config or _begun(out)) if resume else config
+    begun = _begun(out) if resume else None
+    config = config or begun
     flags.check_retry(retry_failed, resume)
     flags.check_display(gui)
     options = options_given(config, where | what, policy, assign or [], defect)

@@ -62,6 +62,8 @@ def sweep(
 
     worker.end_as_by_ctrl_c()
     check_retry(retry_failed, resume is not None)
+    if resume is not None and out is not None and out.resolve() != resume.resolve():
+        raise ConfigError(f"--resume {resume} goes on in that folder; leave --out {out} out")
     console, condition = verb_console(quiet, as_json), condition_of(fail_if)
     begun = _begun(resume)
     plan = _plan(console, file, begun, diverse)

@@ -55,7 +55,7 @@ def conclude(console: Console, results: FolderRows, condition: Condition | None,
         outcome = None if condition is None else (condition.text, verdict)
         junit.parent.mkdir(parents=True, exist_ok=True)
         write_whole(junit, junit_xml(results.episodes, results.failures, timing, outcome))
-    _print(console, results.plan, results.episodes, results.failures, overall)
+    _print(console, results, overall)
     console.print(f"results: {results.path}", soft_wrap=True)
     if verdict is not None:
         console.print(verdict, style="red", soft_wrap=True)
@@ -74,9 +74,8 @@ def condition_met(condition: Condition, named: Mapping[str, float | None]) -> st
     return f"--fail-if {condition.text}: {', '.join(values) or 'always so'}"
 
 
-def _print(
-    console: Console, plan: Plan, episodes: Sequence[Row], failures: Sequence[Row], overall: Figures
-) -> None:
+def _print(console: Console, results: FolderRows, overall: Figures) -> None:
+    episodes, failures = results.episodes, results.failures
     _print_rates(console, episodes, failures, overall)
     finished = [row for row in episodes if not is_failure(row)]
     for what, where in (*position_lines(finished), *plan_lines(episodes)):
@@ -90,8 +89,9 @@ def _print(
         _print_findings(console, clusters)
     if episodes:
         _print_worst(console, worst_first(episodes)[:_WORST])
-        _print_coverage(console, plan, episodes)
-        _print_archive(console, episodes)
+        _print_coverage(console, results.plan, episodes)
+    if not results.of_run or any(row["attacker_manoeuvre"] is not None for row in episodes):
+        _print_archive(console, episodes)  # what each vehicle did is not kept by a finished run
 
 
 def _print_rates(

@@ -30,7 +30,9 @@ def video(
 
     GIF needs nothing more; MP4 needs pip install 'advdiff-sumo\[video]'. The same run gives the same bytes.
     """
-    from advdiff_sumo.report.video import video as film  # late: --help needs no plots
+    from advdiff_sumo.experiments.folder_rows import put_together  # late: --help needs no plots
+    from advdiff_sumo.report.video import video as film
 
+    put_together(run)
     film(run, episode, out, speed, start, end)
     typer.echo(str(out))

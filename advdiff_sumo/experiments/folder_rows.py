@@ -10,17 +10,18 @@ from typing import Any
 
 import pyarrow as pa
 
-from advdiff_sumo.data.run_tables import RUN_SETTINGS, RunTables
+from advdiff_sumo.core.errors import InputError
+from advdiff_sumo.data.run_tables import RUN_PARTS, RUN_SETTINGS, RunTables
 from advdiff_sumo.metrics.arrow_tables import table_of
 from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sim.run_episodes import Run
-from advdiff_sumo.sweep.consolidate import read_rows, tables_of
+from advdiff_sumo.sweep.consolidate import read_rows, tables_are_behind, tables_of
 from advdiff_sumo.sweep.job_plan import Plan, plan_run
 from advdiff_sumo.sweep.rounds import stored_plan
 from advdiff_sumo.sweep.run_engine import stored_run
 from advdiff_sumo.sweep.run_folder import RunFolder
-from advdiff_sumo.sweep.situation import situation
+from advdiff_sumo.sweep.situation import SITUATION_COLUMNS, situation
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES, job_row
 from advdiff_sumo.sweep.sweep_store import Store
@@ -73,7 +74,28 @@ def rows_of_folder(folder: Path) -> FolderRows:
         return _of_run(folder)
     store = Store.open(folder)
     plan = stored_plan(store)
-    return rows_of_sweep(store, plan, tables_of(store, plan))
+    missing = tables_of(store, plan) + plan.wanted - len(plan.jobs)  # a diverse sweep has not chosen all
+    return rows_of_sweep(store, plan, missing)
+
+
+def put_together(folder: Path) -> None:
+    """Put the tables of an interrupted run or sweep together where episodes have finished that are not in them.
+
+    Raises:
+        InputError: the folder is damaged, or has no tables and its nets are no longer what they were.
+    """
+    tables = RunTables(folder)
+    if tables.is_sweep:
+        store = Store.open(folder)
+        if not tables_are_behind(store):
+            return
+        try:
+            tables_of(store, stored_plan(store))
+        except InputError:  # its nets or its target are gone
+            if not tables.path("episodes").exists():
+                raise
+    elif (folder / RUN_PARTS).is_dir() and (begun := RunFolder(folder)).done():
+        begun.consolidate(finished=False)
 
 
 def rows_of_sweep(store: Store, plan: Plan, missing: int) -> FolderRows:
@@ -100,4 +122,6 @@ def _episode_rows(part: StoredEpisode, run: Run) -> Iterable[dict[str, Any]]:
     """Yield the row of ``episodes`` of an episode, with where and how it became critical."""
     for row in part.tables["episodes"].to_pylist() if part.tables else ():
         record = stored_record(part.tables["states"], row)
-        yield row if record is None else row | situation(record, row, run.road)
+        found = {} if record is None else situation(record, row, run.road)
+        stored = {name: row[name] for name in SITUATION_COLUMNS if row.get(name) is not None}
+        yield row | found | stored

@@ -19,6 +19,7 @@ from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.core.worker_pool import futures_of
 from advdiff_sumo.data.run_tables import RUN_SETTINGS, SWEEP_SETTINGS, RunTables
+from advdiff_sumo.experiments.folder_rows import put_together
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.arrow_tables import schema_of, table_of
@@ -148,6 +149,7 @@ def open_folder(folder: Path) -> Judging:
         InputError: it is neither, or is damaged.
     """
     if not (folder / SWEEP_SETTINGS).exists():
+        put_together(folder)
         return replace(_tables(folder, EPISODE_COLUMNS), doubt=_doubt_of_run(folder))
     store = Store.open(folder)
     try:

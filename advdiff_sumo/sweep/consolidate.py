@@ -71,6 +71,15 @@ def tables_of(store: Store, plan: Plan) -> int:
     return consolidate(store, plan)
 
 
+def tables_are_behind(store: Store) -> bool:
+    """Return whether the tables may lack an episode, by the times of the files: sooner known than by reading all."""
+    try:
+        sealed_ns = (store.path / _SEAL).stat().st_mtime_ns
+    except OSError:
+        return True
+    return any(changed_ns > sealed_ns for changed_ns in store.changed_ns())
+
+
 def _parts(store: Store, plan: Plan) -> str:
     """Return the digest of the episodes that are there, in the sweep's order."""
     return digest([store.checksum(job.key) for job in plan.jobs])

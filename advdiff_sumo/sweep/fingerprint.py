@@ -92,9 +92,19 @@ def cell_digest(options: RunOptions, source: str) -> str:
 
 
 def files_of(own: Mapping[str, Any]) -> tuple[Path, ...]:
-    """Return the files that the options *own* name."""
+    """Return the files that the options *own* name; of the folder of a training, that of its networks."""
     texts = (value for _, value in sorted(own.items()) if isinstance(value, str))
-    return tuple(Path(text) for text in texts if os.path.isfile(text))  # noqa: PTH113 - Path's raises for long texts
+    return tuple(file for text in texts for file in _file_named(text))
+
+
+def _file_named(text: str) -> Iterator[Path]:
+    if os.path.isfile(text):  # noqa: PTH113 - Path's raises for long texts
+        yield Path(text)
+    elif os.path.isdir(text):  # noqa: PTH112 - as above
+        from advdiff_sumo.models.shipped_weights import WEIGHTS  # late: it needs PyTorch
+
+        if (weights := Path(text) / WEIGHTS).is_file():
+            yield weights
 
 
 def _kept(files: tuple[Path, ...]) -> str:

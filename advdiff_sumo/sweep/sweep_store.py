@@ -6,7 +6,7 @@ import contextlib
 import os
 import shutil
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -119,8 +119,8 @@ class Store:
         begun = read_toml(self.path / SWEEP_SETTINGS).get("keys", keys)
         if begun != keys:
             raise ConfigError(
-                f"{self.path}: a net, demand or log is not what it was when that sweep was begun; "
-                "put the old one back, or begin a new sweep"
+                f"{self.path}: a net, demand or log is not what it was when that sweep was begun, "
+                "or a file of weights; put the old one back, or begin a new sweep"
             )
 
     def _begin(self, settings: Mapping[str, Any], ballast_bytes: int) -> Store:
@@ -186,8 +186,11 @@ class Store:
 
     def finished(self) -> list[str]:
         """Return the keys of the finished episodes that are there and whole."""
-        files = (path for path in (self.path / _EPISODES).glob("*/*") if not path.name.endswith(ASIDE))
-        return sorted(path.name for path in files if read_checked(path) is not None)
+        return sorted(path.name for path in self._files() if read_checked(path) is not None)
+
+    def changed_ns(self) -> Iterator[int]:
+        """Yield when each file of a finished episode was written, in nanoseconds of the file system's clock."""
+        return (path.stat().st_mtime_ns for path in self._files())
 
     def has(self, key: str) -> bool:
         """Return whether a finished episode is there and whole."""
@@ -203,6 +206,9 @@ class Store:
     def checksum(self, key: str) -> str:
         """Return what the file of a finished episode says of its content; "" where there is none."""
         return written_checksum(self._episode(key))
+
+    def _files(self) -> Iterator[Path]:
+        return (path for path in (self.path / _EPISODES).glob("*/*") if not path.name.endswith(ASIDE))
 
     def _episode(self, key: str) -> Path:
         return self.path / _EPISODES / key[:2] / key

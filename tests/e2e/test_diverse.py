@@ -52,6 +52,9 @@ def test_the_same_episodes_however_it_is_run(workplace: Path, here: Callable[...
     cut = here("sweep", "wide.toml", "--diverse", "--limit", "5", "--out", "cut", "--no-report")
     assert cut.code == 0, cut.err
     assert "5 episodes have not been run" in cut.out
+    assert here("results", "cut", "--fail-if", "missing != 5").code == 0
+    lacking = here("results", "cut", "--fail-if", "missing > 0")
+    assert (lacking.code, "5 episodes have not been run" in lacking.out) == (1, True)
     assert here("sweep", "--resume", "cut", "--no-report").code == 0
     for name in (*TABLES, "rounds.json"):
         whole = (workplace / "one" / name).read_bytes()

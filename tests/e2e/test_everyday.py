@@ -80,6 +80,12 @@ def test_nothing_is_retried_that_is_begun_anew(here: Callable[..., Outcome]) -> 
     assert "add --resume" in sentence(here("sweep", "sweep.toml", "--retry-failed"))
 
 
+def test_a_run_to_go_on_with_is_named_by_its_folder(here: Callable[..., Outcome]) -> None:
+    assert here(*RUN, "--quiet", "--out", "run").code == 0
+    lost = sentence(here("run", "--resume", "--config", "run/run.toml"))
+    assert "--resume does not say which run; add its folder with --out" in lost
+
+
 def test_a_sweep_as_json(workplace: Path) -> None:
     (workplace / "sweep.toml").write_text(SWEEP)
     done = advdiff("sweep", "sweep.toml", "--executor", "serial", "--json", "--out", "s", cwd=workplace)

@@ -11,6 +11,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
+import advdiff_sumo as ads
 from advdiff_sumo.core.errors import KEPT
 from advdiff_sumo.sim.run_store import TABLES
 from tests.e2e.commands import TINY, advdiff, begin, bytes_of
@@ -79,6 +80,20 @@ def test_ctrl_c_keeps_what_has_finished(
     _resume(folder, undisturbed)
 
 
+@pytest.mark.slow
+def test_a_run_that_is_told_to_end_ends_as_by_ctrl_c(
+    waiting: tuple[Path, subprocess.Popen[str]], undisturbed: Path
+) -> None:
+    folder, process = waiting
+    process.terminate()
+    _, said = process.communicate(timeout=HANG_S)
+    assert (process.returncode, said.splitlines()) == (
+        130,
+        [f"{KEPT}; go on with advdiff-sumo run --resume --out run"],
+    )
+    assert pq.read_table(folder / "run" / "episodes.parquet").num_rows == 2
+
+
 def test_ctrl_c_while_the_package_is_imported(grid: Path, tmp_path: Path) -> None:
     running = begin("run", "--net", grid, "--out", "out", cwd=tmp_path)
     maps = Path(f"/proc/{running.pid}/maps")
@@ -116,7 +131,19 @@ def test_a_killed_run_can_be_resumed(waiting: tuple[Path, subprocess.Popen[str]]
     process.communicate(timeout=HANG_S)
     assert process.returncode == -signal.SIGKILL
     assert not (folder / "run" / "episodes.parquet").exists()
+    _reads_two_episodes(folder)
     _resume(folder, undisturbed)
+
+
+def _reads_two_episodes(folder: Path) -> None:
+    """Check that what is left of the run can be judged and looked at."""
+    judged = advdiff("verdict", "run", "--workers", 1, cwd=folder)
+    assert (judged.code, judged.out.splitlines()[0]) == (
+        0,
+        "2 episodes, 0 collisions of the target: 0 valid failures",
+    )
+    assert advdiff("report", "run", cwd=folder).code == 0
+    assert len(ads.load(folder / "run").episodes) == 2
 
 
 def _resume(folder: Path, undisturbed: Path) -> None:

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from defusedxml.ElementTree import parse
 
+import advdiff_sumo as ads
 from advdiff_sumo.core.errors import KEPT
 from tests.e2e.commands import Outcome, advdiff, begin
 from tests.hang_guard import HANG_S
@@ -73,6 +74,9 @@ def test_a_sweep_from_file_to_verdict(sweeps: Path, here: Callable[..., Outcome]
     assert "the same as in the sweep" in again.out
     assert (sweeps / "again" / "report.html").stat().st_size > 0
 
+    _tables_catch_up(sweeps / "done", rows[4]["key"], here)
+    refused = here("sweep", "--resume", "done", "--out", "elsewhere")
+    assert (refused.code, "leave --out elsewhere out" in refused.err) == (2, True)
     refused = here("sweep", "small.toml", "--executor", "serial", "--out", "done")
     assert (refused.code, len(refused.err.splitlines())) == (2, 1)
     assert "already holds a sweep" in refused.err
@@ -80,6 +84,17 @@ def test_a_sweep_from_file_to_verdict(sweeps: Path, here: Callable[..., Outcome]
     refused = here("sweep", "other.toml", "--executor", "serial", "--resume", "done")
     assert (refused.code, len(refused.err.splitlines())) == (2, 1)
     assert "belongs to another sweep: its horizon_s differ" in refused.err
+
+
+def _tables_catch_up(sweep: Path, key: str, here: Callable[..., Outcome]) -> None:
+    """Check that an episode that came after the tables were made is in what is read of the sweep."""
+    (episode,) = sweep.glob(f"episodes/*/{key}")
+    kept = episode.read_bytes()
+    episode.unlink()
+    assert "1 episodes have not been run" in here("results", sweep).out
+    episode.write_bytes(kept)
+    assert here("report", sweep).code == 0
+    assert ads.load(sweep).summary().figures["episodes"] == 6
 
 
 @pytest.mark.parametrize(

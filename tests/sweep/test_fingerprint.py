@@ -54,6 +54,12 @@ def test_files_that_options_name_count_by_what_they_hold(tmp_path: Path) -> None
     before, plain = cell_digest(named, "source"), cell_digest(RunOptions(), "source")
     assert files_of(named.background_options) == (file,)
     assert files_of({"reward": "x" * 5000, "seed": 3}) == ()
+    (tmp_path / "training").mkdir()
+    assert files_of({"weights": str(tmp_path / "training")}) == ()
+    (tmp_path / "training" / "weights.safetensors").write_bytes(b"networks")
+    assert files_of({"weights": str(tmp_path / "training")}) == (
+        tmp_path / "training" / "weights.safetensors",
+    )
     file.write_bytes(b"other")
     assert cell_digest(named, "source") != before
     assert cell_digest(RunOptions(), "source") == plain

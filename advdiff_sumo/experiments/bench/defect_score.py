@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from advdiff_sumo.experiments.bench.adversarial import notes_of
@@ -87,12 +87,12 @@ def contests_of(gathered: Gathered, cells: BenchCells) -> tuple[Contest, ...]:
         tried.setdefault((cell.row, cell.target), {})[cell.defect] = _tried(episodes, order)
     sound_shares: dict[str, list[float]] = {}
     for (background, _), by_defect in tried.items():
-        sound_shares.setdefault(background, []).append(_share(by_defect[SOUND]))
+        sound_shares.setdefault(background, []).extend(_shares([by_defect[SOUND]]))
     contests = []
     for (background, target), by_defect in tried.items():
         sound = by_defect.pop(SOUND)
         detected, first = detections(sound, by_defect), first_detection(sound, by_defect)
-        auc = ranking_auc(sound_shares[background], [_share(one) for one in by_defect.values()])
+        auc = ranking_auc(sound_shares[background], _shares(by_defect.values()))
         contests.append(Contest(background, target, sound, by_defect, detected, first, auc))
     return tuple(contests)
 
@@ -181,8 +181,9 @@ def _tried(episodes: list[EpisodeResult], order: Mapping[str, int]) -> Tried:
     return {one.scene: Outcome.of(one.row, one.cpu_s) for one in ranked}
 
 
-def _share(tried: Tried) -> float:
-    return sum(one.failed for one in tried.values()) / max(len(tried), 1)
+def _shares(some: Iterable[Tried]) -> list[float]:
+    """Return how often each failed; one of which no episode finished has no share."""
+    return [sum(one.failed for one in tried.values()) / len(tried) for tried in some if tried]
 
 
 def _rate(tried: Tried) -> Ratio:

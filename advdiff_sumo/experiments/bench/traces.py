@@ -16,10 +16,11 @@ from advdiff_sumo.core.errors import AdvdiffError
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates, states_of
 from advdiff_sumo.experiments.bench.likelihood import natural_nats
-from advdiff_sumo.experiments.solution import solve
+from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.kinematics import velocities
 from advdiff_sumo.metrics.pairwise import least_ttc, ttc_counts
+from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sim.run_episodes import read_road
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_store import Store
@@ -106,14 +107,16 @@ def _trace(part: StoredEpisode, road: RoadMap, judged: bool) -> bytes:
         ttc=ttc,
         nats=nats,
         seconds=seconds,
-        solvable=_solvable(states, road) if judged and row["target_collision"] else None,
+        solvable=_solvable(part, road) if judged and row["target_collision"] else None,
     ).to_bytes()
 
 
-def _solvable(states: EpisodeStates, road: RoadMap) -> bool | None:
-    """Return whether the target could have avoided its collision; None where that cannot be searched."""
+def _solvable(part: StoredEpisode, road: RoadMap) -> bool | None:
+    """Return whether the target could have avoided its collision; None where it left the road or nobody can say."""
+    (row,) = part.tables["episodes"].to_pylist()
+    record = stored_record(part.tables["states"], row)
     try:
-        return solve(states, road).solvable
+        return None if record is None else solvable(record, road)
     except AdvdiffError:
         return None
 

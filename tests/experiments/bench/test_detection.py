@@ -178,6 +178,17 @@ def test_a_rate_that_every_defect_raises_ranks_all_of_them_above_the_sound_ones(
     assert ranking_auc([0.0], []) is None
 
 
+def test_who_never_finished_has_no_rate_to_be_ranked_by(tmp_path: Path) -> None:
+    found, cells = gathered(Folder(tmp_path, REQUEST), {("sumo", "late:strong"): 8})
+    every = {(one.background, one.target): one.auc for one in contests_of(found, cells)}  # type: ignore[arg-type] # the cells
+    assert every["sumo", "lane_graph"] == 0.75, "one of two above the sound one, the other level with it"
+    for cell in found.finished:
+        if (cell.row, cell.defect) == ("sumo", "range:middle"):
+            found.finished[cell] = []
+    finished = {(one.background, one.target): one.auc for one in contests_of(found, cells)}  # type: ignore[arg-type] # the cells
+    assert finished["sumo", "lane_graph"] == 1.0
+
+
 def test_what_is_planted_in_whom() -> None:
     everything = replace_request(defects=())
     assert len(planted_in("lane_graph", everything)) >= 12

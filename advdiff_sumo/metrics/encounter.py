@@ -174,20 +174,31 @@ def _entry_of(view: TrafficView, target: Party, other: Party, start: int, step: 
 
 
 def _merging(view: TrafficView, collision: Collision, placed: list[Placement]) -> str | None:
-    """Return the junction by which both came lately, from different edges onto the same one."""
+    """Return the junction by which both came lately, from different edges, and on which their ways joined."""
     recent, rows = view.steps(BREACH_WINDOW_S), collision.rows
     one, two = ([junction_of(view.road, x) for x in p.lane[: -recent - 2 : -1]] for p in placed)
     for junction in dict.fromkeys(x for both in zip(one, two, strict=True) for x in both if x is not None):
         first, second = (_came_by(view, rows[k], placed[k], junction) for k in (0, 1))
         if first is None or second is None:
             continue
-        (a, to_a), (b, to_b) = (
-            (view.road.lanes[x.from_lane].edge_id, view.road.lanes[x.to_lane].edge_id)
-            for x in (first, second)
-        )
-        if a != b and to_a == to_b:
+        if _join(view.road, first, second):
             return junction
     return None
+
+
+def _join(road: RoadMap, first: Link, second: Link) -> bool:
+    """Return whether two links of a junction come from different edges and join, as those of an added lane do not."""
+    (a, to_a), (b, to_b) = (
+        (road.lanes[x.from_lane].edge_id, road.lanes[x.to_lane].edge_id) for x in (first, second)
+    )
+    onto_one = first.to_lane == second.to_lane or ways_meet(road, first, second)
+    return a != b and to_a == to_b and onto_one
+
+
+def ways_meet(road: RoadMap, first: Link, second: Link) -> bool:
+    """Return whether the ways by two links over the same junction cross or join in the net."""
+    foes = road.junctions[first.junction_id].foes if first.junction_id == second.junction_id else {}
+    return second.request_index in foes.get(first.request_index, frozenset())
 
 
 def _came_by(view: TrafficView, row: int, lanes: Placement, junction: str) -> Link | None:

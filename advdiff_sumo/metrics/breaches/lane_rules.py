@@ -6,7 +6,7 @@ import numpy as np
 
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
-from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, Encounter, Party
+from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, Encounter, Party, ways_meet
 from advdiff_sumo.metrics.lane_entry import OPPOSITE_RAD
 from advdiff_sumo.metrics.placement import Placement
 from advdiff_sumo.metrics.traffic_view import TrafficView
@@ -45,10 +45,7 @@ def wrong_side(view: TrafficView, met: Encounter, which: int) -> Breach | None:
 def _ways_meet(view: TrafficView, met: Encounter) -> bool:
     """Return whether the ways of the two over a common junction cross or join in the net."""
     first, second = (party.link for party in met.parties)
-    if not met.crossing or first is None or second is None or first.junction_id != second.junction_id:
-        return False
-    foes = view.road.junctions[first.junction_id].foes
-    return second.request_index in foes.get(first.request_index, frozenset())
+    return met.crossing and first is not None and second is not None and ways_meet(view.road, first, second)
 
 
 def on_opposite_lane(view: TrafficView, row: int, lanes: Placement, at: int, start: int) -> bool:

@@ -24,7 +24,7 @@ from advdiff_sumo.metrics.breaches.junction_rules import (
 )
 from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
 from advdiff_sumo.metrics.collision_type import CollisionType
-from advdiff_sumo.metrics.encounter import Encounter
+from advdiff_sumo.metrics.encounter import Encounter, Party
 from advdiff_sumo.metrics.lane_entry import OPPOSITE_RAD, LaneEntry
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
@@ -97,12 +97,22 @@ def _reversing(view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault
     return None
 
 
-def _striking(_view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault:
-    return Fault(AtFault.TARGET, f"The target ran into the rear of '{met.other.name}'.")
+def _striking(view: TrafficView, met: Encounter, kind: CollisionType) -> Fault:
+    rear_end = Fault(AtFault.TARGET, f"The target ran into the rear of '{met.other.name}'.")
+    return _joined_unsafely(view, met, kind, met.other) or rear_end
 
 
-def _struck(_view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault:
-    return Fault(AtFault.OTHER, f"'{met.other.name}' ran into the rear of the target.")
+def _struck(view: TrafficView, met: Encounter, kind: CollisionType) -> Fault:
+    rear_end = Fault(AtFault.OTHER, f"'{met.other.name}' ran into the rear of the target.")
+    return _joined_unsafely(view, met, kind, met.target) or rear_end
+
+
+def _joined_unsafely(view: TrafficView, met: Encounter, kind: CollisionType, struck: Party) -> Fault | None:
+    """Judge a rear end just beyond a junction as one on it, where the one ahead joined without the safe gap."""
+    entry = met.cut_in
+    if met.merged is None or entry is None or entry.row != struck.row or entry.safe or entry.recovered:
+        return None
+    return _junction(view, met, kind)
 
 
 def _cut_in(_view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault | None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
-from tests.metrics.encounters import DT_S, Car, along, build, findings, record_of, straight
+from tests.metrics.encounters import DT_S, Car, along, build, findings, record_of, signals_of, straight
 
 RAMP_NODES = """<nodes>
   <node id="A" x="-300" y="0"/> <node id="B" x="0" y="0"/> <node id="C" x="400" y="0"/> <node id="R" x="-300" y="-60"/>
@@ -41,3 +40,43 @@ def test_who_cuts_in_from_the_lane_that_a_ramp_adds_entered_a_lane(ramp, cutter_
     assert findings(record_of(ego, cutter, route=("AB", "BC")), ramp) == ("cut_in", "other", [], breach)
     exchanged = record_of(cutter, ego, route=("RB", "BC"))
     assert findings(exchanged, ramp) == ("cut_in", "target", breach, [])
+
+
+def turning_in(road: RoadMap, beyond_m: float, speed_mps: float, ego_mps: float = 13.0) -> tuple[Car, Car]:
+    """Return an eastward car and one that turns right out of SC_0 before it.
+
+    At 4 s the centre of the second is *beyond_m* beyond the junction, and the front of the first is at its rear.
+    """
+    (path, *_) = road.lane_path(("SC", "CE"), "SC_0", 400.0, start_s_m=100.0, vclass=None)
+    s_m = path.links[0].end_s_m + beyond_m + speed_mps * (DT_S * np.arange(61) - 4.0)
+    turns = along("turns", path.line, s_m)
+    x = float(turns.xy_m[40, 0])
+    return straight("ego", (x - 4.0 - 4.0 * ego_mps, -4.8), 0, ego_mps, steps=61), turns
+
+
+@pytest.mark.parametrize("beyond_m", [2.0, 5.0, 8.0, 12.0])
+def test_who_runs_a_red_light_and_is_hit_beyond_the_junction_is_at_fault(light_road, beyond_m) -> None:
+    """The target was, once the other's centre had left the junction: as if it had followed it.
+
+    The one that turns joins at 7 m/s with 17 m at most; 0.75 * 13 + (13² - 7²) / 12 = 19.8 m are needed at least.
+    """
+    ego, turns = turning_in(light_road, beyond_m, 7.0)
+    signals = signals_of(light_road, {("SC_0", "CE_0"): "r", ("WC_0", "CE_0"): "G"}, 61)
+    kind = "junction" if beyond_m < 5.5 else "rear_end"
+    found = findings(record_of(ego, turns, signals=signals), light_road)
+    assert found[0].startswith(kind)
+    assert found[1:] == ("other", [], ["red_light"])
+    exchanged = findings(record_of(turns, ego, route=("SC", "CE"), signals=signals), light_road)
+    assert exchanged[1:] == ("target", ["red_light"], [])
+
+
+def test_who_takes_the_way_and_is_hit_beyond_the_junction_is_at_fault(road) -> None:
+    ego, turns = turning_in(road, 8.0, 7.0)
+    expected = ("rear_end_striking", "other", [], ["right_of_way"])
+    assert findings(record_of(ego, turns), road) == expected
+
+
+def test_who_joins_with_the_safe_gap_is_a_leader_beyond_the_junction(road) -> None:
+    """At 5 m/s it is across the lane at 1.1 s, 24.6 m ahead; 0.75 * 13 + 13² / 12 = 23.8 m are needed at most."""
+    ego, turns = turning_in(road, 8.0, 5.0)
+    assert findings(record_of(ego, turns), road)[:2] == ("rear_end_striking", "target")

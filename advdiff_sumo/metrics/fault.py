@@ -17,6 +17,7 @@ from enum import StrEnum
 from advdiff_sumo.metrics.breaches.conduct_rules import reversing
 from advdiff_sumo.metrics.breaches.junction_rules import (
     ARRIVAL_MARGIN_S,
+    disregarded,
     joined_safely,
     later_by_s,
     must_yield,
@@ -57,7 +58,7 @@ _Rule = Callable[[TrafficView, Encounter, CollisionType], Fault | None]
 
 def fault_of(view: TrafficView, met: Encounter, kind: CollisionType) -> Fault:
     """Return what the first rule that applies says of a collision with another agent."""
-    rules: tuple[_Rule, ...] = (_pushed, _standing, _wrong_way, _reversing, _RULES[kind])
+    rules: tuple[_Rule, ...] = (_pushed, _standing, _wrong_way, _reversing, _on_foot, _RULES[kind])
     for rule in rules:
         fault = rule(view, met, kind)
         if fault is not None:
@@ -94,6 +95,16 @@ def _reversing(view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault
         return Fault(AtFault.OTHER, f"'{met.other.name}' was reversing.")
     if target_back and not other_back:
         return Fault(AtFault.TARGET, "The target was reversing.")
+    return None
+
+
+def _on_foot(view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault | None:
+    """Judge contacts with somebody who walks by how the vehicle came there, before any rule of lanes."""
+    by_target, by_other = disregarded(view, met, 1), disregarded(view, met, 0)
+    if by_target is not None:
+        return Fault(AtFault.TARGET, f"The target {by_target.text}.")
+    if by_other is not None:
+        return Fault(AtFault.OTHER, f"'{met.other.name}' {by_other.text}.")
     return None
 
 

@@ -33,11 +33,11 @@ def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None
     the other's lane with a safe gap.
     """
     party, other = met.parties[which], met.parties[1 - which]
-    if party.stood or (other.stood and not other.is_pedestrian):
+    if party.stood or party.is_pedestrian or (other.stood and not other.is_pedestrian):
         return None
     if other.is_pedestrian:
         return _crossing_breach(view, met, party, other)
-    if not met.crossing or party.is_pedestrian or not _lately(view, met, party):
+    if not met.crossing or not _lately(view, met, party):
         return None
     if (
         ran_red(view, party)
@@ -49,6 +49,19 @@ def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None
     return _breach(
         view, met, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{other.name}' at the junction"
     )
+
+
+def disregarded(view: TrafficView, met: Encounter, walker: int) -> Breach | None:
+    """Return the breach by which the other drove into the one who walks: on red, or on a crossing; else None.
+
+    Args:
+        view: who is where.
+        met: the contact.
+        walker: 0 or 1, who may be walking.
+    """
+    if not met.parties[walker].is_pedestrian:
+        return None
+    return red_light(view, met, 1 - walker) or right_of_way(view, met, 1 - walker)
 
 
 def ran_red(view: TrafficView, party: Party | JunctionEntry) -> bool:

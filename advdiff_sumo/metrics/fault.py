@@ -22,6 +22,7 @@ from advdiff_sumo.metrics.breaches.junction_rules import (
     later_by_s,
     must_yield,
     ran_red,
+    way_is_unknown,
 )
 from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
 from advdiff_sumo.metrics.collision_type import CollisionType
@@ -52,6 +53,7 @@ class Fault:
 
 
 OFF_ROAD = Fault(AtFault.TARGET, "The target left the road.")
+_NOT_KNOWN = Fault(AtFault.UNCLEAR, "What the light there showed is not recorded.")
 
 _Rule = Callable[[TrafficView, Encounter, CollisionType], Fault | None]
 
@@ -105,7 +107,8 @@ def _on_foot(view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault |
         return Fault(AtFault.TARGET, f"The target {by_target.text}.")
     if by_other is not None:
         return Fault(AtFault.OTHER, f"'{met.other.name}' {by_other.text}.")
-    return None
+    walks = any(party.is_pedestrian for party in met.parties)
+    return _NOT_KNOWN if walks and way_is_unknown(view, met) else None
 
 
 def _striking(view: TrafficView, met: Encounter, kind: CollisionType) -> Fault:
@@ -183,6 +186,8 @@ def _junction(view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault 
     rear_end = _joined(met)
     if rear_end is not None:
         return rear_end
+    if way_is_unknown(view, met):
+        return _NOT_KNOWN
     yields = must_yield(view, met.target, met.other), must_yield(view, met.other, met.target)
     if yields == (True, False):
         return Fault(AtFault.TARGET, f"The target had to give way to '{met.other.name}' at the junction.")

@@ -10,6 +10,8 @@ import pytest
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.collision import collisions, target_collision
+from advdiff_sumo.metrics.verdict import judge
 from tests.metrics.encounters import EDGES, NODES, build, driven, findings, record_of, signals_of, straight
 
 NORTH = math.pi / 2
@@ -61,6 +63,14 @@ def test_who_is_run_into_by_somebody_on_red_broke_no_rule(foot_lights) -> None:
 def test_who_walks_before_a_protected_green_entered_the_lane(foot_lights) -> None:
     expected = ("side", "other", [], ["unsafe_lane_entry"])
     assert findings(before_the_light(foot_lights, "G"), foot_lights) == expected
+
+
+def test_without_signals_nobody_is_convicted_on_a_crossing_of_a_light(foot_lights) -> None:
+    record = before_the_light(foot_lights, None)
+    assert findings(record, foot_lights) == ("side", "unclear", [], [])
+    hit = target_collision(record, collisions(record))
+    assert hit is not None
+    assert "right of way (no signals recorded)" in judge(record, foot_lights, hit).not_judged
 
 
 def test_two_who_walk_into_each_other_on_a_crossing_owe_no_way(foot) -> None:

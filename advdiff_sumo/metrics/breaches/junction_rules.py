@@ -35,6 +35,8 @@ def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None
     party, other = met.parties[which], met.parties[1 - which]
     if party.stood or party.is_pedestrian or (other.stood and not other.is_pedestrian):
         return None
+    if way_is_unknown(view, met):
+        return None
     if other.is_pedestrian:
         return _crossing_breach(view, met, party, other)
     if not met.crossing or not _lately(view, met, party):
@@ -82,6 +84,19 @@ def signals_at_entry(view: TrafficView, party: Party | JunctionEntry) -> list[st
         return []
     states = [s.get(link.tls_id, "") for s in view.signals[max(0, first - 1) : last + 1]]
     return [s[link.tls_index] for s in states] if all(len(s) > link.tls_index for s in states) else []
+
+
+def way_is_unknown(view: TrafficView, met: Encounter) -> bool:
+    """Return whether a light said who goes at the junction, or the crossing, of *met*, and no signals of it are held.
+
+    Rows of the net then tell nothing: they are for vehicles that have a green at once.
+    """
+    lights = {party.link.tls_id for party in met.parties if party.link is not None} - {None}
+    if not any(all(light not in states for states in view.signals) for light in lights):
+        return False
+    return met.crossing or any(
+        x.is_pedestrian and on_crossing(view, x, met.collision.step) for x in met.parties
+    )
 
 
 def owes_way(view: TrafficView, met: Encounter, which: int) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
-from advdiff_sumo.metrics.breaches.junction_rules import disregarded
+from advdiff_sumo.metrics.breaches.junction_rules import disregarded, way_is_unknown
 from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, Encounter, Party, ways_meet
 from advdiff_sumo.metrics.lane_entry import OPPOSITE_RAD
 from advdiff_sumo.metrics.placement import Placement
@@ -81,6 +81,8 @@ def lane_entry_breach(view: TrafficView, met: Encounter, which: int) -> Breach |
     if met.crossing or entry.oncoming or not (entry.leaves_lane or party.is_pedestrian):
         return None
     if entry.safe or entry.recovered or disregarded(view, met, which) is not None:
+        return None
+    if party.is_pedestrian and way_is_unknown(view, met):
         return None
     whose = "lane" if met.parties[1 - which].is_pedestrian else f"lane of '{met.parties[1 - which].name}'"
     if entry.gap_m < 0.0:

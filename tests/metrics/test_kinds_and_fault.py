@@ -223,6 +223,16 @@ def test_leaving_the_road_is_the_targets_fault(straight, record_of, road) -> Non
     assert target_leaves_road(record_of(straight("ego", (-150, -20), 0, 10)), road) is None  # never was on it
 
 
+@pytest.mark.parametrize("agent_class", [AgentClass.PEDESTRIAN, AgentClass.BICYCLE])
+def test_who_walks_or_cycles_may_leave_the_road(straight, record_of, road, agent_class) -> None:
+    """As a target, such as one of a log, they failed by going onto the pavement."""
+    small = straight("small", (-150, -4.8), 0, 5, drift=-1.0, size=(1.8, 0.6))
+    record = record_of(replace(small, agent_class=agent_class))
+    assert target_leaves_road(record, road) is None
+    assert not summarise(record, road).target_collision
+    assert target_leaves_road(record_of(small), road) is not None
+
+
 def test_the_earlier_of_two_ends_counts(straight, record_of, road) -> None:
     ego = straight("ego", (-150, -4.8), 0, 10, drift=-1.0)
     near, far = straight("near", (-140, -5.5), 0, 0), straight("far", (-120, -7.8), 0, 0)

@@ -27,7 +27,7 @@ from advdiff_sumo.metrics.breaches.junction_rules import (
 from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.encounter import Encounter, Party
-from advdiff_sumo.metrics.lane_entry import OPPOSITE_RAD, LaneEntry
+from advdiff_sumo.metrics.lane_entry import LaneEntry
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
 
@@ -151,7 +151,7 @@ def _lane_keeping(_view: TrafficView, met: Encounter, kind: CollisionType) -> Fa
         return Fault(AtFault.OTHER, f"'{met.other.name}' was out of its lane, the target was not.")
     if target and not other:
         return Fault(AtFault.TARGET, f"The target was out of its lane, '{met.other.name}' was not.")
-    if not target and met.collision.heading_difference_rad < OPPOSITE_RAD:
+    if kind is CollisionType.SIDE:
         return _fronts(met)
     return Fault(AtFault.UNCLEAR, "Both or neither of the two were out of their lanes.")
 
@@ -166,7 +166,7 @@ def _entered(met: Encounter, entry: LaneEntry, kind: CollisionType) -> Fault | N
 
 
 def _fronts(met: Encounter) -> Fault | None:
-    """Judge by the fronts when both were in their lanes: who hit with the front could have braked."""
+    """Judge by the fronts when both or neither left their lanes: who hit with the front could have braked."""
     target, other = met.target.face == "front", met.other.face == "front"
     if target and not other:
         return Fault(AtFault.TARGET, f"The target ran into the side of '{met.other.name}' with its front.")

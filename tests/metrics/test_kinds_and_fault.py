@@ -101,6 +101,19 @@ def test_head_on_with_both_over_the_line_is_unclear(straight, record_of, road) -
     assert outcome(record_of(ego, coming), road)[:2] == ("head_on", "unclear")
 
 
+def test_who_hits_with_its_front_where_both_are_out_of_their_lanes(straight, record_of, road) -> None:
+    """Unclear before, where the page says who hit with its front: no lane is within 20 m of the two."""
+    ego, out = straight("ego", (-100, -40), 0, 10), straight("out", (-70, -60), NORTH, 6.5)
+    reason = "The target ran into the side of 'out' with its front."
+    assert outcome(record_of(ego, out), road) == ("side", "target", reason)
+    assert outcome(record_of(out, ego), road)[:2] == ("side", "other")
+    abreast = (
+        straight("left", (-100, -40), 0, 10, drift=-0.5),
+        straight("right", (-100, -43), 0, 10, drift=0.5),
+    )
+    assert outcome(record_of(*abreast), road)[:2] == ("side", "unclear")
+
+
 def test_wrong_way(straight, record_of, road) -> None:
     ego = straight("ego", (-150, -4.8), 0, 12)
     wrong = straight("wrong", (-80, -4.8), math.pi, 12)

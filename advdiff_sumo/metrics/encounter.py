@@ -31,7 +31,7 @@ WRONG_WAY_RAD = 2.0
 #: A vehicle that has stood this long in the way could be seen.
 STOOD_S = 1.0
 #: Standing: slower than this (the limit of nuPlan's metric), or nearer than ``_LEAST_MOVE_M`` to where it was.
-_LEAST_SPEED_MPS = 0.05
+LEAST_SPEED_MPS = 0.05
 _LEAST_MOVE_M = 0.1
 _LEAST_MOVE_S = 0.5
 
@@ -174,20 +174,31 @@ def _entry_of(view: TrafficView, target: Party, other: Party, start: int, step: 
 
 
 def _merging(view: TrafficView, collision: Collision, placed: list[Placement]) -> str | None:
-    """Return the junction by which both came lately, from different edges onto the same one."""
+    """Return the junction by which both came lately, from different edges, and on which their ways joined."""
     recent, rows = view.steps(BREACH_WINDOW_S), collision.rows
     one, two = ([junction_of(view.road, x) for x in p.lane[: -recent - 2 : -1]] for p in placed)
     for junction in dict.fromkeys(x for both in zip(one, two, strict=True) for x in both if x is not None):
         first, second = (_came_by(view, rows[k], placed[k], junction) for k in (0, 1))
         if first is None or second is None:
             continue
-        (a, to_a), (b, to_b) = (
-            (view.road.lanes[x.from_lane].edge_id, view.road.lanes[x.to_lane].edge_id)
-            for x in (first, second)
-        )
-        if a != b and to_a == to_b:
+        if _join(view.road, first, second):
             return junction
     return None
+
+
+def _join(road: RoadMap, first: Link, second: Link) -> bool:
+    """Return whether two links of a junction come from different edges and join, as those of an added lane do not."""
+    (a, to_a), (b, to_b) = (
+        (road.lanes[x.from_lane].edge_id, road.lanes[x.to_lane].edge_id) for x in (first, second)
+    )
+    onto_one = first.to_lane == second.to_lane or ways_meet(road, first, second)
+    return a != b and to_a == to_b and onto_one
+
+
+def ways_meet(road: RoadMap, first: Link, second: Link) -> bool:
+    """Return whether the ways by two links over the same junction cross or join in the net."""
+    foes = road.junctions[first.junction_id].foes if first.junction_id == second.junction_id else {}
+    return second.request_index in foes.get(first.request_index, frozenset())
 
 
 def _came_by(view: TrafficView, row: int, lanes: Placement, junction: str) -> Link | None:
@@ -226,7 +237,7 @@ def _party(
         overhang_m=lanes.overhang_m(-1),
         changed_lane=bool(lane_changes(view.road, lanes.lane[-view.steps(CUT_IN_WINDOW_S) - 1 :])),
         intrudes=reaches_into(view, row, collision.rows[1 - which], start, step),
-        stands=abs(speed) <= _LEAST_SPEED_MPS or _rests(view, row, step, _LEAST_MOVE_S),
+        stands=abs(speed) <= LEAST_SPEED_MPS or _rests(view, row, step, _LEAST_MOVE_S),
         stood=stood,
         link=link,
         entered_step=None if entered is None else start + entered,
@@ -266,7 +277,7 @@ def _over_line(view: TrafficView, row: int, lanes: Placement, entered: int) -> i
 
 def _stood(view: TrafficView, row: int, step: int) -> bool:
     speed = view.tracks.speed_mps[row, max(0, step - view.steps(STOOD_S)) : step + 1]
-    return bool((np.abs(speed) <= _LEAST_SPEED_MPS).all()) or _rests(view, row, step, STOOD_S)
+    return bool((np.abs(speed) <= LEAST_SPEED_MPS).all()) or _rests(view, row, step, STOOD_S)
 
 
 def _rests(view: TrafficView, row: int, step: int, seconds: float) -> bool:

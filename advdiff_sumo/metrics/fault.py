@@ -17,15 +17,17 @@ from enum import StrEnum
 from advdiff_sumo.metrics.breaches.conduct_rules import reversing
 from advdiff_sumo.metrics.breaches.junction_rules import (
     ARRIVAL_MARGIN_S,
+    disregarded,
     joined_safely,
     later_by_s,
     must_yield,
     ran_red,
+    way_is_unknown,
 )
 from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
 from advdiff_sumo.metrics.collision_type import CollisionType
-from advdiff_sumo.metrics.encounter import Encounter
-from advdiff_sumo.metrics.lane_entry import OPPOSITE_RAD, LaneEntry
+from advdiff_sumo.metrics.encounter import Encounter, Party
+from advdiff_sumo.metrics.lane_entry import LaneEntry
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
 
@@ -51,13 +53,14 @@ class Fault:
 
 
 OFF_ROAD = Fault(AtFault.TARGET, "The target left the road.")
+_NOT_KNOWN = Fault(AtFault.UNCLEAR, "What the light there showed is not recorded.")
 
 _Rule = Callable[[TrafficView, Encounter, CollisionType], Fault | None]
 
 
 def fault_of(view: TrafficView, met: Encounter, kind: CollisionType) -> Fault:
     """Return what the first rule that applies says of a collision with another agent."""
-    rules: tuple[_Rule, ...] = (_pushed, _standing, _wrong_way, _reversing, _RULES[kind])
+    rules: tuple[_Rule, ...] = (_pushed, _standing, _wrong_way, _reversing, _on_foot, _RULES[kind])
     for rule in rules:
         fault = rule(view, met, kind)
         if fault is not None:
@@ -97,12 +100,33 @@ def _reversing(view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault
     return None
 
 
-def _striking(_view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault:
-    return Fault(AtFault.TARGET, f"The target ran into the rear of '{met.other.name}'.")
+def _on_foot(view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault | None:
+    """Judge contacts with somebody who walks by how the vehicle came there, before any rule of lanes."""
+    by_target, by_other = disregarded(view, met, 1), disregarded(view, met, 0)
+    if by_target is not None:
+        return Fault(AtFault.TARGET, f"The target {by_target.text}.")
+    if by_other is not None:
+        return Fault(AtFault.OTHER, f"'{met.other.name}' {by_other.text}.")
+    walks = any(party.is_pedestrian for party in met.parties)
+    return _NOT_KNOWN if walks and way_is_unknown(view, met) else None
 
 
-def _struck(_view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault:
-    return Fault(AtFault.OTHER, f"'{met.other.name}' ran into the rear of the target.")
+def _striking(view: TrafficView, met: Encounter, kind: CollisionType) -> Fault:
+    rear_end = Fault(AtFault.TARGET, f"The target ran into the rear of '{met.other.name}'.")
+    return _joined_unsafely(view, met, kind, met.other) or rear_end
+
+
+def _struck(view: TrafficView, met: Encounter, kind: CollisionType) -> Fault:
+    rear_end = Fault(AtFault.OTHER, f"'{met.other.name}' ran into the rear of the target.")
+    return _joined_unsafely(view, met, kind, met.target) or rear_end
+
+
+def _joined_unsafely(view: TrafficView, met: Encounter, kind: CollisionType, struck: Party) -> Fault | None:
+    """Judge a rear end just beyond a junction as one on it, where the one ahead joined without the safe gap."""
+    entry = met.cut_in
+    if met.merged is None or entry is None or entry.row != struck.row or entry.safe or entry.recovered:
+        return None
+    return _junction(view, met, kind)
 
 
 def _cut_in(_view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault | None:
@@ -127,7 +151,7 @@ def _lane_keeping(_view: TrafficView, met: Encounter, kind: CollisionType) -> Fa
         return Fault(AtFault.OTHER, f"'{met.other.name}' was out of its lane, the target was not.")
     if target and not other:
         return Fault(AtFault.TARGET, f"The target was out of its lane, '{met.other.name}' was not.")
-    if not target and met.collision.heading_difference_rad < OPPOSITE_RAD:
+    if kind is CollisionType.SIDE:
         return _fronts(met)
     return Fault(AtFault.UNCLEAR, "Both or neither of the two were out of their lanes.")
 
@@ -142,7 +166,7 @@ def _entered(met: Encounter, entry: LaneEntry, kind: CollisionType) -> Fault | N
 
 
 def _fronts(met: Encounter) -> Fault | None:
-    """Judge by the fronts when both were in their lanes: who hit with the front could have braked."""
+    """Judge by the fronts when both or neither left their lanes: who hit with the front could have braked."""
     target, other = met.target.face == "front", met.other.face == "front"
     if target and not other:
         return Fault(AtFault.TARGET, f"The target ran into the side of '{met.other.name}' with its front.")
@@ -162,6 +186,8 @@ def _junction(view: TrafficView, met: Encounter, _kind: CollisionType) -> Fault 
     rear_end = _joined(met)
     if rear_end is not None:
         return rear_end
+    if way_is_unknown(view, met):
+        return _NOT_KNOWN
     yields = must_yield(view, met.target, met.other), must_yield(view, met.other, met.target)
     if yields == (True, False):
         return Fault(AtFault.TARGET, f"The target had to give way to '{met.other.name}' at the junction.")

@@ -22,6 +22,7 @@ from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.striking_rules import EXPECTED_BRAKE_MPS2
 from advdiff_sumo.metrics.collision import Collision
+from advdiff_sumo.metrics.contact import standing_overlaps
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.kept_motion import (
     BRAKES_MPS2,
@@ -110,15 +111,36 @@ def _candidates(record: EpisodeRecord) -> list[tuple[int, int]]:
     """Return (row, instant) of each other's least time to collision that is short, the shortest first.
 
     Instants at which the target stands, or the other is behind it, do not count: braking is not the answer there.
+    Neither do those at which the other, which appeared where the target was, still touches it.
     """
     seconds = time_to_collision(record.tracks, record.target)
     stands = np.abs(record.tracks.speed_mps[record.target]) <= _STANDS_MPS
     counts = np.isfinite(seconds) & ~stands & ~_behind(record)
+    if (seconds == 0.0).any():
+        counts &= ~_initial_contacts(record)
     seconds = np.where(counts, seconds, np.inf)
     steps = seconds.argmin(1)
     least = seconds.min(1)
     near = np.flatnonzero(least < NEAR_MISS_TTC_S)
     return [(int(row), int(steps[row])) for row in near[np.argsort(least[near], kind="stable")]]
+
+
+def _initial_contacts(record: EpisodeRecord) -> BoolArray:
+    """Return (A, T) whether the other has touched the target ever since it appeared."""
+    tracks = record.tracks
+    touches: list[BoolArray] = []
+    for step in range(tracks.steps):
+        overlaps = standing_overlaps(
+            touches[-1] if touches else None,
+            tracks.xy_m[:, max(0, step - 1)],
+            tracks.xy_m[:, step],
+            tracks.yaw_rad[:, step],
+            tracks.size_m,
+            record.target,
+            dt_s=tracks.dt_s,
+        )
+        touches.append(overlaps)
+    return np.stack(touches, axis=1)
 
 
 def _behind(record: EpisodeRecord) -> BoolArray:

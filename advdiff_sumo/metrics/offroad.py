@@ -58,9 +58,11 @@ class BackgroundOffRoad:
 def target_leaves_road(record: EpisodeRecord, road: RoadMap) -> OffRoad | None:
     """Return when the target first leaves the road, or None.
 
-    A target that starts off the road is not counted until it has been on it.
+    A target that starts off the road is not counted until it has been on it. Whoever walks or cycles may go there.
     """
     tracks, row = record.tracks, record.target
+    if tracks.classes[row] not in MOTOR_CLASSES:
+        return None
     share = shares(road, tracks, np.full(tracks.steps, row), np.arange(tracks.steps))
     off = share > OFF_ROAD_SHARE
     crossing = np.flatnonzero(off[1:] & (share[:-1] <= OFF_ROAD_SHARE))

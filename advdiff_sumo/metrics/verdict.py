@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import Breach, breaches_of
+from advdiff_sumo.metrics.breaches.junction_rules import way_is_unknown
 from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.collision_type import CollisionType, collision_type
@@ -163,6 +164,8 @@ def _not_judged(view: TrafficView, met: Encounter, driven: bool) -> tuple[str, .
     missing = []
     if not view.signals and any(link is not None and link.tls_id is not None for link in links):
         missing.append("red lights (no signals recorded)")
+    if way_is_unknown(view, met):
+        missing.append("right of way (no signals recorded)")
     if met.crossing and None in links:
         missing.append("right of way (no connection over the junction fits)")
     if met.collision.rows[0] not in view.routes:

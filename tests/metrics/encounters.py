@@ -11,9 +11,12 @@ import numpy as np
 import sumolib
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.polylines import Polyline
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.collision import collisions, target_collision
+from advdiff_sumo.metrics.verdict import judge
 
 DT_S = 0.1
 NODES = """<nodes>
@@ -166,3 +169,18 @@ def signals_of(
             row.extend("g" * (link.tls_index + 1 - len(row)))
             row[link.tls_index] = letters.get((link.from_lane, link.to_lane), row[link.tls_index])
     return ({name: "".join(row) for name, row in state.items()},) * steps
+
+
+def along(name: str, line: Polyline, s_m: FloatArray, left_m: FloatArray | float = 0.0) -> Car:
+    """Return a car whose centre is at *s_m* (T,) along *line*, *left_m* to the left of it."""
+    xy, yaw = line.at(s_m, np.broadcast_to(left_m, s_m.shape), extrapolate=True)
+    return Car(name, xy, np.unwrap(yaw), np.gradient(s_m, DT_S))
+
+
+def findings(record: EpisodeRecord, road: RoadMap) -> tuple[str, str, list[str], list[str]]:
+    """Return kind, fault and either side's breaches of the target's first collision."""
+    hit = target_collision(record, collisions(record))
+    assert hit is not None, "the record was meant to hold a collision"
+    verdict = judge(record, road, hit)
+    own, other = ([str(x.kind) for x in side] for side in (verdict.target_breaches, verdict.other_breaches))
+    return str(verdict.kind), str(verdict.fault.at_fault), own, other

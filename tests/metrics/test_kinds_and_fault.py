@@ -101,6 +101,19 @@ def test_head_on_with_both_over_the_line_is_unclear(straight, record_of, road) -
     assert outcome(record_of(ego, coming), road)[:2] == ("head_on", "unclear")
 
 
+def test_who_hits_with_its_front_where_both_are_out_of_their_lanes(straight, record_of, road) -> None:
+    """Unclear before, where the page says who hit with its front: no lane is within 20 m of the two."""
+    ego, out = straight("ego", (-100, -40), 0, 10), straight("out", (-70, -60), NORTH, 6.5)
+    reason = "The target ran into the side of 'out' with its front."
+    assert outcome(record_of(ego, out), road) == ("side", "target", reason)
+    assert outcome(record_of(out, ego), road)[:2] == ("side", "other")
+    abreast = (
+        straight("left", (-100, -40), 0, 10, drift=-0.5),
+        straight("right", (-100, -43), 0, 10, drift=0.5),
+    )
+    assert outcome(record_of(*abreast), road)[:2] == ("side", "unclear")
+
+
 def test_wrong_way(straight, record_of, road) -> None:
     ego = straight("ego", (-150, -4.8), 0, 12)
     wrong = straight("wrong", (-80, -4.8), math.pi, 12)
@@ -221,6 +234,16 @@ def test_leaving_the_road_is_the_targets_fault(straight, record_of, road) -> Non
     assert metrics.target_collision
     assert metrics.struck is None
     assert target_leaves_road(record_of(straight("ego", (-150, -20), 0, 10)), road) is None  # never was on it
+
+
+@pytest.mark.parametrize("agent_class", [AgentClass.PEDESTRIAN, AgentClass.BICYCLE])
+def test_who_walks_or_cycles_may_leave_the_road(straight, record_of, road, agent_class) -> None:
+    """As a target, such as one of a log, they failed by going onto the pavement."""
+    small = straight("small", (-150, -4.8), 0, 5, drift=-1.0, size=(1.8, 0.6))
+    record = record_of(replace(small, agent_class=agent_class))
+    assert target_leaves_road(record, road) is None
+    assert not summarise(record, road).target_collision
+    assert target_leaves_road(record_of(small), road) is not None
 
 
 def test_the_earlier_of_two_ends_counts(straight, record_of, road) -> None:

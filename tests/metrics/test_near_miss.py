@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from advdiff_sumo.metrics.collision import collisions
 from advdiff_sumo.metrics.criticality import least, time_to_collision
 from advdiff_sumo.metrics.near_miss import ResolvedBy, near_miss, resolved
 from tests.metrics.encounters import DT_S, Car, braking, driven, record_of, straight
@@ -24,6 +25,28 @@ def test_nobody_near_is_no_near_miss(road) -> None:
         near_miss(record_of(straight("ego", (-150, -1.6), 0, 10), straight("far", (-90, -1.6), 0, 10)), road)
         is None
     )
+
+
+def test_who_appears_where_the_target_is_gives_no_near_miss(road) -> None:
+    """Braking at 9 m/s² was asked for: they overlap by 0.5 m from 3 s on, which is an initial contact."""
+    ego = straight("ego", (-150, -4.8), 0, 10, steps=81)
+    appears = straight("appears", (-146.5, -4.8), 0, 10, steps=81)
+    appears.xy_m[:30] = np.nan
+    assert near_miss(record_of(ego, appears), road) is None
+
+
+def test_who_appears_there_and_draws_away_may_give_one_later(road) -> None:
+    """6 m/s faster it is 8.5 m ahead by 4.5 s, and stands 20 m on at 7 s; the target brakes late: 25.3 of 28.5 m."""
+    t = DT_S * np.arange(91)
+    speed = np.where(t < 4.5, 16.0, np.maximum(0.0, 16.0 - 6.4 * (t - 4.5)))
+    appears = driven("appears", (-146.5 - 18.0, -4.8), 0, speed)
+    appears.xy_m[:30] = np.nan
+    ego = driven("ego", (-150, -4.8), 0, braking(10, 6.2, 6.0, 91))
+    record = record_of(ego, appears)
+    assert [c.initial for c in collisions(record)] == [True]
+    found = near_miss(record, road)
+    assert found is not None
+    assert found.time_s > 4.5
 
 
 def test_gentle_braking_behind_a_leader_is_not_critical(road) -> None:

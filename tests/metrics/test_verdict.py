@@ -91,6 +91,19 @@ def test_what_the_record_lacks_is_named(light_road) -> None:
     assert "Not judged: red lights" in result.sentence
 
 
+@pytest.mark.parametrize(("held", "fault"), [((), "unclear"), (("g", "g"), "target"), (("g", "G"), "target")])
+def test_the_right_of_way_at_a_light_is_not_told_without_its_signals(light_road, held, fault) -> None:
+    """By the net's rows, which are for two who have a green at once, the one from the south was convicted."""
+    north, east = straight("north", (1.6, -31), NORTH, 10), straight("east", (-30, -1.6), 0, 10)
+    ways = ("SC_0", "CN_0"), ("WC_1", "CE_1")
+    signals = signals_of(light_road, dict(zip(ways, held, strict=True)), 41) if held else ()
+    result = verdict(record_of(north, east, route=("SC", "CN"), signals=signals), light_road)
+    assert str(result.fault.at_fault) == fault
+    assert [str(x.kind) for x in result.target_breaches] == (["right_of_way"] if held else [])
+    assert result.other_breaches == ()
+    assert ("right of way (no signals recorded)" in result.not_judged) is (not held)
+
+
 def test_leaving_the_road_is_a_valid_failure(road) -> None:
     record = record_of(straight("ego", (-150, -4.8), 0, 10, drift=-1.0))
     left = target_leaves_road(record, road)

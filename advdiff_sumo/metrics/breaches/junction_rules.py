@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import shapely
 
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
-from advdiff_sumo.metrics.encounter import BREACH_WINDOW_S, Encounter, JunctionEntry, Party
+from advdiff_sumo.metrics.encounter import BREACH_WINDOW_S, LEAST_SPEED_MPS, Encounter, JunctionEntry, Party
+from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
 #: What who runs a red light did.
@@ -33,11 +35,13 @@ def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None
     the other's lane with a safe gap.
     """
     party, other = met.parties[which], met.parties[1 - which]
-    if party.stood or (other.stood and not other.is_pedestrian):
+    if party.stood or party.is_pedestrian or (other.stood and not other.is_pedestrian):
+        return None
+    if way_is_unknown(view, met):
         return None
     if other.is_pedestrian:
         return _crossing_breach(view, met, party, other)
-    if not met.crossing or party.is_pedestrian or not _lately(view, met, party):
+    if not met.crossing or not _lately(view, met, party):
         return None
     if (
         ran_red(view, party)
@@ -49,6 +53,45 @@ def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None
     return _breach(
         view, met, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{other.name}' at the junction"
     )
+
+
+def disregarded(view: TrafficView, met: Encounter, walker: int) -> Breach | None:
+    """Return the breach by which the other drove into the one who walks: on red, or on a crossing; else None.
+
+    Of a crossing only where the other still had room to stop when the one who walks set foot on it or walked on.
+
+    Args:
+        view: who is where.
+        met: the contact.
+        walker: 0 or 1, who may be walking.
+    """
+    if not met.parties[walker].is_pedestrian:
+        return None
+    on_red = red_light(view, met, 1 - walker)
+    if on_red is not None or not _could_stop(view, met, walker):
+        return on_red
+    return right_of_way(view, met, 1 - walker)
+
+
+def _could_stop(view: TrafficView, met: Encounter, walker: int) -> bool:
+    """Return whether the other had the safe gap to the place of the contact as *walker* came onto the crossing."""
+    tracks, last, first = view.tracks, met.collision.step, met.collision.step
+    other = met.parties[1 - walker].row
+    earliest = max(0, last - view.steps(BREACH_WINDOW_S))
+    while (
+        first > earliest and _walks(view, met.parties[walker], first - 1) and tracks.valid[other, first - 1]
+    ):
+        first -= 1
+    way = tracks.xy_m[other, first : last + 1]
+    left_m = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+    return left_m >= safe_gap_m(abs(float(tracks.speed_mps[other, first])), 0.0)
+
+
+def _walks(view: TrafficView, walker: Party, step: int) -> bool:
+    """Return whether *walker* moves on a crossing at instant *step*."""
+    tracks, row = view.tracks, walker.row
+    moves = bool(tracks.valid[row, step]) and abs(float(tracks.speed_mps[row, step])) > LEAST_SPEED_MPS
+    return moves and on_crossing(view, walker, step)
 
 
 def ran_red(view: TrafficView, party: Party | JunctionEntry) -> bool:
@@ -69,6 +112,19 @@ def signals_at_entry(view: TrafficView, party: Party | JunctionEntry) -> list[st
         return []
     states = [s.get(link.tls_id, "") for s in view.signals[max(0, first - 1) : last + 1]]
     return [s[link.tls_index] for s in states] if all(len(s) > link.tls_index for s in states) else []
+
+
+def way_is_unknown(view: TrafficView, met: Encounter) -> bool:
+    """Return whether a light said who goes at the junction, or the crossing, of *met*, and no signals of it are held.
+
+    Rows of the net then tell nothing: they are for vehicles that have a green at once.
+    """
+    lights = {party.link.tls_id for party in met.parties if party.link is not None} - {None}
+    if not any(all(light not in states for states in view.signals) for light in lights):
+        return False
+    return met.crossing or any(
+        x.is_pedestrian and on_crossing(view, x, met.collision.step) for x in met.parties
+    )
 
 
 def owes_way(view: TrafficView, met: Encounter, which: int) -> bool:

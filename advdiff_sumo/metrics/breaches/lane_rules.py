@@ -6,7 +6,8 @@ import numpy as np
 
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
-from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, Encounter, Party
+from advdiff_sumo.metrics.breaches.junction_rules import disregarded, way_is_unknown
+from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, Encounter, Party, ways_meet
 from advdiff_sumo.metrics.lane_entry import OPPOSITE_RAD
 from advdiff_sumo.metrics.placement import Placement
 from advdiff_sumo.metrics.traffic_view import TrafficView
@@ -45,10 +46,7 @@ def wrong_side(view: TrafficView, met: Encounter, which: int) -> Breach | None:
 def _ways_meet(view: TrafficView, met: Encounter) -> bool:
     """Return whether the ways of the two over a common junction cross or join in the net."""
     first, second = (party.link for party in met.parties)
-    if not met.crossing or first is None or second is None or first.junction_id != second.junction_id:
-        return False
-    foes = view.road.junctions[first.junction_id].foes
-    return second.request_index in foes.get(first.request_index, frozenset())
+    return met.crossing and first is not None and second is not None and ways_meet(view.road, first, second)
 
 
 def on_opposite_lane(view: TrafficView, row: int, lanes: Placement, at: int, start: int) -> bool:
@@ -75,14 +73,16 @@ def lane_entry_breach(view: TrafficView, met: Encounter, which: int) -> Breach |
     """Return the breach of entering the lane of the other with less than the safe gap, or sideways into it.
 
     An entry after which the gap was a safe one again did not lead to the contact. Where ways of different
-    approaches cross or join, giving way is the rule instead.
+    approaches cross or join, giving way is the rule instead, and also where somebody who walks had the way.
     """
     party, entry = met.parties[which], met.entry
     if party.stood or entry is None or entry.row != party.row:
         return _sideways(view, met, which)
     if met.crossing or entry.oncoming or not (entry.leaves_lane or party.is_pedestrian):
         return None
-    if entry.safe or entry.recovered:
+    if entry.safe or entry.recovered or disregarded(view, met, which) is not None:
+        return None
+    if party.is_pedestrian and way_is_unknown(view, met):
         return None
     whose = "lane" if met.parties[1 - which].is_pedestrian else f"lane of '{met.parties[1 - which].name}'"
     if entry.gap_m < 0.0:

@@ -114,7 +114,7 @@ def joined_way(record: EpisodeRecord, road: RoadMap, start: int, stop: int, reac
 
 def _lane_path(record: EpisodeRecord, road: RoadMap, step: int, reach_m: float) -> LanePath | None:
     """Return the lanes from where the target is: along its route, else as it drove, else straight on."""
-    route: Sequence[str] = record.route if all(edge in road.edges for edge in record.route) else ()
+    route = _route_left(record, road, step)
     row, tracks = record.target, record.tracks
     xy, yaw = tracks.xy_m[row, step], float(tracks.yaw_rad[row, step])
     pose = road.locate(xy, yaw, route=route or None)
@@ -132,6 +132,24 @@ def _lane_path(record: EpisodeRecord, road: RoadMap, step: int, reach_m: float) 
         if paths and _far_enough(paths[0], reach_m):
             return paths[0]
     return paths[0] if paths else None
+
+
+def _route_left(record: EpisodeRecord, road: RoadMap, step: int) -> tuple[str, ...]:
+    """Return the target's route from the edge on that it has reached at *step*; () for edges not in the net.
+
+    On a route that passes an edge twice, the second passage is reached once the edges between were driven.
+    """
+    route = record.route
+    if not all(edge in road.edges for edge in route):
+        return ()
+    if len(set(route)) == len(route):
+        return route
+    states, past = record.tracks, slice(0, step + 1)
+    passed = 0
+    for edge in road.match_route(states.xy_m[record.target, past], states.yaw_rad[record.target, past]) or ():
+        if edge in route[passed:]:
+            passed = route.index(edge, passed)
+    return route[passed:]
 
 
 def _far_enough(path: LanePath, reach_m: float) -> bool:

@@ -1,0 +1,97 @@
+"""Contacts with people on the crossings of ``encounters.crossing``, which lie at x and y = ±8.4 m, worked by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.collision import collisions, target_collision
+from advdiff_sumo.metrics.verdict import judge
+from tests.metrics.encounters import EDGES, NODES, build, driven, findings, record_of, signals_of, straight
+
+NORTH = math.pi / 2
+WALKER = {"size": (0.6, 0.6), "agent_class": AgentClass.PEDESTRIAN}
+CROSSINGS = ("--sidewalks.guess", "true", "--crossings.guess", "true")
+ROUTE = ("SC", "CN")
+
+
+@pytest.fixture(scope="module")
+def foot(tmp_path_factory: pytest.TempPathFactory) -> RoadMap:
+    """The crossing with sidewalks and crossings for people; the street along x has priority."""
+    return build(
+        tmp_path_factory.mktemp("foot"), NODES.format(kind="priority"), EDGES, "foot", more=CROSSINGS
+    )
+
+
+@pytest.fixture(scope="module")
+def foot_lights(tmp_path_factory: pytest.TempPathFactory) -> RoadMap:
+    """The same with traffic lights."""
+    nodes = NODES.format(kind="traffic_light")
+    return build(tmp_path_factory.mktemp("lights"), nodes, EDGES, "lights", more=CROSSINGS)
+
+
+@pytest.mark.parametrize("from_x_m", [6.0, 6.4, 7.0, 7.4])
+def test_who_is_run_into_on_a_crossing_broke_no_rule(foot, from_x_m) -> None:
+    """They were to blame for entering the lane less than 0.75 * 8 + 8² / 12 = 11.3 m ahead of the target."""
+    ego = straight("ego", (1.6, -30), NORTH, 8, steps=81)
+    on = driven("on", (from_x_m, 8.4), math.pi, np.full(81, 1.0), **WALKER)
+    kind, fault, own, other = findings(record_of(ego, on, route=ROUTE), foot)
+    assert (kind, fault, other) == ("side", "target", [])
+    assert "right_of_way" in own
+    assert findings(record_of(on, ego, route=()), foot)[1:3] == ("other", [])
+
+
+@pytest.mark.parametrize(
+    ("stands_s", "fault"),
+    [
+        (2.6, "target"),
+        (3.2, "other"),
+    ],  # at 8 m/s 0.75 * 8 + 8² / 12 = 11.3 m, 1.4 s, are needed; contact at 4.6 s
+)
+def test_who_steps_onto_a_crossing_too_late_is_to_blame(foot, stands_s, fault) -> None:
+    """The car's front is at the walker's line, y = 8.4 m, at 4.5 s."""
+    ego = straight("ego", (1.6, -30), NORTH, 8, steps=81)
+    speeds = np.where(np.arange(81) * 0.1 < stands_s, 0.0, 1.5)
+    steps = driven("steps", (1.6 + 1.5 * (4.6 - stands_s), 8.4), math.pi, speeds, **WALKER)
+    kind, blamed, own, _other = findings(record_of(ego, steps, route=ROUTE), foot)
+    assert (kind, blamed, "right_of_way" in own) == ("side", fault, True)
+
+
+def before_the_light(road: RoadMap, letter: str | None) -> EpisodeRecord:
+    """Return a car northward on *letter* at 10 m/s, and somebody who crosses before it; both are there at 3 s."""
+    ego = straight("ego", (1.6, -8.4 - 2.0 - 30.0), NORTH, 10, steps=61)
+    walker = driven("walker", (1.6 - 1.3 * 3.0, -8.4), 0.0, np.full(61, 1.3), **WALKER)
+    signals = () if letter is None else signals_of(road, {("SC_1", "CN_1"): letter}, 61)
+    return record_of(ego, walker, route=ROUTE, signals=signals)
+
+
+def test_who_is_run_into_by_somebody_on_red_broke_no_rule(foot_lights) -> None:
+    """In the lane at 1.8 s, 11.7 m ahead, where 0.75 * 10 + 10² / 12 = 15.8 m are needed."""
+    expected = ("side", "target", ["red_light", "right_of_way"], [])
+    assert findings(before_the_light(foot_lights, "r"), foot_lights) == expected
+
+
+def test_who_walks_before_a_protected_green_entered_the_lane(foot_lights) -> None:
+    expected = ("side", "other", [], ["unsafe_lane_entry"])
+    assert findings(before_the_light(foot_lights, "G"), foot_lights) == expected
+
+
+def test_without_signals_nobody_is_convicted_on_a_crossing_of_a_light(foot_lights) -> None:
+    record = before_the_light(foot_lights, None)
+    assert findings(record, foot_lights) == ("side", "unclear", [], [])
+    hit = target_collision(record, collisions(record))
+    assert hit is not None
+    assert "right of way (no signals recorded)" in judge(record, foot_lights, hit).not_judged
+
+
+def test_two_who_walk_into_each_other_on_a_crossing_owe_no_way(foot) -> None:
+    one, other = (
+        driven("one", (-3, 8.4), 0.0, np.full(61, 1.0), **WALKER),
+        driven("other", (3, 8.4), math.pi, np.full(61, 1.0), **WALKER),
+    )
+    assert findings(record_of(one, other, route=()), foot)[1:] == ("unclear", [], [])

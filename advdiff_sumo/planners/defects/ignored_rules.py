@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.planners.defects.fault import Fault, chance, others_of, with_states
@@ -79,16 +79,21 @@ class IgnoredCutIns(Fault):
     """Others seem to keep their lane; that one has changed into another one is noticed ``value`` seconds late."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
-        """Return others in the middle of the lane that they are in, or were in until lately."""
+        """Return others in the middle of the lane that they are in, or were in until lately.
+
+        People on foot, and who is on a junction or off the lanes, are where they are; what is known of them stays.
+        """
         del seed
         history, known, now = scene.history, dict(memory or {}), {}
-        lanes, s, d, _ = road.locate_many(history.xy_m[:, -1], history.yaw_rad[:, -1], internal=False)
+        lanes, s, d, _ = road.locate_many(history.xy_m[:, -1], history.yaw_rad[:, -1])
         xy, yaw = history.xy_m.copy(), history.yaw_rad.copy()
-        rows = others_of(scene)
+        rows = others_of(scene) & (history.classes != AgentClass.PEDESTRIAN)
         for row, name in enumerate(history.ids):
             lane = lanes[row]
-            if lane is None or not rows[row] or abs(d[row]) > road.lanes[lane].width_m:
+            where = None if lane is None else road.lanes[lane]
+            if where is None or where.is_internal or not rows[row] or abs(d[row]) > where.width_m:
                 rows[row] = False
+                now |= {name: known[name]} if name in known else {}
                 continue
             change = _changed(road, known.get(name), lane, scene.time_s)
             now[name] = change

@@ -204,6 +204,54 @@ def test_nor_does_one_of_a_server_whose_first_thread_has_ended(tmp_path: Path) -
     assert not running(f"sleep(600) of {program}")
 
 
+ELSEWHERE = """
+import importlib.util, os, pathlib, sys
+
+spec = importlib.util.spec_from_file_location("keeper", sys.argv[1])
+keeper = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(keeper)
+if hasattr(os, "pidfd_open"):
+    del os.pidfd_open
+keeper.PROC = pathlib.Path("/no-such-folder")
+sys.argv[1:] = sys.argv[2:]
+keeper.main()
+"""
+DEAF_WITH_CHILD = """
+import signal, subprocess, sys, time
+
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)", "of " + __file__])
+time.sleep(600)
+"""
+
+
+def kept_elsewhere(*command: str) -> subprocess.Popen[bytes]:
+    """Start the keeper of a command as on a system without pidfd and /proc."""
+    words = [sys.executable, "-I", "-S", "-c", ELSEWHERE, str(keeper.__file__), *command]
+    return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the test itself looks into /proc")
+def test_without_pidfd_and_proc_a_server_and_its_child_end_with_us(tmp_path: Path) -> None:
+    program = tmp_path / "server.py"
+    program.write_text(DEAF_WITH_CHILD)
+    with kept_elsewhere(sys.executable, str(program)) as process:
+        while not running(f"sleep(600) of {program}"):
+            assert process.poll() is None
+            time.sleep(0.01)
+        out, _ = process.communicate(timeout=HANG_S)
+    assert out.split() == [b"-9"]
+    while running(str(program)):  # killed, and not yet gone
+        time.sleep(0.01)
+
+
+def test_without_pidfd_and_proc_a_command_that_ends_tells_how() -> None:
+    with kept_elsewhere(sys.executable, "-c", "raise SystemExit(3)") as process:
+        process.wait(HANG_S)
+        assert process.stdout is not None
+        assert process.stdout.read().split() == [b"3"]
+
+
 def running(*words: str) -> list[str]:
     """Return the command lines of this machine's processes that hold one of *words*."""
     lines = []

@@ -1,8 +1,8 @@
 """Runs a command for as long as its own standard input is open, then ends it and every process that it started.
 
 Started as a script, in an interpreter without any package: the process that holds the other end of the pipe may die in
-any way, and nothing of the command stays behind; without ``/proc`` nothing of its process group. The last line on standard output is the command's exit code, negative
-for a signal.
+any way, and nothing of the command stays behind; without ``/proc`` nothing of its process group. The last line on
+standard output is the command's exit code, negative for a signal.
 """
 
 from __future__ import annotations

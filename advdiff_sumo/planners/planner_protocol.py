@@ -32,7 +32,7 @@ class Planner(Protocol):
         ...
 
     def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> tuple[Plan, Any]:
-        """Return the plan for the target from now on, at least one model step long, and the new memory."""
+        """Return the plan for the target from now on, at least ``scene.least_plan_s`` long, and the new memory."""
         ...
 
 

@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,34 @@ def test_the_same_seed_gives_the_same_plans(served: Made, road: RoadMap, scene: 
     known = 0.001 * len(road.lanes)
     assert plans(planner, road, scene) == [drawn.normal() + known + 0.1, drawn.normal() + known + 0.2]
     assert plans(planner, road, scene) == plans(served(), road, scene)
+
+
+TELLS_LENGTH = """
+import numpy as np
+from advdiff_sumo.planner_kit import Controls, serve
+
+class Planner:
+    def start(self, road, scene, rng):
+        return scene.least_plan_s
+
+    def plan(self, road, scene, memory, rng):
+        return Controls(np.array([memory, scene.least_plan_s]), np.zeros(2), 1.0), memory
+
+serve(Planner)
+"""
+
+
+def test_a_server_is_told_the_time_to_the_next_plan(road: RoadMap, scene: Scene, tmp_path: Path) -> None:
+    program = tmp_path / "server.py"
+    program.write_text(TELLS_LENGTH)
+    planner = make_target(f"exec:{sys.executable} {shlex.quote(str(program))}", {})
+    assert isinstance(planner, RemotePlanner)
+    for given, told in ((scene, 0.5), (replace(scene, replan_s=1.5), 1.5)):
+        memory = planner.start(road, given, np.random.default_rng(0))
+        plan, _ = planner.plan(road, given, memory, np.random.default_rng(0))
+        assert isinstance(plan, Controls)
+        assert plan.accel_mps2.tolist() == [told, told]
+    planner.close()
 
 
 def test_our_own_planner_plans_the_same_in_a_process_of_its_own(road: RoadMap, scene: Scene) -> None:

@@ -22,6 +22,7 @@ from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -117,7 +118,7 @@ def obstacles(path: Path) -> dict[str, str]:
     """Return number → name of the obstacles, the target's as "target"."""
     pattern = r'<dynamicObstacle id="(\d+)">\s*<!--\s*(target|agent): (.*?)\s*-->'
     matches = re.findall(pattern, path.read_text(encoding="utf-8"))
-    return {number: "target" if role == "target" else name for number, role, name in matches}
+    return {number: "target" if role == "target" else unquote(name) for number, role, name in matches}
 
 
 def monitored(python: str, paths: list[Path], keep: Path) -> dict[str, Answers]:

@@ -20,12 +20,13 @@ def plan_arrays(plan: Plan) -> tuple[str, ...]:
     return ("accel_mps2", "steer_rad") if isinstance(plan, Controls) else ("xy_m", "yaw_rad", "speed_mps")
 
 
-def form_problem(plan: Plan, model_step_s: float) -> str:
+def form_problem(plan: Plan, model_step_s: float, replan_every: int = 1) -> str:
     """Return what is wrong with the form of *plan*, as a sentence; "" where nothing is.
 
     Args:
         plan: from a planner; its fields may be anything.
-        model_step_s: the plan must be at least so long.
+        model_step_s: spacing of replanning instants.
+        replan_every: of these instants to the next plan, to which this one must last.
     """
     arrays: dict[str, Any] = {name: getattr(plan, name) for name in plan_arrays(plan)}
     for name, array in arrays.items():
@@ -39,9 +40,17 @@ def form_problem(plan: Plan, model_step_s: float) -> str:
     if problem:
         return f"dt_s {problem}"
     steps = min(len(array) for array in arrays.values())
-    if steps * plan.dt_s < model_step_s - 1e-9:
-        return f"it lasts {steps * plan.dt_s:g} s, less than one model step of {model_step_s:g} s"
-    return ""
+    return _length_problem(steps * plan.dt_s, model_step_s, replan_every)
+
+
+def _length_problem(lasts_s: float, model_step_s: float, replan_every: int) -> str:
+    next_s = model_step_s * replan_every
+    if lasts_s >= next_s - 1e-9:
+        return ""
+    if replan_every == 1:
+        return f"it lasts {lasts_s:g} s, less than one model step of {model_step_s:g} s, the time to the next plan"
+    steps = f"sim.replan_every = {replan_every} model steps of {model_step_s:g} s"
+    return f"it lasts {lasts_s:g} s, less than the {next_s:g} s to the next plan ({steps})"
 
 
 def values_problem(plan: Plan) -> str:
@@ -58,11 +67,14 @@ def values_problem(plan: Plan) -> str:
     return ""
 
 
-def can_be_driven(plan: object, model_step_s: float) -> bool:
-    """Return whether *plan* is one, and of right form and values; whether it jumps is for who knows the place."""
+def can_be_driven(plan: object, least_s: float) -> bool:
+    """Return whether *plan* is one, of right form and values, and lasts *least_s*.
+
+    Whether it jumps is for who knows the place.
+    """
     if not isinstance(plan, Controls | Trajectory):
         return False
-    return not form_problem(plan, model_step_s) and not values_problem(plan)
+    return not form_problem(plan, least_s) and not values_problem(plan)
 
 
 def in_float64(plan: Plan) -> Plan:

@@ -170,6 +170,7 @@ class Scene:
         movable: (A,) background vehicles that the policy may move now.
         routes: A tuples of edge ids, from the agent's present edge on; () where unknown.
         signals: id of each traffic light → its state string as SUMO writes it.
+        replan_s: time to the target's next plan; 0: one step of the history.
     """
 
     history: Tracks
@@ -177,6 +178,12 @@ class Scene:
     movable: BoolArray
     routes: tuple[tuple[str, ...], ...]
     signals: Mapping[str, str]
+    replan_s: float = 0.0
+
+    @property
+    def least_plan_s(self) -> float:
+        """How long the target's plan must last at least: to the next one."""
+        return self.replan_s or self.history.dt_s
 
     @property
     def time_s(self) -> float:

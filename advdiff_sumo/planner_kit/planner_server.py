@@ -8,7 +8,7 @@ import traceback
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
 import grpc
@@ -32,11 +32,12 @@ _SENTENCE, _TRACE = 500, 4000  # bytes; gRPC bounds the size of headers
 
 @dataclass
 class _Running:
-    """An episode: its map, the planner's memory and random numbers."""
+    """An episode: its map, the planner's memory and random numbers, and the time from one plan to the next."""
 
     road: Any
     memory: Any
     rng: np.random.Generator
+    replan_s: float
 
 
 class _NoPlanError(Exception):
@@ -82,8 +83,8 @@ class PlannerServer:
             return messages.StartReply(need_map=True)
         self._roads.move_to_end(request.map_id)
         rng = np.random.default_rng(request.seed)
-        memory = self.planner.start(road, _scene(request.scene), rng)
-        self._episodes[request.episode_id] = _Running(road, memory, rng)
+        memory = self.planner.start(road, _scene(request.scene, request.model_step_s), rng)
+        self._episodes[request.episode_id] = _Running(road, memory, rng, request.model_step_s)
         _forget(self._episodes, _KEPT_EPISODES)
         return messages.StartReply()
 
@@ -92,7 +93,8 @@ class PlannerServer:
         running = self._episodes.get(request.episode_id)
         if running is None:
             raise RuntimeError("this episode was not started here; was the server restarted?")
-        answer = self.planner.plan(running.road, _scene(request.scene), running.memory, running.rng)
+        scene = _scene(request.scene, running.replan_s)
+        answer = self.planner.plan(running.road, scene, running.memory, running.rng)
         if not (
             isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], (Trajectory, Controls))
         ):
@@ -176,8 +178,8 @@ class OsiScene(Scene):
     osi_ground_truth: bytes = b""
 
 
-def _scene(message: Any) -> Scene:
-    scene = scene_of(message)
+def _scene(message: Any, replan_s: float) -> Scene:
+    scene = replace(scene_of(message), replan_s=replan_s)
     if not message.osi_ground_truth:
         return scene
     return OsiScene(**vars(scene), osi_ground_truth=message.osi_ground_truth)

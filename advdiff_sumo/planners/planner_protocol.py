@@ -12,6 +12,12 @@ from advdiff_sumo.core.plan import Plan
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 
+LEFT_OFFSET_M = "leftOffset"
+"""Key of :attr:`SumoDriver.params`: how far to the left of its lane's middle the vehicle drives (m).
+
+SUMO's own ``latAlignment`` counts to the right where traffic keeps left; the episode writes it, as it knows the net.
+"""
+
 
 @runtime_checkable
 class Planner(Protocol):
@@ -26,7 +32,7 @@ class Planner(Protocol):
         ...
 
     def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> tuple[Plan, Any]:
-        """Return the plan for the target from now on, at least one model step long, and the new memory."""
+        """Return the plan for the target from now on, at least ``scene.least_plan_s`` long, and the new memory."""
         ...
 
 
@@ -54,7 +60,7 @@ class SumoDriver:
     Attributes:
         car_following: SUMO's name, such as "IDM".
         lane_change: SUMO's name, such as "SL2015".
-        params: further vType attributes, such as {"tau": 1.0}.
+        params: further vType attributes, such as {"tau": 1.0}, and :data:`LEFT_OFFSET_M`.
     """
 
     car_following: str

@@ -33,6 +33,15 @@ TARGETS = Registry(
 The group of plug-ins is ``advdiff_sumo.planners``.
 """
 
+BUILTIN_PLAN_S = 2.0
+"""How long each plan of the built-in planners lasts at least."""
+
+
+def plans_briefly(name: str) -> bool:
+    """Return whether the target *name* is a planner of ours: its plans may last no more than :data:`BUILTIN_PLAN_S`."""
+    canonical = TARGETS.canonical(name)
+    return canonical in TARGETS.builtins and canonical not in CAR_FOLLOWING
+
 
 def make_target(name: str, options: Mapping[str, Any]) -> Target:
     """Return the target that *name* stands for, set up with *options*.

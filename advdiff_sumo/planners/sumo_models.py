@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field, field_validator
 
@@ -60,6 +62,45 @@ _LANE_CHANGE_PARAMS = """
 PARAMS = frozenset((_MODEL_PARAMS + _JUNCTION_PARAMS + _LANE_CHANGE_PARAMS).split())
 """Further vType attributes of SUMO's schema that change how a vehicle drives, not what it is."""
 
+_DISTRIBUTION = re.compile(r"(normc?)\(([^()]*)\)")
+
+
+class SpeedFactor(NamedTuple):
+    """Desired speed over the limit, as SUMO draws it for each vehicle: normal, cut off at its bounds.
+
+    Attributes:
+        mean: of the distribution before it is cut off.
+        deviation: its standard deviation; 0: always the mean.
+        low: smallest value.
+        high: largest value.
+    """
+
+    mean: float
+    deviation: float = 0.0
+    low: float = 0.2
+    high: float = 2.0
+
+    @classmethod
+    def read(cls, given: float | str) -> SpeedFactor:
+        """Return what a number, "norm(mean,deviation)" or "normc(mean,deviation,low,high)" says.
+
+        Raises:
+            ValueError: it is none of these, or makes no sense.
+        """
+        found = _DISTRIBUTION.fullmatch(str(given).replace(" ", ""))
+        name, texts = (found[1], found[2].split(",")) if found else ("", [str(given)])
+        if len(texts) != {"": 1, "norm": 2, "normc": 4}[name]:
+            raise ValueError("expected a number, norm(mean,deviation) or normc(mean,deviation,low,high)")
+        try:
+            numbers = [float(text) for text in texts]
+        except ValueError:
+            raise ValueError("expected a number, or SUMO's text such as normc(1,0.1,0.2,2)") from None
+        bounds = {"": [0.0, min(0.2, numbers[0]), max(2.0, numbers[0])], "norm": [0.0, math.inf], "normc": []}
+        read = cls(*numbers, *bounds[name])
+        if not (0.0 <= read.low <= read.mean <= read.high and read.mean > 0.0 <= read.deviation):
+            raise ValueError("0 <= low <= mean <= high, mean > 0 and deviation >= 0 must hold")
+        return read
+
 
 class SumoDriverOptions(Options):
     """How a SUMO-driven target drives; what is None keeps SUMO's default for the vehicle's class.
@@ -72,7 +113,8 @@ class SumoDriverOptions(Options):
         emergencyDecel: strongest deceleration (m/s²), at least ``decel``.
         minGap: gap to the leader at standstill (m).
         sigma: driver imperfection in [0, 1].
-        speedFactor: desired speed over the limit, a number or SUMO's text such as "normc(1,0.1,0.2,2)".
+        speedFactor: desired speed over the limit, a number, or SUMO's text such as
+            "normc(1,0.1,0.2,2)", of which each episode draws its own.
         maxSpeed: top speed (m/s).
         params: further vType attributes of :data:`PARAMS`.
     """
@@ -99,7 +141,16 @@ class SumoDriverOptions(Options):
         for key in params:
             if key not in PARAMS:
                 raise ValueError(f"SUMO has no driving attribute '{key}'; {_suggest(key)}")
+        if "speedDev" in params:
+            _check_deviation(params["speedDev"])
         return params
+
+    @field_validator("speedFactor")
+    @classmethod
+    def _can_be_drawn(cls, value: float | str | None) -> float | str | None:
+        if value is not None:
+            SpeedFactor.read(value)
+        return value
 
     @field_validator("emergencyDecel")
     @classmethod
@@ -108,6 +159,15 @@ class SumoDriverOptions(Options):
         if value is not None and decel is not None and value < decel:
             raise ValueError(f"must be at least decel = {decel}")
         return value
+
+
+def _check_deviation(value: float | str) -> None:
+    try:
+        fits = 0.0 <= float(value) < math.inf
+    except ValueError:
+        fits = False
+    if not fits:
+        raise ValueError(f"speedDev = {value!r} is no number of at least 0")
 
 
 def _suggest(key: str) -> str:

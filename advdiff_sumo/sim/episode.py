@@ -20,6 +20,7 @@ from advdiff_sumo.sim.episode_setup import EpisodeSetup
 from advdiff_sumo.sim.heartbeat import Phase
 from advdiff_sumo.sim.session import Session
 from advdiff_sumo.sim.start import prepare
+from advdiff_sumo.sim.sumo_target import as_driven
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,8 @@ class Episode(EpisodeSetup):
             SimulationError: SUMO does not start, or a simulation is running in this process.
         """
         with tempfile.TemporaryDirectory(prefix="advdiff-") as folder:
-            preparation = prepare(self.scene, self.target, self.sim, Path(folder), self.gui)
+            driver = as_driven(self.target, self.road.lefthand, self.seed)
+            preparation = prepare(self.scene, driver, self.sim, Path(folder), self.gui)
             with Session(preparation.options) as session:
                 yield Loop(self, session, preparation.type_of_class)
 

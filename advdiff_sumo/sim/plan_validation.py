@@ -13,21 +13,22 @@ from advdiff_sumo.core.plan_form import form_problem, in_float64, interval_probl
 from advdiff_sumo.core.scene import AgentClass, Tracks
 
 
-def check_plan(plan: Plan, xy_m: FloatArray, model_step_s: float, who: str) -> Plan:
+def check_plan(plan: Plan, xy_m: FloatArray, model_step_s: float, who: str, replan_every: int = 1) -> Plan:
     """Return a planner's plan in float64; one that no vehicle could drive is refused.
 
     Args:
         plan: from the planner.
         xy_m: (2,) where the vehicle is now.
-        model_step_s: the plan must be at least so long.
+        model_step_s: spacing of replanning instants.
         who: name for the message.
+        replan_every: of these instants to the next plan, to which this one must last.
 
     Raises:
         PlanRefusedError: of another type or shape, NaN, a jump, or too short.
     """
     if not isinstance(plan, Controls | Trajectory):
         raise PlanRefusedError(f"{who} returned a {type(plan).__name__}, not a Trajectory or Controls")
-    problem = form_problem(plan, model_step_s)
+    problem = form_problem(plan, model_step_s, replan_every)
     if problem:
         raise PlanRefusedError(f"{who} planned {type(plan).__name__} that cannot be driven: {problem}")
     problem = values_problem(plan)

@@ -23,7 +23,7 @@ from advdiff_sumo.data.log_reader import LogReader
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net, net_name
 from advdiff_sumo.planners.planner_protocol import Planner, Served, SumoDriver, Target
-from advdiff_sumo.planners.planner_registry import TARGETS, make_target
+from advdiff_sumo.planners.planner_registry import BUILTIN_PLAN_S, TARGETS, make_target, plans_briefly
 from advdiff_sumo.sim.demand_files import DemandFiles, net_of_configuration, read_demand
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.logs import LoggedTraffic
@@ -255,10 +255,21 @@ def check_together(options: RunOptions, target: Target) -> None:
     """
     if isinstance(target, SumoDriver):
         lane_change_model(target, options.sim)
+    _check_plan_length(options)
     if isinstance(target, Served):
         target.check()
     if options.demand and options.scenes:
         raise ConfigError("demand and scenes cannot go together: a log brings its own traffic")
+
+
+def _check_plan_length(options: RunOptions) -> None:
+    sim = options.sim
+    if sim.model_step_s * sim.replan_every > BUILTIN_PLAN_S + 1e-9 and plans_briefly(options.target):
+        most = max(int(BUILTIN_PLAN_S / sim.model_step_s + 1e-9), 1)
+        raise ConfigError(
+            f"sim.replan_every = {sim.replan_every} steps of {sim.model_step_s:g} s: target '{options.target}' plans "
+            f"{BUILTIN_PLAN_S:g} s, which ends before the next plan; set sim.replan_every to {most} at most"
+        )
 
 
 def read_road(net: str) -> RoadMap:

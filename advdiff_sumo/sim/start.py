@@ -41,7 +41,7 @@ def prepare(
 
     Args:
         scene: the seed scene.
-        target: what drives its target vehicle.
+        target: what drives its target vehicle, as :func:`~advdiff_sumo.sim.sumo_target.as_driven` has it.
         sim: steps and sublanes.
         folder: where the files go; must live as long as the session.
         gui: open sumo-gui.
@@ -131,7 +131,7 @@ def _with_target_type(state_xml: bytes, target_id: str, target: Target) -> bytes
         raise SimulationError(f"the saved traffic holds no vehicle '{target_id}'")
     vehicle.set("type", TARGET_TYPE)
     wanted = target.params.get("speedFactor", 1.0) if isinstance(target, SumoDriver) else 1.0
-    vehicle.set("speedFactor", f"{_mean(wanted):.4f}")
+    vehicle.set("speedFactor", f"{float(wanted):.4f}")
     for saved in root.iter("vehicle"):
         _forget_advices(saved)
     return bytes(tostring(root, encoding="utf-8", xml_declaration=True))
@@ -152,9 +152,3 @@ def _forget_advices(vehicle: Element) -> None:
     state = vehicle.get("lcStateBase", "").split()
     if len(state) > 1:
         vehicle.set("lcStateBase", state[0])
-
-
-def _mean(factor: float | str) -> float:
-    """Return a speed factor's number, or the mean of SUMO's "normc(mean,…)"."""
-    match = re.search(r"[\d.]+", str(factor))
-    return float(match.group()) if match else 1.0

@@ -128,8 +128,8 @@ class PlannerDrive:
                 f"target '{self.name}' returned {type(answer).__name__}, not (plan, memory)"
             )
         plan, self._memory = answer
-        who = f"target '{self.name}'"
-        return check_plan(plan, self.world.xy_m[self.row], self.sim.model_step_s * self.sim.replan_every, who)
+        here, sim = self.world.xy_m[self.row], self.sim
+        return check_plan(plan, here, sim.model_step_s, f"target '{self.name}'", sim.replan_every)
 
     def end(self, end: str, time_s: float, failure: str) -> None:
         """Tell a planner outside this process that the episode is over."""
@@ -193,4 +193,9 @@ class PlannerDrive:
     def _view(self, scene: Scene) -> Scene:
         """Return a copy of *scene* without what a driver cannot know: others' routes, and who is being moved."""
         routes = tuple(self.route if k == scene.target else () for k in range(scene.history.agents))
-        return replace(scene.copied(), routes=routes, movable=np.zeros_like(scene.movable))
+        return replace(
+            scene.copied(),
+            routes=routes,
+            movable=np.zeros_like(scene.movable),
+            replan_s=self.sim.model_step_s * self.sim.replan_every,
+        )

@@ -103,6 +103,10 @@ def test_a_net_without_a_drivable_route(
         (("--set", "sim.step_s=7"), ("sim.step_s = 7", "less than or equal to 0.5")),
         (("--set", "sim.step_s=fast"), ("sim.step_s = 'fast'", "valid number")),
         (("--set", "sim.step_s=0.3"), ("model_step_s = 0.5 is no whole multiple of 0.3",)),
+        (
+            ("--target", "lane_graph", "--set", "sim.replan_every=5"),
+            ("target 'lane_graph' plans 2 s", "set sim.replan_every to 4 at most"),
+        ),
         (("--set", "warmup"), ("--set warmup", "NAME=VALUE", "for example")),
         (("--set", "seed.a=1"), ("seed", "valid integer")),
         (("--set", "target_options.tauu=1"), ("options of target 'IDM'", "did you mean 'tau'?")),

@@ -302,6 +302,39 @@ def test_a_cut_in_is_noticed_late(crossing: Maker) -> None:
     assert offsets == pytest.approx([3.2, 3.2, 3.2, 3.2, 0.0], abs=1e-6)
 
 
+def test_a_cut_in_before_a_junction_is_noticed_late_beyond_it_and_nobody_on_it_is_moved(
+    crossing: Maker,
+) -> None:
+    road: RoadMap = crossing()
+    way = road.links["west_in_0", "east_out_0"].via[0]
+    length_m = road.lanes[way].length_m
+    memory, offsets = None, []
+    places = [
+        ("west_in_1", 180.0),
+        ("west_in_0", 185.0),
+        (way, 2.0),
+        (way, 0.5 * length_m),
+        ("east_out_0", 5.0),
+    ]
+    for k, (lane, s) in enumerate([*places, ("east_out_0", 20.0)]):
+        cars = [Car("west_in_0", 50.0, 10.0), Car(lane, s, 10.0)]
+        scene = later(make_scene(road, cars, ("west_in", "east_out")), 0.5 * k)
+        given, memory = perceived("cut-in:2", scene, road, memory)
+        if lane == way:
+            assert (given.history.xy_m == scene.history.xy_m).all()
+        offsets.append(float(given.history.xy_m[1, -1, 1] - road.to_world(lane, s)[0][1]))
+    assert offsets == pytest.approx([0.0, 3.2, 0.0, 0.0, 3.2, 0.0], abs=1e-6)  # noticed at 0.5 + 2 s
+
+
+def test_people_on_foot_are_not_put_on_lanes(crossing: Maker) -> None:
+    road: RoadMap = crossing()
+    cars = [Car("west_in_0", 50.0, 10.0), Car("west_in_0", 80.0, 1.0, 1.2)]
+    scene = make_scene(road, cars, ("west_in", "east_out"))
+    people = np.array([AgentClass.CAR, AgentClass.PEDESTRIAN])
+    scene = later(scene, 0.0, classes=people)
+    assert (perceived("cut-in:1.5", scene, road)[0].history.xy_m == scene.history.xy_m).all()
+
+
 # --- brakes and plans -------------------------------------------------------------------------------------
 
 

@@ -16,7 +16,9 @@ from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.planner_protocol import SumoDriver
+from advdiff_sumo.planners.defects.actuation import WeakBrakes
+from advdiff_sumo.planners.defects.defective_planner import with_faults
+from advdiff_sumo.planners.planner_protocol import Planner, SumoDriver
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.target import PlannerDrive
@@ -163,6 +165,8 @@ def test_a_plan_must_reach_to_the_next_one(scene: SeedScene, road: RoadMap) -> N
         assert record.end == end
     assert record.failure is not None
     assert record.failure.kind == "plan_refused"
+    said = "it lasts 0.5 s, less than the 1 s to the next plan (sim.replan_every = 2 model steps of 0.5 s)"
+    assert said in record.failure.message
 
 
 def test_a_target_sees_as_far_with_replay_as_with_every_background(
@@ -188,6 +192,24 @@ class Braking:
     ) -> tuple[Controls, None]:
         """Brake gently."""
         return Controls(np.full(5, -0.5), np.zeros(5), 0.1), None
+
+
+class AsLongAsItMust(Braking):
+    """Brakes until the next plan."""
+
+    def plan(
+        self, road: RoadMap, scene: Scene, memory: None, rng: np.random.Generator
+    ) -> tuple[Controls, None]:
+        return Controls(np.full(1, -1.0), np.zeros(1), scene.least_plan_s), None
+
+
+@pytest.mark.parametrize("target", [AsLongAsItMust(), with_faults(AsLongAsItMust(), (WeakBrakes(2.5),))])
+def test_a_planner_is_told_how_long_its_plan_must_be(
+    scene: SeedScene, road: RoadMap, target: Planner
+) -> None:
+    for every in (1, 3):
+        record, _ = episode(scene, road, target=target, horizon_s=3.0, replan_every=every).run()
+        assert record.end is EndReason.HORIZON
 
 
 def test_the_policy_moves_only_what_is_near_the_target(scene: SeedScene, road: RoadMap) -> None:

@@ -134,7 +134,9 @@ def convert_source(
     *close_rim*, return edges beside the map lead from where it then ends to where it begins (:mod:`.rim`). With
     *cycle_for*, signals have fixed times for so many vehicles in the hour (:mod:`.signals.fixed_times`).
     """
-    left = drives_left(source.location) if lefthand is None else lefthand
+    left = lefthand
+    if left is None:
+        left = source.keeps_left or drives_left(source.location)
     if source.projection is None:
         source = replace(source, projection=projection_of(source.location))
     given, source = source, repair(check_geometry(source))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from advdiff_sumo.planners.defects import actuation, ignored_rules, misjudgement, sensing, stale_tracks
 from advdiff_sumo.planners.defects.fault import Fault
+from advdiff_sumo.planners.planner_protocol import LEFT_OFFSET_M
 
 SEVERITIES = ("weak", "middle", "strong")
 SumoParams = Mapping[str, float]
@@ -198,8 +199,8 @@ _KINDS = (
         (0.5, 1.0, 2.0),
         (-10.0, 10.0),
         misjudgement.LocalisationOffset,
-        lambda m: {"latAlignment": -m},
-        "`latAlignment`; SUMO keeps the vehicle within its lane",
+        lambda m: {LEFT_OFFSET_M: -m},
+        "`latAlignment`, on sublanes; SUMO keeps the vehicle within its lane",
     ),
     DefectKind(
         "weak-brakes",

@@ -77,7 +77,7 @@ class DefectivePlanner:
         if not (isinstance(planned, tuple) and len(planned) == 2):
             return planned  # type: ignore[no-any-return] # no plan: the episode refuses it and says so
         plan, own = planned
-        if not can_be_driven(plan, scene.history.dt_s):
+        if not can_be_driven(plan, scene.least_plan_s):
             return plan, replace(
                 memory, planner=own
             )  # the episode refuses it, in the words that it has without faults

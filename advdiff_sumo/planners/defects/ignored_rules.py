@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
-from advdiff_sumo.maps import Link, RoadMap
+from advdiff_sumo.maps import Lane, Link, RoadMap
 from advdiff_sumo.planners.defects.fault import Fault, chance, others_of, with_states
 from advdiff_sumo.planners.lane_graph.rules import signal_state
 
@@ -79,16 +79,21 @@ class IgnoredCutIns(Fault):
     """Others seem to keep their lane; that one has changed into another one is noticed ``value`` seconds late."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
-        """Return others in the middle of the lane that they are in, or were in until lately."""
+        """Return others in the middle of the lane that they are in, or were in until lately.
+
+        People on foot, and who is on a junction or off the lanes, are where they are; what is known of them stays.
+        """
         del seed
-        history, known, now = scene.history, dict(memory or {}), {}
-        lanes, s, d, _ = road.locate_many(history.xy_m[:, -1], history.yaw_rad[:, -1], internal=False)
+        history, known = scene.history, dict[str, _Change](memory or {})
+        now: dict[str, _Change] = {}
+        lanes, s, d, _ = road.locate_many(history.xy_m[:, -1], history.yaw_rad[:, -1])
         xy, yaw = history.xy_m.copy(), history.yaw_rad.copy()
-        rows = others_of(scene)
+        rows = others_of(scene) & (history.classes != AgentClass.PEDESTRIAN)
         for row, name in enumerate(history.ids):
             lane = lanes[row]
-            if lane is None or not rows[row] or abs(d[row]) > road.lanes[lane].width_m:
+            if lane is None or not rows[row] or _keeps_place(road.lanes[lane], float(d[row])):
                 rows[row] = False
+                now |= {name: known[name]} if name in known else {}
                 continue
             change = _changed(road, known.get(name), lane, scene.time_s)
             now[name] = change
@@ -99,6 +104,11 @@ class IgnoredCutIns(Fault):
             xy[row] += place - history.xy_m[row, -1]
             yaw[row, -1] = float(heading)
         return with_states(scene, rows, xy, yaw), now
+
+
+def _keeps_place(lane: Lane, beside_m: float) -> bool:
+    """Return whether somebody *beside_m* from the middle of *lane* is on a junction or beside the lane."""
+    return lane.is_internal or abs(beside_m) > lane.width_m
 
 
 def own_links(road: RoadMap, scene: Scene) -> tuple[Link, ...]:

@@ -1,8 +1,8 @@
 """Runs a command for as long as its own standard input is open, then ends it and every process that it started.
 
 Started as a script, in an interpreter without any package: the process that holds the other end of the pipe may die in
-any way, and nothing of the command stays behind. The last line on standard output is the command's exit code, negative
-for a signal.
+any way, and nothing of the command stays behind; without ``/proc`` nothing of its process group. The last line on
+standard output is the command's exit code, negative for a signal.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import time
 from pathlib import Path
 
 _PR_SET_CHILD_SUBREAPER = 36
-_GRACE_S, _POLL_S = 0.5, 0.01
+_GRACE_S, _POLL_S, _WATCH_S = 0.5, 0.01, 0.05
+PROC = Path("/proc")
 _THREADS = 20 - 3
 """Where ``/proc/PID/stat`` has the number of threads, its field 20, counted from the state."""
 
@@ -26,10 +27,19 @@ _THREADS = 20 - 3
 def main() -> None:
     """Run ``sys.argv[1:]``."""
     adopt_orphans()
+    lists_processes = (PROC / "self" / "stat").exists()
     try:
-        with subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL, stdout=sys.stderr) as command:
+        with subprocess.Popen(
+            sys.argv[1:],
+            stdin=subprocess.DEVNULL,
+            stdout=sys.stderr,
+            start_new_session=not lists_processes,
+        ) as command:
             _wait(command)
-            end_descendants()
+            if lists_processes:
+                end_descendants()
+            else:
+                end_group(command)
             code = command.wait()
     except OSError as error:
         sys.stderr.write(f"{sys.argv[1]}: {error.strerror}\n")
@@ -39,12 +49,24 @@ def main() -> None:
 
 def _wait(command: subprocess.Popen[bytes]) -> None:
     """Return when *command* ends, or when nobody holds the other end of standard input any more."""
-    ended = os.pidfd_open(command.pid)
+    ended = _pidfd(command.pid)
+    if ended is None:
+        while command.poll() is None and not select.select([0], [], [], _WATCH_S)[0]:
+            pass
+        return
     poll = select.poll()
     poll.register(ended, select.POLLIN)
     poll.register(0, select.POLLIN | select.POLLHUP)
     poll.poll()
     os.close(ended)
+
+
+def _pidfd(pid: int) -> int | None:
+    """Return a descriptor that becomes readable when *pid* ends; None where the system has none (macOS, old Linux)."""
+    try:
+        return os.pidfd_open(pid)
+    except (AttributeError, OSError):
+        return None
 
 
 def adopt_orphans() -> None:
@@ -69,10 +91,22 @@ def end_descendants() -> None:
         time.sleep(_POLL_S)
 
 
+def end_group(command: subprocess.Popen[bytes]) -> None:
+    """Ask the process group that *command* leads to end, and kill what is still there half a second later."""
+    until = time.monotonic() + _GRACE_S
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # nobody is left
+        os.killpg(command.pid, signal.SIGTERM)
+        while time.monotonic() < until:
+            command.poll()  # else it is there as a zombie
+            os.killpg(command.pid, 0)
+            time.sleep(_POLL_S)
+        os.killpg(command.pid, signal.SIGKILL)
+
+
 def _children() -> list[int]:
     """Return the children that have not ended; what a child leaves behind becomes one itself."""
     own = str(os.getpid())
-    return [int(folder.name) for folder in Path("/proc").glob("[0-9]*") if _parent(folder) == own]
+    return [int(folder.name) for folder in PROC.glob("[0-9]*") if _parent(folder) == own]
 
 
 def _parent(folder: Path) -> str:

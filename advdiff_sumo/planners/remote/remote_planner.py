@@ -120,7 +120,7 @@ class RemotePlanner:
             map_id=map_id_of(road),
             seed=seed,
             scene=self._scene(scene, episode),
-            model_step_s=scene.history.dt_s,
+            model_step_s=scene.least_plan_s,
         )
         if self._call(connection, "StartEpisode", request, self.options.start_timeout_s).need_map:
             self._call(connection, "LoadMap", map_message(road), self.options.start_timeout_s)

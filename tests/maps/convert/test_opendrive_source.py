@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+import subprocess
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 import pytest
+import sumo  # type: ignore[import-untyped]
 from defusedxml import ElementTree
 from scipy.special import fresnel
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.export.net_opendrive import write_net_opendrive
+from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.sources.opendrive_curves import ReferenceLine, cubics, value_at
 from advdiff_sumo.maps.convert.sources.read_map import read_map
@@ -130,6 +134,21 @@ def test_where_traffic_keeps_left_lanes_run_the_other_way(tmp_path: Path) -> Non
     assert source.warnings == ("m.xodr: its roads state that traffic keeps left: give '--lefthand'",)
     starts = {row.token: row.centre_m[0].round(9).tolist() for row in source.lanes}
     assert starts == {"7_0_1": [0.0, 2.5], "7_0_-1": [40.0, -0.5]}
+
+
+@pytest.mark.parametrize("lefthand", [False, True])
+def test_what_is_written_of_a_net_is_read_back_on_the_same_side(tmp_path: Path, lefthand: bool) -> None:
+    net, xodr = tmp_path / "grid.net.xml", tmp_path / "grid.xodr"
+    words = ["--grid", "--grid.number=2", "--grid.length=100", "--default.lanenumber=2"]
+    command = [str(Path(sumo.SUMO_HOME, "bin/netgenerate")), *words, f"--lefthand={lefthand}", f"-o={net}"]
+    subprocess.run(command, check=True, capture_output=True)
+    write_net_opendrive(RoadMap.read(net), xodr)
+    source = read_map(xodr)
+    assert source.keeps_left is lefthand
+    again = RoadMap.read(convert_source(source, tmp_path / "again.net.xml").net)
+    assert again.lefthand is lefthand
+    given = convert_source(source, tmp_path / "other.net.xml", lefthand=not lefthand)
+    assert RoadMap.read(given.net).lefthand is not lefthand
 
 
 def test_links_of_roads_and_junctions(tmp_path: Path) -> None:

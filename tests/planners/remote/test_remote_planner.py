@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,34 @@ def test_the_same_seed_gives_the_same_plans(served: Made, road: RoadMap, scene: 
     known = 0.001 * len(road.lanes)
     assert plans(planner, road, scene) == [drawn.normal() + known + 0.1, drawn.normal() + known + 0.2]
     assert plans(planner, road, scene) == plans(served(), road, scene)
+
+
+TELLS_LENGTH = """
+import numpy as np
+from advdiff_sumo.planner_kit import Controls, serve
+
+class Planner:
+    def start(self, road, scene, rng):
+        return scene.least_plan_s
+
+    def plan(self, road, scene, memory, rng):
+        return Controls(np.array([memory, scene.least_plan_s]), np.zeros(2), 1.0), memory
+
+serve(Planner)
+"""
+
+
+def test_a_server_is_told_the_time_to_the_next_plan(road: RoadMap, scene: Scene, tmp_path: Path) -> None:
+    program = tmp_path / "server.py"
+    program.write_text(TELLS_LENGTH)
+    planner = make_target(f"exec:{sys.executable} {shlex.quote(str(program))}", {})
+    assert isinstance(planner, RemotePlanner)
+    for given, told in ((scene, 0.5), (replace(scene, replan_s=1.5), 1.5)):
+        memory = planner.start(road, given, np.random.default_rng(0))
+        plan, _ = planner.plan(road, given, memory, np.random.default_rng(0))
+        assert isinstance(plan, Controls)
+        assert plan.accel_mps2.tolist() == [told, told]
+    planner.close()
 
 
 def test_our_own_planner_plans_the_same_in_a_process_of_its_own(road: RoadMap, scene: Scene) -> None:
@@ -202,6 +231,54 @@ def test_nor_does_one_of_a_server_whose_first_thread_has_ended(tmp_path: Path) -
         process.stdin.close()
         process.wait(HANG_S)
     assert not running(f"sleep(600) of {program}")
+
+
+ELSEWHERE = """
+import importlib.util, os, pathlib, sys
+
+spec = importlib.util.spec_from_file_location("keeper", sys.argv[1])
+keeper = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(keeper)
+if hasattr(os, "pidfd_open"):
+    del os.pidfd_open
+keeper.PROC = pathlib.Path("/no-such-folder")
+sys.argv[1:] = sys.argv[2:]
+keeper.main()
+"""
+DEAF_WITH_CHILD = """
+import signal, subprocess, sys, time
+
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)", "of " + __file__])
+time.sleep(600)
+"""
+
+
+def kept_elsewhere(*command: str) -> subprocess.Popen[bytes]:
+    """Start the keeper of a command as on a system without pidfd and /proc."""
+    words = [sys.executable, "-I", "-S", "-c", ELSEWHERE, str(keeper.__file__), *command]
+    return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the test itself looks into /proc")
+def test_without_pidfd_and_proc_a_server_and_its_child_end_with_us(tmp_path: Path) -> None:
+    program = tmp_path / "server.py"
+    program.write_text(DEAF_WITH_CHILD)
+    with kept_elsewhere(sys.executable, str(program)) as process:
+        while not running(f"sleep(600) of {program}"):
+            assert process.poll() is None
+            time.sleep(0.01)
+        out, _ = process.communicate(timeout=HANG_S)
+    assert out.split() == [b"-9"]
+    while running(str(program)):  # killed, and not yet gone
+        time.sleep(0.01)
+
+
+def test_without_pidfd_and_proc_a_command_that_ends_tells_how() -> None:
+    with kept_elsewhere(sys.executable, "-c", "raise SystemExit(3)") as process:
+        process.wait(HANG_S)
+        assert process.stdout is not None
+        assert process.stdout.read().split() == [b"3"]
 
 
 def running(*words: str) -> list[str]:

@@ -52,6 +52,7 @@ USES = dict.fromkeys(CAR_TYPES, LaneUse.CAR) | {
     "biking": LaneUse.BICYCLE,
 }
 UNITS_MPS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
+KEEPS_LEFT = "header/userData[@code='traffic'][@value='left']"  # as maps/convert/opendrive.py writes it
 Token: TypeAlias = str
 
 
@@ -88,6 +89,7 @@ def opendrive_map(root: Element, path: Path) -> SourceMap:
         notes=faults.notes,
         warnings=faults.sentences(),
         projection=projection,
+        keeps_left=root.find(KEEPS_LEFT) is not None,
     )
 
 

@@ -137,6 +137,7 @@ class SourceMap:
         notes: counts of what was mended or left out while reading.
         warnings: one sentence for each thing a user should know.
         projection: PROJ string whose plane is the frame of the map, where that is known.
+        keeps_left: whether the map states that traffic keeps left, and its lanes are read so.
     """
 
     path: Path
@@ -156,3 +157,4 @@ class SourceMap:
     notes: Counter[str] = field(default_factory=Counter)
     warnings: tuple[str, ...] = ()
     projection: str | None = None
+    keeps_left: bool = False

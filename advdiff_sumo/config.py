@@ -51,6 +51,10 @@ def _sentence(model: type[BaseModel], error: ValidationError) -> str:
         return f"option '{key}' is missing"
     if first["type"] == "model_type":
         inside = _dotted((*path, next(iter(_group(model, path).model_fields))))
+        if isinstance(value, list):
+            return (
+                f"{key} = {_short(value)}: that is a list; a group of options belongs there, such as {inside}"
+            )
         return f"{key} = {_short(value)}: that is a group of options; set one of them, such as {inside}"
     message = first["msg"].removeprefix("Value error, ")
     if first["type"] == "value_error" and isinstance(

@@ -122,7 +122,7 @@ def convert(
         _check_word(f"--{name}", word, get_args(ConvertOptions.model_fields[name].annotation))
     options = ConvertOptions.parse(values, "convert")
     for source, net in _jobs(map_file, output, all_of):
-        _say(convert_and_measure(source, net, options))
+        _say(convert_and_measure(source, net, options), report)
 
 
 def _check_word(option: str, word: str, known: Sequence[str]) -> None:
@@ -147,7 +147,7 @@ def _jobs(map_file: Path | None, output: str | None, all_of: Path | None) -> lis
     return [(path, folder / f"{path.stem}.net.xml") for path in maps]
 
 
-def _say(converted: MeasuredConversion) -> None:
+def _say(converted: MeasuredConversion, report: bool) -> None:
     result, figures = converted.result, converted.figures
     error = figures["centre_line_error_m"]["source_to_net"]
     lanes, links = figures["lanes"], figures["connections"]
@@ -169,6 +169,10 @@ def _say(converted: MeasuredConversion) -> None:
             _console.print(f"note: {len(places)} of the crossings left out: {reason}")
     for sentence in converted.warnings:
         _console.print(f"note: {sentence}")
+    if report:
+        from advdiff_sumo.maps.convert.fidelity_report import fidelity_path  # late: --help needs no plots
+
+        _console.print(f"look at {fidelity_path(result.net, 'html')}", soft_wrap=True)
 
 
 def _say_streets(streets: dict[str, Any], routability: dict[str, Any]) -> None:

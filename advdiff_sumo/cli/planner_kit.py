@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -22,5 +23,6 @@ def planner_kit(
     written = write_kit(folder)
     proto = next(path for path in written if path.suffix == ".proto")
     console = terminal(highlight=False, soft_wrap=True)
-    console.print(f"{folder}: {len(written)} files; in the planner's environment: pip install {folder}")
+    place = shlex.quote(str(folder if folder.is_absolute() else Path.cwd() / folder))
+    console.print(f"{folder}: {len(written)} files; in the planner's environment: pip install {place}")
     console.print(f"other languages: {proto}")

@@ -46,5 +46,5 @@ DryRun: TypeAlias = Annotated[
 Report: TypeAlias = Annotated[bool, typer.Option("--report/--no-report", help="Draw report.html at the end.")]
 JUnit: TypeAlias = Annotated[Path | None, typer.Option(help="Write JUnit XML here, for CI.")]
 FailIf: TypeAlias = Annotated[
-    str | None, typer.Option(help='Exit with code 1 if so, for example "valid_failure_rate > 0".')
+    str | None, typer.Option(help='Exit with code 1 if so, for example "valid_failures > 0 or failures > 0".')
 ]

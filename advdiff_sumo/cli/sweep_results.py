@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from advdiff_sumo.cli.summary import UNEXPLAINED
+from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
 from advdiff_sumo.experiments.folder_rows import FolderRows
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, archive
@@ -31,6 +32,9 @@ from advdiff_sumo.sweep.sweep_files import write_whole
 
 CONDITION_MET = 1
 _WORST, _FINDINGS = 20, 12
+_LACKING = {"failures": "episodes failed", "missing": "have not been run"}
+#: Figures that tell of episodes that did not finish.
+_OF_FAILURES = {"finished", "failures", "missing", "failure_rate", "failure_rate_low", "failure_rate_high"}
 #: Columns whose entries are copied, and so never broken.
 _WHOLE = ("key", "the worst of them")
 
@@ -49,7 +53,7 @@ def condition_of(text: str | None) -> Condition | None:
 def conclude(console: Console, results: FolderRows, condition: Condition | None, junit: Path | None) -> None:
     """Write JUnit XML, print what the sweep came to, and leave with code 1 where the condition is met."""
     overall = Figures.of(results.episodes, results.failures, results.missing)
-    verdict = None if condition is None else condition_met(condition, overall.named())
+    verdict = None if condition is None else _gate(condition, overall)
     if junit is not None:
         timing = {row["episode"]: row["wall_s"] for row in results.timing}
         outcome = None if condition is None else (condition.text, verdict)
@@ -60,6 +64,28 @@ def conclude(console: Console, results: FolderRows, condition: Condition | None,
     if verdict is not None:
         console.print(verdict, style="red", soft_wrap=True)
         raise typer.Exit(CONDITION_MET)
+    if condition is not None and (untested := _untested(condition, overall)):
+        terminal(stderr=True).print(f"note: {untested}", style="yellow", soft_wrap=True)
+
+
+def _gate(condition: Condition, overall: Figures) -> str | None:
+    """Return why the condition is met, or cannot be asked since nothing was tested; None where it is not met."""
+    named = overall.named()
+    if not named["finished"] and not condition.names & _OF_FAILURES:
+        return f"--fail-if {condition.text}: no episode finished, so that nothing was tested"
+    return condition_met(condition, named)
+
+
+def _untested(condition: Condition, overall: Figures) -> str:
+    """Return what the condition leaves out of sight: episodes that failed or have not been run; "" for nothing."""
+    named = overall.named()
+    lacking = [f"{named[name]} {words}" for name, words in _LACKING.items() if named[name]]
+    if not lacking or condition.names & _OF_FAILURES:
+        return ""
+    return (
+        f"{' and '.join(lacking)}, which --fail-if {condition.text} does not ask about; "
+        'add "or failures > 0 or missing > 0"'
+    )
 
 
 def condition_met(condition: Condition, named: Mapping[str, float | None]) -> str | None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from advdiff_sumo.core.errors import InputError
+from advdiff_sumo.core.errors import FileError, InputError
 from advdiff_sumo.data.run_tables import RUN_PARTS, RUN_SETTINGS, RunTables
 from advdiff_sumo.metrics.arrow_tables import table_of
 from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
@@ -72,6 +72,10 @@ def rows_of_folder(folder: Path) -> FolderRows:
     tables = RunTables(folder)
     if not tables.is_sweep and (folder / RUN_SETTINGS).is_file():
         return _of_run(folder)
+    if not tables.is_sweep:
+        raise FileError(
+            folder, "holds no sweep and no run", "give the folder that advdiff-sumo sweep or run wrote"
+        )
     store = Store.open(folder)
     plan = stored_plan(store)
     missing = tables_of(store, plan) + plan.wanted - len(plan.jobs)  # a diverse sweep has not chosen all

@@ -33,6 +33,8 @@ TARGETS = Registry(
 The group of plug-ins is ``advdiff_sumo.planners``.
 """
 
+_ARGUMENTS = {"start": ("road", "scene", "rng"), "plan": ("road", "scene", "memory", "rng")}
+
 BUILTIN_PLAN_S = 2.0
 """How long each plan of the built-in planners lasts at least."""
 
@@ -72,12 +74,28 @@ def _sound(name: str, options: Mapping[str, Any]) -> Target:
     if canonical in CAR_FOLLOWING:
         return sumo_driver(canonical, options)
     target = _call(canonical, TARGETS.load(canonical), options)
-    if isinstance(target, SumoDriver | Planner):
+    if isinstance(target, SumoDriver):
+        return target
+    if isinstance(target, Planner):
+        _must_take_arguments(canonical, target)
         return target
     missing = [method for method in ("start", "plan") if not callable(getattr(target, method, None))]
     raise ConfigError(
         f"target '{canonical}' is no planner: {type(target).__name__} lacks {' and '.join(missing)}"
     )
+
+
+def _must_take_arguments(name: str, planner: Planner) -> None:
+    """Refuse a planner whose methods cannot be called as they will be."""
+    for method, arguments in _ARGUMENTS.items():
+        try:
+            inspect.signature(getattr(planner, method)).bind(*arguments)
+        except ValueError:  # some methods written in C have none
+            continue
+        except TypeError as error:
+            raise ConfigError(
+                f"target '{name}': {method} is called with {', '.join(arguments)}, and cannot be so: {error}"
+            ) from None
 
 
 def _call(name: str, factory: Any, options: Mapping[str, Any]) -> Any:

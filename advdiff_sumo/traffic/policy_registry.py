@@ -29,6 +29,8 @@ POLICIES = Registry(
 )
 """``sumo``, ``replay``, ``diffusion``, the rivals, and plug-ins of the group ``advdiff_sumo.policies``."""
 
+_OF_ATTACKS = ("attack", "attackers", "licence", "strength", "guide")
+
 
 def make_policy(name: str, options: Mapping[str, Any]) -> TrafficPolicy:
     """Return the policy that *name* stands for, set up with *options*.
@@ -74,5 +76,7 @@ def _refuse_unknown(factory: Any, options: Mapping[str, Any], where: str) -> Non
         known = [p.name for p in signature.parameters.values() if p.kind is not p.VAR_POSITIONAL]
         unknown = [key for key in options if key not in known]
         hint = did_you_mean(unknown[0], known) if unknown and known else "it has none"
+        if unknown and not known and unknown[0] in _OF_ATTACKS:
+            hint += "; scripted and diffusion are backgrounds that attack"
         problem = f"no option '{unknown[0]}'; {hint}" if unknown else str(error)
         raise ConfigError(f"{where}: {problem}") from None

@@ -65,6 +65,12 @@ def test_what_failed_is_run_again_with_a_mended_planner(workplace: Path) -> None
     first = json.loads(advdiff(*run, "--json", "--out", "run", cwd=workplace).out)
     assert first["failed"] == {"planner_error": 4 - first["finished"]}, "some fail, some do not"
     assert 0 < first["finished"] < 4
+    gate = advdiff("results", "run", "--fail-if", "valid_failures > 0", cwd=workplace)
+    assert gate.code == 0, "what finished is sound"
+    assert "episodes failed, which --fail-if valid_failures > 0 does not ask about" in gate.err.replace(
+        "\n", " "
+    )
+    assert advdiff("results", "run", "--fail-if", "failures > 0", cwd=workplace).code == 1
     (workplace / "ours.py").write_text(mended.format(fault=""))
     again = ("run", "--resume", "--out", "run", "--json", "--quiet")
     assert json.loads(advdiff(*again, cwd=workplace).out)["failed"] == first["failed"], "left as it was"
@@ -73,6 +79,28 @@ def test_what_failed_is_run_again_with_a_mended_planner(workplace: Path) -> None
     advdiff(*run, "--out", "undisturbed", cwd=workplace)
     runs = [(workplace / name / "states.parquet").read_bytes() for name in ("run", "undisturbed")]
     assert runs[0] == runs[1]
+
+
+def test_a_gate_is_shut_where_no_episode_finished(workplace: Path, here: Callable[..., Outcome]) -> None:
+    (workplace / "sweep.toml").write_text(SWEEP.replace("IDM", "our_planners:Raises"))
+    sweep = ("sweep", "sweep.toml", "--executor", "serial", "--no-report", "--out")
+    assert here(*sweep, "open").code == 0
+    shut = here(*sweep, "shut", "--fail-if", "valid_failures > 0")
+    assert (shut.code, "no episode finished, so that nothing was tested" in shut.out.replace("\n", " ")) == (
+        1,
+        True,
+    )
+
+
+def test_a_planner_that_takes_other_arguments_is_refused_at_once(
+    workplace: Path, here: Callable[..., Outcome]
+) -> None:
+    (workplace / "odd.py").write_text(
+        "from our_planners import Still\n\nclass Odd(Still):\n    def start(self, scene):\n        return None\n"
+    )
+    said = sentence(here(*RUN, "--target", "odd:Odd", "--out", "run"))
+    assert "target 'odd:Odd': start is called with road, scene, rng, and cannot be so: too many" in said
+    assert not (workplace / "run").exists()
 
 
 def test_nothing_is_retried_that_is_begun_anew(here: Callable[..., Outcome]) -> None:

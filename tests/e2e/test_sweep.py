@@ -121,7 +121,7 @@ def test_a_wrong_command_is_one_sentence(sweeps: Path, refused: Callable[..., st
     assert "no figure 'colision_rate'" in refused("sweep", "small.toml", "--fail-if", "colision_rate > 0")
     assert "--ray-address goes with --executor ray" in refused("sweep", "small.toml", "--ray-address", "auto")
     assert "holds no sweep" in refused("sweep", "--resume", "nowhere")
-    assert "holds no sweep" in refused("results", "nowhere")
+    assert "holds no sweep and no run" in refused("results", "nowhere")
     assert "no sweep in runs has an episode" in refused("replay", "0123456789")
 
 

@@ -32,6 +32,11 @@ def test_every_built_in_is_a_policy(name: str) -> None:
         ("replay", {"steps": 1}, "no option 'steps'; did you mean 'step_s'?"),
         ("replay", {"step_s": -1.0}, "step_s = -1.0"),
         ("sumo", {"tau": 1.0}, "options of background 'sumo': no option 'tau'; it has none"),
+        (
+            "sumo",
+            {"attack": "cut-in"},
+            "no option 'attack'; it has none; scripted and diffusion are backgrounds that",
+        ),
         ("advdiff_sumo.traffic.replay:Nobody", {}, "cannot be imported"),
         ("advdiff_sumo.core.scene:AgentClass.CAR", {}, "not a class or function"),
         ("advdiff_sumo.core.seeds:SeedTree", {"root": 1}, "lacks start and plan"),

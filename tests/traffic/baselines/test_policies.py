@@ -31,11 +31,12 @@ NAMES = ("strive", "advsim")
 
 @pytest.fixture
 def made(weights: str, simnet: str) -> Callable[..., BaselinePolicy]:
-    """Return a function (name, options) → the rival with small networks, a short search and, for AdvSim, no law."""
+    """Return a function (name, options) → the rival with small networks, a short search and no law."""
 
     def make(name: str, **options: Any) -> BaselinePolicy:
-        more = {"simnet": simnet, "candidates": 8, "licence": "reckless"} if name == "advsim" else {}
-        policy = make_policy(name, {"weights": weights, "rounds": 3, **more, **options})
+        more = {"simnet": simnet, "candidates": 8} if name == "advsim" else {}
+        usual = {"weights": weights, "rounds": 3, "licence": "reckless"}
+        policy = make_policy(name, {**usual, **more, **options})
         assert isinstance(policy, Strive | AdvSim)
         return policy
 

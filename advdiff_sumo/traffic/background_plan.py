@@ -47,7 +47,7 @@ class Rules:
 
     Attributes:
         licence: its name.
-        most: vehicles that attack at a time.
+        most: lawful manoeuvres at a time.
         commitments: lawful manoeuvres under way; None: none are driven.
     """
 

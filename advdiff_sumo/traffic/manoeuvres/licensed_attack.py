@@ -83,7 +83,7 @@ def licensed_attack(
         attackers: ids that were guided.
         name: of the licence.
         kept: manoeuvres under way; None: none are added.
-        most: vehicles that attack at a time.
+        most: manoeuvres at a time, beside the guided vehicles.
     """
     licence = licence_of(name)
     if licence is None:

@@ -158,6 +158,19 @@ def test_a_plan_is_driven_for_as_long_as_asked(
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_half_seconds_are_counted_where_plans_are_further_apart(
+    name: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
+) -> None:
+    scene = street(PLACES, SPEEDS)
+    policy = made(name, replan=4)
+    memory = policy.start(downtown, scene, None, np.random.default_rng(0))
+    first, memory = policy.plan(downtown, scene, memory, np.random.default_rng(1))
+    later = replace(scene, history=scene.history.shifted(1.0))
+    second, _ = policy.plan(downtown, later, memory, np.random.default_rng(2))
+    np.testing.assert_array_equal(second.tracks.xy_m, first.tracks.xy_m[:, 2:])
+
+
+@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(
     ("options", "said"),
     [

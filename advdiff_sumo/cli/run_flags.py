@@ -69,7 +69,11 @@ Strength: TypeAlias = Annotated[
     ),
 ]
 Attackers: TypeAlias = Annotated[
-    int | None, typer.Option(help="diffusion: how many vehicles attack at a time.", show_default="2")
+    int | None,
+    typer.Option(
+        help="diffusion: how many vehicles are guided at a time, and how many manoeuvres go on beside them.",
+        show_default="2",
+    ),
 ]
 Licence: TypeAlias = Annotated[
     str | None,

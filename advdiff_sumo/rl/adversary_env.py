@@ -109,11 +109,12 @@ class AdversaryEnv(EpisodeEnv):
         """
         loop = self.loop
         self._seat.residual = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        decided = len(loop.recorder.frames) - 1
         try:
             end = self._advance()
         except EpisodeFailure as error:
             return self._failed(error)
-        terms = self._pay(loop, end)
+        terms = self._pay(loop, end, decided)
         reward = sum(terms.values())
         self._paid, self._done = self._paid + reward, self._done + 1
         truncated = end in OVER and loop.steps >= loop.episode.steps
@@ -130,15 +131,13 @@ class AdversaryEnv(EpisodeEnv):
         now = self._seat.observe(loop.road, loop.scene_now())
         return now.observations[0].astype(np.float32) if len(now.rows) else self._blank()
 
-    def _pay(self, loop: Loop, end: EndReason) -> dict[str, float]:
-        """Return the reward's terms of the step that has just been made."""
+    def _pay(self, loop: Loop, end: EndReason, decided: int) -> dict[str, float]:
+        """Return the reward's terms of the step that has just been made, from frame *decided* on."""
         now = self._seat.now
         names = now.attackers if now is not None else ()
         attacker = loop.world.row_of(names[0]) if names else None
-        frames = loop.recorder.frames
-        done_steps = min(loop.sim.substeps, len(frames) - 1)
         half = DecisionInterval(
-            frames=frames[-done_steps - 1 :],
+            frames=loop.recorder.frames[decided:],
             size_m=loop.world.size_m[: len(loop.world)],
             attacker=attacker,
             target=loop.target,

@@ -26,7 +26,7 @@ _JERK_MPS3, _MOST_JERK = 10.0, 4.0
 
 @dataclass(frozen=True)
 class DecisionInterval:
-    """Half a second of an episode, as the attacker's reward needs it; n + 1 instants, N road users.
+    """Half a second of an episode, less where it ends within, as the reward needs it; n + 1 instants, N road users.
 
     Attributes:
         frames: the instants, the first is that of the decision.
@@ -57,7 +57,8 @@ def reward_terms(half: DecisionInterval, weights: RewardWeights, road: RoadMap) 
     gaps = _gaps(half, attacker)  # (n + 1, N)
     room = max(float(np.nanmin(gaps[:, half.target])), 0.0)
     by_it = half.collided and room < TOUCH_M
-    jerk = (mean_accel(half, attacker) - half.accel_mps2) / _span_s(half)
+    began = len(half.frames) > 1  # it does not where the target leaves the net in the first of its steps
+    jerk = (mean_accel(half, attacker) - half.accel_mps2) / _span_s(half) if began else 0.0
     return {
         "hit": weights.hit if by_it else weights.hit_by_other * half.collided,
         "near": weights.near * float(np.exp(-room / weights.near_m)),

@@ -47,7 +47,7 @@ class Rules:
 
     Attributes:
         licence: its name.
-        most: vehicles that attack at a time.
+        most: lawful manoeuvres at a time.
         commitments: lawful manoeuvres under way; None: none are driven.
     """
 
@@ -113,16 +113,24 @@ def nobody(scene: Scene) -> Tracks:
     return Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=scene.time_s + MODEL_STEP_S)
 
 
-def rest_of(plan: Tracks | None, driven: int, scene: Scene, replan: int) -> Tracks | None:
+def driven_of(plan: Tracks | None, scene: Scene) -> int:
+    """Return how many model steps of the last *plan* have been driven by now, by its clock; 1 at least."""
+    return 1 if plan is None else max(round((scene.time_s - plan.t0_s) / plan.dt_s) + 1, 1)
+
+
+def rest_of(plan: Tracks | None, before: int, scene: Scene, replan: int) -> Tracks | None:
     """Return what is left of the last plan, where it shall be driven on and names everybody that may be moved.
+
+    It has to last until the next plan, for as many steps as passed since it was handed out last.
 
     Args:
         plan: the last one.
-        driven: model steps of it that have been driven.
+        before: model steps of it that had been driven when it was handed out last.
         scene: now.
         replan: model steps of a plan to drive.
     """
-    if plan is None or driven >= replan or plan.steps <= driven:
+    driven = driven_of(plan, scene)
+    if plan is None or driven >= replan or plan.steps < 2 * driven - before:
         return None
     late = abs(plan.t0_s + (driven - 1) * plan.dt_s - scene.time_s) > 1e-6
     movable = {name for name, free in zip(scene.history.ids, scene.movable, strict=True) if free}

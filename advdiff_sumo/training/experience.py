@@ -42,6 +42,10 @@ class Experience:
     after: SceneBatch
     weight: Tensor
 
+    def to(self, device: torch.device | str) -> Experience:
+        """Return the experiences on *device*."""
+        return Experience(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
+
 
 def gathered(parts: Sequence[Experience]) -> Experience:
     """Return several experiences as one, padded to the most agents."""

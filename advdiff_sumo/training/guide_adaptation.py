@@ -6,6 +6,7 @@ import copy
 from collections.abc import Sequence
 
 import torch
+from torch import Tensor
 
 from advdiff_sumo.core.errors import TrainingError
 from advdiff_sumo.core.seeds import SeedTree
@@ -60,16 +61,7 @@ class WarmUp:
         return [self._step(stored) for _ in range(steps)]
 
     def _step(self, stored: Sequence[Experience]) -> float:
-        node = self.tree.child(self._steps)
-        drawn = node.child("draw").generator().integers(0, len(stored), min(self.batch_size, len(stored)))
-        experience = gathered([stored[i] for i in drawn])
-        generator = torch.Generator().manual_seed(node.child("noise").integer(62))
-        total, _ = q_loss(self.bundle, self._target, experience, self.options, generator)
-        loss = total / experience.weight.sum().clamp(min=1.0)
-        if self.options.direction > 0.0:
-            loss = loss + self.options.direction * direction_loss(
-                self.bundle, experience, self.options, generator
-            )
+        loss = self._loss(stored)
         if not torch.isfinite(loss):
             raise TrainingError(f"warm-up step {self._steps}: the loss is {float(loss.detach())}")
         self._optimiser.zero_grad(set_to_none=True)
@@ -79,3 +71,17 @@ class WarmUp:
         follow(self._target, self.bundle.reward, self.options.target_decay)
         self._steps += 1
         return float(loss.detach())
+
+    def _loss(self, stored: Sequence[Experience]) -> Tensor:
+        """Return the loss of this step's draw from *stored*, which may lie on another device than the networks."""
+        node = self.tree.child(self._steps)
+        drawn = node.child("draw").generator().integers(0, len(stored), min(self.batch_size, len(stored)))
+        experience = gathered([stored[i] for i in drawn]).to(self._parameters[0].device)
+        generator = torch.Generator().manual_seed(node.child("noise").integer(62))
+        total, _ = q_loss(self.bundle, self._target, experience, self.options, generator)
+        loss = total / experience.weight.sum().clamp(min=1.0)
+        if self.options.direction > 0.0:
+            loss = loss + self.options.direction * direction_loss(
+                self.bundle, experience, self.options, generator
+            )
+        return loss

@@ -18,6 +18,7 @@ from advdiff_sumo.core.errors import AdvdiffError, ConfigError, NetError, Unknow
 from advdiff_sumo.core.record import EndReason
 from advdiff_sumo.rl import ENVIRONMENT
 from advdiff_sumo.rl.adversary_env import AdversaryEnv
+from advdiff_sumo.rl.adversary_reward import DecisionInterval, reward_terms
 from advdiff_sumo.traffic.rl.actor import save_actor
 from advdiff_sumo.traffic.rl.adv_rl_policy import AdvRl
 from tests.traffic.rl.conftest import actor
@@ -91,6 +92,40 @@ def test_an_idle_attacker_is_the_untrained_policy(
     assert record.tracks.xy_m.tobytes() == stepped.tracks.xy_m.tobytes()
     assert (record.controller == stepped.controller).all()
     assert len(timing.background_plans_s) == 6
+
+
+def test_a_step_is_paid_for_what_passed_in_it(env: AdversaryEnv) -> None:
+    """An episode that ends two tenths of a second into its fifth step: three instants, the first its decision's."""
+    env.reset(seed=3)
+    loop = env.loop
+    loop.episode = replace(loop.episode, horizon_s=2.2)
+    for _ in range(4):
+        assert not env.step(IDLE)[3]
+    before = env._accel_mps2
+    *_, truncated, info = env.step(IDLE)
+    assert truncated
+    now = env._seat.now
+    assert now is not None
+    assert now.attackers
+    paid, whole = (
+        reward_terms(
+            DecisionInterval(
+                frames=loop.recorder.frames[-instants:],
+                size_m=loop.world.size_m[: len(loop.world)],
+                attacker=loop.world.row_of(now.attackers[0]),
+                target=loop.target,
+                collided=False,
+                accel_mps2=before,
+                residual=np.zeros(2),
+                dt_s=0.1,
+            ),
+            env.options.reward,
+            loop.road,
+        )
+        for instants in (3, 6)
+    )
+    assert paid != whole
+    assert info["reward_terms"] == paid
 
 
 def test_an_episode_is_stepped_only_while_it_runs(env: AdversaryEnv, settings: dict[str, Any]) -> None:

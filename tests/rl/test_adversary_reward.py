@@ -54,6 +54,12 @@ def half(place: tuple[np.ndarray, float], ahead: list[list[float]], **more: Any)
     return DecisionInterval(frames, np.tile([4.0, 2.0], (len(ahead[0]), 1)), **{**given, **more})
 
 
+def test_who_was_not_driven_on_did_not_jerk(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
+    """The target left the net in the first step: of the half second there is the instant before it alone."""
+    terms = reward_terms(half(place, [[12.0, 0.0]], accel_mps2=-5.0), WEIGHTS, road)
+    assert terms["jerk"] == 0.0
+
+
 def test_nearness_is_of_the_nearest_instant(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
     """Centres 12, 9 and 10 m apart: boxes 5 m at the nearest, 1/e of the weight."""
     terms = reward_terms(half(place, [[12.0, 0.0], [9.0, 0.0], [10.0, 0.0]]), WEIGHTS, road)

@@ -199,6 +199,18 @@ def test_warm_up_refits_q_alone(bundle: Bundle) -> None:
         WarmUp(bundle, OPTIONS).fit([], 1)
 
 
+def test_a_warm_up_takes_experiences_to_where_the_networks_are(bundle: Bundle) -> None:
+    """Records are on the CPU, the networks of a policy may be elsewhere: "meta" refuses to mix as a GPU does."""
+    batch, path = cars([(20.0, 0.0), (0.0, 0.0)], [0.0, 18.0])
+    seen = observed(batch, path, torch.tensor([0]), torch.zeros(1, 2, 8), OPTIONS)
+    values = OPTIONS.model_copy(update={"direction": 0.0})  # PyTorch has no torch.nonzero of "meta"
+    assert WarmUp(bundle.to("meta"), values)._loss([seen, seen]).device.type == "meta"
+    moved = seen.to("meta")
+    parts = [getattr(moved, f.name) for f in fields(Experience)]
+    parts += [*vars(moved.state).values(), *vars(moved.after).values()]
+    assert {one.device.type for one in parts if isinstance(one, torch.Tensor)} == {"meta"}
+
+
 def test_the_target_network_follows(bundle: Bundle) -> None:
     stage = RewardStage(bundle, RewardOptions(target_decay=0.75))
     mine, theirs = next(stage.beside.parameters()), next(bundle.reward.parameters())

@@ -18,7 +18,7 @@ from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.background_plan import Rules, nobody, outlook, plausible_plan, rest_of
+from advdiff_sumo.traffic.background_plan import Rules, driven_of, nobody, outlook, plausible_plan, rest_of
 from advdiff_sumo.traffic.baselines.baseline_networks import Prior
 from advdiff_sumo.traffic.baselines.baseline_options import BaselineOptions
 from advdiff_sumo.traffic.baselines.surrogate import Answer, Surrogate, ask, imagine, make_surrogate
@@ -41,7 +41,7 @@ class Memory:
         attackers: ids that attacked last.
         surrogate: memory of the surrogate.
         plan: the last plan, at its own clock.
-        driven: model steps of it that have been driven when the next plan is asked for.
+        driven: model steps of it that had been driven when it was handed out last.
     """
 
     searched: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -123,7 +123,7 @@ class BaselinePolicy(ABC):
         """Return the futures of all movable vehicles, 6 s at 2 Hz, and the memory for the next plan."""
         kept = rest_of(memory.plan, memory.driven, scene, self.options.replan)
         if kept is not None:
-            return JointPlan(kept), replace(memory, driven=memory.driven + 1)
+            return JointPlan(kept), replace(memory, driven=driven_of(memory.plan, scene))
         view, lanes = outlook(road, scene, self.prior.map_view)
         seed = int(rng.integers(2**62))
         if not view.moved.any():
@@ -132,9 +132,11 @@ class BaselinePolicy(ABC):
         if self.listener is not None:
             self.listener(view, proposal.drawn)
         rules = Rules(self.options.licence, self.options.attackers)
-        plan = plausible_plan(road, view, lanes, proposal.drawn, (memory.plan, memory.driven), rules)
+        plan = plausible_plan(
+            road, view, lanes, proposal.drawn, (memory.plan, driven_of(memory.plan, scene)), rules
+        )
         state = AttackState("any", tuple(proposal.drawn.attackers))
-        memory = replace(proposal.memory, plan=plan.tracks, driven=1)
+        memory = replace(proposal.memory, plan=plan.tracks, driven=0)
         return JointPlan(plan.tracks, attack=state, safeguarded=plan.safeguarded), memory
 
     def ask(self, task: Task) -> Answer | None:

@@ -5,7 +5,8 @@ Learned Traffic Prior", doi:10.1109/CVPR52688.2022.01679. Ours differs from the 
 search starts from the last one's result, with 20 rounds, as AdvDiffuser grants it (Xie et al. 2024, Sec. IV-C), in
 place of 200, and so at a rate of 0.4 in place of 0.05. The decoder takes the surrogate's states, asked for 4 s and
 anew every ``refresh`` rounds; the target's latent is not matched to the planner. The loss looks 4 s ahead, with this
-project's prior, and plans pass the safeguard. Other weights are those of the paper's code.
+project's prior; the attacker is one whom the licence lets attack, and plans pass the safeguard. Other weights are
+those of the paper's code.
 """
 
 from __future__ import annotations
@@ -29,14 +30,13 @@ from advdiff_sumo.traffic.baselines.baseline_networks import Prior, prior_of
 from advdiff_sumo.traffic.baselines.baseline_options import StriveOptions
 from advdiff_sumo.traffic.baselines.baseline_policy import (
     BaselinePolicy,
-    Memory,
     SearchResult,
     Task,
     with_target,
 )
 from advdiff_sumo.traffic.baselines.strive_loss import Terms, strive_loss
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
-from advdiff_sumo.traffic.planning.attackers import FARTHEST_M, closest_m
+from advdiff_sumo.traffic.planning.attackers import FARTHEST_M, can_attack, closest_m
 from advdiff_sumo.traffic.planning.drawn import Drawn
 from advdiff_sumo.traffic.planning.futures import futures_of
 
@@ -49,6 +49,7 @@ class _Start:
         batch: the scene.
         context: its embeddings and prior.
         moved: (A,) whose latents are searched.
+        may: (A,) who of them may attack.
         natural: (A, Z) standardised latents without an attack.
         warm: (A, Z) the same with what the last plan had found.
     """
@@ -56,6 +57,7 @@ class _Start:
     batch: SceneBatch
     context: Context
     moved: Tensor
+    may: Tensor
     natural: Tensor
     warm: Tensor
 
@@ -105,10 +107,10 @@ class Strive(BaselinePolicy):
     def search(self, task: Task) -> SearchResult:
         """Return the futures of the latents that lower the loss most within the rounds."""
         start = self._start(task)
-        result = self._rounds(task, start) if self.options.rounds else _nothing(start, task.memory)
+        result = self._rounds(task, start) if self.options.rounds else _nothing(start, task.memory.surrogate)
         with torch.no_grad():
             rollout = self._decode(start, result.epsilon, result.forced)
-        attackers = self._attackers(task, rollout, result.share)
+        attackers = self._attackers(task, start, rollout, result.share)
         latents = self._latents(start, result.epsilon)
         scaled = self.prior.codec.scale(latents[:, None])[:, 0]
         drawn = Drawn(rollout, _by_name(task, start.natural), attackers, scaled)
@@ -124,7 +126,9 @@ class Strive(BaselinePolicy):
     def loss(self, start: _Start, epsilon: Tensor, forced: Forced | None) -> Terms:
         """Return the loss of standardised latents (A, Z) while the target drives *forced*."""
         rollout = self._decode(start, epsilon, forced, HORIZON_STEPS)
-        return strive_loss(rollout, start.batch, start.moved, (epsilon, start.natural), self.options)
+        return strive_loss(
+            rollout, start.batch, start.moved, start.may, (epsilon, start.natural), self.options
+        )
 
     def _start(self, task: Task) -> _Start:
         batch = task.view.batch.to(self.prior.device)
@@ -139,12 +143,21 @@ class Strive(BaselinePolicy):
         shifts, known = _stacked(task, task.memory.searched, noise)
         gained = torch.where(known[:, None], share * (shifts - old), 0.0).to(self.prior.device)
         moved = torch.from_numpy(task.view.moved).to(self.prior.device)
-        return _Start(batch, context, moved, natural, natural + gained)
+        start = _Start(batch, context, moved, moved, natural, natural + gained)
+        return replace(start, may=self._may(task, start).to(moved.device))
+
+    @torch.no_grad()
+    def _may(self, task: Task, start: _Start) -> Tensor:
+        """Return (A,) who may attack under the licence, as everybody drives by nature."""
+        futures = futures_of(task.view.now, self._decode(start, start.natural, None))
+        return torch.from_numpy(can_attack(futures, task.view.moved, self.options.licence))
 
     def _rounds(self, task: Task, start: _Start) -> _Result:
-        options = self.options
+        options, answer = self.options, self.ask(task)
+        surrogate = task.memory.surrogate if answer is None else answer.memory
+        if not start.may.any():
+            return _nothing(start, surrogate)
         epsilon, adam, forced = start.warm, Adam(options.rate), None
-        answer = self.ask(task)
         losses, share = [], np.zeros(len(start.moved))
         for number in range(options.rounds):
             if number % options.refresh == 0:
@@ -158,7 +171,6 @@ class Strive(BaselinePolicy):
             epsilon = adam.step(epsilon.detach(), torch.where(finite, gradient, 0.0))
             losses.append(float(terms.total.detach()))
             share = terms.share.cpu().numpy().astype(np.float64)
-        surrogate = task.memory.surrogate if answer is None else answer.memory
         return _Result(epsilon.detach(), forced, surrogate, tuple(losses), share)
 
     def _latents(self, start: _Start, epsilon: Tensor) -> Tensor:
@@ -171,17 +183,17 @@ class Strive(BaselinePolicy):
         z = self._latents(start, epsilon)[None]
         return with_target(self.decoder(z, start.context.h, start.batch, steps, forced), forced)
 
-    def _attackers(self, task: Task, rollout: Rollout, share: FloatArray) -> tuple[str, ...]:
-        """Return who is most of the attacker, among those who come near the target at all."""
+    def _attackers(self, task: Task, start: _Start, rollout: Rollout, share: FloatArray) -> tuple[str, ...]:
+        """Return who is most of the attacker, among those who may attack and come near the target at all."""
         near = closest_m(futures_of(task.view.now, rollout)) < FARTHEST_M
-        score = np.where(task.view.moved & near, share, 0.0)
+        score = np.where(start.may.cpu().numpy() & near, share, 0.0)
         order = np.argsort(-score, kind="stable")[: self.options.attackers]
         return tuple(task.view.ids[row] for row in order.tolist() if score[row] > 0.0)
 
 
-def _nothing(start: _Start, memory: Memory) -> _Result:
-    """Return natural traffic, for no rounds at all."""
-    return _Result(start.natural, None, memory.surrogate, (), np.zeros(len(start.moved)))
+def _nothing(start: _Start, surrogate: Any) -> _Result:
+    """Return natural traffic, for no rounds at all and where nobody may attack."""
+    return _Result(start.natural, None, surrogate, (), np.zeros(len(start.moved)))
 
 
 def _stacked(task: Task, by_name: Mapping[str, FloatArray], like: Tensor) -> tuple[Tensor, Tensor]:

@@ -47,6 +47,7 @@ def strive_loss(
     rollout: Rollout,
     batch: SceneBatch,
     moved: Tensor,
+    may: Tensor,
     epsilon: tuple[Tensor, Tensor],
     options: StriveOptions,
 ) -> Terms:
@@ -56,10 +57,11 @@ def strive_loss(
         rollout: joint futures, (1, A, T).
         batch: the scene.
         moved: (A,) whose latents are searched.
+        may: (A,) who of them may attack, one at least.
         epsilon: standardised latents (A, Z), and the natural ones.
         options: the weights.
     """
-    adversarial, share = attack(rollout, moved)
+    adversarial, share = attack(rollout, may)
     now, natural = epsilon
     prior_weight = _mixed(share, options.prior, options.prior_attacker)
     start_weight = _mixed(share, options.start, options.start_attacker)
@@ -73,10 +75,10 @@ def strive_loss(
     return Terms(total, adversarial, vehicles, target, road, prior, start, share)
 
 
-def attack(rollout: Rollout, moved: Tensor) -> tuple[Tensor, Tensor]:
-    """Return Σ δ d² and (A,) Σ_t δ, with δ the softmin over vehicles and time of the distance d to the target."""
+def attack(rollout: Rollout, may: Tensor) -> tuple[Tensor, Tensor]:
+    """Return Σ δ d² and (A,) Σ_t δ; δ: softmin of the distance d to the target over time and who may attack."""
     gap = torch.sqrt((rollout.xy[0] - rollout.xy[0, :1].detach()).square().sum(-1) + 1e-9)  # (A, T)
-    allowed = torch.where(moved[:, None], 0.0, torch.inf)
+    allowed = torch.where(may[:, None], 0.0, torch.inf)
     delta = torch.softmax((-gap - allowed).flatten(), dim=0).reshape(gap.shape)
     return (delta * gap.square()).sum(), delta.detach().sum(-1)
 

@@ -53,7 +53,7 @@ class DiffusionOptions(Options):
         licence: what attackers may do: "lawful": no traffic rule is broken, and lawful manoeuvres are driven beside
             the guided plans; "careless": smaller gaps; "reckless": anything that moves like a vehicle, as in the paper.
         strength: how hard attackers are guided against the target; 0 is natural traffic exactly.
-        attackers: most vehicles that are guided at a time.
+        attackers: most vehicles that are guided at a time, and most lawful manoeuvres beside them.
         attack: what they shall do; "any": whatever gets them close.
         staged: most vehicles that come in during an episode where a lawful manoeuvre lacks them; 0: nobody.
         guide: "reward": by the reward model and the attack's own terms; "reward-only": by the reward model alone,

@@ -13,7 +13,7 @@ from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.background_plan import Rules, nobody, outlook, plausible_plan, rest_of
+from advdiff_sumo.traffic.background_plan import Rules, driven_of, nobody, outlook, plausible_plan, rest_of
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks, networks_of
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions, Traj2TrajOptions
 from advdiff_sumo.traffic.diffusion.draw import draw_plan
@@ -37,7 +37,7 @@ class Memory:
         noise: id → starting noise of the vehicle, (Z,).
         shifts: id of who was guided last → what its latent was shifted by, (Z,).
         plan: the last plan, at its own clock.
-        driven: model steps of it that have been driven when the next plan is asked for.
+        driven: model steps of it that had been driven when it was handed out last.
         commitments: manoeuvres under way; None where the licence asks for none.
     """
 
@@ -102,7 +102,7 @@ class DiffusionTraffic:
         """Return the futures of all movable vehicles, 6 s at 2 Hz, and the memory for the next plan."""
         kept = rest_of(memory.plan, memory.driven, scene, self.options.replan)
         if kept is not None:
-            return JointPlan(kept), replace(memory, driven=memory.driven + 1)
+            return JointPlan(kept), replace(memory, driven=driven_of(memory.plan, scene))
         return self._afresh(road, scene, memory, rng)
 
     def _afresh(
@@ -116,10 +116,10 @@ class DiffusionTraffic:
         if self.listener is not None:
             self.listener(view, drawn)
         rules = Rules(self.options.licence, self.options.attackers, memory.commitments)
-        plan = plausible_plan(road, view, lanes, drawn, (memory.plan, memory.driven), rules)
+        plan = plausible_plan(road, view, lanes, drawn, (memory.plan, driven_of(memory.plan, scene)), rules)
         attack = plan.attack
         state = self._state(drawn.attackers, attack.commitments)
-        memory = Memory(drawn.noise, drawn.shifts, plan.tracks, 1, attack.commitments)
+        memory = Memory(drawn.noise, drawn.shifts, plan.tracks, 0, attack.commitments)
         joint = plan_with(plan.tracks, attack.newcomers, state)
         return replace(joint, safeguarded=plan.safeguarded), memory
 

@@ -102,7 +102,7 @@ class EncounterPreference:
             count: classes to draw.
         """
         if self.probe is not None:
-            kind = _PROBES[self.probe % len(_PROBES)]
+            kind = probed_kind(self.probe)
             agenda = Agenda(tuple(dict.fromkeys((kind, "hard-stop"))), crosses_any_time=False)
             wanted = Wanted(agenda, (probed_class(self.probe),) * count, oncoming=bool(self.probe % 2))
             return wanted, replace(self, explores=1.0)
@@ -152,11 +152,17 @@ class Wanted:
     oncoming: bool
 
 
+def probed_kind(probe: int) -> str:
+    """Return the kind of manoeuvre that question number *probe* of a warm-up asks about."""
+    return _PROBES[probe % len(_PROBES)]
+
+
 def probed_class(probe: int) -> AgentClass:
     """Return what comes in for question number *probe* of a warm-up."""
     return _CLASSES[probe % len(_CLASSES)]
 
 
 def answers(probe: int, features: FloatArray) -> bool:
-    """Return whether one of the encounters with *features* (N, D) was with a vehicle of the class asked for."""
-    return bool((features == as_if(features, probed_class(probe))).all(axis=-1).any())
+    """Return whether one of the encounters with *features* (N, D) was of the kind and class of vehicle asked for."""
+    kind = features[:, FEATURES.index(probed_kind(probe))] == 1.0
+    return bool((kind & (features == as_if(features, probed_class(probe))).all(axis=-1)).any())

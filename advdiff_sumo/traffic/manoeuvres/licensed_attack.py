@@ -83,7 +83,7 @@ def licensed_attack(
         attackers: ids that were guided.
         name: of the licence.
         kept: manoeuvres under way; None: none are added.
-        most: vehicles that attack at a time.
+        most: manoeuvres at a time, beside the guided vehicles.
     """
     licence = licence_of(name)
     if licence is None:
@@ -118,9 +118,10 @@ def _set_off(view: View, kept: Commitments | None, driven: Mapping[int, object])
 def _refused(
     situation: SituationView, view: View, futures: Futures, guided: list[int], licence: Licence
 ) -> set[int]:
-    """Return which of the *guided* rows break a rule, or leave the target no answer."""
-    if not guided:
-        return set()
+    """Return which of the *guided* rows break a rule, or leave the target no answer; all where it is on no lane."""
+    target = situation.target
+    if target is None or not guided:
+        return set(guided)
     futures = futures.lasting(round(CHECK_TIMES_S[-1] / futures.dt_s))
     xy, yaw = futures.halves()
     speed = np.empty(yaw.shape)
@@ -130,9 +131,6 @@ def _refused(
     broken = plan_breaches(situation, rows, xy[guided], yaw[guided], speed[guided])
     allowed = CARELESS_ALLOWS if licence is not LAWFUL else frozenset()
     out = {k for k, kinds in zip(guided, broken, strict=True) if kinds - allowed}
-    target = situation.target
-    if target is not None:
-        now = np.zeros(len(guided))
-        needed = needed_braking(target, xy[guided], yaw[guided], futures.size_m[guided], now)
-        out |= {k for k, braking in zip(guided, needed.tolist(), strict=True) if braking > BRAKING_MPS2[-1]}
-    return out
+    now = np.zeros(len(guided))
+    needed = needed_braking(target, xy[guided], yaw[guided], futures.size_m[guided], now)
+    return out | {k for k, braking in zip(guided, needed.tolist(), strict=True) if braking > BRAKING_MPS2[-1]}

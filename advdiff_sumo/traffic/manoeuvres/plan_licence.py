@@ -13,7 +13,7 @@ from advdiff_sumo.metrics.breaches import BreachKind, breaches_of, conduct_breac
 from advdiff_sumo.metrics.collision import tracks_collisions
 from advdiff_sumo.metrics.encounter import encounter
 from advdiff_sumo.metrics.traffic_view import TrafficView
-from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2
+from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, TargetWay
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_DT_S, CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
@@ -27,21 +27,23 @@ def plan_breaches(
 ) -> list[frozenset[BreachKind]]:
     """Return for each of R plans which rules its vehicle would break.
 
-    The target is taken to go on along its way, and to brake at 4 m/s²; where it is on no lane, plans are checked for
-    rules of conduct alone.
+    The target is taken to go on along its way, and to brake at 4 m/s².
 
     Args:
-        view: the scene.
+        view: the scene; its target is on a lane.
         rows: (R,) of the vehicles.
         xy_m: (R, T, 2) centres at ``CHECK_TIMES_S``.
         yaw_rad: (R, T) headings.
         speed_mps: (R, T) speeds.
+
+    Raises:
+        ValueError: the target is on no lane, so that nobody knows its way.
     """
+    if view.target is None:
+        raise ValueError("no plan can be judged against a target that is on no lane")
     broken: list[set[BreachKind]] = [set() for _ in rows]
     for braking in _ANSWERS_MPS2:
-        planned = _planned(view, rows, (xy_m, yaw_rad, speed_mps), braking)
-        if planned is None:
-            break
+        planned = _planned(view, view.target, rows, (xy_m, yaw_rad, speed_mps), braking)
         for k, kinds in _contacts(planned).items():
             broken[k - 1] |= kinds
         now = planned.tracks.steps - len(CHECK_TIMES_S)
@@ -63,14 +65,12 @@ def _contacts(planned: TrafficView) -> Mapping[int, set[BreachKind]]:
 
 def _planned(
     view: SituationView,
+    target: TargetWay,
     rows: Sequence[int],
     plans: tuple[FloatArray, FloatArray, FloatArray],
     braking_mps2: float,
-) -> TrafficView | None:
-    """Return the target and *rows* from the history on to the end of their plans; None without a way of the target."""
-    target = view.target
-    if target is None:
-        return None
+) -> TrafficView:
+    """Return the target and *rows* from the history on to the end of their plans."""
     driven, speed = target.brakes((braking_mps2,), 0.0)
     xy, yaw = target.way.poses(driven, CHECK_TIMES_S)
     history = view.scene.history.rows([view.scene.target, *rows])

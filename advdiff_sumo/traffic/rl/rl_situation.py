@@ -14,7 +14,7 @@ from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.background_plan import Rules, nobody, outlook, plausible_plan
+from advdiff_sumo.traffic.background_plan import Rules, driven_of, nobody, outlook, plausible_plan
 from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.planning.attackers import can_attack, choose
 from advdiff_sumo.traffic.planning.drawn import Drawn
@@ -91,7 +91,7 @@ def joint_plan(
         now: the situation.
         prior: the behaviour model.
         residuals: (R, 2) deviations in [−1, 1].
-        before: the plan before, of which one model step has been driven; who cannot stop in time may go on with it.
+        before: the plan before; who cannot stop in time may go on with it.
         licence: what attackers may do.
     """
     if now.natural is None:
@@ -99,7 +99,8 @@ def joint_plan(
     rows = torch.from_numpy(now.rows)
     rollout = steered(now.natural, now.view.batch, rows, torch.from_numpy(residuals), prior.options)
     drawn = Drawn(rollout, {}, now.attackers, torch.zeros(len(now.view.ids), 0))
-    plan = plausible_plan(road, now.view, now.lanes, drawn, (before, 1), Rules(licence, len(now.rows)))
+    last = before, driven_of(before, now.view.scene)
+    plan = plausible_plan(road, now.view, now.lanes, drawn, last, Rules(licence, len(now.rows)))
     return JointPlan(plan.tracks, attack=AttackState("any", now.attackers), safeguarded=plan.safeguarded)
 
 

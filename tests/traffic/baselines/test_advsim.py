@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -159,3 +160,6 @@ def test_the_next_search_starts_one_step_on(weights: str, downtown: RoadMap, str
     assert case is not None
     warm = policy._warm(case).numpy()[0]
     np.testing.assert_allclose(warm, np.vstack((old[1:], np.zeros((1, 2)))), atol=1e-6)
+    made = replace(view.now, t0_s=view.scene.time_s - 0.5)  # a plan of a second ago
+    warm = policy._warm(replace(case, task=replace(case.task, memory=replace(first, plan=made)))).numpy()[0]
+    np.testing.assert_allclose(warm, np.vstack((old[2:], np.zeros((2, 2)))), atol=1e-6)

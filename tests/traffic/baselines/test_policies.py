@@ -31,11 +31,12 @@ NAMES = ("strive", "advsim")
 
 @pytest.fixture
 def made(weights: str, simnet: str) -> Callable[..., BaselinePolicy]:
-    """Return a function (name, options) → the rival with small networks, a short search and, for AdvSim, no law."""
+    """Return a function (name, options) → the rival with small networks, a short search and no law."""
 
     def make(name: str, **options: Any) -> BaselinePolicy:
-        more = {"simnet": simnet, "candidates": 8, "licence": "reckless"} if name == "advsim" else {}
-        policy = make_policy(name, {"weights": weights, "rounds": 3, **more, **options})
+        more = {"simnet": simnet, "candidates": 8} if name == "advsim" else {}
+        usual = {"weights": weights, "rounds": 3, "licence": "reckless"}
+        policy = make_policy(name, {**usual, **more, **options})
         assert isinstance(policy, Strive | AdvSim)
         return policy
 
@@ -154,6 +155,19 @@ def test_a_plan_is_driven_for_as_long_as_asked(
     later = replace(scene, history=scene.history.shifted(0.5))
     second, _ = policy.plan(downtown, later, memory, np.random.default_rng(2))
     np.testing.assert_array_equal(second.tracks.xy_m, first.tracks.xy_m[:, 1:])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_half_seconds_are_counted_where_plans_are_further_apart(
+    name: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
+) -> None:
+    scene = street(PLACES, SPEEDS)
+    policy = made(name, replan=4)
+    memory = policy.start(downtown, scene, None, np.random.default_rng(0))
+    first, memory = policy.plan(downtown, scene, memory, np.random.default_rng(1))
+    later = replace(scene, history=scene.history.shifted(1.0))
+    second, _ = policy.plan(downtown, later, memory, np.random.default_rng(2))
+    np.testing.assert_array_equal(second.tracks.xy_m, first.tracks.xy_m[:, 2:])
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from advdiff_sumo.core.plan import Plan
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import look
+from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
 from advdiff_sumo.traffic.baselines.baseline_options import StriveOptions
 from advdiff_sumo.traffic.baselines.baseline_policy import Task, halves
 from advdiff_sumo.traffic.baselines.strive import Strive
@@ -61,11 +64,29 @@ def test_likelihood_counts_less_for_who_attacks(downtown: RoadMap, street: Stree
     def at(row: int) -> tuple[float, float]:
         epsilon = torch.zeros(3, 4)
         epsilon[row, 0] = 2.0
-        terms = strive_loss(rollout, batch, moved, (epsilon, torch.zeros(3, 4)), options)
+        terms = strive_loss(rollout, batch, moved, moved, (epsilon, torch.zeros(3, 4)), options)
         return float(terms.prior), float(terms.start)
 
     assert at(1) == pytest.approx((0.5 * 4.0 * 0.005 / 2.0, 4.0 * 0.05), rel=1e-3)
     assert at(2) == pytest.approx((0.5 * 4.0 * 1.0 / 2.0, 4.0 * 0.5), rel=1e-3)
+
+
+def test_who_may_not_attack_is_held_to_the_prior_however_near(downtown: RoadMap, street: Street) -> None:
+    """The nearer one, 10 m away, may not: the other one, 50 m away, is all of the attacker."""
+    batch = look(downtown, street([(60.0, 0.0), (70.0, 0.0), (110.0, 0.0)], [0.0] * 3)).batch
+    states = batch.pose[:, :, None].repeat(1, 1, 2, 1)
+    zero = torch.zeros(states.shape[:3])
+    rollout = Rollout(states[..., :2], states[..., 2], states[..., 3], zero, zero)
+    moved, may, epsilon = (
+        torch.tensor([False, True, True]),
+        torch.tensor([False, False, True]),
+        torch.zeros(3, 4),
+    )
+    epsilon[1, 0] = 2.0
+    terms = strive_loss(rollout, batch, moved, may, (epsilon, torch.zeros(3, 4)), StriveOptions())
+    assert terms.share.tolist() == pytest.approx([0.0, 0.0, 1.0])
+    assert float(terms.adversarial) == pytest.approx(2500.0, rel=1e-3)
+    assert (float(terms.prior), float(terms.start)) == pytest.approx((0.5 * 4.0 / 2.0, 4.0 * 0.5), rel=1e-3)
 
 
 def test_touching_by_hand(downtown: RoadMap, street: Street) -> None:
@@ -76,9 +97,8 @@ def test_touching_by_hand(downtown: RoadMap, street: Street) -> None:
     zero = torch.zeros(states.shape[:3])
     rollout = Rollout(states[..., :2], states[..., 2], states[..., 3], zero, zero)
     none = torch.zeros(4, 4)
-    terms = strive_loss(
-        rollout, batch, torch.tensor([False, True, True, True]), (none, none), StriveOptions()
-    )
+    moved = torch.tensor([False, True, True, True])
+    terms = strive_loss(rollout, batch, moved, moved, (none, none), StriveOptions())
     assert float(terms.vehicles) == pytest.approx(1.0, abs=1e-3)
     assert float(terms.target) == pytest.approx(0.0, abs=1e-6)
     assert float(terms.total) == pytest.approx(
@@ -92,7 +112,7 @@ def test_the_loss_goes_down_and_the_start_is_beaten(
 ) -> None:
     """Against one and the same answer of the surrogate the attack's own term is lower than where it began."""
     scene = street(PLACES, SPEEDS)
-    policy = Strive(weights=weights, rounds=12, refresh=12, surrogate=surrogate)
+    policy = Strive(weights=weights, rounds=12, refresh=12, surrogate=surrogate, licence="reckless")
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
     task = Task(downtown, look(downtown, scene), memory, 1)
     found = policy.search(task)
@@ -110,7 +130,7 @@ def test_the_loss_goes_down_and_the_start_is_beaten(
 def test_latents_of_who_may_not_be_moved_stay(weights: str, downtown: RoadMap, street: Street) -> None:
     scene = street(PLACES, SPEEDS)
     scene = Scene(scene.history, 0, np.array([False, True, False, True]), scene.routes, scene.signals)
-    policy = Strive(weights=weights, rounds=3)
+    policy = Strive(weights=weights, rounds=3, licence="reckless")
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
     found = policy.search(Task(downtown, look(downtown, scene), memory, 1)).memory.searched
     assert {name for name, value in found.items() if value.any()} == {"v1", "v3"}
@@ -120,7 +140,7 @@ def test_the_next_search_starts_where_the_last_one_ended(
     weights: str, downtown: RoadMap, street: Street
 ) -> None:
     scene = street(PLACES, SPEEDS)
-    policy = Strive(weights=weights, rounds=3, persistence=0.5)
+    policy = Strive(weights=weights, rounds=3, persistence=0.5, licence="reckless")
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
     view = look(downtown, scene)
     first = policy.search(Task(downtown, view, memory, 1)).memory
@@ -140,3 +160,40 @@ def test_a_temperature_draws_traffic(weights: str, downtown: RoadMap, street: St
     assert not torch.equal(one.drawn.rollout.xy, other.drawn.rollout.xy)
     kept = policy.search(Task(downtown, view, one.memory, 3))
     assert torch.equal(kept.drawn.rollout.xy, one.drawn.rollout.xy)
+
+
+def test_who_is_behind_attacks_without_a_law_alone(weights: str, downtown: RoadMap, street: Street) -> None:
+    """Two are behind the target; the last one, ahead on its left, may attack under every licence."""
+    scene = street([(60.0, 0.0), (48.0, 0.0), (46.0, 4.0), (70.0, 6.0)], [8.0] * 4)
+    found = {}
+    for licence in ("reckless", "careless", "lawful"):
+        policy = Strive(weights=weights, rounds=3, attackers=8, licence=licence)
+        memory = policy.start(downtown, scene, None, np.random.default_rng(0))
+        found[licence] = policy.search(Task(downtown, look(downtown, scene), memory, 1)).drawn.attackers
+    assert set(found["reckless"]) == {"v1", "v2", "v3"}
+    assert found["careless"] == found["lawful"] == ("v3",)
+
+
+class Counts(LaneGraphPlanner):
+    """A surrogate whose memory is how often it has been asked."""
+
+    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> int:
+        return 0
+
+    def plan(self, road: RoadMap, scene: Scene, memory: int, rng: np.random.Generator) -> tuple[Plan, int]:
+        return super().plan(road, scene, super().start(road, scene, rng), rng)[0], memory + 1
+
+
+def test_traffic_is_natural_where_nobody_may_attack(weights: str, downtown: RoadMap, street: Street) -> None:
+    """What an earlier attack had found is let go; the surrogate sees every scene all the same."""
+    scene = street([(60.0, 0.0), (48.0, 0.0), (46.0, 4.0)], [8.0] * 3)
+    policy = Strive(weights=weights, surrogate=f"{__name__}:Counts")
+    memory = policy.start(downtown, scene, None, np.random.default_rng(0))
+    view = look(downtown, scene)
+    searched = {name: np.ones(8) for name in view.ids}
+    memory = replace(memory, searched=searched, natural={name: np.zeros(8) for name in view.ids})
+    found = policy.search(Task(downtown, view, memory, 1))
+    calm = Strive(weights=weights, rounds=0).search(Task(downtown, view, memory, 1))
+    assert torch.equal(found.drawn.rollout.states(), calm.drawn.rollout.states())
+    assert (found.drawn.attackers, found.losses) == ((), ())
+    assert (memory.surrogate, found.memory.surrogate) == (0, 1)

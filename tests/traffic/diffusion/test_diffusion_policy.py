@@ -293,6 +293,21 @@ def test_a_plan_is_driven_for_as_long_as_asked(weights: str, downtown: RoadMap, 
     assert "v4" in fresh.tracks.ids
 
 
+def test_half_seconds_are_counted_where_plans_are_further_apart(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
+    """A plan each second: one is driven for 2 s of four half seconds, and looked at anew after them."""
+    scene = street(PLACES, SPEEDS)
+    policy = DiffusionTraffic(weights=weights, replan=4)
+    first, memory = planned(policy, downtown, scene)
+    for at_s, steps in ((1.0, 10), (2.0, 12)):
+        later = replace(scene, history=scene.history.shifted(at_s))
+        plan, memory = policy.plan(downtown, later, memory, np.random.default_rng(9))
+        assert (plan.tracks.t0_s, plan.tracks.steps) == (at_s + 0.5, steps)
+        if at_s == 1.0:
+            np.testing.assert_array_equal(plan.tracks.xy_m, first.xy_m[:, 2:])
+
+
 def test_where_the_road_ends_sumo_takes_over(weights: str, downtown: RoadMap) -> None:
     dead = next(
         x

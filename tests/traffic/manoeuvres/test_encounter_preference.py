@@ -14,7 +14,7 @@ from advdiff_sumo.models.failure_predictor import FailurePredictor
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.encounter_features import FEATURES
-from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
+from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference, answers
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.schedule import advance
 from tests.traffic.manoeuvres.scenes import view_of
@@ -62,6 +62,22 @@ def test_the_episodes_of_a_warm_up_take_turns() -> None:
     assert [one.agenda.order for one in probes[:4]] == [("hard-stop",)] * 3 + [("cut-in", "hard-stop")]
     assert [one.stage.agent_class.name for one in probes[:4]] == ["CAR", "TRUCK", "MOTORCYCLE", "CAR"]
     assert probes[4].agenda.order == ("crossing", "hard-stop")
+
+
+def test_a_stop_answers_no_question_about_cut_ins() -> None:
+    """Questions 1 and 3: a stop by a lorry, a cut-in by a car; a stop by a car answers neither."""
+
+    def met(kind: str, heavy: float) -> np.ndarray:
+        one = np.zeros((1, COUNT))
+        one[0, [FEATURES.index(kind), FEATURES.index("heavy")]] = 1.0, heavy
+        return one
+
+    stop, lorry, cut_in = met("hard-stop", 0.0), met("hard-stop", 1.0), met("cut-in", 0.0)
+    assert [answers(1, one) for one in (stop, lorry, cut_in)] == [False, True, False]
+    assert [answers(3, one) for one in (stop, lorry, cut_in)] == [False, False, True]
+    assert not answers(3, np.concatenate((stop, met("cut-in", 1.0))))  # neither is both
+    assert answers(3, np.concatenate((stop, cut_in)))
+    assert not answers(0, np.zeros((0, COUNT)))
 
 
 def test_turns_go_to_the_kind_that_breaks_it() -> None:

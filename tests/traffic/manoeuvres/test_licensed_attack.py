@@ -16,6 +16,7 @@ from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
 from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.licensed_attack import RECKLESS, licensed_attack
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.planning.futures import Futures, coasting
 from advdiff_sumo.traffic.policy_registry import make_policy
 from tests.traffic.small_networks import downtown, street
@@ -65,6 +66,17 @@ def test_a_short_plan_is_held_to_the_law_beyond_its_end(
 def test_who_harms_nobody_is_left_alone(downtown: RoadMap, street: Callable[..., Scene]) -> None:
     scene = street([(40.0, 0.0), (80.0, 0.0)], [8.0, 9.0])
     assert attack_of(downtown, scene, "lawful").refused == ()
+
+
+@pytest.mark.parametrize("licence", ["lawful", "careless"])
+def test_who_is_guided_follows_its_lane_while_the_target_is_on_none(
+    downtown: RoadMap, street: Callable[..., Scene], licence: str
+) -> None:
+    """The one who harms nobody above; nobody knows which way a target 60 m off its lane goes on."""
+    scene = street([(40.0, 60.0), (80.0, 0.0)], [8.0, 9.0])
+    assert SituationView.of(downtown, scene).target is None
+    assert attack_of(downtown, scene, licence).refused == (1,)
+    assert attack_of(downtown, scene, "reckless").refused == ()
 
 
 def test_a_lawful_manoeuvre_is_driven_beside_guided_plans(

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
+import numpy as np
+import pytest
 import torch
 
-from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.core.scene import TRACK_ARRAYS, Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.background_plan import Rules, outlook, plausible_plan
+from advdiff_sumo.traffic.background_plan import Rules, outlook, plausible_plan, rest_of
 from advdiff_sumo.traffic.planning.drawn import Drawn
 
 PLACES = [(60.0, 0.0), (75.0, 0.0), (45.0, 0.0), (90.0, 0.0), (30.0, 0.0)]
@@ -39,6 +42,30 @@ def test_plans_that_the_safeguard_changed_are_counted(
         counts[aside_m] = plan.safeguarded
         assert set(plan.tracks.ids) == {"v1", "v2", "v3", "v4"}
     assert counts == {0.0: (0, 4), 9.0: (1, 4)}
+
+
+def test_what_is_left_of_a_plan(street: Callable[..., Scene]) -> None:
+    """Twelve half seconds, planned at 0 s; after 5 s in two calls two are left, and the next call is in 5 more."""
+    scene = street(PLACES, [8.0] * 5)
+    plan = scene.history.rows([1, 2, 3, 4])
+    plan = replace(coasted(plan, 12), t0_s=scene.time_s + 0.5)
+
+    def left(after_s: float, before: int, replan: int) -> int | None:
+        now = replace(scene, history=scene.history.shifted(after_s))
+        rest = rest_of(plan, before, now, replan)
+        assert rest is None or rest.t0_s == pytest.approx(now.time_s + 0.5)
+        return None if rest is None else rest.steps
+
+    assert [left(0.5, 0, 4), left(1.0, 1, 4), left(1.5, 2, 4), left(2.0, 3, 4)] == [11, 10, 9, None]
+    assert [left(1.0, 0, 4), left(2.0, 2, 4)] == [10, None]
+    assert [left(2.5, 0, 12), left(5.0, 5, 12), left(5.0, 9, 12)] == [7, None, 2]
+    assert [left(0.0, 0, 4), left(0.7, 0, 4), left(0.5, 0, 1)] == [None] * 3
+
+
+def coasted(now: Tracks, steps: int) -> Tracks:
+    """Return *steps* instants in which everybody is where it was last."""
+    arrays = {name: np.repeat(getattr(now, name)[:, -1:], steps, axis=1) for name in TRACK_ARRAYS[2:]}
+    return replace(now, **arrays)
 
 
 def test_who_follows_the_target_keeps_back_unless_it_is_reckless(

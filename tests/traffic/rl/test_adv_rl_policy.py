@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,9 @@ def test_the_safeguard_knows_the_plan_before(
     made.plan(downtown, scene, memory, rng)
     assert given[0] == (None, 1)
     assert given[1][0] is first.tracks
+    for at_s in (0.5, 1.0):
+        made.plan(downtown, replace(scene, history=scene.history.shifted(at_s)), memory, rng)
+    assert [steps for _, steps in given[2:]] == [1, 2]
 
 
 def test_an_actor_survives_its_file(tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -13,6 +13,7 @@ from advdiff_sumo.experiments.bench.bench_rows import (
     policy_row,
 )
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
+from advdiff_sumo.experiments.bench.detection import too_few
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import DEFECTS_LIST, SceneList
 from advdiff_sumo.planners.defects import DEFECTS, Defect, parse_defects
@@ -35,6 +36,9 @@ def plan_defects(folder: Folder, teller: ProgressReporter) -> BenchCells:
     request = folder.request
     scenes, targets, names = asked_of_defects(request, teller, folder.path)
     planted = {target: planted_in(target, request, teller) for target in targets}
+    for target, defects in planted.items():
+        if lacking := too_few(len(scenes.scenes), target, len(defects)):
+            teller.say(lacking)
     cells = []
     for name in names:
         if CAREFUL in TARGETS.names() and CAREFUL not in targets:

@@ -21,6 +21,7 @@ from advdiff_sumo.experiments.bench.detection import (
     detections,
     first_detection,
     ranking_auc,
+    too_few,
 )
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.finding_counts import findings_text, first_costs
@@ -121,6 +122,9 @@ def defects_table(
     scenes = cells.scenes
     title = f"Planted defects: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
     firsts = tuple(_first_note(one) + _rank_note(one.auc) for one in contests if one.defective)
+    planted = {one.target: len(one.detections) for one in contests}
+    lacking = (too_few(len(scenes.scenes), target, count) for target, count in planted.items())
+    firsts = (*firsts, *(sentence for sentence in lacking if sentence))
     notes = (*NOTES, *firsts, *notes_of(gathered, scenes, folder, ()))
     return Table("defects", title, heads, tuple(lines), _gaps(contests), notes)
 

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.terminal import print_json, verb_console
 from advdiff_sumo.cli.worker_flags import Timeout, Workers, cores, end_as_by_ctrl_c, limits_of
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.threads import one_thread_for_good
@@ -49,6 +49,10 @@ Targets = Annotated[
 Licence = Annotated[
     str | None,
     typer.Option(help="What attackers may do: lawful, careless, reckless.", show_default="reckless"),
+]
+DefectsLicence = Annotated[
+    str | None,
+    typer.Option(help="What attackers may do: lawful, careless, reckless.", show_default="lawful"),
 ]
 Severity = Annotated[
     str | None,
@@ -175,10 +179,7 @@ def defects(
     horizon: Annotated[
         float | None, typer.Option(help="Longest duration of an episode, s.", show_default="30")
     ] = None,
-    licence: Annotated[
-        str | None,
-        typer.Option(help="What attackers may do: lawful, careless, reckless.", show_default="lawful"),
-    ] = None,
+    licence: DefectsLicence = None,
     workers: Workers = None,
     timeout: Timeout = 600.0,
     out: Out = None,
@@ -200,9 +201,17 @@ def defects(
 
 
 def run_or_print(
-    name: BenchName, out: Path | None, workers: int | None, timeout_s: float, given: dict[str, Any]
+    name: BenchName,
+    out: Path | None,
+    workers: int | None,
+    timeout_s: float,
+    given: dict[str, Any],
+    as_json: bool = False,
 ) -> None:
-    """Run a bench, or print it where it is finished; names with commas between them are taken apart."""
+    """Run a bench, or print it where it is finished; names with commas between them are taken apart.
+
+    *as_json*, of ``defects``: one object is printed and nothing else.
+    """
     one_thread_for_good()
     from advdiff_sumo.experiments.bench.bench_config import Folder, open_folder, request_of
     from advdiff_sumo.experiments.bench.print_table import print_table  # late: --help needs no simulator
@@ -210,7 +219,7 @@ def run_or_print(
     from advdiff_sumo.experiments.bench.table_cache import finished
 
     end_as_by_ctrl_c()
-    console = terminal()
+    console = verb_console(False, as_json)
     path = (out or _FOLDER / f"bench-{name}").resolve()
     named = {option: _names_of(given.get(option)) for option in ("policies", "targets", "defects")}
     scenes, usual = _of_log(given.get("scenes"))
@@ -223,6 +232,11 @@ def run_or_print(
             limits = limits_of(stack, timeout_s)
             with _Bars(console) as bars:
                 table = run_bench(folder, workers or cores(), limits, bars)
+    if as_json:
+        from advdiff_sumo.experiments.bench.defects_object import defects_object  # late, as above
+
+        print_json(defects_object(path, table))
+        return
     print_table(console, table)
     files = "table.csv, table.tex, table.md, table.png"
     if name == "defects":

@@ -8,8 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from advdiff_sumo.cli.bench import Scenes, Severity, run_or_print
+from advdiff_sumo.cli import run_flags as flags
+from advdiff_sumo.cli.bench import DefectsLicence, Severity, run_or_print
 from advdiff_sumo.cli.worker_flags import Timeout, Workers
+from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.errors import ConfigError
 
 _FOLDER = Path("runs")
@@ -34,29 +36,54 @@ def defects(
         ),
     ] = None,
     severity: Severity = None,
-    scenes: Scenes = None,
+    net: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Seed scenes of this net, .sumocfg or shipped net, as run finds them; several take turns.",
+            show_default="a shipped list of seed scenes",
+        ),
+    ] = None,
+    scenes: Annotated[
+        str | None,
+        typer.Option(
+            help="So many of --net or of the shipped list; or the file of a list, or a driving log: a scene a second.",
+            show_default="60",
+        ),
+    ] = None,
+    licence: DefectsLicence = None,
     horizon: Annotated[
         float | None, typer.Option(help="Longest duration of an episode, s.", show_default="30")
+    ] = None,
+    assign: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="Another option of run, as NAME=VALUE: scene.…, sim.…, seed and demand with --net, and "
+            "background_options.….",
+        ),
     ] = None,
     workers: Workers = None,
     timeout: Timeout = 600.0,
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the results; a finished one is only printed.", show_default="runs/defects-TARGET"
+            help="Folder of the results; a finished one is only printed.",
+            show_default="runs/defects-TARGET, with --net …-NET",
         ),
     ] = None,
+    as_json: flags.Json = False,
 ) -> None:
     """Plant defects in a planner and print which of them a background detects, and its false alarms.
 
-    advdiff-sumo defects --target my_planner:MyPlanner --background sumo --scenes 30
+    advdiff-sumo defects --target my_planner:MyPlanner --background scripted --net city.net.xml --scenes 30
 
     The catalogue is in docs/defects.md. An interrupted one goes on with the same command; more scenes or defects in
     the same folder run only what is missing.
     """
     if not target.strip():
         raise ConfigError("--target is empty; name a planner, such as lane_graph")
-    name = re.sub(r"[^\w.-]+", "-", target)
+    words = (target, *(re.split(r"[/\\]", one)[-1].split(".")[0] for one in net or ()))
+    name = "-".join(re.sub(r"[^\w.-]+", "-", word) for word in words)
     given: dict[str, Any] = {
         "scenes": scenes,
         "policies": background or ["sumo"],
@@ -64,5 +91,20 @@ def defects(
         "defects": defect,
         "severity": severity,
         "horizon_s": horizon,
+        "licence": licence,
+        **_episodes(net or [], assign or []),
     }
-    run_or_print("defects", out or _FOLDER / f"defects-{name}", workers, timeout, given)
+    run_or_print("defects", out or _FOLDER / f"defects-{name}", workers, timeout, given, as_json)
+
+
+def _episodes(nets: list[str], assignments: list[str]) -> dict[str, Any]:
+    """Return what is given of nets and of options of the episodes, files by their full paths."""
+    from advdiff_sumo.maps.shipped_nets import net_name  # late: --help needs no maps
+
+    options: dict[str, Any] = {}
+    for assignment in assignments:
+        set_dotted(options, assignment)
+    if isinstance(options.get("demand"), str):
+        options["demand"] = str(Path(options["demand"]).resolve())
+    named = list(dict.fromkeys(net_name(net) for net in nets))
+    return {"nets": named or None, "options": options or None}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -126,9 +127,49 @@ def test_what_a_users_own_test_can_see(scenes: Path, tmp_path: Path) -> None:
     assert 0 < int(mine["valid"]) <= int(mine["collisions"]) <= int(mine["episodes"]) == 3 * 4
 
 
+@pytest.mark.slow
+def test_a_users_own_net_is_asked_and_too_few_scenes_are_told(grid: Path, tmp_path: Path) -> None:
+    words = ("defects", "--net", str(grid), "--background", "scripted", "--licence", "lawful", *TINY)
+    more = ("--set", "background_options.attack=hard-stop", "--workers", "1")
+    one = (*words, *more, "--defect", "localisation:3.5")
+    first = advdiff(*one, "--scenes", "2", cwd=tmp_path)
+    assert first.code == 0, first.err
+    few = "2 seed scenes are too few to detect the defect planted in lane_graph"
+    assert first.out.count(few) == 2  # before the first episode and below the table
+    assert first.out.index(few) < first.out.index("6 episodes in 3 cells")
+    folder = tmp_path / "runs" / "defects-lane_graph-grid"
+    assert f"Seed scenes: the first 2 of {grid}, seed 0." in first.out
+    told = advdiff(*one, "--scenes", "2", "--json", cwd=tmp_path)
+    assert (told.code, told.err) == (0, "")
+    found = json.loads(told.out)
+    (defect,) = found["defects"]
+    row = _detections(folder)["localisation:3.5"]
+    assert defect["detected"] is False
+    assert {name: str(defect[name]) for name in ("scenes", "failures", "sound_failures")} == {
+        name: row[name] for name in ("scenes", "failures", "sound_failures")
+    }
+    assert defect["p"] == float(row["p"])
+    assert (found["folder"], found["detected"], found["planted"]) == (str(folder), 0, 1)
+    assert [(x["background"], x["target"], x["scenes"]) for x in found["sound"]] == [
+        ("scripted", "careful", 2),
+        ("scripted", "lane_graph", 2),
+    ]
+    assert any(note.startswith(few) for note in found["notes"])
+    grown = advdiff(*one, "--scenes", "3", cwd=tmp_path)
+    assert "9 episodes in 3 cells; 3 to do" in grown.out
+    refused = advdiff("defects", "--scenes", "list.json", "--out", str(folder), cwd=tmp_path)
+    assert (refused.code, refused.err.count("\n")) == (2, 1)
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (
+            ("--net", "motorway", "--scenes", "list.json"),
+            "--scenes list.json: has its own nets; give the number",
+        ),
+        (("--net", "nowhere.net.xml"), "no such net"),
+        (("--set", "scene.warmup_s=9"), "--set scene: a list has its own; add --net"),
         (("--defect", "laet"), "unknown defect 'laet'; did you mean 'late'?"),
         (("--severity", "stronk"), "severity = 'stronk'"),
         (("--background", "smuo"), "unknown background 'smuo'; did you mean 'sumo'?"),

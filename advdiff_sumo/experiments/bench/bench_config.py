@@ -10,17 +10,37 @@ from typing import Any, Literal, TypeAlias
 
 from pydantic import Field
 
-from advdiff_sumo.config import Options
+from advdiff_sumo.config import Options, Seed
 from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, WeightsError
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.plugins import Registry, fold
 from advdiff_sumo.sim.run_episodes import versions
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sweep.fingerprint import digest, file_digest
 from advdiff_sumo.sweep.sweep_files import write_whole
 from advdiff_sumo.traffic.licence import LicenceName
 
 BenchName: TypeAlias = Literal["traffic", "adversarial", "transfer", "fewshot", "defects"]
 _FILE = "bench.json"
+_LATER = ("nets", "options")
+
+
+class EpisodeOptions(Options):
+    """What ``--set`` can say of a bench's episodes, by the names that ``run --set`` has.
+
+    Attributes:
+        seed: root of the random numbers.
+        demand: route file or SUMO configuration; empty: that of a net's configuration, or traffic is generated.
+        sim: steps and radii.
+        scene: how seed scenes are found.
+        background_options: of every background.
+    """
+
+    seed: Seed = 0
+    demand: str = ""
+    sim: SimOptions = SimOptions()
+    scene: SceneOptions = SceneOptions()
+    background_options: dict[str, Any] = Field(default_factory=dict)
 
 
 class Request(Options):
@@ -39,6 +59,8 @@ class Request(Options):
         defects: what is planted, as ``NAME`` or ``NAME:SEVERITY`` (defects).
         severity: of those that have none.
         licence: of all that attack; None: the paper's, and of ``defects`` the default one.
+        nets: where seed scenes are found, in place of a list; ``scenes`` is their number then.
+        options: of the episodes, those of :class:`EpisodeOptions` that are given.
     """
 
     bench: BenchName
@@ -53,6 +75,17 @@ class Request(Options):
     defects: tuple[str, ...] = ()
     severity: Literal["weak", "middle", "strong"] = "strong"
     licence: LicenceName | None = None
+    nets: tuple[str, ...] = ()
+    options: dict[str, Any] = Field(default_factory=dict)
+
+    @property
+    def episode(self) -> EpisodeOptions:
+        """The options of the episodes.
+
+        Raises:
+            ConfigError: one is unknown or impossible.
+        """
+        return EpisodeOptions.parse(self.options, "--set")
 
 
 @dataclass(frozen=True)
@@ -77,7 +110,8 @@ class Folder:
     @property
     def asked(self) -> str:
         """Digest of what is asked for."""
-        return digest(self.request.model_dump(mode="json"))
+        dumped = self.request.model_dump(mode="json")
+        return digest({name: value for name, value in dumped.items() if name not in _LATER or value})
 
 
 def open_folder(path: Path, request: Request) -> Folder:

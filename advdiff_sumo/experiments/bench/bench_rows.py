@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from advdiff_sumo.experiments.bench.bench_config import Request, chosen
-from advdiff_sumo.experiments.bench.log_scenes import bench_scenes
+from advdiff_sumo.experiments.bench.net_scenes import asked_scenes
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
@@ -102,7 +102,7 @@ def asked_of(
     Raises:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
-    scenes = bench_scenes(request.scenes, scene_list, folder)
+    scenes = asked_scenes(request, scene_list, folder)
     targets, absent = chosen(request.targets, usual_targets, TARGETS, "--targets", made_target)
     names, lacking = chosen(request.policies, usual_rows, POLICIES, "--policies", made_policy)
     for what, missing in (("row", lacking), ("target", absent)):

@@ -70,8 +70,10 @@ class BenchCells:
             yield self.cells[job.cell // places], job
 
 
-def plan_cells(cells: Sequence[BenchCell], scenes: SceneList, horizon_s: float) -> BenchCells:
-    """Check everything and lay out the episodes.
+def plan_cells(
+    cells: Sequence[BenchCell], scenes: SceneList, horizon_s: float, sim: Mapping[str, Any] | None = None
+) -> BenchCells:
+    """Check everything and lay out the episodes; *sim* has options of the simulation, the others are usual.
 
     Raises:
         InputError: a target or background cannot be made, or a net is missing.
@@ -83,6 +85,7 @@ def plan_cells(cells: Sequence[BenchCell], scenes: SceneList, horizon_s: float) 
             target_options=dict(cell.target_options),
             background=cell.background,
             background_options=dict(cell.background_options),
+            demand=scenes.demand,
             scenes=scenes.log,
             seed=seed,
             episodes=count,
@@ -95,7 +98,7 @@ def plan_cells(cells: Sequence[BenchCell], scenes: SceneList, horizon_s: float) 
     spec = SweepSpec.of(
         {
             "horizon_s": horizon_s,
-            "sim": known,
+            "sim": {**known, **(sim or {})},
             "scene": scenes.scene.model_dump(mode="json"),
             "cases": tuple(case.model_dump(mode="json", exclude_none=True) for case in cases),
         },

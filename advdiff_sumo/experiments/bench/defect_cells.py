@@ -13,11 +13,13 @@ from advdiff_sumo.experiments.bench.bench_rows import (
     policy_row,
 )
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
+from advdiff_sumo.experiments.bench.detection import too_few
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import DEFECTS_LIST, SceneList
 from advdiff_sumo.planners.defects import DEFECTS, Defect, parse_defects
 from advdiff_sumo.planners.planner_protocol import SumoDriver
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
+from advdiff_sumo.traffic.policy_registry import make_policy
 
 SOUND, CAREFUL = "sound", "careful"
 _USUAL_TARGET = "lane_graph"
@@ -35,6 +37,9 @@ def plan_defects(folder: Folder, teller: ProgressReporter) -> BenchCells:
     request = folder.request
     scenes, targets, names = asked_of_defects(request, teller, folder.path)
     planted = {target: planted_in(target, request, teller) for target in targets}
+    for target, defects in planted.items():
+        if lacking := too_few(len(scenes.scenes), target, len(defects)):
+            teller.say(lacking)
     cells = []
     for name in names:
         if CAREFUL in TARGETS.names() and CAREFUL not in targets:
@@ -42,7 +47,7 @@ def plan_defects(folder: Folder, teller: ProgressReporter) -> BenchCells:
         for target, defects in planted.items():
             cells.append(_cell(request, name, target))
             cells += [_cell(request, name, target, defect) for defect in defects]
-    return plan_cells(cells, scenes, request.horizon_s)
+    return plan_cells(cells, scenes, request.horizon_s, request.options.get("sim"))
 
 
 def asked_of_defects(
@@ -57,6 +62,9 @@ def asked_of_defects(
     scenes, targets, names = asked_of(request, teller, usual, _BACKGROUNDS, DEFECTS_LIST, folder)
     for target in targets:
         planted_in(target, request)
+    for name in names:
+        own = _cell(request, name, "")
+        make_policy(own.background, own.background_options)  # says which option it does not have
     return scenes, targets, names
 
 
@@ -85,6 +93,7 @@ def _cell(request: Request, name: str, target: str, defect: Defect | None = None
     allowed = licensed(row.options, request, row.background)
     if request.licence is None:
         allowed = {key: value for key, value in allowed.items() if key not in PAPERS_LICENCE}
+    allowed |= request.episode.background_options
     options = {} if defect is None else {"defects": [defect.name]}
     return BenchCell(
         row=name,

@@ -21,6 +21,7 @@ from advdiff_sumo.experiments.bench.detection import (
     detections,
     first_detection,
     ranking_auc,
+    too_few,
 )
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.finding_counts import findings_text, first_costs
@@ -121,7 +122,10 @@ def defects_table(
     scenes = cells.scenes
     title = f"Planted defects: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
     firsts = tuple(_first_note(one) + _rank_note(one.auc) for one in contests if one.defective)
-    notes = (*NOTES, *firsts, *notes_of(gathered, scenes, folder, ()))
+    planted = {one.target: len(one.detections) for one in contests}
+    lacking = (too_few(len(scenes.scenes), target, count) for target, count in planted.items())
+    firsts = (*firsts, *(sentence for sentence in lacking if sentence))
+    notes = (*NOTES, *firsts, *_source_note(folder), *notes_of(gathered, scenes, folder, ()))
     return Table("defects", title, heads, tuple(lines), _gaps(contests), notes)
 
 
@@ -232,6 +236,16 @@ def _first_note(contest: Contest) -> str:
         return f"{sentence}."
     names = " and ".join(first.defects)
     return f"{sentence}; the first, {names}, after {first.scenes} scenes, {first.episodes} episodes."
+
+
+def _source_note(folder: Folder) -> tuple[str, ...]:
+    """Return which seed scenes those of nets are, in the words of ``run``."""
+    request = folder.request
+    if not request.nets:
+        return ()
+    turns = " in turn" if len(request.nets) > 1 else ""
+    seed = request.episode.seed
+    return (f"Seed scenes: the first {request.scenes} of {', '.join(request.nets)}{turns}, seed {seed}.",)
 
 
 def _rank_note(auc: float | None) -> str:

@@ -107,6 +107,27 @@ def detections(sound: Tried, defective: Mapping[str, Tried]) -> tuple[Detection,
     )
 
 
+def least_scenes(planted: int) -> int:
+    """Return in how many scenes, the sound target failing in none, one of *planted* defects must fail to be seen."""
+    scenes = 1
+    while holm([mcnemar_more(scenes, 0)] * planted)[0] >= LEVEL:
+        scenes += 1
+    return scenes
+
+
+def too_few(scenes: int, target: str, planted: int) -> str:
+    """Return a sentence where so many *scenes* cannot detect any defect, whatever fails in them; else ""."""
+    if not planted or (least := least_scenes(planted)) <= scenes:
+        return ""
+    p = holm([mcnemar_more(scenes, 0)] * planted)[0]
+    few = "1 seed scene is" if scenes == 1 else f"{scenes} seed scenes are"
+    which = "the defect" if planted == 1 else f"any of the {planted} defects"
+    return (
+        f"{few} too few to detect {which} planted in {target}, even with a valid failure in every scene and none of "
+        f"the sound target: p = {p:.2g} after Holm's correction, {LEVEL:g} or more. {least} would be enough for that."
+    )
+
+
 def first_detection(sound: Tried, defective: Mapping[str, Tried]) -> FirstDetection | None:
     """Return after how many of the sound target's scenes, in their order, a defect is detected; None for never."""
     for count in range(1, len(sound) + 1):

@@ -23,7 +23,7 @@ FORMAT: Literal["advdiff-scenes-1"] = "advdiff-scenes-1"
 TABLE_LIST, TUNING_LIST = "scenes-300", "scenes-tuning"
 DEFECTS_LIST, RED_LIGHTS_LIST = "scenes-defects", "scenes-red-lights"
 TABLE_SEED, TUNING_SEED, DEFECTS_SEED, RED_LIGHTS_SEED = 3001, 7001, 9201, 9301
-_LATER = {"situation": "any", "pedestrians_per_km": 0.0, "stratum": "", "strata": {}, "log": ""}
+_LATER = {"situation": "any", "pedestrians_per_km": 0.0, "stratum": "", "strata": {}, "log": "", "demand": ""}
 """Fields that lists had not from the beginning, and what stands for their absence."""
 HORIZON_S, DEFECTS_HORIZON_S = 10.0, 30.0
 
@@ -79,6 +79,7 @@ class SceneList(Options):
         strata: how those of each stratum are found.
         scenes: strata and nets in turn, numbers rising.
         log: root of the driving log that they come from; "": SUMO traffic.
+        demand: route file or SUMO configuration of the traffic; "": that of a net's configuration, or generated.
         sha256: of all that precedes, as canonical JSON.
     """
 
@@ -91,6 +92,7 @@ class SceneList(Options):
     strata: dict[str, SceneOptions] = Field(default_factory=dict)
     scenes: tuple[ListedScene, ...]
     log: str = ""
+    demand: str = ""
     sha256: str = ""
 
     @model_serializer(mode="wrap")

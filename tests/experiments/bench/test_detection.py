@@ -23,7 +23,15 @@ from advdiff_sumo.experiments.bench.defect_score import (
     first_text,
     scene_order,
 )
-from advdiff_sumo.experiments.bench.detection import Outcome, Tried, detections, first_detection, ranking_auc
+from advdiff_sumo.experiments.bench.detection import (
+    Outcome,
+    Tried,
+    detections,
+    first_detection,
+    least_scenes,
+    ranking_auc,
+    too_few,
+)
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.progress import Silent
 from advdiff_sumo.experiments.bench.traces import UNTRACED
@@ -96,6 +104,28 @@ def test_the_first_detection_counts_what_was_tried_until_then() -> None:
     assert both is not None
     assert (both.scenes, both.episodes) == (8, 24)
     assert first_detection(sound, {"range": other}) is None
+
+
+@pytest.mark.parametrize(("planted", "least"), [(1, 5), (2, 6), (3, 6), (4, 7), (22, 9), (25, 9), (26, 10)])
+def test_the_least_number_of_scenes_by_hand(planted: int, least: int) -> None:
+    """The least n with planted / 2ⁿ < 0.05: 1/32, 2/64, 3/64, 4/128, 22/512, 25/512; 26/512 = 0.0508 is not."""
+    assert least_scenes(planted) == least
+    for scenes, seen in ((least, True), (least - 1, False)):
+        sound, shown = tried("." * scenes), tried("x" * scenes)
+        one, *_ = detections(sound, {f"d{k}": shown for k in range(planted)})
+        assert one.detected is seen
+
+
+def test_too_few_scenes_are_told_with_the_number_that_would_do() -> None:
+    """Of three scenes the p of two defects is 2 / 2³, of one 1 / 2³; none planted, none to detect."""
+    assert too_few(3, "av:AV", 2).startswith(
+        "3 seed scenes are too few to detect any of the 2 defects planted in av:AV,"
+    )
+    assert "p = 0.25 after Holm's correction" in too_few(3, "av:AV", 2)
+    assert too_few(3, "av:AV", 2).endswith(" 6 would be enough for that.")
+    assert too_few(1, "av:AV", 1).startswith("1 seed scene is too few to detect the defect planted in av:AV,")
+    assert (too_few(6, "av:AV", 2), too_few(5, "av:AV", 1), too_few(1, "careful", 0)) == ("", "", "")
+    assert too_few(5, "av:AV", 2)
 
 
 # --- the bench --------------------------------------------------------------------------------------------

@@ -1,0 +1,66 @@
+"""The result of ``bench defects`` as one object for other programs."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.experiments.bench.defect_cells import SOUND
+from advdiff_sumo.experiments.bench.defect_score import DETECTIONS
+from advdiff_sumo.experiments.bench.table import Table
+
+_COUNTS = ("scenes", "failures", "sound_failures", "only_defect", "only_sound")
+
+
+def defects_object(path: Path, table: Table) -> dict[str, Any]:
+    """Return what the bench in *path*, whose table is *table*, came to.
+
+    Returns:
+        ``folder``; ``detected`` and ``planted``, counts over all backgrounds and targets; ``defects``, an object each
+        with ``background``, ``target``, ``defect``, ``detected``, ``p``, ``p_holm``, and counts of seed scenes:
+        ``scenes`` (finished by both), ``failures``, ``sound_failures``, ``only_defect``, ``only_sound``; ``sound``,
+        valid failures of sound targets by background; ``notes``.
+
+    Raises:
+        FileError: the table of detections is missing or damaged.
+    """
+    file = path / DETECTIONS
+    try:
+        with file.open(encoding="utf-8", newline="") as lines:
+            defects = [_defect(row) for row in csv.DictReader(lines)]
+    except (OSError, KeyError, ValueError) as error:
+        raise FileError(file, f"cannot be read ({error})", "choose a new --out") from None
+    return {
+        "folder": str(path),
+        "detected": sum(one["detected"] for one in defects),
+        "planted": len(defects),
+        "defects": defects,
+        "sound": _sound(table),
+        "notes": list(table.notes),
+    }
+
+
+def _defect(row: Mapping[str, str]) -> dict[str, Any]:
+    return {
+        **{name: row[name] for name in ("background", "target", "defect")},
+        "detected": row["detected"] == "true",
+        **{name: float(row[name]) for name in ("p", "p_holm")},
+        **{name: int(row[name]) for name in _COUNTS},
+    }
+
+
+def _sound(table: Table) -> list[dict[str, Any]]:
+    return [
+        {
+            "background": background,
+            "target": line.group,
+            "scenes": cell.found.n,
+            "failures": round((cell.found.value or 0.0) * (cell.found.n or 0)),
+        }
+        for line in table.lines
+        if line.key == SOUND
+        for background, cell in line.cells.items()
+    ]

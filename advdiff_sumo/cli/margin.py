@@ -72,6 +72,7 @@ def margin(
     """
     one_thread_for_good()
     from advdiff_sumo.cli.run import options_given  # late: --help needs no simulator
+    from advdiff_sumo.experiments.margin_command import margin_command
     from advdiff_sumo.experiments.margin_trials import MarginTrials
     from advdiff_sumo.report.page import write_report
     from advdiff_sumo.sim.free_folder import named_folder
@@ -94,7 +95,7 @@ def margin(
         limits = limits_of(stack, timeout, plan_timeout, memory)
         trials = stack.enter_context(MarginTrials(options, folder, limits))
         margins = [_margin(console, trials, name, scale, within) for name, scale in asked]
-        trials.keep(margins)
+        trials.keep(margins, margin_command(options, attack, by, within))
     report = write_report(folder)
     for one in margins:
         console.print(f"{options.target}: {one.margin.text(one.attack, one.scale)}", soft_wrap=True)

@@ -14,7 +14,7 @@ from advdiff_sumo.experiments.bench.cells import open_bench_store
 from advdiff_sumo.experiments.margin import Margin, Scale, Trial
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.severity import is_valid_failure
-from advdiff_sumo.report.margin_table import TRIALS, TrialRow, trials_text
+from advdiff_sumo.report.margin_table import COMMAND, TRIALS, TrialRow, trials_text
 from advdiff_sumo.sim.run_episodes import RunOptions
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.executors import ProcessExecutor
@@ -88,14 +88,20 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         left_road = failed and row["collision_type"] == CollisionType.OFF_ROAD
         return Trial(value, failed, met, left_road)
 
-    def keep(self, margins: Sequence[MarginOf]) -> None:
-        """Put the neighbours' episodes into the folder's tables, each failing one first, and all trials into a file."""
+    def keep(self, margins: Sequence[MarginOf], command: str) -> None:
+        """Put the neighbours' episodes into the folder's tables, each failing one first, and all trials into a file.
+
+        Args:
+            margins: of the attacks.
+            command: repeats them.
+        """
         kept = [(m.attack, m.scale, trial.value) for m in margins for trial in m.margin.neighbours]
         plan = self._plan(kept)
         store = self._run(plan)
         consolidate(store, plan)
         episodes = {(attack, scale.by, value): k for k, (attack, scale, value) in enumerate(kept)}
         rows = [row for m in margins for row in _rows(m, episodes)]
+        write_whole(self._folder / COMMAND, f"{command}\n".encode())
         write_whole(self._folder / TRIALS, trials_text(rows).encode())
 
     def _plan(self, trials: Sequence[tuple[str, Scale, float]]) -> Plan:

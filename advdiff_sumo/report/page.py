@@ -18,6 +18,7 @@ from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.margin_pairs import margins_of
+from advdiff_sumo.report.margin_table import read_command
 from advdiff_sumo.report.matrix import matrix_of
 from advdiff_sumo.report.nets import Nets, place_names
 from advdiff_sumo.report.overview import Overview, overview_of
@@ -74,6 +75,7 @@ def report_html(run: FinishedRun) -> str:
             settings=list(_flat(run.settings)),
             rates=headline(run.episodes, run.unstarted),
             margins=margins_of(run, nets),
+            again=read_command(run.folder),
             archives=archives_of(run.episodes, labels),
             manoeuvres=MANOEUVRES,
             matrix=matrix_of(run.episodes, labels),

@@ -13,7 +13,7 @@ import pytest
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.margin_pairs import margins_of
-from advdiff_sumo.report.margin_table import TRIALS, TrialRow, read_trials, trials_text
+from advdiff_sumo.report.margin_table import COMMAND, TRIALS, TrialRow, read_trials, trials_text
 from advdiff_sumo.report.nets import Nets
 from advdiff_sumo.report.page import write_report
 from tests.report.conftest import drive, episode, struck, write_folder
@@ -96,6 +96,23 @@ def test_the_page_says_where_the_target_fails(folder: Path) -> None:
     assert "hard-stop: fails at 2.75 m/s², copes at 2.5 m/s² (braking)" in words
     assert "nobody was in a position for it" in words
     assert "1 ✓ , 2.5 ✓ , 2.75 ✕ , 8.5 ✕" in words
+
+
+def test_the_page_is_that_of_a_margin_and_knows_no_rates(folder: Path) -> None:
+    command = "advdiff-sumo margin --target av:Mine --net city --attack hard-stop --out ../again"
+    (folder / COMMAND).write_text(f"{command}\n", encoding="utf-8")
+    settings = folder / "run.toml"
+    settings.write_text(settings.read_text(encoding="utf-8").replace('"IDM"', '"av:Mine"'), encoding="utf-8")
+    html = write_report(folder).read_text(encoding="utf-8")
+    assert "<h1>Margin of av:Mine on lost, seed 3</h1>" in html
+    told = "To repeat it, in this folder with the folder of av.py on PYTHONPATH:"
+    assert f"<span>{told}</span> <code>{command}</code>" in html
+    assert "advdiff-sumo sweep" not in html
+    for part in ("rates", "matrix", "archive"):
+        assert f'id="{part}"' not in html
+    assert "95 % interval" not in html
+    (folder / COMMAND).unlink()
+    assert "To repeat it" not in write_report(folder).read_text(encoding="utf-8")
 
 
 def test_other_folders_have_no_margin(two_episodes: Path) -> None:

@@ -11,7 +11,7 @@ import typer
 from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.cli.worker_flags import MEMORY_MB, PLAN_TIMEOUT_S, Memory, PlanTimeout, Timeout, limits_of
-from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from advdiff_sumo.experiments.margin import Scale, Trial
     from advdiff_sumo.experiments.margin_trials import MarginOf, MarginTrials
 
+_FAILED = 1
 
 _Attack = Annotated[
     str,
@@ -69,6 +70,9 @@ def margin(
     advdiff-sumo margin --target my_planner:MyPlanner --net motorway --attack cut-in --seed 3
 
     The report shows the failing beside the passing neighbour. Trials that are in the folder are not run again.
+
+    Exit code 0: a margin or a bound of it; 1: nobody was in a position to attack, or an episode failed; 2: something
+    given cannot be used.
     """
     one_thread_for_good()
     from advdiff_sumo.cli.run import options_given  # late: --help needs no simulator
@@ -91,15 +95,21 @@ def margin(
     about = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
     folder = out or named_folder("margin", attack, *map(str, about), f"s{options.seed}")
     console = terminal()
-    with ExitStack() as stack:
-        limits = limits_of(stack, timeout, plan_timeout, memory)
-        trials = stack.enter_context(MarginTrials(options, folder, limits))
-        margins = [_margin(console, trials, name, scale, within) for name, scale in asked]
-        trials.keep(margins, margin_command(options, attack, by, within))
+    try:
+        with ExitStack() as stack:
+            limits = limits_of(stack, timeout, plan_timeout, memory)
+            trials = stack.enter_context(MarginTrials(options, folder, limits))
+            margins = [_margin(console, trials, name, scale, within) for name, scale in asked]
+            trials.keep(margins, margin_command(options, attack, by, within))
+    except EpisodeFailure as failure:
+        terminal(stderr=True, soft_wrap=True, highlight=False).print(f"error: {failure}", style="red")
+        raise typer.Exit(_FAILED) from None
     report = write_report(folder)
     for one in margins:
         console.print(f"{options.target}: {one.margin.text(one.attack, one.scale)}", soft_wrap=True)
     console.print(f"look at {report}", soft_wrap=True)
+    if not any(one.margin.is_known for one in margins):
+        raise typer.Exit(_FAILED)
 
 
 def _asked(attack: str, by: str | None, within: float | None) -> list[tuple[str, Scale]]:

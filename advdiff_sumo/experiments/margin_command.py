@@ -56,7 +56,7 @@ def margin_command(
 def _assignments(options: RunOptions) -> Iterator[str]:
     """Yield what ``--set`` takes of all that is not as usual and has no flag."""
     values = options.model_dump(mode="json", exclude=set(_SAID))
-    usual = dict(_leaves(RunOptions().model_dump(mode="json") | _USUAL))
+    usual = dict(_leaves(RunOptions().model_dump(mode="json") | dict(_USUAL)))
     if options.scenes:
         values["scenes"] = str(Path(options.scenes).resolve())
     for name, value in _leaves(values):

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.errors import ConfigError, EpisodeFailure, FileError
+from advdiff_sumo.data.episode_states import states_of
 from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.experiments.bench.cells import open_bench_store
 from advdiff_sumo.experiments.margin import Margin, Scale, Trial
+from advdiff_sumo.experiments.margin_lack import lacking
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.severity import is_valid_failure
 from advdiff_sumo.report.margin_table import COMMAND, TRIALS, TrialRow, trials_text
@@ -74,19 +76,21 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         """Return what comes of *attack* with this *value* of *scale*.
 
         Raises:
-            ConfigError: the episode did not get to its end.
+            EpisodeFailure: the episode did not get to its end.
             InputError: a name is unknown, or there is no seed scene.
         """
         plan = self._plan([(attack, scale, value)])
         part = self._run(plan).read(plan.jobs[0].key)
         if part is None or part.failed is not None:
             why = "" if part is None or part.failed is None else part.failed.message
-            raise ConfigError(f"the episode with {scale.text(value)} failed: {why}; see {self._folder}")
+            raise EpisodeFailure(f"the episode with {scale.text(value)} failed: {why}; see {self._folder}")
         (row,) = part.tables["episodes"].to_pylist()
         failed = is_valid_failure(row)
         met = row["attacker_manoeuvre"] == attack if failed else bool(row["in_position"])
         left_road = failed and row["collision_type"] == CollisionType.OFF_ROAD
-        return Trial(value, failed, met, left_road)
+        states = None if failed or met else states_of(part.tables["states"])
+        lacks = "" if states is None else lacking(attack, row, states)
+        return Trial(value, failed, met, left_road, lacks)
 
     def keep(self, margins: Sequence[MarginOf], command: str) -> None:
         """Put the neighbours' episodes into the folder's tables, each failing one first, and all trials into a file.

@@ -29,6 +29,16 @@ class StraightOn:
 """
 
 
+RAISES = """
+class Raises:
+    def start(self, road, scene, rng):
+        return None
+
+    def plan(self, road, scene, memory, rng):
+        raise ValueError("no plan")
+"""
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -42,6 +52,25 @@ def test_what_has_no_severity_is_refused(words: tuple[str, ...], message: str, t
     outcome = advdiff("margin", *words, cwd=tmp_path)
     assert outcome.code == 2
     assert message in outcome.err
+
+
+@pytest.mark.slow
+def test_a_planner_that_raises_is_a_failure_and_no_wrong_input(tmp_path: Path) -> None:
+    (tmp_path / "av.py").write_text(RAISES, encoding="utf-8")
+    done = advdiff("margin", *SCENE, "--target", "av:Raises", "--out", "m", cwd=tmp_path)
+    assert (done.code, done.out) == (1, "")
+    assert "the episode with braking of 8.5 m/s² failed: target 'av:Raises' raised ValueError" in done.err
+
+
+@pytest.mark.slow
+def test_where_nobody_could_attack_there_is_no_answer(tmp_path: Path) -> None:
+    words = ("--attack", "cut-out", "--horizon", "2", "--out", "m")
+    done = advdiff("margin", *SCENE, *words, cwd=tmp_path)
+    assert done.code == 1
+    assert (
+        "nobody was in a position for cut-out: the episode lasted 2.0 s (--horizon); raise scene" in done.out
+    )
+    assert "look at m" in done.out
 
 
 @pytest.mark.slow

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from advdiff_sumo.cli import run_flags as flags
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.terminal import print_json, terminal, verb_console
 from advdiff_sumo.cli.worker_flags import MEMORY_MB, PLAN_TIMEOUT_S, Memory, PlanTimeout, Timeout, limits_of
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.core.threads import one_thread_for_good
@@ -64,6 +64,7 @@ def margin(
     timeout: Timeout = 300.0,
     plan_timeout: PlanTimeout = PLAN_TIMEOUT_S,
     memory: Memory = MEMORY_MB,
+    as_json: flags.Json = False,
 ) -> None:
     """Find the mildest attack on a target, in one seed scene, in which it fails and a careful driver would not.
 
@@ -94,7 +95,7 @@ def margin(
     planted = options.target_options.get("defects", ())
     about = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
     folder = out or named_folder("margin", attack, *map(str, about), f"s{options.seed}")
-    console = terminal()
+    console = verb_console(False, as_json)
     try:
         with ExitStack() as stack:
             limits = limits_of(stack, timeout, plan_timeout, memory)
@@ -108,8 +109,20 @@ def margin(
     for one in margins:
         console.print(f"{options.target}: {one.margin.text(one.attack, one.scale)}", soft_wrap=True)
     console.print(f"look at {report}", soft_wrap=True)
+    if as_json:
+        print_json(
+            {"folder": str(folder.resolve()), "report": str(report.resolve()), **_found(attack, margins)}
+        )
     if not any(one.margin.is_known for one in margins):
         raise typer.Exit(_FAILED)
+
+
+def _found(attack: str, margins: list[MarginOf]) -> dict[str, Any]:
+    """Return what ``--json`` prints of the *margins*: of one attack its values, of all attacks a list."""
+    from advdiff_sumo.experiments.margin import EVERY_ATTACK
+
+    summaries = [one.summary() for one in margins]
+    return {"margins": summaries} if attack == EVERY_ATTACK else summaries[0]
 
 
 def _asked(attack: str, by: str | None, within: float | None) -> list[tuple[str, Scale]]:

@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure, FileError
 from advdiff_sumo.data.episode_states import states_of
@@ -45,6 +46,18 @@ class MarginOf:
     attack: str
     scale: Scale
     margin: Margin
+
+    def summary(self) -> dict[str, Any]:
+        """Return the margin as plain values; a value that is not known is None."""
+        fails, passes = self.margin.fails, self.margin.passes if self.margin.is_known else None
+        return {
+            "attack": self.attack,
+            "parameter": self.scale.by,
+            "unit": self.scale.unit,
+            "failing": None if fails is None else fails.value,
+            "passing": None if passes is None else passes.value,
+            "why": self.margin.text(self.attack, self.scale),
+        }
 
 
 class MarginTrials(AbstractContextManager["MarginTrials"]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -71,6 +72,10 @@ def test_where_nobody_could_attack_there_is_no_answer(tmp_path: Path) -> None:
         "nobody was in a position for cut-out: the episode lasted 2.0 s (--horizon); raise scene" in done.out
     )
     assert "look at m" in done.out
+    again = advdiff("margin", *SCENE, *words, "--json", cwd=tmp_path)
+    said = json.loads(again.out)
+    assert (again.code, said["failing"], said["passing"]) == (1, None, None)
+    assert said["why"].startswith("nobody was in a position for cut-out")
 
 
 @pytest.mark.slow
@@ -87,6 +92,11 @@ def test_the_failing_and_the_passing_neighbour_and_again(tmp_path: Path) -> None
     assert {row["episode"] for row in trials(tmp_path / "m")} == {"", "0", "1"}
     again = advdiff(*words, cwd=tmp_path)
     assert again.out == done.out
+    said = json.loads(advdiff(*words, "--json", cwd=tmp_path).out)
+    assert (said["attack"], said["parameter"], said["unit"]) == ("hard-stop", "braking", "m/s²")
+    assert [f"{said['failing']:g}", f"{said['passing']:g}"] == values_of_neighbours(tmp_path / "m")
+    assert f"lane_graph: {said['why']}\n" in done.out
+    assert Path(said["report"]) == (tmp_path / "m" / "report.html").resolve()
 
 
 @pytest.mark.slow
@@ -126,6 +136,11 @@ def test_all_kinds_of_attack_in_one_scene(tmp_path: Path) -> None:
 def trials(folder: Path) -> list[dict[str, str]]:
     with (folder / "margin.csv").open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
+
+
+def values_of_neighbours(folder: Path) -> list[str]:
+    kept = sorted((row["episode"], row["value"]) for row in trials(folder) if row["episode"])
+    return [value for _, value in kept]
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:

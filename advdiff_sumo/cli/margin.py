@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from advdiff_sumo.cli import run_flags as flags
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.terminal import print_json, terminal, verb_console
 from advdiff_sumo.cli.worker_flags import MEMORY_MB, PLAN_TIMEOUT_S, Memory, PlanTimeout, Timeout, limits_of
-from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from advdiff_sumo.experiments.margin import Scale, Trial
     from advdiff_sumo.experiments.margin_trials import MarginOf, MarginTrials
 
+_FAILED = 1
 
 _Attack = Annotated[
     str,
@@ -63,15 +64,20 @@ def margin(
     timeout: Timeout = 300.0,
     plan_timeout: PlanTimeout = PLAN_TIMEOUT_S,
     memory: Memory = MEMORY_MB,
+    as_json: flags.Json = False,
 ) -> None:
     """Find the mildest attack on a target, in one seed scene, in which it fails and a careful driver would not.
 
     advdiff-sumo margin --target my_planner:MyPlanner --net motorway --attack cut-in --seed 3
 
     The report shows the failing beside the passing neighbour. Trials that are in the folder are not run again.
+
+    Exit code 0: a margin or a bound of it; 1: nobody was in a position to attack, or an episode failed; 2: something
+    given cannot be used.
     """
     one_thread_for_good()
     from advdiff_sumo.cli.run import options_given  # late: --help needs no simulator
+    from advdiff_sumo.experiments.margin_command import margin_command
     from advdiff_sumo.experiments.margin_trials import MarginTrials
     from advdiff_sumo.report.page import write_report
     from advdiff_sumo.sim.free_folder import named_folder
@@ -89,16 +95,34 @@ def margin(
     planted = options.target_options.get("defects", ())
     about = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
     folder = out or named_folder("margin", attack, *map(str, about), f"s{options.seed}")
-    console = terminal()
-    with ExitStack() as stack:
-        limits = limits_of(stack, timeout, plan_timeout, memory)
-        trials = stack.enter_context(MarginTrials(options, folder, limits))
-        margins = [_margin(console, trials, name, scale, within) for name, scale in asked]
-        trials.keep(margins)
+    console = verb_console(False, as_json)
+    try:
+        with ExitStack() as stack:
+            limits = limits_of(stack, timeout, plan_timeout, memory)
+            trials = stack.enter_context(MarginTrials(options, folder, limits))
+            margins = [_margin(console, trials, name, scale, within) for name, scale in asked]
+            trials.keep(margins, margin_command(options, attack, by, within))
+    except EpisodeFailure as failure:
+        terminal(stderr=True, soft_wrap=True, highlight=False).print(f"error: {failure}", style="red")
+        raise typer.Exit(_FAILED) from None
     report = write_report(folder)
     for one in margins:
         console.print(f"{options.target}: {one.margin.text(one.attack, one.scale)}", soft_wrap=True)
     console.print(f"look at {report}", soft_wrap=True)
+    if as_json:
+        print_json(
+            {"folder": str(folder.resolve()), "report": str(report.resolve()), **_found(attack, margins)}
+        )
+    if not any(one.margin.is_known for one in margins):
+        raise typer.Exit(_FAILED)
+
+
+def _found(attack: str, margins: list[MarginOf]) -> dict[str, Any]:
+    """Return what ``--json`` prints of the *margins*: of one attack its values, of all attacks a list."""
+    from advdiff_sumo.experiments.margin import EVERY_ATTACK
+
+    summaries = [one.summary() for one in margins]
+    return {"margins": summaries} if attack == EVERY_ATTACK else summaries[0]
 
 
 def _asked(attack: str, by: str | None, within: float | None) -> list[tuple[str, Scale]]:

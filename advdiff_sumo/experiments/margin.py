@@ -22,6 +22,7 @@ from advdiff_sumo.traffic.manoeuvres.intensity import (
 
 EVERY_ATTACK = "all"
 _OFF_THE_ROAD = "it leaves the road by itself and touches nobody"
+_REMEDY = "raise scene.min_speed_mps or choose a scene.situation with --set, or take another --seed or --net"
 _BESIDE_THE_ATTACK = "it collides with somebody who does nothing against it"
 
 
@@ -98,12 +99,14 @@ class Trial:
         failed: whether the target failed validly.
         met: whether the encounter took place at all; where it failed, whether it met who attacks, and nobody else.
         left_road: whether it failed by leaving the road, which it does without touching anybody.
+        lacks: why no encounter took place, in words; "" where that is not known.
     """
 
     value: float
     failed: bool
     met: bool
     left_road: bool = False
+    lacks: str = ""
 
     @property
     def outcome(self) -> str:
@@ -137,11 +140,17 @@ class Margin:
         """The failing and the passing one that lie side by side, as far as there are both."""
         return tuple(trial for trial in (self.fails, self.passes) if trial is not None)
 
+    @property
+    def is_known(self) -> bool:
+        """Whether it is a margin or a bound of one; not where the severest attack did not take place."""
+        return self.fails is not None or (self.passes is not None and self.passes.met)
+
     def text(self, attack: str, scale: Scale) -> str:
         """Return the margin of *attack* in a sentence's end."""
         if self.fails is None and self.passes is not None:
-            if not self.passes.met:
-                return f"nobody was in a position for {attack}; choose another seed scene or net"
+            if not self.is_known:
+                why = f": {self.passes.lacks}" if self.passes.lacks else ""
+                return f"nobody was in a position for {attack}{why}; {_REMEDY}"
             return f"copes with {attack} up to the severest, {scale.text(self.passes.value)}"
         if self.passes is None and self.fails is not None:
             other = "" if self.fails.met else f": {self.fails.apart}"

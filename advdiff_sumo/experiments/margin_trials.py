@@ -7,14 +7,17 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
-from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.errors import ConfigError, EpisodeFailure, FileError
+from advdiff_sumo.data.episode_states import states_of
 from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.experiments.bench.cells import open_bench_store
 from advdiff_sumo.experiments.margin import Margin, Scale, Trial
+from advdiff_sumo.experiments.margin_lack import lacking
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.severity import is_valid_failure
-from advdiff_sumo.report.margin_table import TRIALS, TrialRow, trials_text
+from advdiff_sumo.report.margin_table import COMMAND, TRIALS, TrialRow, trials_text
 from advdiff_sumo.sim.run_episodes import RunOptions
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.executors import ProcessExecutor
@@ -43,6 +46,18 @@ class MarginOf:
     attack: str
     scale: Scale
     margin: Margin
+
+    def summary(self) -> dict[str, Any]:
+        """Return the margin as plain values; a value that is not known is None."""
+        fails, passes = self.margin.fails, self.margin.passes if self.margin.is_known else None
+        return {
+            "attack": self.attack,
+            "parameter": self.scale.by,
+            "unit": self.scale.unit,
+            "failing": None if fails is None else fails.value,
+            "passing": None if passes is None else passes.value,
+            "why": self.margin.text(self.attack, self.scale),
+        }
 
 
 class MarginTrials(AbstractContextManager["MarginTrials"]):
@@ -74,28 +89,36 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         """Return what comes of *attack* with this *value* of *scale*.
 
         Raises:
-            ConfigError: the episode did not get to its end.
+            EpisodeFailure: the episode did not get to its end.
             InputError: a name is unknown, or there is no seed scene.
         """
         plan = self._plan([(attack, scale, value)])
         part = self._run(plan).read(plan.jobs[0].key)
         if part is None or part.failed is not None:
             why = "" if part is None or part.failed is None else part.failed.message
-            raise ConfigError(f"the episode with {scale.text(value)} failed: {why}; see {self._folder}")
+            raise EpisodeFailure(f"the episode with {scale.text(value)} failed: {why}; see {self._folder}")
         (row,) = part.tables["episodes"].to_pylist()
         failed = is_valid_failure(row)
         met = row["attacker_manoeuvre"] == attack if failed else bool(row["in_position"])
         left_road = failed and row["collision_type"] == CollisionType.OFF_ROAD
-        return Trial(value, failed, met, left_road)
+        states = None if failed or met else states_of(part.tables["states"])
+        lacks = "" if states is None else lacking(attack, row, states)
+        return Trial(value, failed, met, left_road, lacks)
 
-    def keep(self, margins: Sequence[MarginOf]) -> None:
-        """Put the neighbours' episodes into the folder's tables, each failing one first, and all trials into a file."""
+    def keep(self, margins: Sequence[MarginOf], command: str) -> None:
+        """Put the neighbours' episodes into the folder's tables, each failing one first, and all trials into a file.
+
+        Args:
+            margins: of the attacks.
+            command: repeats them.
+        """
         kept = [(m.attack, m.scale, trial.value) for m in margins for trial in m.margin.neighbours]
         plan = self._plan(kept)
         store = self._run(plan)
         consolidate(store, plan)
         episodes = {(attack, scale.by, value): k for k, (attack, scale, value) in enumerate(kept)}
         rows = [row for m in margins for row in _rows(m, episodes)]
+        write_whole(self._folder / COMMAND, f"{command}\n".encode())
         write_whole(self._folder / TRIALS, trials_text(rows).encode())
 
     def _plan(self, trials: Sequence[tuple[str, Scale, float]]) -> Plan:

@@ -16,7 +16,7 @@ from advdiff_sumo.report.margin_table import TrialRow, read_trials
 from advdiff_sumo.report.nets import Nets
 from advdiff_sumo.report.scene_picture import focus_of, picture_of
 from advdiff_sumo.report.select import attacker_of
-from advdiff_sumo.report.series import Series, series_of
+from advdiff_sumo.report.series import Series, gap_to, series_of
 from advdiff_sumo.report.svg import SvgPicture, svg_picture
 
 SHOWN_S = 6.0
@@ -32,7 +32,7 @@ class Neighbour:
         trial: its line of ``margin.csv``.
         row: of ``episodes.parquet``.
         svg: its last seconds.
-        charts: speed and gap in them.
+        charts: speed in them, and the gap to who attacks, or to the nearest where nobody is known to.
         start_s: when the picture begins.
         end_s: when it ends.
     """
@@ -101,12 +101,17 @@ def _side_by_side(run: FinishedRun, nets: Nets, trials: tuple[TrialRow, TrialRow
     cut = [_last_seconds(one, end_s) for one in states if one is not None]
     if len(cut) < len(rows):
         return ()
-    view = _common_view(cut, rows)
+    met = _met(trials[0], rows[0], cut)
+    names = [met or attacker_of(row) for row in rows]
+    view = _common_view(cut, names)
     layer = nets.layer(str(rows[0]["net"]))
-    pictures = [picture_of(one, row, (), layer, view) for one, row in zip(cut, rows, strict=True)]
-    series = [series_of(one, attacker_of(row)) for one, row in zip(cut, rows, strict=True)]
+    pictures = [
+        picture_of(one, row, (), layer, view, name) for one, row, name in zip(cut, rows, names, strict=True)
+    ]
+    series = [_series(one, name, met is not None) for one, name in zip(cut, names, strict=True)]
+    gap = "Gap to the nearest" if met is None else "Gap to the attacker"
     return tuple(
-        Neighbour(trial, row, svg_picture(picture), _charts(one, series), picture.start_s, picture.end_s)
+        Neighbour(trial, row, svg_picture(picture), _charts(one, series, gap), picture.start_s, picture.end_s)
         for trial, row, picture, one in zip(trials, rows, pictures, series, strict=True)
     )
 
@@ -118,20 +123,34 @@ def _last_seconds(states: EpisodeStates, end_s: float) -> EpisodeStates:
     return replace(states, tracks=tracks.window(first, min(last, tracks.steps)))
 
 
-def _common_view(states: Sequence[EpisodeStates], rows: Sequence[Row]) -> View:
-    points = [focus_of(one, attacker_of(row)) for one, row in zip(states, rows, strict=True)]
+def _met(failing: TrialRow, row: Row, states: Sequence[EpisodeStates]) -> str | None:
+    """Return who attacks in both episodes: whom the target met in the *failing* one; None where that did nothing."""
+    name = attacker_of(row) if failing.encounter else None
+    return name if all(name in one.tracks.index for one in states) else None
+
+
+def _common_view(states: Sequence[EpisodeStates], names: Sequence[str | None]) -> View:
+    points = [focus_of(one, name) for one, name in zip(states, names, strict=True)]
     return View.around(np.concatenate(points), margin_m=6.0, least_width_m=40.0)
 
 
-def _charts(series: Series, both: Sequence[Series]) -> tuple[Chart, ...]:
-    """Return charts of speed and gap, scaled for both episodes."""
+def _series(states: EpisodeStates, name: str | None, to_attacker: bool) -> Series:
+    """Return the series with the attacker called *name*, whose gap is that *to_attacker* where that is asked for."""
+    series, tracks = series_of(states, name), states.tracks
+    if not to_attacker or name is None:
+        return series
+    return replace(series, gap_m=gap_to(tracks, states.target, tracks.index[name]))
+
+
+def _charts(series: Series, both: Sequence[Series], gap: str) -> tuple[Chart, ...]:
+    """Return charts of speed and of what *gap* says, scaled for both episodes."""
     fastest = max(float(np.nanmax([*one.speed_mps, *one.attacker_mps])) for one in both)
     widest = max((float(np.nanmax(one.gap_m)) for one in both if np.isfinite(one.gap_m).any()), default=1.0)
     speeds = {"attacker": series.attacker_mps, "target": series.speed_mps}
     return (
         chart("Speed", "m/s", series.times_s, speeds, None, least=(0.0, max(fastest, 1.0))),
         chart(
-            "Gap to the nearest",
+            gap,
             "m",
             series.times_s,
             {"target": series.gap_m},

@@ -1,4 +1,7 @@
-"""``margin.csv``: all trials of the margins of a seed scene, and which episodes of the folder are their neighbours."""
+"""``margin.csv``: all trials of the margins of a seed scene, and which episodes of the folder are their neighbours.
+
+Beside it lies the command that repeats them.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,9 @@ from pathlib import Path
 from advdiff_sumo.core.errors import FileError
 
 TRIALS = "margin.csv"
+COMMAND = "margin.txt"
+"""File with the command that repeats them."""
+_REMEDY = "repeat advdiff-sumo margin with the same --out"
 
 
 @dataclass(frozen=True)
@@ -66,9 +72,22 @@ def read_trials(folder: Path) -> tuple[TrialRow, ...]:
     except FileNotFoundError:
         return ()
     except (OSError, ValueError, KeyError) as error:
-        raise FileError(
-            path, f"is damaged ({error})", "repeat advdiff-sumo margin with the same --out"
-        ) from None
+        raise FileError(path, f"is damaged ({error})", _REMEDY) from None
+
+
+def read_command(folder: Path) -> str:
+    """Return the command that repeats the margins in *folder*; "" where it is not known.
+
+    Raises:
+        FileError: the file is damaged.
+    """
+    path = folder / COMMAND
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except FileNotFoundError:
+        return ""
+    except (OSError, ValueError) as error:
+        raise FileError(path, f"is damaged ({error})", _REMEDY) from None
 
 
 def _row(line: dict[str, str]) -> TrialRow:

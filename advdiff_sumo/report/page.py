@@ -18,6 +18,7 @@ from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.margin_pairs import margins_of
+from advdiff_sumo.report.margin_table import read_command
 from advdiff_sumo.report.matrix import matrix_of
 from advdiff_sumo.report.nets import Nets, place_names
 from advdiff_sumo.report.overview import Overview, overview_of
@@ -63,7 +64,7 @@ def report_html(run: FinishedRun) -> str:
         .render(
             run=run,
             name=run.folder.resolve().name,
-            own=own_modules(run.options),
+            own=own_modules(run.options, *run.episodes),
             labels=labels,
             targets=sorted({labels.target(row) for row in run.episodes}),
             backgrounds=sorted({labels.background(row) for row in run.episodes}),
@@ -74,6 +75,7 @@ def report_html(run: FinishedRun) -> str:
             settings=list(_flat(run.settings)),
             rates=headline(run.episodes, run.unstarted),
             margins=margins_of(run, nets),
+            again=read_command(run.folder),
             archives=archives_of(run.episodes, labels),
             manoeuvres=MANOEUVRES,
             matrix=matrix_of(run.episodes, labels),
@@ -91,13 +93,18 @@ def report_html(run: FinishedRun) -> str:
     )
 
 
-def own_modules(options: Mapping[str, Any]) -> list[str]:
-    """Return the files of a user's own target and background, which whoever repeats the run must be able to import."""
-    names = (str(options.get(plug_in) or "") for plug_in in ("target", "background"))
+def own_modules(*options: Mapping[str, Any]) -> list[str]:
+    """Return the files of users' own targets and backgrounds, which whoever repeats a run must be able to import.
+
+    Args:
+        options: of a run, or rows of a sweep's ``episodes``: what "target" and "background" name.
+    """
+    names = (str(some.get(plug_in) or "") for some in options for plug_in in ("target", "background"))
     modules = (
         name.partition(":")[0].partition(".")[0] for name in names if ":" in name and not is_remote(name)
     )
-    return [f"{module}.py" for module in modules if module not in ("advdiff_sumo", "__main__")]
+    own = (f"{module}.py" for module in modules if module not in ("advdiff_sumo", "__main__"))
+    return list(dict.fromkeys(own))
 
 
 def _trails(sections: list[Section]) -> dict[str, list[FloatArray]]:

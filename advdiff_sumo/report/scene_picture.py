@@ -100,6 +100,7 @@ def picture_of(
     collisions: Sequence[Mapping[str, Any]],
     layer: MapLayer | None,
     view: View | None = None,
+    attacker: str | None = None,
 ) -> Picture:
     """Return the picture of one episode.
 
@@ -109,10 +110,11 @@ def picture_of(
         collisions: its rows of ``collisions.parquet``.
         layer: the net, or None to draw without.
         view: what it covers; None: the target's way, and the attacker's near it.
+        attacker: id of who gets the attacker's colour; None: as the row tells.
     """
     full = states.tracks
     tracks = full.window(max(0, full.steps - 1 - round(SHOWN_S / full.dt_s)), full.steps)
-    attacker = attacker_of(row)
+    attacker = attacker or attacker_of(row)
     other = None if attacker is None else tracks.index.get(attacker)
     impact = _point(row) if row["target_collision"] else None
     focus = _focus(tracks, states.target, other, impact)

@@ -99,6 +99,11 @@ def nearest_gap(tracks: Tracks, target: int) -> FloatArray:
     return _least(gaps)
 
 
+def gap_to(tracks: Tracks, target: int, other: int) -> FloatArray:
+    """Return (T,) distances between the boxes of *target* and *other*; NaN where one of them is absent."""
+    return nearest_gap(tracks.rows(np.array([target, other])), 0)
+
+
 def _least(values: FloatArray) -> FloatArray:
     least = np.where(np.isfinite(values), values, np.inf).min(axis=0)
     return np.where(np.isfinite(least), least, np.nan)

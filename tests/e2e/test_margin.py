@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -29,6 +30,16 @@ class StraightOn:
 """
 
 
+RAISES = """
+class Raises:
+    def start(self, road, scene, rng):
+        return None
+
+    def plan(self, road, scene, memory, rng):
+        raise ValueError("no plan")
+"""
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -45,6 +56,29 @@ def test_what_has_no_severity_is_refused(words: tuple[str, ...], message: str, t
 
 
 @pytest.mark.slow
+def test_a_planner_that_raises_is_a_failure_and_no_wrong_input(tmp_path: Path) -> None:
+    (tmp_path / "av.py").write_text(RAISES, encoding="utf-8")
+    done = advdiff("margin", *SCENE, "--target", "av:Raises", "--out", "m", cwd=tmp_path)
+    assert (done.code, done.out) == (1, "")
+    assert "the episode with braking of 8.5 m/s² failed: target 'av:Raises' raised ValueError" in done.err
+
+
+@pytest.mark.slow
+def test_where_nobody_could_attack_there_is_no_answer(tmp_path: Path) -> None:
+    words = ("--attack", "cut-out", "--horizon", "2", "--out", "m")
+    done = advdiff("margin", *SCENE, *words, cwd=tmp_path)
+    assert done.code == 1
+    assert (
+        "nobody was in a position for cut-out: the episode lasted 2.0 s (--horizon); raise scene" in done.out
+    )
+    assert "look at m" in done.out
+    again = advdiff("margin", *SCENE, *words, "--json", cwd=tmp_path)
+    said = json.loads(again.out)
+    assert (again.code, said["failing"], said["passing"]) == (1, None, None)
+    assert said["why"].startswith("nobody was in a position for cut-out")
+
+
+@pytest.mark.slow
 def test_the_failing_and_the_passing_neighbour_and_again(tmp_path: Path) -> None:
     words = ("margin", *SCENE, "--defect", "weak-brakes:3", "--within", "4", "--out", "m")
     done = advdiff(*words, cwd=tmp_path)
@@ -58,6 +92,11 @@ def test_the_failing_and_the_passing_neighbour_and_again(tmp_path: Path) -> None
     assert {row["episode"] for row in trials(tmp_path / "m")} == {"", "0", "1"}
     again = advdiff(*words, cwd=tmp_path)
     assert again.out == done.out
+    said = json.loads(advdiff(*words, "--json", cwd=tmp_path).out)
+    assert (said["attack"], said["parameter"], said["unit"]) == ("hard-stop", "braking", "m/s²")
+    assert [f"{said['failing']:g}", f"{said['passing']:g}"] == values_of_neighbours(tmp_path / "m")
+    assert f"lane_graph: {said['why']}\n" in done.out
+    assert Path(said["report"]) == (tmp_path / "m" / "report.html").resolve()
 
 
 @pytest.mark.slow
@@ -97,6 +136,11 @@ def test_all_kinds_of_attack_in_one_scene(tmp_path: Path) -> None:
 def trials(folder: Path) -> list[dict[str, str]]:
     with (folder / "margin.csv").open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
+
+
+def values_of_neighbours(folder: Path) -> list[str]:
+    kept = sorted((row["episode"], row["value"]) for row in trials(folder) if row["episode"])
+    return [value for _, value in kept]
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:

@@ -72,6 +72,24 @@ def test_that_nobody_met_the_target_is_no_success() -> None:
     assert "nobody was in a position for hard-stop" in nobody.text("hard-stop", BRAKING)
 
 
+def test_what_lacked_is_told_with_what_to_do() -> None:
+    nobody = Margin(Trial(8.5, failed=False, met=False, lacks="the target stood"), None, ())
+    assert nobody.text("hard-stop", BRAKING) == (
+        "nobody was in a position for hard-stop: the target stood; "
+        "raise scene.min_speed_mps or choose a scene.situation with --set, or take another --seed or --net"
+    )
+
+
+def test_where_nobody_attacked_there_is_no_answer() -> None:
+    fails, passes = Trial(2.0, failed=True, met=True), Trial(1.75, failed=False, met=True)
+    nobody = Trial(8.5, failed=False, met=False)
+    assert Margin(passes, fails, ()).is_known
+    assert Margin(passes, None, ()).is_known
+    assert Margin(None, fails, ()).is_known
+    assert Margin(nobody, fails, ()).is_known
+    assert not Margin(nobody, None, ()).is_known
+
+
 def test_what_is_not_the_encounter_is_told() -> None:
     fails, passes = Trial(2.0, failed=True, met=True), Trial(1.75, failed=False, met=False)
     text = Margin(passes, fails, ()).text("hard-stop", BRAKING)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.margin_pairs import margins_of
-from advdiff_sumo.report.margin_table import TRIALS, TrialRow, read_trials, trials_text
+from advdiff_sumo.report.margin_table import COMMAND, TRIALS, TrialRow, read_trials, trials_text
 from advdiff_sumo.report.nets import Nets
 from advdiff_sumo.report.page import write_report
 from tests.report.conftest import drive, episode, struck, write_folder
@@ -60,12 +63,56 @@ def test_both_are_shown_over_the_same_seconds_in_the_same_view(folder: Path) -> 
     assert crossing.passes is None
 
 
+def test_the_gap_is_that_to_who_attacks_in_both(folder: Path) -> None:
+    """Somebody beside is nearer than who attacks, who begins 30 m ahead: 25 m between two cars of 5 m."""
+    path = folder / "states.parquet"
+    beside = [*drive(0, "beside", 80.0, 104.0, 10.0), *drive(1, "beside", 80.0, 104.0, 8.0, steps=41)]
+    table = pq.read_table(path)
+    pq.write_table(pa.concat_tables([table, pa.Table.from_pylist(beside, schema=table.schema)]), path)
+    rows = pq.read_table(folder / "episodes.parquet")
+    at = rows.schema.get_field_index("min_clearance_partner")
+    nearest = pa.array(["bv", "beside"], rows.schema.field(at).type)
+    pq.write_table(rows.set_column(at, rows.schema.field(at), nearest), folder / "episodes.parquet")
+    run = FinishedRun.read(folder)
+    stop, _ = margins_of(run, Nets(run))
+    for side, least, speed in zip(stop.neighbours, (1.0, 13.0), (2.0, 4.0), strict=True):
+        driven, gap = side.charts
+        assert f"Speed of the attacker: least {speed:.1f} m/s" in driven.summary
+        assert gap.title == "Gap to the attacker (m)"
+        assert f"least {least:.1f} m at 3.0 s, greatest 25.0 m at 0.0 s" in gap.summary
+
+
+def test_where_nobody_attacked_it_is_the_gap_to_the_nearest(folder: Path) -> None:
+    by_chance = [replace(row, encounter=not row.valid_failure and row.encounter) for row in ROWS]
+    (folder / TRIALS).write_text(trials_text(by_chance), encoding="utf-8")
+    run = FinishedRun.read(folder)
+    stop, _ = margins_of(run, Nets(run))
+    assert [side.charts[1].title for side in stop.neighbours] == ["Gap to the nearest (m)"] * 2
+
+
 def test_the_page_says_where_the_target_fails(folder: Path) -> None:
     html = write_report(folder).read_text(encoding="utf-8")
     words = " ".join(re.sub(r"<[^>]+>", " ", html).split())
     assert "hard-stop: fails at 2.75 m/s², copes at 2.5 m/s² (braking)" in words
     assert "nobody was in a position for it" in words
     assert "1 ✓ , 2.5 ✓ , 2.75 ✕ , 8.5 ✕" in words
+
+
+def test_the_page_is_that_of_a_margin_and_knows_no_rates(folder: Path) -> None:
+    command = "advdiff-sumo margin --target av:Mine --net city --attack hard-stop --out ../again"
+    (folder / COMMAND).write_text(f"{command}\n", encoding="utf-8")
+    settings = folder / "run.toml"
+    settings.write_text(settings.read_text(encoding="utf-8").replace('"IDM"', '"av:Mine"'), encoding="utf-8")
+    html = write_report(folder).read_text(encoding="utf-8")
+    assert "<h1>Margin of av:Mine on lost, seed 3</h1>" in html
+    told = "To repeat it, in this folder with the folder of av.py on PYTHONPATH:"
+    assert f"<span>{told}</span> <code>{command}</code>" in html
+    assert "advdiff-sumo sweep" not in html
+    for part in ("rates", "matrix", "archive"):
+        assert f'id="{part}"' not in html
+    assert "95 % interval" not in html
+    (folder / COMMAND).unlink()
+    assert "To repeat it" not in write_report(folder).read_text(encoding="utf-8")
 
 
 def test_other_folders_have_no_margin(two_episodes: Path) -> None:

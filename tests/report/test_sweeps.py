@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from advdiff_sumo.report.folder import FinishedRun
@@ -41,6 +44,21 @@ def test_its_settings_are_a_sweep_file(sweep_folder: Path) -> None:
     )
     spec = SweepSpec.read(sweep_folder / "sweep.toml")
     assert (spec.episodes, spec.horizon_s) == (2, 20.0)
+
+
+def test_its_commands_name_whose_folder_they_need(sweep_folder: Path, tmp_path: Path) -> None:
+    """Each planner of one's own once, for the sweep and for each of its episodes."""
+    assert "PYTHONPATH" not in write_report(sweep_folder).read_text(encoding="utf-8")
+    folder = shutil.copytree(sweep_folder, tmp_path / "own")
+    path = folder / "episodes.parquet"
+    table = pq.read_table(path)
+    targets = pa.array(["mine.fast:Planner", "mine.fast:Planner", "other:Planner", "IDM"])
+    at = table.schema.get_field_index("target")
+    pq.write_table(table.set_column(at, table.schema.field(at), targets), path)
+    page = write_report(folder).read_text(encoding="utf-8")
+    told = "in this folder with the folder of mine.py, other.py on PYTHONPATH:"
+    assert f"<span>To repeat it, {told}</span> <code>advdiff-sumo sweep" in page
+    assert f"To repeat just this episode, {told} <code" in page
 
 
 def test_a_runs_episodes_get_its_options(two_episodes: Path) -> None:

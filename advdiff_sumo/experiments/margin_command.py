@@ -1,0 +1,73 @@
+"""The command line that repeats a margin, from the options that it came to."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from advdiff_sumo.maps.shipped_nets import net_name
+from advdiff_sumo.sim.run_episodes import RunOptions
+
+_OUT = "../again"
+#: Text that a ``--set`` takes as it is, which TOML has no other reading of.
+_PLAIN = re.compile(r"(?!(?:true|false|inf|nan)$)[A-Za-z][\w./:-]*")
+_USUAL: Mapping[str, Any] = {"background": "scripted", "background_options": {"attackers": 1}}
+_SAID = ("net", "target", "demand", "horizon_s", "seed", "episodes")
+
+
+def margin_command(
+    options: RunOptions, attack: str, by: str | None = None, within: float | None = None
+) -> str:
+    """Return the command that repeats a margin in a new folder beside that of its results.
+
+    Args:
+        options: of the run with background ``scripted``; files are named by their full paths.
+        attack: the kind, or all.
+        by: severity that was asked for.
+        within: how near its neighbours shall be, in its unit.
+    """
+    target_options = dict(options.target_options)
+    defects = target_options.get("defects")
+    planted = target_options.pop("defects") if isinstance(defects, list | tuple) else ()
+    flags = {
+        "--target": options.target,
+        "--net": net_name(options.net),
+        "--attack": attack,
+        "--by": by,
+        "--within": within,
+        "--demand": str(Path(options.demand).resolve()) if options.demand else None,
+        "--horizon": options.horizon_s,
+        "--seed": options.seed,
+    }
+    words = ["advdiff-sumo", "margin"]
+    for flag, value in flags.items():
+        words += [] if value is None else [flag, str(value).removesuffix(".0")]
+    for defect in planted:
+        words += ["--defect", str(defect)]
+    for assignment in _assignments(options.model_copy(update={"target_options": target_options})):
+        words += ["--set", assignment]
+    return shlex.join([*words, "--out", _OUT])
+
+
+def _assignments(options: RunOptions) -> Iterator[str]:
+    """Yield what ``--set`` takes of all that is not as usual and has no flag."""
+    values = options.model_dump(mode="json", exclude=set(_SAID))
+    usual = dict(_leaves(RunOptions().model_dump(mode="json") | dict(_USUAL)))
+    if options.scenes:
+        values["scenes"] = str(Path(options.scenes).resolve())
+    for name, value in _leaves(values):
+        if value is not None and usual.get(name) != value:
+            plain = isinstance(value, str) and _PLAIN.fullmatch(value)
+            yield f"{name}={value if plain else json.dumps(value, ensure_ascii=False)}"
+
+
+def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value

@@ -1,0 +1,71 @@
+"""Why nobody was in a position to attack in an episode, as far as its record tells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray
+from advdiff_sumo.core.frames import local_from_world
+from advdiff_sumo.core.record import EndReason
+from advdiff_sumo.data.episode_states import EpisodeStates
+
+_STANDS_MPS, _SLOW_MPS, _SHORT_S = 0.5, 3.0, 6.0
+"""Nobody comes in for a target slower than 3 m/s, and who has come in drives ordinarily at first."""
+_FROM_STOPPING_MPS = 5.0
+"""Who stops must be faster."""
+_AHEAD_M, _BEHIND_M, _IN_LANE_M, _BESIDE_M, _SAME_WAY = 55.0, -10.0, 1.2, 5.5, 0.9
+_FROM_AHEAD = ("hard-stop", "blocked-lane", "stop-and-go", "cut-out")
+_STOPS = ("hard-stop", "blocked-lane")
+
+
+def lacking(attack: str, row: Mapping[str, Any], states: EpisodeStates) -> str:
+    """Return what an episode lacked in which nobody was in a position for *attack*, in words.
+
+    Args:
+        attack: its kind.
+        row: of ``episodes``.
+        states: of the episode.
+    """
+    reasons = [*_of_target(states), *_of_others(attack, states), *_of_time(row)]
+    return " and ".join(reasons) if reasons else "the record does not tell what was lacking"
+
+
+def _of_target(states: EpisodeStates) -> Iterator[str]:
+    fastest = float(np.nanmax(states.tracks.speed_mps[states.target]))
+    if fastest < _STANDS_MPS:
+        yield "the target stood"
+    elif fastest < _SLOW_MPS:
+        yield f"the target drove at most {fastest:.1f} m/s"
+
+
+def _of_others(attack: str, states: EpisodeStates) -> Iterator[str]:
+    ahead, beside = _places(states)
+    if attack in _FROM_AHEAD and not ahead.any():
+        yield f"nobody was straight ahead of it within {_AHEAD_M:g} m"
+    elif attack in _STOPS:
+        fastest = float(states.tracks.speed_mps[ahead].max())
+        if fastest <= _FROM_STOPPING_MPS:
+            yield f"who was ahead of it drove at most {fastest:.1f} m/s"
+    elif attack == "cut-in" and not beside.any():
+        yield f"nobody drove beside it within {_AHEAD_M:g} m"
+
+
+def _places(states: EpisodeStates) -> tuple[BoolArray, BoolArray]:
+    """Return (A, T) who was ahead in the target's lane, and who on a lane beside, as if the road went straight on."""
+    tracks, target = states.tracks, states.target
+    yaw = tracks.yaw_rad[target]
+    place = local_from_world(tracks.xy_m, tracks.xy_m[target], yaw)
+    along, aside = place[..., 0], np.abs(place[..., 1])
+    same = (np.cos(tracks.yaw_rad - yaw) > _SAME_WAY) & (along < _AHEAD_M)
+    same[target] = False
+    beside = same & (along > _BEHIND_M) & (aside > _IN_LANE_M) & (aside < _BESIDE_M)
+    return same & (along > 0.0) & (aside < _IN_LANE_M), beside
+
+
+def _of_time(row: Mapping[str, Any]) -> Iterator[str]:
+    if row["duration_s"] < _SHORT_S:
+        why = "--horizon" if row["end"] == EndReason.HORIZON else row["end"]
+        yield f"the episode lasted {row['duration_s']:.1f} s ({why})"

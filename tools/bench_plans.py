@@ -160,7 +160,7 @@ def sampling_rate(policy: DiffusionTraffic, batch: SceneBatch, rounds: int = 5) 
         with torch.no_grad():
             context = draw.encode(networks, batch)
             noise = torch.randn(batch.scenes, batch.agents, 1, latent, generator=generator)
-            noise_of = networks.denoiser.condition(context)
+            noise_of = networks.denoiser(context)
             x = sample(noise_of, noise.to(networks.device), networks.schedule, networks.sampling, generator)
             draw.decode(networks, x, context, batch).xy.cpu()  # waits for the device
         times.append(time.perf_counter() - begun)

@@ -42,8 +42,12 @@ from advdiff_sumo.diffusion.attack import CostsOnTensors, costs_package
 from advdiff_sumo.diffusion.attack_costs import COSTS
 from advdiff_sumo.diffusion.attack_slope import AttackOnTensors, attack_package
 from advdiff_sumo.diffusion.exported_step import StepOnTensors, least_agents, step_package
-from advdiff_sumo.diffusion.fast_denoiser import PredictionOnTensors, denoiser_package
-from advdiff_sumo.diffusion.fast_reward import RewardOnTensors, reward_package
+from advdiff_sumo.diffusion.fast_networks import (
+    PredictionOnTensors,
+    RewardOnTensors,
+    denoiser_package,
+    reward_package,
+)
 from advdiff_sumo.diffusion.machine_code import FITTING, Fitting, slope_of
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec

@@ -92,7 +92,7 @@ def _learn_failures(options: RunOptions, steps: int, out: Path) -> None:
 
 def _refit_reward(options: RunOptions, steps: int, out: Path) -> None:
     from advdiff_sumo.experiments.warmup_run import description, warm_up
-    from advdiff_sumo.models.reward_file import save_reward
+    from advdiff_sumo.models.reward import save_reward
 
     done = _with_bar(steps, lambda tell: warm_up(options, steps, tell))
     save_reward(done.reward, out, description(options, done))

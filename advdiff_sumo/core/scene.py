@@ -129,6 +129,18 @@ class Tracks:
             dt_s=dt_s,
         )
 
+    def padded(self, before: int, after: int = 0) -> Tracks:
+        """Return these instants with so many *before* and *after* them in which nothing is valid."""
+        pad = ((0, 0), (before, after))
+        return replace(
+            self,
+            xy_m=np.pad(self.xy_m, (*pad, (0, 0)), constant_values=np.nan),
+            yaw_rad=np.pad(self.yaw_rad, pad, constant_values=np.nan),
+            speed_mps=np.pad(self.speed_mps, pad, constant_values=np.nan),
+            valid=np.pad(self.valid, pad, constant_values=False),
+            t0_s=self.t0_s - before * self.dt_s,
+        )
+
     def shifted(self, seconds: float) -> Tracks:
         """Return the same tracks with their clock moved by *seconds*."""
         return replace(self, t0_s=self.t0_s + seconds)

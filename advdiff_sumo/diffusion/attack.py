@@ -18,9 +18,8 @@ from advdiff_sumo.diffusion.machine_code import MachineCode, machine_code, packa
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
-from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.decoder import Rollout, Trace
 from advdiff_sumo.models.gaussian import Gaussian
-from advdiff_sumo.models.trace import Trace
 
 OTHERS_WEIGHT, ROAD_WEIGHT, PRIOR_WEIGHT = 10.0, 4.0, 0.01
 
@@ -68,14 +67,12 @@ class CostsOnTensors(nn.Module):
     """What attackers shall make small for but the prior, with tensors for arguments, of all kinds."""
 
     def forward(self, free: Sequence[Tensor], held: Sequence[Tensor]) -> tuple[Tensor]:
-        """Return (B, R) costs.
+        """Return (B, R) costs of places (B, R, T, 2), headings and speeds (B, R, T) of the attackers, *free*.
 
-        Args:
-            free: places (B, R, T, 2), headings and speeds (B, R, T) of the attackers.
-            held: (6,) how much each kind of ``COSTS`` counts, then the parts of a ``Placed``.
+        *held* is (6,) how much each kind of ``COSTS`` counts, then the parts of a ``Placed``.
         """
-        kinds, *parts = held
-        return (costs(_motions(*free), Placed.from_tensors(tuple(parts)), kinds),)
+        (xy, yaw, speed), (kinds, *parts) = free, held
+        return (costs(Rollout(xy, yaw, speed, speed, speed), Placed.from_tensors(parts), kinds),)
 
 
 def plain_objective(kind: str, scene: AttackScene, compiled: bool = True) -> Objective:
@@ -131,22 +128,12 @@ def costs(rollout: Rollout, placed: Placed, kind: str | Tensor) -> Tensor:
     return aim + OTHERS_WEIGHT * met.overlap + ROAD_WEIGHT * met.off
 
 
-def _motions(xy: Tensor, yaw: Tensor, speed: Tensor) -> Rollout:
-    return Rollout(xy, yaw, speed, speed, speed)
-
-
 def _futures(scene: AttackScene, z: Tensor) -> Rollout:
     """Return the futures (B, R, T) of the attackers' latents *z* (B, R, Z) against everybody's natural ones."""
-    count, trace = len(z), scene.natural.trace
-    if count == 1:
-        h, batch = scene.context.h, scene.batch
-    else:
-        h, batch, trace = (
-            scene.context.h.expand(count, -1, -1),
-            scene.batch.repeat(count),
-            trace.repeat(count),
-        )
-    return scene.decoder.some(z, h, batch, scene.rows, scene.natural.steps, trace)
+    count, natural = len(z), scene.natural
+    batch = scene.batch if count == 1 else scene.batch.repeat(count)
+    h, trace = scene.context.h.expand(count, -1, -1), natural.trace.repeat(count)
+    return scene.decoder.some(z, h, batch, scene.rows, natural.steps, trace)
 
 
 def surprise(prior: Gaussian, z: Tensor) -> Tensor:

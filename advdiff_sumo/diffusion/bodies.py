@@ -5,6 +5,7 @@ Distances are between five discs a vehicle (``models.losses``).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -53,16 +54,15 @@ class Placed:
         )
 
     @staticmethod
-    def from_tensors(parts: tuple[Tensor, ...]) -> Placed:
+    def from_tensors(parts: Sequence[Tensor]) -> Placed:
         """Return what :meth:`tensors` was made of."""
         size, others, xy, yaw, speed, own_size, own_pose, moved, *edges = parts
         return Placed(size, others, xy, yaw, speed, own_size, own_pose, moved, RoadEdges(*edges))
 
     def tensors(self) -> tuple[Tensor, ...]:
         """Return all parts."""
-        own, edges = (self.own_size, self.own_pose, self.moved), self.edges
-        seen = edges.usable, edges.lines, edges.along, edges.left
-        return (self.size, self.others, self.xy, self.yaw, self.speed, *own, *seen)
+        *parts, edges = vars(self).values()
+        return (*parts, *vars(edges).values())
 
 
 @dataclass(frozen=True)
@@ -88,10 +88,7 @@ def met_by(rollout: Rollout, placed: Placed) -> Met:
     distance = torch.sqrt(delta.square().sum(-1).flatten(-2).amin(-1) + 1e-9)  # (B, R, A, T)
     wide = radius[:, :, None] + reach
     inside = (1.0 - distance / wide).clamp(min=0.0).sum(-1)
-    return Met(distance[:, :, 0] - wide[:, :, 0], (inside * placed.others).sum(-1), _off(rollout, placed))
-
-
-def _off(rollout: Rollout, placed: Placed) -> Tensor:
-    size, pose = (part.expand(rollout.yaw.shape[0], -1, -1) for part in (placed.own_size, placed.own_pose))
-    over = beyond_edge(rollout, size, pose, placed.edges.expand(rollout.yaw.shape[0]))
-    return over.sum(-1) * placed.moved
+    scenes = len(rollout.yaw)
+    size, pose = (part.expand(scenes, -1, -1) for part in (placed.own_size, placed.own_pose))
+    off = beyond_edge(rollout, size, pose, placed.edges.expand(scenes)).sum(-1) * placed.moved
+    return Met(distance[:, :, 0] - wide[:, :, 0], (inside * placed.others).sum(-1), off)

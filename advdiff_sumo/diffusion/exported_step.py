@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +19,17 @@ from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.road_edges import RoadEdges
 
 _NOT_OF_THE_STEP = {
-    *("denoiser_situation", "denoiser_layers", "channels", "interaction_layers", "reward_hidden"),
+    "denoiser_situation",
+    "denoiser_layers",
+    "channels",
+    "interaction_layers",
+    "reward_hidden",
 }
 """Options in which networks may differ that share the machine code."""
 
 
 class StepOnTensors(nn.Module):
-    """A decoder's step with tensors for arguments and results.
-
-    Args:
-        decoder: whose step it is.
-    """
+    """The step of *decoder* with tensors for arguments and results."""
 
     def __init__(self, decoder: Decoder) -> None:
         super().__init__()
@@ -37,9 +38,8 @@ class StepOnTensors(nn.Module):
     def forward(self, free: Sequence[Tensor], held: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """Return the state after the step, the memory and the senders.
 
-        Args:
-            free: memory, latents, motion of the rows and of everybody.
-            held: senders of the others, then what :func:`tensors_of` gives.
+        *free* is memory, latents, motion of the rows and of everybody; *held* the senders of the others, then what
+        :func:`tensors_of` gives.
         """
         memory, z, *motions = free
         others, *around = held
@@ -49,12 +49,7 @@ class StepOnTensors(nn.Module):
 
 
 class ExportedStep:
-    """The machine code with the weights of one decoder; a ``Step`` of it.
-
-    Args:
-        decoder: whose step it is.
-        code: made of it, with its weights.
-    """
+    """The machine code *code* with the weights of *decoder*, which it is made of; a ``Step`` of it."""
 
     def __init__(self, decoder: Decoder, code: MachineCode) -> None:
         self._decoder, self.code = decoder, code
@@ -80,7 +75,7 @@ class ExportedStep:
         others = _padded(others, more, 2)
         if self._around is None or self._around[0] is not around:  # sizes stay the same through a rollout
             self._around = around, [value.contiguous() for value in tensors_of(around, more)]
-            self._fits = self.code.fits([*free, others, *self._around[1]])
+            self._fits = self.code.fitting.holds([*free, others, *self._around[1]])
         *state, memory, senders = self.code(free, [others, *self._around[1]], self._fits)
         xy, yaw, speed, accel, curvature = state
         return (xy, yaw, speed, accel, curvature), memory, senders[:, :, :agents]
@@ -110,13 +105,11 @@ def least_agents(options: ModelOptions) -> int:
 def tensors_of(around: Surroundings, more: int = 0) -> tuple[Tensor, ...]:
     """Return what stays the same through a rollout, with *more* absent agents."""
     own, batch = around.own, around.batch
-    scene = own.pose, own.size, own.present, own.moved
     everybody = _padded(batch.size, more, 1), _padded(batch.present, more, 1)
-    if not isinstance(around, LanesAndEdges):
-        return (around.rows, *scene, *everybody)
-    lanes, edges = around.lanes, around.edges
-    pieces = lanes.xy, lanes.features, lanes.valid, edges.usable, edges.lines, edges.along, edges.left
-    return (around.rows, *scene, *everybody, *pieces)
+    given = (around.rows, own.pose, own.size, own.present, own.moved, *everybody)
+    if isinstance(around, LanesAndEdges):
+        given = (*given, *vars(around.lanes).values(), *vars(around.edges).values())
+    return given
 
 
 def _padded(value: Tensor, more: int, dim: int) -> Tensor:
@@ -126,10 +119,8 @@ def _padded(value: Tensor, more: int, dim: int) -> Tensor:
 def _around(parts: Sequence[Tensor]) -> Surroundings:
     """Return what :func:`tensors_of` was made of, as far as a step reads it."""
     rows, pose, size, present, moved, all_size, all_present, *rest = parts
-    own, batch = (
-        scene_of_tensors(pose, size, present, moved),
-        scene_of_tensors(pose, all_size, all_present, moved),
-    )
+    own = scene_of_tensors(pose, size, present, moved)
+    batch = scene_of_tensors(pose, all_size, all_present, moved)
     if not rest:
         return Surroundings(batch, own, rows)
     return LanesAndEdges(batch, own, rows, LanePieces(*rest[:3]), RoadEdges(*rest[3:]))
@@ -137,18 +128,6 @@ def _around(parts: Sequence[Tensor]) -> Surroundings:
 
 def scene_of_tensors(pose: Tensor, size: Tensor, present: Tensor, moved: Tensor) -> SceneBatch:
     """Return a batch that holds what a step reads, and nothing else."""
-    nothing = pose.new_zeros(0)
-    return SceneBatch(
-        past=pose[:, :, None],
-        past_valid=nothing,
-        size=size,
-        classes=nothing,
-        present=present,
-        moved=moved,
-        parked=nothing,
-        map_xy=nothing,
-        map_features=nothing,
-        map_valid=nothing,
-        future=nothing,
-        future_valid=nothing,
-    )
+    nothing = dict.fromkeys((part.name for part in fields(SceneBatch)), pose.new_zeros(0))
+    given = {"past": pose[:, :, None], "size": size, "present": present, "moved": moved}
+    return SceneBatch(**{**nothing, **given})

@@ -6,14 +6,14 @@ the gradient for one or two attackers then costs a fraction of that for the whol
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from advdiff_sumo.diffusion.exported_step import exported_step
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
-from advdiff_sumo.models.decoder import Decoder, Forced, Rollout
+from advdiff_sumo.models.decoder import Decoder, Forced, Rollout, Trace
 from advdiff_sumo.models.model_options import FUTURE_STEPS
-from advdiff_sumo.models.trace import Trace
 
 
 class FastDecoder:
@@ -24,8 +24,7 @@ class FastDecoder:
         compiled: step by machine code where there is any for it.
 
     Attributes:
-        network: the same.
-        compiled: the same.
+        network, compiled: the same.
         closed_loop: whether the network is a closed-loop decoder.
     """
 
@@ -35,43 +34,26 @@ class FastDecoder:
         self._step = exported_step(decoder) if compiled else None
 
     def __call__(
-        self,
-        z: Tensor,
-        h: Tensor,
-        batch: SceneBatch,
-        steps: int = FUTURE_STEPS,
-        forced: Forced | None = None,
+        self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS, forced: Forced | None = None
     ) -> Rollout:
         """Return the futures of all agents, with the whole gradient; see ``Decoder.forward``."""
         return self.network.forward(z, h, batch, steps, forced, self._step)
 
+    @torch.no_grad()
     def whole(
         self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS
     ) -> tuple[Rollout, Trace]:
-        """Return the futures of all agents, without gradients, and their trace.
-
-        Args:
-            z: (B, A, Z) latents.
-            h: (B, A, D) embeddings.
-            batch: the scenes.
-            steps: model steps to roll out.
-        """
-        return self.network.whole(z, h, batch, steps, self._step)
+        """Return the futures of all agents for latents *z* (B, A, Z), without gradients, and their trace."""
+        return self.network.roll(z, h, self.network.surroundings(batch), steps, by=self._step)
 
     def some(
         self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
     ) -> Rollout:
-        """Return the futures (B, R, …) of agents *rows* alone, the others as in *trace*; gradients flow to *z*.
+        """Return the futures (B, R, …) of agents *rows* (R,) alone, the others as in *trace*, with at least *steps*.
 
         What the rows see of each other and of the others is that of the trace too, so the result is exact at the
-        latents of the trace, and its gradient lacks what a changed place would change in the interaction.
-
-        Args:
-            z: (B, R, Z) latents of the rows.
-            h: (B, A, D) embeddings of all.
-            batch: the scenes.
-            rows: (R,) agents, the same in every scene.
-            steps: model steps, at most those of the trace.
-            trace: of the whole scene.
+        latents of the trace, and its gradient lacks what a changed place would change in the interaction. Gradients
+        flow to *z* (B, R, Z), the latents of the rows; *h* (B, A, D) are the embeddings of all.
         """
-        return self.network.some(z, h, batch, rows, steps, trace, self._step)
+        around = self.network.surroundings(batch, rows)
+        return self.network.roll(z, h[:, rows], around, steps, None, trace, self._step)[0]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import TypeAlias
 
 import torch
 from torch import Tensor
@@ -27,17 +27,21 @@ Objective: TypeAlias = Callable[[Tensor], Tensor]
 """Scaled latents (B, A, Z) → what shall grow (B,)."""
 
 
-@runtime_checkable
-class SlopedObjective(Protocol):
-    """An objective that knows its own gradient, which spares PyTorch's."""
+@dataclass(frozen=True)
+class Sloped:
+    """An objective that knows its own gradient, which spares PyTorch's.
 
-    def __call__(self, latents: Tensor, /) -> Tensor:
+    Attributes:
+        value: the objective itself.
+        slope: scaled latents (B, A, Z) → its gradient (B, A, Z) there.
+    """
+
+    value: Objective
+    slope: Callable[[Tensor], Tensor]
+
+    def __call__(self, latents: Tensor) -> Tensor:
         """Return what shall grow (B,)."""
-        ...
-
-    def slope(self, latents: Tensor, /) -> Tensor:
-        """Return the gradient (B, A, Z) at scaled *latents* (B, A, Z)."""
-        ...
+        return self.value(latents)
 
 
 @dataclass(frozen=True)
@@ -111,16 +115,12 @@ def direction(objective: Objective, latents: Tensor, attackers: Tensor) -> Tenso
 
     Only that of attackers, (A,) or (B, A), counts. A gradient that is not finite counts as none.
     """
-    gradient = _gradient(objective, latents.detach()) * attackers[..., None]
+    here = latents.detach()
+    slope = objective.slope(here) if isinstance(objective, Sloped) else autograd_slope(objective, here)
+    gradient = slope * attackers[..., None]
     norm = gradient.square().sum(dim=(1, 2), keepdim=True).sqrt()
     usable = torch.isfinite(norm) & (norm > 1e-12)
     return torch.where(usable, gradient / norm.clamp(min=1e-12), 0.0)
-
-
-def _gradient(objective: Objective, latents: Tensor) -> Tensor:
-    if isinstance(objective, SlopedObjective):
-        return objective.slope(latents)
-    return autograd_slope(objective, latents)
 
 
 @torch.enable_grad()

@@ -59,8 +59,7 @@ class MachineCode:
         network: the function itself, with the weights; it serves arguments that the code is not for.
 
     Attributes:
-        package: the same.
-        network: the same.
+        package, network: the same.
         fitting: what it is for.
 
     Raises:
@@ -71,21 +70,17 @@ class MachineCode:
         weights, slope = network.state_dict(), slope_of(package)
         self.package, self.network, self._value = package, network, _loaded(package, weights)
         self._slope = _loaded(slope, weights) if slope.exists() else None
-        self.fitting = Fitting.of(self._value)
-
-    def fits(self, given: Sequence[Tensor]) -> bool:
-        """Return whether the code is for arguments of such kinds and sizes."""
-        return self.fitting.holds(given)
+        self.fitting = Fitting(**json.loads(self._value.get_metadata()[FITTING]))
 
     def __call__(
         self, free: Sequence[Tensor], held: Sequence[Tensor], fits: bool | None = None
     ) -> Sequence[Tensor]:
         """Return the results for the arguments *free*, which they have gradients to, and *held*.
 
-        *fits* is what :meth:`fits` says of them, where that is known.
+        *fits* is what :attr:`fitting` says of them, where that is known.
         """
         sloped = torch.is_grad_enabled() and any(value.requires_grad for value in free)
-        fits = self.fits([*free, *held]) if fits is None else fits
+        fits = self.fitting.holds([*free, *held]) if fits is None else fits
         if not fits or (sloped and self._slope is None):
             plain: Sequence[Tensor] = self.network(free, held)
             return plain
@@ -118,11 +113,6 @@ class Fitting:
     arguments: Sequence[tuple[str, Sequence[int | str]]]
     sizes: Mapping[str, tuple[int, int]]
 
-    @staticmethod
-    def of(loader: Any) -> Fitting:
-        """Return what a loaded package says that it is for."""
-        return Fitting(**json.loads(loader.get_metadata()[FITTING]))
-
     def holds(self, given: Sequence[Tensor]) -> bool:
         """Return whether the arguments *given* are such."""
         found: dict[str, int] = {}
@@ -150,23 +140,15 @@ class _Function(torch.autograd.Function):
 
 
 def machine_code(package: Path, network: nn.Module) -> MachineCode | None:
-    """Return the code of *package* with the weights of *network*, or None where there is none that runs here.
-
-    Args:
-        package: of :func:`package_for`.
-        network: the function (free, held) → results of tensors that the code is made of.
-    """
-    fits = all(
-        weight.device.type == "cpu" and weight.dtype == torch.float32
-        for weight in network.state_dict().values()
-    )
+    """Return the code of *package* with the weights of *network*, which it is made of; None where none runs here."""
+    weights = network.state_dict().values()
+    fits = all(weight.device.type == "cpu" and weight.dtype == torch.float32 for weight in weights)
     if not (fits and runs_here(package)):
         return None
     try:
         return MachineCode(package, network)
-    except (
-        RuntimeError
-    ) as error:  # the folder of temporary files, where it is unpacked, may refuse to hold code
+    # the folder of temporary files, where it is unpacked, may refuse to hold code
+    except RuntimeError as error:
         _LOG.warning("machine code cannot be loaded, planning takes twice as long: %s", error)
         return None
 

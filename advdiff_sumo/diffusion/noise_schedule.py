@@ -29,23 +29,13 @@ class NoiseSchedule:
         k = torch.arange(self.steps + 1, dtype=torch.float64)
         if self.kind == "cosine":
             f = torch.cos((k / self.steps + 0.008) / 1.008 * math.pi / 2.0) ** 2
-            alpha = (f / f[0]).clamp(min=1e-4)
-        else:
-            scale = 1000.0 / self.steps
-            beta = torch.linspace(1e-4 * scale, 0.02 * scale, self.steps, dtype=torch.float64).clamp(
-                max=0.999
-            )
-            alpha = torch.cat((torch.ones(1, dtype=torch.float64), torch.cumprod(1.0 - beta, 0)))
-        return alpha
+            return (f / f[0]).clamp(min=1e-4)
+        scale = 1000.0 / self.steps
+        beta = torch.linspace(1e-4 * scale, 0.02 * scale, self.steps, dtype=torch.float64).clamp(max=0.999)
+        return torch.cat((torch.ones(1, dtype=torch.float64), torch.cumprod(1.0 - beta, 0)))
 
     def noisy(self, x0: Tensor, k: Tensor, noise: Tensor) -> Tensor:
-        """Return √αᵏ x⁰ + √(1 − αᵏ) ε.
-
-        Args:
-            x0: (B, …) data.
-            k: (B,) steps.
-            noise: (B, …) standard normal.
-        """
+        """Return √αᵏ x⁰ + √(1 − αᵏ) ε of data (B, …) at steps *k* (B,), with standard normal *noise* (B, …)."""
         alpha = self.alpha.to(x0.device)[k].to(x0.dtype).reshape(-1, *([1] * (x0.dim() - 1)))
         return alpha.sqrt() * x0 + (1.0 - alpha).sqrt() * noise
 

@@ -65,11 +65,6 @@ def held_decode(codec: LatentCodec, decoder: FastDecoder) -> Decode:
     return decode
 
 
-def penalty(x: Tensor, decode: Decode, context: Context, batch: SceneBatch, how: Together) -> Tensor:
-    """Return (B, A) :func:`misfit` of the futures of samples *x*."""
-    return misfit(decode(x, context, batch), batch, how)
-
-
 def misfit(rollout: Rollout, batch: SceneBatch, how: Together) -> Tensor:
     """Return (B, A) what is wrong with futures: overlap with others, and with the road's edge.
 
@@ -153,7 +148,7 @@ def _slope(
     free = (batch.moved & ~batch.parked).to(x.dtype)
     with torch.enable_grad():
         at = x.detach().requires_grad_(True)
-        each = penalty(at, decode, context, batch, how) * free
+        each = misfit(decode(at, context, batch), batch, how) * free
         gradient = torch.autograd.grad(each.sum(), at)[0].nan_to_num()
     gradient = (gradient + 2.0 * how.keep * (x - drawn)) * free[..., None, None]
     return each.detach().sum(1) > 0.0, gradient

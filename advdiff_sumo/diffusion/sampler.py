@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.diffusion.noise_schedule import NoiseSchedule
+from advdiff_sumo.models.gaussian import draw
 
 Family: TypeAlias = Literal["printed", "consistent"]
 Noise: TypeAlias = Callable[[Tensor, int], Tensor]
@@ -156,13 +157,7 @@ def foresee(
 
     Gradients reach the last prediction alone: what led to it is taken as it came.
 
-    Args:
-        noise_of: the trained noise prediction with its condition.
-        start: (B, A, C, L) noise.
-        schedule: what the network was trained with.
-        sampling: steps and family.
-        generator: random numbers of the steps.
-        done: steps taken first, 0 … ``sampling.steps`` − 1.
+    Args: those of :func:`sample`, and *done*, 0 … ``sampling.steps`` − 1.
     """
     x, ladder = start, schedule.ladder(sampling.steps, sampling.begin)
     with torch.no_grad():
@@ -173,9 +168,3 @@ def foresee(
     noise = noise_of(x, k)
     clean, _ = transition(x, noise, k, 0, schedule, sampling)
     return Foresight(clean, noise, x, k, float(schedule.alpha[k]))
-
-
-def draw(like: Tensor, generator: torch.Generator) -> Tensor:
-    """Return standard normal noise of the shape and on the device of *like*."""
-    noise = torch.randn(like.shape, generator=generator, dtype=like.dtype, device=generator.device)
-    return noise.to(like.device)

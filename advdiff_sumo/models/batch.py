@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
+
+from advdiff_sumo.models.geometry import into_frame
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,24 @@ class SceneBatch:
     def rows_of(self, rows: Tensor | slice) -> SceneBatch:
         """Return all scenes with agents *rows* alone."""
         return self.mapped(lambda part: part[:, rows])
+
+    def advanced(self, states: Tensor) -> SceneBatch:
+        """Return the scenes once their agents have driven *states* (B, A, S, 4): what was planned has become the past.
+
+        The map pieces stay the ones around the old position, seen from the new one; signals keep their state.
+        """
+        history, steps, old, new = self.past.shape[2], states.shape[2], self.pose, states[:, :, -1]
+        valid = self.present[..., None].expand(states.shape[:3])
+        shift, turn = into_frame(new[..., :2], old[..., :2], old[..., 2]), new[..., 2] - old[..., 2]
+        around = turn[:, :, None, None].expand(self.map_xy.shape[:-1])
+        return replace(
+            self,
+            past=torch.cat((self.past, states), dim=2)[:, :, -history:],
+            past_valid=torch.cat((self.past_valid, valid), dim=2)[:, :, -history:],
+            future=pad(self.future[:, :, steps:], (0, 0, 0, steps)),
+            future_valid=pad(self.future_valid[:, :, steps:], (0, steps)),
+            map_xy=into_frame(self.map_xy, shift[:, :, None, None], around),
+        )
 
     def mapped(self, change: Callable[[Tensor], Tensor]) -> SceneBatch:
         """Return the batch with each of its tensors as *change* makes it."""

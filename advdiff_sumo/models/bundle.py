@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,15 +11,15 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.config import Options
-from advdiff_sumo.core.errors import WeightsError
-from advdiff_sumo.models.codec import CodecName, LatentCodec, TrajectoryCodec, make_codec
+from advdiff_sumo.models.codec import CodecName, LatentCodec, TrajectoryCodec
 from advdiff_sumo.models.denoiser import Denoiser
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.reward import RewardModel
-from advdiff_sumo.models.stored import read_stored, write_stored
+from advdiff_sumo.models.stored import below, fill, read_stored, stored_options, write_stored
 from advdiff_sumo.models.traffic import TrafficModel
 
 FORMAT = "advdiff-weights-1"
+AGAIN = "train it again with this version"
 
 
 class BundleOptions(Options):
@@ -58,33 +58,23 @@ class Bundle:
     reward: RewardModel
     stages: tuple[str, ...] = ()
 
-    def modules(self) -> dict[str, nn.Module]:
+    def modules(self) -> nn.ModuleDict:
         """Return the networks by the prefix of their tensors."""
-        return {
-            "traffic": self.traffic,
-            "codec": self.codec,
-            "denoiser": self.denoiser,
-            "reward": self.reward,
-        }
+        names = ("traffic", "codec", "denoiser", "reward")
+        return nn.ModuleDict({name: getattr(self, name) for name in names})
 
     def tensors(self) -> dict[str, Tensor]:
         """Return every weight and statistic by name."""
-        return {
-            f"{prefix}.{name}": value
-            for prefix, module in self.modules().items()
-            for name, value in module.state_dict().items()
-        }
+        return dict(self.modules().state_dict())
 
     def to(self, device: torch.device | str) -> Bundle:
         """Move the networks to *device* and return the bundle."""
-        for module in self.modules().values():
-            module.to(device)
+        self.modules().to(device)
         return self
 
     def frozen(self) -> Bundle:
         """Switch training off, gradients of weights too, and return the bundle."""
-        for module in self.modules().values():
-            module.eval().requires_grad_(False)
+        self.modules().eval().requires_grad_(False)
         return self
 
 
@@ -93,7 +83,7 @@ def new_bundle(options: BundleOptions, seed: int = 0) -> Bundle:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         traffic = TrafficModel(options.model)
-        codec = make_codec(options.codec, options.model, traffic)
+        codec = LatentCodec(options.model, traffic) if options.codec == "latent" else TrajectoryCodec()
         denoiser = Denoiser(options.model, codec.shape)
         reward = RewardModel(options.model)
     return Bundle(options, traffic, codec, denoiser, reward)
@@ -102,13 +92,9 @@ def new_bundle(options: BundleOptions, seed: int = 0) -> Bundle:
 def save_bundle(
     bundle: Bundle, path: Path, stages: tuple[str, ...], extra: Mapping[str, Any] | None = None
 ) -> None:
-    """Write *path*, aside first and then renamed.
+    """Write *bundle* to *path*, a ".safetensors" file, aside first and then renamed.
 
-    Args:
-        bundle: networks.
-        path: a ".safetensors" file.
-        stages: names of the stages trained so far.
-        extra: what else the header shall carry, plain JSON.
+    *stages* are those trained so far; *extra* is what else the header shall carry, plain JSON.
     """
     header = {
         "format": FORMAT,
@@ -125,23 +111,12 @@ def load_bundle(path: Path) -> Bundle:
     Raises:
         WeightsError: no such file, another format, or tensors that do not fit the options in its header.
     """
-    again = "train it again with this version"
-    header, tensors = read_stored(
-        path, FORMAT, "train it, or leave the option out for the shipped weights", again
-    )
-    if not isinstance(header.get("options"), dict):
-        raise WeightsError(path, "has no options in its header", again)
-    options = BundleOptions.parse(header["options"], f"{path}: its options")
-    bundle = new_bundle(options)
-    _fill(bundle, tensors, path)
-    return Bundle(
-        options,
-        bundle.traffic,
-        bundle.codec,
-        bundle.denoiser,
-        bundle.reward,
-        tuple(header.get("stages", ())),
-    )
+    missing = "train it, or leave the option out for the shipped weights"
+    header, tensors = read_stored(path, FORMAT, missing, AGAIN)
+    bundle = new_bundle(BundleOptions.parse(stored_options(header, path, AGAIN), f"{path}: its options"))
+    for name, network in bundle.modules().items():
+        fill(network, below(tensors, f"{name}."), path, "its own options")
+    return replace(bundle, stages=tuple(header.get("stages", ())))
 
 
 def halve_bundle(source: Path, path: Path) -> None:
@@ -150,17 +125,5 @@ def halve_bundle(source: Path, path: Path) -> None:
     Raises:
         WeightsError: *source* cannot be read.
     """
-    header, tensors = read_stored(source, FORMAT, "train it", "train it again with this version")
+    header, tensors = read_stored(source, FORMAT, "train it", AGAIN)
     write_stored(path, {name: value.half() for name, value in tensors.items()}, header)
-
-
-def _fill(bundle: Bundle, tensors: Mapping[str, Tensor], path: Path) -> None:
-    for prefix, module in bundle.modules().items():
-        own = {
-            name.removeprefix(f"{prefix}."): t for name, t in tensors.items() if name.startswith(f"{prefix}.")
-        }
-        try:
-            module.load_state_dict(own)
-        except RuntimeError as error:
-            first = str(error).splitlines()[-1].strip()
-            raise WeightsError(path, f"does not fit its own options: {first}", "train it again") from None

@@ -16,22 +16,14 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.decoder import (
-    Decoder,
-    Motion,
-    State,
-    Step,
-    Surroundings,
-    motion_features,
-)
-from advdiff_sumo.models.from_nothing import from_nothing
+from advdiff_sumo.models.decoder import Decoder, Motion, State, Surroundings, motion_features
 from advdiff_sumo.models.geometry import RELATIVE_FEATURES, into_frame
 from advdiff_sumo.models.lane_attention import LaneAttention, LanePieces
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.neighbours import Neighbours, nearest_agents
+from advdiff_sumo.models.perceptron import from_nothing
 from advdiff_sumo.models.proximity import BOX_POINTS, PAIR_FEATURES, box_clearance, pair_features
 from advdiff_sumo.models.road_edges import RoadEdges
-from advdiff_sumo.models.trace import Trace
 
 _MOTION = 6
 
@@ -58,13 +50,11 @@ class ClosedLoopDecoder(Decoder):
         self.lanes = LaneAttention(options, width + _MOTION)
         self.clearance = from_nothing(BOX_POINTS, options.message, width)
         self.pairs = from_nothing(RELATIVE_FEATURES + PAIR_FEATURES, options.edge, options.message)
-        self._compiled: Step | None = None
 
-    def _surroundings(self, batch: SceneBatch, own: SceneBatch, rows: Tensor) -> Surroundings:
-        return LanesAndEdges(batch, own, rows, LanePieces.of(own), RoadEdges.of(own))
-
-    def _advance(self, trace: Trace | None) -> Step:
-        return self._compiled if self._compiled and trace is None and torch.is_grad_enabled() else self.step
+    def surroundings(self, batch: SceneBatch, rows: Tensor | None = None) -> Surroundings:
+        """Return the same with lane pieces and road edges."""
+        plain = super().surroundings(batch, rows)
+        return LanesAndEdges(**vars(plain), lanes=LanePieces.of(plain.own), edges=RoadEdges.of(plain.own))
 
     def _among(self, traced: Tensor, rows: Tensor, motion: Motion) -> Motion:
         """Return where *rows* see all agents: where the trace (B, A, 4) had them, the rows where they are now."""
@@ -97,14 +87,9 @@ class ClosedLoopDecoder(Decoder):
         node = node + self.clearance(box_clearance(place, turn, own.size, around.edges))
         which = nearest_agents(everybody[0], batch.present, rows, self.options.neighbours)
         near = Neighbours.of(*everybody, batch.size, rows, which)
-        mixed, senders = self._mix(torch.relu(node), self._edges(near), around, others, near.among)
+        columns = torch.stack((*near.relative_features(), *pair_features(near)), dim=-1)
+        closer = self.pairs(columns)
+        edges = [edge + closer for edge in self.interaction.prepare(columns[..., :RELATIVE_FEATURES])]
+        mixed, senders = self._mix(torch.relu(node), edges, around, others, near.among)
         done, memory = self._drive(mixed, memory, motion, own)
         return done, memory, senders
-
-    def _edges(self, near: Neighbours) -> list[Tensor]:
-        """Return for each graph layer what it adds to the messages (B, R, K, M) how neighbours lie."""
-        relative = near.relative_features()
-        columns = torch.stack((*relative, *pair_features(near)), dim=-1)
-        edges = self.interaction.prepare(columns[..., : len(relative)])
-        closer = self.pairs(columns)
-        return [edge + closer for edge in edges]

@@ -66,7 +66,7 @@ class LatentCodec(_Scaled):
 class TrajectoryCodec(_Scaled):
     """The future itself: x, y and heading in the vehicle's own frame now; no decoder, no bicycle model."""
 
-    def __init__(self, options: ModelOptions) -> None:  # noqa: ARG002 - the same call makes both codecs
+    def __init__(self) -> None:
         super().__init__((3, FUTURE_STEPS))
 
     def raw(self, batch: SceneBatch, context: Context, generator: torch.Generator | None) -> Tensor:  # noqa: ARG002 - the contract
@@ -91,11 +91,6 @@ class TrajectoryCodec(_Scaled):
         turned = wrap_angle(torch.diff(yaw, dim=2, prepend=now[..., 2]))  # headings of x jump at ±π
         curvature = turned / (steps.norm(dim=-1) * MODEL_STEP_S).clamp(min=0.1)
         return Rollout(xy, yaw, speed, accel, curvature)
-
-
-def make_codec(name: CodecName, options: ModelOptions, model: TrafficModel) -> LatentCodec | TrajectoryCodec:
-    """Return the codec *name* for *model*."""
-    return LatentCodec(options, model) if name == "latent" else TrajectoryCodec(options)
 
 
 def _filled(batch: SceneBatch) -> Tensor:

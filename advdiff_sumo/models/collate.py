@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -13,8 +13,9 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.window_files import WindowFile
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
+from advdiff_sumo.models.model_options import FUTURE_STEPS
 
+_Numbers: TypeAlias = NDArray[np.floating[Any]]
 _SIGNALS = 3  # red, yellow, green
 _EDGE, _TURN = 4, 6  # columns of ``maps.vector_map.Feature``
 
@@ -42,15 +43,6 @@ class Jitter:
 
 
 @dataclass(frozen=True)
-class _Map:
-    """A map table: M pieces of N points."""
-
-    xy_m: NDArray[np.floating[Any]]
-    features: NDArray[np.floating[Any]]
-    signal: IntArray
-
-
-@dataclass(frozen=True)
 class _Agents:
     """Padded agents (B, A, …) in one frame per scene, and the states (B, G) of the signals."""
 
@@ -67,26 +59,16 @@ class _Agents:
 
 
 def collate(
-    windows: WindowFile,
-    rows: IntArray,
-    rng: np.random.Generator | None = None,
-    jitter: Jitter | None = None,
+    windows: WindowFile, rows: IntArray, rng: np.random.Generator | None = None, jitter: Jitter | None = None
 ) -> SceneBatch:
-    """Return windows *rows* as a batch.
-
-    Args:
-        windows: a window file.
-        rows: (B,) windows.
-        rng: for the augmentation.
-        jitter: how to displace vehicles; None: not at all.
-    """
+    """Return windows *rows* (B,) as a batch, with vehicles displaced by *rng* as *jitter* says; None: not at all."""
     rows = np.asarray(rows, dtype=np.int64)
     first, last = windows.offset[rows], windows.offset[rows + 1]
     agents = int((last - first).max())
     index = first[:, None] + np.arange(agents)
     present = index < last[:, None]
     index = np.where(present, index, first[:, None])
-    rows_of_agents = _Agents(
+    padded = _Agents(
         past=windows.past[index].astype(np.float64),
         past_valid=windows.past_valid[index] & present[..., None],
         future=windows.future[index].astype(np.float64),
@@ -99,9 +81,8 @@ def collate(
         signals=windows.signals[rows].astype(np.int64),
     )
     if jitter is not None and rng is not None:
-        rows_of_agents = _displaced(rows_of_agents, rng, jitter)
-    table = _Map(windows.map_xy, windows.map_features, windows.map_signal.astype(np.int64))
-    batch = _assemble(rows_of_agents, table)
+        padded = _displaced(padded, rng, jitter)
+    batch = _assemble(padded, windows.map_xy, windows.map_features, windows.map_signal)
     if jitter is not None and rng is not None and jitter.mirror > 0.0:
         return mirrored(batch, torch.from_numpy(rng.random(batch.scenes) < jitter.mirror))
     return batch
@@ -144,7 +125,7 @@ def scene_batch(
     """
     agents = history.agents
     states = np.concatenate((history.xy_m, history.yaw_rad[..., None], history.speed_mps[..., None]), axis=-1)
-    rows_of_agents = _Agents(
+    known = _Agents(
         past=states[None],
         past_valid=history.valid[None],
         future=np.zeros((1, agents, FUTURE_STEPS, 4)),
@@ -156,17 +137,17 @@ def scene_batch(
         near=near[None],
         signals=np.asarray(signal_states, dtype=np.int64)[None],
     )
-    return _assemble(rows_of_agents, _Map(map_xy, map_features, map_signal))
+    return _assemble(known, map_xy, map_features, map_signal)
 
 
-def _assemble(agents: _Agents, table: _Map) -> SceneBatch:
+def _assemble(agents: _Agents, xy_m: _Numbers, features: _Numbers, signal: NDArray[np.integer]) -> SceneBatch:
     past, future = agents.past.copy(), agents.future.copy()
     origin = past[:, :1, -1, :2].copy()
     past[..., :2] -= origin[:, :, None]
     future[..., :2] -= origin[:, :, None]
     past[~agents.past_valid] = 0.0
     future[~agents.future_valid] = 0.0
-    map_xy, map_valid = _seen(agents, table)
+    map_xy, map_valid = _seen(agents, xy_m)
     return SceneBatch(
         past=_floats(past),
         past_valid=torch.from_numpy(agents.past_valid),
@@ -176,17 +157,17 @@ def _assemble(agents: _Agents, table: _Map) -> SceneBatch:
         moved=torch.from_numpy(agents.present & (agents.classes != AgentClass.PEDESTRIAN)),
         parked=torch.from_numpy(agents.parked),
         map_xy=_floats(map_xy),
-        map_features=_floats(_features(agents, table) * map_valid[..., None]),
+        map_features=_floats(_features(agents, features, signal) * map_valid[..., None]),
         map_valid=torch.from_numpy(map_valid),
         future=_floats(future),
         future_valid=torch.from_numpy(agents.future_valid),
     )
 
 
-def _seen(agents: _Agents, table: _Map) -> tuple[FloatArray, BoolArray]:
+def _seen(agents: _Agents, xy_m: _Numbers) -> tuple[FloatArray, BoolArray]:
     """Return the pieces (B, A, K, N, 2) in each agent's frame, and which are real."""
     valid = (agents.near >= 0) & agents.present[..., None]
-    world = table.xy_m[np.maximum(agents.near, 0)].astype(np.float64)
+    world = xy_m[np.maximum(agents.near, 0)].astype(np.float64)
     now = agents.past[:, :, -1]
     delta = world - now[:, :, None, None, :2]
     cos, sin = np.cos(now[..., 2])[:, :, None, None], np.sin(now[..., 2])[:, :, None, None]
@@ -195,16 +176,15 @@ def _seen(agents: _Agents, table: _Map) -> tuple[FloatArray, BoolArray]:
     return np.where(valid[..., None, None], local, 0.0), valid
 
 
-def _features(agents: _Agents, table: _Map) -> FloatArray:
+def _features(agents: _Agents, features: _Numbers, signal: NDArray[np.integer]) -> FloatArray:
     """Return the pieces' columns (B, A, K, F + 3), the signal's state one-hot behind them."""
     near = np.maximum(agents.near, 0)
-    signal = table.signal[near]
-    states = np.zeros_like(near)
+    lights, states = signal[near], np.zeros_like(near)
     if agents.signals.shape[1]:
         scenes = np.arange(len(near))[:, None, None]
-        states = np.where(signal >= 0, agents.signals[scenes, np.maximum(signal, 0)], 0)
+        states = np.where(lights >= 0, agents.signals[scenes, np.maximum(lights, 0)], 0)
     lit = states[..., None] == np.arange(1, _SIGNALS + 1)
-    return np.concatenate((table.features[near].astype(np.float64), lit), axis=-1)
+    return np.concatenate((features[near].astype(np.float64), lit), axis=-1)
 
 
 def _displaced(agents: _Agents, rng: np.random.Generator, jitter: Jitter) -> _Agents:
@@ -222,13 +202,8 @@ def _displaced(agents: _Agents, rng: np.random.Generator, jitter: Jitter) -> _Ag
     past[..., 1] += share * np.cos(yaw) * jitter.lateral_m * side[..., None]
     past[..., 2] += share * jitter.yaw_rad * turn[..., None]
     past[..., 3] = np.maximum(past[..., 3] + share * jitter.speed_mps * faster[..., None], 0.0)
-    return _Agents(**{**agents.__dict__, "past": past})
+    return replace(agents, past=past)
 
 
 def _floats(array: FloatArray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
-
-
-def model_history(history: Tracks) -> bool:
-    """Return whether *history* has the spacing that the networks were made for."""
-    return abs(history.dt_s - MODEL_STEP_S) < 1e-9

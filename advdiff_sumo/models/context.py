@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -20,8 +21,10 @@ from advdiff_sumo.models.model_options import (
     PIECE_POINTS,
     ModelOptions,
 )
+from advdiff_sumo.models.perceptron import perceptron
 
-_STATE = 6
+STATE = 6
+"""Numbers of an instant, of :func:`seen_states`."""
 _SCALE = (0.25, 0.1, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 
@@ -44,25 +47,25 @@ class Context:
     drawn: Tensor
     situation: Tensor
 
+    def mapped(self, change: Callable[[Tensor], Tensor]) -> Context:
+        """Return the context with each of its tensors as *change* makes it."""
+        prior = Gaussian(change(self.prior.mean), change(self.prior.logvar))
+        return Context(
+            change(self.h), prior, change(self.relative), change(self.drawn), change(self.situation)
+        )
+
     def repeat(self, times: int) -> Context:
         """Return the context of each scene *times* times in a row, as ``SceneBatch.repeat`` does."""
-
-        def many(value: Tensor) -> Tensor:
-            return value.repeat_interleave(times, dim=0)
-
-        prior = Gaussian(many(self.prior.mean), many(self.prior.logvar))
-        return Context(many(self.h), prior, many(self.relative), many(self.drawn), many(self.situation))
+        return self.mapped(lambda part: part.repeat_interleave(times, dim=0))
 
     def rows(self, rows: Tensor | slice) -> Context:
         """Return the context of the scenes at *rows*, as ``SceneBatch.rows`` does."""
-        prior = Gaussian(self.prior.mean[rows], self.prior.logvar[rows])
-        return Context(self.h[rows], prior, self.relative[rows], self.drawn[rows], self.situation[rows])
+        return self.mapped(lambda part: part[rows])
 
     def first(self, agents: int) -> Context:
         """Return all scenes with their first *agents* alone, who know of the others what they did."""
-        prior = Gaussian(self.prior.mean[:, :agents], self.prior.logvar[:, :agents])
-        relative, drawn = self.relative[:, :agents, :agents], self.drawn[:, :agents]
-        return Context(self.h[:, :agents], prior, relative, drawn, self.situation[:, :agents])
+        few = self.mapped(lambda part: part[:, :agents])
+        return replace(few, relative=few.relative[:, :, :agents])
 
 
 class MapEncoder(nn.Module):
@@ -75,9 +78,7 @@ class MapEncoder(nn.Module):
         width = options.hidden
         self.heads = options.heads
         self.register_buffer("feature_scale", torch.tensor(_SCALE), persistent=False)
-        self.piece = nn.Sequential(
-            nn.Linear(2 * PIECE_POINTS + PIECE_FEATURES, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
-        )
+        self.piece = perceptron(2 * PIECE_POINTS + PIECE_FEATURES, width, width, ends_in_relu=True)
         self.query = nn.Linear(width, width)
         self.key = nn.Linear(width, width, bias=False)
         self.value = nn.Linear(width, width, bias=False)
@@ -108,12 +109,10 @@ class ContextEncoder(nn.Module):
     def __init__(self, options: ModelOptions) -> None:
         super().__init__()
         width = options.hidden
-        self.state = nn.Sequential(
-            nn.Linear(HISTORY_STEPS * _STATE + 2 + CLASSES, width), nn.ReLU(), nn.Linear(width, width)
-        )
+        self.state = perceptron(HISTORY_STEPS * STATE + 2 + CLASSES, width, width)
         self.map = MapEncoder(options)
         self.norm = nn.LayerNorm(width)
-        self.mix = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width))
+        self.mix = perceptron(width, width, width)
         self.interaction = InteractionNet(width, options)
         self.prior = nn.Linear(width, 2 * options.latent)
         self._tells_situation = options.denoiser_situation
@@ -138,12 +137,16 @@ def gaussian_head(raw: Tensor) -> Gaussian:
 
 def past_features(batch: SceneBatch) -> Tensor:
     """Return (B, A, H·6 + 8): the past in the agent's own frame, its size and class."""
-    now = batch.pose[:, :, None]
-    xy = 0.1 * into_frame(batch.past[..., :2], now[..., :2], now[..., 2].expand(batch.past.shape[:-1]))
-    turn = batch.past[..., 2] - now[..., 2]
-    valid = batch.past_valid
-    columns = (xy[..., 0], xy[..., 1], torch.cos(turn), torch.sin(turn), 0.1 * batch.past[..., 3])
-    states = torch.stack(columns, dim=-1) * valid[..., None]
-    history = torch.cat((states, valid[..., None].to(states.dtype)), dim=-1).flatten(-2)
-    kind = one_hot(batch.classes, CLASSES).to(states.dtype)
+    history = seen_states(batch.past, batch.past_valid, batch.pose, 0.1)
+    kind = one_hot(batch.classes, CLASSES).to(history.dtype)
     return torch.cat((history, 0.2 * batch.size, kind), dim=-1)
+
+
+def seen_states(states: Tensor, valid: Tensor, pose: Tensor, per_m: float) -> Tensor:
+    """Return (B, A, T·6): *states* (B, A, T, 4) as *pose* (B, A, 4) sees them, 1 m as *per_m*; 0 where not *valid*."""
+    now = pose[:, :, None]
+    xy = per_m * into_frame(states[..., :2], now[..., :2], now[..., 2].expand(states.shape[:-1]))
+    turn = states[..., 2] - now[..., 2]
+    columns = (xy[..., 0], xy[..., 1], torch.cos(turn), torch.sin(turn), 0.1 * states[..., 3])
+    known = torch.where(valid[..., None], torch.stack(columns, dim=-1), 0.0)
+    return torch.cat((known, valid[..., None].to(known.dtype)), dim=-1).flatten(-2)

@@ -13,9 +13,9 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.geometry import into_frame, relative_features
 from advdiff_sumo.models.interaction import InteractionNet
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
+from advdiff_sumo.models.perceptron import perceptron
 from advdiff_sumo.models.tensor_bicycle import controls
 from advdiff_sumo.models.tensor_bicycle import step as bicycle_step
-from advdiff_sumo.models.trace import Trace
 
 Motion: TypeAlias = tuple[Tensor, Tensor, Tensor]
 """xy (B, A, 2), yaw (B, A) and speed (B, A)."""
@@ -52,6 +52,23 @@ class Rollout:
 
 
 @dataclass(frozen=True)
+class Trace:
+    """Where everybody was at the beginning of each step of a rollout, and what he said; for rollouts of some rows.
+
+    Attributes:
+        motion: (T, B, A, 4) x, y, yaw, speed.
+        senders: (T, layers, B, A, M) what everybody adds to the others' messages.
+    """
+
+    motion: Tensor
+    senders: Tensor
+
+    def repeat(self, times: int) -> Trace:
+        """Return the trace of the one scene *times* times."""
+        return Trace(self.motion.expand(-1, times, -1, -1), self.senders.expand(-1, -1, times, -1, -1))
+
+
+@dataclass(frozen=True)
 class Forced:
     """Agents whose future is given, such as a target that replays its log; the others react to it.
 
@@ -63,18 +80,17 @@ class Forced:
     states: Tensor
     mask: Tensor
 
-    def applied(self, k: int, xy: Tensor, yaw: Tensor, speed: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return (B, A, 2), (B, A), (B, A) states at instant *k*, with those that are given in their place."""
+    def put(self, k: int, state: State) -> State:
+        """Return *state* with what is given of instant *k* in its place."""
         given, mask = self.states[:, :, k], self.mask[:, :, k]
+        xy, yaw, speed, *action = state
         return (
             torch.where(mask[..., None], given[..., :2], xy),
             torch.where(mask, given[..., 2], yaw),
             torch.where(mask, given[..., 3], speed),
+            action[0],
+            action[1],
         )
-
-    def put(self, k: int, state: State) -> State:
-        """Return *state* with what is given of instant *k* in its place."""
-        return (*self.applied(k, *state[:3]), *state[3:])
 
 
 @dataclass(frozen=True)
@@ -102,8 +118,9 @@ class Decoder(nn.Module):
         self.start = nn.Linear(width + options.latent, width)
         self.node = nn.Linear(width + options.latent + _MOTION, width)
         self.interaction = InteractionNet(width, options, options.decoder_layers)
-        self.action = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 2))
+        self.action = perceptron(width, width, 2)
         self.memory = nn.GRUCell(width + 2, width)
+        self._compiled: Step | None = None
 
     def forward(
         self,
@@ -114,48 +131,12 @@ class Decoder(nn.Module):
         forced: Forced | None = None,
         by: Step | None = None,
     ) -> Rollout:
-        """Return the futures that latents lead to.
+        """Return the futures that latents *z* (B, A, Z) and embeddings *h* (B, A, D) of the context lead to in *steps*.
 
-        Agents that are no vehicles keep their velocity.
-
-        Args:
-            z: (B, A, Z) latents.
-            h: (B, A, D) embeddings of the context.
-            batch: the scenes.
-            steps: model steps to roll out.
-            forced: agents whose future is given.
-            by: takes the place of :meth:`step`.
+        Agents that are no vehicles keep their velocity, those that are *forced* do what is given. *by* takes the place
+        of :meth:`step`.
         """
-        everybody = torch.arange(batch.agents, device=z.device)
-        return self.roll(z, h, self._surroundings(batch, batch, everybody), steps, forced, by=by)[0]
-
-    @torch.no_grad()
-    def whole(
-        self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS, by: Step | None = None
-    ) -> tuple[Rollout, Trace]:
-        """Return the futures of all agents, without gradients, and what :meth:`some` needs of them.
-
-        *by* takes the place of :meth:`step`.
-        """
-        everybody = torch.arange(batch.agents, device=z.device)
-        return self.roll(z, h, self._surroundings(batch, batch, everybody), steps, by=by)
-
-    def some(
-        self,
-        z: Tensor,
-        h: Tensor,
-        batch: SceneBatch,
-        rows: Tensor,
-        steps: int,
-        trace: Trace,
-        by: Step | None = None,
-    ) -> Rollout:
-        """Return the futures (B, R, …) of agents *rows* alone, with gradients to *z* (B, R, Z).
-
-        All others move and say what they did in *trace*. *by* takes the place of :meth:`step`.
-        """
-        around = self._surroundings(batch, batch.rows_of(rows), rows)
-        return self.roll(z, h[:, rows], around, steps, None, trace, by)[0]
+        return self.roll(z, h, self.surroundings(batch), steps, forced, by=by)[0]
 
     def roll(
         self,
@@ -171,7 +152,8 @@ class Decoder(nn.Module):
 
         All others move and say what they did in *trace*; None: the rows are everybody.
         """
-        advance, rows = by or self._advance(trace), around.rows
+        own = self._compiled if trace is None and torch.is_grad_enabled() else None
+        advance, rows = by or own or self.step, around.rows
         memory = self.begin(z, h)
         motion = motion_now(around.own)
         states, begun, said = [], [], []
@@ -185,11 +167,11 @@ class Decoder(nn.Module):
             motion = states[-1][:3]
         return rollout_of(states), Trace(torch.stack(begun), torch.stack(said))
 
-    def _surroundings(self, batch: SceneBatch, own: SceneBatch, rows: Tensor) -> Surroundings:
-        return Surroundings(batch, own, rows)
-
-    def _advance(self, trace: Trace | None) -> Step:  # noqa: ARG002 - for decoders with another form of their step
-        return self.step
+    def surroundings(self, batch: SceneBatch, rows: Tensor | None = None) -> Surroundings:
+        """Return what stays the same through a rollout of agents *rows* (R,) of *batch*; None: of all."""
+        if rows is None:
+            return Surroundings(batch, batch, torch.arange(batch.agents, device=batch.past.device))
+        return Surroundings(batch, batch.rows_of(rows), rows)
 
     def _among(self, traced: Tensor, rows: Tensor, motion: Motion) -> Motion:  # noqa: ARG002 - for decoders that use them
         """Return where *rows* see all agents: where the trace (B, A, 4) had them, the rows themselves too."""
@@ -265,13 +247,10 @@ class Decoder(nn.Module):
         accel, curvature = controls(self.action(mixed), motion[2], batch.size[..., 0], self.options)
         accel, curvature = accel * batch.moved, curvature * batch.moved
         motion = bicycle_step(*motion, accel, curvature, MODEL_STEP_S)
-        return (*motion, accel, curvature), self._remember(mixed, accel, curvature, memory)
-
-    def _remember(self, mixed: Tensor, accel: Tensor, curvature: Tensor, memory: Tensor) -> Tensor:
         done = torch.stack((0.25 * accel, 10.0 * curvature), dim=-1)
         inputs = torch.cat((mixed, done), dim=-1)
         new: Tensor = self.memory(inputs.flatten(0, 1), memory.flatten(0, 1))
-        return new.reshape(memory.shape)
+        return (*motion, accel, curvature), new.reshape(memory.shape)
 
 
 def motion_now(batch: SceneBatch) -> Motion:

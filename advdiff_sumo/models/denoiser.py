@@ -20,9 +20,9 @@ from torch.nn.functional import group_norm, pad, silu
 
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.driving_situation import SITUATION_FEATURES
-from advdiff_sumo.models.from_nothing import from_nothing
 from advdiff_sumo.models.interaction import InteractionNet
 from advdiff_sumo.models.model_options import GROUPS, ModelOptions
+from advdiff_sumo.models.perceptron import from_nothing, silent
 
 STEP_WIDTH = 64
 
@@ -54,13 +54,7 @@ class AdaGN(nn.Module):
             layer.bias.data = torch.tensor(bias).repeat_interleave(channels)
 
     def forward(self, features: Tensor, h: Tensor, step: Tensor) -> Tensor:
-        """Return normalised features (C, B, A, L).
-
-        Args:
-            features: (C, B, A, L) feature maps.
-            h: (B, A, D) state embeddings.
-            step: (B, 64) encoded diffusion steps.
-        """
+        """Return *features* (C, B, A, L) normalised, for embeddings *h* (B, A, D) at encoded steps *step* (B, 64)."""
         scale, shift = self.step(step).t()[..., None, None].chunk(2)  # (C, B, 1, 1)
         state = self.state(h).permute(2, 0, 1)[..., None]  # (C, B, A, 1)
         out: Tensor = state * (scale * normalised(features) + shift)
@@ -100,31 +94,18 @@ class Coupling(nn.Module):
         self.known = nn.Linear(options.latent + options.hidden, width)
         self.step = nn.Linear(STEP_WIDTH, width)
         self.net = InteractionNet(width, options, options.denoiser_layers)
-        self.out = nn.Linear(width, options.hidden)
-        nn.init.zeros_(self.out.weight)
-        nn.init.constant_(self.out.bias, 0.0)
+        self.out = silent(nn.Linear(width, options.hidden))
 
     def prepare(self, context: Context) -> tuple[Tensor, Tensor]:
         """Return what the vehicles know (B, A, M) and, by layer, what relative poses say (layers, B, A, A, M)."""
         known = self.known(torch.cat((context.prior.mean, context.h), dim=-1))
         return known, torch.stack(self.net.prepare(context.relative))
 
-    def forward(
-        self, x: Tensor, step: Tensor, h: Tensor, known: Tensor, edges: Tensor, drawn: Tensor
-    ) -> Tensor:
-        """Return (B, A, D) for noisy *x* (B, A, C, L) at encoded steps *step* (B, 64).
-
-        Args:
-            x: noisy latents or trajectories.
-            step: encoded diffusion steps.
-            h: (B, A, D) state embeddings.
-            known: (B, A, M) of :meth:`prepare`.
-            edges: (layers, B, A, A, M) of :meth:`prepare`.
-            drawn: (B, A) whose latents mean something.
-        """
-        begin = torch.relu(self.sample(x.flatten(2)) + known + self.step(step)[:, None])
-        mixed: Tensor = self.out(self.net.mix(begin, list(edges.unbind(0)), drawn))
-        return h + mixed
+    def forward(self, x: Tensor, step: Tensor, given: Prepared) -> Tensor:
+        """Return (B, A, D) for noisy latents or trajectories *x* (B, A, C, L) at encoded steps *step* (B, 64)."""
+        begin = torch.relu(self.sample(x.flatten(2)) + given.known + self.step(step)[:, None])
+        mixed: Tensor = self.out(self.net.mix(begin, list(given.edges.unbind(0)), given.drawn))
+        return given.h + mixed
 
 
 class Prepared(NamedTuple):
@@ -179,24 +160,20 @@ class Denoiser(nn.Module):
             (ResidualBlock(quarter + half, half, width), ResidualBlock(half + full, full, width))
         )
         self.norm = nn.GroupNorm(GROUPS, full)
-        self.out = nn.Conv1d(full, channels, 3, padding=1)
-        nn.init.zeros_(self.out.weight)
-        nn.init.constant_(self.out.bias, 0.0)  # type: ignore[arg-type] # a bias is there by default
+        self.out = silent(nn.Conv1d(full, channels, 3, padding=1))
 
     def forward(self, x: Tensor, k: Tensor, context: Context) -> Tensor:
-        """Return the predicted noise (B, A, C, L).
+        """Return the noise (B, A, C, L) predicted in latents or trajectories *x* (B, A, C, L) at steps *k* (B,), 1 … K.
 
-        Args:
-            x: (B, A, C, L) noisy latents or trajectories.
-            k: (B,) diffusion steps, 1 … K.
-            context: its prior's mean is the condition z, its embeddings are h.
+        The condition z is the mean of the *context*'s prior, h are its embeddings.
         """
         return self.predict(x, sinusoidal(k, STEP_WIDTH), self.prepare(context))
 
     def prepare(self, context: Context) -> Prepared:
         """Return what of the prediction does not depend on noisy sample and step."""
-        context = self.informed(context)
         mean = context.prior.mean
+        if self.situation is not None:  # lights, vehicles ahead and limits
+            context = replace(context, h=context.h + self.situation(context.situation))
         known, edges = mean[..., :0], mean[None, :, :, None, :0]
         if self.coupling is not None:
             known, edges = self.coupling.prepare(context)
@@ -204,25 +181,17 @@ class Denoiser(nn.Module):
 
     def predict(self, x: Tensor, step: Tensor, given: Prepared) -> Tensor:
         """Return the predicted noise (B, A, C, L) of *x* at encoded steps *step* (B, 64)."""
-        state = given.h
-        if self.coupling is not None:
-            state = self.coupling(x, step, state, given.known, given.edges, given.drawn)
+        state = given.h if self.coupling is None else self.coupling(x, step, given)
         maps = torch.cat((x.permute(2, 0, 1, 3), given.condition[None]))
         return self._unet(maps, state, step).permute(1, 2, 0, 3)
-
-    def informed(self, context: Context) -> Context:
-        """Return *context* as this network uses it: with embeddings that know lights, vehicles ahead and limits."""
-        if self.situation is None:
-            return context
-        return replace(context, h=context.h + self.situation(context.situation))
 
     def _unet(self, x: Tensor, h: Tensor, step: Tensor) -> Tensor:
         first = self.down[0](convolved(self.into, x), h, step)
         second = self.down[1](halved(first), h, step)
         third = self.down[2](halved(second), h, step)
         y = self.middle(third, h, step)
-        y = self.up[0](torch.cat((doubled(y), second)), h, step)
-        y = self.up[1](torch.cat((doubled(y), first)), h, step)
+        y = self.up[0](torch.cat((y.repeat_interleave(2, dim=-1), second)), h, step)
+        y = self.up[1](torch.cat((y.repeat_interleave(2, dim=-1), first)), h, step)
         return convolved(self.out, silu(normalised(y, self.norm)))
 
 
@@ -248,8 +217,3 @@ def normalised(x: Tensor, by: nn.GroupNorm | None = None) -> Tensor:
 def halved(x: Tensor) -> Tensor:
     """Return means of pairs of places (…, L / 2)."""
     return 0.5 * (x[..., ::2] + x[..., 1::2])
-
-
-def doubled(x: Tensor) -> Tensor:
-    """Return each place twice (…, 2 L)."""
-    return x.repeat_interleave(2, dim=-1)

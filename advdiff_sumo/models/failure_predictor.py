@@ -16,7 +16,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import WeightsError
-from advdiff_sumo.models.stored import read_stored_arrays, write_stored
+from advdiff_sumo.models.stored import read_stored, write_stored
 
 FORMAT = "advdiff-failures-1"
 _NEWTON_STEPS, _CONVERGED = 100, 1e-9
@@ -88,16 +88,12 @@ def save_failures(predictor: FailurePredictor, path: Path, extra: Mapping[str, A
 
 
 def load_failures(path: Path, features: int) -> FailurePredictor:
-    """Read what :func:`save_failures` wrote.
-
-    Args:
-        path: of the file.
-        features: D, as many as encounters have.
+    """Read what :func:`save_failures` wrote, for encounters of D *features*.
 
     Raises:
         WeightsError: no such file, another format, or for other features.
     """
-    _, arrays = read_stored_arrays(path, FORMAT, _MISSING, _REMEDY)
+    _, arrays = read_stored(path, FORMAT, _MISSING, _REMEDY, "np")
     shapes = {name: value.shape for name, value in arrays.items()}
     typical = shapes.pop("typical", ())
     if shapes != {"mean": (features,), "covariance": (features, features)} or typical[1:] != (features,):

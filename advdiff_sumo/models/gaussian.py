@@ -22,15 +22,7 @@ class Gaussian:
 
     def sample(self, generator: torch.Generator | None = None) -> Tensor:
         """Return a draw (…, Z) through which gradients flow to mean and variance."""
-        noise = torch.randn(
-            self.mean.shape, generator=generator, dtype=self.mean.dtype, device=_home(generator)
-        )
-        return self.mean + torch.exp(0.5 * self.logvar) * noise.to(self.mean.device)
-
-    def log_prob(self, value: Tensor) -> Tensor:
-        """Return log densities (…,) of *value* (…, Z), summed over the latent's numbers."""
-        squared = (value - self.mean) ** 2 * torch.exp(-self.logvar)
-        return -0.5 * (squared + self.logvar + 1.8378770664093453).sum(-1)  # ln 2π
+        return self.mean + torch.exp(0.5 * self.logvar) * draw(self.mean, generator)
 
     def kl(self, other: Gaussian) -> Tensor:
         """Return KL(self ‖ other) (…, Z) of each number."""
@@ -39,6 +31,10 @@ class Gaussian:
         return 0.5 * (other.logvar - self.logvar + ratio - 1.0)
 
 
-def _home(generator: torch.Generator | None) -> torch.device:
-    """Return where noise is drawn: on the generator's device, so that seeds mean the same everywhere."""
-    return generator.device if generator is not None else torch.device("cpu")
+def draw(like: Tensor, generator: torch.Generator | None) -> Tensor:
+    """Return standard normal noise of the shape and on the device of *like*.
+
+    It is drawn on the generator's device, without one on the CPU, so that seeds mean the same everywhere.
+    """
+    home = generator.device if generator is not None else torch.device("cpu")
+    return torch.randn(like.shape, generator=generator, dtype=like.dtype, device=home).to(like.device)

@@ -29,17 +29,10 @@ RELATIVE_FEATURES = 9
 
 
 def relative_features(xy: Tensor, yaw: Tensor, speed: Tensor, rows: Tensor | None = None) -> Tensor:
-    """Return how every agent looks from every other, free of the world's frame.
+    """Return how agents at *xy* (B, A, 2), with *yaw* and *speed* (B, A), look from *rows* (R,); None: from all.
 
-    Args:
-        xy: (B, A, 2) positions.
-        yaw: (B, A) headings.
-        speed: (B, A) speeds.
-        rows: (R,) who looks; None: all A.
-
-    Returns:
-        (B, R, A, 9); entry [b, i, j] is agent j seen from i: position / 20 m, its compressed distance, unit
-        heading, velocity and velocity difference / 10 m/s in i's frame.
+    Free of the world's frame: entry [b, i, j] of (B, R, A, 9) is agent j seen from i: position / 20 m, its compressed
+    distance, unit heading, velocity and velocity difference / 10 m/s in i's frame.
     """
     cos, sin = torch.cos(yaw), torch.sin(yaw)
     place, ci, si, own = (x if rows is None else x[:, rows] for x in (xy, cos, sin, speed))

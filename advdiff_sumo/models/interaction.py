@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
+
 import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.models.geometry import RELATIVE_FEATURES
 from advdiff_sumo.models.model_options import ModelOptions
+from advdiff_sumo.models.perceptron import perceptron
 
 ABSENT = -1e9
 """What stands for, or is added to, the scores of senders who are not there."""
-
-
-class EdgeEncoder(nn.Module):
-    """Embeds relative poses once for all layers of a net."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.net = nn.Sequential(
-            nn.Linear(RELATIVE_FEATURES, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
-        )
-
-    def forward(self, relative: Tensor) -> Tensor:
-        """Return (B, A, A, E) of relative features (B, A, A, 9)."""
-        out: Tensor = self.net(relative)
-        return out
 
 
 class InteractionLayer(nn.Module):
@@ -39,15 +27,12 @@ class InteractionLayer(nn.Module):
         self.score = nn.Linear(message, heads, bias=False)
         self.out = nn.Linear(message, width)
         self.norm = nn.LayerNorm(width)
-        self.mix = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width))
+        self.mix = perceptron(width, width, width)
 
     def forward(self, h: Tensor, edges: Tensor, mask: Tensor) -> Tensor:
-        """Return new embeddings (B, A, D).
+        """Return new embeddings (B, A, D) of those in *h* (B, A, D) who take part, by *mask* (B, A).
 
-        Args:
-            h: (B, A, D) embeddings.
-            edges: (B, A, A, M) what relative poses add to the messages, from :attr:`edge`.
-            mask: (B, A) who takes part.
+        *edges* (B, A, A, M) is what relative poses add to the messages, from :attr:`edge`.
         """
         return self.receive(h, edges, self.sender(h)[:, None], mask[:, None]) * mask[..., None]
 
@@ -82,18 +67,16 @@ class InteractionNet(nn.Module):
     def __init__(self, width: int, options: ModelOptions, layers: int | None = None) -> None:
         super().__init__()
         count = options.interaction_layers if layers is None else layers
-        self.edges = EdgeEncoder(options.edge)
+        net = perceptron(RELATIVE_FEATURES, options.edge, options.edge, ends_in_relu=True)
+        self.edges = nn.Sequential(OrderedDict(net=net))  # weights are stored under this name
         self.layers = nn.ModuleList(
             InteractionLayer(width, options.edge, options.message, options.heads) for _ in range(count)
         )
 
     def forward(self, h: Tensor, relative: Tensor, mask: Tensor) -> Tensor:
-        """Return embeddings (B, A, D) that know of the other agents.
+        """Return what embeddings *h* (B, A, D) become that know of the others, by *relative* poses (B, A, A, 9).
 
-        Args:
-            h: (B, A, D) embeddings.
-            relative: (B, A, A, 9) from ``relative_features``.
-            mask: (B, A) who takes part.
+        Agents outside *mask* (B, A) take no part.
         """
         return self.mix(h, self.prepare(relative), mask)
 

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.geometry import from_segments
 from advdiff_sumo.models.model_options import LANES_OF, PIECE_FEATURES, PIECE_POINTS, ModelOptions
+from advdiff_sumo.models.perceptron import perceptron, silent
 
 NEAREST = 9
 """Lane pieces that a vehicle attends to."""
@@ -44,12 +45,7 @@ class LanePieces:
         )
 
     def seen_from(self, place: Tensor, turn: Tensor) -> LanePieces:
-        """Return the ``NEAREST`` pieces in the frames that the vehicles have now.
-
-        Args:
-            place: (B, R, 2) where they are in their frames at the beginning.
-            turn: (B, R) their headings there.
-        """
+        """Return the ``NEAREST`` pieces seen from *place* (B, R, 2), *turn* (B, R) in the frames at the beginning."""
         cos, sin = torch.cos(turn), torch.sin(turn)
         into = torch.stack((cos, -sin, sin, cos), dim=-1).reshape(*turn.shape, 2, 2)
         shape = self.xy.shape
@@ -97,25 +93,13 @@ class LaneAttention(nn.Module):
         width = options.message
         self.heads = options.heads
         self.register_buffer("scale", torch.tensor(_SCALE), persistent=False)
-        self.piece = nn.Sequential(
-            nn.Linear(2 * PIECE_POINTS + _CLOSEST + PIECE_FEATURES, width),
-            nn.ReLU(),
-            nn.Linear(width, width),
-            nn.ReLU(),
-        )
+        self.piece = perceptron(2 * PIECE_POINTS + _CLOSEST + PIECE_FEATURES, width, width, ends_in_relu=True)
         self.query = nn.Linear(query, width)
         self.key_value = nn.Linear(width, 2 * width)
-        self.out = nn.Linear(width, options.hidden)
-        nn.init.zeros_(self.out.weight)
-        nn.init.constant_(self.out.bias, 0.0)
+        self.out = silent(nn.Linear(width, options.hidden))
 
     def forward(self, state: Tensor, pieces: LanePieces) -> Tensor:
-        """Return (B, R, D).
-
-        Args:
-            state: (B, R, Q) what each vehicle asks with.
-            pieces: of :meth:`LanePieces.seen_from`.
-        """
+        """Return (B, R, D) for *state* (B, R, Q), what each asks with; *pieces* are of ``LanePieces.seen_from``."""
         columns = (0.05 * pieces.xy.flatten(-2), closest(pieces.xy), pieces.features * self.scale)
         embedded = self.piece(torch.cat(columns, dim=-1))  # (B, R, 9, W)
         # keys and values are linear in the pieces: each is asked for and summed up before it is made

@@ -41,13 +41,7 @@ def masked_mean(value: Tensor, mask: Tensor) -> Tensor:
 
 
 def discs(xy: Tensor, yaw: Tensor, size: Tensor) -> tuple[Tensor, Tensor]:
-    """Return centres (…, 5, 2) and radius (…,) of the discs that stand for a box.
-
-    Args:
-        xy: (…, 2) box centres.
-        yaw: (…,) headings.
-        size: (…, 2) length and width.
-    """
+    """Return centres (…, 5, 2) and radius (…,) of the discs that stand for boxes at *xy* (…, 2), of *size* (…, 2)."""
     length, radius = size[..., 0], 0.5 * size[..., 1]
     offsets = torch.linspace(-1.0, 1.0, DISCS, device=xy.device, dtype=xy.dtype)
     along = (0.5 * length - radius).clamp(min=0.0)[..., None] * offsets
@@ -58,12 +52,10 @@ def discs(xy: Tensor, yaw: Tensor, size: Tensor) -> tuple[Tensor, Tensor]:
 def pair_overlap(rollout: Rollout, size: Tensor, present: Tensor) -> Tensor:
     """Return (B, A, A, T) overlap of every two agents in [0, 1]: 1 − d / (r_i + r_j), zero where discs are apart.
 
-    Args:
-        rollout: futures.
-        size: (B, A, 2) length and width.
-        present: (B, A) who is there.
+    Boxes are of *size* (B, A, 2); who is not *present* (B, A) overlaps nobody.
     """
-    gap, reach = pair_distance(rollout, size)
+    squared, reach = disc_pairs(rollout, size)
+    gap = torch.sqrt(squared.amin(-1) + 1e-9)
     return between_two((1.0 - gap / reach).clamp(min=0.0), present)
 
 
@@ -72,12 +64,6 @@ def between_two(value: Tensor, present: Tensor) -> Tensor:
     others = present[:, :, None] & present[:, None]
     others = others & ~torch.eye(present.shape[1], dtype=torch.bool, device=present.device)
     return torch.where(others[..., None], value, 0.0)
-
-
-def pair_distance(rollout: Rollout, size: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the smallest distance of disc centres (B, A, A, T) and the sums of radii (B, A, A, 1)."""
-    squared, reach = disc_pairs(rollout, size)
-    return torch.sqrt(squared.amin(-1) + 1e-9), reach
 
 
 def disc_pairs(rollout: Rollout, size: Tensor) -> tuple[Tensor, Tensor]:
@@ -93,19 +79,12 @@ def disc_pairs(rollout: Rollout, size: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def edge_clearance(xy: Tensor, batch: SceneBatch) -> Tensor:
-    """Return signed distances (B, A, M) of points to the nearest road edge; positive on the road, large without one.
+    """Return signed distances (B, A, M) of points *xy* (B, A, M, 2) of the scene to the nearest road edge.
 
-    Args:
-        xy: (B, A, M, 2) points in the scene's frame.
-        batch: their scenes; each agent's own map pieces are searched.
+    Positive on the road, large without an edge; each agent's own map pieces are searched.
     """
     pose = batch.pose[:, :, None]
     local = into_frame(xy, pose[..., :2], pose[..., 2].expand(xy.shape[:-1]))
-    return clearance_in_frame(local, batch)
-
-
-def clearance_in_frame(local: Tensor, batch: SceneBatch) -> Tensor:
-    """Return :func:`edge_clearance` of points (B, A, M, 2) that are already in each agent's own frame now."""
     return RoadEdges.of(batch).clearance(local)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self, TypeAlias
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -22,8 +22,6 @@ GROUPS = 8
 """Groups of the denoiser's group normalisation."""
 PIECE_FEATURES = 13
 """Columns of a map piece: ten of the map table, then one-hot red, yellow, green."""
-
-DecoderName: TypeAlias = Literal["open", "closed-loop"]
 
 
 class ModelOptions(Options):
@@ -59,7 +57,7 @@ class ModelOptions(Options):
     message: int = Field(64, ge=4, le=1024, multiple_of=4)
     heads: int = Field(4, ge=1, le=16)
     interaction_layers: int = Field(2, ge=1, le=6)
-    decoder: DecoderName = "open"
+    decoder: Literal["open", "closed-loop"] = "open"
     decoder_layers: int = Field(1, ge=1, le=6)
     neighbours: int = Field(0, ge=0)
     map_view: MapView = "near"

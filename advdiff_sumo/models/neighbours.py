@@ -48,15 +48,9 @@ class Neighbours:
     def of(
         xy: Tensor, yaw: Tensor, speed: Tensor, size: Tensor, rows: Tensor, which: Tensor | None = None
     ) -> Neighbours:
-        """Return how agents look from *rows*.
+        """Return how agents at *xy* (B, A, 2), with *yaw* and *speed* (B, A), of *size* (B, A, 2), look to *rows* (R,).
 
-        Args:
-            xy: (B, A, 2) box centres.
-            yaw: (B, A) headings.
-            speed: (B, A) speeds.
-            size: (B, A, 2) lengths and widths.
-            rows: (R,) agents that look.
-            which: (B, R, K) agents that they look at, of :func:`nearest_agents`; None: all.
+        They look at *which* (B, R, K), of :func:`nearest_agents`; None: at all.
         """
         x, y = xy.unbind(-1)
         length, width = (0.5 * size).unbind(-1)
@@ -90,9 +84,8 @@ class Neighbours:
 
     def relative_features(self) -> tuple[Tensor, ...]:
         """Return the columns, (B, R, K) each, of ``geometry.relative_features``."""
-        return relative_columns(
-            self.ahead_m, self.left_m, self.cos, self.sin, self.speed_mps, self.own_speed_mps
-        )
+        speeds = self.speed_mps, self.own_speed_mps
+        return relative_columns(self.ahead_m, self.left_m, self.cos, self.sin, *speeds)
 
     def among(self, values: Tensor) -> Tensor:
         """Return (B, R or 1, K, …) what the *values* (B, A, …) of these agents are."""
@@ -107,13 +100,9 @@ class Neighbours:
 
 @torch.no_grad()
 def nearest_agents(xy: Tensor, present: Tensor, rows: Tensor, count: int) -> Tensor | None:
-    """Return the *count* agents (B, R, K) nearest to *rows*, themselves among them; None: that is all of them.
+    """Return the *count* agents (B, R, K) nearest to *rows* (R,), themselves among them; None: that is all of them.
 
-    Args:
-        xy: (B, A, 2) box centres.
-        present: (B, A) who is there; the others come last.
-        rows: (R,) agents that look.
-        count: K; 0: no bound.
+    Their centres are *xy* (B, A, 2); who is not *present* (B, A) comes last. A *count* of 0 is no bound.
     """
     if count <= 0 or count >= xy.shape[1]:
         return None

@@ -102,11 +102,8 @@ def lead_gaps(near: Neighbours) -> LeadGaps:
 def box_clearance(place: Tensor, turn: Tensor, size: Tensor, edges: RoadEdges) -> Tensor:
     """Return (B, R, 10) signed clearances of both sides of each box to the road's edge, in units of 5 m within ±1.
 
-    Args:
-        place: (B, R, 2) box centres in the vehicles' frames at the beginning.
-        turn: (B, R) headings there.
-        size: (B, R, 2) lengths and widths.
-        edges: segments in these frames.
+    Centres *place* (B, R, 2), headings *turn* (B, R) and *edges* are in the vehicles' frames at the beginning; *size*
+    (B, R, 2) are lengths and widths.
     """
     local = place[:, :, None] + rotate(_box_points(size), turn[..., None])
     return (edges.clearance(local) / _MOST_CLEAR_M).clamp(-1.0, 1.0)

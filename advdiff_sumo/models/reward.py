@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -12,7 +15,10 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.geometry import relative_features
 from advdiff_sumo.models.interaction import InteractionNet
 from advdiff_sumo.models.model_options import ModelOptions
+from advdiff_sumo.models.perceptron import perceptron
+from advdiff_sumo.models.stored import fill, read_stored, write_stored
 
+FORMAT = "advdiff-reward-1"
 _LABELS = 3  # target, background vehicle, other
 
 
@@ -48,17 +54,10 @@ class RewardModel(nn.Module):
         self.action = nn.Linear(options.latent, width, bias=False)
         self.mix = nn.Sequential(nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.interaction = InteractionNet(width, options)
-        self.value = nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, 1))
+        self.value = perceptron(2 * width, width, 1)
 
     def prepare(self, h: Tensor, z: Tensor, batch: SceneBatch, target: Tensor) -> RewardState:
-        """Return the part that does not depend on the action.
-
-        Args:
-            h: (B, A, D) embeddings.
-            z: (B, A, Z) condition from the context encoder.
-            batch: the scenes.
-            target: (B,) row of the tested vehicle.
-        """
+        """Return the part of *h* (B, A, D) and condition *z* (B, A, Z); *target* (B,) is the tested vehicle's row."""
         agents = torch.arange(batch.agents, device=h.device)
         label = torch.where(batch.moved, 1, 2)
         label = torch.where(agents == target[:, None], 0, label)
@@ -83,3 +82,22 @@ class RewardModel(nn.Module):
     def forward(self, h: Tensor, z: Tensor, mu: Tensor, batch: SceneBatch, target: Tensor) -> Tensor:
         """Return Q (B,) of states (h, z) and actions *mu* (B, A, Z)."""
         return self.value_of(self.prepare(h, z, batch, target), mu)
+
+
+def save_reward(reward: RewardModel, path: Path, extra: Mapping[str, Any] | None = None) -> None:
+    """Write Q's tensors alone to *path*, a ".safetensors" file; *extra* goes into its header as JSON."""
+    write_stored(path, reward.state_dict(), {"format": FORMAT, "extra": dict(extra or {})})
+
+
+def load_reward(path: Path, options: ModelOptions) -> RewardModel:
+    """Read what :func:`save_reward` wrote, for networks of *options*.
+
+    Raises:
+        WeightsError: no such file, another format, or a reward model of other sizes.
+    """
+    remedy = "give a file that advdiff-sumo warmup made"
+    _, tensors = read_stored(path, FORMAT, "make it with advdiff-sumo warmup", remedy)
+    with torch.random.fork_rng(devices=[]):
+        reward = RewardModel(options)
+    fill(reward, tensors, path, "the networks", "warm up with the weights that the run uses")
+    return reward

@@ -57,8 +57,7 @@ class RoadEdges:
 
     def expand(self, scenes: int) -> RoadEdges:
         """Return the segments of the one scene for each of *scenes*."""
-        parts = (self.usable, self.lines, self.along, self.left)
-        return RoadEdges(*(part.expand(scenes, *part.shape[1:]) for part in parts))
+        return RoadEdges(*(part.expand(scenes, *part.shape[1:]) for part in vars(self).values()))
 
     def clearance(self, points: Tensor) -> Tensor:
         """Return signed distances (B, R, M) of *points* (B, R, M, 2) to the nearest segment, positive to its left.

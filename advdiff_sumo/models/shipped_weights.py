@@ -27,12 +27,7 @@ def shipped_weights(name: ShippedName = "traffic") -> Path:
 
 
 def find_weights(given: str, default: ShippedName = "traffic") -> Path:
-    """Return the file that a user's *given* text means.
-
-    Args:
-        given: a file, the folder of a training, the name of shipped networks, or "" for *default*.
-        default: of the shipped networks.
-    """
+    """Return the file that is *given*: itself, a training's folder, a shipped one by name, or by "" the *default*."""
     path = Path(given)
     if given and (path / WEIGHTS).is_file():
         return path / WEIGHTS
@@ -42,14 +37,10 @@ def find_weights(given: str, default: ShippedName = "traffic") -> Path:
 
 
 def device_of(name: str, whose: str) -> torch.device:
-    """Return the device that *name* stands for; "auto" is a GPU where there is one.
-
-    Args:
-        name: as the user gave it.
-        whose: whose option it is, for the message.
+    """Return the device that a user's *name* stands for; "auto" is a GPU where there is one.
 
     Raises:
-        ConfigError: PyTorch has no such device here.
+        ConfigError: PyTorch has no such device here; it says *whose* option it is.
     """
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")

@@ -8,16 +8,25 @@ latent and nothing is drawn: the same scene gives the same future.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
-from advdiff_sumo.models.advance import advance
 from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.bundle import AGAIN
+from advdiff_sumo.models.bundle import FORMAT as BUNDLE_FORMAT
 from advdiff_sumo.models.context import ContextEncoder
-from advdiff_sumo.models.decoder import Forced, Rollout, rollout_of
+from advdiff_sumo.models.decoder import Forced, Rollout, State, motion_now, rollout_of
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
+from advdiff_sumo.models.perceptron import perceptron
+from advdiff_sumo.models.stored import below, fill, read_stored, stored_format, stored_options, write_stored
 from advdiff_sumo.models.tensor_bicycle import controls, step
 
+FORMAT = "advdiff-simnet-1"
+_AGAIN = f"{AGAIN}: advdiff-sumo train simnet"
 _MOTION = 2
 
 
@@ -36,13 +45,7 @@ class SimNet(nn.Module):
         width = options.hidden
         self.encoder = ContextEncoder(options)
         self.encoder.prior.requires_grad_(False)
-        self.head = nn.Sequential(
-            nn.Linear(width + _MOTION, width),
-            nn.ReLU(),
-            nn.Linear(width, width),
-            nn.ReLU(),
-            nn.Linear(width, 2),
-        )
+        self.head = perceptron(width + _MOTION, width, width, 2)
 
     def act(self, batch: SceneBatch) -> tuple[Tensor, Tensor]:
         """Return acceleration in m/s² and curvature in 1/m, (B, A) each, for the next half second; 0 for walkers."""
@@ -53,31 +56,68 @@ class SimNet(nn.Module):
         return accel * batch.moved, curvature * batch.moved
 
     def forward(self, batch: SceneBatch, steps: int = FUTURE_STEPS, forced: Forced | None = None) -> Rollout:
-        """Return the joint future: act, drive half a second, look again, and so on.
+        """Return the joint future: act, drive half a second, look again, and so on, *steps* times.
 
-        The map pieces stay those around the present positions (see ``models.advance``); signals keep their state.
-
-        Args:
-            batch: the scenes.
-            steps: how often to act.
-            forced: agents whose future is given, such as a target; the others see it.
+        The map pieces stay those around the present positions; signals keep their state. Agents that are *forced*, such
+        as a target, do what is given; the others see it.
         """
-        states = []
+        states: list[State] = []
         for k in range(steps):
-            accel, curvature = self.act(batch)
-            pose = batch.pose
-            xy, yaw, speed = step(
-                pose[..., :2], pose[..., 2], pose[..., 3].clamp(min=0.0), accel, curvature, MODEL_STEP_S
-            )
-            if forced is not None:
-                xy, yaw, speed = forced.applied(k, xy, yaw, speed)
-            states.append((xy, yaw, speed, accel, curvature))
+            action = self.act(batch)
+            state = (*step(*motion_now(batch), *action, MODEL_STEP_S), *action)
+            states.append(state if forced is None else forced.put(k, state))
             if k + 1 < steps:
-                now = Rollout(*(column[:, :, None] for column in states[-1]))
-                batch = advance(batch, now, 1)
+                batch = batch.advanced(rollout_of(states[-1:]).states())
         return rollout_of(states)
 
-    def controls(self, batch: SceneBatch, steps: int = FUTURE_STEPS) -> tuple[Tensor, Tensor]:
-        """Return accelerations in m/s² and curvatures in 1/m, (B, A, T) each, that :meth:`forward` drives."""
-        rollout: Rollout = self(batch, steps)
-        return rollout.accel, rollout.curvature
+
+def new_simnet(options: ModelOptions, seed: int = 0) -> SimNet:
+    """Return an untrained network; the same seed gives the same weights."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return SimNet(options)
+
+
+def save_simnet(simnet: SimNet, path: Path, extra: Mapping[str, Any] | None = None) -> None:
+    """Write *simnet* to *path*, a ".safetensors" file; *extra* goes into its header as JSON."""
+    options = simnet.options.model_dump(mode="json")
+    write_stored(
+        path, simnet.state_dict(), {"format": FORMAT, "options": options, "extra": dict(extra or {})}
+    )
+
+
+def load_simnet(path: Path) -> SimNet:
+    """Read what :func:`save_simnet` wrote.
+
+    Raises:
+        WeightsError: no such file, another format, or tensors that do not fit the options in its header.
+    """
+    missing = "make it with advdiff-sumo train simnet, and name it by the option weights"
+    header, tensors = read_stored(path, FORMAT, missing, _AGAIN)
+    simnet = new_simnet(ModelOptions.parse(stored_options(header, path, _AGAIN), f"{path}: its options"))
+    fill(simnet, tensors, path, "its own options")
+    return simnet
+
+
+def begin_simnet(init: Path | None, options: ModelOptions, seed: int = 0) -> SimNet:
+    """Return the network that a training begins with.
+
+    Args:
+        init: a file of :func:`save_simnet`, or a traffic bundle, of which the context encoder is taken; None: all new.
+        options: sizes where there is no *init*.
+        seed: of new weights.
+
+    Raises:
+        WeightsError: *init* cannot be used: no such file, another format, or an encoder that does not fit its options.
+    """
+    if init is None:
+        return new_simnet(options, seed)
+    if stored_format(init) == FORMAT:
+        return load_simnet(init)
+    header, tensors = read_stored(init, BUNDLE_FORMAT, "name weights of the stage traffic with --init", AGAIN)
+    model = stored_options({"options": stored_options(header, init, _AGAIN).get("model")}, init, _AGAIN)
+    simnet = new_simnet(ModelOptions.parse(model, f"{init}: its options"), seed)
+    encoder = {f"encoder.{name}": value for name, value in below(tensors, "traffic.encoder.").items()}
+    head = {f"head.{name}": value for name, value in simnet.head.state_dict().items()}
+    fill(simnet, {**encoder, **head}, init, "its own options")
+    return simnet

@@ -16,7 +16,7 @@ from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.core.whole_file import whole_file
 
 if TYPE_CHECKING:  # who stores arrays alone need not wait for PyTorch
-    from torch import Tensor
+    from torch import Tensor, nn
 
 _HEADER = "advdiff"
 
@@ -34,7 +34,9 @@ def write_stored(
         save_file(arrays, str(aside), metadata={_HEADER: json.dumps(dict(header), sort_keys=True)})
 
 
-def read_stored(path: Path, kind: str, missing: str, remedy: str) -> tuple[dict[str, Any], dict[str, Tensor]]:
+def read_stored(
+    path: Path, kind: str, missing: str, remedy: str, framework: Literal["pt", "np"] = "pt"
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return header and tensors of *path*, a file of :func:`write_stored`.
 
     Args:
@@ -42,23 +44,11 @@ def read_stored(path: Path, kind: str, missing: str, remedy: str) -> tuple[dict[
         kind: the "format" that the header must name.
         missing: what to do where there is no such file.
         remedy: what to do where it cannot be used.
+        framework: "np": NumPy arrays in place of tensors, without PyTorch.
 
     Raises:
         WeightsError: no such file, damaged, or of another format.
     """
-    return _read(path, kind, missing, remedy, "pt")
-
-
-def read_stored_arrays(
-    path: Path, kind: str, missing: str, remedy: str
-) -> tuple[dict[str, Any], dict[str, NDArray[np.float64]]]:
-    """Return the same with NumPy arrays, without PyTorch."""
-    return _read(path, kind, missing, remedy, "np")
-
-
-def _read(
-    path: Path, kind: str, missing: str, remedy: str, framework: Literal["pt", "np"]
-) -> tuple[dict[str, Any], dict[str, Any]]:
     if not path.is_file():
         raise WeightsError(path, "no such file", missing)
     try:
@@ -70,6 +60,38 @@ def _read(
     if header.get("format") != kind:
         raise WeightsError(path, f"is not of the format {kind}", remedy)
     return header, tensors
+
+
+def fill(
+    network: nn.Module, tensors: Mapping[str, Tensor], path: Path, what: str, remedy: str = "train it again"
+) -> None:
+    """Give *network* the *tensors* of *path*.
+
+    Raises:
+        WeightsError: they do not fit *what*.
+    """
+    try:
+        network.load_state_dict(tensors)
+    except RuntimeError as error:
+        first = str(error).splitlines()[-1].strip()
+        raise WeightsError(path, f"does not fit {what}: {first}", remedy) from None
+
+
+def stored_options(header: Mapping[str, Any], path: Path, remedy: str) -> dict[str, Any]:
+    """Return the options in the *header* of *path*.
+
+    Raises:
+        WeightsError: there are none.
+    """
+    options = header.get("options")
+    if not isinstance(options, dict):
+        raise WeightsError(path, "has no options in its header", remedy)
+    return options
+
+
+def below(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """Return those of *tensors* whose names begin with *prefix*, by what follows it."""
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
 
 def stored_format(path: Path) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,7 @@ from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.collate import model_history, scene_batch
+from advdiff_sumo.models.collate import scene_batch
 from advdiff_sumo.models.model_options import HISTORY_STEPS, MODEL_STEP_S
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def look(
     Raises:
         SceneError: the history has another spacing.
     """
-    if not model_history(scene.history):
+    if abs(scene.history.dt_s - MODEL_STEP_S) >= 1e-9:
         raise SceneError(
             f"the trained networks need histories every {MODEL_STEP_S:g} s, "
             f"not every {scene.history.dt_s:g} s: leave sim.model_step_s at its default"
@@ -75,7 +75,9 @@ def look(
     if left_out is not None:
         moved &= ~left_out
     rows = _nearest(scene, moved, most)
-    history = _last(scene.history.rows(rows))
+    history = scene.history.rows(rows)
+    lacking = HISTORY_STEPS - history.steps  # what is missing before is marked as unknown
+    history = history.padded(lacking) if lacking > 0 else history.window(-lacking, history.steps)
     table = road.pieces(map_view)
     near = table.rows_near(history.xy_m[:, -1], history.yaw_rad[:, -1], history.speed_mps[:, -1])
     states = table.signal_states(scene.signals)
@@ -97,19 +99,3 @@ def _nearest(scene: Scene, moved: BoolArray, most: int) -> IntArray:
     picked = order[:count]
     picked = picked[np.isfinite(gap[picked])]
     return np.asarray(picked[np.lexsort((picked, gap[picked]))], dtype=np.int64)
-
-
-def _last(history: Tracks) -> Tracks:
-    """Return the last instants that the networks read; what is missing before is marked as unknown."""
-    lacking = HISTORY_STEPS - history.steps
-    if lacking <= 0:
-        return history.window(history.steps - HISTORY_STEPS, history.steps)
-    pad = ((0, 0), (lacking, 0))
-    return replace(
-        history,
-        xy_m=np.pad(history.xy_m, (*pad, (0, 0)), constant_values=np.nan),
-        yaw_rad=np.pad(history.yaw_rad, pad, constant_values=np.nan),
-        speed_mps=np.pad(history.speed_mps, pad, constant_values=np.nan),
-        valid=np.pad(history.valid, pad, constant_values=False),
-        t0_s=history.t0_s - lacking * history.dt_s,
-    )

@@ -95,16 +95,8 @@ def _cut(tracks: Tracks, t0_s: float, steps: int) -> Tracks:
         return resample(tracks, tracks.dt_s, t0_s=t0_s, steps=steps)
     lo, hi = np.clip([first, first + steps], 0, tracks.steps)
     before = min(max(-first, 0), steps)
-    pad = ((0, 0), (before, steps - before - int(hi - lo)))
-    part = tracks.window(int(lo), int(hi))
-    return replace(
-        part,
-        xy_m=np.pad(part.xy_m, (*pad, (0, 0)), constant_values=np.nan),
-        yaw_rad=np.pad(part.yaw_rad, pad, constant_values=np.nan),
-        speed_mps=np.pad(part.speed_mps, pad, constant_values=np.nan),
-        valid=np.pad(part.valid, pad, constant_values=False),
-        t0_s=t0_s,
-    )
+    part = tracks.window(int(lo), int(hi)).padded(before, steps - before - int(hi - lo))
+    return replace(part, t0_s=t0_s)
 
 
 def _without_blips(tracks: Tracks) -> Tracks:

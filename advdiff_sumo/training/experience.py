@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from advdiff_sumo.models.advance import advance
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
@@ -90,7 +89,7 @@ def observed(
     steps = path.xy.shape[2]
     rewards = payoffs(path, state, target, options, steps // options.execute)
     gain, remains = value_of(rewards, options.discount)
-    after = advance(state, path, steps)
+    after = state.advanced(path.states())
     return Experience(state, target, action, gain, remains, after, torch.ones_like(gain))
 
 
@@ -170,7 +169,7 @@ def from_logs(
         )
         first = payoffs(path, batch, target, options, 1)[0]
         alive = alive & ~first.contact
-        batch = advance(batch, path, options.execute)
+        batch = batch.advanced(path.states()[:, :, : options.execute])
 
 
 def _first(path: Rollout, steps: int) -> Rollout:

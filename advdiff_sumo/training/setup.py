@@ -21,7 +21,7 @@ from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_b
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.shipped_weights import WEIGHTS, find_weights
-from advdiff_sumo.models.simnet_file import begin_simnet, save_simnet
+from advdiff_sumo.models.simnet import begin_simnet, save_simnet
 from advdiff_sumo.training.checkpoint import Progress
 from advdiff_sumo.training.cvae import TrafficStage
 from advdiff_sumo.training.dataset import WindowSet, batches, read_window_set, split

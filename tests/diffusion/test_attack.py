@@ -7,10 +7,9 @@ import torch
 
 from advdiff_sumo.diffusion.attack import AttackScene, Natural, plain_objective
 from advdiff_sumo.diffusion.attack_costs import COSTS
-from advdiff_sumo.diffusion.attack_slope import SlopedAttack
-from advdiff_sumo.diffusion.differenced_attack import attack_objective
+from advdiff_sumo.diffusion.attack_slope import attack_objective
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.guides import autograd_slope, direction
+from advdiff_sumo.diffusion.guides import Sloped, autograd_slope, direction
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
@@ -55,7 +54,7 @@ def test_machine_code_has_the_slope_of_every_kind(kind: str, rows: list[int], co
     with checked_against_networks() as errors:
         by_code = attackers(networks, rows, compiled=True)
         objective, steps = attack_objective(kind, by_code), plain_objective(kind, by_code)
-        assert isinstance(objective, SlopedAttack)
+        assert isinstance(objective, Sloped)
         slope, value = objective.slope(latents), objective(latents)
         slope_of_steps = autograd_slope(steps, latents)
     assert_close(errors, "attack-slope", "attack-costs", "decoder-step")
@@ -69,12 +68,9 @@ def test_machine_code_has_the_slope_of_every_kind(kind: str, rows: list[int], co
 
 
 def test_a_direction_takes_the_slope_where_there_is_one() -> None:
-    class Asked:
-        def __call__(self, latents: torch.Tensor) -> torch.Tensor:
-            raise AssertionError
+    def value(latents: torch.Tensor) -> torch.Tensor:
+        raise AssertionError
 
-        def slope(self, latents: torch.Tensor) -> torch.Tensor:
-            return torch.full_like(latents, 3.0)
-
-    made = direction(Asked(), torch.zeros(1, 2, 4), torch.tensor([0.0, 1.0]))
+    asked = Sloped(value, lambda latents: torch.full_like(latents, 3.0))
+    made = direction(asked, torch.zeros(1, 2, 4), torch.tensor([0.0, 1.0]))
     torch.testing.assert_close(made[0], torch.tensor([[0.0] * 4, [0.5] * 4]))

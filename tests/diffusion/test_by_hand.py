@@ -10,7 +10,7 @@ from torch import Tensor
 
 from advdiff_sumo.diffusion.exported_step import step_package
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.fast_reward import FastReward, reward_package
+from advdiff_sumo.diffusion.fast_networks import fast_reward, reward_package
 from advdiff_sumo.diffusion.machine_code import slope_of
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
@@ -145,7 +145,7 @@ def test_q_by_machine_code_and_its_gradient(weights: str) -> None:
         for compiled in (True, False):
             free, objective = (
                 mu.clone().requires_grad_(),
-                FastReward(networks.reward, compiled).condition(state),
+                fast_reward(networks.reward, compiled)(state),
             )
             value = objective(free)
             slope = torch.autograd.grad((value * weight).sum(), free)[0]
@@ -161,5 +161,5 @@ def test_q_against_differences(made: Bundle) -> None:
     batch, context = two_scenes(made)
     state = made.reward.prepare(context.h, context.prior.mean, batch, torch.tensor([0, 3]))
     mu = torch.randn(2, 8, SMALL.latent, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
-    value_of = FastReward(made.reward).condition(state)
+    value_of = fast_reward(made.reward)(state)
     assert torch.autograd.gradcheck(value_of, (mu.requires_grad_(),), fast_mode=True)

@@ -8,10 +8,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion import differenced_attack
+from advdiff_sumo.diffusion import attack_slope
 from advdiff_sumo.diffusion.attack import AttackScene, plain_objective
-from advdiff_sumo.diffusion.differenced_attack import WIDEST, DifferencedAttack, attack_objective
+from advdiff_sumo.diffusion.attack_slope import WIDEST, attack_objective, differenced_attack
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
+from advdiff_sumo.diffusion.guides import Sloped
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
 from tests.diffusion.test_attack import attackers
@@ -36,7 +37,7 @@ def drawn() -> Tensor:
     return 0.1 * torch.randn(2, 8, SMALL.latent, generator=generator, dtype=torch.float64)
 
 
-def slopes(objective: DifferencedAttack, given: AttackScene, latents: Tensor) -> tuple[Tensor, Tensor]:
+def slopes(objective: Sloped, given: AttackScene, latents: Tensor) -> tuple[Tensor, Tensor]:
     """Return the slope by differences, and that of autograd."""
     free = latents.clone().requires_grad_()
     (wanted,) = torch.autograd.grad(plain_objective("any", given)(free).sum(), free)
@@ -44,10 +45,10 @@ def slopes(objective: DifferencedAttack, given: AttackScene, latents: Tensor) ->
 
 
 def test_it_is_the_gradient_along_the_widest_latents(made: Bundle, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(differenced_attack, "STEP", 1e-5)
+    monkeypatch.setattr(attack_slope, "STEP", 1e-5)
     given = scene(made, [2])
     objective = attack_objective("any", given)
-    assert isinstance(objective, DifferencedAttack)
+    assert isinstance(objective, Sloped)
     slope, wanted = slopes(objective, given, drawn())
     assert wanted[:, 2, -WIDEST:].abs().max() > 1.0
     torch.testing.assert_close(slope[:, 2, -WIDEST:], wanted[:, 2, -WIDEST:], atol=1e-3, rtol=1e-3)
@@ -58,9 +59,9 @@ def test_it_is_the_gradient_along_the_widest_latents(made: Bundle, monkeypatch: 
 def test_two_attackers_are_tried_at_once_and_each_looks_at_itself(
     made: Bundle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(differenced_attack, "STEP", 1e-5)
+    monkeypatch.setattr(attack_slope, "STEP", 1e-5)
     given, rows = scene(made, [5, 1]), [5, 1]
-    slope, wanted = slopes(DifferencedAttack("any", given), given, drawn())
+    slope, wanted = slopes(differenced_attack("any", given), given, drawn())
     for row in rows:
         own, whole = slope[:, row, -WIDEST:].flatten(), wanted[:, row, -WIDEST:].flatten()
         assert float(torch.cosine_similarity(own, whole, dim=0)) > 0.9

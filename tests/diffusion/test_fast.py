@@ -9,7 +9,7 @@ from torch import Tensor
 
 from advdiff_sumo.core.map_view import MAP_PIECES
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
+from advdiff_sumo.diffusion.fast_networks import fast_denoiser
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, new_bundle
 from advdiff_sumo.models.model_options import (
@@ -69,7 +69,7 @@ def test_the_denoiser_at_every_step_of_a_ladder(
     batch.moved[1, 3:] = False
     context = made.traffic.encoder(batch)
     steps = [100, 75, 50, 25]
-    noise = FastDenoiser(made.denoiser, compiled).condition(context)
+    noise = fast_denoiser(made.denoiser, compiled)(context)
     x = torch.randn(2, 11, *made.codec.shape, generator=torch.Generator().manual_seed(3))
     for k in steps:
         torch.testing.assert_close(

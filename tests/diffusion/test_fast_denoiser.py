@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 import torch
 
-from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser, denoiser_package
+from advdiff_sumo.diffusion.fast_networks import denoiser_package, fast_denoiser
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.denoiser import Denoiser
@@ -53,6 +53,6 @@ def test_it_predicts_as_the_network_does(weights: str, scenes: int, agents: int)
     net = bundle(weights).denoiser
     context = context_of(net, scenes, agents)
     x = torch.randn(scenes, agents, *net.shape, generator=torch.Generator().manual_seed(3))
-    compiled, own = (FastDenoiser(net, how).condition(context) for how in (True, False))
+    compiled, own = (fast_denoiser(net, how)(context) for how in (True, False))
     for k in (100, 40, 1):
         torch.testing.assert_close(compiled(x, k), own(x, k), atol=2e-5, rtol=1e-4)

@@ -12,11 +12,15 @@ from torch import Tensor
 
 from advdiff_sumo.diffusion.attack import AttackScene, Natural, plain_objective
 from advdiff_sumo.diffusion.attack_costs import COSTS
-from advdiff_sumo.diffusion.attack_slope import SlopedAttack, attack_code
+from advdiff_sumo.diffusion.attack_slope import attack_code, sloped_attack
 from advdiff_sumo.diffusion.exported_step import exported_step
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser, PredictionOnTensors, denoiser_package
-from advdiff_sumo.diffusion.fast_reward import FastReward
+from advdiff_sumo.diffusion.fast_networks import (
+    PredictionOnTensors,
+    denoiser_package,
+    fast_denoiser,
+    fast_reward,
+)
 from advdiff_sumo.diffusion.guides import autograd_slope
 from advdiff_sumo.diffusion.machine_code import Fitting, machine_code
 from advdiff_sumo.models.batch import SceneBatch
@@ -68,7 +72,7 @@ def value(weights: str, batch: SceneBatch) -> None:
     reward, sizes = bundle(weights).reward, bundle(weights).options.model
     h, z, mu = drawn(batch, sizes.hidden, sizes.latent, sizes.latent)
     state = reward.prepare(h, z, batch, torch.zeros(batch.scenes, dtype=torch.long))
-    autograd_slope(FastReward(reward).condition(state), mu)
+    autograd_slope(fast_reward(reward)(state), mu)
 
 
 @torch.no_grad()
@@ -77,7 +81,7 @@ def predict(weights: str, batch: SceneBatch) -> None:
     net = bundle(weights).denoiser
     (x,) = drawn(batch, net.shape[0] * net.shape[1])
     context = bundle(weights).traffic.encoder(batch)
-    FastDenoiser(net).condition(context)(x.reshape(*x.shape[:2], *net.shape), 40)
+    fast_denoiser(net)(context)(x.reshape(*x.shape[:2], *net.shape), 40)
 
 
 def attackers(batch: SceneBatch, steps: int, weights: str = "traffic") -> AttackScene:
@@ -97,7 +101,7 @@ def attack(kind: str, batch: SceneBatch) -> tuple[Tensor, Tensor]:
     (latents,) = drawn(batch, bundle("traffic").options.model.latent)
     code = attack_code(given.decoder, given.natural.steps)
     assert code is not None
-    return SlopedAttack(kind, given, code).slope(latents), autograd_slope(
+    return sloped_attack(kind, given, code).slope(latents), autograd_slope(
         plain_objective(kind, given), latents
     )
 
@@ -162,9 +166,7 @@ def test_the_most_scenes_and_one_more(count: int, uses: bool) -> None:
     assert_close(errors)
     (mu,) = drawn(batch, networks.options.model.latent)
     state = networks.reward.prepare(*drawn(batch, 128, 32), batch, torch.zeros(count, dtype=torch.long))
-    torch.testing.assert_close(
-        FastReward(networks.reward).condition(state)(mu), networks.reward.value_of(state, mu)
-    )
+    torch.testing.assert_close(fast_reward(networks.reward)(state)(mu), networks.reward.value_of(state, mu))
 
 
 def test_beyond_the_limits_every_network_serves_itself(monkeypatch: pytest.MonkeyPatch) -> None:

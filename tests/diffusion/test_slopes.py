@@ -106,7 +106,7 @@ def drawn(size: int) -> Tensor:
 def test_a_step_by_all_that_it_has_slopes_to(made: Bundle, kind: str, rows: list[int] | None) -> None:
     decoder, batch = decoder_of(made, kind), double(scenes(8))
     picked = torch.arange(8) if rows is None else torch.tensor(rows)
-    around = decoder._surroundings(batch, batch.rows_of(picked), picked)
+    around = decoder.surroundings(batch, picked)
     others = torch.zeros(decoder.options.decoder_layers, 2, 8, SMALL.message, dtype=torch.float64)
     z, h = (drawn(size)[:, picked] for size in (SMALL.latent, SMALL.hidden))
     free = [decoder.begin(z, h), z, *motion_now(around.own), *motion_now(batch)]

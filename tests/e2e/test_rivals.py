@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from advdiff_sumo.models.bundle import BundleOptions, new_bundle, save_bundle
-from advdiff_sumo.models.simnet_file import new_simnet, save_simnet
+from advdiff_sumo.models.simnet import new_simnet, save_simnet
 from tests.e2e.commands import SAME_BYTES, TINY, advdiff
 from tests.e2e.test_diffusion import MODEL
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from advdiff_sumo.models.bundle import BundleOptions, new_bundle
-from advdiff_sumo.models.reward_file import save_reward
+from advdiff_sumo.models.reward import save_reward
 from tests.e2e.commands import SAME_BYTES, advdiff
 from tests.e2e.conftest import sentence
 

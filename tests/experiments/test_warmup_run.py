@@ -12,7 +12,7 @@ from safetensors import safe_open
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.experiments.warmup_run import DrawnLatents, WarmedUp, experiences, warm_up
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
-from advdiff_sumo.models.reward_file import load_reward, save_reward
+from advdiff_sumo.models.reward import load_reward, save_reward
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
 from advdiff_sumo.training.presets import RewardOptions
@@ -128,7 +128,7 @@ def test_a_file_holds_q_alone(warmed: tuple[WarmedUp, list[int]], weights: Path,
         assert set(file.keys()) == set(bundle.reward.state_dict())
         assert "Krauss" in file.metadata()["advdiff"]
     for mine, theirs in zip(
-        load_reward(path, bundle).parameters(), warmed[0].reward.parameters(), strict=True
+        load_reward(path, bundle.options.model).parameters(), warmed[0].reward.parameters(), strict=True
     ):
         assert torch.equal(mine, theirs)
 

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from advdiff_sumo.data.window_files import WindowFile
-from advdiff_sumo.models.advance import advance
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import collate
 from advdiff_sumo.models.decoder import Rollout
@@ -29,7 +28,7 @@ def wander(batch: SceneBatch) -> Rollout:
 @pytest.mark.parametrize("steps", [1, 3, 5, 7, 12])
 def test_history_and_future_are_shifted(batch: SceneBatch, steps: int) -> None:
     rollout = wander(batch)
-    later = advance(batch, rollout, steps)
+    later = batch.advanced(rollout.states()[:, :, :steps])
     states = torch.cat((batch.past, rollout.states()[:, :, :steps]), dim=2)
     assert later.past.shape == batch.past.shape
     torch.testing.assert_close(later.past, states[:, :, -5:])
@@ -46,7 +45,7 @@ def test_history_and_future_are_shifted(batch: SceneBatch, steps: int) -> None:
 
 @pytest.mark.parametrize("steps", [1, 4])
 def test_the_map_is_seen_from_the_new_frames(batch: SceneBatch, steps: int) -> None:
-    later = advance(batch, wander(batch), steps)
+    later = batch.advanced(wander(batch).states()[:, :, :steps])
     shape = batch.map_xy.shape[:-1]
 
     def world(scene: SceneBatch) -> torch.Tensor:
@@ -65,7 +64,7 @@ def test_by_hand(driving: Callable[..., SceneBatch]) -> None:
     scene = driving([(0.0, 0.0, 0.0, 10.0)], edges=[[(float(x), -4.0) for x in range(6)]])
     place = torch.tensor([5.0, 0.0]).double().expand(1, 1, 1, 2)
     north, speed = torch.full((1, 1, 1), math.pi / 2).double(), torch.full((1, 1, 1), 6.0).double()
-    later = advance(scene, Rollout(place, north, speed, speed, north), 1)
+    later = scene.advanced(Rollout(place, north, speed, speed, north).states()[:, :, :1])
     wanted = torch.tensor([[-4.0, 5.0 - x] for x in range(6)]).double()
     torch.testing.assert_close(later.map_xy[0, 0, 0], wanted, atol=1e-6, rtol=0.0)
     wanted = torch.tensor([5.0, 0.0, math.pi / 2, 6.0]).double()
@@ -96,9 +95,8 @@ def test_what_happened_leads_to_the_window_of_then(windows: Callable[..., Window
 
     now, then = cut(0), cut(2)
     still = torch.zeros_like(now.future[..., 0])
-    later = advance(
-        now, Rollout(now.future[..., :2], now.future[..., 2], now.future[..., 3], still, still), 2
-    )
+    driven = Rollout(now.future[..., :2], now.future[..., 2], now.future[..., 3], still, still)
+    later = now.advanced(driven.states()[:, :, :2])
     origin_now, origin_then = path[0, 4, :2], path[0, 6, :2]
     shift = torch.tensor(
         np.append(origin_then - origin_now, (0.0, 0.0))

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.codec import LatentCodec, TrajectoryCodec, make_codec
+from advdiff_sumo.models.codec import LatentCodec, TrajectoryCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.geometry import wrap_angle
 from advdiff_sumo.models.model_options import ModelOptions
@@ -46,7 +46,7 @@ def measured(codec: LatentCodec | TrajectoryCodec) -> Tensor:
 
 @pytest.mark.parametrize("name", ["latent", "trajectory"])
 def test_scale_and_back(name: str, options: ModelOptions, model: TrafficModel) -> None:
-    codec = make_codec("latent" if name == "latent" else "trajectory", options, model)
+    codec = LatentCodec(options, model) if name == "latent" else TrajectoryCodec()
     assert codec.shape == ((1, options.latent) if name == "latent" else (3, 12))
     torch.testing.assert_close(codec.scale(torch.full(codec.shape, 4.0)), torch.full(codec.shape, 4.0))
     raw = measured(codec)
@@ -80,7 +80,7 @@ def test_latents_are_draws_of_the_posterior_and_decode_as_they_are(
 
 
 def test_a_trajectory_comes_back(options: ModelOptions, batch: SceneBatch, context: Context) -> None:
-    codec = TrajectoryCodec(options)
+    codec = TrajectoryCodec()
     measured(codec)
     raw = codec.raw(batch, context, None)
     assert raw.shape == (2, 5, 3, 12)
@@ -99,7 +99,7 @@ def test_a_trajectory_by_hand(options: ModelOptions, driving: Driving, context: 
     future[0, 0, :, 1] = 1.0 + 3.0 * torch.arange(1, 13)
     future[0, 0, :, 2], future[0, 0, :, 3] = math.pi / 2, 6.0
     scene = replace(scene, future=future, future_valid=torch.ones_like(scene.future_valid))
-    codec = TrajectoryCodec(options).double()
+    codec = TrajectoryCodec().double()
     raw = codec.raw(scene, context, None)
     wanted = torch.stack((3.0 * torch.arange(1, 13), torch.zeros(12), torch.zeros(12))).double()
     torch.testing.assert_close(raw[0, 0], wanted)
@@ -117,7 +117,7 @@ def test_unknown_instants_keep_the_last_known_velocity(
     scene = driving([(0.0, 0.0, 0.0, 2.0)])
     scene.future[0, 0, 1] = torch.tensor([5.0, 1.0, math.pi / 2, 4.0], dtype=torch.float64)
     scene.future_valid[0, 0, 1] = True
-    raw = TrajectoryCodec(options).double().raw(scene, context, None)[0, 0].T
+    raw = TrajectoryCodec().double().raw(scene, context, None)[0, 0].T
     wanted = [(1.0, 0.0, 0.0), *((5.0, 1.0 + 2.0 * k, math.pi / 2) for k in range(11))]
     torch.testing.assert_close(raw, torch.tensor(wanted, dtype=torch.float64))
 
@@ -130,7 +130,7 @@ def test_a_full_turn_keeps_its_curvature(options: ModelOptions, driving: Driving
         (10.0 * torch.sin(turn), 10.0 - 10.0 * torch.cos(turn), wrap_angle(turn), torch.full((12,), 4.8)), -1
     )
     scene = replace(scene, future_valid=torch.ones_like(scene.future_valid))
-    codec = TrajectoryCodec(options).double()
+    codec = TrajectoryCodec().double()
     made = codec.decode(codec.raw(scene, context, None), context, scene)
     torch.testing.assert_close(made.curvature, torch.full_like(made.curvature, 0.1), atol=0.002, rtol=0.0)
 
@@ -139,7 +139,7 @@ def test_gradients_of_a_standing_trajectory_are_numbers(
     options: ModelOptions, driving: Driving, context: Context
 ) -> None:
     scene = driving([(0.0, 0.0, 0.3, 0.0), (0.0, 0.0, 0.3, 0.0)])
-    codec = TrajectoryCodec(options).double()
+    codec = TrajectoryCodec().double()
     x = torch.zeros(1, 2, 3, 12, dtype=torch.float64, requires_grad=True)
     made = codec.decode(x, context, scene)
     total = made.states().sum() + made.accel.sum() + made.curvature.sum()

@@ -15,7 +15,7 @@ from advdiff_sumo.data.window_files import WindowFile
 from advdiff_sumo.maps.vector_map import Feature
 from advdiff_sumo.models import model_options, road_edges
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.collate import Jitter, collate, mirrored, model_history, scene_batch
+from advdiff_sumo.models.collate import Jitter, collate, mirrored, scene_batch
 from advdiff_sumo.models.losses import off_road
 from advdiff_sumo.training.displacement import logged
 from tests.models.conftest import WindowMaker
@@ -259,8 +259,6 @@ def test_a_live_scene_is_the_same_as_its_window(by_hand: WindowFile) -> None:
             assert not bool(made.any())
         else:
             torch.testing.assert_close(made, value)
-    assert model_history(history)
-    assert not model_history(replace(history, dt_s=0.1))
 
 
 def test_a_mirrored_scene_is_the_same_scene_with_left_and_right_exchanged(windows: WindowMaker) -> None:

@@ -159,9 +159,9 @@ def test_who_has_no_latent_tells_nobody_anything(options: ModelOptions, lively: 
 
 def test_an_untrained_coupling_changes_nothing(options: ModelOptions) -> None:
     x, k, context = inputs(options, SHAPES[0])
-    layer = Denoiser(options, SHAPES[0]).coupling
-    assert layer is not None
-    made = layer(x, sinusoidal(k, 64), context.h, *layer.prepare(context), context.drawn)
+    net = Denoiser(options, SHAPES[0])
+    assert net.coupling is not None
+    made = net.coupling(x, sinusoidal(k, 64), net.prepare(context))
     torch.testing.assert_close(made, context.h)
 
 

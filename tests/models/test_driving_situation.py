@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import cast
 
 import pytest
 import torch
@@ -120,6 +121,6 @@ def test_a_denoiser_begins_without_it_and_can_use_it(
     told = options.model_copy(update={"denoiser_situation": True})
     context = ContextEncoder(told)(collate(windows(), [0, 1]))
     knowing = Denoiser(told, (1, options.latent))
-    assert torch.equal(knowing.informed(context).h, context.h)
-    assert Denoiser(options, (1, options.latent)).informed(context) is context
-    assert not torch.equal(lively(knowing).informed(context).h, context.h)
+    assert torch.equal(knowing.prepare(context).h, context.h)
+    assert Denoiser(options, (1, options.latent)).prepare(context).h is context.h
+    assert not torch.equal(cast(Denoiser, lively(knowing)).prepare(context).h, context.h)

@@ -15,14 +15,14 @@ from torch import Tensor
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.losses import (
-    clearance_in_frame,
+    disc_pairs,
     discs,
     edge_clearance,
     off_road,
-    pair_distance,
     pair_overlap,
     reconstruction,
 )
+from advdiff_sumo.models.road_edges import RoadEdges
 
 Driving = Callable[..., SceneBatch]
 CAR = (4.0, 2.0)
@@ -77,8 +77,8 @@ def test_discs_of_what_is_wider_than_long_lie_in_the_middle() -> None:
 )
 def test_overlap_by_hand(other: tuple[float, float, float], distance: float) -> None:
     rollout = rollout_of(poses((0.0, 0.0, 0.0), other))
-    gap, reach = pair_distance(rollout, sizes())
-    assert float(gap[0, 0, 1, 0]) == pytest.approx(distance, abs=1e-6)
+    squared, reach = disc_pairs(rollout, sizes())
+    assert float(squared[0, 0, 1, 0].min().sqrt()) == pytest.approx(distance, abs=1e-6)
     assert float(reach[0, 0, 1, 0]) == 2.0
     overlap = pair_overlap(rollout, sizes(), EVERYBODY)
     assert overlap.shape == (1, 2, 2, 1)
@@ -164,7 +164,7 @@ def test_clearance_by_hand(driving: Driving) -> None:
 
 def test_clearance_in_the_own_frame(driving: Driving) -> None:
     scene = driving([(2.0, 1.0, math.pi / 2, 0.0)], edges=[RIGHT_EDGE])
-    made = clearance_in_frame(points((0.0, 0.0), (-6.0, 3.0)), scene)  # (2, 1) and (−1, −5) in the scene
+    made = RoadEdges.of(scene).clearance(points((0.0, 0.0), (-6.0, 3.0)))  # (2, 1) and (−1, −5) in the scene
     torch.testing.assert_close(made[0, 0], torch.tensor([5.0, -1.0]).double(), atol=1e-6, rtol=0.0)
 
 

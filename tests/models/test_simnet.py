@@ -12,13 +12,11 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.core.errors import WeightsError
-from advdiff_sumo.models.advance import advance
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import BundleOptions, new_bundle, save_bundle
 from advdiff_sumo.models.decoder import Forced
 from advdiff_sumo.models.model_options import ModelOptions
-from advdiff_sumo.models.simnet import SimNet
-from advdiff_sumo.models.simnet_file import begin_simnet, load_simnet, new_simnet, save_simnet
+from advdiff_sumo.models.simnet import SimNet, begin_simnet, load_simnet, new_simnet, save_simnet
 from advdiff_sumo.models.tensor_bicycle import step
 
 
@@ -37,18 +35,15 @@ def test_each_instant_is_the_action_of_the_one_before(simnet: SimNet, batch: Sce
     torch.testing.assert_close(
         rollout.states()[:, :, 0], torch.cat((xy, yaw[..., None], speed[..., None]), -1)
     )
-    again = simnet.act(advance(batch, rollout, 1))
+    again = simnet.act(batch.advanced(rollout.states()[:, :, :1]))
     torch.testing.assert_close((rollout.accel[:, :, 1], rollout.curvature[:, :, 1]), again)
 
 
 @torch.no_grad()
-def test_the_same_scene_gives_the_same_future_and_its_controls(simnet: SimNet, batch: SceneBatch) -> None:
+def test_the_same_scene_gives_the_same_future(simnet: SimNet, batch: SceneBatch) -> None:
     one, other = simnet(batch), simnet(batch)
     assert all(torch.equal(a, b) for a, b in zip(vars(one).values(), vars(other).values(), strict=True))
-    accel, curvature = simnet.controls(batch)
-    assert accel.shape == curvature.shape == (2, 5, 12)
-    assert torch.equal(accel, one.accel)
-    assert torch.equal(curvature, one.curvature)
+    assert one.accel.shape == one.curvature.shape == (2, 5, 12)
 
 
 @torch.no_grad()

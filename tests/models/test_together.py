@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.sample_refinement import Together, held_decode, penalty, together
+from advdiff_sumo.diffusion.sample_refinement import Together, held_decode, misfit, together
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
@@ -42,10 +42,10 @@ def test_cars_inside_each_other_part_and_the_third_stays(driving: Callable[..., 
     drawn = torch.zeros(1, 3, 1, 2, dtype=torch.float64)
     drawn[0, 0, 0, 0] = 4.0
     how = Together(steps=100)
-    before = penalty(drawn, Places().decode, NOTHING, scene, how)
+    before = misfit(Places().decode(drawn, NOTHING, scene), scene, how)
     assert (before[0, :2] > 0.5).all()
     made = together(drawn, Places().decode, NOTHING, scene, how)
-    after = penalty(made, Places().decode, NOTHING, scene, how)
+    after = misfit(Places().decode(made, NOTHING, scene), scene, how)
     assert float(after.max()) < 0.1
     xy = Places().decode(made, NOTHING, scene).xy[0, :, 0]
     apart = (xy[1] - xy[0]).abs()
@@ -117,6 +117,6 @@ def test_who_was_drawn_off_the_road_comes_back(driving: Callable[..., SceneBatch
     scene = driving([(40.0, 0.0, 0.0, 5.0)], edges=[EDGE])
     drawn = torch.tensor([0.0, 2.0], dtype=torch.float64).reshape(1, 1, 1, 2)
     how = Together(steps=150)
-    assert float(penalty(drawn, Places().decode, NOTHING, scene, how).max()) > 1.0
+    assert float(misfit(Places().decode(drawn, NOTHING, scene), scene, how).max()) > 1.0
     made = together(drawn, Places().decode, NOTHING, scene, how)
     assert 0.3 < float(made[0, 0, 0, 1]) < 1.0  # its left side at the edge, no farther back than it has to

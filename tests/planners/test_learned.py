@@ -20,7 +20,7 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.shipped_weights import shipped_weights
-from advdiff_sumo.models.simnet_file import begin_simnet, save_simnet
+from advdiff_sumo.models.simnet import begin_simnet, save_simnet
 from advdiff_sumo.planners.learned.candidate_score import Around, followers, risk
 from advdiff_sumo.planners.learned.candidates import BRAKE, RAW, candidates
 from advdiff_sumo.planners.planner_check import check_planner

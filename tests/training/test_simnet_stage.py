@@ -7,7 +7,7 @@ import torch
 
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.losses import reconstruction
-from advdiff_sumo.models.simnet_file import new_simnet
+from advdiff_sumo.models.simnet import new_simnet
 from advdiff_sumo.training.presets import SimnetOptions
 from advdiff_sumo.training.simnet_stage import SimnetStage, first_steps, unrolled_steps
 from advdiff_sumo.training.stage import Moment, means

@@ -11,7 +11,7 @@ from advdiff_sumo.core.worker_pool import Task, in_processes
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import TUNING_SEED
 from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS
-from advdiff_sumo.models.reward_file import save_reward
+from advdiff_sumo.models.reward import save_reward
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.run_episodes import RunOptions
 

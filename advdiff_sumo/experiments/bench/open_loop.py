@@ -24,7 +24,7 @@ from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.shipped_weights import shipped_weights
-from advdiff_sumo.models.simnet_file import load_simnet
+from advdiff_sumo.models.simnet import load_simnet
 from advdiff_sumo.training import realism
 from advdiff_sumo.training.denoiser_stage import diffused
 from advdiff_sumo.training.displacement import displacement, driving, logged

@@ -16,15 +16,15 @@ from advdiff_sumo.core.errors import ConfigError, WeightsError
 from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.whole_file import kept_while_same
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
+from advdiff_sumo.diffusion.fast_networks import fast_denoiser
 from advdiff_sumo.diffusion.noise_schedule import NoiseSchedule
-from advdiff_sumo.diffusion.sampler import Sampling, draw, sample
+from advdiff_sumo.diffusion.sampler import Sampling, sample
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.gaussian import draw
 from advdiff_sumo.models.shipped_weights import find_weights
-from advdiff_sumo.models.simnet import SimNet
-from advdiff_sumo.models.simnet_file import load_simnet
+from advdiff_sumo.models.simnet import SimNet, load_simnet
 from advdiff_sumo.models.view import View
 from advdiff_sumo.planners.learned.learned_options import DiffusionPlannerOptions
 
@@ -138,7 +138,7 @@ class DiffusionModel:
                 f"the networks were trained with {self._schedule.steps}; ask for at most so many"
             )
         self._sampling = Sampling(steps=options.steps, eta=0.0, begin=options.begin)
-        self._denoiser = FastDenoiser(self._bundle.denoiser)
+        self._denoiser = fast_denoiser(self._bundle.denoiser)
 
     @torch.no_grad()
     def tell(
@@ -149,7 +149,7 @@ class DiffusionModel:
         batch = view.batch.to(self._device)
         context = self._bundle.traffic.encoder(batch).repeat(options.samples)
         start = self._start(view, noise, generator)
-        noise_of = self._denoiser.condition(context)
+        noise_of = self._denoiser(context)
         x = sample(noise_of, start.to(self._device), self._schedule, self._sampling, generator)
         z = self._codec.unscale(x)[:, :, 0]
         rollout = self._decoder.whole(z, context.h, batch.repeat(options.samples), steps)[0]

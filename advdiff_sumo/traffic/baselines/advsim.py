@@ -25,7 +25,7 @@ from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS, ModelOptions
 from advdiff_sumo.models.shipped_weights import find_weights
-from advdiff_sumo.models.simnet_file import load_simnet
+from advdiff_sumo.models.simnet import load_simnet
 from advdiff_sumo.traffic.background_plan import driven_of
 from advdiff_sumo.traffic.baselines.advsim_actions import Initial, driven, initial_of
 from advdiff_sumo.traffic.baselines.advsim_cost import (

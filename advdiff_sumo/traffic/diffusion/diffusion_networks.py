@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,14 +14,14 @@ from advdiff_sumo.core.errors import ConfigError, WeightsError
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.core.whole_file import file_state
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.fast_denoiser import FastDenoiser
-from advdiff_sumo.diffusion.fast_reward import FastReward
+from advdiff_sumo.diffusion.fast_networks import fast_denoiser, fast_reward
+from advdiff_sumo.diffusion.guides import Sloped
 from advdiff_sumo.diffusion.noise_schedule import NoiseSchedule
-from advdiff_sumo.diffusion.sampler import Sampling
+from advdiff_sumo.diffusion.sampler import Noise, Sampling
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec, TrajectoryCodec
-from advdiff_sumo.models.reward import RewardModel
-from advdiff_sumo.models.reward_file import load_reward
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.reward import RewardModel, RewardState, load_reward
 from advdiff_sumo.models.shipped_weights import device_of
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions
 from advdiff_sumo.traffic.planning.pace import faster_latent
@@ -44,9 +45,9 @@ class Networks:
 
     bundle: Bundle
     codec: LatentCodec | TrajectoryCodec
-    denoiser: FastDenoiser
+    denoiser: Callable[[Context], Noise]
     decoder: FastDecoder
-    reward: FastReward
+    reward: Callable[[RewardState], Sloped]
     schedule: NoiseSchedule
     sampling: Sampling
     faster: Tensor
@@ -54,7 +55,7 @@ class Networks:
 
     def guided_by(self, reward: RewardModel) -> Networks:
         """Return the same networks with *reward* as it is now; what is trained further has to be given again."""
-        return replace(self, bundle=replace(self.bundle, reward=reward), reward=FastReward(reward))
+        return replace(self, bundle=replace(self.bundle, reward=reward), reward=fast_reward(reward))
 
 
 @one_thread()
@@ -92,7 +93,7 @@ def _networks(
     _keep_memory()
     bundle = load_bundle(Path(path))
     if reward:
-        bundle = replace(bundle, reward=load_reward(Path(reward), bundle))
+        bundle = replace(bundle, reward=load_reward(Path(reward), bundle.options.model))
     schedule = NoiseSchedule(bundle.options.diffusion_steps, bundle.options.schedule)
     if sampling.steps > schedule.steps:
         raise ConfigError(
@@ -105,9 +106,9 @@ def _networks(
     return Networks(
         bundle=bundle,
         codec=bundle.codec,
-        denoiser=FastDenoiser(bundle.denoiser),
+        denoiser=fast_denoiser(bundle.denoiser),
         decoder=FastDecoder(bundle.traffic.decoder),
-        reward=FastReward(bundle.reward),
+        reward=fast_reward(bundle.reward),
         schedule=schedule,
         sampling=sampling,
         faster=faster,

@@ -11,11 +11,12 @@ from torch import Tensor
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.diffusion.guides import Guidance
-from advdiff_sumo.diffusion.sampler import draw, sample
+from advdiff_sumo.diffusion.sampler import sample
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.gaussian import draw
 from advdiff_sumo.models.losses import off_road, pair_overlap
 from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.view import View
@@ -59,7 +60,7 @@ def draw_plan(
     if options.guided:
         guide, chosen = guidance(networks, options, view, Scenes(batch, many, context), before)
     x = sample(
-        networks.denoiser.condition(several),
+        networks.denoiser(several),
         options.noise * start.to(networks.device),
         networks.schedule,
         networks.sampling,

@@ -10,7 +10,7 @@ import torch
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.diffusion.attack import AttackScene, Natural
-from advdiff_sumo.diffusion.differenced_attack import attack_objective
+from advdiff_sumo.diffusion.attack_slope import attack_objective
 from advdiff_sumo.diffusion.guides import Guidance, Term
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.codec import LatentCodec
@@ -81,7 +81,7 @@ def guidance(
             scenes.many,
             torch.zeros(count, dtype=torch.long, device=networks.device),
         )
-    terms = [Term(networks.reward.condition(state), _REWARD_WEIGHT, _REWARD_RUNGS)]
+    terms = [Term(networks.reward(state), _REWARD_WEIGHT, _REWARD_RUNGS)]
     if options.guide == "reward":
         assert isinstance(networks.codec, LatentCodec)  # noqa: S101 - networks_of refuses others where there is a guide
         scene = AttackScene(networks.decoder, networks.codec, scenes.context, scenes.one, attackers, natural)

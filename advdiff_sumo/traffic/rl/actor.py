@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import WeightsError
-from advdiff_sumo.models.stored import read_stored, write_stored
+from advdiff_sumo.models.stored import fill, read_stored, write_stored
 from advdiff_sumo.traffic.rl.features import FEATURES
 from advdiff_sumo.traffic.rl.prior import PriorName
 
@@ -97,11 +97,7 @@ def load_actor(path: Path) -> Actor:
     if features != FEATURES:
         raise WeightsError(path, f"observes {features} features, this version {FEATURES}", _AGAIN)
     net = ActorNet(hidden)
-    try:
-        net.load_state_dict(tensors)
-    except RuntimeError as error:
-        first = str(error).splitlines()[-1].strip()
-        raise WeightsError(path, f"does not fit its own header: {first}", _AGAIN) from None
+    fill(net, tensors, path, "its own header", _AGAIN)
     if not all(bool(torch.isfinite(weight).all()) for weight in net.parameters()):
         raise WeightsError(path, "holds weights that are not numbers", _AGAIN)
     return Actor(net.eval().requires_grad_(False), tuple(hidden), prior, header.get("notes", {}))

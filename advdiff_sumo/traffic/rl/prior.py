@@ -15,7 +15,7 @@ from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.shipped_weights import find_weights
-from advdiff_sumo.models.simnet_file import load_simnet
+from advdiff_sumo.models.simnet import load_simnet
 
 PriorName: TypeAlias = Literal["simnet", "traffic"]
 PLAN_STEPS = 8

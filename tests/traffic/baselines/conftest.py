@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from advdiff_sumo.models.model_options import ModelOptions
-from advdiff_sumo.models.simnet_file import new_simnet, save_simnet
+from advdiff_sumo.models.simnet import new_simnet, save_simnet
 from tests.traffic.small_networks import MODEL, downtown, one_thread, street, weights
 
 __all__ = ["downtown", "one_thread", "street", "weights"]

@@ -16,7 +16,7 @@ from advdiff_sumo.core.errors import ConfigError, SceneError, WeightsError
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.bundle import load_bundle
-from advdiff_sumo.models.reward_file import load_reward, save_reward
+from advdiff_sumo.models.reward import load_reward, save_reward
 from advdiff_sumo.models.view import MOST_AGENTS, look
 from advdiff_sumo.traffic.background_plan import PlausiblePlan, plausible_plan
 from advdiff_sumo.traffic.diffusion import diffusion_policy
@@ -360,7 +360,7 @@ def test_a_reward_model_of_its_own(weights: str, downtown: RoadMap, street: Stre
         weight.data *= -2.0
     path = tmp_path / "q.safetensors"
     save_reward(bundle.reward, path)
-    again = load_reward(path, bundle)
+    again = load_reward(path, bundle.options.model)
     for mine, theirs in zip(again.parameters(), bundle.reward.parameters(), strict=True):
         assert torch.equal(mine, theirs)
     scene = street(PLACES, SPEEDS)

@@ -33,7 +33,7 @@ class ConvertOptions(Options):
         close_rim: lead traffic back from where the map ends to where it begins.
         osm: OpenStreetMap extract whose streets lead on where the map ends.
         dataroot: nuScenes data set whose logged poses are compared with the net.
-        report: write the page NAME.fidelity.html.
+        report: write the page NAME.fidelity.html; without it, one of an earlier net goes.
         drive: driving test of an hour in which so many vehicles set out; 0: none.
         drive_at_once: driving test of an hour with so many vehicles at any time; 0: none.
         seed: of the driving tests.
@@ -105,8 +105,11 @@ def convert_and_measure(map_file: Path, net: str | Path, options: ConvertOptions
     write_figures(figures, fidelity_path(net))  # kept where the driving test finds no trip
     figures |= _driven(net, options)
     write_figures(figures, fidelity_path(net))
+    page = fidelity_path(net, "html")
     if options.report:
-        write_page(result, figures, fidelity_path(net, "html"))
+        write_page(result, figures, page)
+    else:
+        page.unlink(missing_ok=True)  # of another conversion
     return MeasuredConversion(result, figures)
 
 

@@ -41,6 +41,9 @@ def test_both_readings(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert "driving_test" not in (tmp_path / "street.fidelity.json").read_text()
+    assert "street.fidelity.html" in done.output.replace("\n", "")
+    assert CliRunner().invoke(app, words[:-1]).exit_code == 0
+    assert not (tmp_path / "street.fidelity.html").exists(), "it was of another conversion"
 
 
 def test_figures_are_kept_where_there_is_no_trip(tmp_path: Path) -> None:

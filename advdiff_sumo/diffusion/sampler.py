@@ -157,7 +157,7 @@ def foresee(
 
     Gradients reach the last prediction alone: what led to it is taken as it came.
 
-    Args: those of :func:`sample`, and *done*, 0 … ``sampling.steps`` − 1.
+    Args: those of :func:`sample` but *guide*, and *done*, 0 … ``sampling.steps`` − 1.
     """
     x, ladder = start, schedule.ladder(sampling.steps, sampling.begin)
     with torch.no_grad():

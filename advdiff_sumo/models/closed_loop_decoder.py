@@ -76,7 +76,7 @@ class ClosedLoopDecoder(Decoder):
         others: Tensor | None,
     ) -> tuple[State, Tensor, Tensor]:
         """Return where the rows get to in a step, their memory of it, and what all agents send (layers, B, A, M)."""
-        assert isinstance(around, LanesAndEdges)  # noqa: S101 - tells the type checker what _surroundings gives
+        assert isinstance(around, LanesAndEdges)  # noqa: S101 - tells the type checker what surroundings gives
         own, batch, rows = around.own, around.batch, around.rows
         place = into_frame(motion[0], own.pose[..., :2], own.pose[..., 2])
         turn = motion[1] - own.pose[..., 2]
@@ -88,8 +88,9 @@ class ClosedLoopDecoder(Decoder):
         which = nearest_agents(everybody[0], batch.present, rows, self.options.neighbours)
         near = Neighbours.of(*everybody, batch.size, rows, which)
         columns = torch.stack((*near.relative_features(), *pair_features(near)), dim=-1)
+        relative = self.interaction.prepare(columns[..., :RELATIVE_FEATURES])
         closer = self.pairs(columns)
-        edges = [edge + closer for edge in self.interaction.prepare(columns[..., :RELATIVE_FEATURES])]
+        edges = [edge + closer for edge in relative]
         mixed, senders = self._mix(torch.relu(node), edges, around, others, near.among)
         done, memory = self._drive(mixed, memory, motion, own)
         return done, memory, senders

@@ -115,7 +115,7 @@ def test_the_guide_follows_the_new_q(weights: Path, monkeypatch: pytest.MonkeyPa
     sizes = done.reward.options
     h, z, mu = (torch.randn(2, 4, n, generator=generator) for n in (sizes.hidden, sizes.latent, sizes.latent))
     state = done.reward.prepare(h, z, batch, target)
-    guided_by = policy.networks.reward.condition(state)
+    guided_by = policy.networks.reward(state)
     assert torch.equal(guided_by(mu), done.reward.value_of(state, mu))
     assert not torch.equal(guided_by(mu), load_bundle(weights).reward.value_of(state, mu))
 

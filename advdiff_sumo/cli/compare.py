@@ -79,9 +79,14 @@ def compare(
     _print(console, comparison, sides)
     if as_json:
         print_json(_object(comparison))
-    if condition is not None and (met := condition_met(condition, comparison.named())) is not None:
+    if condition is None:
+        return
+    if (met := condition_met(condition, comparison.named())) is not None:
         console.print(met, style="red", soft_wrap=True)
         raise typer.Exit(CONDITION_MET)
+    if comparison.unpaired and not condition.names & {"unpaired", "pairs"}:
+        words = f"note: {comparison.unpaired} episodes have no finished counterpart, which --fail-if does not ask about"
+        terminal(stderr=True).print(f'{words}; add "or unpaired > 0"', style="yellow", soft_wrap=True)
 
 
 def _object(comparison: Comparison) -> dict[str, object]:

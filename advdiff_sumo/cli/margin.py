@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,7 +11,15 @@ import typer
 
 from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.cli.terminal import print_json, terminal, verb_console
-from advdiff_sumo.cli.worker_flags import MEMORY_MB, PLAN_TIMEOUT_S, Memory, PlanTimeout, Timeout, limits_of
+from advdiff_sumo.cli.worker_flags import (
+    MEMORY_MB,
+    PLAN_TIMEOUT_S,
+    Memory,
+    PlanTimeout,
+    Timeout,
+    end_as_by_ctrl_c,
+    limits_of,
+)
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.core.threads import one_thread_for_good
 
@@ -76,6 +85,7 @@ def margin(
     given cannot be used.
     """
     one_thread_for_good()
+    end_as_by_ctrl_c()
     from advdiff_sumo.cli.run import options_given  # late: --help needs no simulator
     from advdiff_sumo.experiments.margin_command import margin_command
     from advdiff_sumo.experiments.margin_trials import MarginTrials
@@ -96,15 +106,13 @@ def margin(
     about = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
     folder = out or named_folder("margin", attack, *map(str, about), f"s{options.seed}")
     console = verb_console(False, as_json)
-    try:
-        with ExitStack() as stack:
-            limits = limits_of(stack, timeout, plan_timeout, memory)
-            trials = stack.enter_context(MarginTrials(options, folder, limits))
-            margins = [_margin(console, trials, name, scale, within) for name, scale in asked]
-            trials.keep(margins, margin_command(options, attack, by, within))
-    except EpisodeFailure as failure:
-        terminal(stderr=True, soft_wrap=True, highlight=False).print(f"error: {failure}", style="red")
-        raise typer.Exit(_FAILED) from None
+    with ExitStack() as stack:
+        limits = limits_of(stack, timeout, plan_timeout, memory)
+        trials = stack.enter_context(MarginTrials(options, folder, limits))
+        margins = _margins(console, trials, asked, within)
+        if not margins:
+            raise typer.Exit(_FAILED)
+        trials.keep(margins, margin_command(options, attack, by, within))
     report = write_report(folder)
     for one in margins:
         console.print(f"{options.target}: {one.margin.text(one.attack, one.scale)}", soft_wrap=True)
@@ -113,7 +121,7 @@ def margin(
         print_json(
             {"folder": str(folder.resolve()), "report": str(report.resolve()), **_found(attack, margins)}
         )
-    if not any(one.margin.is_known for one in margins):
+    if len(margins) < len(asked) or not any(one.margin.is_known for one in margins):
         raise typer.Exit(_FAILED)
 
 
@@ -139,6 +147,19 @@ def _asked(attack: str, by: str | None, within: float | None) -> list[tuple[str,
         if value is not None:
             raise ConfigError(f"{option} goes with one attack; leave it out, or choose an --attack")
     return [(name, scale) for name, scales in SCALES.items() for scale in scales]
+
+
+def _margins(
+    console: Console, trials: MarginTrials, asked: Sequence[tuple[str, Scale]], within: float | None
+) -> list[MarginOf]:
+    """Return the margins of the attacks that are *asked* for; say of which an episode failed, and leave it out."""
+    margins = []
+    for attack, scale in asked:
+        try:
+            margins.append(_margin(console, trials, attack, scale, within))
+        except EpisodeFailure as failure:
+            terminal(stderr=True, soft_wrap=True, highlight=False).print(f"error: {failure}", style="red")
+    return margins
 
 
 def _margin(

@@ -14,6 +14,7 @@ from advdiff_sumo.core.errors import FileError, InputError
 from advdiff_sumo.data.run_tables import RUN_PARTS, RUN_SETTINGS, RunTables
 from advdiff_sumo.metrics.arrow_tables import table_of
 from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
+from advdiff_sumo.report.margin_table import SUBJECT
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sim.run_episodes import Run
 from advdiff_sumo.sweep.consolidate import read_rows, tables_are_behind, tables_of
@@ -85,21 +86,23 @@ def rows_of_folder(folder: Path) -> FolderRows:
 def put_together(folder: Path) -> None:
     """Put the tables of an interrupted run or sweep together where episodes have finished that are not in them.
 
+    A margin's folder stays as it is: its tables are of the trials that it names.
+
     Raises:
-        InputError: the folder is damaged, or has no tables and its nets are no longer what they were.
+        InputError: the folder is damaged, or has no tables and they cannot be put together.
     """
     tables = RunTables(folder)
-    if tables.is_sweep:
-        store = Store.open(folder)
-        if not tables_are_behind(store):
-            return
-        try:
-            tables_of(store, stored_plan(store))
-        except InputError:  # its nets or its target are gone
-            if not tables.path("episodes").exists():
-                raise
-    elif (folder / RUN_PARTS).is_dir() and (begun := RunFolder(folder)).done():
-        begun.consolidate(finished=False)
+    are_there = tables.path("episodes").exists()
+    try:
+        if tables.is_sweep:
+            store = Store.open(folder)
+            if not (folder / SUBJECT).exists() and not (are_there and not tables_are_behind(store)):
+                tables_of(store, stored_plan(store))
+        elif (folder / RUN_PARTS).is_dir():
+            RunFolder(folder).catch_up()
+    except InputError:  # its nets or its target are gone, or nothing can be written there
+        if not are_there:
+            raise
 
 
 def rows_of_sweep(store: Store, plan: Plan, missing: int) -> FolderRows:

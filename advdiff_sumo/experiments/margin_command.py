@@ -45,7 +45,7 @@ def margin_command(
     }
     words = ["advdiff-sumo", "margin"]
     for flag, value in flags.items():
-        words += [] if value is None else [flag, str(value).removesuffix(".0")]
+        words += [] if value is None else [flag, f"{value:g}" if isinstance(value, float) else str(value)]
     for defect in planted:
         words += ["--defect", str(defect)]
     for assignment in _assignments(options.model_copy(update={"target_options": target_options})):

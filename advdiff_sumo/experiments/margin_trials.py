@@ -17,7 +17,7 @@ from advdiff_sumo.experiments.margin import Margin, Scale, Trial
 from advdiff_sumo.experiments.margin_lack import lacking
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.severity import is_valid_failure
-from advdiff_sumo.report.margin_table import COMMAND, TRIALS, TrialRow, trials_text
+from advdiff_sumo.report.margin_table import COMMAND, SUBJECT, TRIALS, TrialRow, trials_text
 from advdiff_sumo.sim.run_episodes import RunOptions
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.executors import ProcessExecutor
@@ -30,7 +30,6 @@ from advdiff_sumo.sweep.tasks import Limits
 
 _RETRIES = 1
 #: File that says whose margin a folder holds.
-_SUBJECT = "margin.json"
 
 
 @dataclass(frozen=True)
@@ -147,7 +146,7 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
 
     def _must_be_own(self) -> None:
         """Refuse a folder whose sweep is no margin, or that of something else."""
-        marker = self._folder / _SUBJECT
+        marker = self._folder / SUBJECT
         if marker.is_file():
             if marker.read_bytes() != self._subject:
                 raise ConfigError(
@@ -158,7 +157,7 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
 
     def _run(self, plan: Plan) -> Store:
         store = open_bench_store(self._folder, plan, 1)
-        write_whole(self._folder / _SUBJECT, self._subject)
+        write_whole(self._folder / SUBJECT, self._subject)
         run_sweep(
             plan, store, RemainingJobs.of(plan, store), _Lent(self._executor), _RETRIES, lambda *_: None
         )

@@ -14,6 +14,8 @@ from pathlib import Path
 from advdiff_sumo.core.errors import FileError
 
 TRIALS = "margin.csv"
+#: What the folder of a margin is about; there from the first trial on.
+SUBJECT = "margin.json"
 COMMAND = "margin.txt"
 """File with the command that repeats them."""
 _REMEDY = "repeat advdiff-sumo margin with the same --out"

@@ -140,6 +140,17 @@ class RunFolder:
         parts = {number: self.store.read(run_key(number)) for number in numbers}
         return {number: part for number, part in parts.items() if part is not None}
 
+    def catch_up(self) -> None:
+        """Put the episodes of a run that was interrupted, or goes on, together if any came after its tables.
+
+        Raises:
+            FileError: they cannot be written, or the run has ended meanwhile.
+        """
+        tables, numbers = self._tables.path("episodes"), self.done()
+        made_ns = tables.stat().st_mtime_ns if tables.exists() else 0
+        if numbers and max(self.store.changed_ns(), default=0) > made_ns:
+            self.consolidate(finished=False)
+
     def consolidate(self, finished: bool) -> int:
         """Put the finished episodes together in one file a table.
 
@@ -155,6 +166,8 @@ class RunFolder:
             writers = {name: stack.enter_context(self._writer(name)) for name in TABLES}
             for number in self.done():
                 part = self.store.read(run_key(number))
+                if part is None and not finished:
+                    raise FileError(self.path, "has changed while it was read", "ask once more")
                 if part is None:
                     continue
                 rows += bool(part.tables)

@@ -38,6 +38,11 @@ def test_what_is_usual_is_left_out_and_files_are_named_in_full(
     ]
 
 
+def test_names_that_end_like_numbers_stay() -> None:
+    options = options_given(None, {"target": "exec:./planner-1.0", "net": "downtown", **MARGIN}, {}, [])
+    assert "--target exec:./planner-1.0 " in margin_command(options, "cut-in")
+
+
 @pytest.mark.parametrize(
     "assign",
     [

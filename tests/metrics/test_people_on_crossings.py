@@ -35,29 +35,37 @@ def foot_lights(tmp_path_factory: pytest.TempPathFactory) -> RoadMap:
     return build(tmp_path_factory.mktemp("lights"), nodes, EDGES, "lights", more=CROSSINGS)
 
 
-@pytest.mark.parametrize("from_x_m", [6.0, 6.4, 7.0, 7.4])
-def test_who_is_run_into_on_a_crossing_broke_no_rule(foot, from_x_m) -> None:
-    """They were to blame for entering the lane less than 0.75 * 8 + 8² / 12 = 11.3 m ahead of the target."""
+@pytest.mark.parametrize("pause_s", [0.0, 0.4])
+def test_who_is_run_into_on_a_crossing_broke_no_rule(foot, pause_s) -> None:
+    """In the lane less than 0.75 * 8 + 8² / 12 = 11.3 m ahead of the target, on the crossing, x = 3.2 m, 1.7 s before.
+
+    That is 13.6 m ahead. Who pauses for less than a second before the car is still on its way.
+    """
     ego = straight("ego", (1.6, -30), NORTH, 8, steps=81)
-    on = driven("on", (from_x_m, 8.4), math.pi, np.full(81, 1.0), **WALKER)
+    speeds = np.where((np.arange(81) * 0.1 >= 4.0) & (np.arange(81) * 0.1 < 4.0 + pause_s), 0.0, 1.0)
+    on = driven("on", (5.9, 8.4), math.pi, speeds, **WALKER)
     kind, fault, own, other = findings(record_of(ego, on, route=ROUTE), foot)
     assert (kind, fault, other) == ("side", "target", [])
     assert "right_of_way" in own
     assert findings(record_of(on, ego, route=()), foot)[1:3] == ("other", [])
 
 
-@pytest.mark.parametrize(
-    ("stands_s", "fault"),
-    [
-        (2.6, "target"),
-        (3.2, "other"),
-    ],  # at 8 m/s 0.75 * 8 + 8² / 12 = 11.3 m, 1.4 s, are needed; contact at 4.6 s
-)
-def test_who_steps_onto_a_crossing_too_late_is_to_blame(foot, stands_s, fault) -> None:
-    """The car's front is at the walker's line, y = 8.4 m, at 4.5 s."""
+@pytest.mark.parametrize("from_x_m", [7.0, 7.4])
+def test_who_walks_from_the_pavement_onto_a_crossing_too_late_is_to_blame(foot, from_x_m) -> None:
+    """Over the kerb at x = 3.2 m at 3.8 and 4.2 s, where a car that is there at 4.5 s can stop no more."""
     ego = straight("ego", (1.6, -30), NORTH, 8, steps=81)
-    speeds = np.where(np.arange(81) * 0.1 < stands_s, 0.0, 1.5)
-    steps = driven("steps", (1.6 + 1.5 * (4.6 - stands_s), 8.4), math.pi, speeds, **WALKER)
+    on = driven("on", (from_x_m, 8.4), math.pi, np.full(81, 1.0), **WALKER)
+    kind, fault, own, other = findings(record_of(ego, on, route=ROUTE), foot)
+    assert (kind, fault, other) == ("side", "other", ["unsafe_lane_entry"])
+    assert "right_of_way" in own
+
+
+@pytest.mark.parametrize(("stands_s", "fault"), [(2.2, "target"), (3.7, "other")])
+def test_who_steps_onto_a_crossing_too_late_is_to_blame(foot, stands_s, fault) -> None:
+    """At 8 m/s a car stops within 11.3 m, 1.4 s. The kerb is at x = 3.2 m; the car is at y = 8.4 m at 4.5 s."""
+    ego = straight("ego", (1.6, -30), NORTH, 8, steps=81)
+    speeds = np.where(np.arange(81) * 0.1 < stands_s, 0.0, 1.0)
+    steps = driven("steps", (3.6, 8.4), math.pi, speeds, **WALKER)
     kind, blamed, own, _other = findings(record_of(ego, steps, route=ROUTE), foot)
     assert (kind, blamed, "right_of_way" in own) == ("side", fault, True)
 

@@ -215,3 +215,27 @@ def test_what_a_run_was_begun_with_is_kept_where_it_goes_on_with_something_else(
         RunFolder.create(path, now, resume=True)
         kept = tomllib.loads((path / "run.toml").read_text())["run"]
         assert kept == {"advdiff_sumo": "0", "begun_with": {"advdiff_sumo": "0.1"}}
+
+
+def test_tables_catch_up_with_the_episodes_of_an_interrupted_run(tmp_path: Path) -> None:
+    folder = fill(RunFolder.create(tmp_path / "run", settings(), resume=False), 0)
+    folder.catch_up()
+    tables = RunTables(folder.path)
+    assert tables.rows("episodes").num_rows == 1
+    before = tables.path("episodes").stat().st_mtime_ns
+    folder.catch_up()
+    assert tables.path("episodes").stat().st_mtime_ns == before, "nothing has come"
+    fill(folder, 1).catch_up()
+    assert tables.rows("episodes").num_rows == 2
+
+
+def test_tables_of_a_run_that_ends_meanwhile_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody looks at a run, which has put its tables together and taken its parts away before they are read."""
+    folder = fill(RunFolder.create(tmp_path / "run", settings(), resume=False), 0, 1, 2)
+    numbers = folder.done()
+    assert folder.consolidate(finished=True) == 3
+    whole = content(folder.path)
+    monkeypatch.setattr(RunFolder, "done", lambda _self: numbers)
+    with pytest.raises(FileError, match="has changed while it was read"):
+        folder.consolidate(finished=False)
+    assert content(folder.path) == whole

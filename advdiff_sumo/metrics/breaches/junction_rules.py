@@ -5,9 +5,17 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
-from advdiff_sumo.metrics.encounter import BREACH_WINDOW_S, LEAST_SPEED_MPS, Encounter, JunctionEntry, Party
+from advdiff_sumo.metrics.encounter import (
+    BREACH_WINDOW_S,
+    LEAST_SPEED_MPS,
+    STOOD_S,
+    Encounter,
+    JunctionEntry,
+    Party,
+)
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
@@ -75,23 +83,44 @@ def disregarded(view: TrafficView, met: Encounter, walker: int) -> Breach | None
 
 def _could_stop(view: TrafficView, met: Encounter, walker: int) -> bool:
     """Return whether the other had the safe gap to the place of the contact as *walker* came onto the crossing."""
-    tracks, last, first = view.tracks, met.collision.step, met.collision.step
+    tracks, hit = view.tracks, met.collision
     other = met.parties[1 - walker].row
-    earliest = max(0, last - view.steps(BREACH_WINDOW_S))
-    while (
-        first > earliest and _walks(view, met.parties[walker], first - 1) and tracks.valid[other, first - 1]
-    ):
-        first -= 1
-    way = tracks.xy_m[other, first : last + 1]
+    begun = _set_foot(view, met.parties[walker], hit.step, tracks.valid[other])
+    way = np.vstack((tracks.xy_m[other, begun : hit.step + 1], hit.xy_m[hit.rows.index(other)]))
     left_m = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
-    return left_m >= safe_gap_m(abs(float(tracks.speed_mps[other, first])), 0.0)
+    return left_m >= safe_gap_m(abs(float(tracks.speed_mps[other, begun])), 0.0)
 
 
-def _walks(view: TrafficView, walker: Party, step: int) -> bool:
-    """Return whether *walker* moves on a crossing at instant *step*."""
-    tracks, row = view.tracks, walker.row
-    moves = bool(tracks.valid[row, step]) and abs(float(tracks.speed_mps[row, step])) > LEAST_SPEED_MPS
-    return moves and on_crossing(view, walker, step)
+def _set_foot(view: TrafficView, walker: Party, last: int, seen: BoolArray) -> int:
+    """Return the instant since which *walker* has walked on a crossing, shorter pauses than ``STOOD_S`` included.
+
+    Args:
+        view: who is where.
+        walker: who walks.
+        last: instant before the contact.
+        seen: (T,) instants at which the other is there.
+    """
+    tracks, row, begun, roadways = view.tracks, walker.row, last, _roadways(view)
+    for step in range(last - 1, max(-1, last - view.steps(BREACH_WINDOW_S) - 1), -1):
+        if not (seen[step] and tracks.valid[row, step]) or begun - step > view.steps(STOOD_S):
+            break
+        if not any(line.intersects(shapely.Point(tracks.xy_m[row, step])) for line in roadways):
+            break
+        if abs(float(tracks.speed_mps[row, step])) > LEAST_SPEED_MPS:
+            begun = step
+    return begun
+
+
+def _roadways(view: TrafficView) -> list[shapely.Polygon]:
+    """Return where crossings are, from kerb to kerb."""
+    lines = (shapely.LineString(xy) for xy in _crossings(view))
+    return [line.buffer(_CROSSING_HALF_WIDTH_M, cap_style="flat") for line in lines]
+
+
+def _crossings(view: TrafficView) -> list[FloatArray]:
+    """Return the middle lines (N, 2) of pedestrian crossings."""
+    shapes = view.road.pedestrian_shapes  # of crossings ":JUNCTION_c0" and walking areas ":JUNCTION_w0"
+    return [xy for name, xy in shapes.items() if name.rpartition("_")[2].startswith("c") and len(xy) > 1]
 
 
 def ran_red(view: TrafficView, party: Party | JunctionEntry) -> bool:
@@ -177,11 +206,7 @@ def on_crossing(view: TrafficView, walker: Party, step: int) -> bool:
     """Return whether *walker* is on a pedestrian crossing at instant *step*."""
     tracks, row = view.tracks, walker.row
     box = shapely.Polygon(corners(tracks.xy_m[row, step], tracks.yaw_rad[row, step], tracks.size_m[row]))
-    shapes = (
-        view.road.pedestrian_shapes.items()
-    )  # of crossings ":JUNCTION_c0" and walking areas ":JUNCTION_w0"
-    lines = [xy for name, xy in shapes if name.rpartition("_")[2].startswith("c") and len(xy) > 1]
-    return any(shapely.LineString(xy).distance(box) <= _CROSSING_HALF_WIDTH_M for xy in lines)
+    return any(shapely.LineString(xy).distance(box) <= _CROSSING_HALF_WIDTH_M for xy in _crossings(view))
 
 
 def _breach(view: TrafficView, met: Encounter, kind: BreachKind, party: Party, text: str) -> Breach:

@@ -270,7 +270,9 @@ def test_without_pidfd_and_proc_a_server_and_its_child_end_with_us(tmp_path: Pat
             time.sleep(0.01)
         out, _ = process.communicate(timeout=HANG_S)
     assert out.split() == [b"-9"]
+    until = time.monotonic() + HANG_S
     while running(str(program)):  # killed, and not yet gone
+        assert time.monotonic() < until
         time.sleep(0.01)
 
 

@@ -118,6 +118,13 @@ def test_runs_are_compared_by_their_seed_scenes(downtown_run: Path, here: Callab
     met = here(*gate, "pairs < 3 and collision_rate_p == 1")
     assert (met.code, "collision_rate_p = 1, pairs = 2" in " ".join(met.out.split())) == (1, True)
     assert "no figure 'valid_failure_rate'; " in sentence(here(*gate, "valid_failure_rate > 0"))
+    alone = here(
+        "compare", downtown_run, downtown_run, "--a", "episode=0", *gate[3:], "collision_rate_only_b > 0"
+    )
+    assert (alone.code, 'counterpart, which --fail-if does not ask about; add "or unpaired' in alone.err) == (
+        0,
+        True,
+    )
     told = json.loads(here("compare", downtown_run, downtown_run, "--json").out)
     assert (told["pairs"], told["episodes_alone"]["collisions"]) == (2, {"a": [], "b": []})
 

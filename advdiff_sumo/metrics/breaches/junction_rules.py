@@ -66,7 +66,7 @@ def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None
 def disregarded(view: TrafficView, met: Encounter, walker: int) -> Breach | None:
     """Return the breach by which the other drove into the one who walks: on red, or on a crossing; else None.
 
-    Of a crossing only where the other still had room to stop when the one who walks set foot on it or walked on.
+    Of a crossing only where the other still had room to stop when the one who walks came over the kerb, or walked on.
 
     Args:
         view: who is where.

@@ -88,11 +88,8 @@ def met_by(rollout: Rollout, placed: Placed) -> Met:
     distance = torch.sqrt(delta.square().sum(-1).flatten(-2).amin(-1) + 1e-9)  # (B, R, A, T)
     wide = radius[:, :, None] + reach
     inside = (1.0 - distance / wide).clamp(min=0.0).sum(-1)
-    gap, overlap, scenes = (
-        distance[:, :, 0] - wide[:, :, 0],
-        (inside * placed.others).sum(-1),
-        len(rollout.yaw),
-    )
+    gap, overlap = distance[:, :, 0] - wide[:, :, 0], (inside * placed.others).sum(-1)
+    scenes = rollout.yaw.shape[0]  # not len(), which machine code would take for a constant
     size, pose = (part.expand(scenes, -1, -1) for part in (placed.own_size, placed.own_pose))
     off = beyond_edge(rollout, size, pose, placed.edges.expand(scenes)).sum(-1) * placed.moved
     return Met(gap, overlap, off)

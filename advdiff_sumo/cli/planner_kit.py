@@ -23,6 +23,6 @@ def planner_kit(
     written = write_kit(folder)
     proto = next(path for path in written if path.suffix == ".proto")
     console = terminal(highlight=False, soft_wrap=True)
-    place = shlex.quote(str(folder if folder.is_absolute() else Path.cwd() / folder))
+    place = shlex.quote(str(folder.absolute()))
     console.print(f"{folder}: {len(written)} files; in the planner's environment: pip install {place}")
     console.print(f"other languages: {proto}")

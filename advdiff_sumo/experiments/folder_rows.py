@@ -96,7 +96,8 @@ def put_together(folder: Path) -> None:
     try:
         if tables.is_sweep:
             store = Store.open(folder)
-            if not (folder / SUBJECT).exists() and not (are_there and not tables_are_behind(store)):
+            behind = not are_there or tables_are_behind(store)
+            if behind and not (folder / SUBJECT).exists():
                 tables_of(store, stored_plan(store))
         elif (folder / RUN_PARTS).is_dir():
             RunFolder(folder).catch_up()

@@ -8,19 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from advdiff_sumo.core.errors import ConfigError, UnknownNameError
-from advdiff_sumo.core.plan import Controls, Trajectory
+from advdiff_sumo.core.plan import Trajectory
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.defects import DEFECTS, SEVERITIES, parse_defect, parse_defects, plant
-from advdiff_sumo.planners.defects.actuation import SlowBrakes, StuckReplanning, WeakBrakes
 from advdiff_sumo.planners.defects.defective_planner import DefectivePlanner
 from advdiff_sumo.planners.defects.fault import Fault
-from advdiff_sumo.planners.defects.misjudgement import LocalisationOffset
 from advdiff_sumo.planners.planner_check import check_planner, same_plan
 from advdiff_sumo.planners.planner_protocol import Served, SumoDriver
 from advdiff_sumo.planners.planner_registry import make_target
@@ -64,6 +60,24 @@ def perceived(defect: str, scene: Scene, road: Any = None, memory: Any = None) -
 
 def shown(defect: str, scene: Scene) -> str:
     return "".join(perceived(defect, scene)[0].history.ids)
+
+
+def stop(brake_mps2: float, speed_mps: float = 10.0) -> Trajectory:
+    """Return 2 s of even braking east from the origin."""
+    t = 0.1 * np.arange(1, 21)
+    speed = np.maximum(speed_mps - brake_mps2 * t, 0.0)
+    s = np.cumsum(0.5 * (speed + np.append(speed_mps, speed[:-1]))) * 0.1
+    return Trajectory(np.column_stack((s, np.zeros(20))), np.zeros(20), speed, 0.1)
+
+
+class Counting:
+    """Plans a stop, and counts its plans in its memory."""
+
+    def start(self, road: Any, scene: Scene, rng: np.random.Generator) -> int:
+        return 0
+
+    def plan(self, road: Any, scene: Scene, memory: int, rng: np.random.Generator) -> tuple[Trajectory, int]:
+        return replace(stop(2.0), speed_mps=stop(2.0).speed_mps + 1e-3 * rng.random()), memory + 1
 
 
 # --- how they are written ---------------------------------------------------------------------------------
@@ -335,94 +349,6 @@ def test_people_on_foot_are_not_put_on_lanes(crossing: Maker) -> None:
     assert (perceived("cut-in:1.5", scene, road)[0].history.xy_m == scene.history.xy_m).all()
 
 
-# --- brakes and plans -------------------------------------------------------------------------------------
-
-
-def stop(brake_mps2: float, speed_mps: float = 10.0) -> Trajectory:
-    """Return 2 s of even braking east from the origin."""
-    t = 0.1 * np.arange(1, 21)
-    speed = np.maximum(speed_mps - brake_mps2 * t, 0.0)
-    s = np.cumsum(0.5 * (speed + np.append(speed_mps, speed[:-1]))) * 0.1
-    return Trajectory(np.column_stack((s, np.zeros(20))), np.zeros(20), speed, 0.1)
-
-
-def test_weak_brakes_bound_the_deceleration_and_drive_on_along_the_way() -> None:
-    scene = agents((0.0, 0.0, 0.0, 10.0))
-    plan, _ = WeakBrakes(2.5).act(stop(8.0), scene, None)
-    assert isinstance(plan, Trajectory)
-    assert plan.speed_mps == pytest.approx(10.0 - 2.5 * 0.1 * np.arange(1, 21))
-    assert plan.xy_m[-1] == pytest.approx([15.0, 0.0])  # 10 · 2 − 2.5 · 2² / 2
-    same, _ = WeakBrakes(8.5).act(stop(8.0), scene, None)
-    assert same_plan(same, stop(8.0))
-    controls, _ = WeakBrakes(2.5).act(Controls(np.array([1.0, -8.0]), np.zeros(2), 0.5), scene, None)
-    assert isinstance(controls, Controls)
-    assert controls.accel_mps2.tolist() == [1.0, -2.5]
-
-
-def test_slow_brakes_build_up_and_go_on_from_where_they_were() -> None:
-    """To 9 m/s² in 4.5 s is 2 m/s³: after half a second 1 m/s², and the next plan goes on from there."""
-    scene = agents((0.0, 0.0, 0.0, 10.0))
-    controls = Controls(np.full(10, -8.0), np.zeros(10), 0.1)
-    first, memory = SlowBrakes(4.5).act(controls, scene, None)
-    second, _ = SlowBrakes(4.5).act(controls, later(scene, 0.5), memory)
-    assert isinstance(first, Controls)
-    assert isinstance(second, Controls)
-    assert first.accel_mps2[:5] == pytest.approx([-0.2, -0.4, -0.6, -0.8, -1.0])
-    assert second.accel_mps2[:2] == pytest.approx([-1.2, -1.4])
-
-
-@pytest.mark.parametrize("dt_s", [0.25, 0.5, 1.0, 2.0])
-def test_slow_brakes_build_up_whatever_the_interval(dt_s: float) -> None:
-    """2 m/s³ again, a plan every half second: the fifth one begins 2 s on, when 4 m/s² are reached."""
-    scene, memory = agents((0.0, 0.0, 0.0, 20.0)), None
-    for number in range(5):
-        wish = Controls(np.full(4, -8.0), np.zeros(4), dt_s)
-        plan, memory = SlowBrakes(4.5).act(wish, later(scene, 0.5 * number), memory)
-    assert isinstance(plan, Controls)
-    assert plan.accel_mps2[0] == pytest.approx(-(4.0 + 2.0 * dt_s), abs=1e-6)
-
-
-class Counting:
-    """Plans a stop, and counts its plans in its memory."""
-
-    def start(self, road: Any, scene: Scene, rng: np.random.Generator) -> int:
-        return 0
-
-    def plan(self, road: Any, scene: Scene, memory: int, rng: np.random.Generator) -> tuple[Trajectory, int]:
-        return replace(stop(2.0), speed_mps=stop(2.0).speed_mps + 1e-3 * rng.random()), memory + 1
-
-
-def test_stuck_drives_the_old_plan_on_and_then_straight_on() -> None:
-    scene = agents((0.0, 0.0, 0.0, 10.0))
-    planner = DefectivePlanner(Counting(), (StuckReplanning(3.0),))  # type: ignore[arg-type] # no map is needed
-    rng = np.random.default_rng(0)
-    memory = planner.start(None, scene, rng)  # type: ignore[arg-type] # the same
-    first, memory = planner.plan(None, scene, memory, rng)  # type: ignore[arg-type] # the same
-    for seconds in (0.5, 2.5):
-        held, memory = planner.plan(None, later(scene, seconds), memory, rng)  # type: ignore[arg-type] # the same
-        assert memory.planner == 1
-        assert isinstance(held, Trajectory)
-        assert isinstance(first, Trajectory)
-        if seconds == 0.5:
-            assert held.xy_m[:15] == pytest.approx(first.xy_m[5:])
-        assert held.xy_m[-1, 0] == pytest.approx(16.0 + 6.0 * seconds, abs=0.01)  # 16 m in 2 s, then 6 m/s
-    _, memory = planner.plan(None, later(scene, 3.0), memory, rng)  # type: ignore[arg-type] # the same
-    assert memory.planner == 2
-
-
-def test_faults_before_a_stuck_one_act_on_the_plan_that_it_drives_on() -> None:
-    """It had undone them: brakes that are worn were whole again while the old plan was driven."""
-    scene = agents((0.0, 0.0, 0.0, 10.0))
-    planner = DefectivePlanner(Counting(), (LocalisationOffset(2.0), StuckReplanning(3.0)))  # type: ignore[arg-type] # no map is needed
-    rng = np.random.default_rng(0)
-    memory = planner.start(None, scene, rng)  # type: ignore[arg-type] # the same
-    for seconds in (0.0, 0.5, 1.0):
-        plan, memory = planner.plan(None, later(scene, seconds), memory, rng)  # type: ignore[arg-type] # the same
-        assert isinstance(plan, Trajectory)
-        assert plan.xy_m[:5, 1] == pytest.approx(np.full(5, -2.0))
-    assert memory.planner == 1
-
-
 # --- together, and in SUMO's drivers ----------------------------------------------------------------------
 
 
@@ -486,16 +412,6 @@ def test_weak_brakes_are_no_stronger_than_the_target_is_without_them() -> None:
 def test_a_headway_that_a_model_does_not_read_is_refused(name: str) -> None:
     with pytest.raises(ConfigError, match=f"{name} follows no closer for a shorter tau"):
         make_target(name, {"defects": "headway:strong"})
-
-
-@given(brake=st.floats(0.5, 8.0), bound=st.floats(0.5, 8.0), speed=st.floats(1.0, 30.0))
-def test_braked_plans_never_brake_harder_nor_fall_behind(brake: float, bound: float, speed: float) -> None:
-    scene = agents((0.0, 0.0, 0.0, speed))
-    plan, _ = WeakBrakes(bound).act(stop(brake, speed), scene, None)
-    assert isinstance(plan, Trajectory)
-    steps = -np.diff(np.append(speed, plan.speed_mps)) / 0.1
-    assert steps.max() <= max(bound, 0.0) + 1e-6
-    assert (plan.xy_m[:, 0] >= stop(brake, speed).xy_m[:, 0] - 1e-9).all()
 
 
 class Distant(Counting):

@@ -66,7 +66,8 @@ def margin(
     defect: flags.Defect = None,
     within: _Within = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the results.", show_default="runs/margin-ATTACK-sSEED")
+        Path | None,
+        typer.Option(help="Folder for the results.", show_default="runs/margin-ATTACK-NET-TARGET-…-sSEED"),
     ] = None,
     config: flags.Config = None,
     assign: flags.Assign = None,

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from advdiff_sumo.cli.sweep_flags import FailIf, JUnit
 from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.core.errors import ConfigError
 
 
 class Form(StrEnum):
@@ -42,11 +43,13 @@ def results(
     advdiff-sumo results runs/planners --sql "select target, avg(target_collision::int) from episodes group by 1"
 
     Without --sql: rates with intervals, failures, findings (near-duplicates among the collisions taken as one), the
-    twenty worst episodes, and coverage. Works while a sweep is running, too.
+    twenty worst episodes, and coverage. Works while a sweep is running, too. --fail-if and --junit go without --sql.
     """
     from advdiff_sumo.cli.sweep_results import conclude, condition_of  # late: --help is quick
     from advdiff_sumo.experiments.folder_rows import rows_of_folder
 
+    if sql is not None and (fail_if is not None or junit is not None):
+        raise ConfigError("--fail-if and --junit go without --sql; give two commands")
     condition = condition_of(fail_if)
     rows = rows_of_folder(folder)
     console = terminal()

@@ -108,6 +108,15 @@ def test_results_of_a_run_are_those_of_a_sweep_of_one_cell(
     assert json.loads(none.out) == [{"n": 0}]
 
 
+@pytest.mark.parametrize("gate", [("--fail-if", "episodes == 2"), ("--junit", "junit.xml")])
+def test_a_query_leaves_no_gate_open(
+    downtown_run: Path, here: Callable[..., Outcome], workplace: Path, gate: tuple[str, str]
+) -> None:
+    said = sentence(here("results", downtown_run, "--sql", "select 1", *gate))
+    assert said == "error: --fail-if and --junit go without --sql; give two commands"
+    assert not (workplace / "junit.xml").exists()
+
+
 def test_runs_are_compared_by_their_seed_scenes(downtown_run: Path, here: Callable[..., Outcome]) -> None:
     done = here("compare", downtown_run, downtown_run)
     assert done.code == 0, done.err

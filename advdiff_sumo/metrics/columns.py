@@ -118,7 +118,9 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "refused_insertions": _later_count("moved vehicles that SUMO would not take in"),
     "implausible_plans": _later_count("plans of the target that ask for what no vehicle can do"),
     "implausible_plan": _text("what the first of these does, as check-planner says it"),
-    "safeguarded_plans": _later_count("of moved_plans, whose next half second it changed by over 0.1 m"),
+    "safeguarded_plans": _later_count(
+        "of moved_plans, whose next half second the safeguard changed by over 0.1 m"
+    ),
     "moved_plans": _later_count("plans of a moved vehicle that the safeguard looked at"),
     "attack_kind": _text("kind of attack asked for; empty without attackers"),
     "in_position": _flag("some vehicle was ever in a position for it", nullable=True),

@@ -47,16 +47,19 @@ def return_edges(
     """Return edges that join every dead end to a beginning, every beginning to a dead end; and what stays open.
 
     Each takes the nearest partner that is left; then partners are exchanged until all edges that can reach a dead
-    end can reach each other. Beginnings that lie on other lanes of the map (:mod:`.entry_room`) stay open. Without
-    dead ends or other beginnings there is no return edge. *following_beyond* tells which edges follow each street
-    beyond the rim, where there are any.
+    end can reach each other. Beginnings that lie on other lanes of the map (:mod:`.entry_room`) stay open, and so do
+    beginnings and dead ends in a signalled junction, whose program knows the map's ways alone. Without dead ends or
+    other beginnings there is no return edge. *following_beyond* tells which edges follow each street beyond the rim,
+    where there are any.
     """
     following = _following(plan, following_beyond or {})
     entered = {after for names in following.values() for after in names}
     edges = {edge.id: edge for edge in plan.edges}
-    ends = [name for name in edges if not following[name]]
+    signalled = {junction.id for junction in plan.junctions if junction.kind == "traffic_light"}
+    ends = [name for name, edge in edges.items() if not following[name] and edge.target not in signalled]
     beginnings = [name for name in edges if name not in entered]
-    left_open = blocked_entries(plan, beginnings)
+    blocked = {*blocked_entries(plan, beginnings), *(n for n in beginnings if edges[n].origin in signalled)}
+    left_open = [name for name in beginnings if name in blocked]
     starts = [name for name in beginnings if name not in left_open]
     if not ends or not starts:
         return (), left_open

@@ -10,6 +10,7 @@ import libsumo
 import numpy as np
 import pytest
 import sumolib
+from signal_checks import check_signals
 from small_maps import MapBuilder, crossroads, two_lane_road
 
 from advdiff_sumo.maps import RoadMap
@@ -111,6 +112,63 @@ def test_a_map_that_can_be_entered_nowhere_gets_no_return_edge(tmp_path: Path) -
     assert result.counts["return edges beyond the rim"] == 0
 
 
+def solid(road: MapBuilder, token: str, side: str, x: float, y: float) -> None:
+    """Draw a solid line of 50 m northwards from (*x*, *y*) on a *side* of a lane."""
+    (row,) = [row for row in road.data["lane"] if row["token"] == token]
+    row[f"{side}_lane_divider_segments"] = [
+        {"node_token": road.node(x, place), "segment_type": "SINGLE_SOLID_WHITE"} for place in (y, y + 50.0)
+    ]
+
+
+def clipped_at_a_light(open_lane: str) -> MapBuilder:
+    """Return crossroads with a light, at which the connectors of one lane of two of a direction are missing.
+
+    Lane *open_lane*, "ends" beside "south" or "begins" beside "north", is an edge of its own as who comes from the
+    "side", or goes there, can drive on that lane alone.
+    """
+    road = crossroads()
+    nodes = [road.node(90.0, y) for y in (98.0, 102.0)]
+    road.data["line"].append({"token": "line", "node_tokens": nodes})
+    road.data["traffic_light"].append({"token": "light", "line_token": "line"})
+    north = 0.5 * math.pi
+    y, beside = (40.0, "south") if open_lane == "ends" else (110.0, "north")
+    road.straight(open_lane, (103.5, y, north), 50.0)
+    solid(road, beside, "right", 101.75, y)
+    solid(road, open_lane, "left", 101.75, y)
+    if open_lane == "ends":
+        end = road.straight("before", (100.0, -30.0, north), 60.0)
+        road.straight("on", end, 10.0, connector=True)
+        end = road.straight("side", (173.5, 30.0, math.pi), 60.0)
+        road.lane("turn", end, "LSR", [0.0, 0.0, 5.0 * math.pi], 10.0, connector=True)
+        road.link("before", "on", beside)
+        road.link("side", "turn", open_lane)
+    else:
+        road.straight("on", (100.0, 160.0, north), 10.0, connector=True)
+        road.straight("after", (100.0, 170.0, north), 60.0)
+        road.lane("turn", (103.5, 160.0, north), "LSR", [0.0, 0.0, 5.0 * math.pi], 10.0, connector=True)
+        road.straight("side", (113.5, 170.0, 0.0), 60.0)
+        road.link(beside, "on", "after")
+        road.link(open_lane, "turn", "side")
+    return road
+
+
+@pytest.mark.parametrize("open_lane", ["ends", "begins"])
+def test_lanes_that_end_or_begin_at_a_light_inside_the_map_stay_open(open_lane: str, tmp_path: Path) -> None:
+    """All else is joined, and every link of the signal gets green."""
+    source = read_map(clipped_at_a_light(open_lane).write(tmp_path / "m.json"))
+    result = convert_source(source, tmp_path / "n.net.xml", close_rim=True)
+    assert check_signals(result.net) == 1
+    part = measure(result).figures["routability"]
+    still_open = part["dead_ends" if open_lane == "ends" else "sources"]
+    net = sumolib.net.readNet(str(result.net))
+    assert [net.getEdge(name).getLane(0).getParam("source").split(":")[0] for name in still_open] == [
+        open_lane
+    ]
+    assert part["dead_ends" if open_lane == "begins" else "sources"] == []
+    left_open = result.counts["beginnings on other lanes, without return edge"]
+    assert left_open == (open_lane == "begins")
+
+
 PLACES = [
     ("singapore-onenorth", (1, 2, 3)),
     ("singapore-queenstown", (1,)),
@@ -158,3 +216,15 @@ def _entered(net_file: Path, left_open: list[str]) -> list[str]:
         entered -= last
         last = {name for name in entered if not before[name] & entered}
     return sorted(entered)
+
+
+@pytest.mark.data
+def test_a_genuine_map_that_is_clipped_at_a_light(adv_data: Path, tmp_path: Path) -> None:
+    """Two lanes of Pittsburgh, one edge, end at a junction whose signal is guessed."""
+    name = "log_map_archive_adcf7d18-0510-35b0-a2fa-b4cea13a6d76____PIT_city_57819.json"
+    source = read_map(adv_data / "argoverse2" / name)
+    result = convert_source(source, tmp_path / "n.net.xml", guess_signals=True, close_rim=True)
+    assert check_signals(result.net) == 4
+    (end,) = measure(result).figures["routability"]["dead_ends"]
+    lanes = sumolib.net.readNet(str(result.net)).getEdge(end).getLanes()
+    assert [lane.getParam("source").split(":")[0] for lane in lanes] == ["42819648", "42819649"]

@@ -76,6 +76,41 @@ def test_lanelet2_limits_and_lights(tmp_path: Path) -> None:
     assert [(light.token, light.lanes) for light in source.signals] == [("900", ("2",))]
 
 
+@pytest.mark.parametrize(
+    ("tags", "dashed", "solid"),
+    [
+        ({"type": "line_thin", "subtype": "dashed"}, True, False),
+        ({"type": "line_thick", "subtype": "solid"}, False, True),
+        ({"type": "line_thin", "subtype": "solid_dashed"}, True, False),
+        ({"type": "line_thin", "subtype": "solid", "lane_change": "yes"}, True, False),
+        ({"type": "line_thin", "subtype": "dashed", "lane_change": "no"}, False, True),
+        ({"type": "curbstone", "lane_change:left": "yes", "lane_change:right": "no"}, True, False),
+        ({"type": "virtual", "lane_change:left": "no", "lane_change:right": "no"}, False, True),
+        ({"type": "curbstone", "subtype": "low"}, False, True),
+        ({"type": "guard_rail"}, False, True),
+        ({"type": "wall"}, False, True),
+        ({"type": "fence"}, False, True),
+        ({"type": "road_border"}, False, True),
+        ({"type": "bike_marking"}, False, True),
+        ({}, False, False),  # not told
+    ],
+)
+def test_lanelet2_lines_that_may_be_crossed(
+    tags: dict[str, str], dashed: bool, solid: bool, tmp_path: Path
+) -> None:
+    """The line between lanes 1 and 2, as the table of Lanelet2's LinestringTagging.md has it."""
+    given = '<tag k="type" v="line_thin"/><tag k="subtype" v="dashed"/>'
+    text = small_sources.lanelet2()
+    assert text.count(given) == 1
+    path = tmp_path / "m.osm"
+    rows = "".join(f'<tag k="{key}" v="{value}"/>' for key, value in tags.items())
+    path.write_text(text.replace(given, rows), encoding="utf-8")
+    source = read_map(path)
+    right, left = (next(lane for lane in source.lanes if lane.token == name) for name in "12")
+    assert (bool(right.left_dashed), bool(left.right_dashed)) == (dashed, dashed)
+    assert (right.left_solid, left.right_solid) == (solid, solid)
+
+
 def test_lanelet2_in_degrees(tmp_path: Path) -> None:
     """One lanelet of 111 m eastwards on the equator; UTM shrinks it there by 0.9996 in the middle of a zone."""
     nodes = [(9.0, 0.00002), (9.001, 0.00002), (9.0, 0.0), (9.001, 0.0)]

@@ -44,6 +44,8 @@ USES |= {"bicycle_lane": LaneUse.BICYCLE, "emergency_lane": LaneUse.BUS, "": Lan
 ON_FOOT = {"crosswalk": "crossings", "walkway": "walkways", "shared_walkway": "walkways"}
 KMH_MPS, MPH_MPS = 1.0 / 3.6, 0.44704
 SAME_PLACE_M = 0.5  # of a node in degrees and in metres
+LANE_CHANGE = ("lane_change", "lane_change:left", "lane_change:right")
+STATED = {"yes": True, "true": True, "no": False, "false": False}
 STOP_LINE_M = 0.25  # half the depth of a painted stop line
 Tags = Mapping[str, str]
 
@@ -246,10 +248,17 @@ def _speed(text: str) -> float | None:
 
 
 def _dashed(tags: Tags) -> bool | None:
-    """Return whether a line may be crossed; None where there is none. "solid_dashed" forbids one side alone."""
-    if tags.get("type") not in ("line_thin", "line_thick"):
-        return None
-    return "dashed" in tags.get("subtype", "")
+    """Return whether a line may be crossed; None where its type is not told. "solid_dashed" forbids one side alone.
+
+    By Lanelet2's rules (``LinestringTagging.md``) "lane_change" goes before the type, and no other type may be crossed.
+    """
+    stated = {STATED[tags[key]] for key in LANE_CHANGE if tags.get(key) in STATED}
+    if stated:
+        return True in stated
+    kind = tags.get("type", "")
+    if kind in ("line_thin", "line_thick"):
+        return "dashed" in tags.get("subtype", "")
+    return False if kind else None
 
 
 def _with_neighbours(rows: list[BoundedLane], driven: list[_Relation]) -> list[BoundedLane]:

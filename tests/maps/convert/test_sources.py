@@ -77,6 +77,34 @@ def test_lanelet2_limits_and_lights(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("text", "limit_mps"),
+    [
+        ("36", 10.0),
+        ("36.0 km/h", 10.0),
+        ("36kmh", 10.0),
+        ("30mph", 13.4112),
+        ("30 mph", 13.4112),
+        ("10m/s", 10.0),
+        (" 13.9mps ", 13.9),
+        ("10 M/S", 10.0),
+        ("walk", None),
+        ("1.2.3 mph", None),
+        ("36 knots", None),
+        ("0", None),
+        ("9" * 400, None),
+    ],
+)
+def test_lanelet2_units_of_limits(text: str, limit_mps: float | None, tmp_path: Path) -> None:
+    """A mile is 1609.344 m. All four lanelets state the limit; what is not understood is none, and counted."""
+    path = tmp_path / "m.osm"
+    path.write_text(small_sources.lanelet2().replace("36 km/h", text), encoding="utf-8")
+    source = read_map(path)
+    limits = [lane.speed_mps for lane in source.lanes]
+    assert limits == ([None] * 4 if limit_mps is None else pytest.approx([limit_mps] * 4))
+    assert source.notes["speed limits that are not understood"] == (4 if limit_mps is None else 0)
+
+
+@pytest.mark.parametrize(
     ("tags", "dashed", "solid"),
     [
         ({"type": "line_thin", "subtype": "dashed"}, True, False),

@@ -6,6 +6,7 @@ the south-west corner of the map in full kilometres. Lanelets follow each other 
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -42,7 +43,9 @@ REMEDY = "give an unchanged Lanelet2 map (.osm)"
 USES = {"road": LaneUse.CAR, "highway": LaneUse.CAR, "play_street": LaneUse.CAR, "bus_lane": LaneUse.BUS}
 USES |= {"bicycle_lane": LaneUse.BICYCLE, "emergency_lane": LaneUse.BUS, "": LaneUse.CAR}
 ON_FOOT = {"crosswalk": "crossings", "walkway": "walkways", "shared_walkway": "walkways"}
-KMH_MPS, MPH_MPS = 1.0 / 3.6, 0.44704
+UNITS_MPS = dict.fromkeys(("", "km/h", "kmh", "kph"), 1.0 / 3.6)
+UNITS_MPS |= dict.fromkeys(("mph", "m/h"), 0.44704) | dict.fromkeys(("m/s", "mps"), 1.0)
+SPEED = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*(.*?)\s*", re.ASCII)
 SAME_PLACE_M = 0.5  # of a node in degrees and in metres
 LANE_CHANGE = ("lane_change", "lane_change:left", "lane_change:right")
 STATED = {"yes": True, "true": True, "no": False, "false": False}
@@ -195,7 +198,7 @@ def _lane(row: _Relation, ways: _Ways, faults: MapFaults) -> BoundedLane | None:
         centre_m=lanelet_centre(left, right) if _usable(left) and _usable(right) else None,
         is_connector="turn_direction" in row.tags,
         use=USES[row.tags.get("subtype", "")],
-        speed_mps=_speed(row.tags.get("speed_limit", "")),
+        speed_mps=_speed(row.tags.get("speed_limit", ""), faults),
         left_dashed=_dashed(sides[0]),
         right_dashed=_dashed(sides[1]),
     )
@@ -235,16 +238,16 @@ def _chained(parts: list[FloatArray]) -> FloatArray:
     return line
 
 
-def _speed(text: str) -> float | None:
-    """Return a limit in m/s; without a unit it is in km/h, as Lanelet2 has it."""
-    words = text.lower().replace("km/h", " kmh").replace("kmh", " kmh").split()
-    try:
-        value = float(words[0])
-    except (IndexError, ValueError):
+def _speed(text: str, faults: MapFaults) -> float | None:
+    """Return a limit in m/s; without a unit it is in km/h, as Lanelet2 has it. One not understood is counted."""
+    if not text:
         return None
-    unit = words[1] if len(words) > 1 else "kmh"
-    factor = MPH_MPS if unit == "mph" else 1.0 if unit in ("m/s", "mps") else KMH_MPS
-    return value * factor if np.isfinite(value) and value > 0.0 else None
+    parts = SPEED.fullmatch(text.lower())
+    value = float(parts[1]) * UNITS_MPS.get(parts[2], 0.0) if parts else 0.0
+    if 0.0 < value < np.inf:
+        return value
+    faults.notes["speed limits that are not understood"] += 1
+    return None
 
 
 def _dashed(tags: Tags) -> bool | None:

@@ -12,7 +12,7 @@ from advdiff_sumo.maps.convert.approaches import Approaches
 from advdiff_sumo.maps.convert.narrow import junctions_of, long_conflicts
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.roundabouts import find_rings
-from advdiff_sumo.maps.convert.sources.source_map import Lamp, SourceMap
+from advdiff_sumo.maps.convert.sources.source_map import Lamp, Signal, SourceMap
 from advdiff_sumo.maps.convert.stop_lines import with_stop_offsets
 
 GUESS_APPROACHES, GUESS_LANES = 3, 4  # junctions at least so large get guessed signals
@@ -77,13 +77,14 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
 def _read(plan: NetPlan, source: SourceMap) -> Control:
     """Return which edges end at a light, a stop sign or a yield sign, and the lights that stop nobody."""
     approaches = Approaches(plan)
-    number = {lane.token: index for index, lane in enumerate(source.lanes)}
     edges: dict[str, set[str]] = {"light": set(), "stop": set(), "yield": set(), "crossing": set()}
     idle = []
     lamps: dict[str, frozenset[Lamp]] = {}
     for signal in source.signals:
-        lanes = [number[token] for token in signal.lanes if token in number]
-        stopped = approaches.stopped_by(signal.at, signal.block, lanes)
+        lanes, before = _stopped_lanes(signal, source)
+        stopped = approaches.stopped_by(signal.at, signal.block, lanes) or approaches.stopped_by(
+            None, None, before
+        )
         edges["light"] |= stopped
         idle += [] if stopped else [signal.token]
         for name in stopped if signal.lamps else ():
@@ -96,6 +97,19 @@ def _read(plan: NetPlan, source: SourceMap) -> Control:
             lines.setdefault(name, []).append(line.area)
     lights, stops, yields = (frozenset(edges[kind]) for kind in ("light", "stop", "yield"))
     return Control(lights, stops, yields, tuple(idle), lines, lamps)
+
+
+def _stopped_lanes(signal: Signal, source: SourceMap) -> tuple[list[int], list[int]]:
+    """Return the road lanes that *signal* names, and those that lead into the connectors that it names, by number.
+
+    A light before a junction may name the connectors behind it; it does not stop at their ends. Where no road lane
+    leads into them, they are returned themselves.
+    """
+    number = {lane.token: index for index, lane in enumerate(source.lanes)}
+    named = [number[token] for token in signal.lanes if token in number]
+    road = [lane for lane in named if not source.lanes[lane].is_connector]
+    before = [number[a] for a, b in source.links if a in number and b in signal.lanes]
+    return road, [lane for lane in before if not source.lanes[lane].is_connector] or named
 
 
 def _sign(kind: str) -> str | None:

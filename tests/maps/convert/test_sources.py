@@ -76,6 +76,34 @@ def test_lanelet2_limits_and_lights(tmp_path: Path) -> None:
     assert [(light.token, light.lanes) for light in source.signals] == [("900", ("2",))]
 
 
+@pytest.mark.parametrize("line", [True, False])
+def test_lanelet2_light_of_connectors_stops_before_them(
+    line: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The light belongs to the connectors 3 and 5, both after lane 2; the map ends where 5 ends, 20 m on."""
+    lanes = {**small_sources.LANES, "5": ([(50.0, 3.5, 0.0), (70.0, 3.5, 0.0)], [], True)}
+    monkeypatch.setattr(small_sources, "LANES", lanes)
+    rule = '<member type="relation" ref="900" role="regulatory_element"/>'
+    text = small_sources.lanelet2().replace(rule, "")
+    for name in "35":
+        text = text.replace(f'<relation id="{name}">', f'<relation id="{name}">{rule}')
+    if line:
+        tags = '<tag k="local_x" v="49"/><tag k="local_y" v="{}"/>'
+        nodes = "".join(f'<node id="9{n}">{tags.format(y)}</node>' for n, y in enumerate((-1.5, 5.0)))
+        text = text.replace("<way", f'{nodes}<way id="99"><nd ref="90"/><nd ref="91"/></way><way', 1)
+        member = '<member type="way" ref="99" role="ref_line"/>'
+        text = text.replace('<relation id="900">', f'<relation id="900">{member}')
+    path = tmp_path / "m.osm"
+    path.write_text(text, encoding="utf-8")
+    source = read_map(path)
+    assert [(light.lanes, light.at is not None) for light in source.signals] == [(("3", "5"), line)]
+    plan = convert_source(source, tmp_path / "n.net.xml").plan
+    assert plan.idle_signals == ()
+    (light,) = [junction.id for junction in plan.junctions if junction.kind == "traffic_light"]
+    (road,) = [edge for edge in plan.edges if edge.target == light]
+    assert [lane.source.split(":")[0] for lane in road.lanes] == ["1", "2"]
+
+
 @pytest.mark.parametrize(
     ("text", "limit_mps"),
     [

@@ -129,6 +129,47 @@ def test_lanes_of_both_directions(tmp_path: Path) -> None:
     assert first.polygon.bounds == pytest.approx((0.0, -2.0, 40.0, 1.0))
 
 
+BROKEN, SOLID = '<roadMark sOffset="{}" type="broken"/>', '<roadMark sOffset="{}" type="solid"/>'
+STATED = '<roadMark sOffset="0" type="{}" laneChange="{}"/>'
+NONE = '<roadMark sOffset="0" type="none"/>'
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize(
+    ("marks", "out", "back"),
+    [
+        (BROKEN.format(0) + SOLID.format(20), True, True),
+        (SOLID.format(0) + BROKEN.format(20), True, True),
+        (NONE + SOLID.format(20), None, None),  # not solid everywhere
+        (NONE + BROKEN.format(20), True, True),
+        (NONE, None, None),
+        (STATED.format("broken", "none"), False, False),
+        (STATED.format("none", "none"), False, False),
+        (STATED.format("solid", "both"), True, True),
+        (STATED.format("solid broken", "increase"), False, True),
+        (STATED.format("solid broken", "decrease"), True, False),
+        (STATED.format("solid", "none") + BROKEN.format(20), True, True),
+    ],
+)
+def test_markings_that_may_be_crossed(
+    marks: str, out: bool | None, back: bool | None, side: int, tmp_path: Path
+) -> None:
+    """Lanes 1 and 2 of a *side*, whether who drives on 1 may go *out* to 2 of its right side, and *back*.
+
+    On the left, going out is towards higher numbers.
+    """
+    if side == 1 and "crease" in marks:
+        out, back = back, out
+    given = '<roadMark sOffset="0" type="solid"/>'
+    inner = lane(side).replace(given, marks)
+    rows = inner + lane(2 * side)
+    source = read(tmp_path, road("7", 0.0, 40.0, sections(*(("", rows) if side < 0 else (rows, "")))))
+    first, second = (next(r for r in source.lanes if r.token == f"7_0_{n * side}") for n in (1, 2))
+    assert first.right_solid is (out is False)
+    assert second.left_solid is (back is False)
+    assert (first.right_dashed == second.left_dashed != frozenset()) is (back is True)
+
+
 def test_where_traffic_keeps_left_lanes_run_the_other_way(tmp_path: Path) -> None:
     source = read(tmp_path, road("7", 0.0, 40.0, sections(lane(1), lane(-1)), more='rule="LHT"'))
     assert source.warnings == ("m.xodr: its roads state that traffic keeps left: give '--lefthand'",)

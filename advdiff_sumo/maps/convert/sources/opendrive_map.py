@@ -176,7 +176,8 @@ class _Road:
         inner, outer, middle = (_thinned(line) for line in lines)
         marks = {lane.number: lane.row for lane in self.strips[section]} | {0: self._centre(section)}
         step = 1 if strip.number < 0 else -1
-        own, inside = _dashed(strip.row), _dashed(marks.get(strip.number + step))
+        inwards, outwards = ("increase", "decrease")[::step]
+        own, inside = _dashed(strip.row, outwards), _dashed(marks.get(strip.number + step), inwards)
         beside = strip.number + (-step if self.left_hand else step)
         same_way = beside in marks and beside * strip.number > 0
         return BoundedLane(
@@ -218,10 +219,19 @@ def _thinned(line: FloatArray) -> FloatArray:
     return np.asarray(shapely.LineString(kept).simplify(CHORD_M).coords) if len(kept) > 1 else line[[0, -1]]
 
 
-def _dashed(lane: Element | None) -> bool | None:
-    """Return whether the marking on the outer border of *lane* may be crossed; None where there is none."""
-    mark = None if lane is None else lane.find("roadMark")
-    kind = "none" if mark is None else mark.get("type", "none")
+def _dashed(lane: Element | None, towards: str) -> bool | None:
+    """Return whether the outer border of *lane* may be crossed anywhere; None where no marking tells it.
+
+    A marking's ``laneChange`` goes before its type; "increase" and "decrease" allow crossing *towards* such numbers.
+    """
+    allowed = [_allows(mark, towards) for mark in (() if lane is None else lane.iterfind("roadMark"))]
+    return True if True in allowed else None if None in allowed or not allowed else False
+
+
+def _allows(mark: Element, towards: str) -> bool | None:
+    stated, kind = mark.get("laneChange"), mark.get("type", "none")
+    if stated is not None:
+        return stated in ("both", towards)
     return None if kind == "none" else "broken" in kind
 
 

@@ -129,6 +129,32 @@ def test_lanes_of_both_directions(tmp_path: Path) -> None:
     assert first.polygon.bounds == pytest.approx((0.0, -2.0, 40.0, 1.0))
 
 
+def test_a_section_of_a_single_side_leaves_the_other_one_as_it_is(tmp_path: Path) -> None:
+    """Behind 20 m road 7 has a second lane on its right, its left lane goes on for all 40 m; road 8 follows."""
+    on, before = '<successor id="-1"/>', '<predecessor id="1"/>'
+    right = lane(-1, mark="broken") + lane(-2)
+    extra = f'</laneSection><laneSection s="20" singleSide="true"><right>{right}</right></laneSection>'
+    rows = sections(lane(1), lane(-1, link=on))
+    after = '<successor elementType="road" elementId="8" contactPoint="start"/>'
+    back = '<predecessor elementType="road" elementId="7" contactPoint="end"/>'
+    both = sections(lane(1, link=before), lane(-1, link='<predecessor id="-1"/>'))
+    source = read(
+        tmp_path,
+        road("7", 0.0, 40.0, rows, after).replace("</laneSection>", extra),
+        road("8", 40.0, 30.0, both, back),
+    )
+    drawn = {row.token: row.centre_m.round(9).tolist() for row in source.lanes if row.token[0] == "7"}
+    assert drawn == {
+        "7_0_1": [[40.0, 2.5], [0.0, 2.5]],
+        "7_0_-1": [[0.0, -0.5], [20.0, -0.5]],
+        "7_1_-1": [[20.0, -0.5], [40.0, -0.5]],
+        "7_1_-2": [[20.0, -3.5], [40.0, -3.5]],
+    }
+    assert sorted(source.links) == [("7_0_-1", "7_1_-1"), ("7_1_-1", "8_0_-1"), ("8_0_1", "7_0_1")]
+    assert [row.left_solid for row in source.lanes if row.token[0] == "7"] == [True, True, True, False]
+    assert (source.warnings, source.left_out) == ((), ())
+
+
 BROKEN, SOLID = '<roadMark sOffset="{}" type="broken"/>', '<roadMark sOffset="{}" type="solid"/>'
 STATED = '<roadMark sOffset="0" type="{}" laneChange="{}"/>'
 NONE = '<roadMark sOffset="0" type="none"/>'

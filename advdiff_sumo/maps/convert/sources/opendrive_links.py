@@ -12,6 +12,7 @@ End: TypeAlias = int  # of a road: 0 where its reference line begins, -1 where i
 Mouth: TypeAlias = tuple[
     Element, int, int, End
 ]  # road, section, lane, and the end of it that touches another lane
+SIDES = ("left", "right")
 ENDS: dict[str, End] = {"predecessor": 0, "successor": -1}
 CONTACTS: dict[str, End] = {"start": 0, "end": -1}
 
@@ -30,19 +31,21 @@ def lane_successors(root: Element) -> dict[str, tuple[str, ...]]:
 def _between_roads(roads: dict[str, Element]) -> Iterator[tuple[Mouth, Mouth]]:
     """Yield the pairs of lane ends that lanes' own links join, within a road and to the next one."""
     for road in roads.values():
-        count = len(road.findall("lanes/laneSection"))
-        for section, rows in enumerate(_sections(road)):
-            for row in (lane for side in ("left", "right") for lane in rows.findall(f"{side}/lane")):
+        for side in SIDES:
+            sections = sections_of(road, side)
+            for section, row in (
+                (n, lane) for n, own in enumerate(sections) for lane in own.findall(f"{side}/lane")
+            ):
                 for key, end in ENDS.items():
                     target = _number(row.find(f"link/{key}"), "id")
                     other = section + (1 if end else -1)
                     if target is None:
                         continue
                     here = (road, section, _number(row, "id") or 0, end)
-                    if 0 <= other < count:
+                    if 0 <= other < len(sections):
                         yield here, (road, other, target, -1 - end)
                     elif (beyond := _linked(road, key, roads)) is not None:
-                        yield here, (beyond[0], _outermost(*beyond), target, beyond[1])
+                        yield here, _outermost(*beyond, target)
 
 
 def _linked(road: Element, key: str, roads: dict[str, Element]) -> tuple[Element, End] | None:
@@ -67,8 +70,7 @@ def _through_junctions(root: Element, roads: dict[str, Element]) -> Iterator[tup
             for link in row.iterfind("laneLink"):
                 origin, target = _number(link, "from"), _number(link, "to")
                 if end is not None and origin is not None and target is not None:
-                    here = (before, _outermost(before, end), origin, end)
-                    yield here, (inner, _outermost(inner, contact), target, contact)
+                    yield _outermost(before, end, origin), _outermost(inner, contact, target)
 
 
 def _end_at(road: Element, junction: str, inner: Element, contact: End) -> End | None:
@@ -86,8 +88,13 @@ def _end_at(road: Element, junction: str, inner: Element, contact: End) -> End |
     return ends[0] if named is None else named
 
 
-def _sections(road: Element) -> list[Element]:
-    return sorted(road.findall("lanes/laneSection"), key=_place)
+def sections_of(road: Element, side: str) -> list[Element]:
+    """Return the lane sections of *road* that hold for its *side*, "left" or "right", in their order.
+
+    One with ``singleSide`` holds for the sides that it has; on the other one the section before it goes on.
+    """
+    rows = sorted(road.findall("lanes/laneSection"), key=_place)
+    return [row for row in rows if row.get("singleSide") != "true" or row.find(side) is not None]
 
 
 def _place(row: Element) -> float:
@@ -97,8 +104,10 @@ def _place(row: Element) -> float:
         return math.inf
 
 
-def _outermost(road: Element, end: End) -> int:
-    return 0 if end == 0 else len(road.findall("lanes/laneSection")) - 1
+def _outermost(road: Element, end: End, lane: int) -> Mouth:
+    """Return the end of *lane* at an end of *road*."""
+    section = 0 if end == 0 else len(sections_of(road, SIDES[lane < 0])) - 1
+    return road, section, lane, end
 
 
 def _leaves(mouth: Mouth) -> bool:

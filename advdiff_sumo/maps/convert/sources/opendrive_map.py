@@ -36,7 +36,7 @@ from advdiff_sumo.maps.convert.sources.opendrive_curves import (
     stations,
     value_at,
 )
-from advdiff_sumo.maps.convert.sources.opendrive_links import lane_successors
+from advdiff_sumo.maps.convert.sources.opendrive_links import SIDES, lane_successors, sections_of
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceMap, StatedSizes
 
 REMEDY = "give an unchanged OpenDRIVE file (.xodr)"
@@ -115,6 +115,15 @@ class _Strip:
     middle_m: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A lane section of one side of a road: its number on that side, where it begins, and its lanes."""
+
+    section: int
+    start_m: float
+    strips: list[_Strip]
+
+
 class _Road:
     """One road, lane by lane."""
 
@@ -122,59 +131,69 @@ class _Road:
         self.row, self.id = row, "_".join((row.get("id") or "").split())
         self.line = ReferenceLine(row.findall("planView/geometry"))
         self.offset = cubics(row.findall("lanes/laneOffset"), "s")
-        self.sections = sorted(row.findall("lanes/laneSection"), key=lambda section: number(section, "s"))
         self.left_hand = row.get("rule") == "LHT"
         self.limits = [(number(kind, "s", 0.0), _speed(kind.find("speed"))) for kind in row.findall("type")]
-        ends = [*(number(section, "s") for section in self.sections[1:]), self.line.length_m]
-        self.strips = [list(self._strips(*pair)) for pair in zip(self.sections, ends, strict=True)]
+        self.centres = [(number(c, "s"), c.find("center/lane")) for c in row.findall("lanes/laneSection")]
+        if not self.centres:
+            raise ValueError("it has no <laneSection>")
+        self.parts = sorted(
+            (part for side in SIDES for part in self._parts(side)), key=lambda part: part.section
+        )
 
     def lanes(self, after: dict[Token, tuple[Token, ...]], faults: MapFaults) -> Iterator[BoundedLane]:
         """Yield the lanes for vehicles, drawn in driving direction."""
-        for number_of_section, strips in enumerate(self.strips):
-            for strip in strips:
+        for part in self.parts:
+            for strip in part.strips:
                 use = USES.get(strip.row.get("type", ""))
                 if use is None:
                     continue
-                token = f"{self.id}_{number_of_section}_{strip.number}"
+                token = f"{self.id}_{part.section}_{strip.number}"
                 if len(drop_repeats(strip.middle_m)) < 2 or not NARROWEST_M < _width_m(strip) <= WIDEST_M:
                     faults.notes["lanes without a usable width or length left out"] += 1
                     continue
-                yield self._lane(token, strip, use, number_of_section, after)
+                yield self._lane(token, strip, use, part, after)
 
     def areas(self, *kinds: str) -> Iterator[Polygon]:
         """Yield the areas of lanes of *kinds*."""
-        for strip in (strip for strips in self.strips for strip in strips if strip.row.get("type") in kinds):
+        for strip in (s for part in self.parts for s in part.strips if s.row.get("type") in kinds):
             area = largest_part(np.vstack((strip.inner_m, strip.outer_m[::-1])))
             if area is not None:
                 yield area
 
-    def _strips(self, section: Element, end_m: float) -> Iterator[_Strip]:
-        start = number(section, "s")
+    def _parts(self, side: str) -> Iterator[_Part]:
+        """Yield the parts of one side."""
+        sections = sections_of(self.row, side)
+        starts = [number(section, "s") for section in sections]
+        for index, end_m in enumerate([*starts[1:], self.line.length_m] if starts else ()):
+            yield _Part(index, starts[index], list(self._strips(sections[index], side, end_m)))
+
+    def _strips(self, section: Element, side: str, end_m: float) -> Iterator[_Strip]:
+        """Yield the lanes on a *side* of a section that ends at *end_m*."""
+        start, sign = number(section, "s"), 1 if side == "left" else -1
         if end_m - start < 1e-3:
             return
         s = stations(self.line, start, end_m, STEP_M)
         xy, yaw = self.line.at(s)
         normal = np.stack((-np.sin(yaw), np.cos(yaw)), axis=-1)
-        for side, sign in (("left", 1), ("right", -1)):
-            inner = value_at(self.offset, s)
-            for row in sorted(section.findall(f"{side}/lane"), key=lambda lane: abs(number(lane, "id"))):
-                borders = row.findall("border")
-                if borders and not row.findall("width"):
-                    outer = value_at(self.offset, s) + value_at(cubics(borders, base_m=start), s)
-                else:
-                    outer = inner + sign * value_at(cubics(row.findall("width"), base_m=start), s)
-                drawn = [xy + across[:, None] * normal for across in (inner, outer, 0.5 * (inner + outer))]
-                yield _Strip(row, int(number(row, "id")), drawn[0], drawn[1], drawn[2])
-                inner = outer
+        inner = value_at(self.offset, s)
+        for row in sorted(section.findall(f"{side}/lane"), key=lambda lane: abs(number(lane, "id"))):
+            borders = row.findall("border")
+            if borders and not row.findall("width"):
+                outer = value_at(self.offset, s) + value_at(cubics(borders, base_m=start), s)
+            else:
+                outer = inner + sign * value_at(cubics(row.findall("width"), base_m=start), s)
+            drawn = [xy + across[:, None] * normal for across in (inner, outer, 0.5 * (inner + outer))]
+            yield _Strip(row, int(number(row, "id")), drawn[0], drawn[1], drawn[2])
+            inner = outer
 
     def _lane(
-        self, token: Token, strip: _Strip, use: LaneUse, section: int, after: dict[Token, tuple[Token, ...]]
+        self, token: Token, strip: _Strip, use: LaneUse, part: _Part, after: dict[Token, tuple[Token, ...]]
     ) -> BoundedLane:
         """Return a lane in driving direction: lanes on the right of traffic's middle go along the reference line."""
         along = (strip.number < 0) != self.left_hand
         lines = [line if along else line[::-1] for line in (strip.inner_m, strip.outer_m, strip.middle_m)]
         inner, outer, middle = (_thinned(line) for line in lines)
-        marks = {lane.number: lane.row for lane in self.strips[section]} | {0: self._centre(section)}
+        marks = {lane.number: lane.row for lane in part.strips} | {0: self._centre(part.start_m)}
         step = 1 if strip.number < 0 else -1
         inwards, outwards = ("increase", "decrease")[::step]
         own, inside = _dashed(strip.row, outwards), _dashed(marks.get(strip.number + step), inwards)
@@ -186,16 +205,18 @@ class _Road:
             right_m=inner if self.left_hand else outer,
             is_connector=self.row.get("junction", "-1") not in ("-1", ""),
             use=use,
-            speed_mps=_speed(strip.row.find("speed")) or self._limit(number(self.sections[section], "s")),
+            speed_mps=_speed(strip.row.find("speed")) or self._limit(part.start_m),
             successors=after.get(token, ()),
-            left_neighbour=f"{self.id}_{section}_{beside}" if same_way else None,
+            left_neighbour=f"{self.id}_{part.section}_{beside}" if same_way else None,
             left_dashed=own if self.left_hand else inside,
             right_dashed=inside if self.left_hand else own,
             centre_m=middle,
         )
 
-    def _centre(self, section: int) -> Element | None:
-        return self.sections[section].find("center/lane")
+    def _centre(self, s_m: float) -> Element | None:
+        """Return the middle lane at a place, which a section of a single side may leave out."""
+        before = [(start, lane) for start, lane in self.centres if start <= s_m and lane is not None]
+        return sorted(before, key=lambda pair: pair[0])[-1][1] if before else None
 
     def _limit(self, s_m: float) -> float | None:
         return next((limit for start, limit in reversed(self.limits) if start <= s_m + 1e-6), None)

@@ -112,7 +112,7 @@ class Carriageway:
         owner = {
             via: (junction, number, connection.get("dir") == "s")
             for (junction, number), connection in self.links.items()
-            for via in self._vias(connection)
+            for via in self.parts(connection)
         }
         lanes = (
             lane
@@ -134,7 +134,8 @@ class Carriageway:
         )
         return {f"{c.get('from')}_{c.get('fromLane')}": c.get("via", "") for c in rows}
 
-    def _vias(self, connection: ET.Element) -> list[str]:
+    def parts(self, connection: ET.Element) -> list[str]:
+        """Return the internal lanes of a way, in the order in which one drives them."""
         via = connection.get("via", "")
         vias = [via]
         while via in self._onward:

@@ -13,10 +13,12 @@ from shapely.geometry import LineString, Polygon
 from shapely.ops import substring
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.maps.on_foot.carriageway import Carriageway
+from advdiff_sumo.maps.on_foot.carriageway import Carriageway, Strip
 from advdiff_sumo.maps.on_foot.crossing_lines import CrossingLine
 from advdiff_sumo.maps.on_foot.kerbs import SIDEWALK_M, Sidewalk, WalkingArea, outline
 from advdiff_sumo.maps.on_foot.signal_phases import SignalledCrossing, add_crossings
+from advdiff_sumo.maps.read_net import shape_of
+from advdiff_sumo.maps.signal_times import clearance_s
 
 REPEAT_M = 0.05
 WALK_SPEED = "2.78"  # m/s, netconvert's limit on sidewalks
@@ -41,6 +43,7 @@ class NetWriter:
         self.root, self.road = root, road
         self.crossings, self.places, self.walks = crossings, places, walks
         self.junctions = {j.get("id", ""): j for j in root.iterfind("junction")}
+        self.lanes = {lane.get("id", ""): lane for lane in root.iterfind("edge/lane")}
         self.lights = self._lights()
         self.place_of = {end: number for number, place in enumerate(places) for end in place.ends}
         self.inner: list[ET.Element] = []
@@ -103,7 +106,7 @@ class NetWriter:
         junction.set("intLanes", " ".join((*lanes_of(junction), *lanes)))
         self._waiting_places(numbers, lanes)
         for program in programs:
-            add_crossings(program, signalled)
+            add_crossings(program, signalled, self._fastest_mps(light))
 
     def _lights(self) -> dict[str, str]:
         """Return the signal that controls each junction, the first by name."""
@@ -124,7 +127,29 @@ class NetWriter:
             light = self.road.links[junction, way.link].get("linkIndex")
             if light is not None:
                 links[way.straight].add(int(light))
-        return SignalledCrossing(index, frozenset(links[True]), frozenset(links[False]), crossing.length_m)
+        straight, turning = frozenset(links[True]), frozenset(links[False])
+        clear_s = max(self._clear_s(way, crossing) for way in crossing.ways)
+        return SignalledCrossing(index, straight, turning, crossing.length_m, clear_s)
+
+    def _fastest_mps(self, light: str) -> float:
+        """Return the highest speed limit before a signal in m/s."""
+        rows = [row for row in self.road.links.values() if row.get("tl") == light]
+        return max((float(self._approach(row).get("speed", "0")) for row in rows), default=0.0)
+
+    def _approach(self, link: ET.Element) -> ET.Element:
+        """Return the lane that *link* leaves."""
+        return self.lanes[f"{link.get('from')}_{link.get('fromLane')}"]
+
+    def _clear_s(self, way: Strip, crossing: CrossingLine) -> float:
+        """Return the seconds from the stop line until the rear of a vehicle on *way* has passed *crossing*."""
+        link = self.road.links[way.junction, way.link]
+        lane, parts = self._approach(link), self.road.parts(link)
+        before_m = sum(_length_m(self.lanes[part]) for part in parts[: parts.index(way.lane)])
+        stop = lane.find("stopOffset")
+        offset_m = 0.0 if stop is None else float(stop.get("value", "0"))
+        at_m = way.line.project(way.line.intersection(crossing.line).centroid) + 0.5 * crossing.width_m
+        speed_mps = float(lane.get("speed", "0")) if way.straight else way.speed_mps
+        return clearance_s(offset_m + before_m + at_m, speed_mps)
 
     def _yield(self, row: ET.Element, index: int, size: int) -> None:
         """Let the link of *row* yield to crossing *index*."""
@@ -249,6 +274,10 @@ class NetWriter:
 
 def _shape(line: FloatArray) -> str:
     return " ".join(f"{x:.2f},{y:.2f}" for x, y in line)
+
+
+def _length_m(lane: ET.Element) -> float:
+    return float(np.hypot(*np.diff(shape_of(lane), axis=0).T).sum())
 
 
 def _without_repeats(line: FloatArray) -> FloatArray:

@@ -8,8 +8,10 @@ from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 
+from advdiff_sumo.maps.signal_times import LONGEST_ALL_RED_S, rounded_up_s, yellow_at_s
+
 WALK_MPS = 1.2  # by which people have cleared the crossing when others get green
-YELLOW_S, WALK_S = 3, 10
+WALK_S = 10
 
 
 @dataclass(frozen=True)
@@ -21,12 +23,14 @@ class SignalledCrossing:
         straight: links that lead straight over it.
         turning: links that turn over it, which yield to who walks.
         length_m: from kerb to kerb.
+        all_red_s: seconds in which a vehicle that leads over it, and passed its stop line last, has passed it.
     """
 
     index: int
     straight: frozenset[int]
     turning: frozenset[int]
     length_m: float
+    all_red_s: float = 0.0
 
     @property
     def clearance_s(self) -> int:
@@ -34,11 +38,14 @@ class SignalledCrossing:
         return math.ceil(self.length_m / WALK_MPS)
 
 
-def add_crossings(program: ET.Element, crossings: Sequence[SignalledCrossing]) -> None:
+def add_crossings(
+    program: ET.Element, crossings: Sequence[SignalledCrossing], approach_mps: float = 0.0
+) -> None:
     """Give *crossings* green in *program* where those that lead straight over them are red.
 
     Turning traffic that has green then yields (``g``). Before others get green, people get red for as long as
-    one needs to cross. A crossing that no phase serves gets a phase of its own, with red for all vehicles.
+    one needs to cross. A crossing that no phase serves gets a phase of its own, with red for all vehicles; where
+    these have green just before, with yellow for the fastest of them (*approach_mps*) and all-red between.
     """
     size = max(crossing.index for crossing in crossings) + 1
     phases = program.findall("phase")
@@ -53,7 +60,7 @@ def add_crossings(program: ET.Element, crossings: Sequence[SignalledCrossing]) -
                     state[link] = "g" if state[link] == "G" else state[link]
     for phase, state in zip(phases, states, strict=True):
         phase.set("state", "".join(state))
-    _serve_the_rest(program, crossings)
+    _serve_the_rest(program, crossings, approach_mps)
     _clear(program, crossings)
 
 
@@ -71,7 +78,7 @@ def _may_walk(state: Sequence[str], crossing: SignalledCrossing) -> bool:
     return all(state[link] in "rs" for link in crossing.straight)
 
 
-def _serve_the_rest(program: ET.Element, crossings: Sequence[SignalledCrossing]) -> None:
+def _serve_the_rest(program: ET.Element, crossings: Sequence[SignalledCrossing], approach_mps: float) -> None:
     phases = program.findall("phase")
     rest = [c for c in crossings if all(phase.get("state", "")[c.index] != "G" for phase in phases)]
     if not rest:
@@ -81,7 +88,10 @@ def _serve_the_rest(program: ET.Element, crossings: Sequence[SignalledCrossing])
         yellow = "".join("y" if light in "Gg" else light for light in last)
         for crossing in crossings:
             yellow = yellow[: crossing.index] + "r" + yellow[crossing.index + 1 :]
-        ET.SubElement(program, "phase", duration=str(YELLOW_S), state=yellow)
+        ET.SubElement(program, "phase", duration=f"{yellow_at_s(approach_mps):g}", state=yellow)
+        all_red_s = min(rounded_up_s(max(crossing.all_red_s for crossing in rest)), LONGEST_ALL_RED_S)
+        if all_red_s > 0.0:
+            ET.SubElement(program, "phase", duration=f"{all_red_s:g}", state="r" * len(last))
     walk = ["r"] * len(last)
     for crossing in rest:
         walk[crossing.index] = "G"

@@ -154,6 +154,19 @@ def test_the_stop_line_of_the_crossing_is_where_vehicles_stop(tmp_path: Path) ->
     assert offsets[names["east:51.500:100.000"]] == []
 
 
+@pytest.mark.parametrize(("lefthand", "yellow", "all_red"), [(False, "3", "1.5"), (True, "3.5", "1")])
+def test_at_a_light_vehicles_have_passed_when_people_get_green(
+    lefthand: bool, yellow: str, all_red: str, tmp_path: Path
+) -> None:
+    """At 11.18 and 13.89 m/s: yellow of 2.83 and 3.28 s, then 6.5 m and 6.1 m of vehicle from the stop line on."""
+    built = with_stop_line(road(ACROSS), "TRAFFIC_LIGHT")
+    result = convert_map(built.write(tmp_path / "m.json"), tmp_path / "m.net.xml", lefthand=lefthand)
+    (program,) = parse(result.net).getroot().iter("tlLogic")
+    phases = [(phase.get("duration"), phase.get("state")) for phase in program]
+    assert [state for _, state in phases] == ["GGGr", "yyyr", "rrrr", "rrrG", "rrrr"]
+    assert [seconds for seconds, _ in phases[1:4]] == [yellow, all_red, "10"]
+
+
 def test_at_a_light_people_wait_for_green(tmp_path: Path) -> None:
     result = convert(with_stop_line(road(ACROSS), "TRAFFIC_LIGHT"), tmp_path)
     assert result.plan.idle_signals == ()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 
+import pytest
+
 from advdiff_sumo.maps.on_foot.signal_phases import SignalledCrossing, add_crossings
 
 
@@ -72,3 +74,25 @@ def test_a_program_without_yellow_gets_some_before_the_phase_of_their_own() -> N
     root = program((30, "Gg"))
     add_crossings(root, [SignalledCrossing(2, frozenset({0, 1}), frozenset(), 1.0)])
     assert phases(root) == [(30, "Ggr", True), (3, "yyr", False), (10, "rrG", False), (1, "rrr", False)]
+
+
+@pytest.mark.parametrize(
+    ("approach_mps", "passed_s", "yellow", "all_red"),
+    [(8.0, 2.5, "3", "2.5"), (13.89, 2.6, "3.5", "3"), (25.0, 3.01, "5.5", "3.5"), (40.0, 9.0, "6", "6")],
+)
+def test_vehicles_that_had_green_last_get_clear_before_people_walk(
+    approach_mps: float, passed_s: float, yellow: str, all_red: str
+) -> None:
+    """Yellow of 1 s + v / 6.096 m/s²: 2.31, 3.28, 5.10 and 7.56 s. All-red is that of the crossing passed last."""
+    root = program((50, "GG"))
+    served = SignalledCrossing(2, frozenset({0}), frozenset(), 12.0, 1.0)
+    add_crossings(
+        root, [served, SignalledCrossing(3, frozenset({1}), frozenset(), 9.0, passed_s)], approach_mps
+    )
+    assert [(phase.get("duration"), phase.get("state")) for phase in root] == [
+        ("50", "GGrr"),
+        (yellow, "yyrr"),
+        (all_red, "rrrr"),
+        ("10", "rrGG"),
+        ("10", "rrrr"),
+    ]

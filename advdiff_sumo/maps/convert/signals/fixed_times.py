@@ -11,9 +11,9 @@ from pathlib import Path
 
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.maps.convert.netconvert import TIMEOUT_S
-from advdiff_sumo.maps.convert.signals.change_intervals import LONGEST_ALL_RED_S
 from advdiff_sumo.maps.convert.signals.programs import SHORTEST_GREEN_S
 from advdiff_sumo.maps.read_net import read_root
+from advdiff_sumo.maps.signal_times import LONGEST_ALL_RED_S
 from advdiff_sumo.maps.sumo_files import sumo_home
 
 HOUR_S = 3600.0

@@ -118,12 +118,14 @@ def driven_of(plan: Tracks | None, scene: Scene) -> int:
     return 1 if plan is None else max(round((scene.time_s - plan.t0_s) / plan.dt_s) + 1, 1)
 
 
-def rest_of(plan: Tracks | None, before: int, scene: Scene, replan: int) -> Tracks | None:
+def rest_of(road: RoadMap, plan: Tracks | None, before: int, scene: Scene, replan: int) -> Tracks | None:
     """Return what is left of the last plan, where it shall be driven on and names everybody that may be moved.
 
-    It has to last until the next plan, for as many steps as passed since it was handed out last.
+    Who is about to leave the net is not moved. The rest has to last until the next plan, for as many steps as passed
+    since it was handed out last.
 
     Args:
+        road: the map.
         plan: the last one.
         before: model steps of it that had been driven when it was handed out last.
         scene: now.
@@ -133,8 +135,10 @@ def rest_of(plan: Tracks | None, before: int, scene: Scene, replan: int) -> Trac
     if plan is None or driven >= replan or plan.steps < 2 * driven - before:
         return None
     late = abs(plan.t0_s + (driven - 1) * plan.dt_s - scene.time_s) > 1e-6
-    movable = {name for name, free in zip(scene.history.ids, scene.movable, strict=True) if free}
-    if late or movable != set(plan.ids):
+    if late:
+        return None
+    moved = scene.movable & ~leaving(scene, lanes_of(road, scene))
+    if {name for name, free in zip(scene.history.ids, moved, strict=True) if free} != set(plan.ids):
         return None
     return plan.window(driven, plan.steps)
 

@@ -100,7 +100,7 @@ class DiffusionTraffic:
         self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
     ) -> tuple[JointPlan, Memory]:
         """Return the futures of all movable vehicles, 6 s at 2 Hz, and the memory for the next plan."""
-        kept = rest_of(memory.plan, memory.driven, scene, self.options.replan)
+        kept = rest_of(road, memory.plan, memory.driven, scene, self.options.replan)
         if kept is not None:
             return JointPlan(kept), replace(memory, driven=driven_of(memory.plan, scene))
         return self._afresh(road, scene, memory, rng)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -88,15 +88,15 @@ def licensed_attack(
     licence = licence_of(name)
     if licence is None:
         return RECKLESS
-    situation = SituationView.of(road, view.scene)
+    situation = situation_of(road, view)
     driven: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
     newcomers: tuple[Newcomer, ...] = ()
     if kept is not None:
         manoeuvres, kept = advance(situation, kept, most, PAUSE_S, licence)
-        row_of = {row: k for k, row in enumerate(view.rows.tolist()) if view.moved[k]}
+        row_of = {row: k for k, row in enumerate(view.rows.tolist())}
         xy, yaw, planned_speed = planned_motions(situation, manoeuvres)
         for k, manoeuvre in enumerate(manoeuvres):
-            if manoeuvre.row in row_of and manoeuvre.kind != WAITS:  # the safeguard sees boxes
+            if manoeuvre.kind != WAITS:  # the safeguard sees boxes
                 driven[row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]
         newcomers, kept = let_in(situation, kept)
     guided = [row for row in map(view.ids.index, attackers) if row not in driven]
@@ -104,6 +104,13 @@ def licensed_attack(
     lines = waiting_lines_m(situation, view.rows.tolist(), futures).tolist()
     waits = {k: line for k, line in enumerate(lines) if np.isfinite(line)}
     return LicensedAttack(False, tuple(sorted(refused)), driven, kept, licence.over_limit, newcomers, waits)
+
+
+def situation_of(road: RoadMap, view: View) -> SituationView:
+    """Return the scene of *view* as ways, in which only those may be moved who get a plan."""
+    movable = np.zeros_like(view.scene.movable)
+    movable[view.rows[view.moved]] = True
+    return SituationView.of(road, replace(view.scene, movable=movable))
 
 
 def _set_off(view: View, kept: Commitments | None, driven: Mapping[int, object]) -> set[int]:

@@ -37,9 +37,14 @@ def futures_of_scene(scene: Scene) -> Futures:
 
 
 def attack_of(
-    road: RoadMap, scene: Scene, licence: Any, kept: Commitments | None = None, steps: int = FUTURE_STEPS
+    road: RoadMap,
+    scene: Scene,
+    licence: Any,
+    kept: Commitments | None = None,
+    steps: int = FUTURE_STEPS,
+    leaves: str = "",
 ) -> Any:
-    view = look(road, scene, np.zeros(scene.history.agents, dtype=np.bool_))
+    view = look(road, scene, np.array([name == leaves for name in scene.history.ids]))
     assert view.ids == scene.history.ids
     futures = futures_of_scene(scene).first(steps)
     return licensed_attack(road, view, futures, ("v1",), licence, kept, 2)
@@ -89,6 +94,15 @@ def test_a_lawful_manoeuvre_is_driven_beside_guided_plans(
     attack = attack_of(downtown, scene, "lawful", kept)
     assert list(attack.driven) == [1]
     assert attack.driven[1][2][-1] == 0.0
+
+
+def test_who_gets_no_plan_begins_no_manoeuvre(downtown: RoadMap, street: Callable[..., Scene]) -> None:
+    """The leader above, about to leave the net."""
+    scene = street([(30.0, 0.0), (52.0, 0.0)], [12.0, 12.0])
+    scene = replace(scene, history=replace(scene.history, t0_s=scene.history.t0_s + 3.0 - scene.time_s))
+    kept = replace(Commitments.start("hard-stop", np.random.default_rng(0)), since_s={"v1": 0.0})
+    attack = attack_of(downtown, scene, "lawful", kept, leaves="v1")
+    assert (attack.driven, attack.commitments.active) == ({}, {})
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.background_plan import Rules, outlook, plausible_plan, rest_of
 from advdiff_sumo.traffic.planning.drawn import Drawn
+from tests.traffic.manoeuvres.scenes import scene_on
 
 PLACES = [(60.0, 0.0), (75.0, 0.0), (45.0, 0.0), (90.0, 0.0), (30.0, 0.0)]
 
@@ -44,7 +45,7 @@ def test_plans_that_the_safeguard_changed_are_counted(
     assert counts == {0.0: (0, 4), 9.0: (1, 4)}
 
 
-def test_what_is_left_of_a_plan(street: Callable[..., Scene]) -> None:
+def test_what_is_left_of_a_plan(downtown: RoadMap, street: Callable[..., Scene]) -> None:
     """Twelve half seconds, planned at 0 s; after 5 s in two calls two are left, and the next call is in 5 more."""
     scene = street(PLACES, [8.0] * 5)
     plan = scene.history.rows([1, 2, 3, 4])
@@ -52,7 +53,7 @@ def test_what_is_left_of_a_plan(street: Callable[..., Scene]) -> None:
 
     def left(after_s: float, before: int, replan: int) -> int | None:
         now = replace(scene, history=scene.history.shifted(after_s))
-        rest = rest_of(plan, before, now, replan)
+        rest = rest_of(downtown, plan, before, now, replan)
         assert rest is None or rest.t0_s == pytest.approx(now.time_s + 0.5)
         return None if rest is None else rest.steps
 
@@ -60,6 +61,21 @@ def test_what_is_left_of_a_plan(street: Callable[..., Scene]) -> None:
     assert [left(1.0, 0, 4), left(2.0, 2, 4)] == [10, None]
     assert [left(2.5, 0, 12), left(5.0, 5, 12), left(5.0, 9, 12)] == [7, None, 2]
     assert [left(0.0, 0, 4), left(0.7, 0, 4), left(0.5, 0, 1)] == [None] * 3
+
+
+def test_a_plan_is_driven_on_while_somebody_leaves_the_net(road: RoadMap) -> None:
+    """At 8 m/s whoever is within 28 m of the road's end is left to SUMO: 20 m before it, not 60 m."""
+    dead = [x for x in road.lanes.values() if not x.successors and not x.is_internal and x.length_m > 150.0]
+    lane = min(dead, key=lambda x: x.id)
+    places = {"target": 100.0, "stays": 60.0, "leaves": 20.0}
+    scene = scene_on({name: (lane, lane.length_m - back, 8.0) for name, back in places.items()})
+    plan = replace(coasted(scene.history.rows([1]), 12), t0_s=scene.time_s + 0.5)
+    later = replace(scene, history=scene.history.shifted(0.5))
+    rest = rest_of(road, plan, 0, later, 4)
+    assert rest is not None
+    assert (rest.ids, rest.steps) == (("stays",), 11)
+    both = replace(coasted(scene.history.rows([1, 2]), 12), t0_s=scene.time_s + 0.5)
+    assert rest_of(road, both, 0, later, 4) is None
 
 
 def coasted(now: Tracks, steps: int) -> Tracks:

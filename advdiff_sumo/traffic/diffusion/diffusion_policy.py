@@ -17,9 +17,10 @@ from advdiff_sumo.traffic.background_plan import Rules, driven_of, nobody, outlo
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks, networks_of
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions, Traj2TrajOptions
 from advdiff_sumo.traffic.diffusion.draw import draw_plan
+from advdiff_sumo.traffic.licence import licence_of
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
-from advdiff_sumo.traffic.manoeuvres.schedule import let_in
-from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.licensed_attack import PAUSE_S, situation_of
+from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, plan_with
 from advdiff_sumo.traffic.planning.drawn import Drawn
 
@@ -111,7 +112,7 @@ class DiffusionTraffic:
         view, lanes = outlook(road, scene, self.networks.bundle.options.model.map_view)
         seed = int(rng.integers(2**62))
         if not view.moved.any():
-            return self._alone(road, scene, memory)
+            return self._alone(road, view, memory)
         drawn = draw_plan(self.networks, self.options, view, memory.noise, memory.shifts, seed)
         if self.listener is not None:
             self.listener(view, drawn)
@@ -134,12 +135,14 @@ class DiffusionTraffic:
         does = {**dict.fromkeys(guided, "guided"), **manoeuvres}
         return AttackState(asked, tuple(dict.fromkeys((*aimed, *driving))), does)
 
-    def _alone(self, road: RoadMap, scene: Scene, memory: Memory) -> tuple[JointPlan, Memory]:
-        """Return the plan where nobody may be moved: of who comes in, if anybody."""
+    def _alone(self, road: RoadMap, view: View, memory: Memory) -> tuple[JointPlan, Memory]:
+        """Return the plan where nobody may be moved: of who comes in, if anybody, for the kind whose turn it is."""
         kept, newcomers = memory.commitments, tuple[Newcomer, ...]()
         if kept is not None:
-            newcomers, kept = let_in(SituationView.of(road, scene), kept)
-        plan = plan_with(nobody(scene), newcomers, self._state((), None))
+            situation, licence = situation_of(road, view), licence_of(self.options.licence)
+            _, kept = advance(situation, kept, self.options.attackers, PAUSE_S, licence)
+            newcomers, kept = let_in(situation, kept)
+        plan = plan_with(nobody(view.scene), newcomers, self._state((), None))
         return plan, replace(memory, plan=None, commitments=kept)
 
 

@@ -23,6 +23,7 @@ from advdiff_sumo.traffic.diffusion import diffusion_policy
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic, Memory
 from advdiff_sumo.traffic.diffusion.draw import draw_plan
 from advdiff_sumo.traffic.diffusion.guidance import ALPHA
+from advdiff_sumo.traffic.manoeuvres.agenda import Agenda
 from advdiff_sumo.traffic.policy_check import check_policy
 from advdiff_sumo.traffic.policy_registry import make_policy
 
@@ -261,6 +262,27 @@ def test_nobody_to_move(weights: str, downtown: RoadMap, street: Street) -> None
         DiffusionTraffic(weights=weights), downtown, replace(scene, movable=np.zeros(5, dtype=np.bool_))
     )
     assert tracks.agents == 0
+
+
+def test_turns_go_on_while_there_is_nobody_to_move(weights: str, downtown: RoadMap, street: Street) -> None:
+    """After 10 s the turn of the cut-out, which can begin at 0 s alone, is over: a leader comes in for a stop.
+
+    1.5 s and 8 m ahead of a target with 8 m/s are less than the 36 m that a leader keeps from it at least.
+    """
+    scene = street(PLACES[:1], SPEEDS[:1])
+    scene = replace(scene, history=scene.history.shifted(10.0))
+    policy = DiffusionTraffic(weights=weights)
+    memory = policy.start(downtown, scene, None, np.random.default_rng(0))
+    assert memory.commitments is not None
+    agenda = Agenda(("cut-out", "hard-stop"), crosses_any_time=False)
+    memory = replace(memory, commitments=replace(memory.commitments, agenda=agenda))
+    plan, memory = policy.plan(downtown, scene, memory, np.random.default_rng(3))
+    assert plan.tracks.ids == ("staged-0",)
+    ahead = float(np.linalg.norm(plan.tracks.xy_m[0, 0] - scene.history.xy_m[0, -1]))
+    assert ahead == pytest.approx(36.0 + 0.5 * plan.tracks.speed_mps[0, 0], abs=0.5)
+    assert memory.commitments is not None
+    assert memory.commitments.agenda.now == "hard-stop"
+    assert memory.commitments.since_s == {"v0": 10.0}
 
 
 def test_who_stands_stays_exactly_where_it_is(weights: str, downtown: RoadMap, street: Street) -> None:

@@ -24,6 +24,7 @@ from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic, Me
 from advdiff_sumo.traffic.diffusion.draw import draw_plan
 from advdiff_sumo.traffic.diffusion.guidance import ALPHA
 from advdiff_sumo.traffic.manoeuvres.agenda import Agenda
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.policy_check import check_policy
 from advdiff_sumo.traffic.policy_registry import make_policy
 
@@ -415,6 +416,22 @@ def test_a_plan_tells_who_is_in_a_position_for_the_attack(
     assert plan.attack is not None
     assert plan.attack.kind == attack
     assert set(plan.attack.in_position) == in_position
+
+
+@pytest.mark.parametrize(("licence", "guided"), [("lawful", {}), ("reckless", {"v1": "guided"})])
+def test_whose_guided_plan_is_not_driven_is_not_guided(
+    licence: str, guided: dict[str, str], weights: str, downtown: RoadMap, street: Street
+) -> None:
+    """At 5.5 m/s it has just driven a manoeuvre, and follows its lane up to 6 m/s, unless it is reckless."""
+    scene = street([(60.0, 0.0), (80.0, 0.0)], [5.0, 5.5])
+    policy = DiffusionTraffic(weights=weights, licence=licence, staged=0)
+    rested = Commitments.start("any", np.random.default_rng(0))
+    memory = Memory(commitments=replace(rested, rested_s={"v1": 9.0}))
+    plan, memory = policy.plan(downtown, scene, memory, np.random.default_rng(3))
+    assert set(memory.shifts) == {"v1"}
+    assert plan.attack is not None
+    assert plan.attack.manoeuvres == guided
+    assert plan.attack.in_position == tuple(guided)
 
 
 def test_natural_traffic_asks_for_no_attack(weights: str, downtown: RoadMap, street: Street) -> None:

@@ -152,7 +152,9 @@ class Commitments:
         oncoming = bool(rng.random() < 0.5)
         stage = Stage(staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0)
         agenda = Agenda.drawn(rng) if attack == "any" else Agenda()
-        if preference is not None and attack == "any":
+        if preference is not None and attack != "any":
+            preference = replace(preference, kinds=(attack,))
+        elif preference is not None:
             wanted, preference = preference.drawn(rng, _SHARES, len(classes))
             if wanted is not None:
                 stage = replace(stage, classes=wanted.classes, oncoming=wanted.oncoming)

@@ -44,11 +44,13 @@ class EncounterPreference:
         predictor: of its failures.
         explores: share of the episodes that draw as if nothing were known.
         probe: number of the question of a warm-up, for which kinds and classes take turns; None: there is none.
+        kinds: of the encounters that may come.
     """
 
     predictor: FailurePredictor
     explores: float = EXPLORES
     probe: int | None = None
+    kinds: tuple[str, ...] = tuple(KINDS)
 
     @staticmethod
     def read(path: Path) -> EncounterPreference:
@@ -80,9 +82,9 @@ class EncounterPreference:
 
     @cached_property
     def _most(self) -> float:
-        """The failures predicted of the best encounter."""
+        """The failures predicted of the best encounter of ``kinds``."""
         return max(
-            self.promise(kind, one, side) for kind in KINDS for one in _CLASSES for side in (False, True)
+            self.promise(kind, one, side) for kind in self.kinds for one in _CLASSES for side in (False, True)
         )
 
     def promise(self, kind: str, agent_class: AgentClass, oncoming: bool) -> float:

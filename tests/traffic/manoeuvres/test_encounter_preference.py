@@ -107,6 +107,23 @@ def test_one_kind_alone_keeps_its_draws() -> None:
     assert [(a.stage, a.agenda) for a in known] == [(a.stage, a.agenda) for a in plain]
 
 
+@pytest.mark.parametrize(
+    ("attack", "heavy", "begins"), [("hard-stop", 0.0, True), ("hard-stop", 6.0, False), ("any", 0.0, False)]
+)
+def test_the_one_kind_asked_for_begins_however_much_others_promise(
+    attack: str, heavy: float, begins: bool, motorway: RoadMap
+) -> None:
+    """A stop promises 5 %, a cut-in 95 %: the fifth of it that any encounter has to promise is 19 %.
+
+    Among stops alone it is 1 % unless a lorry promises more.
+    """
+    view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 90.0, 20.0))
+    kept = Commitments.start(attack, np.random.default_rng(0), preference=who_fails(cut_in=6.0, heavy=heavy))
+    assert kept.preference is not None
+    ranked = rank(view, list(KINDS["hard-stop"](view, 1)), {"hard-stop": 1.0}, preference=kept.preference)
+    assert any(not one.manoeuvre.sets_up for one in ranked) == begins
+
+
 def test_manoeuvres_are_ranked_by_predicted_failures(motorway: RoadMap) -> None:
     """A leader brakes so that 5 or 6 m/s² are needed: more is better, unless the target fails where less is."""
     view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 90.0, 20.0))

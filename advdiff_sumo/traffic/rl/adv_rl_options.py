@@ -24,3 +24,8 @@ class AdvRlOptions(Options):
     strength: float = Field(1.0, ge=0.0, le=1.0)
     attackers: int = Field(2, ge=1, le=8)
     licence: LicenceName = "lawful"
+
+    @property
+    def most(self) -> int:
+        """Most attackers at a time; none where they do not deviate, but a licence would refuse plans of theirs."""
+        return self.attackers if self.strength > 0.0 or self.licence == "reckless" else 0

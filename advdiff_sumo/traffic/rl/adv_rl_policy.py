@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -73,9 +73,10 @@ class AdvRl:
     ) -> tuple[JointPlan, Memory]:
         """Return the futures of all movable vehicles, 4 s at 2 Hz; nothing is drawn."""
         options = self.options
-        now = situation(road, scene, self.prior, options.attackers, memory.attackers, options.licence)
+        now = situation(road, scene, self.prior, options.most, memory.attackers, options.licence)
         residuals = options.strength * self.actor.residuals(now.observations)
         plan = joint_plan(road, now, self.prior, residuals, memory.plan, options.licence)
+        plan = plan if options.most else replace(plan, attack=None)
         return plan, Memory(now.attackers, plan.tracks)
 
 

@@ -19,6 +19,7 @@ from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.stored import write_stored
 from advdiff_sumo.traffic import background_plan
+from advdiff_sumo.traffic.planning.drawn import Drawn
 from advdiff_sumo.traffic.policy_check import check_policy
 from advdiff_sumo.traffic.policy_registry import make_policy
 from advdiff_sumo.traffic.rl.actor import load_actor, save_actor
@@ -72,6 +73,24 @@ def test_untrained_it_is_the_behaviour_model(actor_file: Files, downtown: RoadMa
     assert same(fresh, off)
     assert not same(fresh, trained)
     assert same(trained, planned(policy(actor_file, "", 0.7), downtown, scene))
+
+
+@pytest.mark.parametrize("licence", ["lawful", "careless"])
+def test_with_strength_0_no_licence_changes_the_behaviour_model(
+    licence: str, actor_file: Files, weights: str, downtown: RoadMap, street: Street
+) -> None:
+    """The behaviour model's plan with untrained weights, as the safeguard leaves it, where nobody attacks."""
+    scene = street([(60.0, 0.0), (70.0, -2.5), (90.0, 0.0)], [8.0, 4.0, 6.0])
+    made = policy(actor_file, weights, 0.7, strength=0.0, licence=licence)
+    view, lanes = background_plan.outlook(downtown, scene, made.prior.options.map_view)
+    drawn = Drawn(made.prior.rollout(view.batch), {}, (), torch.zeros(len(view.ids), 0))
+    rules = background_plan.Rules(made.options.licence, 0)
+    natural = background_plan.plausible_plan(downtown, view, lanes, drawn, (None, 0), rules)
+    rng = np.random.default_rng(0)
+    plan, memory = made.plan(downtown, scene, made.start(downtown, scene, None, rng), rng)
+    assert same(plan.tracks, natural.tracks)
+    assert plan.attack is None
+    assert memory.attackers == ()
 
 
 def test_only_the_attacker_deviates(actor_file: Files, downtown: RoadMap, street: Street) -> None:

@@ -219,7 +219,7 @@ def _is_free(view: SituationView, one: Newcomer, taken: Sequence[Newcomer]) -> b
     now, target = view.scene.history, view.scene.target
     there = np.flatnonzero(now.valid[:, -1])
     apart = np.linalg.norm(now.xy_m[there, -1] - one.xy_m, axis=-1)
-    s, left = one.way.line.project(now.xy_m[there, -1])
+    s, left = one.way.line.project(now.xy_m[there, -1], extrapolate=True)  # the junction behind, too
     room = _APART_M + _APART_S * one.speed_mps
     same_lane = (np.abs(left) < _IN_LANE_M) & (np.abs(s - one.way.lane.s_m) < room)
     clear = bool((apart > np.where(same_lane, room, _BESIDE_M)).all())

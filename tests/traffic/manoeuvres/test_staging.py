@@ -16,7 +16,7 @@ from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.pace import FINE_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.staging import SIZE_M, Stage, come_in, plan_with
+from advdiff_sumo.traffic.manoeuvres.staging import SIZE_M, Newcomer, Stage, _is_free, come_in, plan_with
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
 
 
@@ -55,6 +55,21 @@ def test_who_comes_in_beside_leaves_the_safe_gap(motorway: RoadMap) -> None:
     ahead, left = view.target.way.line.project(other.xy_m)
     assert 2.5 < abs(float(left)) < 4.5
     assert float(ahead) - view.target.way.lane.s_m > 1.1 * 20.0 + SIZE_M[AgentClass.CAR][0]
+
+
+@pytest.mark.parametrize(("apart_m", "free"), [(9.6, False), (16.0, False), (16.5, True)])
+def test_there_is_no_room_close_ahead_of_somebody_on_the_junction(
+    apart_m: float, free: bool, downtown: RoadMap
+) -> None:
+    """2 m beyond a straight junction: at 12 m/s it needs 9 m and 0.6 s behind it: 16.2 m, on the junction too."""
+    lane, inside = downtown.lanes["B2-C2_0"], downtown.lanes[":B2_3_0"]
+    places = {"target": (lane, 50.0, 12.0), "behind": (inside, inside.length_m + 2.0 - apart_m, 12.0)}
+    view = SituationView.of(downtown, scene_on(places))
+    way = view.way_from(lane.line.at(2.0), (lane.edge_id,))
+    assert way is not None
+    one = Newcomer(way, 12.0)
+    assert np.linalg.norm(one.xy_m - view.scene.history.xy_m[1, -1]) == pytest.approx(apart_m, abs=0.01)
+    assert _is_free(view, one, ()) == free
 
 
 def test_a_plan_names_who_comes_in_and_where_it_goes(motorway: RoadMap) -> None:

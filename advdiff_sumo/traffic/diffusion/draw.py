@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -70,7 +70,8 @@ def draw_plan(
     natural = torch.tensor([name not in chosen for name in view.ids], device=networks.device)
     x = with_pace(x, networks.faster, many.pose[..., 3], options.briskness * natural)
     rollout = decode(networks, x, several, many)
-    best = _most_plausible(rollout, many) if options.samples > 1 else 0
+    rows = [view.ids.index(name) for name in chosen]
+    best = most_plausible(rollout, many, rows) if options.samples > 1 else 0
     kept = start[best].flatten(1).numpy().astype(np.float64)
     return Drawn(
         rollout=_only(rollout, best),
@@ -132,11 +133,19 @@ def _shifts(
     return {name: shift[view.ids.index(name)] for name in attackers}
 
 
-def _most_plausible(rollout: Rollout, batch: SceneBatch) -> int:
-    """Return the sample in which vehicles overlap each other and leave the road least."""
-    with torch.no_grad():
-        touching = pair_overlap(rollout, batch.size, batch.present).amax(dim=(2, 3)).sum(1)
-        return int((touching + off_road(rollout, batch).amax(2).sum(1)).argmin())
+@torch.no_grad()
+def most_plausible(rollout: Rollout, batch: SceneBatch, attackers: Sequence[int]) -> int:
+    """Return the sample in which vehicles overlap each other and leave the road least.
+
+    Args:
+        rollout: samples (B, A, T) of one scene, the target first.
+        batch: the scene, B times.
+        attackers: rows of who is guided to the target; what they overlap it does not count.
+    """
+    overlap, rows = pair_overlap(rollout, batch.size, batch.present), list(attackers)
+    overlap[:, 0, rows] = overlap[:, rows, 0] = 0.0
+    touching = overlap.amax(dim=(2, 3)).sum(1)
+    return int((touching + off_road(rollout, batch).amax(2).sum(1)).argmin())
 
 
 def _only(rollout: Rollout, scene: int) -> Rollout:

@@ -3,7 +3,6 @@
 from advdiff_sumo.maps.lanes import Edge, Junction, Lane, LanePose, Link
 from advdiff_sumo.maps.paths import LaneOutlook, LanePath, PathFinder, PathLink
 from advdiff_sumo.maps.roadmap import RoadMap
-from advdiff_sumo.maps.vectors import MapVectors, VectorKind
 
 __all__ = [
     "Edge",
@@ -13,9 +12,7 @@ __all__ = [
     "LanePath",
     "LanePose",
     "Link",
-    "MapVectors",
     "PathFinder",
     "PathLink",
     "RoadMap",
-    "VectorKind",
 ]

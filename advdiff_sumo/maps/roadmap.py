@@ -25,7 +25,6 @@ from advdiff_sumo.maps.read_net import RawNet, base_name, read_raw_net
 from advdiff_sumo.maps.routing import EdgeGraph
 from advdiff_sumo.maps.sidecar import read_sidecar, sidecar_of
 from advdiff_sumo.maps.vector_map import PieceTable, build_pieces
-from advdiff_sumo.maps.vectors import PIECE_M, MapVectors, VectorIndex
 
 MAX_LANE_DISTANCE_M = 5.0
 """Farthest centre line that :meth:`RoadMap.locate` accepts unless told otherwise."""
@@ -56,7 +55,6 @@ class RoadMap:
         self._allowed: dict[str | None, BoolArray] = {}
         self._matchers: dict[str | None, RouteMatcher] = {}
         self._finder = lru_cache(maxsize=_KEPT_FINDERS)(partial(PathFinder, self.lanes, self.edges))
-        self._vector_indices: dict[tuple[int, float], VectorIndex] = {}
         self._piece_tables: dict[MapView, PieceTable] = {}
 
     @classmethod
@@ -298,34 +296,7 @@ class RoadMap:
         """
         return self.path_finder(route, vclass).paths(start_lane, start_s_m, horizon_m)
 
-    # --- vectors -----------------------------------------------------------------------------------------
-
-    def vectors(
-        self,
-        xy_m: FloatArray,
-        yaw_rad: float,
-        radius_m: float,
-        max_polylines: int,
-        points_per_polyline: int,
-        *,
-        piece_m: float = PIECE_M,
-    ) -> MapVectors:
-        """Return the map around a pose (2,) in its frame, nearest polylines first.
-
-        Centre lines of motor-vehicle lanes and the road's edge, cut into pieces of at most *piece_m*, those
-        that come within *radius_m*. The pieces of one resolution are made on first use.
-
-        Raises:
-            ValueError: fewer than two points for a polyline.
-        """
-        if points_per_polyline < 2:
-            raise ValueError(f"points_per_polyline must be at least 2, not {points_per_polyline}")
-        key = (points_per_polyline, piece_m)
-        if key not in self._vector_indices:
-            lanes = [lane for lane in self.lanes.values() if lane.is_drivable]
-            self._vector_indices[key] = VectorIndex(lanes, self.area.smooth_rings(), *key)
-        xy = np.asarray(xy_m, dtype=np.float64)
-        return self._vector_indices[key].crop(xy, float(yaw_rad), radius_m, max_polylines)
+    # --- pieces ------------------------------------------------------------------------------------------
 
     def pieces(self, view: MapView = "near") -> PieceTable:
         """Return the map as learned models with this *view* see it; made on first use."""

@@ -1,4 +1,4 @@
-"""The drivable area and the vector crops."""
+"""The drivable area."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from advdiff_sumo.core.boxes import corners
-from advdiff_sumo.maps import RoadMap, VectorKind
+from advdiff_sumo.maps import RoadMap
 
 REAL = (
     "bologna-acosta/acosta_buslanes.net.xml",
@@ -69,47 +69,9 @@ def test_tiles_give_the_exact_share(adv_data):
     np.testing.assert_allclose(road.off_road_share(boxes), expected, atol=1e-9)
 
 
-def test_crop_by_hand(road):
-    """On WC_0 facing east at x = -60: own lane first, the left neighbour 3.2 m to the left."""
-    crop = road.vectors(np.array([-60.0, -4.8]), 0.0, 15.0, 16, 5)
-    assert crop.xy_m.shape == (16, 5, 2)
-    assert crop.kind[0] == VectorKind.LANE
-    np.testing.assert_allclose(crop.xy_m[0, :, 1], 0.0, atol=1e-9)
-    np.testing.assert_allclose(crop.tangent[0], np.tile([1.0, 0.0], (5, 1)), atol=1e-12)
-    assert (crop.width_m[0], crop.speed_mps[0], crop.distance_m[0]) == (
-        3.2,
-        14.0,
-        pytest.approx(0.0, abs=1e-9),
-    )
-    found = crop.mask[:, 0]
-    assert (np.diff(crop.distance_m[found]) >= 0.0).all()
-    assert (crop.distance_m[found] <= 15.0).all()
-    assert not crop.xy_m[~found].any()
-    left = crop.xy_m[found & (crop.kind == VectorKind.LANE)][:, :, 1]
-    assert np.isclose(left, 3.2).all(axis=1).any()
-    edge = crop.xy_m[found & (crop.kind == VectorKind.ROAD_EDGE)]
-    assert np.isclose(edge[..., 1], -1.6).all(axis=1).any()  # the kerb at y = -6.4
-
-
-def test_crop_turns_with_the_pose(road):
-    east = road.vectors(np.array([-60.0, -4.8]), 0.0, 15.0, 16, 5)
-    north = road.vectors(np.array([-60.0, -4.8]), 0.5 * np.pi, 15.0, 16, 5)
-    np.testing.assert_allclose(north.xy_m[..., 0], east.xy_m[..., 1], atol=1e-9)
-    np.testing.assert_allclose(north.xy_m[..., 1], -east.xy_m[..., 0], atol=1e-9)
-
-
-def test_crop_limits(road):
-    assert not road.vectors(np.array([1e4, 0.0]), 0.0, 30.0, 8, 4).mask.any()
-    few = road.vectors(np.array([-60.0, -4.8]), 0.0, 50.0, 3, 4)
-    assert few.mask.all()
-    with pytest.raises(ValueError, match="at least 2"):
-        road.vectors(np.zeros(2), 0.0, 30.0, 8, 1)
-
-
 def test_road_edge_has_the_road_on_its_left(road):
-    crop = road.vectors(np.array([-60.0, 0.0]), 0.0, 20.0, 64, 6)
-    edges = (crop.kind == VectorKind.ROAD_EDGE) & crop.mask[:, 0]
-    xy, tangent = crop.xy_m[edges][:, 2], crop.tangent[edges][:, 2]
-    left = xy + 0.3 * np.stack((-tangent[:, 1], tangent[:, 0]), axis=-1)
-    assert edges.sum() >= 2
-    assert road.covers(left + np.array([-60.0, 0.0])).all()
+    for ring in road.area.smooth_rings():
+        along = np.diff(ring, axis=0)
+        ahead = along / np.hypot(along[:, :1], along[:, 1:])
+        left = 0.5 * (ring[1:] + ring[:-1]) + 0.3 * np.stack((-ahead[:, 1], ahead[:, 0]), axis=-1)
+        assert road.covers(left).all()

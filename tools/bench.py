@@ -42,7 +42,7 @@ def made_up_log(
 ) -> tuple[Tracks, list[tuple[str, ...]]]:
     """Return vehicles that follow lanes at a steady speed for *duration_s*, from 2 s before instant 0."""
     rng = np.random.default_rng(seed)
-    edges = sorted(road.connected_edges())
+    edges = sorted(road.edge_graph().strongly_connected())
     dt, history = 0.5, 2.0
     steps = round((duration_s + history) / dt) + 1
     s = SPEED_MPS * dt * np.arange(steps)

@@ -12,7 +12,7 @@ from advdiff_sumo.maps.read_net import Location
 
 
 class Projection:
-    """Between a net's metres and WGS84 degrees, after its ``location`` element."""
+    """From a net's metres to WGS84 degrees, after its ``location`` element."""
 
     def __init__(self, location: Location) -> None:
         self._location = location
@@ -32,11 +32,3 @@ class Projection:
             return None
         raw = np.asarray(xy_m, dtype=np.float64) - self._location.offset_xy_m
         return np.stack(self._proj(raw[..., 0], raw[..., 1], inverse=True), axis=-1)
-
-    def xy_from_lonlat(self, lonlat_deg: FloatArray) -> FloatArray | None:
-        """Return the net's metres (…, 2) of *lonlat_deg* (…, 2); None without a projection."""
-        if self._proj is None:
-            return None
-        degrees = np.asarray(lonlat_deg, dtype=np.float64)
-        raw = np.stack(self._proj(degrees[..., 0], degrees[..., 1]), axis=-1)
-        return np.asarray(raw + self._location.offset_xy_m)

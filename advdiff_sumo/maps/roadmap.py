@@ -117,10 +117,6 @@ class RoadMap:
         """Return longitude and latitude (…, 2) in degrees; None when the net has no projection."""
         return self.projection.lonlat(xy_m)
 
-    def xy_from_lonlat(self, lonlat_deg: FloatArray) -> FloatArray | None:
-        """Return the net's metres (…, 2) of longitude and latitude; None when the net has no projection."""
-        return self.projection.xy_from_lonlat(lonlat_deg)
-
     # --- lanes near poses --------------------------------------------------------------------------------
 
     @cached_property
@@ -266,14 +262,6 @@ class RoadMap:
         xy = np.asarray(xy_m, dtype=np.float64).reshape(-1, 2)
         return self._matchers[vclass].match(xy, np.asarray(yaw_rad, dtype=np.float64).reshape(-1))
 
-    def path_finder(self, route: Sequence[str], vclass: str | None = "passenger") -> PathFinder:
-        """Return the lane choice along *route*; those of the routes asked for last are kept.
-
-        Raises:
-            KeyError: the route names an edge that the net does not have.
-        """
-        return self._finder(tuple(route), vclass)
-
     def lane_path(
         self,
         route: Sequence[str],
@@ -293,8 +281,11 @@ class RoadMap:
             horizon_m: length after which paths are cut.
             start_s_m: where on the lane the paths begin.
             vclass: vehicle class.
+
+        Raises:
+            KeyError: the route names an edge that the net does not have.
         """
-        return self.path_finder(route, vclass).paths(start_lane, start_s_m, horizon_m)
+        return self._finder(tuple(route), vclass).paths(start_lane, start_s_m, horizon_m)
 
     # --- pieces ------------------------------------------------------------------------------------------
 
@@ -319,14 +310,6 @@ class RoadMap:
     def source_edges(self, vclass: str = "passenger") -> tuple[str, ...]:
         """Return the edges at which traffic enters the net."""
         return self.edge_graph(vclass).sources()
-
-    def sink_edges(self, vclass: str = "passenger") -> tuple[str, ...]:
-        """Return the edges at which traffic leaves the net."""
-        return self.edge_graph(vclass).sinks()
-
-    def connected_edges(self, vclass: str = "passenger") -> frozenset[str]:
-        """Return the largest set of edges of which each can be reached from each other one."""
-        return self.edge_graph(vclass).strongly_connected()
 
 
 def _row(xy_m: FloatArray) -> FloatArray:

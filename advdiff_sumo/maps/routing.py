@@ -143,10 +143,6 @@ class EdgeGraph:
         """Return edges that nothing leads to but their own turn-round, sorted."""
         return tuple(sorted(e for e, before in self.predecessors.items() if self._only_back(e, before)))
 
-    def sinks(self) -> tuple[str, ...]:
-        """Return edges that lead nowhere but to their own turn-round, sorted."""
-        return tuple(sorted(e for e, onward in self.successors.items() if self._only_back(e, tuple(onward))))
-
     def _only_back(self, edge: str, others: tuple[str, ...]) -> bool:
         return all(self.ends[other] == self.ends[edge][::-1] for other in others)
 

@@ -32,8 +32,7 @@ def test_routes_on_the_cross(road):
     assert road.route("CE", "WC") is None
     assert road.route("WC", "nowhere") is None
     assert road.source_edges() == ("EC", "NC", "SC", "WC")
-    assert road.sink_edges() == ("CE", "CN", "CS", "CW")
-    assert len(road.connected_edges()) == 1
+    assert len(road.edge_graph().strongly_connected()) == 1
 
 
 def test_random_route(road, downtown):
@@ -41,7 +40,7 @@ def test_random_route(road, downtown):
     assert first == again
     assert first[0] == "WC"
     assert len(first) == 2
-    edge = sorted(downtown.connected_edges())[0]
+    edge = sorted(downtown.edge_graph().strongly_connected())[0]
     route = downtown.random_route(edge, 800.0, np.random.default_rng(5))
     assert sum(downtown.edges[e].length_m for e in route[1:]) >= 800.0
     for before, after in pairwise(route):
@@ -51,7 +50,7 @@ def test_random_route(road, downtown):
 
 def test_fastest_is_fastest(downtown):
     """No route by brute force (one detour more) is quicker than the one found."""
-    edges = sorted(downtown.connected_edges())
+    edges = sorted(downtown.edge_graph().strongly_connected())
     graph = downtown.edge_graph("passenger")
 
     def cost(route):
@@ -144,7 +143,7 @@ def test_match_recovers_noisy_drives(adv_data, name):
     """Drives at 2 Hz-like spacing with 0.3 m and 3° of noise come back as the edges driven."""
     road = RoadMap.read(adv_data / "sumo" / name)
     rng = np.random.default_rng(11)
-    starts = sorted(road.connected_edges())
+    starts = sorted(road.edge_graph().strongly_connected())
     right = total = 0
     for start in starts[:: max(1, len(starts) // 20)]:
         route = road.random_route(start, 300.0, rng)

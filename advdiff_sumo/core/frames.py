@@ -51,10 +51,3 @@ def local_from_world(
     return np.stack(
         (cos * delta[..., 0] + sin * delta[..., 1], cos * delta[..., 1] - sin * delta[..., 0]), -1
     )
-
-
-def world_from_local(xy_m: FloatArray, origin_xy_m: FloatArray, origin_yaw_rad: float) -> FloatArray:
-    """Undo :func:`local_from_world`."""
-    cos, sin = np.cos(origin_yaw_rad), np.sin(origin_yaw_rad)
-    x, y = xy_m[..., 0], xy_m[..., 1]
-    return np.stack((cos * x - sin * y, sin * x + cos * y), -1) + origin_xy_m

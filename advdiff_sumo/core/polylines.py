@@ -125,10 +125,6 @@ class Polyline:
         s = self.s_m[nearest[..., 0]] + np.take_along_axis(along, nearest, axis=-1)[..., 0]
         return s, np.copysign(np.hypot(offset[..., 0], offset[..., 1]), cross)
 
-    def values_at(self, s_m: FloatArray | float, values: FloatArray) -> FloatArray:
-        """Return *values* (P,) of the points, interpolated linearly at *s_m* (…,), held beyond the ends."""
-        return np.asarray(np.interp(np.asarray(s_m, dtype=np.float64), self.s_m, values))
-
     def resample(self, *, spacing_m: float | None = None, count: int | None = None) -> Polyline:
         """Return the line through evenly spaced points of this one, both ends kept.
 

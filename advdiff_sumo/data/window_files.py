@@ -148,7 +148,7 @@ def read_windows(path: str | Path) -> WindowFile:
         FileError: the file is missing, truncated, of another format, or its tensors do not fit each other.
     """
     path = Path(path)
-    header, tensors = _open(path, list(TENSORS))
+    header, tensors = _open(path)
     extra = {key: value for key, value in header.items() if key not in _OWN_KEYS}
     try:
         names = tuple(str(name) for name in json.loads(header.get("scene_names", "[]")))
@@ -161,15 +161,6 @@ def read_windows(path: str | Path) -> WindowFile:
         )
     except (ValueError, TypeError) as error:
         raise FileError(path, f"holds damaged windows ({error})", _AGAIN) from None
-
-
-def read_header(path: str | Path) -> dict[str, str]:
-    """Return the header of the window file at *path* without its tensors.
-
-    Raises:
-        FileError: as :func:`read_windows`.
-    """
-    return _open(Path(path), [])[0]
 
 
 def window_paths(places: list[Path]) -> list[Path]:
@@ -193,7 +184,7 @@ def window_paths(places: list[Path]) -> list[Path]:
     return paths
 
 
-def _open(path: Path, names: list[str]) -> tuple[dict[str, str], dict[str, Any]]:
+def _open(path: Path) -> tuple[dict[str, str], dict[str, Any]]:
     try:
         with safe_open(path, framework="numpy") as file:
             header = dict(file.metadata() or {})
@@ -203,7 +194,7 @@ def _open(path: Path, names: list[str]) -> tuple[dict[str, str], dict[str, Any]]
             missing = sorted(set(TENSORS) - set(file.keys()))
             if missing:
                 raise FileError(path, f"lacks the tensors {', '.join(missing)}", _AGAIN)
-            return header, {name: file.get_tensor(name) for name in names}
+            return header, {name: file.get_tensor(name) for name in TENSORS}
     except FileNotFoundError:
         raise FileError(path, "no such window file") from None
     except SafetensorError as error:

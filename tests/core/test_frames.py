@@ -86,4 +86,5 @@ def test_local_and_back(x: float, y: float, x0: float, y0: float, yaw: float) ->
     point, origin = np.array((x, y)), np.array((x0, y0))
     local = frames.local_from_world(point, origin, yaw)
     assert np.hypot(*local) == pytest.approx(np.hypot(*(point - origin)), rel=1e-9, abs=1e-9)
-    np.testing.assert_allclose(frames.world_from_local(local, origin, yaw), point, atol=1e-7)
+    back = local[0] * frames.unit(yaw) + local[1] * frames.unit(yaw + PI / 2)
+    np.testing.assert_allclose(origin + back, point, atol=1e-7)

@@ -83,12 +83,6 @@ def test_resample():
             CORNER.resample(**bad)
 
 
-def test_values_at():
-    np.testing.assert_allclose(
-        CORNER.values_at(np.array([-1.0, 5.0, 20.0]), np.array([0.0, 10.0, 30.0])), [0, 5, 30]
-    )
-
-
 @given(xy=points, share=st.floats(0.0, 1.0))
 def test_points_of_the_line_project_onto_it(xy, share):
     assume(np.ptp(xy, axis=0).max() > 1e-3)

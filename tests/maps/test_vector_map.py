@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.frames import world_from_local
+from advdiff_sumo.core.frames import unit
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, find_net
 from advdiff_sumo.maps.vector_map import VIEWS, Feature, PieceTable
@@ -163,7 +163,7 @@ def test_the_choice_does_not_depend_on_the_frame(
     xy, yaw = rng.uniform(-80, 80, (5, 2)), rng.uniform(-3, 3, 5)
 
     def moved(points: FloatArray) -> FloatArray:
-        return world_from_local(points, np.array(shift), turn)
+        return points @ np.stack((unit(turn), unit(turn + 0.5 * np.pi))) + np.array(shift)
 
     other = replace(table, xy_m=moved(table.xy_m))
     here, there = table.rows_near(xy, yaw, yaw), other.rows_near(moved(xy), yaw + turn, yaw)

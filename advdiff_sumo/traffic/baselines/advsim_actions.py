@@ -111,9 +111,3 @@ def _jumps(values: Tensor, last: Tensor) -> Tensor:
 def tightest_curvature(length: Tensor, model: ModelOptions) -> Tensor:
     """Return the bound that the steering angle sets."""
     return math.tan(model.steer_rad) / (WHEELBASE_PER_LENGTH * length.clamp(min=0.5))
-
-
-def largest_curvature(speed: Tensor, length: Tensor, model: ModelOptions) -> Tensor:
-    """Return the bound that steering angle and lateral acceleration set at *speed*."""
-    grip = model.lateral_mps2 / speed.clamp(min=_SLOW_MPS) ** 2
-    return torch.minimum(tightest_curvature(length, model), grip)

@@ -17,7 +17,7 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import MODEL_STEP_S, ModelOptions
 from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.baselines.advsim import AdvSim
-from advdiff_sumo.traffic.baselines.advsim_actions import Initial, driven, initial_of, largest_curvature
+from advdiff_sumo.traffic.baselines.advsim_actions import Initial, driven, initial_of, tightest_curvature
 from advdiff_sumo.traffic.baselines.advsim_cost import (
     attack_cost,
     discomfort,
@@ -73,6 +73,12 @@ def test_no_change_is_the_initial_sequence(downtown: RoadMap, street: Street, we
     assert torch.allclose(made.states()[0], rollout.states()[0, rows], atol=1e-4)
 
 
+def largest_curvature(speed: torch.Tensor, length: torch.Tensor) -> torch.Tensor:
+    """Return the bound that steering angle and lateral acceleration set at *speed*."""
+    grip = MODEL.lateral_mps2 / speed.clamp(min=0.1) ** 2
+    return torch.minimum(tightest_curvature(length, MODEL), grip)
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 10_000),
@@ -83,12 +89,12 @@ def test_no_change_is_the_initial_sequence(downtown: RoadMap, street: Street, we
 def test_bounds_hold_whatever_is_asked_for(seed: int, speed: float, accel: float, turn: float) -> None:
     changes = 4.0 * torch.rand(5, 1, 6, 2, generator=torch.Generator().manual_seed(seed)) - 2.0
     first = begun(speed, accel)
-    curvature = turn * float(largest_curvature(torch.tensor(speed), torch.tensor(4.6), MODEL))
+    curvature = turn * float(largest_curvature(torch.tensor(speed), torch.tensor(4.6)))
     initial = begun(speed, accel, curvature)
     made = driven(changes, initial, OPTIONS, MODEL)
     assert bool((made.accel >= -MODEL.brake_mps2).all() and (made.accel <= MODEL.accel_mps2).all())
     before = torch.cat((first.pose[None, :, 3:].expand(5, 1, 1), made.speed[..., :-1]), dim=2)
-    limit = largest_curvature(before, torch.tensor([4.6])[None, :, None], MODEL)
+    limit = largest_curvature(before, torch.tensor([4.6])[None, :, None])
     assert bool((made.curvature.abs() <= limit + 1e-6).all())
     jump = torch.diff(made.accel, dim=2, prepend=torch.full((5, 1, 1), accel)).abs()
     assert float(jump.max()) <= OPTIONS.jerk_mps3 * MODEL_STEP_S + 1e-5

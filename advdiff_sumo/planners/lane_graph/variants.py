@@ -22,7 +22,6 @@ from advdiff_sumo.planners.lane_graph.memory import Memory
 from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath
 
 _EDGES_AHEAD = 8
-_BACK_M = 20.0
 _MIN_BLEND_M = 10.0
 _NEAR = (4.5, 1.0)  # m beside the path chosen last, rad across it: still on it
 _SWUNG_WIDE = (10.0, 2.0)  # … after a bend too tight for it, and on its way back

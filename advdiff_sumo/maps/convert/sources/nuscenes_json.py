@@ -23,21 +23,6 @@ OLDEST = (1, 3)
 LANE_LAYERS = ("lane", "lane_connector")
 SMALLEST_EXTENT_M, LONGEST_EXTENTS = 1000.0, 2.0  # no lane is longer than twice the diagonal of the map
 NEEDED = ("polygon", "node", "lane", "lane_connector", "arcline_path_3", "connectivity")
-TABLES = (
-    "polygon",
-    "line",
-    "node",
-    "drivable_area",
-    "road_segment",
-    "lane",
-    "lane_connector",
-    "ped_crossing",
-    "walkway",
-    "carpark_area",
-    "stop_line",
-    "lane_divider",
-    "traffic_light",
-)
 USES = {"CAR": LaneUse.CAR, "BUS": LaneUse.BUS, "BIKE": LaneUse.BICYCLE, "BICYCLE": LaneUse.BICYCLE}
 
 

@@ -107,7 +107,6 @@ def _junction(element: ET.Element) -> Junction:
         foes=foes,
         response=response,
         incoming_lanes=tuple(element.get("incLanes", "").split()),
-        internal_lanes=tuple(element.get("intLanes", "").split()),
     )
 
 

@@ -151,7 +151,6 @@ class Junction:
         foes: request index → requests whose paths cross or merge.
         response: request index → requests that it must yield to.
         incoming_lanes: lanes that end here, and walking areas before a crossing, which `LaneGraph.lanes` has not.
-        internal_lanes: internal lanes in the order of the request index.
     """
 
     id: str
@@ -161,7 +160,6 @@ class Junction:
     foes: Mapping[int, frozenset[int]]
     response: Mapping[int, frozenset[int]]
     incoming_lanes: tuple[str, ...]
-    internal_lanes: tuple[str, ...]
 
     def yields_to(self, link: Link) -> frozenset[int]:
         """Return the requests that who takes *link* must yield to by the net's rows; signals may say otherwise."""

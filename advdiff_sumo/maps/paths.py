@@ -29,7 +29,6 @@ class LaneOutlook:
         offset: lane changes to the nearest lane of its edge that can be followed farthest; positive: to the
             left; 0: stay.
         next_link: the link to take at its end; None at the route's end or when the lane leaves the route.
-        continues: whether it leads on to the next edge (or the route ends on it).
     """
 
     lane_id: str
@@ -37,7 +36,6 @@ class LaneOutlook:
     follow_m: float
     offset: int
     next_link: Link | None
-    continues: bool
 
 
 @dataclass(frozen=True)
@@ -61,8 +59,6 @@ class LanePath:
 
     Attributes:
         lane_ids: lanes in driving order, internal ones included.
-        lane_start_s_m: (len(lane_ids),) where each begins along the path; negative for the first when the
-            path starts on the way.
         line: the joined centre line, from the start position on.
         width_m: (P,) lane width at each point of the line.
         speed_mps: (P,) speed limit.
@@ -74,7 +70,6 @@ class LanePath:
     """
 
     lane_ids: tuple[str, ...]
-    lane_start_s_m: FloatArray
     line: Polyline
     width_m: FloatArray
     speed_mps: FloatArray
@@ -117,11 +112,11 @@ class PathFinder:
     def _outlook(self, lane: Lane, ahead: Mapping[str, LaneOutlook] | None) -> LaneOutlook:
         onward = [link for link in lane.successors if link.to_lane in (ahead or {})]
         if ahead is None or not onward:
-            return LaneOutlook(lane.id, 1, lane.length_m, 0, None, ahead is None)
+            return LaneOutlook(lane.id, 1, lane.length_m, 0, None)
         best = max(onward, key=lambda x: (ahead[x.to_lane].follow_edges, -abs(ahead[x.to_lane].offset)))
         then = ahead[best.to_lane]
         length = lane.length_m + sum(self._lanes[x].length_m for x in best.via) + then.follow_m
-        return LaneOutlook(lane.id, 1 + then.follow_edges, length, 0, best, True)
+        return LaneOutlook(lane.id, 1 + then.follow_edges, length, 0, best)
 
     def _with_offsets(self, bare: Mapping[str, LaneOutlook]) -> dict[str, LaneOutlook]:
         farthest = max((o.follow_edges for o in bare.values()), default=0)
@@ -219,7 +214,6 @@ class PathFinder:
         ]
         return LanePath(
             lane_ids=tuple(lane_ids),
-            lane_start_s_m=starts - begin,
             line=line,
             width_m=np.array([lane.width_m for lane in lanes])[owner],
             speed_mps=np.array([lane.speed_mps for lane in lanes])[owner],

@@ -47,10 +47,6 @@ class Coverage:
         """Share of the combinations that have an episode."""
         return sum(cell.episodes > 0 for cell in self.cells.values()) / len(self.cells) if self.cells else 0.0
 
-    def empty(self) -> list[tuple[str, str, str]]:
-        """Return the combinations without an episode."""
-        return [key for key, cell in self.cells.items() if not cell.episodes]
-
 
 def bands() -> tuple[str, ...]:
     """Return the names of the bands of speed."""

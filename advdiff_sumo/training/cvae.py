@@ -29,13 +29,11 @@ class Encoded:
     Attributes:
         context: h and prior.
         posterior: q(z | τ, h).
-        z: a draw from it.
-        rollout: what that draw leads to.
+        rollout: what a draw from it leads to.
     """
 
     context: Context
     posterior: Gaussian
-    z: Tensor
     rollout: Rollout
 
 
@@ -104,7 +102,7 @@ class TrafficStage:
         z = posterior.sample(generator)
         drawn = context.prior.sample(generator).detach()
         known, free = both(model.decoder, (z, drawn), (context.h, context.h.detach()), batch)
-        encoded = Encoded(context, posterior, z, known)
+        encoded = Encoded(context, posterior, known)
         terms = elbo(encoded, batch, options, share)
         wrong = self._judge(free, batch, self.sampled)
         terms["loss"] = terms["loss"] + options.samples * torch.stack(list(wrong.values())).sum()
@@ -123,7 +121,7 @@ def encode(model: TrafficModel, batch: SceneBatch, generator: torch.Generator) -
     context = model.encoder(batch)
     posterior = model.posterior(batch, context.h)
     z = posterior.sample(generator)
-    return Encoded(context, posterior, z, model.decoder(z, context.h, batch))
+    return Encoded(context, posterior, model.decoder(z, context.h, batch))
 
 
 def elbo(encoded: Encoded, batch: SceneBatch, options: ElboOptions, kl_share: float) -> dict[str, Tensor]:

@@ -145,7 +145,7 @@ def test_the_weight_of_kl_rises_straight() -> None:
 @torch.no_grad()
 def test_kl_of_the_elbo_is_per_vehicle_and_free_nats_are_a_floor(bundle: Bundle, batch: SceneBatch) -> None:
     encoded = encode(bundle.traffic, batch, chance())
-    zero = torch.zeros_like(encoded.z)
+    zero = torch.zeros_like(encoded.posterior.mean)
     shifted = replace(
         encoded,
         posterior=Gaussian(zero + 2.0, zero),

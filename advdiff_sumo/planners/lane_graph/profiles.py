@@ -30,36 +30,25 @@ class Modes:
         share: (C,) desired speed over the path's.
         stop_m: (C,) where the front must stop, inf for nowhere.
         brake_mps2: (C,) constant deceleration in place of IDM; 0 for IDM.
-        yielding: (C,) index of the waiting place that it stops at, −1 for going on.
     """
 
     variant: IntArray
     share: FloatArray
     stop_m: FloatArray
     brake_mps2: FloatArray
-    yielding: IntArray
 
 
 def modes(variants: Sequence[Variant], duties: Sequence[Duties], options: LaneGraphOptions) -> Modes:
     """Return the combinations worth trying: all speeds in the lane, fewer beside it."""
-    rows: list[tuple[int, float, float, float, int]] = []
+    rows: list[tuple[int, float, float, float]] = []
     for v, (variant, duty) in enumerate(zip(variants, duties, strict=True)):
         plain = variant.side == 0 and variant.target_m == 0.0
         shares = _SHARES if plain else (_SHARES[0], _SHARES[2])
-        rows += [(v, share, duty.stop_m, 0.0, -1) for share in shares]
-        for i, place in enumerate(duty.yield_m):
-            if place < duty.stop_m:
-                rows.append((v, 1.0, place, 0.0, i))
+        rows += [(v, share, duty.stop_m, 0.0) for share in shares]
+        rows += [(v, 1.0, place, 0.0) for place in duty.yield_m if place < duty.stop_m]
         if plain:
-            rows += [(v, 1.0, duty.stop_m, brake, -1) for brake in (2.0, 4.0, options.brake_mps2)]
-    columns = list(zip(*rows, strict=True))
-    return Modes(
-        np.array(columns[0]),
-        np.array(columns[1]),
-        np.array(columns[2]),
-        np.array(columns[3]),
-        np.array(columns[4]),
-    )
+            rows += [(v, 1.0, duty.stop_m, brake) for brake in (2.0, 4.0, options.brake_mps2)]
+    return Modes(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 @dataclass(frozen=True)

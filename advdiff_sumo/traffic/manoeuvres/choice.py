@@ -48,15 +48,13 @@ class Chosen:
         manoeuvre: what.
         futures: of it alone, C = 1.
         needed_mps2: braking of the target that it needs.
-        worth: how well it serves.
-        merit: the same, however much its kind is wanted.
+        merit: how well it serves, however much its kind is wanted.
         features: of the encounter, see ``encounter_features``; () where none is preferred.
     """
 
     manoeuvre: Manoeuvre
     futures: ManoeuvreFutures
     needed_mps2: float
-    worth: float
     merit: float = 1.0
     features: tuple[float, ...] = ()
 
@@ -104,7 +102,6 @@ def rank(
             proposals[k],
             _rows(futures, np.array([k])),
             float(needed[k]),
-            float(worth[k]),
             float(merit[k]),
             features[k],
         )

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, Self
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
+
+from advdiff_sumo.cli.terminal import progress_bar, terminal
 
 
 class Progress:
@@ -22,14 +22,7 @@ class Progress:
         if wanted and in_notebook():
             self._html = _display(self._line())
         elif wanted and sys.stderr.isatty():
-            console = Console(stderr=True)
-            columns = (
-                TextColumn("{task.description}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeRemainingColumn(),
-            )
-            self._bar = Bar(*columns, console=console, transient=True)
+            self._bar = progress_bar(terminal(stderr=True), transient=True)
 
     def __enter__(self) -> Self:
         if self._bar is not None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from networks_src.plain import Node, Plan
-from networks_src.roundabout import Roundabout, lay_roundabout
-from networks_src.streets import Street, lay
-from networks_src.turns import connect
+from networks_src.district import lay_district
+from networks_src.plain import Plan
+from networks_src.roundabout import Roundabout
+from networks_src.streets import Street
 
 JUNCTIONS: dict[str, tuple[float, float]] = {
     "A1": (0, 0), "B1": (104, -4), "C1": (222, -6), "D1": (346, 0), "E1": (468, 8), "F1": (590, 12),
@@ -20,9 +20,11 @@ JUNCTIONS: dict[str, tuple[float, float]] = {
     "F5": (590, 404), "G5": (708, 402),
     "B6": (104, 500), "C6": (222, 504), "D6": (356, 500), "E6": (476, 492), "F6": (592, 494),
 }  # fmt: skip
-SIGNALS = ("A3", "B3", "C3", "D3", "F3", "H3", "B1", "C1", "D1", "D2", "D4", "B5", "C5", "D5")
-ALL_WAY_STOP = ("F2",)
-RIGHT_BEFORE_LEFT = ("E2", "G2", "M4", "B6")
+KINDS = {
+    "traffic_light": ("A3", "B3", "C3", "D3", "F3", "H3", "B1", "C1", "D1", "D2", "D4", "B5", "C5", "D5"),
+    "allway_stop": ("F2",),
+    "right_before_left": ("E2", "G2", "M4", "B6"),
+}
 FRINGE: dict[str, tuple[float, float]] = {
     "W1": (-150, 6), "W3": (-190, 178), "W5": (-150, 392), "E1f": (860, -6), "H3f": (990, 222),
     "G5f": (860, 392),
@@ -84,13 +86,4 @@ ARMS = ("E4", "G4", "F3", "F5")
 
 def plan() -> Plan:
     """Lay out the district."""
-    district = Plan("downtown")
-    kinds = dict.fromkeys(SIGNALS, "traffic_light") | dict.fromkeys(ALL_WAY_STOP, "allway_stop")
-    kinds |= dict.fromkeys(RIGHT_BEFORE_LEFT, "right_before_left")
-    for name, xy in (JUNCTIONS | FRINGE).items():
-        district.add_node(Node(name, xy, kinds.get(name, "priority")))
-    for street in STREETS:
-        lay(district, street)
-    lay_roundabout(district, RING, ARMS)
-    connect(district)
-    return district
+    return lay_district(Plan("downtown"), JUNCTIONS | FRINGE, KINDS, STREETS, RING, ARMS)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from networks_src.plain import Node, Plan
-from networks_src.roundabout import Roundabout, lay_roundabout
-from networks_src.streets import Street, lay
-from networks_src.turns import connect
+from networks_src.district import lay_district
+from networks_src.plain import Plan
+from networks_src.roundabout import Roundabout
+from networks_src.streets import Street
 
 JUNCTIONS: dict[str, tuple[float, float]] = {
     "P1": (0, 4), "P2": (-6, 90), "P3": (-8, 184), "P4": (-2, 290), "P5": (4, 384), "P6": (2, 470),
@@ -20,9 +20,11 @@ JUNCTIONS: dict[str, tuple[float, float]] = {
     "U2": (604, 96), "U3": (604, 188), "U4": (602, 288), "U5": (606, 382), "U6": (608, 476), "U7": (604, 566),
     "V4": (700, 280),
 }  # fmt: skip
-SIGNALS = ("R1", "R2", "R3", "R4", "R5", "R7", "S1", "S2", "S3", "S4", "P4", "U4")
-ALL_WAY_STOP = ("T6",)
-RIGHT_BEFORE_LEFT = ("Q5", "K5", "T5", "Q6")
+KINDS = {
+    "traffic_light": ("R1", "R2", "R3", "R4", "R5", "R7", "S1", "S2", "S3", "S4", "P4", "U4"),
+    "allway_stop": ("T6",),
+    "right_before_left": ("Q5", "K5", "T5", "Q6"),
+}
 FRINGE: dict[str, tuple[float, float]] = {
     "S_R": (258, -190), "S_S": (362, -130), "N_R": (258, 740), "N_S": (376, 700), "W1": (-140, 12),
     "W2": (-150, 86), "W3": (-150, 190), "W4": (-180, 276), "E2": (740, 90), "E3": (745, 196), "E4": (780, 276),
@@ -77,13 +79,4 @@ STREETS = (
 
 def plan() -> Plan:
     """Lay out the district."""
-    district = Plan("downtown-left", lefthand=True)
-    kinds = dict.fromkeys(SIGNALS, "traffic_light") | dict.fromkeys(ALL_WAY_STOP, "allway_stop")
-    kinds |= dict.fromkeys(RIGHT_BEFORE_LEFT, "right_before_left")
-    for name, xy in (JUNCTIONS | FRINGE).items():
-        district.add_node(Node(name, xy, kinds.get(name, "priority")))
-    for street in STREETS:
-        lay(district, street)
-    lay_roundabout(district, RING, ARMS)
-    connect(district)
-    return district
+    return lay_district(Plan("downtown-left", lefthand=True), JUNCTIONS | FRINGE, KINDS, STREETS, RING, ARMS)

@@ -8,13 +8,13 @@ of folders of ``bench defects``.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import re
 import sys
 from pathlib import Path
 
+from write_outputs_doc import write_or_check
 from write_results import PROVENANCE, TABLES, read_selection, tables_of
 
 from advdiff_sumo.experiments.bench.bench_rows import policy_row
@@ -129,19 +129,7 @@ def _cell_text(line: dict[str, str] | None, detected: bool) -> str:
 
 def main() -> int:
     """Write the page, or with ``--check`` return 1 when it is not up to date."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--check", action="store_true", help="write nothing")
-    check = parser.parse_args().check
-    before = PAGE.read_text(encoding="utf-8")
-    after = filled(before)
-    if check and after != before:
-        print(f"{PAGE.name} is behind the code or docs/tables: run tools/write_defects_doc.py")
-        return 1
-    if not check:
-        PAGE.write_text(after, encoding="utf-8")
-    return 0
+    return write_or_check(PAGE, filled, __doc__, "the code or docs/tables")
 
 
 if __name__ == "__main__":

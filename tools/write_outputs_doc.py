@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import takewhile
 from pathlib import Path
 
@@ -72,19 +72,24 @@ def filled(page: str) -> str:
     return _PLACE.sub(lambda place: place[1] + tables[place[2]] + place[3], page)
 
 
-def main() -> int:
-    """Write the page, or with ``--check`` return 1 when it is not up to date."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def write_or_check(page: Path, fill: Callable[[str], str], about: str | None, source: str) -> int:
+    """Write *page* as *fill* makes it out of *source*, or with ``--check`` return 1 when it is not up to date."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing")
     check = parser.parse_args().check
-    before = PAGE.read_text(encoding="utf-8")
-    after = filled(before)
+    before = page.read_text(encoding="utf-8")
+    after = fill(before)
     if check and after != before:
-        print(f"{PAGE.name} is behind the code: run tools/write_outputs_doc.py")
+        print(f"{page.name} is behind {source}: run tools/{Path(sys.argv[0]).name}")
         return 1
     if not check:
-        PAGE.write_text(after, encoding="utf-8")
+        page.write_text(after, encoding="utf-8")
     return 0
+
+
+def main() -> int:
+    """Write the page, or with ``--check`` return 1 when it is not up to date."""
+    return write_or_check(PAGE, filled, __doc__, "the code")
 
 
 if __name__ == "__main__":

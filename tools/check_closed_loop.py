@@ -17,14 +17,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from reference_src.agreement import cohens_kappa
+from reference_src.reference_rerun import ClosedLoop, Driver, close_loop
 
 from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.core.errors import AdvdiffError, InputError
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.experiments.judge_folder import EpisodeTables, open_folder
-from advdiff_sumo.experiments.reference_rerun import ClosedLoop, Driver, close_loop
-from advdiff_sumo.metrics.statistics import cohens_kappa
 from advdiff_sumo.sweep.job_plan import Job, Plan, plan_sweep
 from advdiff_sumo.sweep.repeat import episode_again, of_run
 from advdiff_sumo.sweep.sweep_store import Store

@@ -17,11 +17,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from reference_src.r157_scenarios import car_following, cut_in, cut_out
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.errors import InputError
 from advdiff_sumo.metrics.reference.driver_models import MODELS, DriverModel
-from advdiff_sumo.metrics.reference.r157_scenarios import car_following, cut_in, cut_out
 
 LEAST_AGREEMENT = 0.995
 _KMH = 1.0 / 3.6

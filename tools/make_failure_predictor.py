@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from failure_prior import fit_prior
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.threads import one_thread_for_good
@@ -25,7 +26,6 @@ from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.sim.run_episodes import RunOptions, git_revision
 from advdiff_sumo.traffic.manoeuvres.encounter_features import FEATURES
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
-from advdiff_sumo.training.failure_prior import fit_prior
 
 SOUND = ("lane_graph", "careful")
 DEFECTS = (

@@ -1,7 +1,7 @@
 """Probability that a planner fails validly in an encounter: logistic regression with a Gaussian belief about it.
 
 Planners share a Gaussian prior over the coefficients of the regression, which has been estimated on planted defects
-(``training.failure_prior``). What one planner did in a few encounters moves its own coefficients alone (Laplace
+(``tools/failure_prior.py``). What one planner did in a few encounters moves its own coefficients alone (Laplace
 approximation, Bishop 2006, Sec. 4.5): the prior keeps all that these encounters say nothing about.
 """
 

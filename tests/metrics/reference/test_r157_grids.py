@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.metrics.reference.driver_models import FSM, HUMAN, REGULATION, RSS
-from advdiff_sumo.metrics.reference.r157_scenarios import car_following, cut_in, cut_out
 
 TOOL = Path(__file__).resolve().parents[3] / "tools" / "check_reference_drivers.py"
+sys.path.insert(0, str(TOOL.parent))
+
+from reference_src.r157_scenarios import car_following, cut_in, cut_out  # noqa: E402 - the tools are no package
 
 
 def check(*arguments: str | Path) -> subprocess.CompletedProcess[str]:

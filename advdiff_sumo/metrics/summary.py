@@ -33,7 +33,9 @@ from advdiff_sumo.metrics.offroad import (
 )
 from advdiff_sumo.metrics.progress import Progress, progress
 from advdiff_sumo.metrics.verdict import Verdict, judge
-from advdiff_sumo.metrics.visibility import attacker_visible
+
+#: The attacker counts as seen when it was perceived at any instant this long before the contact.
+SEEN_WITHIN_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -196,3 +198,18 @@ def _criticality(
         drac_mps2=None if np.isnan(drac).all() else float(np.nanmax(drac)),
         clearance=clearance,
     )
+
+
+def attacker_visible(record: EpisodeRecord, collision: Collision) -> bool | None:
+    """Return whether the target's model perceived its partner in the second before the contact.
+
+    SUMO's models see leaders, junction foes and neighbours only; a collision with anything else shows a limit
+    of the lane model, not of the planner. None when a Python planner drove, which sees everything, or when
+    the target takes no part.
+    """
+    if record.visible is None or collision.rows[0] != record.target:
+        return None
+    name = record.tracks.ids[collision.rows[1]]
+    count = round(SEEN_WITHIN_S / record.tracks.dt_s)
+    first = max(0, collision.step + 1 - count)
+    return any(name in names for names in record.visible[first : collision.step + 1])

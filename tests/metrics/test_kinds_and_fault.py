@@ -16,8 +16,7 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.offroad import background_off_road, target_leaves_road
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
-from advdiff_sumo.metrics.summary import judged, summarise
-from advdiff_sumo.metrics.visibility import attacker_visible
+from advdiff_sumo.metrics.summary import attacker_visible, judged, summarise
 
 NORTH = math.pi / 2
 

@@ -27,10 +27,9 @@ from advdiff_sumo.traffic.planning.following_gap import keep_back
 from advdiff_sumo.traffic.planning.futures import Futures, standing
 from advdiff_sumo.traffic.planning.lane_following import follow
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
-from advdiff_sumo.traffic.planning.oncoming import drives_against
 from advdiff_sumo.traffic.planning.people import PEOPLE_SIDE_M
 from advdiff_sumo.traffic.planning.right_of_way import right_of_way
-from advdiff_sumo.traffic.planning.road_bound import leaves_road
+from advdiff_sumo.traffic.planning.road_bound import drives_against, leaves_road
 from advdiff_sumo.traffic.planning.speed_bound import bound_speeds
 
 _FAR_M = 55.0

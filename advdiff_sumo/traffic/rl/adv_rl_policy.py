@@ -7,18 +7,43 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from pydantic import Field
 
+from advdiff_sumo.config import Options
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.shipped_weights import shipped_weights
+from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.rl.actor import Actor, load_actor
-from advdiff_sumo.traffic.rl.adv_rl_options import AdvRlOptions
 from advdiff_sumo.traffic.rl.prior import Prior, load_prior
 from advdiff_sumo.traffic.rl.rl_situation import joint_plan, situation
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
+
+
+class AdvRlOptions(Options):
+    """Options of ``adv-rl``.
+
+    Attributes:
+        weights: an actor of ``advdiff-sumo train-rl``; empty: the shipped one.
+        prior_weights: networks of the behaviour model, of the kind that the actor names; empty: the shipped ones.
+        strength: share of the actor's deviation from the behaviour model that is driven; 0 is the behaviour model.
+        attackers: most vehicles that the actor drives at a time; it was trained as one.
+        licence: what attackers may do, as of ``diffusion``: "lawful", "careless", or "reckless", as published.
+    """
+
+    weights: str = ""
+    prior_weights: str = ""
+    strength: float = Field(1.0, ge=0.0, le=1.0)
+    attackers: int = Field(2, ge=1, le=8)
+    licence: LicenceName = "lawful"
+
+    @property
+    def most(self) -> int:
+        """Most attackers at a time; none where they do not deviate, but a licence would refuse plans of theirs."""
+        return self.attackers if self.strength > 0.0 or self.licence == "reckless" else 0
 
 
 @dataclass(frozen=True)

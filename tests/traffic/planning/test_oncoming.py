@@ -9,7 +9,7 @@ import pytest
 
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Lane
-from advdiff_sumo.traffic.planning.oncoming import OVER_M, drives_against, over_line_m
+from advdiff_sumo.traffic.planning.road_bound import OVER_M, drives_against, over_line_m
 from tests.sim import nets
 from tests.traffic.planning.test_safeguard import guarded, lane, on
 

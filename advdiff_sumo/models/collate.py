@@ -8,7 +8,9 @@ from typing import Any, TypeAlias
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 
+from advdiff_sumo.config import Options
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.window_files import WindowFile
@@ -20,8 +22,7 @@ _SIGNALS = 3  # red, yellow, green
 _EDGE, _TURN = 4, 6  # columns of ``maps.vector_map.Feature``
 
 
-@dataclass(frozen=True)
-class Jitter:
+class Jitter(Options):
     """Augmentation: vehicles are put a little beside their true state, and still shall do what they did.
 
     So the model learns to come back to its lane from where its own errors lead. Mirrored scenes make as much of
@@ -35,11 +36,11 @@ class Jitter:
         mirror: share of the scenes whose left and right are exchanged.
     """
 
-    share: float = 0.4
-    lateral_m: float = 0.3
-    yaw_rad: float = 0.04
-    speed_mps: float = 0.4
-    mirror: float = 0.0
+    share: float = Field(0.4, ge=0.0, le=1.0)
+    lateral_m: float = Field(0.3, ge=0.0)
+    yaw_rad: float = Field(0.04, ge=0.0)
+    speed_mps: float = Field(0.4, ge=0.0)
+    mirror: float = Field(0.0, ge=0.0, le=1.0)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from advdiff_sumo.config import Options, set_dotted
 from advdiff_sumo.core.errors import UnknownNameError
 from advdiff_sumo.models.codec import CodecName
+from advdiff_sumo.models.collate import Jitter
 from advdiff_sumo.models.model_options import FUTURE_STEPS, ModelOptions
 from advdiff_sumo.training.learning_rates import ScheduleName
 
@@ -167,16 +168,6 @@ class DenoiserOptions(Options):
     sampling_steps: int = Field(5, ge=1, le=1000)
 
 
-class JitterOptions(Options):
-    """How far vehicles are put beside their true state, see ``models.collate.Jitter``."""
-
-    share: float = Field(0.4, ge=0.0, le=1.0)
-    lateral_m: float = Field(0.3, ge=0.0)
-    yaw_rad: float = Field(0.04, ge=0.0)
-    speed_mps: float = Field(0.4, ge=0.0)
-    mirror: float = Field(0.0, ge=0.0, le=1.0)
-
-
 class TrainOptions(Options):
     """Options of one stage's training.
 
@@ -226,7 +217,7 @@ class TrainOptions(Options):
     noise_schedule: Literal["cosine", "linear"] = "cosine"
     scale_windows: int = Field(2048, ge=1)
     model: ModelOptions = ModelOptions()
-    jitter: JitterOptions = JitterOptions()
+    jitter: Jitter = Jitter()
     elbo: ElboOptions = ElboOptions()
     collision: CollisionOptions = CollisionOptions()
     reward: RewardOptions = RewardOptions()

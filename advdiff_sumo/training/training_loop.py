@@ -303,11 +303,7 @@ def held_out_batches(windows: WindowSet, options: TrainOptions) -> Iterator[IntA
 
 
 def _jitter(options: TrainOptions) -> Jitter | None:
-    return (
-        Jitter(**options.jitter.model_dump())
-        if options.jitter.share > 0.0 or options.jitter.mirror > 0.0
-        else None
-    )
+    return options.jitter if options.jitter.share > 0.0 or options.jitter.mirror > 0.0 else None
 
 
 def _finite(terms: dict[str, Tensor], progress: Progress) -> None:

@@ -98,6 +98,8 @@ class Episode(EpisodeSetup):
                     EndReason.FAILED,
                     Failure(error.kind, str(error), loop.time_s, _trace(error)),
                 )
+                if not loop.recorder.frames:
+                    return self._unstarted(failure), Timing(time.perf_counter() - begun)
             record = loop.record(end, failure)
             loop.leave(record)
         self.heartbeat.note(Phase.OTHER)
@@ -107,7 +109,7 @@ class Episode(EpisodeSetup):
         return record, timing
 
     def _unstarted(self, failure: Failure) -> EpisodeRecord:
-        """Return the record of an episode that failed before its first step: its seed scene."""
+        """Return the record of an episode that failed before its first instant: its seed scene."""
         history = self.scene.history
         tracks = replace(history.window(history.steps - 1, history.steps), t0_s=0.0, dt_s=self.sim.step_s)
         return EpisodeRecord(

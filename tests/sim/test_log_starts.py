@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,15 +11,19 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.record import EndReason
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.log_reader import LogScene
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.metric_rows import episode_row
 from advdiff_sumo.sim.logs import LoggedTraffic
 from advdiff_sumo.sim.run_episodes import RunOptions, left_out
 from advdiff_sumo.sim.seed_scene import PlacedTraffic
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from tests.sim import nets
+from tests.sim.scenes import episode
 
 STEP_S, STEPS, WAITS_S, SPEED_MPS = 0.5, 41, 8.0, 8.0
 
@@ -176,3 +181,22 @@ def test_who_stands_from_the_start_on_as_long_as_it_is_logged_stays_put(street: 
         driven[scene.name] = bool(scene.start.drivable[scene.log.index["parks"]])
     assert driven["drive-004"]
     assert not driven["drive-020"]
+
+
+@pytest.mark.parametrize("target", ["IDM", "lane_graph"])
+def test_a_target_that_sumo_refuses_fails_with_its_seed_scene_for_a_record(
+    street: Path, tmp_path: Path, target: str
+) -> None:
+    """The net has been changed since: all its lanes are for buses, and the ego, a car, finds none."""
+    scene = next(source(street, SPEED_MPS).scenes())
+    edges = re.sub(r'(id="[A-Z]+"[^/]*)/', r'\1 allow="bus"/', nets.STREET[1])
+    net = nets.build(tmp_path, nets.STREET[0], edges, name="buses")
+    road = RoadMap.read(net)
+    record, _ = episode(replace(scene, net=net), road, target).run()
+    assert record.end == EndReason.FAILED
+    assert record.failure is not None
+    assert (record.failure.kind, record.failure.time_s) == ("not_inserted", 0.0)
+    assert record.failure.message.startswith("no lane of")
+    assert (record.tracks.steps, record.tracks.ids[record.target]) == (1, scene.target)
+    np.testing.assert_array_equal(record.tracks.xy_m[:, 0], scene.history.xy_m[:, -1])
+    assert episode_row(record, road)["failure_kind"] == "not_inserted"

@@ -23,7 +23,8 @@ class Following:
     """Gaps of the target to each agent ahead of it in its lane, A agents, T instants.
 
     Attributes:
-        gap_m: (A, T) bumper to bumper along the lane; NaN for agents that are not ahead in its lane.
+        gap_m: (A, T) bumper to bumper along the lane; NaN for agents whose centres are not ahead in its lane,
+            negative side by side.
         closing_mps: (A, T) target's speed along the lane minus the other's.
     """
 
@@ -32,9 +33,8 @@ class Following:
 
     def time_to_collision(self) -> FloatArray:
         """Return (A, T) gap / closing speed in s (Hayward 1972); inf when not closing, NaN when not ahead."""
-        closing = np.where(self.closing_mps > 0.0, self.closing_mps, np.nan)
-        seconds = np.maximum(self.gap_m, 0.0) / closing
-        return np.where(np.isnan(closing) & ~np.isnan(self.gap_m), np.inf, seconds)
+        closing, gap = np.where(self.closing_mps > 0.0, self.closing_mps, np.nan), self._ahead_m()
+        return np.where(np.isnan(closing) & ~np.isnan(gap), np.inf, gap / closing)
 
     def deceleration_to_avoid(self) -> FloatArray:
         """Return (A, T) DRAC in m/s²: closing speed² / (2 gap); 0 when not closing, NaN when not ahead.
@@ -44,7 +44,11 @@ class Following:
         as 1 cm, so that the value stays finite up to the contact.
         """
         closing = np.maximum(self.closing_mps, 0.0)
-        return np.asarray(closing**2 / (2.0 * np.maximum(self.gap_m, 0.01)))
+        return np.asarray(closing**2 / (2.0 * np.maximum(self._ahead_m(), 0.01)))
+
+    def _ahead_m(self) -> FloatArray:
+        """Return (A, T) gaps; NaN side by side, too, where two fit into a lane and no braking is asked for."""
+        return np.where(self.gap_m >= 0.0, self.gap_m, np.nan)
 
 
 def following(tracks: Tracks, target: int, road: RoadMap, route: Sequence[str]) -> Following:

@@ -14,6 +14,7 @@ from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, clearances, least, time_to_collision
 from advdiff_sumo.metrics.encroachment import post_encroachment
 from advdiff_sumo.metrics.following import following
+from advdiff_sumo.metrics.metric_rows import episode_row
 
 
 def test_ttc_of_two_seconds(straight, record_of) -> None:
@@ -81,6 +82,31 @@ def test_who_comes_against_the_lane_closes_in_by_both_speeds(straight, record_of
     assert ahead.closing_mps[1, 0] == pytest.approx(20.0)
     assert ahead.time_to_collision()[1, 0] == pytest.approx(2.4)  # 52 - 4 = 48 m at 20 m/s
     assert ahead.deceleration_to_avoid()[1, 0] == pytest.approx(400.0 / 96.0)
+
+
+def test_who_is_passed_within_the_lane_is_ahead_until_the_bumpers_meet(straight, record_of, road) -> None:
+    """A motorcycle at the lane's edge, 0.4 m clear to the side; DRAC was 800 m/s² beside it, the lane TTC 0."""
+    car = straight("ego", (-150, -2.2), 0, 12, size=(4.0, 1.8))  # from y = -3.1 to -1.3
+    slow = straight("motorcycle", (-140, -0.5), 0, 8, size=(2.0, 0.8))  # up from y = -0.9
+    record = record_of(car, slow)
+    ahead = following(record.tracks, 0, road, record.route)
+    seconds, drac = ahead.time_to_collision()[1], ahead.deceleration_to_avoid()[1]
+    assert seconds[:18] == pytest.approx((7.0 - 0.4 * np.arange(18)) / 4.0)  # 7 m at first, 0.2 m at 1.7 s
+    assert drac[17] == pytest.approx(16.0 / 0.4)
+    assert np.isnan(seconds[18:]).all()
+    assert np.isnan(drac[18:]).all()
+    row = episode_row(record, road)
+    assert row["min_lane_ttc_s"] == pytest.approx(0.05)
+    assert (row["min_ttc_s"], row["max_drac_mps2"]) == (None, pytest.approx(40.0))
+
+
+def test_up_to_a_contact_from_behind_the_gap_goes_down_to_nothing(straight, record_of, road) -> None:
+    """8 m at 4 m/s: contact at 2.0 s, and 0.4 m at 4 m/s an instant before."""
+    ego, lead = straight("ego", (-150, -1.6), 0, 12), straight("lead", (-138, -1.6), 0, 8)
+    row = episode_row(record_of(ego, lead), road)
+    assert row["collision_time_s"] == pytest.approx(2.0)
+    assert row["min_lane_ttc_s"] == pytest.approx(0.1)
+    assert row["max_drac_mps2"] == pytest.approx(16.0 / 0.8)
 
 
 def test_pet_of_a_crossing_of_one_and_a_half_seconds(straight, record_of) -> None:

@@ -44,7 +44,7 @@ class Trace:
         ttc: the same of the least time to collision with another background vehicle; the last bin is none in 10 s.
         nats: sum of the bounds on log-likelihoods, see :mod:`likelihood`.
         seconds: vehicle-seconds that they are of; 0 where they were not asked for.
-        solvable: where the target collided and it was asked for, whether it could have driven otherwise, see
+        solvable: where the target hit somebody and it was asked for, whether it could have driven otherwise, see
             ``experiments.solution``.
     """
 
@@ -114,6 +114,8 @@ def _trace(part: StoredEpisode, road: RoadMap, judged: bool) -> bytes:
 def _solvable(part: StoredEpisode, road: RoadMap) -> bool | None:
     """Return whether the target could have avoided its collision; None where it left the road or nobody can say."""
     (row,) = part.tables["episodes"].to_pylist()
+    if row["collision_partner"] is None:
+        return None
     record = stored_record(part.tables["states"], row)
     try:
         return None if record is None else solvable(record, road)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,9 +13,15 @@ from advdiff_sumo.experiments.bench.episode_results import EpisodeResult
 from advdiff_sumo.experiments.bench.likelihood import natural_nats
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
 from advdiff_sumo.experiments.bench.statistics import estimate
-from advdiff_sumo.experiments.bench.traces import Trace, at_model_step, histograms, near_target
+from advdiff_sumo.experiments.bench.traces import Trace, _solvable, at_model_step, histograms, near_target
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net
+from advdiff_sumo.metrics.collision import collisions, target_collision
+from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
+from advdiff_sumo.sim.episode import Timing
+from advdiff_sumo.sim.run_store import episode_tables
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
+from tests.metrics.encounters import crossing, record_of, straight
 
 STEPS = 41
 
@@ -66,6 +74,18 @@ def test_histograms_by_hand() -> None:
 def test_a_trace_survives_being_stored() -> None:
     trace = Trace(3, 1, None, (1, 2), (3,), (4, 5), -7.25, 12.5, True)
     assert Trace.from_bytes(trace.to_bytes()) == trace
+
+
+def test_solvable_is_asked_of_the_contact_that_counts(tmp_path: Path) -> None:
+    """Its middle is off the road from y = -6.4 on: that counts, and whom it hits later is not asked about."""
+    road = crossing(tmp_path, "priority")
+    still = straight("still", (-120.5, -11.0), 0.0, 0.0)
+    record = record_of(straight("ego", (-150, -4.8), -0.2, 10.0), still)
+    assert target_collision(record, collisions(record)) is not None
+    row = episode_row(record, road)
+    assert (row["target_collision"], row["collision_partner"]) == (True, None)
+    tables = episode_tables(record, row, collision_rows(record, road), Timing(1.0, (), ()))
+    assert _solvable(StoredEpisode(tables, None), road) is None
 
 
 def seen(scene: str, hit: bool, trace: Trace, **row: object) -> EpisodeResult:

@@ -83,6 +83,15 @@ def test_a_reversing_car_is_told_once(road) -> None:
     assert told(record_of(crept), road) == []
 
 
+@pytest.mark.parametrize("begins", [2, 6, 7, 10, 14])
+def test_reversing_counts_whenever_it_begins(road, begins) -> None:
+    """0.35 m/s for 0.6 s: 0.21 m at the last of six instants, whether or not a whole second begins among them."""
+    speed = np.zeros(41)
+    speed[begins : begins + 6] = -0.35
+    record = record_of(driven("ego", (-50, -1.6), 0, speed))
+    assert told(record, road) == [("reversing", round(0.1 * (begins + 5), 1))]
+
+
 @pytest.mark.parametrize("seconds", [1.0, 4.0])
 def test_the_wrong_side_counts_after_a_while(road, seconds) -> None:
     """Over on the lane of the opposite direction at y = 1.6, from 1 s on, for *seconds*."""

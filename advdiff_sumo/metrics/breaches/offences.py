@@ -12,7 +12,7 @@ from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
-from advdiff_sumo.metrics.breaches.conduct_rules import drove_backwards, drove_too_fast
+from advdiff_sumo.metrics.breaches.conduct_rules import REVERSING_MPS, drove_backwards, drove_too_fast
 from advdiff_sumo.metrics.breaches.giving_way import not_given_way
 from advdiff_sumo.metrics.breaches.junction_rules import ON_RED, ran_red
 from advdiff_sumo.metrics.breaches.lane_rules import on_opposite_lane
@@ -67,10 +67,11 @@ def _red_lights(view: TrafficView, row: int) -> Iterator[Breach]:
 
 
 def _speed_and_direction(view: TrafficView, row: int) -> Iterator[Breach]:
-    """Yield the greatest excess of the limit, and the first second in which it drove backwards."""
+    """Yield the greatest excess of the limit, and the first instant at which it reverses by the rule of contacts."""
     stop, second = view.tracks.steps, view.steps(1.0)
     too_fast = drove_too_fast(view, row, 0, stop)
-    backwards = (drove_backwards(view, row, k, min(k + second, stop)) for k in range(0, stop, second))
+    back = np.flatnonzero(view.tracks.speed_mps[row] < -REVERSING_MPS).tolist()
+    backwards = (drove_backwards(view, row, max(0, k - second), k + 1) for k in back)
     for one in (too_fast, next((one for one in backwards if one is not None), None)):
         if one is not None:
             yield one

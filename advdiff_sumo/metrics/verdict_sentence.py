@@ -84,14 +84,18 @@ def _driver(met: Encounter, drive: ReferenceDrive | None, preventable_by: Sequen
 def _stands_at_contact(drive: ReferenceDrive) -> bool:
     if drive.contact_step is None:
         return False
-    return bool(abs(drive.states.speed_mps[drive.contact_step - drive.takeover_step]) <= _STANDING_MPS)
+    return _stands(drive, drive.contact_step - drive.takeover_step)
+
+
+def _stands(drive: ReferenceDrive, at: int) -> bool:
+    return bool(abs(drive.states.speed_mps[at]) <= _STANDING_MPS)
 
 
 def _braking(met: Encounter, drive: ReferenceDrive) -> str:
     """Return when the driver brakes, as part of a sentence."""
     at = np.flatnonzero(drive.accel_mps2 < -_BRAKING_MPS2)
     if not at.size:
-        return "who keeps the speed "
+        return "who stands still " if _stands(drive, 0) else "who keeps the speed "
     before = met.collision.step + met.collision.fraction - drive.takeover_step - float(at[0])
     seconds = before * drive.states.dt_s
     if seconds < 0.05:
@@ -100,7 +104,7 @@ def _braking(met: Encounter, drive: ReferenceDrive) -> str:
 
 
 def _outcome(drive: ReferenceDrive) -> str:
-    stops = bool(abs(drive.states.speed_mps[-1]) <= _STANDING_MPS)
+    stops = _stands(drive, -1) and not _stands(drive, 0)
     if not np.isfinite(drive.spare_m):
         return "stays clear"
     if drive.spare_m <= 0.0:

@@ -68,7 +68,21 @@ def test_rear_ended_while_standing(road) -> None:
     assert not result.valid_failure
     assert [str(x.kind) for x in result.other_breaches] == ["ran_into"]
     assert result.target_breaches == ()
-    assert "is run into at 12.0 m/s; 'fast' ran into the target, which stood" in result.sentence
+    assert result.sentence == (
+        "Even a careful and competent driver who stands still is run into at 12.0 m/s; "
+        "'fast' ran into the target, which stood."
+    )
+
+
+def test_who_stands_where_the_target_set_off_stays_clear(road) -> None:
+    """Bumper to bumper 0.5 m, from -58 to -57.5; the target gains 2 m/s² from 2 s on."""
+    ego = driven("ego", (-60, -4.8), 0, np.maximum(0.0, 0.2 * np.arange(-20, 41)))
+    ahead = straight("ahead", (-55.5, -4.8), 0, 0, steps=61)
+    result = verdict(record_of(ego, ahead), road)
+    assert result.valid_failure
+    assert result.sentence.startswith(
+        "A careful and competent driver who stands still stays 0.5 m clear; 'ahead' broke no rule"
+    )
 
 
 def test_red_light_runner_seen_from_both_sides(light_road) -> None:

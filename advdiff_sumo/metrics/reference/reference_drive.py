@@ -350,7 +350,7 @@ def _last_safe(safe: BoolArray, spell: int) -> int:
     """Return the last safe instant, of a stretch of at least *spell* ones unless it begins at the first; else 0."""
     at = len(safe) - 1
     while at >= 0:
-        if safe[at] and (at < spell or safe[at - spell + 1 : at + 1].all()):
+        if safe[at] and safe[max(0, at - spell + 1) : at + 1].all():
             return at
         at -= 1
     return 0

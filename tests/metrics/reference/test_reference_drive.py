@@ -124,6 +124,22 @@ def test_a_late_look_back_takes_over_later(straight, record_of, road) -> None:
     assert drives(record, road, lookback_s=1)["CC_human_driver"].contact_step is not None
 
 
+def test_a_moment_is_safe_where_it_lasts_or_is_the_first(straight, road, record_of) -> None:
+    """Who is hit at 8.3 s is in sight throughout but for some instants: two, from 7.4 s on, are no 0.3 s of safety."""
+    ego = straight("ego", (-190, -4.8), 0, 15, steps=90)
+
+    def takeover(*unseen: int) -> int:
+        still = straight("still", (-60.5, -4.8), 0, 0, steps=90)
+        still.xy_m[list(unseen)] = np.nan
+        return drives(record_of(ego, still), road, lookback_s=1)["CC_human_driver"].takeover_step
+
+    assert takeover() == 73
+    assert takeover(74) == takeover(74, 75) == takeover(75, 76) == 73
+    assert takeover(73) == 73
+    assert takeover(73, 74) == 74
+    assert takeover(74, 75, 76) == 76
+
+
 def test_a_drive_that_avoids_one_and_hits_another_counts_as_contact(straight, record_of, road) -> None:
     ego = straight("ego", (-190, -4.8), 0, 15, steps=90)
     still = straight("still", (-60.5, -4.8), 0, 0, steps=90)

@@ -13,15 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.metrics.kinematics import unbroken
+from advdiff_sumo.metrics.kinematics import snaps, unbroken
 
 #: Time under one polynomial; five instants where steps are long.
 WINDOW_S = 1.0
 _LEAST_WINDOW = 5
-#: A faster motion sideways is no driving but a change of lane in no time.
-SNAP_MPS = 8.0
 
 
 @dataclass(frozen=True)
@@ -93,18 +91,11 @@ def derivatives(
 
 def _stretches(tracks: Tracks, row: int) -> list[slice]:
     """Return the stretches of instants over which the agent moves without break or sideways snap."""
-    steady = unbroken(tracks.rows([row]))[0] & ~_snaps(tracks, row)
+    own = tracks.rows([row])
+    steady = unbroken(own)[0] & ~snaps(own)[0]
     edges = np.flatnonzero(np.diff(np.concatenate(([False], steady, [False])).astype(np.int64)))
     spans = [slice(int(a), int(b) + 1) for a, b in edges.reshape(-1, 2)]
     return [span for span in spans if span.stop - span.start >= _LEAST_WINDOW]
-
-
-def _snaps(tracks: Tracks, row: int) -> BoolArray:
-    """Return (T − 1,) steps with a sideways motion faster than ``SNAP_MPS``."""
-    move = np.diff(tracks.xy_m[row], axis=0)
-    yaw = tracks.yaw_rad[row, :-1] + 0.5 * np.angle(np.exp(1j * np.diff(tracks.yaw_rad[row])))
-    sideways = move[:, 1] * np.cos(yaw) - move[:, 0] * np.sin(yaw)
-    return np.asarray(np.abs(sideways) > SNAP_MPS * tracks.dt_s)
 
 
 def _mean_max(values: FloatArray) -> tuple[float, float]:

@@ -8,6 +8,9 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.contact import JUMP_MPS
 
+#: A faster motion sideways is no driving but a change of lane in no time.
+SNAP_MPS = 8.0
+
 
 def unbroken(tracks: Tracks) -> BoolArray:
     """Return (A, T − 1) whether the agent is there at both ends of the step and does not jump between them."""
@@ -16,13 +19,24 @@ def unbroken(tracks: Tracks) -> BoolArray:
     return np.asarray(both & (np.hypot(move[..., 0], move[..., 1]) <= JUMP_MPS * tracks.dt_s))
 
 
+def snaps(tracks: Tracks) -> BoolArray:
+    """Return (A, T − 1) whether the agent moves sideways faster than ``SNAP_MPS`` in the step.
+
+    So SUMO changes lanes without sublanes. False where the agent is absent.
+    """
+    move = np.diff(tracks.xy_m, axis=1)
+    yaw = tracks.yaw_rad[:, :-1] + 0.5 * np.angle(np.exp(1j * np.diff(tracks.yaw_rad, axis=1)))
+    sideways = move[..., 1] * np.cos(yaw) - move[..., 0] * np.sin(yaw)
+    return np.asarray(np.abs(sideways) > SNAP_MPS * tracks.dt_s)
+
+
 def velocities(tracks: Tracks) -> FloatArray:
     """Return (A, T, 2) velocities in m/s from the positions: the mean of the steps before and after an instant.
 
-    Taken from positions, so that sideways motion counts. At a break only the other step is used; an agent
-    without either has its speed along its heading. NaN where the agent is absent.
+    Taken from positions, so that sideways motion counts. At a break, or a lane change in no time, only the other
+    step is used; an agent without either has its speed along its heading. NaN where the agent is absent.
     """
-    steady = unbroken(tracks)
+    steady = unbroken(tracks) & ~snaps(tracks)
     rate = np.where(steady[..., None], np.diff(tracks.xy_m, axis=1) / tracks.dt_s, 0.0)
     total = np.zeros_like(tracks.xy_m)
     count = np.zeros(tracks.yaw_rad.shape)

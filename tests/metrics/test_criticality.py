@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, clearances, least, time_to_collision
 from advdiff_sumo.metrics.encroachment import post_encroachment
 from advdiff_sumo.metrics.following import following
+from advdiff_sumo.metrics.kinematics import snaps, velocities
 from advdiff_sumo.metrics.metric_rows import episode_row
+from tests.sim import nets
 
 
 def test_ttc_of_two_seconds(straight, record_of) -> None:
@@ -22,6 +25,58 @@ def test_ttc_of_two_seconds(straight, record_of) -> None:
     ttc = time_to_collision(record.tracks, 0)
     assert ttc[1] == pytest.approx([2.0, 1.9])  # 20 m at 10 m/s
     assert np.isnan(ttc[0]).all()
+
+
+def test_a_lane_change_in_no_time_tells_no_speed(straight, record_of) -> None:
+    """From 4.4 m apart sideways to 1.2 m within a step: at 16 m/s it would meet the target in 0.275 and 0.075 s."""
+    beside = straight("beside", (2, 6.4), 0, 10)
+    beside.xy_m[20:, 1] -= 3.2
+    record = record_of(straight("ego", (0, 0), 0, 10), beside)
+    velocity = velocities(record.tracks)
+    np.testing.assert_allclose(velocity, np.broadcast_to([10.0, 0.0], velocity.shape), atol=1e-9)
+    assert np.isinf(time_to_collision(record.tracks, 0)[1]).all()
+    row = np.flatnonzero(snaps(record.tracks).any(axis=1)).tolist()
+    assert (row, np.flatnonzero(snaps(record.tracks)[1]).tolist()) == ([1], [19])
+
+
+def test_who_changes_lanes_twice_in_no_time_has_its_speed_along_its_heading(straight, record_of) -> None:
+    other = straight("other", (2, 6.4), 0, 10)
+    other.xy_m[20:, 1] -= 3.2
+    other.xy_m[21:, 1] += 3.2
+    other.speed_mps[20] = 9.0
+    velocity = velocities(record_of(straight("ego", (0, 0), 0, 10), other).tracks)
+    assert velocity[1, 19:22].tolist() == [pytest.approx([x, 0.0]) for x in (10.0, 9.0, 10.0)]
+
+
+def test_an_oncoming_car_that_sumo_changes_the_lane_of_does_not_come_nearer(
+    tmp_path, straight, record_of
+) -> None:
+    """Without sublanes: from y = 4.8 to 1.6 in a step, 6 m before a standing car at y = -1.6; that was 0.1 s."""
+    poses = []
+    with nets.stage(nets.street(tmp_path), sublane_m=0.0) as stage:
+        stage.add("other", ["MW"], at=70.0, speed=10.0)
+        stage.free("other")
+        stage.api.vehicle.setSpeed("other", 10.0)
+        for k in range(41):
+            if k == 28:
+                stage.api.vehicle.changeLane("other", 1, 60.0)
+            stage.step()
+            poses.append(stage.pose("other")[0])
+    size = (nets.LENGTH_M, nets.WIDTH_M)
+    ego = straight("ego", (97.5, -1.6), 0, 0, size=size)
+    other = replace(straight("other", (0, 0), math.pi, 10, size=size), xy_m=np.array(poses))
+    tracks = record_of(ego, other).tracks
+    assert np.flatnonzero(snaps(tracks)[1]).tolist() == [27]
+    assert tracks.xy_m[1, 28].tolist() == pytest.approx([103.5, 1.6])
+    np.testing.assert_allclose(velocities(tracks)[1], np.broadcast_to([-10.0, 0.0], (41, 2)), atol=1e-9)
+    assert np.isinf(time_to_collision(tracks, 0)[1]).all()
+
+
+def test_a_quick_lane_change_counts_sideways(straight, record_of) -> None:
+    """Sideways at 4 m/s, 2.4 m apart: 0.6 s."""
+    beside = straight("beside", (2, 4.4), 0, 10, drift=-4.0, steps=2)
+    tracks = record_of(straight("ego", (0, 0), 0, 10, steps=2), beside).tracks
+    assert time_to_collision(tracks, 0)[1] == pytest.approx([0.6, 0.5])
 
 
 def test_ttc_of_crossing_and_missing_boxes(straight, record_of) -> None:

@@ -94,7 +94,8 @@ class EpisodeView:
 
     def _repr_html_(self) -> str:
         facts = f"<p>{html.escape(repr(self))}</p>"
-        if self.run.states(self.number) is None:
+        states = self.run.states(self.number)
+        if states is None or states.tracks.steps < 2:  # it failed before it began: there is nothing to draw
             return facts
         picture = io.BytesIO()
         self.figure().savefig(picture, format="png")

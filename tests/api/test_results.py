@@ -112,6 +112,9 @@ def test_a_planner_that_cannot_drive(tmp_path: Path) -> None:
     assert "ZeroDivisionError" in repr(lost.summary())
     with pytest.raises(InputError, match=r"the episode failed before it began: .*ZeroDivisionError"):
         lost.episode(0).figure()
+    for shown in (lost._repr_html_(), lost.worst()._repr_html_()):
+        assert "failure_kind planner_error" in shown
+        assert "<img" not in shown
 
 
 def test_a_planner_object_takes_defects_and_no_other_option(tmp_path: Path) -> None:

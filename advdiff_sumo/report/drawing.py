@@ -141,7 +141,7 @@ def _impact(axes: Axes, picture: Picture) -> None:
 
 
 def _legend(axes: Axes, picture: Picture) -> None:
-    attacker = "collision partner" if picture.impact_m is not None else "nearest vehicle"
+    attacker = "collision partner" if picture.partner else "nearest vehicle"
     names = {Role.TARGET: "target, a box a second", Role.ATTACKER: attacker, Role.OTHER: "other traffic"}
     roles = [role for role in names if any(trail.role is role for trail in picture.trails)]
     handles = [Line2D([], [], color=COLOURS[role], linewidth=5, label=names[role]) for role in roles]

@@ -80,6 +80,7 @@ class Picture:
         start_s: first moment that is drawn.
         end_s: last moment.
         attacker: id of the vehicle in the attacker's colour, or None.
+        partner: whether the target collided with it; else it is who came nearest.
     """
 
     view: View
@@ -92,6 +93,7 @@ class Picture:
     start_s: float
     end_s: float
     attacker: str | None
+    partner: bool
 
 
 def picture_of(
@@ -132,6 +134,7 @@ def picture_of(
         start_s=tracks.t0_s,
         end_s=full.t0_s + full.dt_s * (full.steps - 1),
         attacker=None if other is None else attacker,
+        partner=other is not None and attacker == row["collision_partner"],
     )
 
 

@@ -186,7 +186,7 @@ def facts_of(row: Row, charts: Sequence[Chart], contacts: Sequence[Row]) -> dict
         "badge": badge(row),
         "verdict": _verdict(row),
         "fault": str(row["at_fault"] or "") if hit else "",
-        "hit": hit,
+        "hit": bool(row["collision_partner"]),
         "contact": contact,
         "moment": 0.0 if moment is None else float(moment),
         "momentName": "Contact" if hit else "Nearest",

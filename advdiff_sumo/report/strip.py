@@ -141,7 +141,7 @@ def _legend(drawn: Figure, chosen: ChosenEpisode) -> None:
     hit = chosen.contact_s is not None
     names = {
         Role.TARGET: "target",
-        Role.ATTACKER: "collision partner" if hit else "nearest vehicle",
+        Role.ATTACKER: "collision partner" if chosen.row["collision_partner"] else "nearest vehicle",
         Role.OTHER: "others",
     }
     handles = [

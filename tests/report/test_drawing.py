@@ -12,6 +12,7 @@ from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.report.drawing import COLOURS, draw, figure
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.scene_picture import Role, picture_of
+from advdiff_sumo.report.sections import facts_of
 from tests.metrics.encounters import record_of, straight
 
 
@@ -47,6 +48,23 @@ def test_picture_in_metres(two_episodes: Path) -> None:
     assert picture.view.width_m == pytest.approx(1.5 * picture.view.height_m)
     x0, x1 = draw(picture).axes[0].get_xlim()
     assert (x0, x1) == pytest.approx((picture.view.x0_m, picture.view.x1_m))
+
+
+@pytest.mark.parametrize(("partner", "told"), [("bv", "collision partner"), (None, "nearest vehicle")])
+def test_who_is_near_when_the_target_leaves_the_road_is_no_collision_partner(
+    two_episodes: Path, partner: str | None, told: str
+) -> None:
+    run = FinishedRun.read(two_episodes)
+    row = {**run.row(1), "collision_partner": partner, "min_ttc_partner": "bv"}
+    states = run.states(1)
+    assert states is not None
+    drawn = draw(picture_of(states, row, (), None))
+    legend = drawn.axes[0].get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["target, a box a second", told, "impact"]
+    facts = facts_of(row, (), ())
+    assert (facts["hit"], facts["momentName"]) == (partner == "bv", "Contact")
+    assert facts["impact"] == [115.0, 101.0]
 
 
 def test_close_up_is_of_the_contact_where_the_episode_goes_on() -> None:

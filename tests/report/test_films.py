@@ -45,6 +45,16 @@ def test_strip_of_the_worst_ends_at_its_contact(sweep_folder: Path) -> None:
     ]
 
 
+def test_who_is_near_when_the_target_leaves_the_road_is_no_collision_partner(sweep_folder: Path) -> None:
+    chosen = ChosenEpisode.read(sweep_folder, 1)
+    off = replace(chosen, row={**chosen.row, "collision_partner": None, "min_ttc_partner": "bv"})
+    assert off.attacker == chosen.attacker
+    drawn = draw_strip(off, np.linspace(0.0, 3.0, 4), 0.0)
+    labels = [text.get_text() for text in drawn.legends[0].get_texts()]
+    assert labels[:3] == ["target", "nearest vehicle", "others"]
+    assert labels[-1] == "contact"
+
+
 def test_panels_go_along_with_a_target_that_drives_far(sweep_folder: Path) -> None:
     """Both drive 40 m/s faster to the east than they did: 120 m in three seconds."""
     chosen = ChosenEpisode.read(sweep_folder, 1)

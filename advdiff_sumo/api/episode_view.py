@@ -6,7 +6,7 @@ import base64
 import html
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -81,10 +81,7 @@ class EpisodeView:
         """Return a player with the charts in step."""
         from advdiff_sumo.report.page import report_html
 
-        return Player(report_html(replace(self.run, episodes=(self.row,), collisions=self._collisions())))
-
-    def _collisions(self) -> tuple[Mapping[str, Any], ...]:
-        return self.run.collisions_of(self.number)
+        return Player(report_html(self.run.only(self.number)))
 
     def __repr__(self) -> str:
         facts = (

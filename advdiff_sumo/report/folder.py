@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -40,6 +40,7 @@ class FinishedRun:
         is_sweep: which of the two.
         episodes: rows of ``episodes.parquet`` by episode, with ``JOB_COLUMNS``.
         collisions: rows of ``collisions.parquet``.
+        is_part: whether these are not all of them, as one episode was picked.
     """
 
     folder: Path
@@ -47,6 +48,7 @@ class FinishedRun:
     is_sweep: bool
     episodes: tuple[Row, ...]
     collisions: tuple[Row, ...]
+    is_part: bool = False
 
     @staticmethod
     def read(folder: Path) -> FinishedRun:
@@ -75,9 +77,10 @@ class FinishedRun:
 
     @property
     def planned(self) -> int | None:
-        """How many episodes a run was to have; None where that is not known, and of one that was run again."""
+        """How many episodes a run was to have; None where that is not known, of a part, and of one run again."""
         planned = self.options.get("episodes")
-        known = isinstance(planned, int) and not self.is_sweep and self.repeated is None
+        alone = self.is_part or self.repeated is not None
+        known = isinstance(planned, int) and not self.is_sweep and not alone
         return planned if known else None
 
     @property
@@ -101,8 +104,17 @@ class FinishedRun:
 
     @cached_property
     def unstarted(self) -> int:
-        """How many episodes failed before they had a row."""
-        return len(self._tables.unstarted(self.episodes))
+        """How many episodes failed before they had a row; of a part none."""
+        return 0 if self.is_part else len(self._tables.unstarted(self.episodes))
+
+    def only(self, episode: int) -> FinishedRun:
+        """Return the part of the run that is *episode*.
+
+        Raises:
+            FileError: there is no such episode.
+        """
+        rows, collisions = (self.row(episode),), self.collisions_of(episode)
+        return replace(self, episodes=rows, collisions=collisions, is_part=True)
 
     def row(self, episode: int) -> Row:
         """Return the row of *episode*.

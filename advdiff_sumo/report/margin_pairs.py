@@ -53,7 +53,7 @@ class MarginPair:
         attack: its kind.
         by: the severity's name.
         trials: all of them, the mildest first.
-        neighbours: the failing one and the passing one; empty where there are not both.
+        neighbours: the failing one and the passing one; empty where the run has not both.
     """
 
     attack: str
@@ -88,7 +88,7 @@ def margins_of(run: FinishedRun, nets: Nets) -> list[MarginPair]:
 
 def _margin(run: FinishedRun, nets: Nets, attack: str, by: str, trials: tuple[TrialRow, ...]) -> MarginPair:
     alone = MarginPair(attack, by, trials, ())
-    if alone.fails is None or alone.passes is None:
+    if run.is_part or alone.fails is None or alone.passes is None:
         return alone
     return replace(alone, neighbours=_side_by_side(run, nets, (alone.fails, alone.passes)))
 

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from advdiff_sumo import load
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.margin_pairs import margins_of
@@ -113,6 +114,14 @@ def test_the_page_is_that_of_a_margin_and_knows_no_rates(folder: Path) -> None:
     assert "95 % interval" not in html
     (folder / COMMAND).unlink()
     assert "To repeat it" not in write_report(folder).read_text(encoding="utf-8")
+
+
+def test_the_player_of_one_of_them_has_no_neighbours(folder: Path) -> None:
+    html = load(folder).worst().player().page
+    assert "<h1>Margin of IDM on lost, seed 3</h1>" in html
+    assert 'class="views pair"' not in html
+    assert 'id="row-0"' in html
+    assert 'id="row-1"' not in html
 
 
 def test_other_folders_have_no_margin(two_episodes: Path) -> None:

@@ -8,8 +8,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
+from advdiff_sumo import load
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.report import sections
 from advdiff_sumo.report.page import own_modules, write_report
@@ -187,6 +190,20 @@ def test_a_log_of_fewer_scenes_was_not_interrupted(make_folder: Callable[..., Pa
     text = _read(make_folder([rows.episode(0)], options={"episodes": 5})).text
     assert "1 of 5 episodes" in text
     assert "interrupted" not in text
+
+
+def test_the_player_of_an_episode_tells_of_it_alone(make_folder: Callable[..., Path], rows: Any) -> None:
+    """Beside a failed one that has a row, and one that failed before it had one."""
+    failed = rows.episode(1, end="failed", failure_kind="plan_refused", failure_message="NaN.")
+    states = rows.drive(0, "ego", 85.0, 101.0, 10.0, target=True)
+    folder = make_folder([rows.episode(0), failed], states, options={"episodes": 3})
+    lost = [{"episode": k, "kind": "plan_refused", "message": "NaN.", "log_tail": ""} for k in (1, 2)]
+    pq.write_table(pa.Table.from_pylist(lost), folder / "failures.parquet")
+    assert "66.7 % 2 of 3 episodes" in _read(folder).text
+    text = Outline(load(folder).episode(0).player().page).text
+    assert "0.0 % 0 of 1 episodes" in text
+    assert "1 of 3 episodes" not in text
+    assert "Run run-1: 1 episodes" in text
 
 
 def test_failure_without_states(make_folder: Callable[..., Path], rows: Any) -> None:

@@ -408,6 +408,34 @@ def test_weak_brakes_are_no_stronger_than_the_target_is_without_them() -> None:
         assert (planted.params["decel"], planted.params["emergencyDecel"]) == (decel, emergency)
 
 
+@pytest.mark.parametrize(
+    ("own", "driven"),
+    [
+        ({"actionStepLength": 2.0, "jmDriveAfterRedTime": 10.0}, (2.0, 10.0)),
+        ({"actionStepLength": "2.0", "jmDriveAfterRedTime": -1}, (2.0, 1.0)),  # -1: never
+        ({"actionStepLength": 0.1, "jmDriveAfterRedTime": "nan"}, (0.5, 1.0)),
+        ({"actionStepLength": "soon"}, (0.5, 1.0)),
+    ],
+)
+def test_a_defect_mends_nothing_that_is_worse_without_it(
+    own: dict[str, float | str], driven: tuple[float, float]
+) -> None:
+    planted = make_target("IDM", {"params": own, "defects": ["late:weak", "signals:weak"]})
+    assert isinstance(planted, SumoDriver)
+    assert tuple(planted.params[key] for key in ("actionStepLength", "jmDriveAfterRedTime")) == driven
+
+
+def test_priority_ignores_no_fewer_than_the_target_does_without_it() -> None:
+    own = {"jmIgnoreFoeProb": 0.9, "jmIgnoreJunctionFoeProb": 0.1, "jmIgnoreFoeSpeed": 5.0}
+    planted = make_target("IDM", {"params": own, "defects": "priority:weak"})
+    assert isinstance(planted, SumoDriver)
+    assert planted.params == {
+        "jmIgnoreFoeProb": 0.9,
+        "jmIgnoreJunctionFoeProb": 0.25,
+        "jmIgnoreFoeSpeed": 1000.0,
+    }
+
+
 @pytest.mark.parametrize("name", ["W99", "Wiedemann", "CACC"])
 def test_a_headway_that_a_model_does_not_read_is_refused(name: str) -> None:
     with pytest.raises(ConfigError, match=f"{name} follows no closer for a shorter tau"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +16,10 @@ from advdiff_sumo.plugins import fold
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*(.*?)\s*", re.IGNORECASE)
 _SPELLINGS = {"m/s2": "m/s²", "°": "deg"}
-_LONGEST = ("actionStepLength",)
+_WORSE_IF_GREATER = (
+    *("actionStepLength", "jmDriveAfterRedTime", "jmDriveRedSpeed"),
+    *("jmIgnoreFoeProb", "jmIgnoreFoeSpeed", "jmIgnoreJunctionFoeProb"),
+)
 _SUMO_TAU_S, _LEAST_TAU_S = 1.0, 0.1
 _SUMO_BRAKES_MPS2 = {"decel": 4.5, "emergencyDecel": 9.0}
 _NO_SHORTER_TAU = ("W99", "Wiedemann", "CACC")
@@ -115,12 +119,25 @@ def plant(target: Target, defects: Sequence[Defect], name: str) -> Target:
     planted: dict[str, float] = {}
     for defect in defects:
         for key, value in defect.sumo_params(target, name).items():
-            planted[key] = max(value, planted.get(key, value)) if key in _LONGEST else value
+            planted[key] = max(value, planted.get(key, value)) if key in _WORSE_IF_GREATER else value
     if "tau" in planted:
         planted["tau"] = max(float(params.get("tau", _SUMO_TAU_S)) + planted["tau"], _LEAST_TAU_S)
     for key in planted.keys() & _SUMO_BRAKES_MPS2.keys():  # weak brakes are no stronger than the target's own
         planted[key] = min(planted[key], float(params.get(key, _SUMO_BRAKES_MPS2[key])))
+    for key in (
+        planted.keys() & params.keys() & set(_WORSE_IF_GREATER)
+    ):  # no defect mends what is worse already
+        planted[key] = max(planted[key], _read(params[key], planted[key]))
     return replace(target, params=params | planted)
+
+
+def _read(own: Any, otherwise: float) -> float:
+    """Return the number that *own* is, *otherwise* where it is none, such as a text that SUMO alone can read."""
+    try:
+        number = float(own)
+    except (TypeError, ValueError):
+        return otherwise
+    return otherwise if math.isnan(number) else number
 
 
 def _number(kind: DefectKind, text: str) -> float:

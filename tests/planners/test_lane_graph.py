@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -177,6 +178,24 @@ def test_a_plan_is_what_a_bicycle_drives(crossing: Maker) -> None:
     start = (scene.history.xy_m[0, -1], scene.history.yaw_rad[0, -1], scene.history.speed_mps[0, -1])
     again = track(start, (plan.xy_m, plan.yaw_rad, plan.speed_mps), np.asarray(CAR_M[0]), plan.dt_s, Limits())
     np.testing.assert_allclose(again[0], plan.xy_m, atol=1e-6)
+
+
+@pytest.mark.parametrize(("replan_s", "last"), [(0.0, 4), (0.5, 4), (1.0, 9), (2.0, 19), (0.1, 1), (9.0, 19)])
+def test_what_it_remembers_is_what_it_does_when_the_next_plan_is_due(
+    crossing: Maker, replan_s: float, last: int
+) -> None:
+    """On the way into a bend; *last* is the step of 0.1 s that is driven last of the plan."""
+    road = crossing()
+    scene = make_scene(road, [Car("south_in_0", 180.0, 6.0)], ("south_in", "east_out"))
+    scene = replace(scene, replan_s=replan_s)
+    planner, rng = LaneGraphPlanner(), np.random.default_rng(0)
+    plan, memory = planner.plan(road, scene, planner.start(road, scene, rng), rng)
+    assert isinstance(plan, Trajectory)
+    speed, yaw = plan.speed_mps, plan.yaw_rad
+    assert len(speed) == 20
+    assert memory.accel_mps2 == pytest.approx((speed[last] - speed[last - 1]) / 0.1)
+    way_m = 0.1 * 0.5 * (speed[last] + speed[last - 1])
+    assert memory.curvature_1pm == pytest.approx((yaw[last] - yaw[last - 1]) / way_m)
 
 
 def test_off_the_map_it_stops(crossing: Maker) -> None:

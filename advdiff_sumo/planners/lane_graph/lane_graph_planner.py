@@ -39,7 +39,6 @@ from advdiff_sumo.planners.lane_graph.variants import Place, State, Variant, loc
 
 _PLAN_STEP_S = 0.1
 _PLAN_STEPS = 20
-_MEMORY_STEP = 4  # index of the planned state half a second from now
 _CLAIM_M = 60.0
 _STOPPED_WITHIN_M = 3.0  # of a line: who stands there has stopped for it
 _STOPS_SHORT_M = 1.5  # at most, of the gap that it aims at
@@ -214,7 +213,7 @@ def _remember(
     over = place.over
     if over is not None:
         committed.add((over.from_lane, over.to_lane))
-    curvature, accel = _inputs(plan, state)
+    curvature, accel = _inputs(plan, state, scene.least_plan_s)
     given = route_ahead(memory.geometry.road, place.lane_id, scene.routes[scene.target] or place.route)
     return replace(
         memory,
@@ -231,9 +230,9 @@ def _remember(
     )
 
 
-def _inputs(plan: Trajectory, state: State) -> tuple[float, float]:
-    """Return curvature and acceleration that the plan has when the next one is due."""
-    k = _MEMORY_STEP
+def _inputs(plan: Trajectory, state: State, next_s: float) -> tuple[float, float]:
+    """Return curvature and acceleration that the plan has when the next one is due, *next_s* from now."""
+    k = min(max(round(next_s / plan.dt_s) - 1, 1), len(plan.speed_mps) - 1)
     driven = max(0.5 * float(plan.speed_mps[k] + plan.speed_mps[k - 1]) * plan.dt_s, 1e-3)
     turned = float(wrap_angle(float(plan.yaw_rad[k] - plan.yaw_rad[k - 1])))
     curvature = turned / driven if driven > 0.05 else state.curvature_1pm

@@ -29,6 +29,8 @@ _RECONNECT = (
 )
 
 _UNREADABLE = object()
+_TOO_LARGE = "message larger than max"
+"""What gRPC says of a message beyond the limit of who is to take it, 4 MB unless that lifts it."""
 
 
 class PlannerSideError(Exception):
@@ -101,6 +103,11 @@ class Connection:
         code, details = error.code(), " ".join((error.details() or "").split())
         if code is grpc.StatusCode.DEADLINE_EXCEEDED:
             return PlannerTimeoutError(f"{self.who} did not answer {name} within {timeout_s:g} s")
+        if code is grpc.StatusCode.RESOURCE_EXHAUSTED and _TOO_LARGE in details:
+            return PlannerError(
+                f"{self.who}: its server takes no message as large as that of {name} ({details}); lift its limit "
+                "(SetMaxReceiveMessageSize(-1) in C++, the option grpc.max_receive_message_length elsewhere)"
+            )
         if code is grpc.StatusCode.RESOURCE_EXHAUSTED:
             return OutOfMemoryFailure(f"{self.who} ran out of memory: {details}")
         if code is grpc.StatusCode.INVALID_ARGUMENT:

@@ -12,16 +12,18 @@ import grpc
 import numpy as np
 import pytest
 
-from advdiff_sumo.core.errors import ConfigError, PlanRefusedError
+from advdiff_sumo.core.errors import ConfigError, OutOfMemoryFailure, PlannerError, PlanRefusedError
 from advdiff_sumo.core.plan import Controls, Trajectory
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planner_kit import messages
 from advdiff_sumo.planner_kit.planner_server import PlannerServer
 from advdiff_sumo.planners.planner_registry import make_target
+from advdiff_sumo.planners.remote.connection import Connection
 from advdiff_sumo.planners.remote.remote_planner import RemotePlanner
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
+from tests.hang_guard import HANG_S
 from tests.sim.scenes import episode
 
 ZEROS = np.zeros(10)
@@ -40,6 +42,7 @@ class Answers:
             "Describe": lambda _: (
                 self.description or messages.Description(protocol_version=1).SerializeToString()
             ),
+            "LoadMap": lambda _: b"",
             "StartEpisode": lambda _: b"",
             "MakePlan": self._plan,
             "EndEpisode": lambda _: b"",
@@ -68,6 +71,21 @@ def answering(answers: Answers, folder: Path) -> Iterator[RemotePlanner]:
         yield planner
         planner.close()
         server.stop(grace=None).wait()
+
+
+def test_a_map_beyond_the_limit_of_a_server_is_told_apart_from_a_lack_of_memory(tmp_path: Path) -> None:
+    """Nobody told this one to take more than gRPC's 4 MB; the map of a city has more."""
+    with answering(Answers(), tmp_path):
+        connection = Connection(f"unix:{tmp_path}/socket", "mine")
+        connection.call("LoadMap", messages.Map(net_path="x" * 4_000_000), HANG_S)
+        large = messages.Map(net_path="x" * 5_000_000)
+        told = (
+            r"mine: its server takes no message as large as that of LoadMap \(.* larger than max .*\); lift"
+        )
+        with pytest.raises(PlannerError, match=told) as raised:
+            connection.call("LoadMap", large, HANG_S)
+        connection.close()
+    assert not isinstance(raised.value, OutOfMemoryFailure)
 
 
 def packed(field: int, count: int, content: bytes) -> bytes:

@@ -92,6 +92,11 @@ def test_collisions_come_first(two_episodes: Path) -> None:
     assert "Episode 0: no collision, least time to collision 4.25 s" in outline.text
 
 
+def test_says_in_which_order_the_episodes_stand(two_episodes: Path) -> None:
+    order = "then failures, then critical near misses, the hardest braking first, then broken rules, then the rest,"
+    assert f"{order} from the least time to collision up." in _read(two_episodes).text
+
+
 def test_pictures_show_target_attacker_others_and_impact(two_episodes: Path) -> None:
     html = write_report(two_episodes).read_text(encoding="utf-8")
     hit = html[html.index('id="episode-1"') : html.index('id="episode-0"')]

@@ -14,6 +14,7 @@ from advdiff_sumo.planners.lane_graph.conflicts import conflict_zone
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.memory import Memory
 from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath, PathStack, _smoothed
+from advdiff_sumo.planners.lane_graph.proposal_score import _time_at
 from advdiff_sumo.planners.lane_graph.rules import Duty, may_go, rule_at
 from advdiff_sumo.planners.lane_graph.variants import State, Variant, locate, variants
 
@@ -214,3 +215,20 @@ def test_a_change_of_lanes_that_is_underway_goes_on_over_a_junction(crossing: Ma
     change = next(choice for choice in choices if choice.side)
     assert onto in change.chain.lanes
     assert abs(change.d_m) == pytest.approx(3.2, abs=0.05)  # a lane's width, all of it still to go
+
+
+def test_when_a_place_ahead_is_reached_is_told_between_the_steps_of_a_quarter_of_a_second() -> None:
+    """At 10 m/s, braking from 8 m/s at 8 m/s², and standing, each of them at 100 m now; then 1 s is over."""
+    now, speed = np.full(3, 100.0), np.array([[10.0] * 4, [6.0, 4.0, 2.0, 0.0], [0.0] * 4])
+    s = 100.0 + np.array([[2.5, 5.0, 7.5, 10.0], [1.75, 3.0, 3.75, 4.0], [0.0] * 4])
+    goals = np.array([[99.0, 100.0, 101.0, 102.5, 104.9, 110.0, 112.0]])
+    never = np.inf
+    expected = [
+        [0.0, 0.0, 0.1, 0.25, 0.49, 1.0, 1.2],
+        [0.0, 0.0, 0.25 / 1.75, 0.25 + 0.25 * 0.75 / 1.25, never, never, never],
+        [0.0, 0.0, never, never, never, never, never],
+    ]
+    np.testing.assert_allclose(_time_at(now, s, speed, goals), expected)
+    np.testing.assert_allclose(
+        _time_at(now[:2], s[:2], speed[:2], np.array([[104.9], [101.0]])), [[0.49], [1 / 7]]
+    )

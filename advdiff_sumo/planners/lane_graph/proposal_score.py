@@ -125,43 +125,76 @@ def precedence_cost(
     wait for somebody else, perhaps for the target.
     """
     cost = np.zeros(len(choice.variant))
-    for v in range(len(variants)):
-        rows = np.flatnonzero(choice.variant == v)
-        for foe in duties[v].foes:
-            known = (foe.link.from_lane, foe.link.to_lane) in committed
-            if bool(others.standing[ways[foe.way].other]) and (known or waited_s > options.patience_s):
-                continue
-            gap = options.gap_s * (0.4 if known else 1.0)
-            took = _takes(candidates, rows, foe, state, others, ways[foe.way], future, gap)
-            cost[rows] += _PRECEDENCE * future.weight[foe.way] ** 0.5 * took
+    now_m = np.array([variant.s_m for variant in variants])[choice.variant]
+    for v, rule in enumerate(duties):
+        foes, gaps = _heeded(rule.foes, others, ways, committed, waited_s, options)
+        if not foes or any(rule is known for known in duties[:v]):
+            continue
+        rows = np.flatnonzero(np.array([rule is other for other in duties])[choice.variant])
+        took = _takes(candidates, rows, now_m[rows], foes, gaps, state, others, ways, future)
+        for foe, taken in zip(foes, took.T, strict=True):
+            cost[rows] += _PRECEDENCE * future.weight[foe.way] ** 0.5 * taken
     return cost
+
+
+def _heeded(
+    foes: Sequence[Foe],
+    others: Others,
+    ways: Sequence[Way],
+    committed: frozenset[tuple[str, str]],
+    waited_s: float,
+    options: LaneGraphOptions,
+) -> tuple[list[Foe], FloatArray]:
+    """Return the *foes* that are not let be, and the gap (s) that each of them is left."""
+    heeded, gaps = list[Foe](), list[float]()
+    for foe in foes:
+        known = (foe.link.from_lane, foe.link.to_lane) in committed
+        if bool(others.standing[ways[foe.way].other]) and (known or waited_s > options.patience_s):
+            continue
+        heeded.append(foe)
+        gaps.append(options.gap_s * (0.4 if known else 1.0))
+    return heeded, np.array(gaps)
 
 
 def _takes(
     candidates: Candidates,
     rows: np.ndarray[tuple[int], np.dtype[np.int64]],
-    foe: Foe,
+    now_m: FloatArray,
+    foes: Sequence[Foe],
+    gap_s: FloatArray,
     state: State,
     others: Others,
-    way: Way,
+    ways: Sequence[Way],
     future: Forecast,
-    gap_s: float,
 ) -> FloatArray:
-    """Return (R,) 1 where the target would be in the conflict area while *foe* is, or too shortly before."""
+    """Return (R, F) 1 where the target would be in the conflict area while a foe is, or too shortly before."""
     s, speed = candidates.s_m[rows], candidates.speed_mps[rows]
-    enters = _time_at(s, speed, foe.origin_m + foe.zone.own_m[0] - state.front_m)
-    leaves = _time_at(s, speed, foe.origin_m + foe.zone.own_m[1] + state.front_m)
-    pace, length = float(others.speed_mps[way.other]), float(others.size_m[way.other, 0])
-    soon = _soonest(foe.to_stop_m + foe.zone.other_m[0], pace, bool(others.standing[way.other]), way)
-    stop_s = way.s_m + 0.5 * length + foe.to_stop_m
-    clears = stop_s + foe.zone.other_m[1] + 0.5 * length
-    if foe.zone.merges:
-        clears = stop_s + foe.zone.other_m[0] + 0.5 * length
-        deficit = np.maximum(pace - speed.mean(-1), 0.0)
-        leaves = enters + state.length_m / np.maximum(speed.mean(-1), 2.0) + deficit / 2.0
-    late = float(_time_at(future.s_m[foe.way][None], future.speed_mps[foe.way][None], clears)[0])
+    begin, end = np.array([[foe.origin_m + own for own in foe.zone.own_m] for foe in foes]).T
+    goals = np.concatenate((begin - state.front_m, end + state.front_m))[None]
+    enters, leaves = np.split(_time_at(now_m, s, speed, goals), 2, axis=1)
+    soon, late, pace = _times_of(foes, others, ways, future)
+    mean = speed.mean(-1)[:, None]
+    behind = enters + state.length_m / np.maximum(mean, 2.0) + np.maximum(pace - mean, 0.0) / 2.0
+    leaves = np.where([foe.zone.merges for foe in foes], behind, leaves)
     inside = np.isfinite(enters) & (enters < STEP_S * s.shape[1] + 1.0)
     return np.asarray(inside & (enters - 0.3 * gap_s < late) & (soon < leaves + gap_s), dtype=np.float64)
+
+
+def _times_of(
+    foes: Sequence[Foe], others: Others, ways: Sequence[Way], future: Forecast
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (F,) when each foe can be in the conflict area at the soonest, when it leaves it, and its speed."""
+    index = [foe.way for foe in foes]
+    pace = others.speed_mps[[ways[k].other for k in index]]
+    soon, clears = np.empty(len(foes)), np.empty(len(foes))
+    for k, foe in enumerate(foes):
+        way = ways[foe.way]
+        length, stands = float(others.size_m[way.other, 0]), bool(others.standing[way.other])
+        soon[k] = _soonest(foe.to_stop_m + foe.zone.other_m[0], float(pace[k]), stands, way)
+        clears[k] = way.s_m + foe.to_stop_m + foe.zone.other_m[0 if foe.zone.merges else 1] + length
+    now = np.array([ways[k].s_m for k in index])
+    late = _time_at(now, future.s_m[index], future.speed_mps[index], clears[:, None])
+    return soon, late[:, 0], pace
 
 
 def _soonest(distance_m: float, speed_mps: float, stands: bool, way: Way) -> float:
@@ -177,14 +210,21 @@ def _soonest(distance_m: float, speed_mps: float, stands: bool, way: Way) -> flo
     return delay + up + (distance_m - within) / limit
 
 
-def _time_at(s_m: FloatArray, speed_mps: FloatArray, goal_m: float) -> FloatArray:
-    """Return (R,) when ``s`` (R, T) reaches *goal_m*: 0 if it has, beyond the horizon at the last speed."""
+def _time_at(now_m: FloatArray, s_m: FloatArray, speed_mps: FloatArray, goal_m: FloatArray) -> FloatArray:
+    """Return (R, G) when ``s`` (R, T), which never falls, reaches each *goal_m* (R or 1, G).
+
+    It is *now_m* (R,) now, one step before the first of its instants, and straight between two of them. 0 if it has
+    reached the goal already, beyond the horizon at the last speed.
+    """
     steps = s_m.shape[1]
-    reached = s_m >= goal_m
-    first = np.argmax(reached, axis=1)
-    rest = (goal_m - s_m[:, -1]) / np.maximum(speed_mps[:, -1], 0.1)
-    late = np.where(speed_mps[:, -1] > 0.3, STEP_S * steps + rest, np.inf)
-    return np.where(reached.any(1), STEP_S * first, late)
+    passed = np.count_nonzero(s_m[:, None] < goal_m[..., None], axis=2)
+    first = np.minimum(passed, steps - 1)
+    way = np.concatenate((now_m[:, None], s_m), axis=1)
+    before, after = np.take_along_axis(way, first, axis=1), np.take_along_axis(way, first + 1, axis=1)
+    share = np.maximum((goal_m - before) / np.maximum(after - before, 1e-9), 0.0)
+    rest = (goal_m - s_m[:, -1:]) / np.maximum(speed_mps[:, -1:], 0.1)
+    late = np.where(speed_mps[:, -1:] > 0.3, STEP_S * steps + rest, np.inf)
+    return np.where(passed < steps, STEP_S * (first + share), late)
 
 
 def overrun_cost(choice: Modes, duties: Sequence[Duties], candidates: Candidates, state: State) -> FloatArray:

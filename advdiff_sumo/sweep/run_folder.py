@@ -203,11 +203,12 @@ class RunFolder:
     # --- a finished run goes on --------------------------------------------------------------------------
 
     def _in_tables(self) -> list[int]:
-        """Return the numbers of the episodes of a finished run."""
+        """Return the numbers of the episodes of a finished run; those that failed without a row among them."""
         if not all((self.path / f"{table}.parquet").exists() for table in TABLES.keys() - LATER_TABLES):
             return []
         numbers = self._tables.rows("episodes", ["episode"])["episode"]
-        return [number for number in numbers.to_pylist() if number is not None]
+        known = {number for number in numbers.to_pylist() if number is not None}
+        return sorted(known | {int(row["episode"]) for row in self.failures()})
 
     def _to_take_apart(self) -> dict[int, StoredEpisode]:
         """Return the episodes of a finished run, which has them in its tables alone."""
@@ -229,9 +230,13 @@ class RunFolder:
         if not numbers:
             return {}
         whole = {name: self._table(name) for name in TABLES}
+        with_rows = set(whole["episodes"]["episode"].to_pylist())
         names = Failed.__dataclass_fields__
         failed = {row["episode"]: Failed(**{name: row[name] for name in names}) for row in self.failures()}
-        return {number: StoredEpisode(_rows_of(whole, number), failed.get(number)) for number in numbers}
+        return {
+            number: StoredEpisode(_rows_of(whole, number) if number in with_rows else {}, failed.get(number))
+            for number in numbers
+        }
 
     def _table(self, name: str) -> pa.Table:
         """Return a table; what an earlier version did not write is empty."""

@@ -170,13 +170,31 @@ def test_failures_are_kept_with_the_command_that_repeats_them(tmp_path: Path) ->
         "command": f"advdiff-sumo replay 1 --run {folder.path}",
     }
     assert (died["episode"], died["kind"]) == (2, "worker_died")
+    whole = content(folder.path)
     again = RunFolder.create(folder.path, settings(), resume=True)
-    assert again.done() == [0, 1]  # the one without rows is run again
+    assert again.done() == [0, 1, 2]
+    assert again.done(retry_failed=True) == [0]
     kept = again.part(1)
     assert kept is not None
     assert kept.failed == failed
     again.consolidate(finished=True)
-    assert [row["episode"] for row in again.failures()] == [1]
+    assert content(folder.path) == whole
+
+
+def test_a_failure_without_rows_is_still_there_once_the_run_has_ended(tmp_path: Path) -> None:
+    died = Failed("worker_died", "the worker was ended by SIGKILL", attempts=2)
+    folder = fill(RunFolder.create(tmp_path / "run", settings(), resume=False), 1)
+    for number in (0, 2):
+        folder.add(number, StoredEpisode({}, died))
+    before = {number: part.failed for number, part in folder.episodes().items()}
+    folder.consolidate(finished=True)
+    parts = folder.episodes()
+    assert {number: part.failed for number, part in parts.items()} == before == {0: died, 1: None, 2: died}
+    assert [bool(parts[number].tables) for number in (0, 1, 2)] == [False, True, False]
+    assert folder.part(2) == StoredEpisode({}, died)
+    assert StoredEpisode.glance(parts[2].to_bytes()) == (None, died)
+    with pytest.raises(ConfigError, match="that run has 3 episodes; ask for as many"):
+        RunFolder.create(folder.path, settings(episodes=2), resume=True)
 
 
 def test_no_file_of_failures_where_nothing_failed(tmp_path: Path) -> None:

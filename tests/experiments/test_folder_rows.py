@@ -1,0 +1,53 @@
+"""What a run came to, while it goes on and once it has ended."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree.ElementTree import parse
+
+import typer
+
+from advdiff_sumo.cli.sweep_results import CONDITION_MET, conclude, condition_of
+from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.experiments.folder_rows import FolderRows, rows_of_folder
+from advdiff_sumo.sim.run_episodes import Run, RunOptions
+from advdiff_sumo.sweep.run_engine import run_settings
+from advdiff_sumo.sweep.run_folder import RunFolder
+from advdiff_sumo.sweep.stored_episode import StoredEpisode
+from advdiff_sumo.sweep.tasks import Failed
+from tests.sim import nets
+
+DIED = StoredEpisode({}, Failed("worker_died", "the worker was ended by SIGKILL"))
+
+
+def run_of(place: Path, episodes: int, failed: int) -> RunFolder:
+    """Return the folder of a run that goes on: of *episodes* the first *failed* came to nothing, without a row."""
+    net = nets.crossing(place)
+    settings = run_settings(Run.prepare(RunOptions(net=str(net), episodes=episodes)))
+    folder = RunFolder.create(place / "run", settings, resume=False)
+    for number in range(failed):
+        folder.add(number, DIED)
+    return folder
+
+
+def gate(rows: FolderRows, text: str, junit: Path | None = None) -> int:
+    """Return the exit code of ``results --fail-if``."""
+    try:
+        conclude(terminal(), rows, condition_of(text), junit)
+    except typer.Exit as left:
+        return left.exit_code
+    return 0
+
+
+def test_a_run_that_failed_without_a_row_counts_as_one_that_failed(tmp_path: Path) -> None:
+    run_of(tmp_path, 2, 2).consolidate(finished=True)
+    rows = rows_of_folder(tmp_path / "run")
+    assert rows.episodes == []
+    assert [(row["episode"], row["kind"]) for row in rows.failures] == [
+        (0, "worker_died"),
+        (1, "worker_died"),
+    ]
+    assert rows.missing == 0
+    assert gate(rows, "valid_failures > 0 or failures > 0", tmp_path / "j.xml") == CONDITION_MET
+    assert parse(tmp_path / "j.xml").getroot().get("errors") == "2"  # noqa: S314 - our own file
+    assert gate(rows, "failures > 2") == 0

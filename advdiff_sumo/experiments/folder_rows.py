@@ -39,7 +39,7 @@ class FolderRows:
         plan: what was asked.
         episodes: rows with the columns of a sweep's ``episodes``.
         failures: rows of those that failed, with the columns of a sweep's ``failures``.
-        missing: how many have not been run.
+        missing: how many have not been run; none of a run that has ended, also where its log had fewer seed scenes.
         of_run: whether it is a run's.
     """
 
@@ -123,7 +123,9 @@ def _of_run(folder: Path) -> FolderRows:
         episodes += [own | row for row in _episode_rows(part, run)]
         if part.failed is not None:
             failures.append(own | begun.failure_row(number, part.failed))
-    return FolderRows(folder, plan, episodes, failures, len(jobs) - len(parts), of_run=True)
+    ended = bool(parts) and not begun.store.path.is_dir()
+    missing = 0 if ended else len(jobs) - len(parts)
+    return FolderRows(folder, plan, episodes, failures, missing, of_run=True)
 
 
 def _episode_rows(part: StoredEpisode, run: Run) -> Iterable[dict[str, Any]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree.ElementTree import parse
 
+import pytest
 import typer
 
 from advdiff_sumo.cli.sweep_results import CONDITION_MET, conclude, condition_of
@@ -51,3 +52,12 @@ def test_a_run_that_failed_without_a_row_counts_as_one_that_failed(tmp_path: Pat
     assert gate(rows, "valid_failures > 0 or failures > 0", tmp_path / "j.xml") == CONDITION_MET
     assert parse(tmp_path / "j.xml").getroot().get("errors") == "2"  # noqa: S314 - our own file
     assert gate(rows, "failures > 2") == 0
+
+
+@pytest.mark.parametrize(("finished", "missing"), [(False, 2), (True, 0)])
+def test_a_run_that_has_ended_lacks_nothing(tmp_path: Path, *, finished: bool, missing: int) -> None:
+    """Of three episodes one is there: the others are to come, or the log had one seed scene."""
+    run_of(tmp_path, 3, 1).consolidate(finished=finished)
+    rows = rows_of_folder(tmp_path / "run")
+    assert (len(rows.failures), rows.missing) == (1, missing)
+    assert gate(rows, "missing > 0") == (0 if finished else CONDITION_MET)

@@ -89,15 +89,12 @@ def _untested(condition: Condition, overall: Figures) -> str:
 
 
 def condition_met(condition: Condition, named: Mapping[str, float | None]) -> str | None:
-    """Return why the condition is met by the figures that are *named*; None where it is not."""
+    """Return why the condition is met by the figures that are *named*, or cannot be asked; None where it is not."""
     try:
         met = condition.holds(named)
     except Undefined as error:
-        return f"--fail-if {condition.text}: {error} is undefined, no episode has it"
-    if not met:
-        return None
-    values = (f"{name} = {named[name]:.4g}" for name in sorted(condition.names))
-    return f"--fail-if {condition.text}: {', '.join(values) or 'always so'}"
+        return f"--fail-if {condition.text}: {error}"
+    return f"--fail-if {condition.text}: {condition.told(named) or 'always so'}" if met else None
 
 
 def _print(console: Console, results: FolderRows, overall: Figures) -> None:

@@ -31,7 +31,7 @@ _LONGEST = 500
 
 
 class Undefined(Exception):  # noqa: N818 - a figure without a sample, not a fault
-    """A figure that the condition asks for is undefined."""
+    """A figure that decides, or a quotient, is undefined; the message says which."""
 
 
 class Condition:
@@ -46,7 +46,7 @@ class Condition:
         """Check *text*; *names* are the figures that there are.
 
         Raises:
-            ConfigError: it is no condition, or names an unknown figure.
+            ConfigError: it is no condition, names an unknown figure, or divides by zero whatever the figures are.
         """
         self.text = text
         if len(text) > _LONGEST:
@@ -56,19 +56,29 @@ class Condition:
         except (SyntaxError, ValueError, RecursionError, MemoryError):
             raise _refused(text, "is no condition") from None
         _must_be_condition(self._tree, text, names)
-        self.names = frozenset(node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name))
+        self.names = _names(self._tree)
 
     def holds(self, figures: Mapping[str, float | None]) -> bool:
         """Return whether the condition is true of *figures*.
 
         Raises:
-            Undefined: a figure that decides has no value.
-            ConfigError: it divides by zero.
+            Undefined: a figure that decides has no value, or is zero and divides.
         """
         try:
             return bool(_value(self._tree, figures))
         except ZeroDivisionError:
-            raise ConfigError(f"--fail-if {self.text}: divides by zero") from None
+            raise Undefined(f"divides by zero, with {self.told(figures)}") from None
+
+    def told(self, figures: Mapping[str, float | None]) -> str:
+        """Return the values of the figures that it asks for, as words; "" where it asks for none."""
+        values = ((name, figures[name]) for name in sorted(self.names))
+        return ", ".join(
+            f"{name} is undefined" if value is None else f"{name} = {value:.4g}" for name, value in values
+        )
+
+
+def _names(tree: ast.AST) -> frozenset[str]:
+    return frozenset(node.id for node in ast.walk(tree) if isinstance(node, ast.Name))
 
 
 def _must_be_condition(node: ast.AST, text: str, names: frozenset[str]) -> None:
@@ -91,6 +101,8 @@ def _must_be_number(node: ast.AST, text: str, names: frozenset[str]) -> None:
     elif isinstance(node, ast.BinOp) and type(node.op) in _ARITHMETIC:
         _must_be_number(node.left, text, names)
         _must_be_number(node.right, text, names)
+        if isinstance(node.op, ast.Div) and not _names(node.right) and _value(node.right, {}) == 0:
+            raise _refused(text, "divides by zero")
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         _must_be_number(node.operand, text, names)
     elif not (isinstance(node, ast.Constant) and type(node.value) in (int, float)):
@@ -114,7 +126,7 @@ def _value(node: Any, figures: Mapping[str, float | None]) -> Any:
         return node.value
     figure = figures[node.id]
     if figure is None:
-        raise Undefined(node.id)
+        raise Undefined(f"{node.id} is undefined, no episode has it")
     return figure
 
 

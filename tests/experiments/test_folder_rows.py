@@ -61,3 +61,24 @@ def test_a_run_that_has_ended_lacks_nothing(tmp_path: Path, *, finished: bool, m
     rows = rows_of_folder(tmp_path / "run")
     assert (len(rows.failures), rows.missing) == (1, missing)
     assert gate(rows, "missing > 0") == (0 if finished else CONDITION_MET)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("failures > 0 or median_min_ttc_s < 1", "failures = 1, median_min_ttc_s is undefined"),
+        ("failures > 0 and median_min_ttc_s < 1", "median_min_ttc_s is undefined, no episode has it"),
+        (
+            "failures > 0 and valid_failures / collisions > 0.5",
+            "divides by zero, with collisions = 0, failures = 1, valid_failures = 0",
+        ),
+    ],
+)
+def test_a_gate_that_is_shut_by_what_is_undefined_says_so_behind_its_junit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, words: str
+) -> None:
+    run_of(tmp_path, 1, 1).consolidate(finished=True)
+    assert gate(rows_of_folder(tmp_path / "run"), text, tmp_path / "j.xml") == CONDITION_MET
+    (told,) = parse(tmp_path / "j.xml").getroot().iter("failure")  # noqa: S314 - our own file
+    assert told.get("message") == f"--fail-if {text}: {words}"
+    assert f"{text}: {words}" in capsys.readouterr().out

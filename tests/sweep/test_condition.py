@@ -66,6 +66,26 @@ def test_what_is_undefined_is_not_false() -> None:
         Condition("episodes / 0 > 1", NAMES).holds(FIGURES)
 
 
+@pytest.mark.parametrize("text", ["episodes / 0 > 1", "1 / (2 - 2) > 0", "episodes > 1 or 1 / -0.0 > 0"])
+def test_what_divides_by_zero_whatever_comes_is_refused_before_the_first_episode(text: str) -> None:
+    with pytest.raises(ConfigError, match="divides by zero; write it like"):
+        Condition(text, NAMES)
+
+
+def test_a_quotient_of_a_figure_that_is_zero_is_undefined() -> None:
+    condition = Condition("episodes > 1 and collision_rate / (episodes - 40) > 1", NAMES)
+    words = r"^divides by zero, with collision_rate = 0\.1, episodes = 40$"
+    with pytest.raises(Undefined, match=words):
+        condition.holds(FIGURES)
+    assert condition.holds({**FIGURES, "episodes": 40.01})  # 0.1 / 0.01 = 10
+
+
+def test_a_condition_tells_its_figures_also_those_without_a_value() -> None:
+    text = "episodes > 1 or median_min_ttc_s < 1"
+    assert Condition(text, NAMES).told(FIGURES) == "episodes = 40, median_min_ttc_s is undefined"
+    assert Condition("1 > 0", NAMES).told(FIGURES) == ""
+
+
 @given(st.text(max_size=60))
 def test_no_text_does_anything_but_be_refused_or_hold(text: str) -> None:
     try:

@@ -24,6 +24,17 @@ def described(error: BaseException) -> str:
     return f"{type(error).__name__}: {words}" if words else type(error).__name__
 
 
+def lacks_memory(error: BaseException) -> bool:
+    """Return whether *error* says that memory ran out, as Python, NumPy or PyTorch say it.
+
+    PyTorch raises a plain RuntimeError on the CPU, and one of its own, OutOfMemoryError, on a GPU.
+    """
+    if isinstance(error, MemoryError):
+        return True
+    own = type(error).__name__ == "OutOfMemoryError"
+    return isinstance(error, RuntimeError) and (own or "can't allocate memory" in described(error))
+
+
 def raised_at(error: BaseException, plug_in: object) -> str:
     """Return " (FILE, line N, FUNCTION)" of the innermost call in the plug-in's own code; "" where there is none.
 

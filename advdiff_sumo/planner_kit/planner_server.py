@@ -15,7 +15,7 @@ import grpc
 import numpy as np
 
 from advdiff_sumo.core.plan import Controls, Trajectory
-from advdiff_sumo.core.plug_in_source import planned_at
+from advdiff_sumo.core.plug_in_source import lacks_memory, planned_at
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.planner_kit import messages
 from advdiff_sumo.planner_kit.kit_road import road_of
@@ -195,9 +195,9 @@ def _answering(call: Callable[[Any], Any]) -> Callable[[Any, Any], Any]:
             _leave(error)
         except _NoPlanError as error:
             _refuse(context, grpc.StatusCode.INVALID_ARGUMENT, str(error))
-        except MemoryError as error:
-            _refuse(context, grpc.StatusCode.RESOURCE_EXHAUSTED, f"out of memory {error}".strip())
         except Exception as error:  # noqa: BLE001 - a planner may raise anything, and the caller is to know
+            if lacks_memory(error):
+                _refuse(context, grpc.StatusCode.RESOURCE_EXHAUSTED, f"out of memory {error}".strip())
             _refuse(context, grpc.StatusCode.INTERNAL, f"{type(error).__name__}: {error}")
 
     return answer

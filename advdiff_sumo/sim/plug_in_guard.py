@@ -6,8 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from advdiff_sumo.core.errors import AdvdiffError, OutOfMemoryFailure, PlannerError, PlanRefusedError
-from advdiff_sumo.core.plug_in_source import described, planned_at, raised_at
+from advdiff_sumo.core.errors import (
+    AdvdiffError,
+    EpisodeFailure,
+    OutOfMemoryFailure,
+    PlannerError,
+    PlanRefusedError,
+)
+from advdiff_sumo.core.plug_in_source import described, lacks_memory, planned_at, raised_at
 from advdiff_sumo.core.process_end import hears_ctrl_c
 from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
 
@@ -44,9 +50,6 @@ class PlugInGuard:
                 raise PlanRefusedError(f"{error}{planned_at(self.plug_in)}") from error.__cause__
             except AdvdiffError:
                 raise
-            except MemoryError as error:
-                problem = f"{self.who} ran out of memory{raised_at(error, self.plug_in)}: {error}"
-                raise OutOfMemoryFailure(problem) from error
             except KeyboardInterrupt as error:
                 if hears_ctrl_c():
                     raise
@@ -56,5 +59,8 @@ class PlugInGuard:
             ) as error:  # SystemExit, GeneratorExit and exceptions of the plug-in's own included
                 raise self._raised(error) from error
 
-    def _raised(self, error: BaseException) -> PlannerError:
-        return PlannerError(f"{self.who} raised {described(error)}{raised_at(error, self.plug_in)}")
+    def _raised(self, error: BaseException) -> EpisodeFailure:
+        place = raised_at(error, self.plug_in)
+        if lacks_memory(error):
+            return OutOfMemoryFailure(f"{self.who} ran out of memory{place}: {error}")
+        return PlannerError(f"{self.who} raised {described(error)}{place}")

@@ -15,6 +15,7 @@ from typing import Any
 import pyarrow as pa
 
 from advdiff_sumo.core.errors import AdvdiffError, EpisodeFailure, NetError, SceneError
+from advdiff_sumo.core.plug_in_source import lacks_memory
 from advdiff_sumo.core.process_end import hears_ctrl_c
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.whole_file import file_state
@@ -62,8 +63,6 @@ def perform(task: Task, heartbeat: Heartbeat | None = None, run: Run | None = No
     heartbeat = heartbeat or Heartbeat()
     try:
         product = _product(task, heartbeat, run)
-    except MemoryError as error:
-        failed = Failed("out_of_memory", f"the worker ran out of memory: {error}", traceback.format_exc())
     except AdvdiffError as error:
         failed = Failed(_kind(error), str(error))
     except OSError as error:
@@ -72,7 +71,8 @@ def perform(task: Task, heartbeat: Heartbeat | None = None, run: Run | None = No
     except BaseException as error:  # any fault of a plug-in is a record, never the end
         if isinstance(error, KeyboardInterrupt) and hears_ctrl_c():
             raise
-        failed = Failed("error", f"{type(error).__name__}: {error}", traceback.format_exc())
+        what = "the worker ran out of memory" if (full := lacks_memory(error)) else type(error).__name__
+        failed = Failed("out_of_memory" if full else "error", f"{what}: {error}", traceback.format_exc())
     else:
         return Outcome(task.key, product, None, time.perf_counter() - begun)
     return Outcome(task.key, (), failed, time.perf_counter() - begun, heartbeat.steps)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from advdiff_sumo.core.errors import (
     AdvdiffError,
@@ -72,6 +73,18 @@ def test_a_library_that_raises_is_called_from_the_plug_in() -> None:
 def test_memory_that_is_not_there() -> None:
     with pytest.raises(OutOfMemoryFailure, match="ran out of memory"):
         guard().call(lambda: PlugIn().plan(MemoryError("17 GB")))
+
+
+def test_memory_that_pytorch_does_not_get() -> None:
+    """On the CPU it says so in a RuntimeError; four petabytes are more than any process can address."""
+    with pytest.raises(
+        OutOfMemoryFailure, match=r"ran out of memory \(test_plug_in_guard.py, line \d+, .*allocate"
+    ):
+        guard().call(lambda: torch.empty(10**15))
+    with pytest.raises(OutOfMemoryFailure, match=r"ran out of memory .*: CUDA out of memory"):
+        guard().call(
+            lambda: PlugIn().plan(torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 GiB"))
+        )
 
 
 def test_a_refused_plan_names_the_method() -> None:

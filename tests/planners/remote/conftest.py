@@ -57,6 +57,9 @@ class Faulty:
     def eats(self, accel):
         raise MemoryError("too much")
 
+    def fills(self, accel):
+        raise RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 8 bytes")
+
     def nan(self, accel):
         accel[3] = np.nan
 

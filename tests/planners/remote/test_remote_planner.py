@@ -128,6 +128,7 @@ def test_our_own_planner_plans_the_same_in_a_process_of_its_own(road: RoadMap, s
         ("raises", PlannerError, "raised RuntimeError: out of ideas", "in raises"),
         ("returns", PlanRefusedError, "plan\\(\\) returned dict", ""),
         ("eats", OutOfMemoryFailure, "ran out of memory: out of memory too much", "in eats"),
+        ("fills", OutOfMemoryFailure, "ran out of memory: out of memory DefaultCPUAllocator", "in fills"),
         ("segfaults", PlannerCrashedError, "its server was ended by SIGSEGV", ""),
         ("exits", PlannerCrashedError, "its server ended with exit code 3", ""),
         pytest.param(

@@ -260,6 +260,11 @@ def check_together(options: RunOptions, target: Target) -> None:
         target.check()
     if options.demand and options.scenes:
         raise ConfigError("demand and scenes cannot go together: a log brings its own traffic")
+    if options.scenes and options.sim.history_steps == 1:
+        raise ConfigError(
+            f"sim.history_s = {options.sim.history_s:g}: who is in a log is let into SUMO in the model step before "
+            f"the start; set it to {options.sim.model_step_s:g} (sim.model_step_s) or more"
+        )
 
 
 def _check_plan_length(options: RunOptions) -> None:

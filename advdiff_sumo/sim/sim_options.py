@@ -19,7 +19,7 @@ class SimOptions(Options):
         step_s: SUMO's step.
         model_step_s: spacing of histories and of replanning instants.
         replan_every: model steps between two plans.
-        history_s: how much of the past planners and policies see.
+        history_s: how much of the past planners and policies see; with a driving log at least a model step.
         lateral_resolution_m: SUMO's sublane width; 0 switches the sublane model off.
         control_radius_m: background vehicles nearer than this to the target may be moved by the policy.
         release_factor: a moved vehicle is handed back beyond ``release_factor`` × ``control_radius_m``.

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.errors import ConfigError, SceneError
 from advdiff_sumo.core.record import EndReason
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import AgentClass, Tracks
@@ -18,8 +18,9 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.log_reader import LogScene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.metric_rows import episode_row
+from advdiff_sumo.planners.planner_protocol import SumoDriver
 from advdiff_sumo.sim.logs import LoggedTraffic
-from advdiff_sumo.sim.run_episodes import RunOptions, left_out
+from advdiff_sumo.sim.run_episodes import RunOptions, check_together, left_out
 from advdiff_sumo.sim.seed_scene import PlacedTraffic
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from tests.sim import nets
@@ -91,6 +92,26 @@ def test_what_a_run_or_sweep_says_of_standing_starts(street: Path) -> None:
         "4 starts of the log passed over, its ego is slower than 0.5 m/s there (drives)"
     ]
     assert left_out(options, RoadMap.read(street), None, None) == []
+
+
+def test_a_log_without_a_history_is_refused_before_the_first_episode(street: Path) -> None:
+    """Who is in the log is let into SUMO in the step before the start; SUMO's own traffic is there already."""
+    of_log, of_sumo = {"net": str(street), "scenes": "drives"}, {"net": str(street)}
+    for history_s in (0.0, 1e-8):  # whole multiples, of no step
+        options = RunOptions.parse({**of_log, "sim": {"history_s": history_s}})
+        with pytest.raises(
+            ConfigError, match=r"^sim\.history_s = .*; set it to 0\.5 \(sim\.model_step_s\) or more$"
+        ):
+            check_together(options, SumoDriver("IDM"))
+    check_together(RunOptions.parse({**of_log, "sim": {"history_s": 0.5}}), SumoDriver("IDM"))
+    check_together(RunOptions.parse({**of_sumo, "sim": {"history_s": 0.0}}), SumoDriver("IDM"))
+
+
+def test_one_step_of_history_is_enough_for_a_log(street: Path) -> None:
+    made = replace(source(street, SPEED_MPS), sim=SimOptions.parse({"history_s": 0.5}))
+    scene = next(iter(made.scenes()))
+    record, _ = episode(scene, made.road, horizon_s=0.3, history_s=0.5).run()
+    assert (record.end, record.failure, record.tracks.steps) == (EndReason.HORIZON, None, 4)
 
 
 def test_standing_is_a_start_where_it_is_asked_for(street: Path) -> None:

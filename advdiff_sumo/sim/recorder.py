@@ -87,7 +87,7 @@ class Recorder:
             end=EndReason.HORIZON,
             visible=tuple(self.visible),
             signals=tuple(self.signals),
-            sumo_collisions=tuple(self.collisions),
+            sumo_collisions=tuple(hit for hit in self.collisions if hit.step < len(self.frames)),
             teleports=self.teleports,
             plans=tuple(self.plans),
         )

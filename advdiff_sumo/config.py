@@ -2,18 +2,42 @@
 
 from __future__ import annotations
 
+import math
 import reprlib
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeAlias, get_args
+from typing import Annotated, Any, Self, TypeAlias, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from advdiff_sumo.core.errors import ConfigError, FileError, did_you_mean, nearest
 
+_Own = TypeVar("_Own", bound=Mapping[str, Any])
 Seed: TypeAlias = Annotated[int, Field(ge=0, lt=2**63)]
 """Root of random numbers; tables hold it in 64 bits."""
+
+
+def _finite(own: _Own) -> _Own:
+    """Refuse numbers that are none, which no file of results can hold, also in lists and tables."""
+    for name, value in own.items():
+        if not _is_finite(value):
+            raise ValueError(f"{name} = {_short(value)}: give finite numbers")
+    return own
+
+
+def _is_finite(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return all(map(_is_finite, value.values()))
+    if isinstance(value, list | tuple):
+        return all(map(_is_finite, value))
+    return not isinstance(value, float) or math.isfinite(value)
+
+
+OwnOptions: TypeAlias = Annotated[dict[str, Any], AfterValidator(_finite)]
+"""Options of a planner's or policy's own, by name."""
+Variants: TypeAlias = Annotated[dict[str, tuple[Any, ...]], AfterValidator(_finite)]
+"""Values to try of each of them."""
 
 #: Two names as alike as "background" and "backgrounds" are one that was misspelt, wherever else the same one is known.
 _MISSPELT = 0.85

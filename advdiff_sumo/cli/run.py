@@ -234,9 +234,16 @@ def options_given(
     values |= {key: value for key, value in given.items() if value is not None}
     named = {key: value for key, value in policy.items() if value is not None}
     if named:
-        values["background_options"] = {**values.get("background_options", {}), **named}
+        _add_to(values, "background_options", named)
     if defects:
-        values["target_options"] = {**values.get("target_options", {}), "defects": defects}
+        _add_to(values, "target_options", {"defects": defects})
     for assignment in assignments:
         set_dotted(values, assignment)
     return RunOptions.parse(values, str(config) if config else "options")
+
+
+def _add_to(values: dict[str, Any], group: str, more: Mapping[str, Any]) -> None:
+    """Add *more* to a table of options; what is none there stays, and is refused where all options are checked."""
+    own = values.get(group, {})
+    if isinstance(own, Mapping):
+        values[group] = {**own, **more}

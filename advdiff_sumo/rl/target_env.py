@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from advdiff_sumo.config import Options
+from advdiff_sumo.config import Options, OwnOptions
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.core.errors import EpisodeFailure
 from advdiff_sumo.core.plan import Plan
@@ -64,7 +64,7 @@ class TargetOptions(Options):
 
     net: str = "downtown"
     background: str = "sumo"
-    background_options: dict[str, Any] = Field(default_factory=dict)
+    background_options: OwnOptions = Field(default_factory=dict)
     action: Literal["controls", "trajectory"] = "controls"
     scenes: int = Field(40, ge=1)
     scene_seed: int = Field(0, ge=0)

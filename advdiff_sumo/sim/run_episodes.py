@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from pydantic import Field, model_validator
 
 from advdiff_sumo import __version__
-from advdiff_sumo.config import Options, Seed
+from advdiff_sumo.config import Options, OwnOptions, Seed
 from advdiff_sumo.core.errors import AdvdiffError, ConfigError, NetError
 from advdiff_sumo.core.plug_in_source import described, raised_at
 from advdiff_sumo.core.seeds import SeedTree
@@ -58,9 +58,9 @@ class RunOptions(Options):
 
     net: str = "downtown"
     target: str = "IDM"
-    target_options: dict[str, Any] = Field(default_factory=dict)
+    target_options: OwnOptions = Field(default_factory=dict)
     background: str = "sumo"
-    background_options: dict[str, Any] = Field(default_factory=dict)
+    background_options: OwnOptions = Field(default_factory=dict)
     episodes: int = Field(10, ge=1)
     horizon_s: float = Field(20.0, gt=0.0, le=3600.0)
     seed: Seed = 0

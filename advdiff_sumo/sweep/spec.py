@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from pydantic import Field, field_validator
 
-from advdiff_sumo.config import Options, Seed, read_toml
+from advdiff_sumo.config import Options, OwnOptions, Seed, Variants, read_toml
 from advdiff_sumo.core.errors import AdvdiffError, ConfigError
 from advdiff_sumo.maps.shipped_nets import net_name
 from advdiff_sumo.sim.run_episodes import RunOptions
@@ -26,8 +26,8 @@ class Choice(Options):
     """
 
     name: str
-    options: dict[str, Any] = Field(default_factory=dict)
-    vary: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
+    options: OwnOptions = Field(default_factory=dict)
+    vary: Variants = Field(default_factory=dict)
 
     def combinations(self, where: str) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield the name with each combination of options.
@@ -91,9 +91,9 @@ class Case(Options):
 
     net: str = "downtown"
     target: str = "IDM"
-    target_options: dict[str, Any] = Field(default_factory=dict)
+    target_options: OwnOptions = Field(default_factory=dict)
     background: str = "sumo"
-    background_options: dict[str, Any] = Field(default_factory=dict)
+    background_options: OwnOptions = Field(default_factory=dict)
     demand: str = ""
     scenes: str = ""
     seed: Seed | None = None

@@ -112,6 +112,7 @@ def test_a_net_without_a_drivable_route(
         (("--set", "target_options.tauu=1"), ("options of target 'IDM'", "did you mean 'tau'?")),
         (("--set", "target_options.tau=-1"), ("tau = -1", "greater than 0")),
         (("--set", "target_options.lane_change=LC13"), ("lane_change = 'LC13'", "'LC2013', 'SL2015'")),
+        (("--set", "target_options.tau=nan"), ("target_options: tau = nan: give finite numbers",)),
         (("--set", "background_options.a=1"), ("options of background 'sumo'", "no option 'a'")),
         (("--strength", "0.5"), ("options of background 'sumo'", "no option 'strength'")),
         (("--background", "diffusion", "--strength", "2"), ("strength = 2.0", "less than or equal to 1")),

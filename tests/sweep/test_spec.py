@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,15 @@ def test_a_case_may_have_scenes_of_its_own() -> None:
         ({}, ("asks for no episode", "[grid]")),
         ({"grid": GRID, "seeds": []}, ("seeds is empty",)),
         ({"grid": GRID, "episodes": 0}, ("episodes = 0", "greater than or equal to 1")),
+        (
+            {"grid": {**GRID, "targets": [{"name": "IDM", "vary": {"tau": [1.0, math.nan]}}]}},
+            ("grid.targets.0.vary: tau = (1.0, nan): give finite numbers",),
+        ),
+        (
+            {"grid": {**GRID, "backgrounds": [{"name": "sumo", "options": {"a": math.inf}}]}},
+            ("grid.backgrounds.0.options: a = inf: give finite numbers",),
+        ),
+        ({"cases": [{"target_options": {"tau": -math.inf}}]}, ("cases.0.target_options: tau = -inf",)),
         ({"grid": {**GRID, "targets": [{"name": "IDM", "vary": {"tau": []}}]}}, ("vary.tau is empty",)),
         (
             {"grid": {**GRID, "targets": [{"name": "IDM", "options": {"tau": 1.0}, "vary": {"tau": [2.0]}}]}},

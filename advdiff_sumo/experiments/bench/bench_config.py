@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias
 
 from pydantic import Field
 
-from advdiff_sumo.config import Options, Seed
+from advdiff_sumo.config import Options, OwnOptions, Seed
 from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, WeightsError
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.plugins import Registry, fold
@@ -40,7 +40,7 @@ class EpisodeOptions(Options):
     demand: str = ""
     sim: SimOptions = SimOptions()
     scene: SceneOptions = SceneOptions()
-    background_options: dict[str, Any] = Field(default_factory=dict)
+    background_options: OwnOptions = Field(default_factory=dict)
 
 
 class Request(Options):
@@ -76,7 +76,7 @@ class Request(Options):
     severity: Literal["weak", "middle", "strong"] = "strong"
     licence: LicenceName | None = None
     nets: tuple[str, ...] = ()
-    options: dict[str, Any] = Field(default_factory=dict)
+    options: OwnOptions = Field(default_factory=dict)
 
     @property
     def episode(self) -> EpisodeOptions:

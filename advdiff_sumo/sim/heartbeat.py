@@ -26,6 +26,8 @@ class Phase(IntEnum):
     SIMULATOR = 1
     TARGET = 2
     BACKGROUND = 3
+    MAKING_TARGET = 4
+    MAKING_BACKGROUND = 5
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from advdiff_sumo.sim.episode import Ended
 from advdiff_sumo.sim.heartbeat import NOT_STARTED, Phase
 from advdiff_sumo.sim.run_episodes import RunOptions
 
-#: Wall-clock after which SUMO has surely stopped; its start with a large net is within it.
+#: Wall-clock after which SUMO has surely stopped, or a planner that is being made; the start of SUMO with a large net,
+#: and the reading of large weights, are within it.
 STEP_TIMEOUT_S = 300.0
 
 
@@ -138,12 +139,11 @@ class Limits:
     log_level: int = logging.WARNING
 
     def longest_s(self, phase: Phase) -> float:
-        """Return how long an episode may be in *phase* at a time; a plan, or a step of SUMO."""
+        """Return how long an episode may be in *phase* at a time: a plan, a step of SUMO, the making of a planner."""
         if phase is Phase.OTHER:
             return math.inf
-        return (
-            self.plan_timeout_s if phase is not Phase.SIMULATOR else max(self.plan_timeout_s, STEP_TIMEOUT_S)
-        )
+        plans = phase in (Phase.TARGET, Phase.BACKGROUND)
+        return self.plan_timeout_s if plans else max(self.plan_timeout_s, STEP_TIMEOUT_S)
 
     def log_of(self, key: str) -> Path:
         """Return the file that the worker of task *key* writes to."""

@@ -27,7 +27,7 @@ from advdiff_sumo.metrics.summary import summarise
 from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.episode import Timing
-from advdiff_sumo.sim.heartbeat import Heartbeat
+from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
 from advdiff_sumo.sim.plan_memo import MadePlans, PlanMemo
 from advdiff_sumo.sim.run_episodes import Run, RunOptions, policy_of, read_road, target_of
 from advdiff_sumo.sim.run_store import episode_tables
@@ -86,13 +86,29 @@ def _product(task: Task, heartbeat: Heartbeat, run: Run | None) -> tuple[bytes, 
     return (task.call(),)
 
 
-def run_of(options: RunOptions, net_digest: str) -> Run:
-    """Return the run of *options*; its net, target and policy are those that this process has loaded already."""
+def run_of(options: RunOptions, net_digest: str, heartbeat: Heartbeat | None = None) -> Run:
+    """Return the run of *options*; its net, target and policy are those that this process has loaded already.
+
+    Args:
+        options: of the run.
+        net_digest: of its net.
+        heartbeat: told while target and policy are made.
+    """
+    heartbeat = heartbeat or Heartbeat()
     road = _road(options.net, net_digest)
     names = options.target, options.background
-    target = _target(names[0], _Plain(options, options.target_options))
-    policy = _policy(names[1], _Plain(options, options.background_options))
+    with heartbeat.during(Phase.MAKING_TARGET):
+        target = _target(names[0], _Plain(options, options.target_options))
+    with heartbeat.during(Phase.MAKING_BACKGROUND):
+        policy = _policy(names[1], _Plain(options, options.background_options))
     return Run(options, road, target, policy, names)
+
+
+def _plain_run(options: RunOptions, net_digest: str) -> Run:
+    """Return the run of *options* with SUMO's drivers, for what needs neither target nor policy."""
+    plain = options.model_copy(update={"target": "IDM", "target_options": {}})
+    road, policy = _road(options.net, net_digest), _policy("sumo", _Plain(plain, {}))
+    return Run(plain, road, target_of(plain), policy, ("IDM", "sumo"))
 
 
 def part_of(run: Run, record: EpisodeRecord, timing: Timing) -> StoredEpisode:
@@ -118,14 +134,15 @@ def _beside(table: pa.Table, rows: list[dict[str, Any]], columns: Mapping[str, C
 
 
 def _scenes(task: SceneTask) -> tuple[bytes, ...]:
-    road = _road(task.options.net, task.net_digest)
-    plain = task.options.model_copy(update={"target": "IDM", "target_options": {}})
-    run = Run(plain, road, target_of(plain), _policy("sumo", _Plain(plain, {})), ("IDM", "sumo"))
+    run = _plain_run(task.options, task.net_digest)
     return tuple(scene_to_bytes(scene) for scene in run.scene_batch(task.number, task.scenes))
 
 
 def _episode(task: EpisodeTask, heartbeat: Heartbeat, run: Run | None) -> bytes:
-    run = run or run_of(task.options, task.net_digest)
+    unstarted = task.ended is not None and task.ended.steps < 0  # of which nothing is driven again
+    if run is None and unstarted:
+        run = _plain_run(task.options, task.net_digest)
+    run = run or run_of(task.options, task.net_digest, heartbeat)
     scene: SeedScene = scene_from_bytes(task.scene, run.road.path)
     episode = replace(run.episode(task.number, scene), heartbeat=heartbeat, memo=_memo_of(task))
     record, timing = episode.run(task.ended)

@@ -34,6 +34,7 @@ _TIMED_OUT, _CRASHED, _MODULES = (
     "Fatal Python error",
     "Extension modules:",
 )  # faulthandler's words
+_MAKING = (Phase.MAKING_TARGET, Phase.MAKING_BACKGROUND)
 _READ_BYTES, _TAIL, _BEFORE = 1 << 16, 4000, 1000
 _MB = 1 << 20
 _TASKS = count()  # of this process
@@ -92,7 +93,7 @@ def lost(task: Task, limits: Limits, exit_code: int | None, how: str, overdue: b
         limits: that it kept or did not keep.
         exit_code: of its process, negative for a signal; None where it is not known.
         how: the same as the end of a sentence; "" where it was ended at its time limit.
-        overdue: it was ended because a plan or a step of SUMO took too long.
+        overdue: it was ended because a plan, a step of SUMO or the making of a planner took too long.
     """
     log, heartbeat = limits.log_of(task.key), limits.heartbeat_of(task.key)
     tail, beat = tail_of(log), Heartbeat.read(heartbeat)
@@ -132,17 +133,21 @@ def _overdue(task: EpisodeTask, limits: Limits, beat: Beat, tail: str) -> Failed
     when = _when(task, beat)
     if beat.phase is Phase.SIMULATOR:
         return Failed("timeout", f"SUMO made no step in {limits.longest_s(beat.phase):g} s {when}", tail)
-    who = _who(task, beat.phase)
-    problem = f"{who} made no plan in {limits.plan_timeout_s:g} s {when}{crashed_at(tail)}"
+    who, within = _who(task, beat.phase), f"in {limits.longest_s(beat.phase):g} s"
+    late = f"was not made {within}" if beat.phase in _MAKING else f"made no plan {within} {when}"
+    problem = f"{who} {late}{crashed_at(tail)}"
     return Failed("planner_timeout", problem, tail)
 
 
 def _who(task: EpisodeTask, phase: Phase) -> str:
     options = task.options
-    return f"target '{options.target}'" if phase is Phase.TARGET else f"background '{options.background}'"
+    of_target = phase in (Phase.TARGET, Phase.MAKING_TARGET)
+    return f"target '{options.target}'" if of_target else f"background '{options.background}'"
 
 
 def _when(task: EpisodeTask, beat: Beat) -> str:
+    if beat.phase in _MAKING:
+        return "while it was made"
     if beat.steps < 0:
         return "before the first step"
     return f"at {beat.steps * task.options.sim.step_s:.1f} s of the episode"

@@ -33,7 +33,7 @@ KINDS = {
     "segfaults": "planner_crashed",
     "exits": "planner_error",
 }
-LEAST_TIMEOUT_S, TIMES_THE_SLOWEST = 30.0, 20.0
+LEAST_TIMEOUT_S, TIMES_THE_SLOWEST = 45.0, 20.0
 
 
 @pytest.fixture(scope="module")

@@ -94,7 +94,7 @@ def _bench_cell(
     licence: Mapping[str, Any], guide: str, name: str, seed: int, mark: int, reward: Path | None = None
 ) -> BenchCell:
     options = {**licence, "guide": guide} | ({} if reward is None else {"reward": str(reward.resolve())})
-    row, target = f"{guide}/{name}/{seed}/{mark}", _of(name)
+    row, target = _row(guide, name, seed, mark), _of(name)
     return BenchCell(row, target.target, "diffusion", target.options, options, like=f"--guide {guide}")
 
 
@@ -118,12 +118,12 @@ def fewshot_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Tabl
     marks = (0, *marks_of(request.steps))
     heads = tuple(Head(f"steps_{mark}", f"{mark} steps", "%", 100.0, 1, "high") for mark in marks)
     by_row = {cell.row: results for cell, results in gathered.finished.items()}
-    names = tuple(dict.fromkeys(row.split("/")[1] for row in by_row))
+    names = tuple(dict.fromkeys(row.partition("/")[2].rsplit("/", 2)[0] for row in by_row))
 
     def ladder(guide: str, name: str) -> list[Pooled]:
-        ends = [f"{guide}/{name}/{{}}/{mark}" for mark in marks[1:]]
-        later = [pooled([by_row[end.format(seed)] for seed in range(request.seeds)]) for end in ends]
-        return [pooled([by_row[f"{guide}/{name}/0/0"]]), *later]
+        ends = [[_row(guide, name, seed, mark) for seed in range(request.seeds)] for mark in marks[1:]]
+        later = [pooled([by_row[row] for row in rows]) for rows in ends]
+        return [pooled([by_row[_row(guide, name, 0, 0)]]), *later]
 
     rows: dict[tuple[str, str], list[Pooled]] = {}
     for guide in GUIDES:
@@ -145,6 +145,11 @@ def fewshot_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Tabl
         f"{len(scenes.scenes)} seed scenes, {request.horizon_s:g} s"
     )
     return Table("fewshot", title, heads, lines, gaps, notes_of(gathered, scenes, folder, NOTES))
+
+
+def _row(guide: str, name: str, seed: int, mark: int) -> str:
+    """Return the key of a rung; the name of a target may hold slashes and braces, the other parts have none."""
+    return f"{guide}/{name}/{seed}/{mark}"
 
 
 def _cells(heads: Sequence[Head], ladder: Sequence[Pooled]) -> dict[str, Cell]:

@@ -1,0 +1,42 @@
+"""The table of ``bench fewshot``, of episodes that are made up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from advdiff_sumo.experiments.bench.bench_config import Folder, Request
+from advdiff_sumo.experiments.bench.cells import BenchCell
+from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
+from advdiff_sumo.experiments.bench.fewshot import GUIDES, fewshot_table
+from advdiff_sumo.experiments.bench.scene_list import ListedScene, SceneList
+from advdiff_sumo.experiments.bench.traces import UNTRACED
+
+SCENES = SceneList(
+    nets={}, sumo="", scenes=tuple(ListedScene(net="motorway", seed=1, number=number) for number in range(2))
+)
+
+
+def met(hits: int) -> list[EpisodeResult]:
+    """Return the two scenes' episodes, in the first *hits* of which the target collides."""
+    return [EpisodeResult(f"s{k}", {"target_collision": k < hits}, UNTRACED, None) for k in range(2)]
+
+
+@pytest.mark.parametrize(
+    "name", ["EIDM", "exec:/opt/planner --at {address}", "grpc://localhost:50051", "exec:sh -c 'a/0/0'"]
+)
+def test_names_of_targets_may_hold_slashes_and_braces(name: str, tmp_path: Path) -> None:
+    """No collision at first, one of the four episodes of two warm-ups after a plan, all after two."""
+    hits = {(0, 0): 0, (0, 1): 1, (1, 1): 0, (0, 2): 2, (1, 2): 2}
+    rungs = [(guide, rung) for guide in GUIDES for rung in hits]
+    gathered = Gathered(
+        {BenchCell(f"{guide}/{name}/{s}/{k}", name, "diffusion"): met(hits[s, k]) for guide, (s, k) in rungs}
+    )
+    folder = Folder(tmp_path, Request(bench="fewshot", seeds=2, steps=2))
+    table = fewshot_table(gathered, SCENES, folder)
+    keys = [(line.key, line.group, line.title) for line in table.lines]
+    assert keys == [(f"{guide}/{name}", GUIDES[guide], name) for guide in GUIDES]
+    for line in table.lines:
+        rates = [line.cells[f"steps_{mark}"].found.value for mark in (0, 1, 2)]
+        assert rates == [0.0, 0.25, 1.0]

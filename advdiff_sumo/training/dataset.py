@@ -56,15 +56,15 @@ class WindowSet:
         of_file = np.array([DRIVEN in file.extra for file in self.files], dtype=np.bool_)
         return of_file[self.file]
 
-    def must_show(self, view: MapView) -> None:
-        """Refuse windows that networks of this *view* of the map cannot read.
+    def must_show(self, view: MapView, which: str = "the windows") -> None:
+        """Refuse windows that networks of this *view* of the map cannot read; *which* they are begins the sentence.
 
         Raises:
             ConfigError: they show the other one.
         """
         if self.map_view != view:
             raise ConfigError(
-                f"the windows show the map's '{self.map_view}' view, but the networks see '{view}': make windows with "
+                f"{which} show the map's '{self.map_view}' view, but the networks see '{view}': make windows with "
                 f"--map-view {view}"
             )
 

@@ -114,7 +114,8 @@ def _prepared_simnet(plan: Plan, device: torch.device) -> Job:
     windows = read_window_set(plan.data)
     seed = SeedTree(plan.seed, ("weights",)).integer()
     init = None if plan.init is None else weights_file(plan.init)
-    simnet = begin_simnet(init, plan.options.model, seed).to(device)
+    model = plan.options.model.model_copy(update={"map_view": windows.map_view})
+    simnet = begin_simnet(init, model, seed).to(device)
     windows.must_show(simnet.options.map_view)
     options = plan.options.model_copy(update={"model": simnet.options})
 
@@ -299,7 +300,9 @@ def weights_file(path: Path) -> Path:
 
 def _sides(plan: Plan, windows: WindowSet) -> tuple[WindowSet, WindowSet]:
     if plan.val:
-        return windows, read_window_set(plan.val)
+        held_out = read_window_set(plan.val)
+        held_out.must_show(windows.map_view, "the windows of --val")
+        return windows, held_out
     return split(windows, plan.options.held_out, plan.options.split_seed)
 
 

@@ -8,12 +8,15 @@ import signal
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from advdiff_sumo.core.errors import ConfigError, TrainingError, WeightsError
+from advdiff_sumo.data.window_files import read_windows, write_windows
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.shipped_weights import WEIGHTS
+from advdiff_sumo.models.simnet import load_simnet
 from advdiff_sumo.training import checkpoint
 from advdiff_sumo.training.ema import Ema
 from advdiff_sumo.training.history import NoEvents
@@ -213,3 +216,36 @@ def test_sizes_of_a_new_denoiser_are_those_that_are_asked_for(window_folder: Pat
         ConfigError, match=r"model.edge = 16: the networks of .*traffic have 8, and the stage"
     ):
         job(window_folder, tmp_path / "refused", "denoiser", init, "model.edge=16")
+
+
+def far(folder: Path, out: Path) -> Path:
+    """Return a folder of the windows of *folder*, as they are where the map is shown as far as 6 s lead."""
+    (path,) = folder.glob("*.safetensors")
+    near = read_windows(path)
+    out.mkdir()
+    wider = np.pad(near.near, ((0, 0), (0, 24)), constant_values=-1)
+    write_windows(out / "far.safetensors", replace(near, near=wider))
+    return out
+
+
+@pytest.mark.parametrize("stage", ["traffic", "simnet"])
+def test_held_out_windows_show_the_same_view_of_the_map(
+    stage: StageName, window_folder: Path, tmp_path: Path
+) -> None:
+    both = window_folder, far(window_folder, tmp_path / "far")
+    for (data, val), sees in ((both, "near"), (both[::-1], "far")):
+        plan = Plan(stage, (data,), tmp_path / "out", options(stage), val=(val,), device="cpu")
+        with pytest.raises(
+            ConfigError, match=f"the windows of --val show .*the networks see '{sees}': .*--map-view {sees}"
+        ):
+            prepare(plan)
+    assert len(prepare(replace(plan, val=plan.data)).held_out) == 12
+
+
+def test_simnet_sees_of_the_map_what_its_windows_show(window_folder: Path, tmp_path: Path) -> None:
+    """New networks take the view of the windows; those of another view cannot go on with them."""
+    wide = far(window_folder, tmp_path / "far")
+    run(job(wide, tmp_path / "out", "simnet", None, "epochs=1"))
+    assert load_simnet(tmp_path / "out" / WEIGHTS).options.map_view == "far"
+    with pytest.raises(ConfigError, match="the windows show the map's 'near' view, but the networks see"):
+        job(window_folder, tmp_path / "refused", "simnet", tmp_path / "out", "epochs=1")

@@ -54,10 +54,14 @@ class EncounterLog:
     begun: list[Encounter] = field(default_factory=list)
     plans: list[float] = field(default_factory=list)
 
-    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Any:
-        """Forget the last episode, and start the policy."""
+    def forget(self) -> None:
+        """Forget the last episode."""
         self.begun.clear()
         self.plans.clear()
+
+    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Any:
+        """Forget the last episode, and start the policy."""
+        self.forget()
         return self.policy.start(road, scene, log, rng)
 
     def plan(

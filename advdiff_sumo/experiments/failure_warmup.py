@@ -99,6 +99,7 @@ def meet(
     for number, scene in enumerate(with_room(run.seed_scenes()) if probes else run.seed_scenes()):
         policy.preference = EncounterPreference(believed, 0.0, probe if probes else None)
         left_s = PLAN_DT_S * (plans - made)
+        log.forget()  # a planner that fails as the episode begins ends it before the policy starts
         record, _ = replace(run.episode(number, scene), horizon_s=min(options.horizon_s, left_s)).run()
         ended, of_them = outcomes(record, run.road, log.begun)
         tries += 1

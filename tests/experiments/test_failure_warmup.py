@@ -22,6 +22,7 @@ from advdiff_sumo.experiments.failure_warmup import (
 )
 from advdiff_sumo.models.failure_predictor import FailurePredictor, load_failures
 from advdiff_sumo.models.shipped_weights import shipped_weights
+from advdiff_sumo.planners.reference import CarefulPlanner
 from advdiff_sumo.sim.run_episodes import RunOptions
 from advdiff_sumo.sim.seed_scene import PlacedTraffic, SeedScene
 from advdiff_sumo.traffic.manoeuvres.encounter_features import FEATURES
@@ -54,6 +55,20 @@ class Refuses:
 
     def plan(self, *_: object) -> None:
         raise AssertionError
+
+
+class RefusesLater(CarefulPlanner):
+    """A planner that drives one episode and fails at once in all that follow, as a server that has crashed does."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.episodes = 0
+
+    def start(self, *given: Any) -> Any:
+        self.episodes += 1
+        if self.episodes > 1:
+            raise RuntimeError("no server")
+        return super().start(*given)
 
 
 @pytest.mark.slow
@@ -102,6 +117,16 @@ def test_a_planner_that_never_plans_ends_it() -> None:
     scene = {"warmup_s": 8.0, "scenes_per_warmup": 3, "min_neighbours": 0, "density_per_km": 2.0}
     with pytest.raises(EpisodeFailure, match=r"3 episodes without a plan; the last one: .*no map"):
         meet(options(target=target, horizon_s=1.0, scene=scene), prior(), 4, nothing)
+
+
+def test_plans_of_an_episode_count_once() -> None:
+    """An episode of 2 s has four plans; those after it begin without the planner and have none."""
+    target = f"{__name__}:RefusesLater"
+    scene = {"warmup_s": 8.0, "scenes_per_warmup": 4, "min_neighbours": 0, "density_per_km": 2.0}
+    told: list[int] = []
+    with pytest.raises(EpisodeFailure, match=r"3 episodes without a plan; the last one: .*no server"):
+        meet(options(target=target, horizon_s=2.0, scene=scene), prior(), 20, told.append)
+    assert told == [4, 4, 4]
 
 
 def test_scenes_with_somebody_ahead_are_passed_over() -> None:

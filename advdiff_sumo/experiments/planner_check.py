@@ -18,7 +18,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.planners.hard_scenes import hard_scenes
 from advdiff_sumo.planners.planner_check import Part, Problem, carries_over, problems_of
-from advdiff_sumo.planners.planner_protocol import Planner, SumoDriver
+from advdiff_sumo.planners.planner_protocol import Planner, Served, ServedPlanner, SumoDriver
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.run_episodes import RunOptions, check_together, target_of
 from advdiff_sumo.sim.seed_scene import SeedScene
@@ -90,6 +90,25 @@ class Watched:
         return self.planner.plan(road, scene, memory, rng)
 
 
+@dataclass
+class WatchedServed(Watched):
+    """The same of one that something outside this process stands behind, which is told when an episode is over."""
+
+    planner: ServedPlanner
+
+    def check(self) -> None:
+        """Pass the call on."""
+        self.planner.check()
+
+    def end(self, memory: Any, end: str, time_s: float, failure: str) -> None:
+        """Pass the call on."""
+        self.planner.end(memory, end, time_s, failure)
+
+    def close(self) -> None:
+        """Pass the call on."""
+        self.planner.close()
+
+
 @dataclass(frozen=True)
 class Driven:
     """What the drives came to."""
@@ -139,7 +158,7 @@ def drive(planner: Planner, name: str, road: RoadMap, extent: Extent) -> Driven:
         SeedTree(extent.seed),
     )
     starts = source.batch(0)[: extent.episodes]
-    watched = Watched(planner)
+    watched = WatchedServed(planner) if isinstance(planner, Served) else Watched(planner)
     episodes = [_episode(k, start, road, watched, name, extent) for k, start in enumerate(starts)]
     again, _ = _episode(0, starts[0], road, planner, name, extent)
     times = np.array([t for _, plans in episodes for t in plans])

@@ -53,6 +53,10 @@ class Served(Protocol):
         ...
 
 
+class ServedPlanner(Planner, Served, Protocol):
+    """A planner that something outside this process stands behind."""
+
+
 @dataclass(frozen=True)
 class SumoDriver:
     """A target that SUMO's own models drive; our code only looks.

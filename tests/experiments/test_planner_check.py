@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -76,6 +76,25 @@ class NeedsAnOption(Brakes):
         self.sight_m = sight_m
 
 
+class Told(Brakes):
+    """Has what a planner has that something outside this process stands behind, and notes the ends of episodes."""
+
+    ends: ClassVar[list[tuple[str, float]]] = []
+
+    def check(self) -> None:
+        return None
+
+    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> str:
+        return "an episode"
+
+    def end(self, memory: str, end: str, time_s: float, failure: str) -> None:
+        assert (memory, failure) == ("an episode", "")
+        self.ends.append((end, time_s))
+
+    def close(self) -> None:
+        return None
+
+
 def verdicts(kind: type[Brakes], **options: Any) -> dict[str, Verdict]:
     return {verdict.name: verdict for verdict in check_target(f"{__name__}:{kind.__name__}", options, BRIEF)}
 
@@ -85,6 +104,13 @@ def test_what_an_episode_takes_keeps_the_contract(kind: type[Brakes]) -> None:
     found = verdicts(kind)
     assert [verdict for verdict in found.values() if not verdict.ok] == []
     assert ("it writes into the scene, which it may" in found["scene left alone"].detail) is (kind is Writes)
+
+
+def test_a_planner_elsewhere_is_told_of_the_end_of_each_drive() -> None:
+    """One drive and the same again, 2 s each."""
+    Told.ends.clear()
+    assert verdicts(Told)["drives it again"].ok
+    assert Told.ends == [("horizon", pytest.approx(2.0))] * 2
 
 
 @pytest.mark.parametrize("defect", ["late:strong", "weak-brakes:strong", "localisation:strong"])

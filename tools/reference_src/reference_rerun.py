@@ -20,7 +20,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import Collision, collisions, target_collision
 from advdiff_sumo.metrics.reference import ReferenceDrive
 from advdiff_sumo.metrics.verdict import YARDSTICK, judge
-from advdiff_sumo.planners.planner_protocol import Planner
+from advdiff_sumo.planners.planner_protocol import Planner, Served, ServedPlanner
 from advdiff_sumo.planners.reference import CarefulPlanner
 from advdiff_sumo.sim.episode import Episode
 
@@ -76,6 +76,30 @@ class HandedOver:
         begun = memory.second if memory.second is not None else self.second.start(road, scene, rng)
         plan, second = self.second.plan(road, scene, begun, rng)
         return plan, HandoverMemory(memory.first, second)
+
+
+class ServedHandedOver(HandedOver):
+    """The same where something outside this process stands behind the first planner, which is told of the end."""
+
+    first: ServedPlanner
+
+    def check(self) -> None:
+        """Look whether the first planner can be used; raises InputError where not."""
+        self.first.check()
+
+    def end(self, memory: HandoverMemory, end: str, time_s: float, failure: str) -> None:
+        """Tell the first planner that the episode is over."""
+        self.first.end(memory.first, end, time_s, failure)
+
+    def close(self) -> None:
+        """Let the first planner let go of what it holds."""
+        self.first.close()
+
+
+def handed_over(first: Planner, second: Planner, takeover_s: float) -> HandedOver:
+    """Return *first*, which *second* takes over from at *takeover_s*."""
+    kind = ServedHandedOver if isinstance(first, Served) else HandedOver
+    return kind(first, second, takeover_s)
 
 
 class SameDrive:
@@ -150,7 +174,7 @@ def close_loop(episode: Episode, record: EpisodeRecord, driver: Driver = Driver.
     takeover = drive.takeover_step // period * period
     last = drive.takeover_step + len(drive.states.speed_mps) - 1
     careful = CarefulPlanner() if driver is Driver.CAREFUL else SameDrive(record, drive)
-    target = HandedOver(episode.target, careful, takeover * dt_s)
+    target = handed_over(episode.target, careful, takeover * dt_s)
     again, _ = replace(episode, target=target, horizon_s=last * dt_s).run()
     if again.failure is not None:
         raise ConfigError(f"the episode failed when run again: {again.failure.message}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +14,9 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.defects.fault import Fault
-from advdiff_sumo.planners.planner_protocol import Planner, Served
+from advdiff_sumo.planners.planner_protocol import Planner, Served, ServedPlanner
 
 _SEED_BITS = 62
-
-
-class ServedPlanner(Planner, Served, Protocol):
-    """A planner that something outside this process stands behind."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,21 @@
+"""An episode that one planner begins and another one ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from advdiff_sumo.experiments.reference_rerun import handed_over
+from advdiff_sumo.planners.planner_protocol import Served
+from advdiff_sumo.planners.reference import CarefulPlanner
+from advdiff_sumo.sim.run_episodes import Run, RunOptions
+from tests.experiments.test_planner_check import Told
+
+
+def test_a_planner_elsewhere_is_told_of_the_end_after_it_was_taken_over_from() -> None:
+    scene = {"warmup_s": 8.0, "scenes_per_warmup": 1, "min_neighbours": 0}
+    run = Run.prepare(RunOptions.parse({"net": "motorway", "horizon_s": 1.0, "seed": 3, "scene": scene}))
+    Told.ends.clear()
+    target = handed_over(Told(), CarefulPlanner(), 0.5)
+    record, _ = replace(run.episode(0, next(iter(run.seed_scenes()))), target=target).run()
+    assert (record.failure, Told.ends) == (None, [("horizon", 1.0)])
+    assert not isinstance(handed_over(CarefulPlanner(), CarefulPlanner(), 0.5), Served)

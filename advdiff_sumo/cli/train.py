@@ -160,13 +160,16 @@ def _train(job: Job, resume: bool, console: Console) -> bool:
     from advdiff_sumo.training import history
     from advdiff_sumo.training.training_loop import Trainer
 
-    events = history.open_events(job.out / "events", 0)
-    if events is None:
-        console.print("no TensorBoard events: pip install 'advdiff-sumo[train]' adds them", style="yellow")
     with progress_bar(console) as bar:
-        trainer = Trainer(job, events or history.NoEvents(), _teller(bar, job))
+        trainer = Trainer(job, history.NoEvents(), _teller(bar, job))
         if resume:
             trainer.resume()
+        events = history.open_events(job.out / "events", trainer.progress.step)
+        if events is None:
+            console.print(
+                "no TensorBoard events: pip install 'advdiff-sumo[train]' adds them", style="yellow"
+            )
+        trainer.events = events or history.NoEvents()
         progress = trainer.run()
     _say(console, job, progress)
     return progress.done

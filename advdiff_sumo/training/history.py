@@ -40,13 +40,13 @@ def open_events(folder: Path, step: int) -> Events | None:
 
     Args:
         folder: where the events go.
-        step: steps done before; events of an interrupted run that lie after it are hidden.
+        step: steps done before; events of an interrupted run that lie after it are hidden, those of it stay.
     """
     try:
         from torch.utils.tensorboard import SummaryWriter  # late: an optional package, and slow to import
     except ImportError:
         return None
-    writer: Events = SummaryWriter(str(folder), purge_step=step or None)
+    writer: Events = SummaryWriter(str(folder), purge_step=step + 1)
     return writer
 
 

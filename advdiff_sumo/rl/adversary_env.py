@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,13 @@ from advdiff_sumo.core.record import EndReason
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.rl.adversary_reward import DecisionInterval, hit_by_attacker, mean_accel, reward_terms
+from advdiff_sumo.rl.adversary_reward import DecisionInterval, accel_before, hit_by_attacker, reward_terms
 from advdiff_sumo.rl.episode_env import OVER, EpisodeEnv, Observation
 from advdiff_sumo.rl.rl_options import adversary_options
 from advdiff_sumo.rl.sources import Sources
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.episode_loop import Loop
+from advdiff_sumo.sim.world import Frame
 from advdiff_sumo.traffic.rl.actor import ACTIONS
 from advdiff_sumo.traffic.rl.features import FEATURES, LIMIT
 from advdiff_sumo.traffic.rl.prior import Prior, load_prior
@@ -89,10 +91,10 @@ class AdversaryEnv(EpisodeEnv):
         self.options = adversary_options(options)
         self._sources = Sources(self.options)
         self._seat = Seat(load_prior(self.options.prior, self.options.prior_weights))
-        self._accel_mps2, self._paid, self._done, self._by_attacker = 0.0, 0.0, 0, False
+        self._paid, self._done, self._by_attacker = 0.0, 0, False
 
     def _first(self, loop: Loop) -> tuple[Observation, dict[str, Any]]:
-        self._accel_mps2, self._paid, self._done, self._by_attacker = 0.0, 0.0, 0, False
+        self._paid, self._done, self._by_attacker = 0.0, 0, False
         return self._look(loop), {"scene": loop.episode.scene.name, "target": loop.episode.names[0]}
 
     def _draw(self) -> Episode:
@@ -109,12 +111,12 @@ class AdversaryEnv(EpisodeEnv):
         """
         loop = self.loop
         self._seat.residual = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
-        decided = len(loop.recorder.frames) - 1
+        decided, past = len(loop.recorder.frames) - 1, loop.recorder.model_frames[-2:]
         try:
             end = self._advance()
         except EpisodeFailure as error:
             return self._failed(error)
-        terms = self._pay(loop, end, decided)
+        terms = self._pay(loop, end, decided, past)
         reward = sum(terms.values())
         self._paid, self._done = self._paid + reward, self._done + 1
         truncated = end in OVER and loop.steps >= loop.episode.steps
@@ -131,8 +133,8 @@ class AdversaryEnv(EpisodeEnv):
         now = self._seat.observe(loop.road, loop.scene_now())
         return now.observations[0].astype(np.float32) if len(now.rows) else self._blank()
 
-    def _pay(self, loop: Loop, end: EndReason, decided: int) -> dict[str, float]:
-        """Return the reward's terms of the step that has just been made, from frame *decided* on."""
+    def _pay(self, loop: Loop, end: EndReason, decided: int, past: Sequence[Frame]) -> dict[str, float]:
+        """Return the reward's terms of the step that has just been made, from frame *decided* on, *past* before it."""
         now = self._seat.now
         names = now.attackers if now is not None else ()
         attacker = loop.world.row_of(names[0]) if names else None
@@ -142,13 +144,12 @@ class AdversaryEnv(EpisodeEnv):
             attacker=attacker,
             target=loop.target,
             collided=end is EndReason.COLLISION,
-            accel_mps2=self._accel_mps2,
+            accel_mps2=None if attacker is None else accel_before(past, attacker, loop.sim.model_step_s),
             residual=self._seat.residual,
             dt_s=loop.sim.step_s,
         )
         terms = reward_terms(half, self.options.reward, loop.road)
         self._by_attacker = hit_by_attacker(half)
-        self._accel_mps2 = mean_accel(half, attacker) if "jerk" in terms and attacker is not None else 0.0
         return terms
 
     def _summary(self, end: EndReason) -> dict[str, Any]:

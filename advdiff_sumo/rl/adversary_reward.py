@@ -34,7 +34,7 @@ class DecisionInterval:
         attacker: its row; None where nobody attacked.
         target: row of the target.
         collided: the target's collision ended the episode here.
-        accel_mps2: the attacker's acceleration in the half second before.
+        accel_mps2: the attacker's acceleration in the half second before; None where it was not there: no jerk counts.
         residual: (2,) its deviation from the behaviour model, in [−1, 1].
         dt_s: spacing of the instants.
     """
@@ -44,7 +44,7 @@ class DecisionInterval:
     attacker: int | None
     target: int
     collided: bool
-    accel_mps2: float
+    accel_mps2: float | None
     residual: FloatArray
     dt_s: float
 
@@ -52,13 +52,12 @@ class DecisionInterval:
 def reward_terms(half: DecisionInterval, weights: RewardWeights, road: RoadMap) -> dict[str, float]:
     """Return the terms by name; their sum is the reward. Where nobody attacked, only a collision counts."""
     attacker = half.attacker
-    if attacker is None or not _there(half, attacker):
+    if attacker is None or not _there(half.frames, attacker):
         return {"hit": weights.hit_by_other * half.collided}
     gaps = _gaps(half, attacker)  # (n + 1, N)
     room = max(float(np.nanmin(gaps[:, half.target])), 0.0)
     by_it = half.collided and room < TOUCH_M
-    began = len(half.frames) > 1  # it does not where the target leaves the net in the first of its steps
-    jerk = (mean_accel(half, attacker) - half.accel_mps2) / _span_s(half) if began else 0.0
+    jerk = _jerk(half, attacker)
     return {
         "hit": weights.hit if by_it else weights.hit_by_other * half.collided,
         "near": weights.near * float(np.exp(-room / weights.near_m)),
@@ -72,9 +71,22 @@ def reward_terms(half: DecisionInterval, weights: RewardWeights, road: RoadMap) 
 def hit_by_attacker(half: DecisionInterval) -> bool:
     """Return whether the target's collision in this interval is with the attacker."""
     attacker = half.attacker
-    if not half.collided or attacker is None or not _there(half, attacker):
+    if not half.collided or attacker is None or not _there(half.frames, attacker):
         return False
     return bool(np.nanmin(_gaps(half, attacker)[:, half.target]) < TOUCH_M)
+
+
+def accel_before(past: Sequence[Frame], row: int, step_s: float) -> float | None:
+    """Return the acceleration of *row* in m/s² from one to the next of two instants; None where it was not there.
+
+    Args:
+        past: the instants of the last decision and of this one; fewer where nothing is known of the time before.
+        row: whose.
+        step_s: between them.
+    """
+    if len(past) < 2 or not _there(past, row):
+        return None
+    return float(past[1].speed_mps[row] - past[0].speed_mps[row]) / step_s
 
 
 def mean_accel(half: DecisionInterval, row: int) -> float:
@@ -83,13 +95,23 @@ def mean_accel(half: DecisionInterval, row: int) -> float:
     return float((last - first) / _span_s(half))
 
 
+def _jerk(half: DecisionInterval, row: int) -> float:
+    """Return the jerk of *row* in m/s³, 0 where it was not there before, or the half second has one instant alone.
+
+    It has where the target leaves the net in the first of its steps.
+    """
+    if half.accel_mps2 is None or len(half.frames) < 2:
+        return 0.0
+    return (mean_accel(half, row) - half.accel_mps2) / _span_s(half)
+
+
 def _span_s(half: DecisionInterval) -> float:
     return half.dt_s * max(len(half.frames) - 1, 1)
 
 
-def _there(half: DecisionInterval, row: int) -> bool:
+def _there(frames: Sequence[Frame], row: int) -> bool:
     """Return whether *row* is there at every instant."""
-    return all(row < len(f.yaw_rad) and np.isfinite(f.yaw_rad[row]) for f in half.frames)
+    return all(row < len(f.yaw_rad) and np.isfinite(f.yaw_rad[row]) for f in frames)
 
 
 def _gaps(half: DecisionInterval, row: int) -> FloatArray:

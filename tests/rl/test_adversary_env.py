@@ -101,12 +101,14 @@ def test_a_step_is_paid_for_what_passed_in_it(env: AdversaryEnv) -> None:
     loop.episode = replace(loop.episode, horizon_s=2.2)
     for _ in range(4):
         assert not env.step(IDLE)[3]
-    before = env._accel_mps2
-    *_, truncated, info = env.step(IDLE)
-    assert truncated
     now = env._seat.now
     assert now is not None
     assert now.attackers
+    row = loop.world.row_of(now.attackers[0])
+    earlier, decided = loop.recorder.frames[-6].speed_mps[row], loop.recorder.frames[-1].speed_mps[row]
+    before = float(decided - earlier) / 0.5
+    *_, truncated, info = env.step(IDLE)
+    assert truncated
     paid, whole = (
         reward_terms(
             DecisionInterval(
@@ -126,6 +128,21 @@ def test_a_step_is_paid_for_what_passed_in_it(env: AdversaryEnv) -> None:
     )
     assert paid != whole
     assert info["reward_terms"] == paid
+
+
+def test_jerk_is_counted_from_the_first_step_on(env: AdversaryEnv) -> None:
+    """In the first step, too, it is against what the same vehicle did before, in the seed scene's past."""
+    env.reset(seed=3)
+    loop = env.loop
+    for _ in range(4):
+        now = env._seat.now
+        assert now is not None
+        row = loop.world.row_of(now.attackers[0])
+        *_, info = env.step(np.array([0.8, 0.0], dtype=np.float32))
+        speeds = [frame.speed_mps[row] for frame in loop.recorder.model_frames[-3:]]
+        jerk = (speeds[2] - 2.0 * speeds[1] + speeds[0]) / 0.25
+        expected = -0.05 * min((jerk / 10.0) ** 2, 4.0)
+        assert info["reward_terms"]["jerk"] == pytest.approx(expected)
 
 
 def test_an_episode_is_stepped_only_while_it_runs(env: AdversaryEnv, settings: dict[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,13 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.rl.adversary_reward import DecisionInterval, hit_by_attacker, mean_accel, reward_terms
+from advdiff_sumo.rl.adversary_reward import (
+    DecisionInterval,
+    accel_before,
+    hit_by_attacker,
+    mean_accel,
+    reward_terms,
+)
 from advdiff_sumo.rl.rl_options import RewardWeights
 from advdiff_sumo.sim.world import Frame
 
@@ -58,6 +65,24 @@ def test_who_was_not_driven_on_did_not_jerk(road: RoadMap, place: tuple[np.ndarr
     """The target left the net in the first step: of the half second there is the instant before it alone."""
     terms = reward_terms(half(place, [[12.0, 0.0]], accel_mps2=-5.0), WEIGHTS, road)
     assert terms["jerk"] == 0.0
+
+
+def test_jerk_is_that_of_one_vehicle(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
+    """From 10 to 11 m/s in the half second before, 2 m/s², and to 12.5 m/s in this one, 3 m/s²: 2 m/s³, 0.04 units.
+
+    The third was not there before.
+    """
+    past = half(
+        place, [[40.0, 0.0, np.nan], [40.0, 5.0, 9.0]], speeds=[[0.0, 10.0, np.nan], [0.0, 11.0, 14.0]]
+    )
+    before = [accel_before(past.frames, row, 0.5) for row in (1, 2, 3)]
+    assert before == [2.0, None, None]
+    assert accel_before(past.frames[1:], 1, 0.5) is None
+    speeds = [[0.0, 11.0, 14.0], [0.0, 12.5, 9.0]]
+    now = half(place, [[80.0, 5.0, 30.0], [80.0, 11.0, 36.0]], speeds=speeds, dt_s=0.5, accel_mps2=2.0)
+    assert reward_terms(now, WEIGHTS, road)["jerk"] == pytest.approx(-0.05 * 0.04)
+    new = replace(now, attacker=2, accel_mps2=None)
+    assert reward_terms(new, WEIGHTS, road)["jerk"] == 0.0
 
 
 def test_nearness_is_of_the_nearest_instant(road: RoadMap, place: tuple[np.ndarray, float]) -> None:

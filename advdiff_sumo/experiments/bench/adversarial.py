@@ -53,7 +53,7 @@ def plan_adversarial(folder: Folder, teller: ProgressReporter) -> BenchCells:
     request = folder.request
     scenes, targets, names = asked_of(request, teller, ATTACKED, folder=folder.path)
     rows = {name: policy_row(name) for name in names}
-    options = {name: licensed(row.options, request, row.background) for name, row in rows.items()}
+    options = {name: licensed(row.options, request) for name, row in rows.items()}
     cells = [
         BenchCell(name, target, rows[name].background, background_options=options[name])
         for target in targets

@@ -55,13 +55,13 @@ TARGET_TITLES: Mapping[str, str] = {
 
 
 def policy_row(name: str) -> PolicyRow:
-    """Return the row *name*; a background of the user's own is one as it is."""
-    return POLICY_ROWS.get(name, PolicyRow(name, name))
+    """Return the row *name*; scripted attackers have the licence of the others, a user's own background is as it is."""
+    return POLICY_ROWS.get(name, PolicyRow(name, name, PAPERS_LICENCE if name == SCRIPTED else {}))
 
 
-def licensed(options: Mapping[str, Any], request: Request, background: str = "") -> dict[str, Any]:
-    """Return *options* of a row's *background* with the licence that is asked for, if any."""
-    if request.licence is None or not ("licence" in options or background == SCRIPTED):
+def licensed(options: Mapping[str, Any], request: Request) -> dict[str, Any]:
+    """Return *options* of a row with the licence that is asked for, if any, where it has one."""
+    if request.licence is None or "licence" not in options:
         return dict(options)
     return {**options, "licence": request.licence}
 

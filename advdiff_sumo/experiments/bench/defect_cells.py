@@ -90,7 +90,7 @@ def planted_in(target: str, request: Request, teller: ProgressReporter | None = 
 def _cell(request: Request, name: str, target: str, defect: Defect | None = None) -> BenchCell:
     """Return the cell of the row *name*; its attackers keep to the law unless the request says otherwise."""
     row = policy_row(name)
-    allowed = licensed(row.options, request, row.background)
+    allowed = licensed(row.options, request)
     if request.licence is None:
         allowed = {key: value for key, value in allowed.items() if key not in PAPERS_LICENCE}
     allowed |= request.episode.background_options

@@ -8,13 +8,14 @@ import pytest
 
 from advdiff_sumo.core.errors import ConfigError, LogError, SceneError
 from advdiff_sumo.experiments.bench.adversarial import plan_adversarial
-from advdiff_sumo.experiments.bench.bench_config import Folder, Request
+from advdiff_sumo.experiments.bench.bench_config import BenchName, Folder, Request
 from advdiff_sumo.experiments.bench.bench_rows import POLICY_ROWS, licensed
 from advdiff_sumo.experiments.bench.cells import BenchCell, plan_cells
 from advdiff_sumo.experiments.bench.defect_cells import plan_defects
 from advdiff_sumo.experiments.bench.log_scenes import bench_scenes, is_log
 from advdiff_sumo.experiments.bench.progress import Silent
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, choose_scenes
+from advdiff_sumo.traffic.licence import LicenceName
 from tests.sim.records_made import record, write
 
 
@@ -112,6 +113,26 @@ def test_without_a_licence_the_papers_tables_are_reckless_and_defects_meet_the_d
     reckless = request.model_copy(update={"licence": "reckless"})
     cells = plan_defects(Folder(tmp_path, reckless), Silent()).cells
     assert {str(cell.background_options) for cell in cells} == {"{'licence': 'reckless'}"}
+
+
+@pytest.mark.parametrize(
+    ("bench", "licence", "means"),
+    [
+        ("adversarial", None, {"licence": "reckless"}),
+        ("adversarial", "careless", {"licence": "careless"}),
+        ("defects", None, {}),
+        ("defects", "careless", {"licence": "careless"}),
+    ],
+)
+def test_scripted_attackers_have_the_licence_of_the_others(
+    bench: BenchName, licence: LicenceName | None, means: dict[str, str], tmp_path: Path
+) -> None:
+    policies = ("scripted", "advsim")
+    request = Request(bench=bench, scenes="3", policies=policies, targets=("IDM",), licence=licence)
+    plan = plan_defects if bench == "defects" else plan_adversarial
+    cells = plan(Folder(tmp_path, request), Silent()).cells
+    assert {cell.background for cell in cells} == set(policies)
+    assert all(cell.background_options == means for cell in cells)
 
 
 def test_an_unknown_licence_is_refused() -> None:

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from advdiff_sumo.core.worker_pool import Task, in_processes
+from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
+from advdiff_sumo.core.plug_in_source import crashed_at
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import TUNING_SEED
 from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS
+from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.reward import save_reward
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.run_episodes import RunOptions
+from advdiff_sumo.sweep.executors import ProcessExecutor
+from advdiff_sumo.sweep.tasks import CallTask, Limits, Outcome
 
 Marks = tuple[int, ...]
 
@@ -50,18 +57,57 @@ class Adaptation:
         return not all(self.path(folder, mark).is_file() for mark in self.marks)
 
 
-def adapt(wanted: Sequence[Adaptation], folder: Path, workers: int, teller: ProgressReporter) -> None:
+def adapt(
+    wanted: Sequence[Adaptation], folder: Path, workers: int, limits: Limits, teller: ProgressReporter
+) -> None:
     """Make the warm-ups that *folder* lacks, on seed scenes that no table uses.
+
+    Args:
+        wanted: all of them.
+        folder: where what is learnt lies.
+        workers: processes.
+        limits: of an episode; a warm-up may take as long as the episodes that it is made of.
+        teller: hears how far it is.
 
     Raises:
         InputError: a target cannot be made.
+        EpisodeFailure: it fails again and again, ends its process, or takes too long.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    lacking = {one.path(folder, one.marks[-1]): one for one in wanted if one.missing(folder)}
+    lacking = list({one.path(folder, one.marks[-1]): one for one in wanted if one.missing(folder)}.values())
     teller.begin("warm-ups", len(wanted), len(wanted) - len(lacking))
-    tasks: dict[Path, Task] = {path: (_warm_up, one, folder) for path, one in lacking.items()}
-    for _ in in_processes(tasks, workers):
-        teller.step()
+    episodes = max(map(_episodes, lacking), default=1)
+    longer = replace(limits, timeout_s=episodes * limits.timeout_s)
+    tasks = [CallTask(str(k), partial(_warm_up, one, folder)) for k, one in enumerate(lacking)]
+    with ProcessExecutor(workers, longer) as executor:
+        for outcome in _outcomes(tasks, executor):
+            _must_be_made(lacking[int(outcome.key)], outcome)
+            teller.step()
+
+
+def _episodes(one: Adaptation) -> int:
+    """Return how many episodes a warm-up is made of at least, and one more."""
+    return 1 + math.ceil(sum(one.marks) * MODEL_STEP_S / one.horizon_s)
+
+
+def _outcomes(tasks: Iterable[CallTask], executor: ProcessExecutor) -> Iterator[Outcome]:
+    """Yield what comes of *tasks*, as they finish."""
+    waiting, running = deque(tasks), 0
+    while waiting or running:
+        while waiting and running < executor.slots:
+            executor.submit(waiting.popleft())
+            running += 1
+        yield executor.wait()
+        running -= 1
+
+
+def _must_be_made(one: Adaptation, outcome: Outcome) -> None:
+    failed = outcome.failed
+    if failed is None:
+        return
+    kind = ConfigError if failed.kind in {"input_error", "no_scene"} else EpisodeFailure
+    stuck_at = crashed_at(failed.log_tail)
+    raise kind(f"warm-up of {one.target}, number {one.seed}: {failed.message}{stuck_at}")
 
 
 def surrogate_options(source: str) -> dict[str, Any]:
@@ -69,7 +115,8 @@ def surrogate_options(source: str) -> dict[str, Any]:
     return {"surrogate": source if source == "lane_graph" else TARGETS.builtins.get(source, source)}
 
 
-def _warm_up(one: Adaptation, folder: Path) -> None:
+def _warm_up(one: Adaptation, folder: Path) -> bytes:
+    """Write what is learnt into *folder*; there is nothing else to return."""
     options = RunOptions(
         net=SHIPPED_NETS[one.seed % len(SHIPPED_NETS)],
         target=one.target,
@@ -81,7 +128,7 @@ def _warm_up(one: Adaptation, folder: Path) -> None:
     )
     if one.background_options.get("licence") != "reckless":
         _learn_failures(one, options, folder)
-        return
+        return b""
     from advdiff_sumo.experiments.warmup_run import description, warm_up  # late: the worker alone needs it
 
     kept = {}
@@ -89,6 +136,7 @@ def _warm_up(one: Adaptation, folder: Path) -> None:
     header = description(options, done)
     for mark in one.marks:
         save_reward(kept[mark], one.path(folder, mark), {**header, "steps": mark})
+    return b""
 
 
 def _learn_failures(one: Adaptation, options: RunOptions, folder: Path) -> None:

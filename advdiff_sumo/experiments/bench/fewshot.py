@@ -23,6 +23,7 @@ from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
 from advdiff_sumo.experiments.bench.statistics import RESAMPLES, Difference, Estimate, Ratio, estimate
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
+from advdiff_sumo.sweep.tasks import Limits
 
 RUNGS = 3
 
@@ -64,11 +65,12 @@ def marks_of(steps: int) -> tuple[int, ...]:
     return tuple(sorted({max(1, round(steps * k / RUNGS)) for k in range(1, RUNGS + 1)}))
 
 
-def plan_fewshot(folder: Folder, workers: int, teller: ProgressReporter) -> BenchCells:
+def plan_fewshot(folder: Folder, workers: int, limits: Limits, teller: ProgressReporter) -> BenchCells:
     """Make the warm-ups and return the cells that the request asks for.
 
     Raises:
         InputError: a name is unknown, or the list of scenes cannot be used.
+        EpisodeFailure: a warm-up comes to nothing.
     """
     request = folder.request
     scenes, names = asked_of_fewshot(request, folder.path)
@@ -79,7 +81,7 @@ def plan_fewshot(folder: Folder, workers: int, teller: ProgressReporter) -> Benc
         for name in names
         for seed in range(request.seeds)
     }
-    adapt(list(wanted.values()), q, workers, teller)
+    adapt(list(wanted.values()), q, workers, limits, teller)
     licence = licensed(PAPERS_LICENCE, request)
     cells = [_bench_cell(licence, guide, name, 0, 0) for guide in GUIDES for name in names]
     cells += [

@@ -46,14 +46,14 @@ class ClosedLoop:
         traced: what is looked at of the background: nothing, its motion, or likelihoods and solutions, too.
     """
 
-    plan: Callable[[Folder, int, ProgressReporter], BenchCells]
+    plan: Callable[[Folder, int, Limits, ProgressReporter], BenchCells]
     table: Callable[[Gathered, BenchCells, Folder], Table]
     traced: Literal["no", "motion", "all"] = "no"
 
 
 _CLOSED_LOOP: Mapping[BenchName, ClosedLoop] = {
     "adversarial": ClosedLoop(
-        lambda folder, _, teller: plan_adversarial(folder, teller),
+        lambda folder, _workers, _limits, teller: plan_adversarial(folder, teller),
         lambda gathered, cells, folder: adversarial_table(gathered, cells.scenes, folder),
         traced="all",
     ),
@@ -65,7 +65,7 @@ _CLOSED_LOOP: Mapping[BenchName, ClosedLoop] = {
     "fewshot": ClosedLoop(
         plan_fewshot, lambda gathered, cells, folder: fewshot_table(gathered, cells.scenes, folder)
     ),
-    "defects": ClosedLoop(lambda folder, _, teller: plan_defects(folder, teller), defects_of),
+    "defects": ClosedLoop(lambda folder, _workers, _limits, teller: plan_defects(folder, teller), defects_of),
 }
 
 
@@ -93,13 +93,14 @@ def run_bench(folder: Folder, workers: int, limits: Limits, teller: ProgressRepo
     Raises:
         InputError: the request cannot be met.
         FileError: results cannot be stored.
+        EpisodeFailure: a warm-up comes to nothing.
     """
     bench = folder.request.bench
     if bench == "traffic":
         table = run_traffic(folder, workers, teller)
     else:
         closed_loop = _CLOSED_LOOP[bench]
-        cells = closed_loop.plan(folder, workers, teller)
+        cells = closed_loop.plan(folder, workers, limits, teller)
         _foretell(cells, folder, workers, limits, teller)
         store = run_cells(cells, folder.sweep, workers, limits, teller)
         table = closed_loop.table(

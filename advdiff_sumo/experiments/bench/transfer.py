@@ -31,6 +31,7 @@ from advdiff_sumo.experiments.bench.scene_list import SceneList
 from advdiff_sumo.experiments.bench.statistics import Estimate, Ratio, Sample, difference, draws
 from advdiff_sumo.experiments.bench.table import Gap, Head, RowSamples, Table, lines_of
 from advdiff_sumo.planners.planner_registry import TARGETS
+from advdiff_sumo.sweep.tasks import Limits
 
 SOURCES = ("lane_graph", "simnet", "trafficsim")
 """What a policy is adapted to: the paper's three."""
@@ -49,18 +50,19 @@ NOTES = (
 )
 
 
-def plan_transfer(folder: Folder, workers: int, teller: ProgressReporter) -> BenchCells:
+def plan_transfer(folder: Folder, workers: int, limits: Limits, teller: ProgressReporter) -> BenchCells:
     """Make the warm-ups and return the cells that the request asks for.
 
     Raises:
         InputError: a name is unknown, or the list of scenes cannot be used.
+        EpisodeFailure: a warm-up comes to nothing.
     """
     request = folder.request
     scenes, targets, names = asked_of_transfer(request, teller, folder.path)
     sources, _ = chosen((), {name: name for name in SOURCES}, TARGETS, "--targets", made_target)
     q = folder.path / "adapted"
     if OURS in names:
-        adapt([_warm_up(source, folder) for source in sources], q, workers, teller)
+        adapt([_warm_up(source, folder) for source in sources], q, workers, limits, teller)
     cells = [
         cell
         for name in names

@@ -85,7 +85,7 @@ class Loop:
             register(self.world, self.api, self.api.vehicle.getIDList())
             self.world.remove(read(self.world, self.api, ()))
         row = self.world.row_of(scene.target)
-        if row is None:
+        if row is None or row not in self.world.in_sumo:
             raise NotInsertedError(f"the target '{scene.target}' did not get into SUMO")
         self.target = row
         self.signals = read_signals(self.api)

@@ -221,3 +221,17 @@ def test_a_target_that_sumo_refuses_fails_with_its_seed_scene_for_a_record(
     assert (record.tracks.steps, record.tracks.ids[record.target]) == (1, scene.target)
     np.testing.assert_array_equal(record.tracks.xy_m[:, 0], scene.history.xy_m[:, -1])
     assert episode_row(record, road)["failure_kind"] == "not_inserted"
+
+
+@pytest.mark.parametrize("target", ["IDM", "lane_graph"])
+def test_a_target_that_waits_in_vain_for_its_lane_fails_as_not_inserted(
+    street: Path, tmp_path: Path, target: str
+) -> None:
+    """The lanes of its direction are for buses: it is put on the other way's lane, where SUMO does not let it in."""
+    scene = next(source(street, SPEED_MPS).scenes())
+    edges = re.sub(r'(id="(?:WM|ME)"[^/]*)/', r'\1 allow="bus"/', nets.STREET[1])
+    net = nets.build(tmp_path, nets.STREET[0], edges, name="buses")
+    record, _ = episode(replace(scene, net=net), RoadMap.read(net), target).run()
+    assert record.failure is not None
+    assert (record.end, record.failure.kind) == (EndReason.FAILED, "not_inserted")
+    assert "did not get into SUMO" in record.failure.message

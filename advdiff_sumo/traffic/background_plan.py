@@ -64,11 +64,13 @@ class PlausiblePlan:
         tracks: of who is moved.
         attack: what the licence made of the attackers.
         safeguarded: of how many vehicles the next half second was changed, and of how many it was proposed.
+        attackers: names of those whose proposed attack is driven: no licence refused it, no manoeuvre replaced it.
     """
 
     tracks: Tracks
     attack: LicensedAttack
     safeguarded: tuple[int, int]
+    attackers: tuple[str, ...]
 
 
 def outlook(
@@ -103,8 +105,12 @@ def plausible_plan(
     guarded = apply_safeguard(road, view, drawn, lanes, before, attack)
     free = np.setdiff1d(np.flatnonzero(view.moved), list(attack.driven))
     away = np.linalg.norm(guarded.futures.xy_m[free, 1] - futures.xy_m[free, 1], axis=-1)
+    lost = {view.ids[row] for row in (*attack.refused, *attack.driven)}
     return PlausiblePlan(
-        tracks_of(view, guarded.futures), attack, (int((away > _CHANGED_M).sum()), len(free))
+        tracks_of(view, guarded.futures),
+        attack,
+        (int((away > _CHANGED_M).sum()), len(free)),
+        tuple(name for name in attackers if name not in lost),
     )
 
 

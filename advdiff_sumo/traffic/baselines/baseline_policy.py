@@ -135,7 +135,7 @@ class BaselinePolicy(ABC):
         plan = plausible_plan(
             road, view, lanes, proposal.drawn, (memory.plan, driven_of(memory.plan, scene)), rules
         )
-        state = AttackState("any", tuple(proposal.drawn.attackers))
+        state = AttackState("any", plan.attackers)
         memory = replace(proposal.memory, plan=plan.tracks, driven=0)
         return JointPlan(plan.tracks, attack=state, safeguarded=plan.safeguarded), memory
 

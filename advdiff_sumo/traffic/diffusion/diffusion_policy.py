@@ -119,11 +119,7 @@ class DiffusionTraffic:
         rules = Rules(self.options.licence, self.options.attackers, memory.commitments)
         plan = plausible_plan(road, view, lanes, drawn, (memory.plan, driven_of(memory.plan, scene)), rules)
         attack = plan.attack
-        lost = {
-            view.ids[row] for row in (*attack.refused, *attack.driven)
-        }  # their guided plans are not driven
-        guided = [name for name in drawn.attackers if name not in lost]
-        state = self._state(guided, attack.commitments)
+        state = self._state(plan.attackers, attack.commitments)
         memory = Memory(drawn.noise, drawn.shifts, plan.tracks, 0, attack.commitments)
         joint = plan_with(plan.tracks, attack.newcomers, state)
         return replace(joint, safeguarded=plan.safeguarded), memory

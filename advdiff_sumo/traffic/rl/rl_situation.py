@@ -101,7 +101,7 @@ def joint_plan(
     drawn = Drawn(rollout, {}, now.attackers, torch.zeros(len(now.view.ids), 0))
     last = before, driven_of(before, now.view.scene)
     plan = plausible_plan(road, now.view, now.lanes, drawn, last, Rules(licence, len(now.rows)))
-    return JointPlan(plan.tracks, attack=AttackState("any", now.attackers), safeguarded=plan.safeguarded)
+    return JointPlan(plan.tracks, attack=AttackState("any", plan.attackers), safeguarded=plan.safeguarded)
 
 
 def _actions(natural: Rollout, row: int) -> tuple[float, float]:

@@ -14,6 +14,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.background_plan import Rules, outlook, plausible_plan, rest_of
+from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.planning.drawn import Drawn
 from tests.traffic.manoeuvres.scenes import scene_on
 
@@ -43,6 +44,18 @@ def test_plans_that_the_safeguard_changed_are_counted(
         counts[aside_m] = plan.safeguarded
         assert set(plan.tracks.ids) == {"v1", "v2", "v3", "v4"}
     assert counts == {0.0: (0, 4), 9.0: (1, 4)}
+
+
+@pytest.mark.parametrize(("licence", "attackers"), [("lawful", ("v1",)), ("reckless", ("v1", "v4"))])
+def test_whose_proposal_the_licence_refuses_attacks_nobody(
+    licence: LicenceName, attackers: tuple[str, ...], downtown: RoadMap, street: Callable[..., Scene]
+) -> None:
+    """Both keep their speed: the one ahead may, the one behind would run into the target if it braked at 4 m/s²."""
+    scene = street(PLACES, [8.0] * 5)
+    view, lanes = outlook(downtown, scene)
+    drawn = replace(proposal(view, 0.0), attackers=("v1", "v4"))
+    plan = plausible_plan(downtown, view, lanes, drawn, (None, 0), Rules(licence, 2))
+    assert plan.attackers == attackers
 
 
 def test_what_is_left_of_a_plan(downtown: RoadMap, street: Callable[..., Scene]) -> None:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
-from advdiff_sumo.experiments.reference_rerun import handed_over
 from advdiff_sumo.planners.planner_protocol import Served
 from advdiff_sumo.planners.reference import CarefulPlanner
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from tests.experiments.test_planner_check import Told
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+from reference_src.reference_rerun import handed_over
 
 
 def test_a_planner_elsewhere_is_told_of_the_end_after_it_was_taken_over_from() -> None:

@@ -2,8 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --disable-pip-version-check --progress-bar on
-# three at a time on two cores: tests wait for processes a third of their time
-TESTS := $(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder --durations 15 --quiet
+# more than two at a time take no less on two cores
+TESTS := $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 15 --quiet
 
 .PHONY: install setup demo test test-all readers planners lint check docs proto package bench soak weights clean
 

@@ -13,12 +13,14 @@ from advdiff_sumo.planners.lane_graph.chains import detour, plausible_chains, re
 from advdiff_sumo.planners.lane_graph.conflicts import conflict_zone
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.memory import Memory
+from advdiff_sumo.planners.lane_graph.others import others_near, ways_of
 from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath, PathStack, _smoothed
+from advdiff_sumo.planners.lane_graph.predict import Ego, forecast
 from advdiff_sumo.planners.lane_graph.proposal_score import _time_at
 from advdiff_sumo.planners.lane_graph.rules import Duty, may_go, rule_at
 from advdiff_sumo.planners.lane_graph.variants import State, Variant, locate, variants
 
-from .scenes import CAR_M
+from .scenes import CAR_M, Car, make_scene
 
 Maker = Callable[..., RoadMap]
 
@@ -232,3 +234,23 @@ def test_when_a_place_ahead_is_reached_is_told_between_the_steps_of_a_quarter_of
     np.testing.assert_allclose(
         _time_at(now[:2], s[:2], speed[:2], np.array([[104.9], [101.0]])), [[0.49], [1 / 7]]
     )
+
+
+@pytest.mark.parametrize(("braking_mps2", "after_mps"), [(2.0, 11.94), (4.0, 7.80), (6.0, 3.75)])
+def test_who_brakes_hard_is_expected_to_go_on_with_it(
+    crossing: Maker, braking_mps2: float, after_mps: float
+) -> None:
+    """Two seconds on from 13.89 m/s, in eight steps.
+
+    Braking of up to 3 m/s² fades within 1 s (0.977 s of it are left), of 4 within 3 s (1.521), of 6 within 5 s (1.690).
+    """
+    road = crossing()
+    scene = make_scene(
+        road, [Car("west_in_0", 20.0, 10.0), Car("west_in_0", 60.0, 13.89)], ("west_in", "east_out")
+    )
+    scene.history.speed_mps[1, :-1] += 0.5 * braking_mps2
+    others = others_near(scene)
+    ways = [one for one in ways_of(Geometry.of(road), scene, others) if one.weight > 0.0]
+    ego = Ego(scene.history.xy_m[0, -1], 10.0, CAR_M[0], ())
+    future = forecast(road, scene, others, ways, ego, 8)
+    np.testing.assert_allclose(future.speed_mps[:, -1], after_mps, atol=0.01)

@@ -20,6 +20,7 @@ _LATERAL_ACCEL_MPS2 = 3.5
 _SIGNAL_BRAKE_MPS2, _YIELD_BRAKE_MPS2 = 4.5, 3.0
 _FOLLOW_BRAKE_MPS2, _FOLLOW_GAP_M = 3.0, 1.0
 _FADE_S, _DRIFT_S = 1.0, 1.5
+_HARD_MPS2, _LASTS_S, _LONGEST_S = 3.0, 2.0, 5.0
 _MIN_DRIFT_MPS = 0.25
 _ALIGN_M = 8.0
 _EGO_WIDTH_M = 2.0
@@ -162,7 +163,7 @@ def _drive(
 ) -> tuple[FloatArray, FloatArray]:
     """Return distance driven and speed (N, T)."""
     rows, driven, last = np.arange(len(speed)), np.zeros(len(speed)), pace.shape[1] - 1
-    pushes = accel * np.exp(-np.arange(steps)[:, None] * STEP_S / _FADE_S) * STEP_S  # (T, N)
+    pushes = accel * np.exp(-np.arange(steps)[:, None] * STEP_S / _fade_s(accel)) * STEP_S  # (T, N)
     tails = leader[0] - _FOLLOW_GAP_M + leader[1] * np.arange(steps)[:, None] * STEP_S
     distances, speeds = np.empty((steps, len(speed))), np.empty((steps, len(speed)))
     for k in range(steps):
@@ -179,3 +180,8 @@ def _drive(
         speed = wish
         distances[k], speeds[k] = driven, speed
     return distances.T.copy(), speeds.T.copy()
+
+
+def _fade_s(accel: FloatArray) -> FloatArray:
+    """Return (N,) in which time accelerations fade: whoever brakes hard goes on with it, the harder the longer."""
+    return np.clip(_FADE_S + _LASTS_S * (-accel - _HARD_MPS2), _FADE_S, _LONGEST_S)

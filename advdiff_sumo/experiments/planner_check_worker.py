@@ -11,7 +11,7 @@ from typing import Any
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.plug_in_source import crashed_at
 from advdiff_sumo.experiments.planner_check import Extent, Verdict, check_target
-from advdiff_sumo.sweep.executors import ProcessExecutor
+from advdiff_sumo.sweep.executors import ProcessExecutor, outcome_of
 from advdiff_sumo.sweep.tasks import CallTask, Limits
 
 LASTS = "comes to its end"
@@ -33,14 +33,13 @@ def check_in_worker(
         InputError: there is no such planner, or it cannot be made.
     """
     with ProcessExecutor(1, limits) as executor:
-        executor.submit(CallTask("check", partial(_verdicts, name, dict(options), extent)))
-        outcome = executor.wait()
+        outcome = outcome_of(CallTask("check", partial(_verdicts, name, dict(options), extent)), executor)
     if outcome.said:
         hear(outcome.said)
     failed = outcome.failed
     if failed is None:
         return [Verdict(**content) for content in json.loads(outcome.product[0])]
-    if failed.kind in {"input_error", "no_scene"}:
+    if failed.is_unusable:
         raise ConfigError(failed.message)
     return [Verdict(LASTS, False, f"{failed.message}{crashed_at(failed.log_tail)}")]
 

@@ -10,7 +10,7 @@ import signal
 import sys
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from concurrent.futures.process import BrokenProcessPool
@@ -71,6 +71,23 @@ class Executor(Protocol):
     def wait(self) -> Outcome:
         """Return the outcome of some task, as soon as there is one."""
         ...
+
+
+def outcome_of(task: Task, executor: Executor) -> Outcome:
+    """Return what comes of *task* alone."""
+    executor.submit(task)
+    return executor.wait()
+
+
+def outcomes(tasks: Iterable[Task], executor: Executor) -> Iterator[Outcome]:
+    """Yield what comes of *tasks*, as they finish."""
+    waiting, running = deque(tasks), 0
+    while waiting or running:
+        while waiting and running < executor.slots:
+            executor.submit(waiting.popleft())
+            running += 1
+        yield executor.wait()
+        running -= 1
 
 
 class SerialExecutor(AbstractContextManager["SerialExecutor"]):

@@ -22,8 +22,6 @@ from advdiff_sumo.sweep.work import NO_ROOM
 
 #: Failures that may say nothing about the episode but about what its worker did before: it is tried again.
 _CHANCE = {"worker_died", "simulator_crashed", "planner_crashed"}
-#: Failures of an episode that never began.
-_UNUSABLE = {"no_scene", "input_error"}
 
 _log = logging.getLogger(__name__)
 
@@ -164,7 +162,7 @@ class Scheduler:
         if failed is None:
             return False
         self._refuse(failed)
-        if failed.kind in _UNUSABLE or (task.ended is not None and task.ended.steps < 0):
+        if failed.is_unusable or (task.ended is not None and task.ended.steps < 0):
             return False
         first = self._ended.setdefault(task.key, failed)
         slow = failed.kind == "timeout"  # it would be too slow again
@@ -175,7 +173,7 @@ class Scheduler:
         return True
 
     def _refuse(self, failed: Failed) -> None:
-        if self.refuses and failed.kind in _UNUSABLE:
+        if self.refuses and failed.is_unusable:
             raise SceneError(failed.message) if failed.kind == "no_scene" else InputError(failed.message)
 
     def _release(self, batch: Batch) -> None:

@@ -90,6 +90,11 @@ class Failed:
     log_tail: str = ""
     attempts: int = 1
 
+    @property
+    def is_unusable(self) -> bool:
+        """Whether the input cannot be used, so that nothing began."""
+        return self.kind in {"no_scene", "input_error"}
+
 
 @dataclass(frozen=True)
 class Outcome:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from advdiff_sumo.core.errors import ConfigError
-from advdiff_sumo.sweep.executors import Executor
+from advdiff_sumo.sweep.executors import Executor, outcome_of
 from advdiff_sumo.sweep.fingerprint import canonical, file_digest, net_files
 from advdiff_sumo.sweep.job_plan import Batch, Job, Plan
-from advdiff_sumo.sweep.tasks import EpisodeTask, Outcome, SceneTask
+from advdiff_sumo.sweep.tasks import EpisodeTask, SceneTask
 
 _PROBES = 6
 
@@ -57,14 +57,16 @@ def estimate(plan: Plan, jobs: Sequence[Job], executor: Executor) -> Estimate | 
         net = file_digest(*net_files(options.net))
         if job.batch not in scenes:
             batch: Batch = plan.batches[job.batch]
-            outcome = _do(executor, SceneTask(batch.key, batch.options, batch.number, batch.scenes, net))
+            outcome = outcome_of(
+                SceneTask(batch.key, batch.options, batch.number, batch.scenes, net), executor
+            )
             if outcome.failed is not None:
                 raise ConfigError(f"{options.net}: {outcome.failed.message}")
             scenes[job.batch] = outcome.product
             scene_s.append(outcome.wall_s)
         if job.place < len(scenes[job.batch]):
             task = EpisodeTask(job.key, options, job.number, scenes[job.batch][job.place], net)
-            outcome = _do(executor, task)
+            outcome = outcome_of(task, executor)
             episode_s.append(outcome.wall_s)
     batches = len({job.batch for job in jobs})
     return Estimate(_mean(scene_s), _mean(episode_s), batches, len(jobs))
@@ -81,11 +83,6 @@ def _spread(jobs: list[Job]) -> list[Job]:
     jobs.sort(key=lambda job: job.index)
     step = max(1.0, len(jobs) / _PROBES)
     return [jobs[int(k * step)] for k in range(min(_PROBES, len(jobs)))]
-
-
-def _do(executor: Executor, task: SceneTask | EpisodeTask) -> Outcome:
-    executor.submit(task)
-    return executor.wait()
 
 
 def _mean(values: list[float]) -> float:

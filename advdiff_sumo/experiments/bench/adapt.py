@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +18,7 @@ from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.reward import save_reward
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.run_episodes import RunOptions
-from advdiff_sumo.sweep.executors import ProcessExecutor
+from advdiff_sumo.sweep.executors import ProcessExecutor, outcomes
 from advdiff_sumo.sweep.tasks import CallTask, Limits, Outcome
 
 Marks = tuple[int, ...]
@@ -80,7 +79,7 @@ def adapt(
     longer = replace(limits, timeout_s=episodes * limits.timeout_s)
     tasks = [CallTask(str(k), partial(_warm_up, one, folder)) for k, one in enumerate(lacking)]
     with ProcessExecutor(workers, longer) as executor:
-        for outcome in _outcomes(tasks, executor):
+        for outcome in outcomes(tasks, executor):
             _must_be_made(lacking[int(outcome.key)], outcome)
             teller.step()
 
@@ -90,22 +89,11 @@ def _episodes(one: Adaptation) -> int:
     return 1 + math.ceil(sum(one.marks) * MODEL_STEP_S / one.horizon_s)
 
 
-def _outcomes(tasks: Iterable[CallTask], executor: ProcessExecutor) -> Iterator[Outcome]:
-    """Yield what comes of *tasks*, as they finish."""
-    waiting, running = deque(tasks), 0
-    while waiting or running:
-        while waiting and running < executor.slots:
-            executor.submit(waiting.popleft())
-            running += 1
-        yield executor.wait()
-        running -= 1
-
-
 def _must_be_made(one: Adaptation, outcome: Outcome) -> None:
     failed = outcome.failed
     if failed is None:
         return
-    kind = ConfigError if failed.kind in {"input_error", "no_scene"} else EpisodeFailure
+    kind = ConfigError if failed.is_unusable else EpisodeFailure
     stuck_at = crashed_at(failed.log_tail)
     raise kind(f"warm-up of {one.target}, number {one.seed}: {failed.message}{stuck_at}")
 

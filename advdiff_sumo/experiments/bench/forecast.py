@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells
-from advdiff_sumo.sweep.executors import ProcessExecutor
+from advdiff_sumo.sweep.executors import ProcessExecutor, outcome_of
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.job_plan import Job
-from advdiff_sumo.sweep.tasks import EpisodeTask, Limits, Outcome, SceneTask
+from advdiff_sumo.sweep.tasks import EpisodeTask, Limits, SceneTask
 
 _SHORT_S, _LONG_S = 3.0, 9.0  # lawful attacks, which cost most, begin after 3 s
 _TRACE_S = 0.4
@@ -51,7 +51,7 @@ def forecast(cells: BenchCells, todo: tuple[Job, ...], horizon_s: float, limits:
     with ProcessExecutor(1, limits) as executor:
         batch = cells.plan.batches[todo[0].batch]
         net = file_digest(*net_files(batch.options.net))
-        outcome = _do(executor, SceneTask(batch.key, batch.options, batch.number, batch.scenes, net))
+        outcome = outcome_of(SceneTask(batch.key, batch.options, batch.number, batch.scenes, net), executor)
         if outcome.failed is not None:
             return None
         episode_s = {}
@@ -61,7 +61,9 @@ def forecast(cells: BenchCells, todo: tuple[Job, ...], horizon_s: float, limits:
             for k, length_s in enumerate((_SHORT_S, _SHORT_S, _LONG_S)):
                 trial = options.model_copy(update={"horizon_s": min(length_s, horizon_s)})
                 key = f"{name}-{k}".replace("/", "_")
-                tried_s.append(_do(executor, EpisodeTask(key, trial, k, outcome.product[0], net)).wall_s)
+                tried_s.append(
+                    outcome_of(EpisodeTask(key, trial, k, outcome.product[0], net), executor).wall_s
+                )
             episode_s[name] = _extrapolated(tried_s[1], tried_s[2], horizon_s) + _TRACE_S
     batches = len({job.batch for job in todo})
     total = sum(episode_s[name] * len(jobs) for name, jobs in kinds.items())
@@ -72,8 +74,3 @@ def _extrapolated(short_s: float, long_s: float, horizon_s: float) -> float:
     """Return the time of an episode of *horizon_s* by those of the two trials; the rest goes on as the long one did."""
     rest = max(horizon_s - _LONG_S, 0.0)
     return long_s + max(long_s - short_s, 0.0) / (_LONG_S - _SHORT_S) * rest
-
-
-def _do(executor: ProcessExecutor, task: SceneTask | EpisodeTask) -> Outcome:
-    executor.submit(task)
-    return executor.wait()

@@ -29,7 +29,7 @@ from advdiff_sumo.sweep.job_plan import plan_run
 from advdiff_sumo.sweep.run_engine import run_into, run_settings
 from advdiff_sumo.sweep.run_folder import RunFolder
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.sweep.tasks import WorkerLimits
 
 #: Most that run and sweep may take, as a multiple of the plain loop.
 BAR = 1.03
@@ -82,10 +82,10 @@ def sweep_of_one_cell(run: Run, folder: Path, clock: Clock) -> list[float]:
     return stamps
 
 
-def _limits(folder: Path) -> Limits:
+def _limits(folder: Path) -> WorkerLimits:
     logs = folder / "logs"
     logs.mkdir(parents=True)
-    return Limits(600.0, 4000, 250, 0.5, logs, 300.0)
+    return WorkerLimits(600.0, 4000, 250, 0.5, logs, 300.0)
 
 
 WAYS: dict[str, Callable[[Run, Path, Clock], list[float]]] = {

@@ -21,10 +21,10 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.executors import ProcessExecutor
-from advdiff_sumo.sweep.job_plan import Plan, plan_sweep
+from advdiff_sumo.sweep.job_plan import SweepPlan, plan_sweep
 from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.sweep.tasks import WorkerLimits
 
 #: Episodes of a worker after which its memory may grow no more.
 WARM = 50
@@ -33,7 +33,7 @@ HORIZON_S = 3.0
 BARS = {"growth": 20.0, "peak": 1200.0, "rate": 1.8}
 
 
-def sweep_of(episodes: int, background: str) -> Plan:
+def sweep_of(episodes: int, background: str) -> SweepPlan:
     """Return a plan of short episodes: two targets from the same seed scenes of the shipped downtown."""
     values = {
         "episodes": episodes // 2,
@@ -44,11 +44,11 @@ def sweep_of(episodes: int, background: str) -> Plan:
     return plan_sweep(SweepSpec.of(values, "bench"))
 
 
-def timed(plan: Plan, workers: int, folder: Path) -> tuple[float, list[dict[str, Any]]]:
+def timed(plan: SweepPlan, workers: int, folder: Path) -> tuple[float, list[dict[str, Any]]]:
     """Run *plan*; return episodes a second, counted from the first one that finished, and the timing rows."""
     folder.mkdir(parents=True)
     (folder / "logs").mkdir()
-    limits = Limits(600.0, 8000, tasks=10**9, recycle_share=1.0, logs=folder / "logs")
+    limits = WorkerLimits(600.0, 8000, tasks=10**9, recycle_share=1.0, logs=folder / "logs")
     store = open_store(folder / "sweep", plan, workers, resume=False)
     stamps: list[float] = []
     run_sweep(

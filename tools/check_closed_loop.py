@@ -25,7 +25,7 @@ from advdiff_sumo.core.errors import AdvdiffError, InputError
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.experiments.judge_folder import EpisodeTables, open_folder
-from advdiff_sumo.sweep.job_plan import Job, Plan, plan_sweep
+from advdiff_sumo.sweep.job_plan import Job, SweepPlan, plan_sweep
 from advdiff_sumo.sweep.repeat import episode_again, of_run
 from advdiff_sumo.sweep.sweep_store import Store
 
@@ -36,7 +36,7 @@ class Candidate:
 
     folder: Path
     store: Store
-    plan: Plan
+    plan: SweepPlan
     job: Job
     stored: EpisodeTables
 

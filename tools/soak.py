@@ -30,7 +30,7 @@ from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.job_plan import plan_sweep
 from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.sweep.tasks import WorkerLimits
 
 TARGETS = ("IDM", "Krauss", "lane_graph")
 ATTACKS = ("any", "cut-in", "brake", "junction")
@@ -138,7 +138,7 @@ def _driven(place: Place, folder: Path, options: argparse.Namespace) -> int:
     )
     store = open_store(folder, plan, options.workers, resume=(folder / "sweep.toml").exists())
     (folder / "logs").mkdir(exist_ok=True)
-    limits = Limits(options.timeout, 8000, tasks=10**6, recycle_share=1.0, logs=folder / "logs")
+    limits = WorkerLimits(options.timeout, 8000, tasks=10**6, recycle_share=1.0, logs=folder / "logs")
     executor = ProcessExecutor(options.workers, limits)
     return run_sweep(plan, store, RemainingJobs.of(plan, store), executor, RETRIES, lambda *_: None)
 

@@ -28,7 +28,7 @@ from advdiff_sumo.experiments.bench.scene_list import TUNING_LIST, SceneList, re
 from advdiff_sumo.metrics.severity import is_failure
 from advdiff_sumo.metrics.statistics import wilson
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.sweep.tasks import WorkerLimits
 
 COLUMNS = ("configuration", "target", "collisions", "95 %", "BV collisions", "BV off the road", "s/episode")
 
@@ -142,7 +142,7 @@ def measure(
         horizon_s,
     )
     with tempfile.TemporaryDirectory() as logs:
-        limits = Limits(timeout_s=600.0, memory_mb=4000, tasks=250, recycle_share=0.5, logs=Path(logs))
+        limits = WorkerLimits(timeout_s=600.0, memory_mb=4000, tasks=250, recycle_share=0.5, logs=Path(logs))
         store = run_cells(cells, folder, workers, limits, Printed(Console()))
     return results(cells, store)
 

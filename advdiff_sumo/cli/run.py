@@ -32,7 +32,7 @@ from advdiff_sumo.core.threads import one_thread_for_good
 if TYPE_CHECKING:
     from advdiff_sumo.sim.run_episodes import Run, RunOptions
     from advdiff_sumo.sweep.run_folder import RunFolder
-    from advdiff_sumo.sweep.tasks import Failed, Limits
+    from advdiff_sumo.sweep.tasks import Failed, WorkerLimits
 
 _FAILED = 1
 _NEW_OR_RESUME = "choose a new --out, or add --resume to go on with it"
@@ -162,7 +162,7 @@ def print_notes(console: Console, notes: Iterable[str]) -> None:
 
 
 def _episodes(
-    prepared: Run, folder: RunFolder, console: Console, limits: Limits, quiet: bool, retry_failed: bool
+    prepared: Run, folder: RunFolder, console: Console, limits: WorkerLimits, quiet: bool, retry_failed: bool
 ) -> int:
     """Run what *folder* lacks behind a bar, write the report whatever happens, and return how many there are."""
     from advdiff_sumo.report.attack_words import out_of_position

@@ -20,10 +20,10 @@ from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
     from advdiff_sumo.sweep.executors import Executor
-    from advdiff_sumo.sweep.job_plan import Plan
+    from advdiff_sumo.sweep.job_plan import SweepPlan
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs
     from advdiff_sumo.sweep.sweep_store import Store
-    from advdiff_sumo.sweep.tasks import Failed, Limits
+    from advdiff_sumo.sweep.tasks import Failed, WorkerLimits
 
 
 def sweep(
@@ -125,7 +125,7 @@ def _spec(file: Path | None, store: Store | None, diverse: bool) -> Any:
     return spec
 
 
-def _plan(console: Console, file: Path | None, begun: Store | None, diverse: bool) -> Plan:
+def _plan(console: Console, file: Path | None, begun: Store | None, diverse: bool) -> SweepPlan:
     """Return all episodes that are asked for; say what of the logs is left out."""
     from advdiff_sumo.cli.run import print_notes
     from advdiff_sumo.sweep.job_plan import plan_sweep
@@ -158,7 +158,7 @@ def _new_folder(console: Console, file: Path | None) -> Path:
 
 
 def _executor(
-    name: flags.ExecutorName, workers: int | None, address: str | None, plan: Plan, limits: Limits
+    name: flags.ExecutorName, workers: int | None, address: str | None, plan: SweepPlan, limits: WorkerLimits
 ) -> Executor:
     from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
 
@@ -175,7 +175,7 @@ def _executor(
 
 
 def _episodes(
-    console: Console, plan: Plan, store: Store, todo: RemainingJobs, executor: Executor, retries: int
+    console: Console, plan: SweepPlan, store: Store, todo: RemainingJobs, executor: Executor, retries: int
 ) -> int:
     """Run what is *todo* behind a bar and return how many episodes are missing then."""
     from advdiff_sumo.sweep.sweep_runner import run_sweep
@@ -184,7 +184,9 @@ def _episodes(
         return run_sweep(plan, store, todo, executor, retries, progress.tell)
 
 
-def _tell_estimate(console: Console, plan: Plan, todo: RemainingJobs, workers: int, limits: Limits) -> None:
+def _tell_estimate(
+    console: Console, plan: SweepPlan, todo: RemainingJobs, workers: int, limits: WorkerLimits
+) -> None:
     from advdiff_sumo.cli.sweep_results import duration
     from advdiff_sumo.sweep.executors import ProcessExecutor
     from advdiff_sumo.sweep.time_estimate import estimate

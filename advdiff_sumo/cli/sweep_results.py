@@ -24,7 +24,7 @@ from advdiff_sumo.report.nets import place_names
 from advdiff_sumo.sweep.condition import Condition, Undefined
 from advdiff_sumo.sweep.coverage import bands, coverage
 from advdiff_sumo.sweep.findings import Finding, findings
-from advdiff_sumo.sweep.job_plan import Plan
+from advdiff_sumo.sweep.job_plan import SweepPlan
 from advdiff_sumo.sweep.junit import junit_xml
 from advdiff_sumo.sweep.summary_stats import FIGURE_NAMES, Figures, by_kind
 from advdiff_sumo.sweep.sweep_columns import job_row
@@ -217,7 +217,7 @@ def _print_worst(console: Console, rows: Sequence[Row]) -> None:
     console.print(table)
 
 
-def _print_coverage(console: Console, plan: Plan, episodes: Sequence[Row]) -> None:
+def _print_coverage(console: Console, plan: SweepPlan, episodes: Sequence[Row]) -> None:
     attacks = [job_row(plan.jobs[0], options)["attack"] for options in plan.cells]
     tried = coverage(episodes, attacks, plan.junction_types)
     table = _table(

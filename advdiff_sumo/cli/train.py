@@ -80,12 +80,12 @@ def train(
     --out gets weights.safetensors (the best on held-out drives), checkpoint.safetensors (for --resume),
     metrics.jsonl, curves.png, evaluation.json and events for TensorBoard. Ctrl-C saves and leaves.
     """
-    from advdiff_sumo.training.setup import Plan, prepare  # late: --help needs no PyTorch
+    from advdiff_sumo.training.setup import TrainingRequest, prepare  # late: --help needs no PyTorch
 
     name = _stage(stage)
     flags.use_threads(threads)
     assignments = [*(assign or []), *([f'codec="{codec}"'] if codec else [])]
-    plan = Plan(
+    plan = TrainingRequest(
         stage=name,
         data=tuple(data),
         out=out,

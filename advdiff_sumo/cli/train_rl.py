@@ -62,11 +62,11 @@ def train_rl(
     """
     import advdiff_sumo.rl  # noqa: F401 - first: it says which extra is missing
     from advdiff_sumo.rl.sources import check
-    from advdiff_sumo.rl.train import ACTOR, Plan, train
+    from advdiff_sumo.rl.train import ACTOR, PpoTraining, train
 
     given: dict[str, Any] = {"nets": net, "targets": target, "prior": prior}
     adversary, ppo = _options({key: value for key, value in given.items() if value}, assign or [])
-    plan = Plan(out, steps, seed, adversary, ppo, workers)
+    plan = PpoTraining(out, steps, seed, adversary, ppo, workers)
     check(adversary)
     claim(out, resume)
     console = terminal(stderr=True, highlight=False)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 if TYPE_CHECKING:
-    from advdiff_sumo.sweep.tasks import Limits
+    from advdiff_sumo.sweep.tasks import WorkerLimits
 
 Workers: TypeAlias = Annotated[
     int | None, typer.Option(min=1, help="Episodes at a time.", show_default="one a core")
@@ -53,11 +53,11 @@ def end_as_by_ctrl_c() -> None:
 
 def limits_of(
     stack: ExitStack, timeout_s: float, plan_timeout_s: float = math.inf, memory_mb: int = MEMORY_MB
-) -> Limits:
+) -> WorkerLimits:
     """Return limits with a folder for logs, which goes when *stack* is left."""
-    from advdiff_sumo.sweep.tasks import Limits  # late: --help needs no simulator
+    from advdiff_sumo.sweep.tasks import WorkerLimits  # late: --help needs no simulator
 
     logs = Path(tempfile.mkdtemp(prefix="advdiff-logs-"))
     stack.callback(shutil.rmtree, logs, ignore_errors=True)
     level = logging.getLogger("advdiff_sumo").getEffectiveLevel()
-    return Limits(timeout_s, memory_mb, 250, 0.5, logs, plan_timeout_s, level)
+    return WorkerLimits(timeout_s, memory_mb, 250, 0.5, logs, plan_timeout_s, level)

@@ -23,7 +23,7 @@ TOUCHES_M = -0.5
 
 
 @dataclass(frozen=True)
-class Encounter:
+class SeenAttack:
     """Attackers' futures as the target on its natural way sees them; each (B, R, T) unless told otherwise.
 
     Attributes:
@@ -47,11 +47,11 @@ class Encounter:
     time_s: Tensor
 
 
-def encounter(rollout: Rollout, gap: Tensor, placed: Placed) -> Encounter:
+def encounter(rollout: Rollout, gap: Tensor, placed: Placed) -> SeenAttack:
     """Return how *rollout* (B, R, T) of attackers, *gap* (B, R, T) away, meets the target of *placed*."""
     xy, yaw, speed = placed.xy[0], placed.yaw[0], placed.speed[0]
     offset = into_frame(rollout.xy, xy, yaw.expand(rollout.yaw.shape))
-    return Encounter(
+    return SeenAttack(
         gap=gap,
         ahead=offset[..., 0],
         left=offset[..., 1],
@@ -73,55 +73,55 @@ def _between(value: Tensor, low: Tensor | float, high: Tensor | float) -> Tensor
     return torch.relu(low - value) + torch.relu(value - high)
 
 
-def _during(e: Encounter, cost: Tensor, begin_s: float, end_s: float) -> Tensor:
+def _during(e: SeenAttack, cost: Tensor, begin_s: float, end_s: float) -> Tensor:
     """Return the mean (B, R) of *cost* (B, R, T) over a span."""
     within = ((e.time_s >= begin_s) & (e.time_s <= end_s)).to(cost.dtype)
     return (cost * within).sum(-1) / within.sum().clamp(min=1.0)
 
 
-def _meeting(e: Encounter, within_m: float) -> Tensor:
+def _meeting(e: SeenAttack, within_m: float) -> Tensor:
     """Return how much each instant counts (B, R, T): more the nearer they are, which has no slope of its own."""
     return torch.exp(-(e.gap.detach().clamp(min=0.0) / within_m))
 
 
-def _any(e: Encounter) -> Tensor:
+def _any(e: SeenAttack) -> Tensor:
     return nearest(e.gap)
 
 
-def _cut_in(e: Encounter) -> Tensor:
+def _cut_in(e: SeenAttack) -> Tensor:
     """Into the target's lane ahead of it and slower, between 2 and 4 s."""
     place = e.left.abs() + 0.3 * _between(e.ahead, e.reach + 0.5, e.reach + 6.0)
     slower = 0.3 * torch.relu(e.speed - (e.target_speed - 2.0))
     return _during(e, place + slower + 3.0 * (1.0 - e.same), 1.5, 4.0) + 0.3 * nearest(e.gap)
 
 
-def _brake(e: Encounter) -> Tensor:
+def _brake(e: SeenAttack) -> Tensor:
     """Ahead in the target's lane, down to a fifth of its speed."""
     place = e.left.abs() + 0.3 * torch.relu(e.reach - e.ahead)
     slower = 0.5 * torch.relu(e.speed - 0.2 * e.target_speed)
     return _during(e, place + slower, 0.5, 4.0) + 0.3 * nearest(e.gap)
 
 
-def _rear_end(e: Encounter) -> Tensor:
+def _rear_end(e: SeenAttack) -> Tensor:
     """Behind in the target's lane and faster by 3 m/s."""
     place = e.left.abs() + 0.2 * _between(e.ahead, -e.reach - 1.0, -e.reach + 0.5)
     faster = 0.3 * torch.relu(e.target_speed + 3.0 - e.speed)
     return _during(e, place + faster, 1.0, 4.0) + 0.5 * nearest(e.gap)
 
 
-def _head_on(e: Encounter) -> Tensor:
+def _head_on(e: SeenAttack) -> Tensor:
     """Into the target's lane against its heading."""
     meeting = _meeting(e, 15.0)
     return nearest(e.gap) + (meeting * (0.5 * e.left.abs() + (1.0 + e.same))).mean(-1)
 
 
-def _junction(e: Encounter) -> Tensor:
+def _junction(e: SeenAttack) -> Tensor:
     """Across the target's way at the same place and time."""
     meeting = _meeting(e, 5.0)
     return nearest(e.gap) + (meeting * e.same.square()).mean(-1)
 
 
-COSTS: Mapping[str, Callable[[Encounter], Tensor]] = {
+COSTS: Mapping[str, Callable[[SeenAttack], Tensor]] = {
     "any": _any,
     "cut-in": _cut_in,
     "rear-end": _rear_end,

@@ -18,7 +18,7 @@ from advdiff_sumo.report.margin_table import SUBJECT
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sim.run_episodes import Run
 from advdiff_sumo.sweep.consolidate import read_rows, tables_are_behind, tables_of
-from advdiff_sumo.sweep.job_plan import Plan, plan_run
+from advdiff_sumo.sweep.job_plan import SweepPlan, plan_run
 from advdiff_sumo.sweep.rounds import stored_plan
 from advdiff_sumo.sweep.run_engine import stored_run
 from advdiff_sumo.sweep.run_folder import RunFolder
@@ -44,7 +44,7 @@ class FolderRows:
     """
 
     path: Path
-    plan: Plan
+    plan: SweepPlan
     episodes: Rows
     failures: Rows
     missing: int
@@ -106,7 +106,7 @@ def put_together(folder: Path) -> None:
             raise
 
 
-def rows_of_sweep(store: Store, plan: Plan, missing: int) -> FolderRows:
+def rows_of_sweep(store: Store, plan: SweepPlan, missing: int) -> FolderRows:
     """Return the rows of the sweep in *store*, whose tables are there and lack *missing* episodes."""
     read = partial(read_rows, store.path)
     return FolderRows(store.path, plan, read("episodes"), read("failures"), missing)

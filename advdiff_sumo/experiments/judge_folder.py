@@ -39,7 +39,7 @@ from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
 from advdiff_sumo.report.nets import net_path
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sweep.consolidate import consolidate
-from advdiff_sumo.sweep.job_plan import Plan, run_key
+from advdiff_sumo.sweep.job_plan import SweepPlan, run_key
 from advdiff_sumo.sweep.rounds import stored_plan
 from advdiff_sumo.sweep.run_engine import stored_run
 from advdiff_sumo.sweep.run_folder import RunFolder
@@ -202,7 +202,7 @@ def _tables(folder: Path, columns: Mapping[str, Column]) -> Judging:
     return Judging(len(rows), episodes, keep, finish)
 
 
-def _sweep(store: Store, plan: Plan) -> Judging:
+def _sweep(store: Store, plan: SweepPlan) -> Judging:
     jobs = {job.key: job for job in plan.jobs if store.has(job.key)}
 
     def episodes() -> Iterator[tuple[str, EpisodeTables]]:

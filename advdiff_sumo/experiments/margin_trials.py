@@ -21,12 +21,12 @@ from advdiff_sumo.report.margin_table import COMMAND, SUBJECT, TRIALS, TrialRow,
 from advdiff_sumo.sim.run_episodes import RunOptions
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.executors import ProcessExecutor
-from advdiff_sumo.sweep.job_plan import Plan, plan_sweep
+from advdiff_sumo.sweep.job_plan import SweepPlan, plan_sweep
 from advdiff_sumo.sweep.spec import Case, SweepSpec
 from advdiff_sumo.sweep.sweep_files import write_whole
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.sweep.tasks import WorkerLimits
 
 _RETRIES = 1
 #: File that says whose margin a folder holds.
@@ -72,7 +72,7 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         ConfigError: it holds the margin of another target, net or seed.
     """
 
-    def __init__(self, options: RunOptions, folder: Path, limits: Limits) -> None:
+    def __init__(self, options: RunOptions, folder: Path, limits: WorkerLimits) -> None:
         self._options, self._folder = options, folder
         self._subject = options.model_dump_json(exclude={"episodes"}, indent=1).encode() + b"\n"
         self._must_be_own()
@@ -120,7 +120,7 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         write_whole(self._folder / COMMAND, f"{command}\n".encode())
         write_whole(self._folder / TRIALS, trials_text(rows).encode())
 
-    def _plan(self, trials: Sequence[tuple[str, Scale, float]]) -> Plan:
+    def _plan(self, trials: Sequence[tuple[str, Scale, float]]) -> SweepPlan:
         options = self._options
         cases = [
             Case(
@@ -155,7 +155,7 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         elif (self._folder / SWEEP_SETTINGS).exists() and not (self._folder / TRIALS).exists():
             raise FileError(self._folder, "holds a sweep", "choose another --out")
 
-    def _run(self, plan: Plan) -> Store:
+    def _run(self, plan: SweepPlan) -> Store:
         store = open_bench_store(self._folder, plan, 1)
         write_whole(self._folder / SUBJECT, self._subject)
         run_sweep(

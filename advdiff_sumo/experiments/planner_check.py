@@ -38,7 +38,7 @@ _NOT_REACHED = {
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CheckResult:
     """One check.
 
     Attributes:
@@ -72,7 +72,7 @@ class Extent:
 
 
 @dataclass
-class Watched:
+class WatchedPlanner:
     """A planner whose scenes are kept, also that in which it raises as an episode starts."""
 
     planner: Planner
@@ -91,7 +91,7 @@ class Watched:
 
 
 @dataclass
-class WatchedServed(Watched):
+class WatchedServedPlanner(WatchedPlanner):
     """The same of one that something outside this process stands behind, which is told when an episode is over."""
 
     planner: ServedPlanner
@@ -119,7 +119,7 @@ class Driven:
     scenes: tuple[Scene, ...]
 
 
-def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[Verdict]:
+def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[CheckResult]:
     """Return the verdicts on the planner *name*.
 
     Args:
@@ -158,7 +158,7 @@ def drive(planner: Planner, name: str, road: RoadMap, extent: Extent) -> Driven:
         SeedTree(extent.seed),
     )
     starts = source.batch(0)[: extent.episodes]
-    watched = WatchedServed(planner) if isinstance(planner, Served) else Watched(planner)
+    watched = WatchedServedPlanner(planner) if isinstance(planner, Served) else WatchedPlanner(planner)
     episodes = [_episode(k, start, road, watched, name, extent) for k, start in enumerate(starts)]
     again, _ = _episode(0, starts[0], road, planner, name, extent)
     times = np.array([t for _, plans in episodes for t in plans])
@@ -186,20 +186,20 @@ def _scenes(scenes: Sequence[Scene]) -> dict[str, Scene]:
     return {f"at {scenes[k].time_s:.1f} s of a drive": scenes[k] for k in picked} | hard_scenes(scenes[0])
 
 
-def _part(part: Part, problems: Sequence[tuple[str, Problem]], scenes: Mapping[str, Scene]) -> Verdict:
+def _part(part: Part, problems: Sequence[tuple[str, Problem]], scenes: Mapping[str, Scene]) -> CheckResult:
     """Return the verdict on *part*; a scene counts where nothing before kept it from being looked at."""
     mine = [(where, problem) for where, problem in problems if problem.part is part]
     if not mine:
         stopped = {where for where, problem in problems if part in _NOT_REACHED.get(problem.part, ())}
         looked_at = len(scenes) - len(stopped & scenes.keys())
         said = f"{looked_at} scenes" if looked_at else "not looked at, see above"
-        return Verdict(part.value, True if looked_at else None, said)
+        return CheckResult(part.value, True if looked_at else None, said)
     where, first = mine[0]
     more = f"; {len(mine) - 1} more" if len(mine) > 1 else ""
-    return Verdict(part.value, first.harmless, first.text + (f" ({where})" if where else "") + more)
+    return CheckResult(part.value, first.harmless, first.text + (f" ({where})" if where else "") + more)
 
 
-def _drives(driven: Driven) -> list[Verdict]:
+def _drives(driven: Driven) -> list[CheckResult]:
     failed = [record.failure.message for record in driven.records if record.failure is not None]
     span = sum(record.tracks.dt_s * (record.tracks.steps - 1) for record in driven.records)
     ends = ", ".join(sorted({str(record.end) for record in driven.records}))
@@ -210,12 +210,12 @@ def _drives(driven: Driven) -> list[Verdict]:
         for part in ("xy_m", "yaw_rad", "speed_mps", "valid")
     )
     sentence = "the same bytes" if same else "the same scene and seed led to another drive"
-    return [Verdict(DRIVES, not failed, words), Verdict(DRIVES_AGAIN, same, sentence)]
+    return [CheckResult(DRIVES, not failed, words), CheckResult(DRIVES_AGAIN, same, sentence)]
 
 
-def _in_time(plans_s: FloatArray, within_ms: float) -> Verdict:
+def _in_time(plans_s: FloatArray, within_ms: float) -> CheckResult:
     if not len(plans_s):
-        return Verdict(IN_TIME, False, "no plan was made")
+        return CheckResult(IN_TIME, False, "no plan was made")
     median, late = 1e3 * np.median(plans_s), 1e3 * np.percentile(plans_s, 99)
     words = f"median {median:.1f} ms, 99 % {late:.1f} ms, of {len(plans_s)} plans; {within_ms:g} ms allowed"
-    return Verdict(IN_TIME, bool(median <= within_ms), words)
+    return CheckResult(IN_TIME, bool(median <= within_ms), words)

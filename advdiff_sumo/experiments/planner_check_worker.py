@@ -10,16 +10,16 @@ from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.plug_in_source import crashed_at
-from advdiff_sumo.experiments.planner_check import Extent, Verdict, check_target
+from advdiff_sumo.experiments.planner_check import CheckResult, Extent, check_target
 from advdiff_sumo.sweep.executors import ProcessExecutor, outcome_of
-from advdiff_sumo.sweep.tasks import CallTask, Limits
+from advdiff_sumo.sweep.tasks import CallTask, WorkerLimits
 
 LASTS = "comes to its end"
 
 
 def check_in_worker(
-    name: str, options: Mapping[str, Any], extent: Extent, limits: Limits, hear: Callable[[str], None]
-) -> list[Verdict]:
+    name: str, options: Mapping[str, Any], extent: Extent, limits: WorkerLimits, hear: Callable[[str], None]
+) -> list[CheckResult]:
     """Return what :func:`check_target` returns, or one verdict on a planner that ends the process or never comes back.
 
     Args:
@@ -38,10 +38,10 @@ def check_in_worker(
         hear(outcome.said)
     failed = outcome.failed
     if failed is None:
-        return [Verdict(**content) for content in json.loads(outcome.product[0])]
+        return [CheckResult(**content) for content in json.loads(outcome.product[0])]
     if failed.is_unusable:
         raise ConfigError(failed.message)
-    return [Verdict(LASTS, False, f"{failed.message}{crashed_at(failed.log_tail)}")]
+    return [CheckResult(LASTS, False, f"{failed.message}{crashed_at(failed.log_tail)}")]
 
 
 def _verdicts(name: str, options: Mapping[str, Any], extent: Extent) -> bytes:

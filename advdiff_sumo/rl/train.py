@@ -29,7 +29,7 @@ _NEVER = 2**62
 
 
 @dataclass(frozen=True)
-class Plan:
+class PpoTraining:
     """A training.
 
     Attributes:
@@ -53,7 +53,7 @@ class Plan:
         return {"adversary": self.adversary.model_dump(mode="json"), "ppo": self.ppo.model_dump(mode="json")}
 
 
-def train(plan: Plan, resume: bool, tell: Tell) -> checkpoint.Progress:
+def train(plan: PpoTraining, resume: bool, tell: Tell) -> checkpoint.Progress:
     """Train, or go on; the folder gets the actor, a checkpoint, metrics.jsonl, curves.png and TensorBoard events.
 
     An update is the unit: what was collected since the last one is lost by an interrupt, and a training that goes on
@@ -90,7 +90,7 @@ def train(plan: Plan, resume: bool, tell: Tell) -> checkpoint.Progress:
     return progress
 
 
-def _learn(model: PPO, plan: Plan, progress: checkpoint.Progress, tell: Tell) -> None:
+def _learn(model: PPO, plan: PpoTraining, progress: checkpoint.Progress, tell: Tell) -> None:
     events = history.open_events(plan.out / "events", progress.step) or history.NoEvents()
 
     def save() -> None:
@@ -113,7 +113,7 @@ def _learn(model: PPO, plan: Plan, progress: checkpoint.Progress, tell: Tell) ->
         raise KeyboardInterrupt
 
 
-def write(model: PPO, plan: Plan, progress: checkpoint.Progress) -> None:
+def write(model: PPO, plan: PpoTraining, progress: checkpoint.Progress) -> None:
     """Write checkpoint, actor and curves."""
     policy = model.policy
     groups = {
@@ -128,7 +128,7 @@ def write(model: PPO, plan: Plan, progress: checkpoint.Progress) -> None:
         history.draw_curves(plan.out / "curves.png", STAGE, progress.history)
 
 
-def _notes(plan: Plan, progress: checkpoint.Progress) -> dict[str, Any]:
+def _notes(plan: PpoTraining, progress: checkpoint.Progress) -> dict[str, Any]:
     adversary = plan.adversary
     return {
         "steps": progress.step,

@@ -44,7 +44,7 @@ class MadePlan:
     cpu_s: float
 
 
-class MadePlans:
+class KeptPlans:
     """The plans made last, by all that they follow from.
 
     Args:
@@ -80,7 +80,7 @@ class PlanMemo:
     """
 
     about: tuple[Any, ...]
-    made: MadePlans
+    made: KeptPlans
 
 
 @dataclass

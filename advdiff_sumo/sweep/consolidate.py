@@ -15,7 +15,7 @@ from advdiff_sumo.data.run_tables import RunTables
 from advdiff_sumo.metrics.arrow_tables import schema_of, table_of, upgraded
 from advdiff_sumo.metrics.columns import Column
 from advdiff_sumo.sweep.fingerprint import digest
-from advdiff_sumo.sweep.job_plan import Job, Plan
+from advdiff_sumo.sweep.job_plan import Job, SweepPlan
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_columns import FAILURE_COLUMNS, SWEEP_TABLES, job_row
 from advdiff_sumo.sweep.sweep_files import checksum_of, write_whole
@@ -26,7 +26,7 @@ _ROWS_TOGETHER = 100_000
 _SEAL = "tables.json"
 
 
-def consolidate(store: Store, plan: Plan) -> int:
+def consolidate(store: Store, plan: SweepPlan) -> int:
     """Write the tables of all episodes that are there; return how many are missing.
 
     The same episodes give the same bytes, whoever ran them and in whatever order; ``timing`` apart.
@@ -55,7 +55,7 @@ def consolidate(store: Store, plan: Plan) -> int:
     return missing
 
 
-def tables_of(store: Store, plan: Plan) -> int:
+def tables_of(store: Store, plan: SweepPlan) -> int:
     """Make sure that the tables are there and whole; return how many episodes are missing.
 
     They are put together again when one is missing or damaged, or when episodes have come or changed since.
@@ -80,7 +80,7 @@ def tables_are_behind(store: Store) -> bool:
     return any(changed_ns > sealed_ns for changed_ns in store.changed_ns())
 
 
-def _parts(store: Store, plan: Plan) -> str:
+def _parts(store: Store, plan: SweepPlan) -> str:
     """Return the digest of the episodes that are there, in the sweep's order."""
     return digest([store.checksum(job.key) for job in plan.jobs])
 
@@ -96,7 +96,7 @@ def read_rows(folder: Path, table: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _rows(part: StoredEpisode, job: Job, plan: Plan, folder: Path) -> dict[str, pa.Table]:
+def _rows(part: StoredEpisode, job: Job, plan: SweepPlan, folder: Path) -> dict[str, pa.Table]:
     own = job_row(job, plan.options(job))
     tables: dict[str, pa.Table] = {}
     for name, table in part.tables.items():

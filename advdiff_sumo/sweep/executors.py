@@ -28,7 +28,7 @@ from advdiff_sumo.planners.planner_protocol import Served
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.heartbeat import Heartbeat
 from advdiff_sumo.sim.run_episodes import Run
-from advdiff_sumo.sweep.tasks import Limits, Outcome, Task
+from advdiff_sumo.sweep.tasks import Outcome, Task, WorkerLimits
 from advdiff_sumo.sweep.work import perform
 from advdiff_sumo.sweep.worker_sandbox import (
     RECYCLED,
@@ -127,7 +127,7 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
     pipe stops all others.
     """
 
-    def __init__(self, workers: int, limits: Limits) -> None:
+    def __init__(self, workers: int, limits: WorkerLimits) -> None:
         self.slots, self.limits = workers, limits
         self._pools: dict[int, Any] = {}
         self._running: dict[Any, tuple[int, Task]] = {}

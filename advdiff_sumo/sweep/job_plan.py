@@ -63,7 +63,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """A checked sweep.
 
     Attributes:
@@ -109,7 +109,7 @@ class Plan:
         return jobs[0]
 
 
-def plan_sweep(spec: SweepSpec) -> Plan:
+def plan_sweep(spec: SweepSpec) -> SweepPlan:
     """Check *spec* and lay out its episodes; reads nets, demand and logs and makes each target once.
 
     Raises:
@@ -136,10 +136,10 @@ def plan_sweep(spec: SweepSpec) -> Plan:
             key = digest([own, "episode", number])
             jobs.append(Job(key, len(jobs), cell, number, batch, place, scene_key))
     wanted = sum(options.episodes for options in asked)
-    return Plan(spec, cells, tuple(jobs), batches, car_junctions(check.roads), wanted)
+    return SweepPlan(spec, cells, tuple(jobs), batches, car_junctions(check.roads), wanted)
 
 
-def plan_run(run: Run) -> Plan:
+def plan_run(run: Run) -> SweepPlan:
     """Lay a run out as a sweep of one cell; its episodes are called by their numbers."""
     options = RunOptions.model_validate(run.settings["options"])
     source = _source_of(run, options)
@@ -158,7 +158,7 @@ def plan_run(run: Run) -> Plan:
         scene=options.scene,
         cases=(Case(**own),),
     )
-    return Plan(spec, (options,), tuple(jobs), batches, car_junctions([run.road]), len(jobs))
+    return SweepPlan(spec, (options,), tuple(jobs), batches, car_junctions([run.road]), len(jobs))
 
 
 def _by_kind(cells: Iterable[RunOptions]) -> list[RunOptions]:
@@ -256,7 +256,7 @@ class _Check:
         return self._known[key]
 
 
-def needed_nets(plan: Plan) -> tuple[Path, ...]:
+def needed_nets(plan: SweepPlan) -> tuple[Path, ...]:
     """Return the nets of a sweep and their drivable areas, for workers on other machines."""
     names = dict.fromkeys(options.net for options in plan.cells)
     return tuple(path for name in names for path in net_files(name))

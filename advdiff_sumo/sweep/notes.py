@@ -9,10 +9,10 @@ from pathlib import Path
 from advdiff_sumo.data import open_log
 from advdiff_sumo.sim.demand_files import read_demand
 from advdiff_sumo.sim.run_episodes import left_out, read_road
-from advdiff_sumo.sweep.job_plan import Plan
+from advdiff_sumo.sweep.job_plan import SweepPlan
 
 
-def sweep_notes(plan: Plan) -> Iterator[str]:
+def sweep_notes(plan: SweepPlan) -> Iterator[str]:
     """Yield sentences on what of logs and demand is left out, once for each net with its log or demand.
 
     Raises:

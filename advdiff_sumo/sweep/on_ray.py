@@ -20,7 +20,7 @@ from typing import Any
 from advdiff_sumo.core.errors import ConfigError, MissingExtraError
 from advdiff_sumo.maps.shipped_nets import shipped_networks
 from advdiff_sumo.sweep.sweep_files import write_whole
-from advdiff_sumo.sweep.tasks import CallTask, Failed, Limits, Outcome, Task
+from advdiff_sumo.sweep.tasks import CallTask, Failed, Outcome, Task, WorkerLimits
 from advdiff_sumo.sweep.worker_sandbox import bound_memory, lost, run_sandboxed
 
 _ANSWER_S = 10.0
@@ -33,7 +33,7 @@ class RayExecutor(AbstractContextManager["RayExecutor"]):
     """
 
     def __init__(
-        self, address: str | None, workers: int | None, limits: Limits, nets: tuple[Path, ...]
+        self, address: str | None, workers: int | None, limits: WorkerLimits, nets: tuple[Path, ...]
     ) -> None:
         """Take the settings; nothing starts before ``with``, except that *workers* None asks the cluster.
 
@@ -101,7 +101,7 @@ class RayExecutor(AbstractContextManager["RayExecutor"]):
         return outcome
 
 
-def on_worker(task: Task, limits: Limits, assets: Mapping[str, bytes]) -> Outcome:
+def on_worker(task: Task, limits: WorkerLimits, assets: Mapping[str, bytes]) -> Outcome:
     """Do *task* on a worker of a cluster, where files may lie elsewhere."""
     bound_memory(limits.memory_mb)
     limits.logs.mkdir(parents=True, exist_ok=True)

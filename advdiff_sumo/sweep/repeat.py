@@ -15,7 +15,7 @@ from advdiff_sumo.sim.run_episodes import Run
 from advdiff_sumo.sim.scene_file import scene_from_bytes
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
-from advdiff_sumo.sweep.job_plan import Job, Plan, plan_run, plan_sweep
+from advdiff_sumo.sweep.job_plan import Job, SweepPlan, plan_run, plan_sweep
 from advdiff_sumo.sweep.rounds import stored_plan
 from advdiff_sumo.sweep.run_engine import stored_run
 from advdiff_sumo.sweep.run_folder import RunFolder
@@ -41,7 +41,7 @@ class Before:
     """
 
     store: Store
-    plan: Plan
+    plan: SweepPlan
     job: Job
     part: StoredEpisode | None
     name: str
@@ -111,7 +111,7 @@ def _numbered(number: int, folder: Path) -> Before:
     return _kept(store, plan, plan.jobs[number])
 
 
-def _kept(store: Store, plan: Plan, job: Job) -> Before:
+def _kept(store: Store, plan: SweepPlan, job: Job) -> Before:
     return Before(store, plan, job, store.read(job.key), job.key)
 
 
@@ -146,7 +146,7 @@ def repeat(before: Before, gui: bool = False) -> Repeated:
     return Repeated(run, part, _same(before.part, part))
 
 
-def episode_again(store: Store, plan: Plan, job: Job, gui: bool = False) -> tuple[Run, Episode]:
+def episode_again(store: Store, plan: SweepPlan, job: Job, gui: bool = False) -> tuple[Run, Episode]:
     """Return the run and the episode of *job*, ready to go; errors as in :func:`repeat`."""
     options = plan.options(job)
     run = replace(run_of(options, file_digest(*net_files(options.net))), gui=gui)
@@ -162,7 +162,7 @@ def settings_for(job: Job, run: Run) -> dict[str, Any]:
     }
 
 
-def _scene(store: Store, plan: Plan, run: Run, job: Job) -> SeedScene:
+def _scene(store: Store, plan: SweepPlan, run: Run, job: Job) -> SeedScene:
     """Return the seed scene, out of the store where it is still there; else it is made again."""
     kept = store.read_scenes(job.batch)
     if kept is not None and job.place < len(kept):

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.sweep.job_plan import Job, Plan, plan_sweep
+from advdiff_sumo.sweep.job_plan import Job, SweepPlan, plan_sweep
 from advdiff_sumo.sweep.steering import Candidate, Row, Steering
 from advdiff_sumo.sweep.sweep_columns import job_row
 from advdiff_sumo.sweep.sweep_files import write_whole
@@ -17,7 +17,7 @@ ROUNDS = "rounds.json"
 _ROUNDS, _LEAST = 10, 8
 
 
-def stored_plan(store: Store) -> Plan:
+def stored_plan(store: Store) -> SweepPlan:
     """Return the plan of the sweep in *store*; of a diverse one, the episodes that have been chosen.
 
     Raises:
@@ -28,7 +28,7 @@ def stored_plan(store: Store) -> Plan:
     return chosen_so_far(plan, store)
 
 
-def chosen_so_far(plan: Plan, store: Store | None) -> Plan:
+def chosen_so_far(plan: SweepPlan, store: Store | None) -> SweepPlan:
     """Return *plan* with those of its episodes that have been chosen, in that order; itself where it is not diverse.
 
     Raises:
@@ -39,7 +39,7 @@ def chosen_so_far(plan: Plan, store: Store | None) -> Plan:
     return _with(plan, [] if store is None else _read(store))
 
 
-def rounds(plan: Plan, store: Store, most: int) -> Iterator[tuple[Plan, tuple[Job, ...]]]:
+def rounds(plan: SweepPlan, store: Store, most: int) -> Iterator[tuple[SweepPlan, tuple[Job, ...]]]:
     """Yield what has been chosen and what of it is to be run, a round at a time, until *most* episodes are chosen.
 
     What a round is chosen by must be in *store* when the next one is asked for.
@@ -60,27 +60,27 @@ def rounds(plan: Plan, store: Store, most: int) -> Iterator[tuple[Plan, tuple[Jo
         yield present, present.jobs[-len(fresh) :]
 
 
-def _next(plan: Plan, known: Mapping[str, Row | None], count: int) -> list[str]:
+def _next(plan: SweepPlan, known: Mapping[str, Row | None], count: int) -> list[str]:
     """Return the *count* episodes that come after those with the rows *known*."""
     results = ((_candidate(plan, plan.by_key[key]), row) for key, row in known.items())
     left = [_candidate(plan, job) for job in plan.jobs if job.key not in known]
     return Steering.after(results).pick(left, count)
 
 
-def _row(plan: Plan, store: Store, key: str) -> Row | None:
+def _row(plan: SweepPlan, store: Store, key: str) -> Row | None:
     """Return the row of a finished episode; None where it has none."""
     row = store.glance(key)
     job = plan.by_key[key]
     return None if row is None else {**row, **job_row(job, plan.options(job))}
 
 
-def _candidate(plan: Plan, job: Job) -> Candidate:
+def _candidate(plan: SweepPlan, job: Job) -> Candidate:
     row = job_row(job, plan.options(job))
     target = f"{row['target']} {row['target_options']}"
     return Candidate(job.key, target, row["net"], row["attack"], job.scene_key)
 
 
-def _with(plan: Plan, keys: list[str]) -> Plan:
+def _with(plan: SweepPlan, keys: list[str]) -> SweepPlan:
     jobs = (plan.by_key[key] for key in keys)
     return replace(plan, jobs=tuple(replace(job, index=k) for k, job in enumerate(jobs)))
 

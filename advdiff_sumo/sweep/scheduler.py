@@ -13,7 +13,7 @@ from advdiff_sumo.sim.episode import Ended
 from advdiff_sumo.sim.heartbeat import NOT_STARTED
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
-from advdiff_sumo.sweep.job_plan import Batch, Job, Plan
+from advdiff_sumo.sweep.job_plan import Batch, Job, SweepPlan
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_files import DiskFullError
 from advdiff_sumo.sweep.sweep_store import Store
@@ -42,7 +42,7 @@ class Scheduler:
         refuses: raise where seed scenes or options cannot be used, in place of recording it.
     """
 
-    plan: Plan
+    plan: SweepPlan
     store: Store
     executor: Executor
     retries: int

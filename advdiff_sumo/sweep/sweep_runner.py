@@ -10,7 +10,7 @@ from typing import Any
 from advdiff_sumo.sim.run_episodes import versions
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.executors import Executor
-from advdiff_sumo.sweep.job_plan import Job, Plan
+from advdiff_sumo.sweep.job_plan import Job, SweepPlan
 from advdiff_sumo.sweep.rounds import chosen_so_far, rounds
 from advdiff_sumo.sweep.scheduler import Scheduler, Tell
 from advdiff_sumo.sweep.sweep_store import Store
@@ -34,7 +34,7 @@ class RemainingJobs:
 
     @staticmethod
     def of(
-        plan: Plan, store: Store | None, limit: int | None = None, retry_failed: bool = False
+        plan: SweepPlan, store: Store | None, limit: int | None = None, retry_failed: bool = False
     ) -> RemainingJobs:
         """Return what of the first *limit* episodes is missing or damaged in *store*.
 
@@ -49,7 +49,7 @@ class RemainingJobs:
         jobs = tuple(job for job in wanted if store is None or not store.is_done(job.key, retry_failed))
         return RemainingJobs(jobs, len(wanted) - len(jobs), total)
 
-    def ahead(self, plan: Plan) -> Sequence[Job]:
+    def ahead(self, plan: SweepPlan) -> Sequence[Job]:
         """Return as many episodes as are to be run, those of a diverse sweep spread over what it chooses from."""
         left = self.total - self.done
         if not plan.spec.diverse or not left:
@@ -57,7 +57,7 @@ class RemainingJobs:
         return [plan.jobs[k * len(plan.jobs) // left] for k in range(left)]
 
 
-def settings_of(plan: Plan) -> dict[str, Any]:
+def settings_of(plan: SweepPlan) -> dict[str, Any]:
     """Return what ``sweep.toml`` holds."""
     return {
         "made_by": versions(),
@@ -66,7 +66,7 @@ def settings_of(plan: Plan) -> dict[str, Any]:
     }
 
 
-def open_store(path: Path, plan: Plan, workers: int, resume: bool) -> Store:
+def open_store(path: Path, plan: SweepPlan, workers: int, resume: bool) -> Store:
     """Return the store of a new sweep in *path*, or of the one that is there already.
 
     Raises:
@@ -79,7 +79,7 @@ def open_store(path: Path, plan: Plan, workers: int, resume: bool) -> Store:
 
 
 def run_sweep(
-    plan: Plan, store: Store, todo: RemainingJobs, executor: Executor, retries: int, tell: Tell
+    plan: SweepPlan, store: Store, todo: RemainingJobs, executor: Executor, retries: int, tell: Tell
 ) -> int:
     """Run what is left and put the tables together; return how many episodes are missing.
 
@@ -107,7 +107,7 @@ def run_sweep(
     return missing
 
 
-def _parts(plan: Plan, store: Store, todo: RemainingJobs) -> Iterator[tuple[Plan, Sequence[Job]]]:
+def _parts(plan: SweepPlan, store: Store, todo: RemainingJobs) -> Iterator[tuple[SweepPlan, Sequence[Job]]]:
     """Yield what is run together: all that is left, or of a diverse sweep what was chosen, then its further rounds."""
     yield chosen_so_far(plan, store), todo.jobs
     if plan.spec.diverse:

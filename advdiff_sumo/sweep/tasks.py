@@ -122,7 +122,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Limits:
+class WorkerLimits:
     """What a worker may take.
 
     Attributes:

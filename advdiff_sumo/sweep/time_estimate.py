@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.sweep.executors import Executor, outcome_of
 from advdiff_sumo.sweep.fingerprint import canonical, file_digest, net_files
-from advdiff_sumo.sweep.job_plan import Batch, Job, Plan
+from advdiff_sumo.sweep.job_plan import Batch, Job, SweepPlan
 from advdiff_sumo.sweep.tasks import EpisodeTask, SceneTask
 
 _PROBES = 6
@@ -35,7 +35,7 @@ class Estimate:
         return (self.scene_s * self.batches + self.episode_s * self.episodes) / workers
 
 
-def estimate(plan: Plan, jobs: Sequence[Job], executor: Executor) -> Estimate | None:
+def estimate(plan: SweepPlan, jobs: Sequence[Job], executor: Executor) -> Estimate | None:
     """Run one batch of seed scenes and an episode of up to six kinds; None when there is nothing to do.
 
     Args:
@@ -72,7 +72,7 @@ def estimate(plan: Plan, jobs: Sequence[Job], executor: Executor) -> Estimate | 
     return Estimate(_mean(scene_s), _mean(episode_s), batches, len(jobs))
 
 
-def _kind(plan: Plan, job: Job) -> str:
+def _kind(plan: SweepPlan, job: Job) -> str:
     options = plan.options(job)
     names = (options.net, options.target, options.background)
     return canonical([*names, options.target_options, options.background_options])

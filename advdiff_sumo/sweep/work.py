@@ -28,7 +28,7 @@ from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.episode import Timing
 from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
-from advdiff_sumo.sim.plan_memo import MadePlans, PlanMemo
+from advdiff_sumo.sim.plan_memo import KeptPlans, PlanMemo
 from advdiff_sumo.sim.run_episodes import Run, RunOptions, policy_of, read_road, target_of
 from advdiff_sumo.sim.run_store import episode_tables
 from advdiff_sumo.sim.scene_file import scene_from_bytes, scene_to_bytes
@@ -47,7 +47,7 @@ WORKER_COLUMNS: Mapping[str, Column] = {
 }
 #: Kind of failure that ends the sweep: there is no room for SUMO's own files.
 NO_ROOM = "no_room"
-_MADE = MadePlans()
+_MADE = KeptPlans()
 _AT_HAND = {"sumo", "replay"}
 
 

@@ -23,7 +23,7 @@ from advdiff_sumo.core.plug_in_source import crashed_at
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.core.worker_start import ignore_interrupts
 from advdiff_sumo.sim.heartbeat import NOT_STARTED, Beat, Heartbeat, Phase
-from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Limits, Outcome, Task
+from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Outcome, Task, WorkerLimits
 from advdiff_sumo.sweep.work import data_bytes, perform, rss_mb
 
 #: Exit code of a worker that makes room for a fresh one.
@@ -40,7 +40,7 @@ _MB = 1 << 20
 _TASKS = count()  # of this process
 
 
-def prepare_worker(limits: Limits) -> None:
+def prepare_worker(limits: WorkerLimits) -> None:
     """Set a new worker up: Ctrl-C is the parent's business, memory is bounded, no parent means no worker.
 
     Its temporary files, and those of the programs that it starts, lie where the parent removes them if it is killed.
@@ -68,7 +68,7 @@ def bound_memory(memory_mb: int) -> None:
             resource.setrlimit(resource.RLIMIT_DATA, (most, most))
 
 
-def run_sandboxed(task: Task, limits: Limits) -> Outcome:
+def run_sandboxed(task: Task, limits: WorkerLimits) -> Outcome:
     """Do *task* within *limits*; the process ends itself when the time is over."""
     used = next(_TASKS) > 0
     if used and limits.memory_mb and rss_mb() > limits.recycle_share * limits.memory_mb:
@@ -85,7 +85,7 @@ def run_sandboxed(task: Task, limits: Limits) -> Outcome:
     return outcome
 
 
-def lost(task: Task, limits: Limits, exit_code: int | None, how: str, overdue: bool = False) -> Outcome:
+def lost(task: Task, limits: WorkerLimits, exit_code: int | None, how: str, overdue: bool = False) -> Outcome:
     """Return the outcome of a task whose worker died.
 
     Args:
@@ -129,7 +129,7 @@ def _crashed(task: EpisodeTask, beat: Beat, how: str, tail: str) -> Failed:
     )
 
 
-def _overdue(task: EpisodeTask, limits: Limits, beat: Beat, tail: str) -> Failed:
+def _overdue(task: EpisodeTask, limits: WorkerLimits, beat: Beat, tail: str) -> Failed:
     when = _when(task, beat)
     if beat.phase is Phase.SIMULATOR:
         return Failed("timeout", f"SUMO made no step in {limits.longest_s(beat.phase):g} s {when}", tail)
@@ -153,7 +153,7 @@ def _when(task: EpisodeTask, beat: Beat) -> str:
     return f"at {beat.steps * task.options.sim.step_s:.1f} s of the episode"
 
 
-def timed_out(limits: Limits, tail: str = "") -> Failed:
+def timed_out(limits: WorkerLimits, tail: str = "") -> Failed:
     """Return the failure of a task that took too long."""
     return Failed("timeout", f"not finished after {limits.timeout_s:g} s", tail)
 

@@ -26,8 +26,8 @@ from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.planning.people import PEOPLE, go_straight, velocities
 from advdiff_sumo.traffic.planning.safeguard import (
     SafeguardedPlans,
+    SafeguardInput,
     VehiclePlan,
-    Watched,
     back_to_lane,
     safeguard,
 )
@@ -218,7 +218,7 @@ def _watched(
     lanes: Mapping[int, LaneAhead | None],
     attackers: Sequence[str],
     attack: LicensedAttack,
-) -> Watched:
+) -> SafeguardInput:
     """Return what the safeguard has to know of *rows* (N,) of the scene, those of the view first."""
     scene, rest = view.scene, rows[len(view.ids) :]
     guided = np.isin(view.ids, attackers)
@@ -231,7 +231,7 @@ def _watched(
             ahead[row] = way_out(road, view.now.xy_m[row, -1], float(view.now.yaw_rad[row, -1]))
     over_limit = np.where(guided, attack.over_limit, NATURAL_OVER_LIMIT)
     waits = np.array([attack.waits_m.get(row, np.inf) for row in range(len(rows))])
-    return Watched(
+    return SafeguardInput(
         planned=_with_rest(planned, rest),
         attacker=_with_rest(guided & attack.exempt, rest),
         target=0,

@@ -50,7 +50,7 @@ _NEEDS: Mapping[StageName, tuple[StageName, ...]] = {
 
 
 @dataclass(frozen=True)
-class Plan:
+class TrainingRequest:
     """What the user asked for.
 
     Attributes:
@@ -79,7 +79,7 @@ class Plan:
     card: Mapping[str, Any] = field(default_factory=dict)
 
 
-def prepare(plan: Plan) -> Job:
+def prepare(plan: TrainingRequest) -> Job:
     """Return the training that *plan* describes, with nothing trained or written yet.
 
     Raises:
@@ -109,7 +109,7 @@ def prepare(plan: Plan) -> Job:
     return _job(plan, stage, options, windows, (train, held_out), keep, device)
 
 
-def _prepared_simnet(plan: Plan, device: torch.device) -> Job:
+def _prepared_simnet(plan: TrainingRequest, device: torch.device) -> Job:
     """Return the training of SimNet, which takes a bundle's encoder and gives a file of its own."""
     windows = read_window_set(plan.data)
     seed = SeedTree(plan.seed, ("weights",)).integer()
@@ -127,7 +127,7 @@ def _prepared_simnet(plan: Plan, device: torch.device) -> Job:
 
 
 def _job(
-    plan: Plan,
+    plan: TrainingRequest,
     stage: Stage,
     options: TrainOptions,
     windows: WindowSet,
@@ -169,7 +169,7 @@ def choose_device(name: str) -> torch.device:
     return torch.device("cpu")
 
 
-def _begun(plan: Plan) -> Bundle | None:
+def _begun(plan: TrainingRequest) -> Bundle | None:
     """Return the weights to begin with; None: new ones.
 
     Raises:
@@ -191,7 +191,7 @@ def _begun(plan: Plan) -> Bundle | None:
     return begun
 
 
-def _bundle(plan: Plan, begun: Bundle | None, windows: WindowSet) -> Bundle:
+def _bundle(plan: TrainingRequest, begun: Bundle | None, windows: WindowSet) -> Bundle:
     """Return what is trained: new networks, or those *begun* as far as they fit, to see what *windows* show."""
     options, view = plan.options, windows.map_view
     wanted = BundleOptions(
@@ -206,7 +206,7 @@ def _bundle(plan: Plan, begun: Bundle | None, windows: WindowSet) -> Bundle:
     return _fitted(plan, begun, wanted, windows)
 
 
-def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions, windows: WindowSet) -> Bundle:
+def _fitted(plan: TrainingRequest, begun: Bundle, wanted: BundleOptions, windows: WindowSet) -> Bundle:
     """Return *begun*, with a new denoiser where that is to work on something else; refuse what cannot be."""
     closing = plan.stage == "decoder" or (
         plan.stage == "traffic" and plan.options.model.decoder == "closed-loop"
@@ -235,7 +235,7 @@ def _fitted(plan: Plan, begun: Bundle, wanted: BundleOptions, windows: WindowSet
     return replace(bundle, stages=tuple(name for name in begun.stages if name == "traffic"))
 
 
-def _informed(plan: Plan, begun: Bundle) -> Bundle:
+def _informed(plan: TrainingRequest, begun: Bundle) -> Bundle:
     """Return *begun*, its denoiser with the parts that the plan asks for; new ones begin as nothing."""
     if begun.options.model.denoiser_situation or not plan.options.model.denoiser_situation:
         return begun
@@ -244,7 +244,7 @@ def _informed(plan: Plan, begun: Bundle) -> Bundle:
     return _grown(begun, options, SeedTree(plan.seed, ("weights",)).integer())
 
 
-def _asked_of_new_parts(plan: Plan, begun: Bundle, stage: str) -> dict[str, Any]:
+def _asked_of_new_parts(plan: TrainingRequest, begun: Bundle, stage: str) -> dict[str, Any]:
     """Return the sizes asked for of what *stage* makes anew.
 
     Raises:
@@ -298,7 +298,7 @@ def weights_file(path: Path) -> Path:
     return find_weights("" if path == Path("shipped") and not path.exists() else str(path))
 
 
-def _sides(plan: Plan, windows: WindowSet) -> tuple[WindowSet, WindowSet]:
+def _sides(plan: TrainingRequest, windows: WindowSet) -> tuple[WindowSet, WindowSet]:
     if plan.val:
         held_out = read_window_set(plan.val)
         held_out.must_show(windows.map_view, "the windows of --val")
@@ -333,7 +333,7 @@ def _stages(bundle: Bundle, name: StageName) -> tuple[str, ...]:
     return (*(stage for stage in bundle.stages if stage in earlier), name)
 
 
-def _card(plan: Plan, progress: Progress) -> dict[str, Any]:
+def _card(plan: TrainingRequest, progress: Progress) -> dict[str, Any]:
     return {
         **plan.card,
         "stage": plan.stage,

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.attack_costs import COSTS, Encounter, encounter
+from advdiff_sumo.diffusion.attack_costs import COSTS, SeenAttack, encounter
 from advdiff_sumo.diffusion.bodies import Placed, met_by
 from advdiff_sumo.diffusion.guides import FLOOR, Guidance, Term, direction
 from advdiff_sumo.diffusion.sampler import SamplingStep
@@ -114,12 +114,12 @@ def straight(x: float, y: float, yaw: float, speed: float, steps: int = 8) -> Ro
     return Rollout(*(part[None, None] for part in (xy, yaw * same, speed * same, 0.0 * same, 0.0 * same)))
 
 
-def met(attacker: Rollout) -> Encounter:
+def met(attacker: Rollout) -> SeenAttack:
     """Return the encounter with a target that drives north at 10 m/s from (5, 0)."""
     return between(attacker, straight(5.0, 0.0, torch.pi / 2, 10.0))
 
 
-def between(attacker: Rollout, target: Rollout) -> Encounter:
+def between(attacker: Rollout, target: Rollout) -> SeenAttack:
     """Return the encounter of two vehicles far from any road's edge."""
     size = SIZE.double().expand(2, 2)
     nowhere = torch.zeros(1, 1, 1, 2, dtype=torch.float64)

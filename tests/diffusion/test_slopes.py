@@ -8,7 +8,7 @@ from torch import Tensor
 
 from advdiff_sumo.diffusion import attack_costs
 from advdiff_sumo.diffusion.attack import plain_objective
-from advdiff_sumo.diffusion.attack_costs import COSTS, Encounter
+from advdiff_sumo.diffusion.attack_costs import COSTS, SeenAttack
 from advdiff_sumo.diffusion.attack_slope import AttackOnTensors, tensors_of
 from advdiff_sumo.diffusion.bodies import Placed, met_by
 from advdiff_sumo.diffusion.exported_step import StepOnTensors
@@ -40,7 +40,7 @@ def test_an_attack_of_every_kind(
     objective, kept = plain_objective(kind, attackers(made, rows, compiled=False)), []
     counted = attack_costs._meeting
 
-    def held(e: Encounter, within_m: float) -> Tensor:
+    def held(e: SeenAttack, within_m: float) -> Tensor:
         kept.append(counted(e, within_m))
         return kept[0]
 

@@ -11,7 +11,7 @@ from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
 from advdiff_sumo.core.scene import Scene
-from advdiff_sumo.experiments.planner_check import Extent, Verdict, check_target
+from advdiff_sumo.experiments.planner_check import CheckResult, Extent, check_target
 from advdiff_sumo.maps import RoadMap
 
 BRIEF = Extent(episodes=1, horizon_s=2.0)
@@ -95,7 +95,7 @@ class Told(Brakes):
         return None
 
 
-def verdicts(kind: type[Brakes], **options: Any) -> dict[str, Verdict]:
+def verdicts(kind: type[Brakes], **options: Any) -> dict[str, CheckResult]:
     return {verdict.name: verdict for verdict in check_target(f"{__name__}:{kind.__name__}", options, BRIEF)}
 
 

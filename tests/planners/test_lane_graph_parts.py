@@ -14,7 +14,7 @@ from advdiff_sumo.planners.lane_graph.conflicts import conflict_zone
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.memory import Memory
 from advdiff_sumo.planners.lane_graph.others import others_near, ways_of
-from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath, PathStack, _smoothed
+from advdiff_sumo.planners.lane_graph.path import Geometry, PathStack, ReferencePath, _smoothed
 from advdiff_sumo.planners.lane_graph.predict import Ego, forecast
 from advdiff_sumo.planners.lane_graph.proposal_score import _time_at
 from advdiff_sumo.planners.lane_graph.rules import Duty, may_go, rule_at
@@ -25,7 +25,7 @@ from .scenes import CAR_M, Car, make_scene
 Maker = Callable[..., RoadMap]
 
 
-def path_of(road: RoadMap, start: str, route: tuple[str, ...]) -> LanePath:
+def path_of(road: RoadMap, start: str, route: tuple[str, ...]) -> ReferencePath:
     chain = route_chain(road, start, route, required_changes(road, route), 300.0)
     return Geometry.of(road).path(chain.lanes, chain.links)
 

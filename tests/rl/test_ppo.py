@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from advdiff_sumo.core.errors import ConfigError, WeightsError
 from advdiff_sumo.rl.ppo import actor_net, new_ppo
 from advdiff_sumo.rl.rl_options import PpoOptions, adversary_options
-from advdiff_sumo.rl.train import ACTOR, Plan, train
+from advdiff_sumo.rl.train import ACTOR, PpoTraining, train
 from advdiff_sumo.traffic.rl.actor import ACTIONS, load_actor
 from advdiff_sumo.traffic.rl.features import FEATURES, LIMIT
 
@@ -75,10 +75,10 @@ def test_the_actor_says_what_the_policy_said() -> None:
     assert np.abs(theirs).max() > 0.0
 
 
-def plan(settings: dict[str, Any], out: Path, steps: int, **ppo: Any) -> Plan:
+def plan(settings: dict[str, Any], out: Path, steps: int, **ppo: Any) -> PpoTraining:
     values = {"n_steps": 8, "batch_size": 4, "n_epochs": 2, "hidden": (8,), **ppo}
     out.mkdir(exist_ok=True)
-    return Plan(out, steps, 5, adversary_options(settings), PpoOptions.parse(values))
+    return PpoTraining(out, steps, 5, adversary_options(settings), PpoOptions.parse(values))
 
 
 def test_a_training_leaves_an_actor_and_goes_on(settings: dict[str, Any], tmp_path: Path) -> None:

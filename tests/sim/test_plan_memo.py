@@ -13,7 +13,7 @@ from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_registry import make_target
-from advdiff_sumo.sim.plan_memo import MadePlan, MadePlans, PlanMemo, PlanSource
+from advdiff_sumo.sim.plan_memo import KeptPlans, MadePlan, PlanMemo, PlanSource
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 from advdiff_sumo.traffic.policy_registry import make_policy
@@ -26,7 +26,7 @@ SEARCHES = {"rounds": 2}
 
 def memo_of() -> PlanMemo:
     """Return a memo of its own."""
-    return PlanMemo(("net", "policy", "options"), MadePlans())
+    return PlanMemo(("net", "policy", "options"), KeptPlans())
 
 
 class Counted:
@@ -99,7 +99,7 @@ def test_with_the_memo_episodes_are_the_same_and_plans_are_made_once(
 
 
 def test_another_policy_net_or_option_has_plans_of_its_own(scene: SeedScene, road: RoadMap) -> None:
-    policy, made = Counted(make_policy("scripted", {})), MadePlans()
+    policy, made = Counted(make_policy("scripted", {})), KeptPlans()
     for about in (("net", "scripted", "[]"), ("net", "scripted", "[1]"), ("other", "scripted", "[]")):
         before = policy.plans
         driven(scene, road, policy, SOUND, PlanMemo(about, made))
@@ -114,7 +114,7 @@ def test_a_plan_of_the_memo_counts_with_what_it_took_then(scene: SeedScene, road
 
 
 def test_a_full_memo_forgets_what_was_used_longest_ago() -> None:
-    memo, made = MadePlans(most=2), MadePlan(JointPlan(Tracks.empty()), None, {}, 0.1, 0.1)
+    memo, made = KeptPlans(most=2), MadePlan(JointPlan(Tracks.empty()), None, {}, 0.1, 0.1)
     memo.keep(b"first", made)
     memo.keep(b"second", made)
     assert memo.get(b"first") is made

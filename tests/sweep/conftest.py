@@ -13,11 +13,11 @@ import sumolib
 
 from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.executors import SerialExecutor
-from advdiff_sumo.sweep.job_plan import Plan, plan_sweep
+from advdiff_sumo.sweep.job_plan import SweepPlan, plan_sweep
 from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.sweep.tasks import WorkerLimits
 
 SAME_BYTES = tuple(f"{name}.parquet" for name in ("episodes", "collisions", "states", "plans", "unattacked"))
 
@@ -116,12 +116,12 @@ def values(place: Path, faults: tuple[str, ...] = ("none",), **more: Any) -> dic
     return content | more
 
 
-def planned(place: Path, faults: tuple[str, ...] = ("none",), **more: Any) -> Plan:
+def planned(place: Path, faults: tuple[str, ...] = ("none",), **more: Any) -> SweepPlan:
     """Return the plan of :func:`values`."""
     return plan_sweep(SweepSpec.of(values(place, faults, **more), "test"))
 
 
-def serially(plan: Plan, folder: Path) -> Store:
+def serially(plan: SweepPlan, folder: Path) -> Store:
     """Run a sweep in this process."""
     store = open_store(folder, plan, 1, resume=False)
     assert run_sweep(plan, store, RemainingJobs.of(plan, store), SerialExecutor(), 0, lambda *_: None) == 0
@@ -136,8 +136,8 @@ def bytes_of(store: Store) -> dict[str, object]:
 
 
 @pytest.fixture
-def limits(tmp_path: Path) -> Limits:
+def limits(tmp_path: Path) -> WorkerLimits:
     """What a worker may take."""
     logs = tmp_path / "logs"
     logs.mkdir()
-    return Limits(timeout_s=600.0, memory_mb=2000, tasks=100, recycle_share=0.9, logs=logs)
+    return WorkerLimits(timeout_s=600.0, memory_mb=2000, tasks=100, recycle_share=0.9, logs=logs)

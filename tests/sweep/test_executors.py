@@ -14,18 +14,18 @@ from advdiff_sumo.report.page import report_html
 from advdiff_sumo.sweep.consolidate import read_rows, tables_of
 from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
-from advdiff_sumo.sweep.job_plan import Plan
+from advdiff_sumo.sweep.job_plan import SweepPlan
 from advdiff_sumo.sweep.repeat import of_sweep, repeat
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import Failed, Limits, SceneTask
+from advdiff_sumo.sweep.tasks import Failed, SceneTask, WorkerLimits
 from advdiff_sumo.sweep.work import perform
 from tests.sweep.conftest import bytes_of, planned, serially
 
 
 @pytest.fixture(scope="module")
-def plan(place: Path) -> Plan:
+def plan(place: Path) -> SweepPlan:
     grid = {
         "nets": [str(place / "small.net.xml")],
         "targets": ["IDM", "lane_graph"],
@@ -35,12 +35,12 @@ def plan(place: Path) -> Plan:
 
 
 @pytest.fixture(scope="module")
-def one_by_one(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Store:
+def one_by_one(plan: SweepPlan, tmp_path_factory: pytest.TempPathFactory) -> Store:
     return serially(plan, tmp_path_factory.mktemp("serial") / "s")
 
 
 def test_two_workers_that_are_replaced_and_another_order(
-    plan: Plan, one_by_one: Store, limits: Limits, tmp_path: Path
+    plan: SweepPlan, one_by_one: Store, limits: WorkerLimits, tmp_path: Path
 ) -> None:
     store = open_store(tmp_path / "s", plan, 2, resume=False)
     todo = RemainingJobs.of(plan, store)
@@ -55,7 +55,7 @@ def test_two_workers_that_are_replaced_and_another_order(
 
 
 def test_a_worker_that_holds_much_is_replaced_before_its_next_task(
-    plan: Plan, one_by_one: Store, limits: Limits, tmp_path: Path
+    plan: SweepPlan, one_by_one: Store, limits: WorkerLimits, tmp_path: Path
 ) -> None:
     greedy = replace(limits, recycle_share=0.001)  # any worker that has done a task
     store = open_store(tmp_path / "s", plan, 1, resume=False)
@@ -72,7 +72,7 @@ def test_a_worker_that_holds_much_is_replaced_before_its_next_task(
 
 
 def test_seed_scenes_of_a_warm_up_that_are_too_few_are_made_again(
-    plan: Plan, one_by_one: Store, tmp_path: Path
+    plan: SweepPlan, one_by_one: Store, tmp_path: Path
 ) -> None:
     """A folder may hold those of a sweep with fewer episodes."""
     store = open_store(tmp_path / "s", plan, 1, resume=False)
@@ -91,7 +91,7 @@ def test_seed_scenes_of_a_warm_up_that_are_too_few_are_made_again(
         assert part.tables["episodes"] == same.tables["episodes"]
 
 
-def test_an_episode_is_repeated_exactly(plan: Plan, one_by_one: Store) -> None:
+def test_an_episode_is_repeated_exactly(plan: SweepPlan, one_by_one: Store) -> None:
     job = plan.jobs[-1]
     before = of_sweep(job.key[:9], None, one_by_one.path.parent)
     assert before.job == job
@@ -99,7 +99,7 @@ def test_an_episode_is_repeated_exactly(plan: Plan, one_by_one: Store) -> None:
 
 
 def test_what_a_search_has_added_is_not_held_against_a_repetition(
-    plan: Plan, one_by_one: Store, tmp_path: Path
+    plan: SweepPlan, one_by_one: Store, tmp_path: Path
 ) -> None:
     store = Store(shutil.copytree(one_by_one.path, tmp_path / "s"))
     job = plan.jobs[0]
@@ -116,7 +116,9 @@ def test_what_a_search_has_added_is_not_held_against_a_repetition(
     assert repeat(of_sweep(job.key, store.path, tmp_path)).same is False
 
 
-def test_tables_follow_an_episode_that_was_run_again(plan: Plan, one_by_one: Store, tmp_path: Path) -> None:
+def test_tables_follow_an_episode_that_was_run_again(
+    plan: SweepPlan, one_by_one: Store, tmp_path: Path
+) -> None:
     store = Store(shutil.copytree(one_by_one.path, tmp_path / "s"))
     assert tables_of(store, plan) == 0
     assert read_rows(store.path, "failures") == []
@@ -127,7 +129,7 @@ def test_tables_follow_an_episode_that_was_run_again(plan: Plan, one_by_one: Sto
 
 
 def test_workers_that_know_plans_from_before_change_nothing(
-    place: Path, limits: Limits, tmp_path: Path
+    place: Path, limits: WorkerLimits, tmp_path: Path
 ) -> None:
     late = {"name": "lane_graph", "options": {"defects": ["late:strong"]}}
     grid = {

@@ -16,10 +16,10 @@ import pytest
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.sweep.consolidate import read_rows, tables_of
 from advdiff_sumo.sweep.executors import ProcessExecutor
-from advdiff_sumo.sweep.job_plan import Plan
+from advdiff_sumo.sweep.job_plan import SweepPlan
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.sweep.tasks import WorkerLimits
 from tests.sweep.conftest import bytes_of, planned, serially
 
 pytestmark = pytest.mark.slow
@@ -37,13 +37,13 @@ LEAST_TIMEOUT_S, TIMES_THE_SLOWEST = 45.0, 20.0
 
 
 @pytest.fixture(scope="module")
-def plan(place: Path) -> Plan:
+def plan(place: Path) -> SweepPlan:
     """Two episodes of a planner of each kind."""
     return planned(place, FAULTS)
 
 
 @pytest.fixture(scope="module")
-def undisturbed(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Store:
+def undisturbed(plan: SweepPlan, tmp_path_factory: pytest.TempPathFactory) -> Store:
     """The sweep when all planners are well; the one that plans NaN always does."""
     return serially(plan, tmp_path_factory.mktemp("undisturbed") / "s")
 
@@ -58,21 +58,21 @@ def ill(place: Path) -> Iterator[Path]:
 
 
 @pytest.fixture
-def tight(undisturbed: Store, tmp_path: Path) -> Limits:
+def tight(undisturbed: Store, tmp_path: Path) -> WorkerLimits:
     """Limits that a healthy episode keeps on this machine, however busy, and an ill one does not."""
     logs = tmp_path / "logs"
     logs.mkdir()
     slowest = max(row["wall_s"] for row in read_rows(undisturbed.path, "timing"))
-    return Limits(max(LEAST_TIMEOUT_S, TIMES_THE_SLOWEST * slowest), 600, 6, 0.9, logs)
+    return WorkerLimits(max(LEAST_TIMEOUT_S, TIMES_THE_SLOWEST * slowest), 600, 6, 0.9, logs)
 
 
-def run(plan: Plan, store: Store, executor: ProcessExecutor, tell: Any = None, **more: Any) -> int:
+def run(plan: SweepPlan, store: Store, executor: ProcessExecutor, tell: Any = None, **more: Any) -> int:
     todo = RemainingJobs.of(plan, store, **more)
     return run_sweep(plan, store, todo, executor, 4, tell or (lambda *_: None))
 
 
 def test_every_fault_costs_its_own_episode_only(
-    plan: Plan, undisturbed: Store, ill: Path, tight: Limits, tmp_path: Path
+    plan: SweepPlan, undisturbed: Store, ill: Path, tight: WorkerLimits, tmp_path: Path
 ) -> None:
     store = open_store(tmp_path / "s", plan, 2, resume=False)
     executor = ProcessExecutor(2, tight)
@@ -116,7 +116,7 @@ def test_every_fault_costs_its_own_episode_only(
 
 
 def test_only_what_is_missing_or_damaged_is_run(
-    plan: Plan, undisturbed: Store, limits: Limits, tmp_path: Path
+    plan: SweepPlan, undisturbed: Store, limits: WorkerLimits, tmp_path: Path
 ) -> None:
     store = open_store(tmp_path / "s", plan, 1, resume=False)
     first = RemainingJobs.of(plan, store, limit=3)
@@ -135,7 +135,7 @@ def test_only_what_is_missing_or_damaged_is_run(
     assert bytes_of(store) == bytes_of(undisturbed)
 
 
-def test_damaged_tables_are_put_together_again(plan: Plan, undisturbed: Store) -> None:
+def test_damaged_tables_are_put_together_again(plan: SweepPlan, undisturbed: Store) -> None:
     before = bytes_of(undisturbed)
     path = undisturbed.path / "episodes.parquet"
     path.write_bytes(path.read_bytes()[:-30])
@@ -163,7 +163,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_a_full_disk_is_one_sentence_and_loses_nothing(
-    plan: Plan, undisturbed: Store, limits: Limits, small_disk: Path
+    plan: SweepPlan, undisturbed: Store, limits: WorkerLimits, small_disk: Path
 ) -> None:
     store = open_store(small_disk / "s", plan, 2, resume=False)
     filler = small_disk / "filler"

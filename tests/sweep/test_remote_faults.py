@@ -14,7 +14,7 @@ from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.job_plan import plan_sweep
 from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.sweep.tasks import WorkerLimits
 from tests.hang_guard import with_time
 from tests.planners.remote.test_remote_planner import running
 from tests.sweep.conftest import values
@@ -58,7 +58,9 @@ pytestmark = pytest.mark.slow
 KINDS = {"planner_crashed", "planner_timeout", "plan_refused"}
 
 
-def test_every_episode_has_its_row_and_no_process_stays(place: Path, tmp_path: Path, limits: Limits) -> None:
+def test_every_episode_has_its_row_and_no_process_stays(
+    place: Path, tmp_path: Path, limits: WorkerLimits
+) -> None:
     server = tmp_path / "draws_server.py"
     server.write_text(SERVER)
     rows, failures = with_time(lambda limit_s: attempt(server, place, tmp_path, limits, limit_s), 8.0)
@@ -74,7 +76,7 @@ def test_every_episode_has_its_row_and_no_process_stays(place: Path, tmp_path: P
 
 
 def attempt(
-    server: Path, place: Path, folder: Path, limits: Limits, limit_s: float
+    server: Path, place: Path, folder: Path, limits: WorkerLimits, limit_s: float
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]] | None:
     """Return the rows of episodes and failures; None where a plan was late that did not hang."""
     hangs = folder / f"hangs-{limit_s:g}"

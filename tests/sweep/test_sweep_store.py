@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from advdiff_sumo.core.errors import ConfigError, FileError
-from advdiff_sumo.sweep.job_plan import Job, Plan
+from advdiff_sumo.sweep.job_plan import Job, SweepPlan
 from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_files import read_checked, write_checked
@@ -19,7 +19,9 @@ from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Failed
 from tests.hang_guard import HANG_S
 
-PLAN = Plan(SweepSpec.of({"grid": {"targets": ["IDM"], "backgrounds": ["sumo"]}}, "x"), (), (), {}, (), 0)
+PLAN = SweepPlan(
+    SweepSpec.of({"grid": {"targets": ["IDM"], "backgrounds": ["sumo"]}}, "x"), (), (), {}, (), 0
+)
 PART = StoredEpisode({}, Failed("timeout", "not finished after 3 s", "thinking", 1)).to_bytes()
 
 

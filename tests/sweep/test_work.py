@@ -18,7 +18,7 @@ from advdiff_sumo.sweep.consolidate import read_rows
 from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import CallTask, EpisodeTask, Limits
+from advdiff_sumo.sweep.tasks import CallTask, EpisodeTask, WorkerLimits
 from advdiff_sumo.sweep.work import perform
 from advdiff_sumo.sweep.worker_sandbox import lost
 from tests.sweep.conftest import planned
@@ -89,7 +89,7 @@ def well_here(place: Path) -> Iterator[Path]:
     sys.modules.pop("well_here", None)
 
 
-def swept(place: Path, limits: Limits, folder: Path, **grid: Any) -> Store:
+def swept(place: Path, limits: WorkerLimits, folder: Path, **grid: Any) -> Store:
     """Return the store of a sweep of two episodes in a worker that may die twice of each."""
     base = {"nets": [str(place / "small.net.xml")], "targets": ["IDM"], "backgrounds": ["sumo"]}
     plan = planned(place, grid=base | grid)
@@ -107,7 +107,7 @@ def swept(place: Path, limits: Limits, folder: Path, **grid: Any) -> Store:
     [("targets", "Planner", "target"), ("backgrounds", "Traffic", "background")],
 )
 def test_who_ends_its_process_while_it_is_made_costs_its_episodes_with_a_row_each(
-    well_here: Path, limits: Limits, tmp_path: Path, part: str, name: str, who: str
+    well_here: Path, limits: WorkerLimits, tmp_path: Path, part: str, name: str, who: str
 ) -> None:
     choice = {"name": f"well_here:{name}", "options": {"deed": "leaves"}}
     store = swept(well_here, limits, tmp_path / "s", **{part: [choice]})
@@ -124,10 +124,10 @@ def test_who_ends_its_process_while_it_is_made_costs_its_episodes_with_a_row_eac
 
 @pytest.mark.slow
 def test_who_hangs_while_it_is_made_is_ended(
-    well_here: Path, limits: Limits, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    well_here: Path, limits: WorkerLimits, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tasks, "STEP_TIMEOUT_S", 3.0)  # nothing else in this sweep has a limit
-    brief = Limits(math.inf, limits.memory_mb, 100, 0.9, limits.logs, plan_timeout_s=2.0)
+    brief = WorkerLimits(math.inf, limits.memory_mb, 100, 0.9, limits.logs, plan_timeout_s=2.0)
     choice = {"name": "well_here:Planner", "options": {"deed": "hangs"}}
     store = swept(well_here, brief, tmp_path / "s", targets=[choice])
     failures = read_rows(store.path, "failures")
@@ -140,10 +140,10 @@ def test_who_hangs_while_it_is_made_is_ended(
     assert [row["end"] for row in read_rows(store.path, "episodes")] == ["failed"] * 2
 
 
-def test_how_long_each_phase_may_last(limits: Limits) -> None:
+def test_how_long_each_phase_may_last(limits: WorkerLimits) -> None:
     """A planner may take as long to be made as SUMO to start, also where its plans have to come soon."""
     for plan_s, longest_s in ((2.0, 300.0), (400.0, 400.0), (math.inf, math.inf)):
-        own = Limits(math.inf, 0, 1, 0.9, limits.logs, plan_timeout_s=plan_s)
+        own = WorkerLimits(math.inf, 0, 1, 0.9, limits.logs, plan_timeout_s=plan_s)
         assert {phase: own.longest_s(phase) for phase in Phase} == {
             Phase.OTHER: math.inf,
             Phase.SIMULATOR: longest_s,
@@ -162,7 +162,7 @@ def test_how_long_each_phase_may_last(limits: Limits) -> None:
     ],
 )
 def test_what_is_said_of_a_worker_that_was_lost_before_the_first_step(
-    limits: Limits, phase: Phase, words: str
+    limits: WorkerLimits, phase: Phase, words: str
 ) -> None:
     task = EpisodeTask("k", RunOptions(background="mine:B"), 0, b"", "")
     Heartbeat(limits.heartbeat_of("k")).note(phase)

@@ -22,7 +22,7 @@ from advdiff_sumo.training.ema import Ema
 from advdiff_sumo.training.history import NoEvents
 from advdiff_sumo.training.learning_rates import rate_factor
 from advdiff_sumo.training.presets import STAGES, StageName, TrainOptions, preset
-from advdiff_sumo.training.setup import Plan, prepare
+from advdiff_sumo.training.setup import TrainingRequest, prepare
 from advdiff_sumo.training.stage import Moment
 from advdiff_sumo.training.training_loop import Job, Trainer
 from tests.training.straight_road import write
@@ -39,7 +39,7 @@ def options(stage: StageName = "traffic", *more: str) -> TrainOptions:
 
 def job(folder: Path, out: Path, stage: StageName = "traffic", init: Path | None = None, *more: str) -> Job:
     out.mkdir(exist_ok=True)
-    return prepare(Plan(stage, (folder,), out, options(stage, *more), init, seed=4, device="cpu"))
+    return prepare(TrainingRequest(stage, (folder,), out, options(stage, *more), init, seed=4, device="cpu"))
 
 
 def run(made: Job, resume: bool = False, stop_after: int | None = None) -> None:
@@ -234,7 +234,7 @@ def test_held_out_windows_show_the_same_view_of_the_map(
 ) -> None:
     both = window_folder, far(window_folder, tmp_path / "far")
     for (data, val), sees in ((both, "near"), (both[::-1], "far")):
-        plan = Plan(stage, (data,), tmp_path / "out", options(stage), val=(val,), device="cpu")
+        plan = TrainingRequest(stage, (data,), tmp_path / "out", options(stage), val=(val,), device="cpu")
         with pytest.raises(
             ConfigError, match=f"the windows of --val show .*the networks see '{sees}': .*--map-view {sees}"
         ):

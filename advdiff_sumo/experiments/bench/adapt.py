@@ -19,7 +19,7 @@ from advdiff_sumo.models.reward import save_reward
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.run_episodes import RunOptions
 from advdiff_sumo.sweep.executors import ProcessExecutor, outcomes
-from advdiff_sumo.sweep.tasks import CallTask, Limits, Outcome
+from advdiff_sumo.sweep.tasks import CallTask, Outcome, WorkerLimits
 
 Marks = tuple[int, ...]
 
@@ -57,7 +57,7 @@ class Adaptation:
 
 
 def adapt(
-    wanted: Sequence[Adaptation], folder: Path, workers: int, limits: Limits, teller: ProgressReporter
+    wanted: Sequence[Adaptation], folder: Path, workers: int, limits: WorkerLimits, teller: ProgressReporter
 ) -> None:
     """Make the warm-ups that *folder* lacks, on seed scenes that no table uses.
 

@@ -14,12 +14,12 @@ from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import SceneList
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sweep.executors import ProcessExecutor
-from advdiff_sumo.sweep.job_plan import Job, Plan, plan_sweep
+from advdiff_sumo.sweep.job_plan import Job, SweepPlan, plan_sweep
 from advdiff_sumo.sweep.spec import Case, SweepSpec
 from advdiff_sumo.sweep.sweep_files import write_whole
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep, settings_of
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import Failed, Limits
+from advdiff_sumo.sweep.tasks import Failed, WorkerLimits
 
 _RETRIES = 2
 #: What later options of the simulation record and no table reads.
@@ -59,7 +59,7 @@ class BenchCells:
         scenes: that each of them starts from.
     """
 
-    plan: Plan
+    plan: SweepPlan
     cells: tuple[BenchCell, ...]
     scenes: SceneList
 
@@ -107,7 +107,7 @@ def plan_cells(
     return BenchCells(plan_sweep(spec), tuple(cells), scenes)
 
 
-def open_bench_store(path: Path, plan: Plan, workers: int) -> Store:
+def open_bench_store(path: Path, plan: SweepPlan, workers: int) -> Store:
     """Return the store of the bench's sweep; one that was begun with fewer rows or scenes takes the new ones in.
 
     Episodes are known by their content, so those that are there already stay.
@@ -121,7 +121,9 @@ def open_bench_store(path: Path, plan: Plan, workers: int) -> Store:
     return open_store(path, plan, workers, begun)
 
 
-def run_cells(cells: BenchCells, path: Path, workers: int, limits: Limits, teller: ProgressReporter) -> Store:
+def run_cells(
+    cells: BenchCells, path: Path, workers: int, limits: WorkerLimits, teller: ProgressReporter
+) -> Store:
     """Run what is missing in *path* and return the store.
 
     Raises:

@@ -23,7 +23,7 @@ from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
 from advdiff_sumo.experiments.bench.statistics import RESAMPLES, Difference, Estimate, Ratio, estimate
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.sweep.tasks import WorkerLimits
 
 RUNGS = 3
 
@@ -65,7 +65,7 @@ def marks_of(steps: int) -> tuple[int, ...]:
     return tuple(sorted({max(1, round(steps * k / RUNGS)) for k in range(1, RUNGS + 1)}))
 
 
-def plan_fewshot(folder: Folder, workers: int, limits: Limits, teller: ProgressReporter) -> BenchCells:
+def plan_fewshot(folder: Folder, workers: int, limits: WorkerLimits, teller: ProgressReporter) -> BenchCells:
     """Make the warm-ups and return the cells that the request asks for.
 
     Raises:

@@ -8,7 +8,7 @@ from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells
 from advdiff_sumo.sweep.executors import ProcessExecutor, outcome_of
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.job_plan import Job
-from advdiff_sumo.sweep.tasks import EpisodeTask, Limits, SceneTask
+from advdiff_sumo.sweep.tasks import EpisodeTask, SceneTask, WorkerLimits
 
 _SHORT_S, _LONG_S = 3.0, 9.0  # lawful attacks, which cost most, begin after 3 s
 _TRACE_S = 0.4
@@ -35,7 +35,9 @@ class Forecast:
         return (self.scenes_s + self.episodes_s) / workers
 
 
-def forecast(cells: BenchCells, todo: tuple[Job, ...], horizon_s: float, limits: Limits) -> Forecast | None:
+def forecast(
+    cells: BenchCells, todo: tuple[Job, ...], horizon_s: float, limits: WorkerLimits
+) -> Forecast | None:
     """Try short episodes of each background, of which the first loads its networks; from two lengths follows the rest.
 
     Returns:

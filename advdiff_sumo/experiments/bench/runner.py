@@ -24,7 +24,7 @@ from advdiff_sumo.experiments.bench.table_cache import save
 from advdiff_sumo.experiments.bench.transfer import asked_of_transfer, plan_transfer, transfer_table
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.sweep.tasks import WorkerLimits
 
 #: What a bench asks for where the user does not say; together within three hours on two cores.
 DEFAULTS: Mapping[BenchName, Mapping[str, Any]] = {
@@ -46,7 +46,7 @@ class ClosedLoop:
         traced: what is looked at of the background: nothing, its motion, or likelihoods and solutions, too.
     """
 
-    plan: Callable[[Folder, int, Limits, ProgressReporter], BenchCells]
+    plan: Callable[[Folder, int, WorkerLimits, ProgressReporter], BenchCells]
     table: Callable[[Gathered, BenchCells, Folder], Table]
     traced: Literal["no", "motion", "all"] = "no"
 
@@ -87,7 +87,7 @@ def check_request(request: Request) -> None:
         asked_of_fewshot(request)
 
 
-def run_bench(folder: Folder, workers: int, limits: Limits, teller: ProgressReporter) -> Table:
+def run_bench(folder: Folder, workers: int, limits: WorkerLimits, teller: ProgressReporter) -> Table:
     """Run what the folder lacks and write its table in every form.
 
     Raises:
@@ -119,7 +119,7 @@ def _gathered(
 
 
 def _foretell(
-    cells: BenchCells, folder: Folder, workers: int, limits: Limits, teller: ProgressReporter
+    cells: BenchCells, folder: Folder, workers: int, limits: WorkerLimits, teller: ProgressReporter
 ) -> None:
     """Say how many episodes there are, and how long those that are left will take."""
     store = Store(folder.sweep) if (folder.sweep / SWEEP_SETTINGS).exists() else None

@@ -31,7 +31,7 @@ from advdiff_sumo.experiments.bench.scene_list import SceneList
 from advdiff_sumo.experiments.bench.statistics import Estimate, Ratio, Sample, difference, draws
 from advdiff_sumo.experiments.bench.table import Gap, Head, RowSamples, Table, lines_of
 from advdiff_sumo.planners.planner_registry import TARGETS
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.sweep.tasks import WorkerLimits
 
 SOURCES = ("lane_graph", "simnet", "trafficsim")
 """What a policy is adapted to: the paper's three."""
@@ -50,7 +50,7 @@ NOTES = (
 )
 
 
-def plan_transfer(folder: Folder, workers: int, limits: Limits, teller: ProgressReporter) -> BenchCells:
+def plan_transfer(folder: Folder, workers: int, limits: WorkerLimits, teller: ProgressReporter) -> BenchCells:
     """Make the warm-ups and return the cells that the request asks for.
 
     Raises:

@@ -20,7 +20,7 @@ State = tuple[str, frozenset[int]]
 
 
 @dataclass
-class LaneGraph:
+class RouteLanes:
     """Lanes of each edge and where they lead.
 
     Attributes:
@@ -56,7 +56,7 @@ class LaneGraph:
         return groups
 
 
-def undrivable_routes(graph: LaneGraph) -> list[tuple[str, ...]]:
+def undrivable_routes(graph: RouteLanes) -> list[tuple[str, ...]]:
     """Return edge routes, each step of which is connected, that no sequence of lanes follows.
 
     Each is as short as can be: without its first or its last edge it could be driven. One is given for each way
@@ -91,9 +91,9 @@ def _way(origin: Mapping[State, State | None], state: State) -> tuple[str, ...]:
     return tuple(way[::-1])
 
 
-def graph_of_plan(plan: NetPlan) -> LaneGraph:
+def graph_of_plan(plan: NetPlan) -> RouteLanes:
     """Return the lanes of a net as planned."""
-    graph = LaneGraph({edge.id: _planned_changes(edge) for edge in plan.edges})
+    graph = RouteLanes({edge.id: _planned_changes(edge) for edge in plan.edges})
     for connection in plan.connections:
         graph.add_link(connection.origin, connection.target)
     return graph
@@ -111,10 +111,10 @@ def _beside(lane: int, last: int, not_up: bool, not_down: bool) -> set[int]:
     return up | ({lane - 1} if lane > 0 and not not_down else set())
 
 
-def graph_of_net(net: Path) -> LaneGraph:
+def graph_of_net(net: Path) -> RouteLanes:
     """Return the lanes of a written net."""
     root: Any = ElementTree.fromstring(net.read_bytes())
-    graph = LaneGraph()
+    graph = RouteLanes()
     for edge in root.iter("edge"):
         if edge.get("function", "") == "" and edge.get("type") != BEYOND_TYPE:
             rows = edge.findall("lane")
@@ -131,7 +131,7 @@ def graph_of_net(net: Path) -> LaneGraph:
     return graph
 
 
-def edges_to_part(graph: LaneGraph) -> list[str]:
+def edges_to_part(graph: RouteLanes) -> list[str]:
     """Return the edges on which an undrivable route gets stuck and whose lanes could be edges of their own."""
     blocked = {route[-2] for route in undrivable_routes(graph)}
     return sorted(edge for edge in blocked if len(graph.parts(edge)) > 1)

@@ -14,7 +14,7 @@ from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
 from advdiff_sumo.core.scene import Scene
-from advdiff_sumo.planners.defects.fault import Fault
+from advdiff_sumo.planners.defects.fault import PlantedFault
 
 _Bound = Callable[[float, float], float]
 """Deceleration that the brakes give, out of the one that was reached (m/s²) and the time since (s)."""
@@ -44,7 +44,7 @@ class _Braking:
         return min(planned, self.before_mps2 + rise_mps3 * since + 1e-9)
 
 
-class WeakBrakes(Fault):
+class WeakBrakes(PlantedFault):
     """The brakes give ``value`` m/s² at most."""
 
     def act(self, plan: Plan, scene: Scene, memory: Any) -> tuple[Plan, Any]:
@@ -52,7 +52,7 @@ class WeakBrakes(Fault):
         return _braked(plan, scene, 0.0, lambda *_: self.value)[0], memory
 
 
-class SlowBrakes(Fault):
+class SlowBrakes(PlantedFault):
     """The brakes need ``value`` seconds to build up to the strongest braking, evenly."""
 
     def act(self, plan: Plan, scene: Scene, memory: Any) -> tuple[Plan, Any]:
@@ -71,7 +71,7 @@ class _Made:
     at_s: float
 
 
-class StuckReplanning(Fault):
+class StuckReplanning(PlantedFault):
     """A plan is made only every ``value`` seconds and driven on in between; beyond its end at its last speed."""
 
     def held_plan(self, scene: Scene, memory: Any) -> Plan | None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from advdiff_sumo.planners.defects import actuation, ignored_rules, misjudgement, sensing, stale_tracks
-from advdiff_sumo.planners.defects.fault import Fault
+from advdiff_sumo.planners.defects.fault import PlantedFault
 from advdiff_sumo.planners.planner_protocol import LEFT_OFFSET_M
 
 SEVERITIES = ("weak", "middle", "strong")
@@ -36,7 +36,7 @@ class DefectKind:
     unit: str
     values: tuple[float, float, float]
     bounds: tuple[float, float]
-    fault: Callable[[float], Fault]
+    fault: Callable[[float], PlantedFault]
     sumo: Callable[[float], SumoParams] | None = None
     sumo_note: str = ""
 

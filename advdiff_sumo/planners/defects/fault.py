@@ -16,7 +16,7 @@ from advdiff_sumo.maps import RoadMap
 
 
 @dataclass(frozen=True)
-class Fault:
+class PlantedFault:
     """One planted fault; it keeps nothing between calls, its memory comes in and goes out.
 
     Attributes:

@@ -13,13 +13,13 @@ import numpy as np
 from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import Lane, Link, RoadMap
-from advdiff_sumo.planners.defects.fault import Fault, chance, others_of, with_states
+from advdiff_sumo.planners.defects.fault import PlantedFault, chance, others_of, with_states
 from advdiff_sumo.planners.lane_graph.rules import signal_state
 
 _STOP, _YELLOW, _FREE, _RED = "ru", "yY", "G", "r"
 
 
-class IgnoredSignals(Fault):
+class IgnoredSignals(PlantedFault):
     """On the target's own way red is taken for green for its first ``value`` seconds, yellow always.
 
     Those who cross it have red then, as they would have if its own light were green.
@@ -42,7 +42,7 @@ class IgnoredSignals(Fault):
         return replace(scene, signals=shown), since
 
 
-class IgnoredPriority(Fault):
+class IgnoredPriority(PlantedFault):
     """A share ``value`` of those who have the right of way at the next junction is not seen until they are past it."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
@@ -75,7 +75,7 @@ class _Change:
     at_s: float
 
 
-class IgnoredCutIns(Fault):
+class IgnoredCutIns(PlantedFault):
     """Others seem to keep their lane; that one has changed into another one is noticed ``value`` seconds late."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:

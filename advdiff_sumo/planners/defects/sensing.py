@@ -12,14 +12,14 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.fault import Fault, chance, others_of, seen_from_target
+from advdiff_sumo.planners.defects.fault import PlantedFault, chance, others_of, seen_from_target
 
 DROPOUT_PERIOD_S = 6.0
 _HEAVY = (AgentClass.TRUCK, AgentClass.BUS)
 _UNPROTECTED = (AgentClass.MOTORCYCLE, AgentClass.BICYCLE, AgentClass.PEDESTRIAN)
 
 
-class Blindness(Fault, ABC):
+class Blindness(PlantedFault, ABC):
     """A fault that hides some of the others."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
@@ -49,7 +49,7 @@ class TunnelView(Blindness):
         return np.asarray(np.abs(np.arctan2(place[:, 1], place[:, 0])) > 0.5 * np.deg2rad(self.value))
 
 
-class Flicker(Fault):
+class Flicker(PlantedFault):
     """Each of the others is missed in a share ``value`` of the plans, each time anew."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
@@ -60,7 +60,7 @@ class Flicker(Fault):
         return scene.without(missed & others_of(scene)), memory
 
 
-class Dropout(Fault):
+class Dropout(PlantedFault):
     """Each of the others is lost for ``value`` seconds in every six, each at a phase of its own."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
@@ -112,12 +112,12 @@ class BlindToClasses(Blindness):
         return np.isin(scene.history.classes, self.classes) & (_distance_m(scene) > self.value)
 
 
-def blind_to_heavy(value: float) -> Fault:
+def blind_to_heavy(value: float) -> PlantedFault:
     """Return blindness to trucks and buses beyond *value* metres."""
     return BlindToClasses(value, _HEAVY)
 
 
-def blind_to_unprotected(value: float) -> Fault:
+def blind_to_unprotected(value: float) -> PlantedFault:
     """Return blindness to motorcycles, bicycles and pedestrians beyond *value* metres."""
     return BlindToClasses(value, _UNPROTECTED)
 

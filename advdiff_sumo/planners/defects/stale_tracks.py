@@ -13,7 +13,7 @@ from advdiff_sumo.core.frames import unit, wrap_angle
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.fault import Fault, others_of, with_states
+from advdiff_sumo.planners.defects.fault import PlantedFault, others_of, with_states
 
 _SLACK_S = 1e-6
 
@@ -31,7 +31,7 @@ class _Past:
     signals: tuple[tuple[float, Mapping[str, str]], ...] = ()
 
 
-class Late(Fault):
+class Late(PlantedFault):
     """The others and the signals are seen as they were ``value`` seconds ago; who came since is not seen."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
@@ -54,7 +54,7 @@ class Late(Fault):
         return late.without(rows & ~shown[:, -1]), past
 
 
-class ConstantVelocity(Fault):
+class ConstantVelocity(PlantedFault):
     """The others are believed to have gone straight on at the same speed for the last ``value`` seconds."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:

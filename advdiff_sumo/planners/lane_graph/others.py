@@ -12,7 +12,7 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.maps import Link
 from advdiff_sumo.planners.lane_graph.chains import Chain, plausible_chains, route_chain
-from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath, PathStack, straight_path
+from advdiff_sumo.planners.lane_graph.path import Geometry, PathStack, ReferencePath, straight_path
 
 RADIUS_M = 90.0
 _MAX_LANE_OFFSET_M = 2.6
@@ -58,7 +58,7 @@ class Way:
     """
 
     other: int
-    path: LanePath
+    path: ReferencePath
     s_m: float
     d_m: float
     yaw_error_rad: float
@@ -110,7 +110,7 @@ def ways_of(geometry: Geometry, scene: Scene, others: Others) -> list[Way]:
     if not len(others.rows):
         return []
     lanes, _, d, error = geometry.road.locate_many(others.xy_m, others.yaw_rad)
-    owner, paths = list[int](), list[LanePath]()
+    owner, paths = list[int](), list[ReferencePath]()
     for i, row in enumerate(others.rows.tolist()):
         lane, reach = lanes[i], float(others.speed_mps[i]) * _LOOK_S + _LOOK_M
         along = lane is not None and abs(d[i]) < _MAX_LANE_OFFSET_M and abs(error[i]) < _MAX_YAW_ERROR_RAD
@@ -125,7 +125,7 @@ def ways_of(geometry: Geometry, scene: Scene, others: Others) -> list[Way]:
     return _placed(np.array(owner), paths, others)
 
 
-def _placed(owner: IntArray, paths: Sequence[LanePath], others: Others) -> list[Way]:
+def _placed(owner: IntArray, paths: Sequence[ReferencePath], others: Others) -> list[Way]:
     """Return the ways of *owner* (N,) along *paths*; those much farther off than another one are dropped."""
     stack = PathStack(paths)
     s, d = stack.project(others.xy_m[owner][:, None])

@@ -26,7 +26,7 @@ _FAR_AWAY_M = 1e7
 
 
 @dataclass(frozen=True, eq=False)
-class LanePath:
+class ReferencePath:
     """A reference line of P points, ``SPACING_M`` apart.
 
     Attributes:
@@ -116,7 +116,7 @@ class LanePath:
 class PathStack:
     """N reference lines side by side, for look-ups of all of them at once."""
 
-    def __init__(self, paths: Sequence[LanePath]) -> None:
+    def __init__(self, paths: Sequence[ReferencePath]) -> None:
         self.count = np.array([len(path.xy_m) for path in paths], dtype=np.int64)
         longest = int(self.count.max(initial=2))
         self.xy_m = np.full((len(paths), longest, 2), _FAR_AWAY_M)
@@ -176,7 +176,7 @@ class Geometry:
     road: RoadMap
     conflicts: dict[tuple[str, str, str, str], Zone | None] = field(default_factory=dict)
     _changes: dict[tuple[str, ...], Changes] = field(default_factory=dict)
-    _paths: dict[tuple[str, ...], LanePath] = field(default_factory=dict)
+    _paths: dict[tuple[str, ...], ReferencePath] = field(default_factory=dict)
 
     @staticmethod
     def of(road: RoadMap) -> Geometry:
@@ -190,7 +190,7 @@ class Geometry:
             self._changes[key] = required_changes(self.road, key)
         return self._changes[key]
 
-    def path(self, lanes: Sequence[str], links: Sequence[Link]) -> LanePath:
+    def path(self, lanes: Sequence[str], links: Sequence[Link]) -> ReferencePath:
         """Return the reference line along *lanes*, which *links* connect."""
         key = tuple(lanes)
         if key not in self._paths:
@@ -198,11 +198,11 @@ class Geometry:
         return self._paths[key]
 
 
-def straight_path(xy_m: FloatArray, yaw_rad: float, length_m: float) -> LanePath:
+def straight_path(xy_m: FloatArray, yaw_rad: float, length_m: float) -> ReferencePath:
     """Return a straight reference line of no lane, from *xy_m* (2,) on."""
     s = SPACING_M * np.arange(max(int(length_m / SPACING_M), 2) + 1)
     ahead = np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
-    return LanePath(
+    return ReferencePath(
         lanes=(),
         lane_start_m=np.zeros(0),
         links=(),
@@ -216,7 +216,7 @@ def straight_path(xy_m: FloatArray, yaw_rad: float, length_m: float) -> LanePath
     )
 
 
-def _build(road: RoadMap, lanes: tuple[str, ...], links: tuple[Link, ...]) -> LanePath:
+def _build(road: RoadMap, lanes: tuple[str, ...], links: tuple[Link, ...]) -> ReferencePath:
     parts = [road.lanes[lane] for lane in lanes]
     raw = concatenate([part.line for part in parts])
     lengths = np.array([part.line.length_m for part in parts])
@@ -225,7 +225,7 @@ def _build(road: RoadMap, lanes: tuple[str, ...], links: tuple[Link, ...]) -> La
     xy, yaw, curvature = _smoothed(raw, len(grid))
     lane_of = np.clip(np.searchsorted(bounds[1:], grid, side="right"), 0, len(parts) - 1)
     entries, exits = _link_lanes(lanes, links)
-    return LanePath(
+    return ReferencePath(
         lanes=lanes,
         lane_start_m=bounds[:-1],
         links=links,

@@ -10,7 +10,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.planners.lane_graph.duties import Duties
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
-from advdiff_sumo.planners.lane_graph.path import SPACING_M, LanePath
+from advdiff_sumo.planners.lane_graph.path import SPACING_M, ReferencePath
 from advdiff_sumo.planners.lane_graph.predict import STEP_S, Forecast
 from advdiff_sumo.planners.lane_graph.variants import State, Variant
 
@@ -205,7 +205,7 @@ def _paces(variants: Sequence[Variant], options: LaneGraphOptions) -> FloatArray
     return out
 
 
-def _pace(path: LanePath, options: LaneGraphOptions) -> FloatArray:
+def _pace(path: ReferencePath, options: LaneGraphOptions) -> FloatArray:
     bend = np.sqrt(options.lateral_mps2) * path.bend_mps
     top = np.minimum(bend, options.speed_factor * path.limit_mps)
     # v²(s) ≤ v²(s') + 2 b (s' − s) for every s' ahead: a running minimum of v² + 2 b s from the far end

@@ -19,7 +19,7 @@ from advdiff_sumo.planners.lane_graph.chains import (
 )
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.memory import Memory
-from advdiff_sumo.planners.lane_graph.path import Geometry, LanePath
+from advdiff_sumo.planners.lane_graph.path import Geometry, ReferencePath
 
 _EDGES_AHEAD = 8
 _MIN_BLEND_M = 10.0
@@ -91,7 +91,7 @@ class Variant:
     """
 
     chain: Chain
-    path: LanePath
+    path: ReferencePath
     side: int
     s_m: float
     d_m: float

@@ -19,7 +19,7 @@ from advdiff_sumo.traffic.planning.futures import Futures, coasting
 from advdiff_sumo.traffic.planning.lanes_ahead import lanes_ahead
 from advdiff_sumo.traffic.planning.people import PEOPLE
 from advdiff_sumo.traffic.planning.planned_paths import PlannedPaths, speeds_of_strides
-from advdiff_sumo.traffic.planning.safeguard import LOST_BRAKE_MPS2, Watched, back_to_lane, safeguard
+from advdiff_sumo.traffic.planning.safeguard import LOST_BRAKE_MPS2, SafeguardInput, back_to_lane, safeguard
 from advdiff_sumo.traffic.planning.way_out import way_out
 
 
@@ -49,14 +49,14 @@ def return_to_lanes(road: RoadMap, scene: Scene, duration_s: float, plans: Track
     return safeguard(road, futures, watched).futures
 
 
-def _watched(road: RoadMap, scene: Scene) -> Watched:
+def _watched(road: RoadMap, scene: Scene) -> SafeguardInput:
     """Return what the safeguard has to know: of what was before now it knows nothing."""
     now, nobody = scene.history, np.zeros(scene.history.agents, dtype=np.bool_)
     xy, yaw = now.xy_m[:, -1], now.yaw_rad[:, -1]
     lanes = lanes_ahead(road, xy, yaw, scene.routes)
     for row in np.flatnonzero(scene.movable).tolist():
         lanes[row] = lanes[row] or way_out(road, xy[row], float(yaw[row]))
-    return Watched(
+    return SafeguardInput(
         planned=scene.movable,
         attacker=nobody,
         target=scene.target,

@@ -49,7 +49,7 @@ VehiclePlan: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True)
-class Watched:
+class SafeguardInput:
     """What the safeguard knows of N road users.
 
     Attributes:
@@ -104,7 +104,7 @@ class SafeguardedPlans:
     unsolved: BoolArray
 
 
-def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> SafeguardedPlans:
+def safeguard(road: RoadMap, futures: Futures, watched: SafeguardInput) -> SafeguardedPlans:
     """Return plausible plans near *futures*."""
     plans = futures.copy()
     standing(plans, watched.stood & ~watched.planned)
@@ -136,7 +136,7 @@ def safeguard(road: RoadMap, futures: Futures, watched: Watched) -> SafeguardedP
     return SafeguardedPlans(clear.futures, off & ~lost, held, clear.rows, clear.unsolved)
 
 
-def _blocks_junction(futures: Futures, watched: Watched) -> BoolArray:
+def _blocks_junction(futures: Futures, watched: SafeguardInput) -> BoolArray:
     """Return (N,) who has stood or crept on a junction for its whole history, or plans to stop on one.
 
     Of attackers, only who has, and plans to stay.
@@ -160,7 +160,7 @@ def _inside(lanes: Sequence[LaneAhead | None], driven_m: FloatArray) -> BoolArra
 
 
 def _settled(
-    futures: Futures, watched: Watched, may: BoolArray, stop_m: FloatArray, yields: BoolArray
+    futures: Futures, watched: SafeguardInput, may: BoolArray, stop_m: FloatArray, yields: BoolArray
 ) -> Braked:
     """Return *futures* braked; who is not clear then tries the plan before, then its lane."""
     minds = _minds(watched)
@@ -194,7 +194,7 @@ def _braked(
     return Braked(clear.futures, stopped.rows | clear.rows, stopped.unsolved | clear.unsolved)
 
 
-def _minds(watched: Watched) -> BoolArray:
+def _minds(watched: SafeguardInput) -> BoolArray:
     """Return (N, N) whether the first gives way to the second: everybody to all, but attackers to the target."""
     count = len(watched.planned)
     minds = ~np.eye(count, dtype=np.bool_)
@@ -202,14 +202,14 @@ def _minds(watched: Watched) -> BoolArray:
     return minds
 
 
-def _as_before(futures: Futures, rows: IntArray, watched: Watched) -> None:
+def _as_before(futures: Futures, rows: IntArray, watched: SafeguardInput) -> None:
     """Let those of *rows* (V,) that have one go on with the plan before, in place."""
     for row in rows.tolist():
         if row in watched.before:
             futures.put(row, *watched.before[row])
 
 
-def back_to_lane(futures: Futures, rows: IntArray, watched: Watched) -> None:
+def back_to_lane(futures: Futures, rows: IntArray, watched: SafeguardInput) -> None:
     """Let those of *rows* (V,) that have one follow their lanes, in place."""
     own = {row: lane for row in rows.tolist() if (lane := watched.lanes[row]) is not None}
     if own:
@@ -229,7 +229,7 @@ def _start_now(futures: Futures, row: int) -> None:
     futures.put(row, futures.xy_m[row, steps], futures.yaw_rad[row, steps], futures.speed_mps[row, steps])
 
 
-def stop_distances(futures: Futures, watched: Watched, rows: BoolArray) -> FloatArray:
+def stop_distances(futures: Futures, watched: SafeguardInput, rows: BoolArray) -> FloatArray:
     """Return (N,) how far each of *rows* may go before a red light or giving way; no light stops attackers.
 
     A yellow light counts where it asks for no more than comfortable braking, and a red one where the vehicle can

@@ -9,7 +9,7 @@ import pytest
 from advdiff_sumo.core.errors import AdvdiffError, ConfigError, EpisodeFailure
 from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
 from advdiff_sumo.experiments.bench.progress import Silent
-from advdiff_sumo.sweep.tasks import Limits
+from advdiff_sumo.sweep.tasks import WorkerLimits
 
 PLANNERS = """
 import os
@@ -57,7 +57,7 @@ def test_a_planner_that_does_not_last_is_named_with_its_warm_up(
     """An episode is enough for its one plan, and one more may be needed: twice the time of an episode."""
     (tmp_path / "short_lived_planners.py").write_text(PLANNERS)
     monkeypatch.syspath_prepend(tmp_path)
-    limits = Limits(timeout_s, 0, 250, 0.5, tmp_path)
+    limits = WorkerLimits(timeout_s, 0, 250, 0.5, tmp_path)
     target = f"short_lived_planners:{kind}"
     wanted = [Adaptation(target, {}, 2, (1,), 3.0, {"licence": "reckless"})]
     with pytest.raises(error, match=rf"warm-up of {target}, number 2: {words}"):

@@ -9,12 +9,12 @@ import sumolib
 from small_maps import MapBuilder
 
 from advdiff_sumo.maps.convert import convert_map
-from advdiff_sumo.maps.convert.lane_routes import LaneGraph, edges_to_part, graph_of_net, undrivable_routes
+from advdiff_sumo.maps.convert.lane_routes import RouteLanes, edges_to_part, graph_of_net, undrivable_routes
 
 
-def graph(changes: bool) -> LaneGraph:
+def graph(changes: bool) -> RouteLanes:
     """Return a → m ← b with lanes apart: a leads over lane 0 of m to c, b over lane 1 to d."""
-    lanes = LaneGraph({name: [set()] for name in "abcd"})
+    lanes = RouteLanes({name: [set()] for name in "abcd"})
     lanes.changes["m"] = [{1}, {0}] if changes else [set(), set()]
     lanes.add_link(("a", 0), ("m", 0))
     lanes.add_link(("b", 0), ("m", 1))

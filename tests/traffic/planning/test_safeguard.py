@@ -13,7 +13,12 @@ from advdiff_sumo.maps.lanes import Lane
 from advdiff_sumo.traffic.planning.futures import Futures, coasting
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.planning.road_bound import leaves_road
-from advdiff_sumo.traffic.planning.safeguard import SafeguardedPlans, Watched, safeguard, stop_distances
+from advdiff_sumo.traffic.planning.safeguard import (
+    SafeguardedPlans,
+    SafeguardInput,
+    safeguard,
+    stop_distances,
+)
 
 T, DT = 12, 0.5
 BOTH, SECOND = np.ones(2, dtype=np.bool_), np.array([False, True])
@@ -48,11 +53,11 @@ def ahead(road: RoadMap, futures: Futures) -> list[LaneAhead | None]:
 
 def watched(
     road: RoadMap, futures: Futures, attacks: bool = False, light: str = "G", lanes_afar: bool = False
-) -> Watched:
+) -> SafeguardInput:
     planned = np.arange(futures.agents) > 0
     lights = {x.tls_id: 60 * light for y in road.lanes.values() for x in y.successors if x.tls_id}
     stood = planned & (futures.speed_mps[:, 0] == 0.0)
-    return Watched(
+    return SafeguardInput(
         planned=planned,
         attacker=planned & attacks,
         target=0,

@@ -12,7 +12,7 @@ from rich.progress import Progress as Bar
 from advdiff_sumo.cli.terminal import progress_bar, terminal
 
 
-class Progress:
+class NotebookProgress:
     """Counts episodes and collisions while a block runs."""
 
     def __init__(self, total: int, wanted: bool) -> None:

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from advdiff_sumo.api.notebook_progress import Progress
+from advdiff_sumo.api.notebook_progress import NotebookProgress
 from advdiff_sumo.api.result_tables import Results
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.planners.defects import parse_defects, plant
@@ -65,7 +65,7 @@ def run(
     words = run_words(prepared.settings["options"]["net"], *prepared.names, seed)
     path = Path(out) if out is not None else free_folder(*words)
     folder = RunFolder.create(path, run_settings(prepared), False, "give a new out")
-    with Progress(episodes, progress) as bar:
+    with NotebookProgress(episodes, progress) as bar:
         run_into(prepared, folder, SerialExecutor(prepared), lambda row, _: bar.tell(row))
     return Results(folder.path)
 
@@ -130,12 +130,12 @@ def sweep(
     with ExitStack() as stack:
         executor = ProcessExecutor(slots, limits_of(stack, _TIMEOUT_S))
         store = open_store(Path(out) if out is not None else free_folder(name), plan, slots, resume=False)
-        bar = stack.enter_context(Progress(plan.wanted, progress))
+        bar = stack.enter_context(NotebookProgress(plan.wanted, progress))
         run_sweep(plan, store, RemainingJobs.of(plan, store), executor, _RETRIES, _tell_row(bar))
     return Results(store.path)
 
 
-def _tell_row(bar: Progress) -> Callable[[Any, Any], None]:
+def _tell_row(bar: NotebookProgress) -> Callable[[Any, Any], None]:
     return lambda row, failed: bar.tell(row if failed is None else None)
 
 

@@ -31,7 +31,7 @@ _SELF_TEST_LIMIT_S = 300
 _INSTALL_AGAIN = "install the package again: pip install -c constraints.txt -e ."
 
 
-class State(StrEnum):
+class CheckState(StrEnum):
     """How a check came out."""
 
     OK = "ok"
@@ -40,7 +40,7 @@ class State(StrEnum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckFinding:
     """One line of the doctor's table.
 
     Attributes:
@@ -51,45 +51,49 @@ class Finding:
     """
 
     topic: str
-    state: State
+    state: CheckState
     text: str
     hint: str = ""
 
 
-def python() -> Iterator[Finding]:
+def python() -> Iterator[CheckFinding]:
     """Look at Python, the machine and the libraries that everything needs."""
     from advdiff_sumo import __version__  # late: the commands start faster
 
-    yield Finding("advdiff-sumo", State.OK, f"{__version__}, Python {platform.python_version()}")
-    yield Finding("machine", State.OK, f"{platform.platform()}, {os.cpu_count()} cores")
+    yield CheckFinding("advdiff-sumo", CheckState.OK, f"{__version__}, Python {platform.python_version()}")
+    yield CheckFinding("machine", CheckState.OK, f"{platform.platform()}, {os.cpu_count()} cores")
     versions = {name: _version(name) for name in PACKAGES}
     lacking = [name for name, number in versions.items() if number is None]
     if lacking:
-        yield Finding("libraries", State.PROBLEM, f"{', '.join(lacking)} not installed", _INSTALL_AGAIN)
+        yield CheckFinding(
+            "libraries", CheckState.PROBLEM, f"{', '.join(lacking)} not installed", _INSTALL_AGAIN
+        )
     else:
-        yield Finding(
-            "libraries", State.OK, ", ".join(f"{name} {number}" for name, number in versions.items())
+        yield CheckFinding(
+            "libraries", CheckState.OK, ", ".join(f"{name} {number}" for name, number in versions.items())
         )
 
 
-def sumo() -> Iterator[Finding]:
+def sumo() -> Iterator[CheckFinding]:
     """Look at SUMO's packages, which must be of one version, and its programs."""
     versions = {name: _version(name) for name in SUMO_PACKAGES}
     text = ", ".join(f"{name} {number or 'not installed'}" for name, number in versions.items())
     if None in versions.values():
-        yield Finding("SUMO", State.PROBLEM, text, _INSTALL_AGAIN)
+        yield CheckFinding("SUMO", CheckState.PROBLEM, text, _INSTALL_AGAIN)
         return
     if len(set(versions.values())) > 1:
-        yield Finding("SUMO", State.PROBLEM, text, "install all three in one version")
+        yield CheckFinding("SUMO", CheckState.PROBLEM, text, "install all three in one version")
     else:
-        yield Finding("SUMO", State.OK, text)
+        yield CheckFinding("SUMO", CheckState.OK, text)
     for name in (*NEEDED_BINARIES, *WELCOME_BINARIES):
         yield _binary(name)
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        yield Finding("display", State.NOTE, "none", "--gui and sumo-gui need one; set DISPLAY to use them")
+        yield CheckFinding(
+            "display", CheckState.NOTE, "none", "--gui and sumo-gui need one; set DISPLAY to use them"
+        )
 
 
-def _binary(name: str) -> Finding:
+def _binary(name: str) -> CheckFinding:
     """Run SUMO's program *name* for its version."""
     import sumolib  # late, as above
 
@@ -98,32 +102,37 @@ def _binary(name: str) -> Finding:
         path = sumolib.checkBinary(name)
         done = subprocess.run([path, "--version"], capture_output=True, text=True, check=False, timeout=60)
     except (OSError, SystemExit, subprocess.TimeoutExpired) as error:
-        return Finding(
-            name, State.PROBLEM if needed else State.NOTE, f"does not start ({error})", _INSTALL_AGAIN
+        return CheckFinding(
+            name,
+            CheckState.PROBLEM if needed else CheckState.NOTE,
+            f"does not start ({error})",
+            _INSTALL_AGAIN,
         )
     if done.returncode != 0:
         reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         remedy = "install the system libraries that it names" if not needed else _INSTALL_AGAIN
-        return Finding(name, State.PROBLEM if needed else State.NOTE, f"does not start: {reason}", remedy)
-    return Finding(name, State.OK, f"{done.stdout.splitlines()[0]}, {path}")
+        return CheckFinding(
+            name, CheckState.PROBLEM if needed else CheckState.NOTE, f"does not start: {reason}", remedy
+        )
+    return CheckFinding(name, CheckState.OK, f"{done.stdout.splitlines()[0]}, {path}")
 
 
-def gpu() -> Iterator[Finding]:
+def gpu() -> Iterator[CheckFinding]:
     """Look for a GPU; without one everything works, learning slowly."""
     try:
         import torch  # late, as above
     except (ImportError, OSError) as error:
-        yield Finding("GPU", State.PROBLEM, f"torch cannot be imported ({error})", _INSTALL_AGAIN)
+        yield CheckFinding("GPU", CheckState.PROBLEM, f"torch cannot be imported ({error})", _INSTALL_AGAIN)
         return
     if torch.cuda.is_available():
         names = [torch.cuda.get_device_name(number) for number in range(torch.cuda.device_count())]
-        yield Finding("GPU", State.OK, ", ".join(names))
+        yield CheckFinding("GPU", CheckState.OK, ", ".join(names))
     else:
         hint = "none is needed to run; for training, install the torch build of your GPU first"
-        yield Finding("GPU", State.NOTE, f"torch {torch.__version__} sees none", hint)
+        yield CheckFinding("GPU", CheckState.NOTE, f"torch {torch.__version__} sees none", hint)
 
 
-def nets() -> Iterator[Finding]:
+def nets() -> Iterator[CheckFinding]:
     """Look for the shipped nets."""
     from advdiff_sumo.core.errors import FileError  # late, as above
     from advdiff_sumo.maps.shipped_nets import NETS_BY_NAME, shipped_networks
@@ -131,51 +140,55 @@ def nets() -> Iterator[Finding]:
     try:
         folder = shipped_networks()
     except FileError as error:
-        yield Finding("nets", State.PROBLEM, str(error), _INSTALL_AGAIN)
+        yield CheckFinding("nets", CheckState.PROBLEM, str(error), _INSTALL_AGAIN)
         return
     lacking = [name for name in NETS_BY_NAME if not (folder / f"{name}.net.xml").is_file()]
     if lacking:
-        yield Finding("nets", State.PROBLEM, f"{folder} lacks {', '.join(lacking)}", _INSTALL_AGAIN)
+        yield CheckFinding("nets", CheckState.PROBLEM, f"{folder} lacks {', '.join(lacking)}", _INSTALL_AGAIN)
     else:
-        yield Finding("nets", State.OK, f"{', '.join(NETS_BY_NAME)} in {folder}")
+        yield CheckFinding("nets", CheckState.OK, f"{', '.join(NETS_BY_NAME)} in {folder}")
 
 
-def weights() -> Iterator[Finding]:
+def weights() -> Iterator[CheckFinding]:
     """Look for trained weights that came with the package."""
     import advdiff_sumo  # late, as above
 
     folder = Path(advdiff_sumo.__file__).resolve().parent / "weights"
     names = sorted(path.name for path in folder.glob("*.safetensors"))
     if names:
-        yield Finding("weights", State.OK, f"{', '.join(names)} in {folder}")
+        yield CheckFinding("weights", CheckState.OK, f"{', '.join(names)} in {folder}")
     else:
         hint = "learned backgrounds need them: advdiff-sumo train makes your own"
-        yield Finding("weights", State.NOTE, "none came with this package", hint)
+        yield CheckFinding("weights", CheckState.NOTE, "none came with this package", hint)
 
 
-def loops() -> Iterator[Finding]:
+def loops() -> Iterator[CheckFinding]:
     """Look whether the machine code of the networks that came with the package is for this machine."""
     from advdiff_sumo.diffusion.attack import costs_package  # late, as above
     from advdiff_sumo.diffusion.machine_code import runs_here
 
     package = costs_package()
     if runs_here(package):
-        yield Finding("machine code", State.OK, f"for this PyTorch and processor, such as {package.name}")
+        yield CheckFinding(
+            "machine code", CheckState.OK, f"for this PyTorch and processor, such as {package.name}"
+        )
     else:
         hint = "plans take two to three times as long; constraints.txt has the PyTorch that it is for"
-        yield Finding("machine code", State.NOTE, "none for this PyTorch and processor", hint)
+        yield CheckFinding("machine code", CheckState.NOTE, "none for this PyTorch and processor", hint)
 
 
-def data() -> Iterator[Finding]:
+def data() -> Iterator[CheckFinding]:
     """Look for driving logs where ADVDIFF_DATA says."""
     named = os.environ.get("ADVDIFF_DATA")
     if not named:
         hint = "logs are optional; the tests find theirs through ADVDIFF_DATA=FOLDER, runs through --scenes"
-        yield Finding("data", State.NOTE, "ADVDIFF_DATA is not set", hint)
+        yield CheckFinding("data", CheckState.NOTE, "ADVDIFF_DATA is not set", hint)
         return
     root = Path(named)
     if not root.is_dir():
-        yield Finding("data", State.PROBLEM, f"ADVDIFF_DATA={named} is no folder", "correct it or unset it")
+        yield CheckFinding(
+            "data", CheckState.PROBLEM, f"ADVDIFF_DATA={named} is no folder", "correct it or unset it"
+        )
         return
     tables = sorted({path.parent for at in ("v1.0-*", "*/v1.0-*") for path in root.glob(at) if path.is_dir()})
     maps = sorted({path.parent for at in ("", "*/") for path in root.glob(f"{at}maps/expansion/*.json")})
@@ -184,25 +197,25 @@ def data() -> Iterator[Finding]:
     if records:
         kinds.append(f"{records} ScenarioNet records")
     if kinds:
-        yield Finding("data", State.OK, ", ".join(kinds))
+        yield CheckFinding("data", CheckState.OK, ", ".join(kinds))
     else:
         hint = "put a nuScenes dataset root or ScenarioNet records (sd_*.pkl) there"
-        yield Finding("data", State.NOTE, f"{root} holds no log that is known", hint)
+        yield CheckFinding("data", CheckState.NOTE, f"{root} holds no log that is known", hint)
 
 
-def extras() -> Iterator[Finding]:
+def extras() -> Iterator[CheckFinding]:
     """Look for the optional packages."""
     for extra, names in EXTRAS.items():
         lacking = [name for name in names if _version(name) is None]
         if lacking:
             hint = f"pip install 'advdiff-sumo[{extra}]'"
-            yield Finding(f"extra {extra}", State.NOTE, f"{', '.join(lacking)} not installed", hint)
+            yield CheckFinding(f"extra {extra}", CheckState.NOTE, f"{', '.join(lacking)} not installed", hint)
         else:
             numbers = ", ".join(f"{name} {_version(name)}" for name in names)
-            yield Finding(f"extra {extra}", State.OK, numbers)
+            yield CheckFinding(f"extra {extra}", CheckState.OK, numbers)
 
 
-def self_test() -> Iterator[Finding]:
+def self_test() -> Iterator[CheckFinding]:
     """Drive one episode in a process of its own, so that even a crash of SUMO is only a finding."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "advdiff_sumo", "run", "--out", str(Path(folder) / "run")]
@@ -215,33 +228,33 @@ def self_test() -> Iterator[Finding]:
         except subprocess.TimeoutExpired:
             hint = "the machine is too busy or too slow; try again when it is idle"
             text = f"not done after {_SELF_TEST_LIMIT_S} s"
-            yield Finding("self-test", State.PROBLEM, text, hint)
+            yield CheckFinding("self-test", CheckState.PROBLEM, text, hint)
             return
         yield _driven(Path(folder) / "run", done)
 
 
-def _driven(folder: Path, done: subprocess.CompletedProcess[str]) -> Finding:
+def _driven(folder: Path, done: subprocess.CompletedProcess[str]) -> CheckFinding:
     """Return what the self-test came to."""
     if done.returncode != 0:
         reason = (done.stderr.strip().splitlines() or ["nothing was said"])[-1]
         killed = (
             f"killed by signal {-done.returncode}" if done.returncode < 0 else f"exit code {done.returncode}"
         )
-        return Finding("self-test", State.PROBLEM, f"{killed}: {reason}", _INSTALL_AGAIN)
+        return CheckFinding("self-test", CheckState.PROBLEM, f"{killed}: {reason}", _INSTALL_AGAIN)
     import pyarrow.parquet as pq  # late, as above
 
     row = pq.read_table(folder / "episodes.parquet").to_pylist()[0]
     timing = pq.read_table(folder / "timing.parquet").to_pylist()[0]
     if row["end"] == "failed":
-        return Finding(
-            "self-test", State.PROBLEM, f"the episode failed: {row['failure_message']}", _INSTALL_AGAIN
+        return CheckFinding(
+            "self-test", CheckState.PROBLEM, f"the episode failed: {row['failure_message']}", _INSTALL_AGAIN
         )
     text = f"{row['duration_s']:.1f} s driven among {row['agents']} road users, "
-    return Finding("self-test", State.OK, f"{text}{timing['real_time_factor']:.1f} × real time")
+    return CheckFinding("self-test", CheckState.OK, f"{text}{timing['real_time_factor']:.1f} × real time")
 
 
 #: All checks in the order of the table; the last one takes seconds.
-CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
+CHECKS: tuple[Callable[[], Iterator[CheckFinding]], ...] = (
     *(python, sumo, gpu, nets, weights, loops, data, extras, self_test),
 )
 

@@ -143,7 +143,7 @@ def build(
     from advdiff_sumo.data import open_log  # late, as above
     from advdiff_sumo.maps import RoadMap
     from advdiff_sumo.maps.shipped_nets import find_net
-    from advdiff_sumo.sim.log_nets import Nets
+    from advdiff_sumo.sim.log_nets import LogNets
     from advdiff_sumo.sim.log_windows import BuildOptions
     from advdiff_sumo.sim.log_windows import build as built
 
@@ -152,7 +152,7 @@ def build(
         raise ConfigError(f"--stride {stride:g}: windows are spaced by multiples of 0.5 s")
     readers = [(path, open_log(path)) for path in logs]
     converted = (out.parent if is_file else out) / "nets" if convert else None
-    nets = Nets(tuple(RoadMap.read(find_net(name)) for name in net or ()), converted)
+    nets = LogNets(tuple(RoadMap.read(find_net(name)) for name in net or ()), converted)
     options = BuildOptions(stride, not ego_only, split, challenge, map_view)
     with progress_bar(terminal(stderr=True), transient=True) as progress:
         task = progress.add_task("drives", total=None)

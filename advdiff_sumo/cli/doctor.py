@@ -21,10 +21,15 @@ def doctor(
 
     A note is about something optional; a problem keeps runs from working. Both come with what to do.
     """
-    from advdiff_sumo.cli.checks import CHECKS, Finding, State, self_test  # late: --help needs none of it
+    from advdiff_sumo.cli.checks import (  # late: --help needs none of it
+        CHECKS,
+        CheckFinding,
+        CheckState,
+        self_test,
+    )
 
     console = terminal(highlight=False, soft_wrap=True)
-    findings: list[Finding] = []
+    findings: list[CheckFinding] = []
     for check in CHECKS:
         if not (quick and check is self_test):
             findings.extend(check())
@@ -38,7 +43,7 @@ def doctor(
     for finding in findings:
         if finding.hint:
             console.print(Text(f"{finding.topic}: {finding.hint}", style=_STYLES[finding.state]))
-    problems = sum(finding.state is State.PROBLEM for finding in findings)
+    problems = sum(finding.state is CheckState.PROBLEM for finding in findings)
     if problems:
         console.print(Text(f"{problems} problem{'s' if problems > 1 else ''} to mend", style="red"))
         raise typer.Exit(UNUSABLE)

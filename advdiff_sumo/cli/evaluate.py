@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from advdiff_sumo.models.bundle import Bundle
     from advdiff_sumo.training.dataset import WindowSet
-    from advdiff_sumo.training.evaluation import Figures, Judging
+    from advdiff_sumo.training.evaluation import EvaluationSettings, Figures
 
 
 def evaluate(
@@ -61,7 +61,7 @@ def evaluate(
     """
     from advdiff_sumo.models.bundle import load_bundle  # late: --help needs no PyTorch
     from advdiff_sumo.training.dataset import read_window_set, split
-    from advdiff_sumo.training.evaluation import Judging
+    from advdiff_sumo.training.evaluation import EvaluationSettings
     from advdiff_sumo.training.setup import choose_device, weights_file
 
     flags.use_threads(threads)
@@ -69,12 +69,12 @@ def evaluate(
     chosen = read_window_set(data)
     if not everything:
         chosen = split(chosen, held_out, split_seed)[1]
-    judging = Judging(samples=samples, steps=steps, windows=windows or None, seed=seed)
+    judging = EvaluationSettings(samples=samples, steps=steps, windows=windows or None, seed=seed)
     judge_and_show(bundle, chosen, judging, choose_device(device), out)
 
 
 def judge_and_show(
-    bundle: Bundle, windows: WindowSet, judging: Judging, device: torch.device, out: Path | None
+    bundle: Bundle, windows: WindowSet, judging: EvaluationSettings, device: torch.device, out: Path | None
 ) -> None:
     """Judge *bundle* on *windows*, print the table, and write *out*."""
     from advdiff_sumo.training.evaluation import evaluate_bundle, write_figures

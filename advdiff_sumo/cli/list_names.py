@@ -11,7 +11,7 @@ import typer
 from advdiff_sumo.cli.terminal import terminal
 
 
-class Kind(StrEnum):
+class ListedKind(StrEnum):
     """What can be listed."""
 
     targets = "targets"
@@ -21,7 +21,7 @@ class Kind(StrEnum):
 
 
 def list_names(
-    kind: Annotated[Kind, typer.Argument(help="What to list.")],
+    kind: Annotated[ListedKind, typer.Argument(help="What to list.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """List the targets, backgrounds, shipped nets or planted defects that there are, plug-ins included.
@@ -38,17 +38,17 @@ def list_names(
         console.print(f"{name:<{wide}}  {words}".rstrip())
 
 
-def _names(kind: Kind) -> dict[str, str]:
+def _names(kind: ListedKind) -> dict[str, str]:
     """Return the names of *kind*, each with what it is."""
-    if kind is Kind.nets:
+    if kind is ListedKind.nets:
         from advdiff_sumo.maps.shipped_nets import NETS_BY_NAME, find_net
 
         return {name: str(find_net(name)) for name in NETS_BY_NAME}
-    if kind is Kind.defects:
+    if kind is ListedKind.defects:
         from advdiff_sumo.planners.defects import DEFECTS
 
         return {name: defect.stands_for for name, defect in DEFECTS.items()}
-    if kind is Kind.targets:
+    if kind is ListedKind.targets:
         from advdiff_sumo.planners.planner_registry import TARGETS
         from advdiff_sumo.planners.sumo_models import CAR_FOLLOWING
 

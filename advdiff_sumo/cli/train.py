@@ -17,9 +17,9 @@ from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.core.errors import FileError, UnknownNameError
 
 if TYPE_CHECKING:
-    from advdiff_sumo.training.checkpoint import Progress as State
+    from advdiff_sumo.training.checkpoint import TrainingProgress as State
     from advdiff_sumo.training.presets import StageName, TrainOptions
-    from advdiff_sumo.training.training_loop import Job, Tell
+    from advdiff_sumo.training.training_loop import Tell, TrainingJob
 
 
 _Init = Annotated[
@@ -105,13 +105,13 @@ def train(
         _judge(job, judged)
 
 
-def _judge(job: Job, windows: int) -> None:
+def _judge(job: TrainingJob, windows: int) -> None:
     """Print the table of the trained weights on so many held-out *windows*, and keep it beside them."""
     from advdiff_sumo.models.bundle import load_bundle
     from advdiff_sumo.models.shipped_weights import WEIGHTS
-    from advdiff_sumo.training.evaluation import Judging
+    from advdiff_sumo.training.evaluation import EvaluationSettings
 
-    bundle, judging = load_bundle(job.out / WEIGHTS), Judging(windows=windows)
+    bundle, judging = load_bundle(job.out / WEIGHTS), EvaluationSettings(windows=windows)
     judge_and_show(bundle, job.held_out, judging, job.device, job.out / "evaluation.json")
 
 
@@ -155,7 +155,7 @@ def claim(out: Path, resume: bool) -> None:
         raise FileError(out, f"is not empty ({held[0]})", "choose another --out, or add --resume")
 
 
-def _train(job: Job, resume: bool, console: Console) -> bool:
+def _train(job: TrainingJob, resume: bool, console: Console) -> bool:
     """Train and say how it ended; return whether it has."""
     from advdiff_sumo.training import history
     from advdiff_sumo.training.training_loop import Trainer
@@ -175,7 +175,7 @@ def _train(job: Job, resume: bool, console: Console) -> bool:
     return progress.done
 
 
-def _teller(bar: Progress, job: Job) -> Tell:
+def _teller(bar: Progress, job: TrainingJob) -> Tell:
     """Return what shows the progress: epochs, the loss, the last held-out figure, time left."""
     task = bar.add_task(job.stage.name)
 
@@ -191,7 +191,7 @@ def _teller(bar: Progress, job: Job) -> Tell:
     return tell
 
 
-def _say(console: Console, job: Job, state: State) -> None:
+def _say(console: Console, job: TrainingJob, state: State) -> None:
     if not state.done:
         console.print(f"stopped in epoch {state.epoch + 1}; go on with --resume --out {job.out}")
         return

@@ -17,7 +17,7 @@ from advdiff_sumo.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from advdiff_sumo.rl.rl_options import AdversaryOptions, PpoOptions
-    from advdiff_sumo.training.checkpoint import Progress as State
+    from advdiff_sumo.training.checkpoint import TrainingProgress as State
     from advdiff_sumo.training.history import Record
 
 

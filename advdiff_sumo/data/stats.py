@@ -20,7 +20,7 @@ _TURNING_M = 0.5
 
 
 @dataclass(frozen=True)
-class Motion:
+class WindowMotion:
     """Motion of S agent rows over the L = H + T instants of their windows.
 
     Attributes:
@@ -34,11 +34,11 @@ class Motion:
     step: BoolArray
 
     @staticmethod
-    def of(windows: WindowFile) -> Motion:
+    def of(windows: WindowFile) -> WindowMotion:
         """Return past and future joined."""
         states = np.concatenate((windows.past, windows.future), axis=1).astype(np.float64)
         valid = np.concatenate((windows.past_valid, windows.future_valid), axis=1)
-        return Motion(states, valid, valid[:, 1:] & valid[:, :-1])
+        return WindowMotion(states, valid, valid[:, 1:] & valid[:, :-1])
 
     @property
     def moving(self) -> BoolArray:
@@ -76,7 +76,7 @@ def window_stats(files: Iterable[WindowFile]) -> dict[str, Any]:
     files = list(files)
     if not files:
         raise ValueError("no window file")
-    motions = [Motion.of(file) for file in files]
+    motions = [WindowMotion.of(file) for file in files]
     agents = np.concatenate([np.diff(file.offset) for file in files])
     parked = np.concatenate([file.parked for file in files])
     moving = np.concatenate([motion.moving for motion in motions])

@@ -16,7 +16,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.verdict import judge
-from advdiff_sumo.traffic.diffusion.diffusion_policy import Memory
+from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionMemory
 from advdiff_sumo.traffic.manoeuvres.commitments import STANDS, Commitments
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 
@@ -26,7 +26,7 @@ _LASTS_S, _LEAST_S = 9.0, 2.5
 
 
 @dataclass(frozen=True)
-class Encounter:
+class BegunEncounter:
     """An encounter that has begun.
 
     Attributes:
@@ -51,7 +51,7 @@ class EncounterLog:
     """
 
     policy: TrafficPolicy
-    begun: list[Encounter] = field(default_factory=list)
+    begun: list[BegunEncounter] = field(default_factory=list)
     plans: list[float] = field(default_factory=list)
 
     def forget(self) -> None:
@@ -75,18 +75,18 @@ class EncounterLog:
             if one.features and not one.sets_up and before.get(name) != one and one.since_s == scene.time_s:
                 standing = tuple(other for other, stays in before.items() if stays.kind == STANDS)
                 names = (name, *standing) if one.kind == "cut-out" else (name,)
-                self.begun.append(Encounter(one.since_s, names, one.features))
+                self.begun.append(BegunEncounter(one.since_s, names, one.features))
         return plan, after
 
 
 def _commitments(memory: Any) -> Mapping[str, Any]:
-    kept = memory.commitments if isinstance(memory, Memory) else memory
+    kept = memory.commitments if isinstance(memory, DiffusionMemory) else memory
     return kept.active if isinstance(kept, Commitments) else {}
 
 
 def outcomes(
-    record: EpisodeRecord, road: RoadMap, begun: Sequence[Encounter]
-) -> tuple[list[Encounter], FloatArray]:
+    record: EpisodeRecord, road: RoadMap, begun: Sequence[BegunEncounter]
+) -> tuple[list[BegunEncounter], FloatArray]:
     """Return the encounters that came to an end, and (N,) what came of each.
 
     1: the target failed validly against one of them; up to ``NEAR_WORTH``: less than ``NEAR_S`` were left to a contact;
@@ -98,7 +98,7 @@ def outcomes(
     failed = hit is not None and judge(record, road, hit).valid_failure
     ttc = time_to_collision(record.tracks, record.target)
     times = np.asarray(record.tracks.t0_s + record.tracks.dt_s * np.arange(record.tracks.steps), np.float64)
-    ended: list[Encounter] = []
+    ended: list[BegunEncounter] = []
     out: list[float] = []
     for k, one in enumerate(begun):
         again = [other.since_s for other in begun[k + 1 :] if {*other.names} & {*one.names}]
@@ -114,7 +114,7 @@ def outcomes(
 
 
 def _nearly(
-    record: EpisodeRecord, ttc_s: FloatArray, times_s: FloatArray, one: Encounter, until_s: float
+    record: EpisodeRecord, ttc_s: FloatArray, times_s: FloatArray, one: BegunEncounter, until_s: float
 ) -> float:
     """Return which share of a failure it was that so little time (A, T) was left to a contact at times (T,)."""
     rows = [record.tracks.index[name] for name in one.names if name in record.tracks.index]

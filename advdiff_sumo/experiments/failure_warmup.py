@@ -10,7 +10,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.core.frames import local_from_world
-from advdiff_sumo.experiments.encounter_outcomes import Encounter, EncounterLog, outcomes
+from advdiff_sumo.experiments.encounter_outcomes import BegunEncounter, EncounterLog, outcomes
 from advdiff_sumo.models.failure_predictor import FailurePredictor, load_failures
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
@@ -135,7 +135,7 @@ def with_room(scenes: Iterable[SeedScene]) -> Iterator[SeedScene]:
             yield scene
 
 
-def features_of(encounters: Sequence[Encounter]) -> FloatArray:
+def features_of(encounters: Sequence[BegunEncounter]) -> FloatArray:
     """Return (N, D) features of *encounters*."""
     return np.array([one.features for one in encounters]).reshape(-1, len(FEATURES))
 

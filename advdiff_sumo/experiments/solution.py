@@ -20,7 +20,7 @@ from advdiff_sumo.core.boxes import corners, separation
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.experiments.solution_check import Surroundings, drive, surroundings, usable
+from advdiff_sumo.experiments.solution_check import TargetSurroundings, drive, surroundings, usable
 from advdiff_sumo.experiments.solution_search import search
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.model_options import FUTURE_STEPS, HISTORY_STEPS, MODEL_STEP_S
@@ -159,7 +159,7 @@ def _scene(tracks: Tracks, target: int, begin: int, stride: int) -> Scene:
     return Scene(history, row, movable, ((),) * len(here), {})
 
 
-def _model_steps(around: Surroundings, view: View, stride: int) -> FloatArray:
+def _model_steps(around: TargetSurroundings, view: View, stride: int) -> FloatArray:
     """Return (A, T, 4) what the view's agents do at model steps; NaN for who is not there."""
     out = np.full((len(view.ids), around.steps // stride, 4), np.nan)
     index = {name: row for row, name in enumerate(around.ids)}

@@ -18,7 +18,7 @@ OFF_SHARE = 0.02
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class TargetSurroundings:
     """What is around the target while it may drive otherwise.
 
     Attributes:
@@ -43,7 +43,7 @@ class Surroundings:
         return int(self.states.shape[1]) - 1
 
 
-def surroundings(tracks: Tracks, target: int, begin: int, steps: int) -> Surroundings:
+def surroundings(tracks: Tracks, target: int, begin: int, steps: int) -> TargetSurroundings:
     """Return what is around *target* for *steps* instants after *begin*; beyond the record, velocities are kept."""
     every = np.concatenate((tracks.xy_m, tracks.yaw_rad[..., None], tracks.speed_mps[..., None]), axis=-1)
     last = min(begin + steps, tracks.steps - 1)
@@ -53,7 +53,7 @@ def surroundings(tracks: Tracks, target: int, begin: int, steps: int) -> Surroun
     ahead = np.repeat(final[:, None], len(late), axis=1)
     ahead[..., :2] += (final[:, 3, None] * late)[..., None] * unit(final[:, 2])[:, None]
     rows = np.arange(tracks.agents) != target
-    return Surroundings(
+    return TargetSurroundings(
         ids=tuple(name for name, other in zip(tracks.ids, rows, strict=True) if other),
         states=np.concatenate((recorded, ahead), axis=1)[rows],
         size_m=tracks.size_m[rows],
@@ -63,7 +63,9 @@ def surroundings(tracks: Tracks, target: int, begin: int, steps: int) -> Surroun
     )
 
 
-def drive(around: Surroundings, accel_mps2: FloatArray, curvature_1pm: FloatArray, stride: int) -> FloatArray:
+def drive(
+    around: TargetSurroundings, accel_mps2: FloatArray, curvature_1pm: FloatArray, stride: int
+) -> FloatArray:
     """Return the target's states (K, T + 1, 4) under actions (K, S) that each last *stride* instants."""
     count = len(accel_mps2)
     start = np.repeat(around.start[None], count, axis=0)
@@ -74,7 +76,7 @@ def drive(around: Surroundings, accel_mps2: FloatArray, curvature_1pm: FloatArra
     return np.concatenate((start[:, None], later), axis=1)
 
 
-def usable(road: RoadMap, around: Surroundings, states: FloatArray) -> BoolArray:
+def usable(road: RoadMap, around: TargetSurroundings, states: FloatArray) -> BoolArray:
     """Return (K,) which drives *states* (K, T + 1, 4) touch nobody and stay on the road.
 
     Who overlaps the target at the very beginning is left out, as nothing that it does can undo that.

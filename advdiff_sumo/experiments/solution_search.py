@@ -16,7 +16,7 @@ from advdiff_sumo.models.losses import discs, off_road
 from advdiff_sumo.models.model_options import MODEL_STEP_S, ModelOptions
 from advdiff_sumo.models.tensor_bicycle import controls, step
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.baselines.baseline_networks import Prior
+from advdiff_sumo.traffic.baselines.baseline_networks import FrozenPrior
 from advdiff_sumo.traffic.baselines.baseline_policy import halves
 
 _MARGIN_M = 0.3
@@ -45,7 +45,7 @@ class Drives:
 
 
 def search(
-    prior: Prior, view: View, others: FloatArray, steps: int, draws: int, rounds: int, seed: int
+    prior: FrozenPrior, view: View, others: FloatArray, steps: int, draws: int, rounds: int, seed: int
 ) -> Drives:
     """Return drives of the target, row 0 of *view*, the more likely free of contact the later.
 
@@ -86,7 +86,7 @@ def _forced(others: FloatArray, view: View, device: torch.device) -> Forced:
 
 
 def _starts(
-    prior: Prior, batch: SceneBatch, forced: Forced, steps: int, draws: int, seed: int
+    prior: FrozenPrior, batch: SceneBatch, forced: Forced, steps: int, draws: int, seed: int
 ) -> tuple[Tensor, Tensor]:
     """Return accelerations and curvatures (K, S): draws of the model, then its mean braked and swerved."""
     context: Context = prior.traffic.encoder(batch)

@@ -10,7 +10,7 @@ from shapely.geometry import Polygon
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.export.lane_use import LaneKind, kind_of
 from advdiff_sumo.maps import Lane, Link, RoadMap
-from advdiff_sumo.maps.convert.layout.lane_paths import Connection
+from advdiff_sumo.maps.convert.layout.lane_paths import LaneConnection
 from advdiff_sumo.maps.convert.layout.lane_segments import Piece
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, JunctionPlan, LanePlan, NetPlan
 from advdiff_sumo.maps.convert.opendrive import write_opendrive
@@ -52,7 +52,7 @@ def plan_of(road: RoadMap) -> NetPlan:
         for link in road.links.values()
         if link.from_lane in place and link.to_lane in place
         for shape in (_shape(road, link),)
-        for way in (Connection(pieces[link.from_lane], pieces[link.to_lane], ()),)
+        for way in (LaneConnection(pieces[link.from_lane], pieces[link.to_lane], ()),)
         if float(np.ptp(shape, axis=0).max()) > _SHORTEST_M
     ]
     junctions = [

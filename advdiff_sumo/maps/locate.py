@@ -24,7 +24,7 @@ OFF_ROUTE_COST = 9.0
 
 
 @dataclass(frozen=True)
-class Candidates:
+class LaneCandidates:
     """Lanes near points: C rows, each the nearest place of one lane to one point, sorted by point.
 
     Attributes:
@@ -41,9 +41,9 @@ class Candidates:
     d_m: FloatArray
     yaw_rad: FloatArray
 
-    def rows(self, keep: BoolArray | IntArray) -> Candidates:
+    def rows(self, keep: BoolArray | IntArray) -> LaneCandidates:
         """Return the rows *keep* (indices or mask)."""
-        return Candidates(
+        return LaneCandidates(
             self.point[keep], self.lane[keep], self.s_m[keep], self.d_m[keep], self.yaw_rad[keep]
         )
 
@@ -92,7 +92,7 @@ class LaneIndex:
         """Return (L,) whether each lane is open to *vclass* (None: to any road motor vehicle)."""
         return np.array([lane.permits(vclass) for lane in self._lanes.values()])
 
-    def candidates(self, xy_m: FloatArray, radius_m: float) -> Candidates:
+    def candidates(self, xy_m: FloatArray, radius_m: float) -> LaneCandidates:
         """Return the nearest place of every lane within *radius_m* of each point *xy_m* (N, 2).
 
         Points that hold NaN have none. Rows are sorted by point, then lane.
@@ -113,7 +113,7 @@ class LaneIndex:
         first[1:] = (np.diff(point[order]) != 0) | (np.diff(lane[order]) != 0)
         best = order[first]
         cross = tangent[best, 0] * apart[best, 1] - tangent[best, 1] * apart[best, 0]
-        return Candidates(
+        return LaneCandidates(
             point=point[best],
             lane=lane[best],
             s_m=self._s0[segment[best]] + along[best],
@@ -128,7 +128,7 @@ class LaneIndex:
         radius_m: float,
         allowed: BoolArray,
         on_route: BoolArray | None = None,
-    ) -> Candidates:
+    ) -> LaneCandidates:
         """Return at most one candidate for each point: that of the least cost.
 
         The cost is a sum of squares: distance over :data:`SIGMA_DISTANCE_M`, heading error over
@@ -165,7 +165,7 @@ class LaneIndex:
         return mask
 
 
-def candidate_cost(candidates: Candidates, yaw_rad: FloatArray | None) -> FloatArray:
+def candidate_cost(candidates: LaneCandidates, yaw_rad: FloatArray | None) -> FloatArray:
     """Return the cost (C,) of *candidates* against the headings *yaw_rad* (N,) of the points."""
     cost = (candidates.d_m / SIGMA_DISTANCE_M) ** 2
     if yaw_rad is None:
@@ -174,7 +174,7 @@ def candidate_cost(candidates: Candidates, yaw_rad: FloatArray | None) -> FloatA
     return cost + (error / SIGMA_YAW_RAD) ** 2
 
 
-def poses_of(index: LaneIndex, candidates: Candidates, yaw_rad: FloatArray | None) -> list[LanePose]:
+def poses_of(index: LaneIndex, candidates: LaneCandidates, yaw_rad: FloatArray | None) -> list[LanePose]:
     """Return *candidates* as values; the heading error is 0 where no heading was given."""
     error = (
         np.zeros(len(candidates.lane))

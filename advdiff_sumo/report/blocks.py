@@ -11,7 +11,7 @@ from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.report.encode import PER_M, block, path_parts, wrapped_differences
-from advdiff_sumo.report.layer import MapLayer, View
+from advdiff_sumo.report.layer import MapLayer, NetWindow
 from advdiff_sumo.report.plans import Planned, packed_plans
 from advdiff_sumo.report.series import Series
 
@@ -121,7 +121,7 @@ def streets_block(layer: MapLayer, paths_m: Iterable[FloatArray]) -> str:
     numbers: list[IntArray] = []
     for column, line in sorted(_cells(paths_m)):
         corner = np.array([column, line]) * CELL_M
-        view = View(*corner.tolist(), *(corner + CELL_M).tolist())
+        view = NetWindow(*corner.tolist(), *(corner + CELL_M).tolist())
         streets = layer.streets(view, tolerance_m=0.08)
         groups = (streets.areas, streets.solid, streets.dashed)
         if any(groups):

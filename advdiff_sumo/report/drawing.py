@@ -16,7 +16,7 @@ from matplotlib.path import Path as Outline
 from matplotlib.patheffects import withStroke
 
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.report.layer import Streets, View
+from advdiff_sumo.report.layer import NetWindow, VisibleStreets
 from advdiff_sumo.report.scene_picture import Box, Picture, Role, picture_of
 from advdiff_sumo.report.selection import ChosenEpisode
 
@@ -61,7 +61,7 @@ def unwritable(path: Path, error: OSError) -> FileError:
     return FileError(path, f"cannot be written ({error.strerror or error})", "choose another place")
 
 
-def frame_axes(axes: Axes, view: View) -> None:
+def frame_axes(axes: Axes, view: NetWindow) -> None:
     """Make *axes* show *view*, north up, without ticks."""
     axes.set(xlim=(view.x0_m, view.x1_m), ylim=(view.y0_m, view.y1_m), aspect="equal", xticks=[], yticks=[])
 
@@ -83,7 +83,7 @@ def draw(picture: Picture) -> Figure:
     return drawn
 
 
-def draw_streets(axes: Axes, streets: Streets, points_per_m: float) -> None:
+def draw_streets(axes: Axes, streets: VisibleStreets, points_per_m: float) -> None:
     """Draw the drivable area and its markings; *points_per_m* is the scale, a point being 1/72 inch."""
     if streets.areas:
         outline = Outline.make_compound_path(*(Outline(ring, closed=True) for ring in streets.areas))

@@ -14,7 +14,7 @@ from advdiff_sumo.maps import Lane, RoadMap
 
 
 @dataclass(frozen=True)
-class View:
+class NetWindow:
     """A rectangle of the net, in its metres.
 
     Attributes:
@@ -36,7 +36,7 @@ class View:
         least_width_m: float,
         aspect: float = 1.5,
         most_width_m: float = np.inf,
-    ) -> View:
+    ) -> NetWindow:
         """Return the view that shows all finite points (N, 2), widened to *aspect* (width by height).
 
         With *most_width_m* it is at most so wide, around the middle of the points.
@@ -47,7 +47,7 @@ class View:
         width = max(high[0] - low[0], aspect * (high[1] - low[1]), least_width_m)
         half = 0.5 * min(width, most_width_m) * np.array([1.0, 1.0 / aspect])
         (x0, y0), (x1, y1) = 0.5 * (low + high) - half, 0.5 * (low + high) + half
-        return View(float(x0), float(y0), float(x1), float(y1))
+        return NetWindow(float(x0), float(y0), float(x1), float(y1))
 
     @property
     def width_m(self) -> float:
@@ -66,7 +66,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Streets:
+class VisibleStreets:
     """What of a net lies in a view.
 
     Attributes:
@@ -92,25 +92,27 @@ class MapLayer:
         self._tree = shapely.STRtree(self._lines)
 
     @property
-    def view(self) -> View:
+    def view(self) -> NetWindow:
         """The whole net."""
         x0, y0, x1, y1 = self.road.bounds
         corner = np.array([[x0, y0], [x1, y1]])
-        return View.around(corner, 0.02 * max(x1 - x0, y1 - y0), 1.0, max(x1 - x0, 1.0) / max(y1 - y0, 1.0))
+        return NetWindow.around(
+            corner, 0.02 * max(x1 - x0, y1 - y0), 1.0, max(x1 - x0, 1.0) / max(y1 - y0, 1.0)
+        )
 
-    def streets(self, view: View, tolerance_m: float = 0.1, markings: bool = True) -> Streets:
+    def streets(self, view: NetWindow, tolerance_m: float = 0.1, markings: bool = True) -> VisibleStreets:
         """Return what lies in *view*, outlines simplified to within *tolerance_m*."""
         # clip_by_rect is quicker, but fills in holes
         area = shapely.simplify(self.road.drivable & shapely.box(*view.rectangle), tolerance_m)
         rings = shapely.get_rings(_polygons(area))
         areas = tuple(shapely.get_coordinates(ring) for ring in rings)
         if not markings or not len(self._lines):
-            return Streets(areas)
+            return VisibleStreets(areas)
         hit = np.sort(self._tree.query(shapely.box(*view.rectangle)))
         cut = [shapely.simplify(shapely.clip_by_rect(self._lines[i], *view.rectangle), 0.03) for i in hit]
         solid = [line for i, line in zip(hit, cut, strict=True) if self._is_solid[i]]
         dashed = [line for i, line in zip(hit, cut, strict=True) if not self._is_solid[i]]
-        return Streets(areas, _coordinates(solid), _coordinates(dashed))
+        return VisibleStreets(areas, _coordinates(solid), _coordinates(dashed))
 
 
 def _markings(lanes: Iterable[Lane], lefthand: bool) -> tuple[list[BaseGeometry], list[BaseGeometry]]:

@@ -11,9 +11,9 @@ import numpy as np
 from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.report.charts import Chart, chart
 from advdiff_sumo.report.folder import FinishedRun, Row
-from advdiff_sumo.report.layer import View
+from advdiff_sumo.report.layer import NetWindow
 from advdiff_sumo.report.margin_table import TrialRow, read_trials
-from advdiff_sumo.report.nets import Nets
+from advdiff_sumo.report.nets import NetLayers
 from advdiff_sumo.report.scene_picture import focus_of, picture_of
 from advdiff_sumo.report.select import attacker_of
 from advdiff_sumo.report.series import Series, gap_to, series_of
@@ -75,7 +75,7 @@ class MarginPair:
         return kept[-1] if kept else None
 
 
-def margins_of(run: FinishedRun, nets: Nets) -> list[MarginPair]:
+def margins_of(run: FinishedRun, nets: NetLayers) -> list[MarginPair]:
     """Return the margins in the folder of *run*; none where it is that of another verb.
 
     Raises:
@@ -86,14 +86,18 @@ def margins_of(run: FinishedRun, nets: Nets) -> list[MarginPair]:
     return [_margin(run, nets, *name, tuple(group)) for name, group in groups]
 
 
-def _margin(run: FinishedRun, nets: Nets, attack: str, by: str, trials: tuple[TrialRow, ...]) -> MarginPair:
+def _margin(
+    run: FinishedRun, nets: NetLayers, attack: str, by: str, trials: tuple[TrialRow, ...]
+) -> MarginPair:
     alone = MarginPair(attack, by, trials, ())
     if run.is_part or alone.fails is None or alone.passes is None:
         return alone
     return replace(alone, neighbours=_side_by_side(run, nets, (alone.fails, alone.passes)))
 
 
-def _side_by_side(run: FinishedRun, nets: Nets, trials: tuple[TrialRow, TrialRow]) -> tuple[Neighbour, ...]:
+def _side_by_side(
+    run: FinishedRun, nets: NetLayers, trials: tuple[TrialRow, TrialRow]
+) -> tuple[Neighbour, ...]:
     """Return the two episodes over the same seconds, in the same view and at the same scale."""
     rows = [run.row(trial.episode or 0) for trial in trials]
     end_s = float(rows[0]["collision_time_s"] or rows[0]["duration_s"])
@@ -129,9 +133,9 @@ def _met(failing: TrialRow, row: Row, states: Sequence[EpisodeStates]) -> str | 
     return name if all(name in one.tracks.index for one in states) else None
 
 
-def _common_view(states: Sequence[EpisodeStates], names: Sequence[str | None]) -> View:
+def _common_view(states: Sequence[EpisodeStates], names: Sequence[str | None]) -> NetWindow:
     points = [focus_of(one, name) for one, name in zip(states, names, strict=True)]
-    return View.around(np.concatenate(points), margin_m=6.0, least_width_m=40.0)
+    return NetWindow.around(np.concatenate(points), margin_m=6.0, least_width_m=40.0)
 
 
 def _series(states: EpisodeStates, name: str | None, to_attacker: bool) -> Series:

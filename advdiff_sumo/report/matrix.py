@@ -12,7 +12,7 @@ from advdiff_sumo.report.labels import Labels
 
 
 @dataclass(frozen=True)
-class Cell:
+class MatrixCell:
     """One target in one background: valid failures, collisions of the target, and those that it caused."""
 
     valid: Rate
@@ -32,7 +32,7 @@ class Matrix:
 
     targets: tuple[str, ...]
     backgrounds: tuple[str, ...]
-    cells: tuple[tuple[Cell | None, ...], ...]
+    cells: tuple[tuple[MatrixCell | None, ...], ...]
 
     @property
     def is_single(self) -> bool:
@@ -51,14 +51,14 @@ def matrix_of(rows: Sequence[Row], labels: Labels) -> Matrix:
     return Matrix(targets, backgrounds, cells)
 
 
-def _cell(rows: Sequence[Row] | None) -> Cell | None:
+def _cell(rows: Sequence[Row] | None) -> MatrixCell | None:
     if not rows:
         return None
     finished = [row for row in rows if row["end"] != "failed"]
     hit = [bool(row["target_collision"]) for row in finished]
     guilty = [row["at_fault"] == "target" for row in finished]
     counted = [is_valid_failure(row) for row in finished if row["valid_failure"] is not None]
-    return Cell(
+    return MatrixCell(
         valid=Rate.of_flags(counted),
         collisions=Rate.of_flags(hit),
         at_fault=Rate.of_flags(guilty),

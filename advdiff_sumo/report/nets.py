@@ -13,7 +13,7 @@ from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.layer import MapLayer
 
 
-class Nets:
+class NetLayers:
     """Layers by the name that the episodes give their net, and why some are not there."""
 
     def __init__(self, run: FinishedRun) -> None:

@@ -10,14 +10,14 @@ import numpy as np
 import shapely
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.report.layer import MapLayer, View
+from advdiff_sumo.report.layer import MapLayer, NetWindow
 from advdiff_sumo.report.svg import line_data, lines_data, point, view_box
 
 _TRAIL_TOLERANCE = 1e-3  # of the map's width
 
 
 @dataclass(frozen=True)
-class Place:
+class FailurePlace:
     """Where the target was hit or left the road.
 
     Attributes:
@@ -53,7 +53,7 @@ class Overview:
     view_box: str
     area: str
     trails: tuple[str, ...]
-    places: tuple[Place, ...]
+    places: tuple[FailurePlace, ...]
     size: int
     aspect: float
 
@@ -89,16 +89,16 @@ def overview_of(
     )
 
 
-def _driven(trails: Sequence[FloatArray]) -> View:
-    return View.around(np.concatenate([np.zeros((0, 2)), *trails]), margin_m=20.0, least_width_m=100.0)
+def _driven(trails: Sequence[FloatArray]) -> NetWindow:
+    return NetWindow.around(np.concatenate([np.zeros((0, 2)), *trails]), margin_m=20.0, least_width_m=100.0)
 
 
 def _is_placed(row: Mapping[str, Any]) -> bool:
     return bool(row["target_collision"]) and row["impact_x_m"] is not None
 
 
-def _place(row: Mapping[str, Any], view: View) -> Place:
+def _place(row: Mapping[str, Any], view: NetWindow) -> FailurePlace:
     x, y = point(np.array([row["impact_x_m"], row["impact_y_m"]]), view)
-    return Place(
+    return FailurePlace(
         int(row["episode"]), x, y, str(row["at_fault"]), str(row["collision_type"]).replace("_", " ")
     )

@@ -20,7 +20,7 @@ from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.margin_pairs import margins_of
 from advdiff_sumo.report.margin_table import read_command
 from advdiff_sumo.report.matrix import matrix_of
-from advdiff_sumo.report.nets import Nets, place_names
+from advdiff_sumo.report.nets import NetLayers, place_names
 from advdiff_sumo.report.overview import Overview, overview_of
 from advdiff_sumo.report.rate_blocks import headline
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
@@ -51,7 +51,7 @@ def write_report(folder: Path) -> Path:
 
 def report_html(run: FinishedRun) -> str:
     """Return the page of *run*."""
-    labels, nets, naturals = Labels(run.episodes), Nets(run), ReferenceEpisodes(run)
+    labels, nets, naturals = Labels(run.episodes), NetLayers(run), ReferenceEpisodes(run)
     ordered = worst_first(run.episodes)
     places = list(dict.fromkeys(str(row["net"]) for row in ordered))
     sections = list(Sections(run, nets, naturals, labels, places).of(ordered))
@@ -115,7 +115,9 @@ def _trails(sections: list[Section]) -> dict[str, list[FloatArray]]:
     return trails
 
 
-def _maps(run: FinishedRun, nets: Nets, sections: list[Section], names: Mapping[str, str]) -> list[Overview]:
+def _maps(
+    run: FinishedRun, nets: NetLayers, sections: list[Section], names: Mapping[str, str]
+) -> list[Overview]:
     """Return the maps of the nets, by their *names*, those with the most collisions first."""
     trails = _trails(sections)
     rows = {net: [row for row in run.episodes if row["net"] == net] for net in trails}
@@ -123,7 +125,7 @@ def _maps(run: FinishedRun, nets: Nets, sections: list[Section], names: Mapping[
     return [overview_of(names[net], nets.layer(net), trails[net], rows[net]) for net in busiest[:MOST_MAPS]]
 
 
-def _streets(nets: Nets, places: list[str], sections: list[Section]) -> list[tuple[str, str]]:
+def _streets(nets: NetLayers, places: list[str], sections: list[Section]) -> list[tuple[str, str]]:
     """Return (id, block) of the streets of each net that an episode to be played was driven on."""
     streets = []
     for number, net in enumerate(places):

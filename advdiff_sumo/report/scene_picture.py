@@ -14,7 +14,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.report.layer import MapLayer, Streets, View
+from advdiff_sumo.report.layer import MapLayer, NetWindow, VisibleStreets
 from advdiff_sumo.report.select import attacker_of
 
 #: Longer episodes are drawn from here before their end.
@@ -83,9 +83,9 @@ class Picture:
         partner: whether the target collided with it; else it is who came nearest.
     """
 
-    view: View
-    close_up: View | None
-    streets: Streets | None
+    view: NetWindow
+    close_up: NetWindow | None
+    streets: VisibleStreets | None
     trails: tuple[Trail, ...]
     boxes: tuple[Box, ...]
     impact_m: FloatArray | None
@@ -101,7 +101,7 @@ def picture_of(
     row: Mapping[str, Any],
     collisions: Sequence[Mapping[str, Any]],
     layer: MapLayer | None,
-    view: View | None = None,
+    view: NetWindow | None = None,
     attacker: str | None = None,
 ) -> Picture:
     """Return the picture of one episode.
@@ -120,7 +120,7 @@ def picture_of(
     other = None if attacker is None else tracks.index.get(attacker)
     impact = _point(row) if row["target_collision"] else None
     focus = _focus(tracks, states.target, other, impact)
-    view = view or View.around(focus, margin_m=12.0, least_width_m=70.0)
+    view = view or NetWindow.around(focus, margin_m=12.0, least_width_m=70.0)
     return Picture(
         view=view,
         close_up=None
@@ -166,15 +166,17 @@ def _focus(tracks: Tracks, target: int, other: int | None, impact: FloatArray | 
     return np.concatenate(parts)
 
 
-def _close_up(tracks: Tracks, target: int, other: int | None, impact: FloatArray, contact_s: float) -> View:
+def _close_up(
+    tracks: Tracks, target: int, other: int | None, impact: FloatArray, contact_s: float
+) -> NetWindow:
     after = int(np.ceil((contact_s - tracks.t0_s) / tracks.dt_s - 1e-6))  # instant at or after the contact
     stop = min(max(after, 0) + 1, tracks.steps)
     last = tracks.window(max(0, stop - round(_CLOSE_UP_S / tracks.dt_s)), stop)
     focus = _focus(last, target, other, impact)
-    return View.around(focus, margin_m=4.0, least_width_m=30.0, most_width_m=60.0)
+    return NetWindow.around(focus, margin_m=4.0, least_width_m=30.0, most_width_m=60.0)
 
 
-def _trails(tracks: Tracks, target: int, other: int | None, view: View) -> tuple[Trail, ...]:
+def _trails(tracks: Tracks, target: int, other: int | None, view: NetWindow) -> tuple[Trail, ...]:
     trails = []
     for row in _drawing_order(tracks, target, other):
         for line in _stretches(tracks.xy_m[row]):
@@ -191,7 +193,7 @@ def _stretches(xy_m: FloatArray) -> list[FloatArray]:
     return [xy_m[a:b] for a, b in edges if b - a > 1]
 
 
-def _boxes(tracks: Tracks, target: int, other: int | None, view: View) -> tuple[Box, ...]:
+def _boxes(tracks: Tracks, target: int, other: int | None, view: NetWindow) -> tuple[Box, ...]:
     every = max(1, round(BOX_SPACING_S / tracks.dt_s))
     first = round(tracks.t0_s / tracks.dt_s)
     last = tracks.steps - 1
@@ -239,7 +241,7 @@ def _label_side(tracks: Tracks, row: int, k: int, target: int, other: int | None
     return right * (-1.0 if alike else 1.0)
 
 
-def _inside(xy_m: FloatArray, view: View) -> bool:
+def _inside(xy_m: FloatArray, view: NetWindow) -> bool:
     return bool(view.x0_m <= xy_m[0] <= view.x1_m and view.y0_m <= xy_m[1] <= view.y1_m)
 
 

@@ -19,7 +19,7 @@ from advdiff_sumo.report.careful_driver import drive_of, tracks_of
 from advdiff_sumo.report.charts import Chart, charts_of
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.labels import Labels
-from advdiff_sumo.report.nets import Nets
+from advdiff_sumo.report.nets import NetLayers
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
 from advdiff_sumo.report.scene_picture import picture_of
 from advdiff_sumo.report.select import attacker_of, pictured
@@ -82,7 +82,12 @@ class Sections:
     """
 
     def __init__(
-        self, run: FinishedRun, nets: Nets, naturals: ReferenceEpisodes, labels: Labels, places: Sequence[str]
+        self,
+        run: FinishedRun,
+        nets: NetLayers,
+        naturals: ReferenceEpisodes,
+        labels: Labels,
+        places: Sequence[str],
     ) -> None:
         self._run, self._nets, self._naturals = run, nets, naturals
         self._labels, self._places = labels, places

@@ -14,8 +14,8 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.report.blocks import departed
 from advdiff_sumo.report.folder import FinishedRun, Row
-from advdiff_sumo.report.layer import MapLayer, View
-from advdiff_sumo.report.nets import Nets
+from advdiff_sumo.report.layer import MapLayer, NetWindow
+from advdiff_sumo.report.nets import NetLayers
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
 from advdiff_sumo.report.select import attacker_of, worst_first
 
@@ -57,7 +57,7 @@ class ChosenEpisode:
             raise FileError(folder, f"holds no states of episode {row['episode']}", "choose another episode")
         natural_tracks = ReferenceEpisodes(run).of(row)
         natural = None if natural_tracks is None else departed(states, natural_tracks)
-        layer = Nets(run).layer(str(row["net"]))
+        layer = NetLayers(run).layer(str(row["net"]))
         return ChosenEpisode(row, states, run.collisions_of(int(row["episode"])), layer, natural)
 
     @property
@@ -101,7 +101,7 @@ class ChosenEpisode:
             raise ConfigError(f"{asked} is no stretch of the episode; it lasts from 0 to {last:g} s")
         return start, end
 
-    def view(self, start_s: float, end_s: float, aspect: float) -> View:
+    def view(self, start_s: float, end_s: float, aspect: float) -> NetWindow:
         """Return the view of the target's way from *start_s* to *end_s*, and of the attacker's near to it."""
         tracks, steps = self.states.tracks, self.steps(start_s, end_s)
         own = tracks.xy_m[self.states.target, steps]
@@ -111,14 +111,14 @@ class ChosenEpisode:
             parts.append(other[np.linalg.norm(other - own, axis=-1) <= _ATTACKER_NEAR_M])
         if self.impact_m is not None:
             parts.append(self.impact_m[None])
-        return View.around(np.concatenate(parts), _MARGIN_M, _LEAST_WIDTH_M, aspect)
+        return NetWindow.around(np.concatenate(parts), _MARGIN_M, _LEAST_WIDTH_M, aspect)
 
-    def view_at(self, moment_s: float, aspect: float, width_m: float = _LEAST_WIDTH_M) -> View:
+    def view_at(self, moment_s: float, aspect: float, width_m: float = _LEAST_WIDTH_M) -> NetWindow:
         """Return a view, at least *width_m* wide, of where the target is at *moment_s*, and the attacker if near."""
         places = poses_at(self.states.tracks, moment_s)[0]
         rows = [self.states.target] if self.attacker is None else [self.states.target, self.attacker]
         near = np.linalg.norm(places[rows] - places[self.states.target], axis=-1) <= _ATTACKER_NEAR_M
-        return View.around(places[rows][near], _MARGIN_M, width_m, aspect)
+        return NetWindow.around(places[rows][near], _MARGIN_M, width_m, aspect)
 
     def steps(self, start_s: float, end_s: float) -> slice:
         """Return the instants from *start_s* to *end_s*."""

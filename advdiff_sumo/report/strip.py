@@ -26,7 +26,7 @@ from advdiff_sumo.report.drawing import (
     frame_axes,
     save_figure,
 )
-from advdiff_sumo.report.layer import View
+from advdiff_sumo.report.layer import NetWindow
 from advdiff_sumo.report.scene_picture import Role
 from advdiff_sumo.report.selection import ChosenEpisode, poses_at
 
@@ -86,7 +86,7 @@ def draw_strip(chosen: ChosenEpisode, moments_s: FloatArray, start_s: float) -> 
     return drawn
 
 
-def _views(chosen: ChosenEpisode, moments_s: list[float], start_s: float) -> list[View]:
+def _views(chosen: ChosenEpisode, moments_s: list[float], start_s: float) -> list[NetWindow]:
     """Return what each panel shows, all at one scale."""
     whole = chosen.view(start_s, moments_s[-1], _ASPECT)
     if whole.width_m <= _WIDEST_M:
@@ -95,7 +95,7 @@ def _views(chosen: ChosenEpisode, moments_s: list[float], start_s: float) -> lis
     return [chosen.view_at(moment, _ASPECT, width_m) for moment in moments_s]
 
 
-def _panel(axes: Axes, chosen: ChosenEpisode, view: View, start_s: float, moment_s: float) -> None:
+def _panel(axes: Axes, chosen: ChosenEpisode, view: NetWindow, start_s: float, moment_s: float) -> None:
     tracks, target, attacker = chosen.states.tracks, chosen.states.target, chosen.attacker
     if chosen.layer is not None:
         draw_streets(axes, chosen.layer.streets(view, tolerance_m=0.05), 72.0 * _PANEL_IN / view.width_m)

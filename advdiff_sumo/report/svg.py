@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.report.layer import View
+from advdiff_sumo.report.layer import NetWindow
 from advdiff_sumo.report.scene_picture import Box, Picture
 
 _CM = 100.0
@@ -87,18 +87,18 @@ def svg_picture(picture: Picture) -> SvgPicture:
     )
 
 
-def view_box(part: View, whole: View) -> str:
+def view_box(part: NetWindow, whole: NetWindow) -> str:
     """Return the viewBox that shows *part* in the units of *whole*."""
     x, y = point(np.array([part.x0_m, part.y1_m]), whole)
     return f"{x} {y} {round(part.width_m * _CM)} {round(part.height_m * _CM)}"
 
 
-def point(xy_m: FloatArray, view: View) -> tuple[int, int]:
+def point(xy_m: FloatArray, view: NetWindow) -> tuple[int, int]:
     """Return one point (2,) of the net in the units of *view*."""
     return round((float(xy_m[0]) - view.x0_m) * _CM), round((view.y1_m - float(xy_m[1])) * _CM)
 
 
-def line_data(xy_m: FloatArray, view: View, *, closed: bool = False) -> str:
+def line_data(xy_m: FloatArray, view: NetWindow, *, closed: bool = False) -> str:
     """Return path data of one line (K, 2); a closed ring's repeated last point is left to ``z``."""
     centimetres = np.rint((xy_m - (view.x0_m, view.y1_m)) * (_CM, -_CM)).astype(np.int64)
     steps = np.diff(centimetres, axis=0)
@@ -109,19 +109,19 @@ def line_data(xy_m: FloatArray, view: View, *, closed: bool = False) -> str:
     return start + moves.replace(" -", "-") + ("z" if closed else "")
 
 
-def lines_data(lines: Iterable[FloatArray], view: View, *, closed: bool = False) -> str:
+def lines_data(lines: Iterable[FloatArray], view: NetWindow, *, closed: bool = False) -> str:
     """Return path data of many lines."""
     return "".join(line_data(line, view, closed=closed) for line in lines)
 
 
-def _box(box: Box, view: View) -> SvgBox:
+def _box(box: Box, view: NetWindow) -> SvgBox:
     """Return a box with a line from its middle to the middle of its front."""
     outline = line_data(np.concatenate((box.corners_m, box.corners_m[:1])), view, closed=True)
     nose = line_data(np.stack((box.centre_m, 0.5 * (box.corners_m[0] + box.corners_m[1]))), view)
     return SvgBox(str(box.role), box.age > 0.0, f"{1.0 - 0.6 * box.age:.2f}", outline + nose)
 
 
-def _label(box: Box, view: View, offset_m: float) -> SvgLabel:
+def _label(box: Box, view: NetWindow, offset_m: float) -> SvgLabel:
     """Return the time beside a box."""
     x, y = point(box.centre_m + offset_m * box.label_side, view)
     return SvgLabel(str(box.role), x, y, box.label)

@@ -25,7 +25,7 @@ from advdiff_sumo.sim.world import Frame
 from advdiff_sumo.traffic.rl.actor import ACTIONS
 from advdiff_sumo.traffic.rl.features import FEATURES, LIMIT
 from advdiff_sumo.traffic.rl.prior import Prior, load_prior
-from advdiff_sumo.traffic.rl.rl_situation import Situation, joint_plan, situation
+from advdiff_sumo.traffic.rl.rl_situation import AttackSituation, joint_plan, situation
 
 
 class Seat:
@@ -38,11 +38,11 @@ class Seat:
 
     def __init__(self, prior: Prior) -> None:
         self.prior = prior
-        self.now: Situation | None = None
+        self.now: AttackSituation | None = None
         self.residual: FloatArray = np.zeros(ACTIONS)
         self._last: Tracks | None = None
 
-    def observe(self, road: RoadMap, scene: Scene) -> Situation:
+    def observe(self, road: RoadMap, scene: Scene) -> AttackSituation:
         """Take in what the attacker sees, and return it."""
         before = self.now.attackers if self.now is not None else ()
         self.now = situation(road, scene, self.prior, 1, before, "reckless")

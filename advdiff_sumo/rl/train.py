@@ -53,7 +53,7 @@ class PpoTraining:
         return {"adversary": self.adversary.model_dump(mode="json"), "ppo": self.ppo.model_dump(mode="json")}
 
 
-def train(plan: PpoTraining, resume: bool, tell: Tell) -> checkpoint.Progress:
+def train(plan: PpoTraining, resume: bool, tell: Tell) -> checkpoint.TrainingProgress:
     """Train, or go on; the folder gets the actor, a checkpoint, metrics.jsonl, curves.png and TensorBoard events.
 
     An update is the unit: what was collected since the last one is lost by an interrupt, and a training that goes on
@@ -63,7 +63,7 @@ def train(plan: PpoTraining, resume: bool, tell: Tell) -> checkpoint.Progress:
         InputError: the options cannot be used, or the folder's checkpoint is another training's.
         KeyboardInterrupt: the user wants to stop; the last update is saved.
     """
-    progress = checkpoint.Progress(STAGE, plan.options(), data="", seed=plan.seed)
+    progress = checkpoint.TrainingProgress(STAGE, plan.options(), data="", seed=plan.seed)
     groups: dict[str, Any] = {}
     if resume:
         progress, groups = checkpoint.load(plan.out)
@@ -90,7 +90,7 @@ def train(plan: PpoTraining, resume: bool, tell: Tell) -> checkpoint.Progress:
     return progress
 
 
-def _learn(model: PPO, plan: PpoTraining, progress: checkpoint.Progress, tell: Tell) -> None:
+def _learn(model: PPO, plan: PpoTraining, progress: checkpoint.TrainingProgress, tell: Tell) -> None:
     events = history.open_events(plan.out / "events", progress.step) or history.NoEvents()
 
     def save() -> None:
@@ -113,7 +113,7 @@ def _learn(model: PPO, plan: PpoTraining, progress: checkpoint.Progress, tell: T
         raise KeyboardInterrupt
 
 
-def write(model: PPO, plan: PpoTraining, progress: checkpoint.Progress) -> None:
+def write(model: PPO, plan: PpoTraining, progress: checkpoint.TrainingProgress) -> None:
     """Write checkpoint, actor and curves."""
     policy = model.policy
     groups = {
@@ -128,7 +128,7 @@ def write(model: PPO, plan: PpoTraining, progress: checkpoint.Progress) -> None:
         history.draw_curves(plan.out / "curves.png", STAGE, progress.history)
 
 
-def _notes(plan: PpoTraining, progress: checkpoint.Progress) -> dict[str, Any]:
+def _notes(plan: PpoTraining, progress: checkpoint.TrainingProgress) -> dict[str, Any]:
     adversary = plan.adversary
     return {
         "steps": progress.step,

@@ -34,7 +34,7 @@ _USUAL_SPEED_MODE, _USUAL_LANE_CHANGE_MODE = 31, 1621
 
 
 @dataclass
-class Moved:
+class MovedVehicle:
     """What SUMO had set for a vehicle before we moved it, and the route that we gave it.
 
     Attributes:
@@ -68,7 +68,7 @@ class Actuator:
     api: Any
     world: World
     road: RoadMap
-    moved: dict[int, Moved] = field(default_factory=dict)
+    moved: dict[int, MovedVehicle] = field(default_factory=dict)
     outside: set[int] = field(default_factory=set)
     refused: set[int] = field(default_factory=set)
     _leaving: set[int] = field(default_factory=set)
@@ -83,7 +83,7 @@ class Actuator:
         """Begin to move *row*, which is on a lane."""
         vehicle, name = self.api.vehicle, self.world.sumo_ids[row]
         speed_factor, max_speed = vehicle.getSpeedFactor(name), vehicle.getMaxSpeed(name)
-        self.moved[row] = Moved(speed_factor, max_speed, _set_aside_stops(vehicle, name))
+        self.moved[row] = MovedVehicle(speed_factor, max_speed, _set_aside_stops(vehicle, name))
         vehicle.setMaxSpeed(name, _FREE_MAX_SPEED)  # draws the speed factor anew, so it comes first
         vehicle.setSpeedFactor(name, _FREE_SPEED_FACTOR)
         vehicle.setSpeedMode(name, _NO_CHECKS)
@@ -126,7 +126,7 @@ class Actuator:
         except Exception as error:
             self._forget(name)
             raise NotInsertedError(f"SUMO refuses to insert '{name}': {error}") from error
-        self.moved[row] = Moved(1.0, _FREE_MAX_SPEED, inserted=False)
+        self.moved[row] = MovedVehicle(1.0, _FREE_MAX_SPEED, inserted=False)
         self.outside.discard(row)
 
     def try_insert(self, row: int, type_id: str) -> None:

@@ -17,7 +17,7 @@ from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.core.tracking import State, densify, track
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.entries import completed, presence
-from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
+from advdiff_sumo.sim.heartbeat import Heartbeat, ProcessPhase
 from advdiff_sumo.sim.plan_memo import PlanSource
 from advdiff_sumo.sim.plan_validation import check_joint_form, check_joint_plan
 from advdiff_sumo.sim.plug_in_guard import PlugInGuard
@@ -25,7 +25,7 @@ from advdiff_sumo.sim.world import World
 
 
 @dataclass(frozen=True)
-class Motion(KinematicStates):
+class MovedMotion(KinematicStates):
     """What the moved vehicles do until the next plan; M vehicles, n substeps.
 
     Attributes:
@@ -37,26 +37,26 @@ class Motion(KinematicStates):
     rows: IntArray
     valid: BoolArray
 
-    def keep(self, mask: BoolArray) -> Motion:
+    def keep(self, mask: BoolArray) -> MovedMotion:
         """Return the vehicles where *mask* (M,) is True."""
         kept = self.mapped(lambda part: part[mask])
         return replace(kept, rows=self.rows[mask], valid=self.valid[mask])
 
-    def span(self, start: int, stop: int) -> Motion:
+    def span(self, start: int, stop: int) -> MovedMotion:
         """Return substeps *start* to *stop* (exclusive)."""
         return replace(self.mapped(lambda part: part[:, start:stop]), valid=self.valid[:, start:stop])
 
     @staticmethod
-    def join(first: Motion, second: Motion) -> Motion:
+    def join(first: MovedMotion, second: MovedMotion) -> MovedMotion:
         """Return both; a row of *second* that *first* has too is dropped."""
         other = second.keep(~np.isin(second.rows, first.rows))
-        pairs = ((getattr(first, name), getattr(other, name)) for name in Motion.__dataclass_fields__)
-        return Motion(*(np.concatenate(pair) for pair in pairs))
+        pairs = ((getattr(first, name), getattr(other, name)) for name in MovedMotion.__dataclass_fields__)
+        return MovedMotion(*(np.concatenate(pair) for pair in pairs))
 
     @staticmethod
-    def none(steps: int) -> Motion:
+    def none(steps: int) -> MovedMotion:
         """Return the motion of no vehicle."""
-        return Motion(
+        return MovedMotion(
             np.zeros((0, steps, 2)),
             np.zeros((0, steps)),
             np.zeros((0, steps)),
@@ -109,7 +109,7 @@ class Background:
         """Let the policy prepare for an episode that begins in *scene*."""
         self._guard.call(lambda: self.source.start(self.road, scene, self.log, self.rng))
 
-    def replan(self, scene: Scene, steps: int) -> Motion:
+    def replan(self, scene: Scene, steps: int) -> MovedMotion:
         """Return what the policy does in the coming *steps*.
 
         Raises:
@@ -125,9 +125,11 @@ class Background:
 
     @property
     def _guard(self) -> PlugInGuard:
-        return PlugInGuard(self.source.policy, f"background '{self.name}'", Phase.BACKGROUND, self.heartbeat)
+        return PlugInGuard(
+            self.source.policy, f"background '{self.name}'", ProcessPhase.BACKGROUND, self.heartbeat
+        )
 
-    def _plan(self, scene: Scene, steps: int) -> Motion:
+    def _plan(self, scene: Scene, steps: int) -> MovedMotion:
         plan, took_s = self.source.plan(self.road, scene, self.rng, f"background '{self.name}'")
         self.planning_s.append(took_s)
         motion = self.motion(plan, scene.target_id, steps)
@@ -144,12 +146,12 @@ class Background:
                 self.manoeuvres = {**(self.manoeuvres or {}), **now}
         return motion
 
-    def motion(self, plan: JointPlan, target_id: str, steps: int) -> Motion:
+    def motion(self, plan: JointPlan, target_id: str, steps: int) -> MovedMotion:
         """Return *plan* as states after each of *steps* substeps, checked."""
         tracks = plan.tracks
         check_joint_form(plan, f"background '{self.name}'")
         if tracks.agents == 0:
-            return Motion.none(steps)
+            return MovedMotion.none(steps)
         if target_id in tracks.index:
             raise PlanRefusedError(f"background '{self.name}' planned for the target '{target_id}'")
         rows = np.array([self.row_for(tracks, k) for k in range(tracks.agents)])
@@ -160,7 +162,7 @@ class Background:
             )
         self.skipped.update(name for name, away in zip(tracks.ids, far, strict=True) if away)
         dense = self._exact(tracks, rows, steps) if plan.exact else self._driven(tracks, rows, steps)
-        return Motion(*dense[:3], rows, dense[3]).keep(~far)
+        return MovedMotion(*dense[:3], rows, dense[3]).keep(~far)
 
     def row_for(self, tracks: Tracks, k: int) -> int:
         """Return the world's row of agent *k* of *tracks*, a new one if it was never there."""
@@ -213,7 +215,7 @@ class Background:
         return *driven, presence(tracks, np.isnan(now[1]), self.step_s, steps)
 
 
-def planned_ends(motion: Motion) -> Mapping[int, tuple[FloatArray, float]]:
+def planned_ends(motion: MovedMotion) -> Mapping[int, tuple[FloatArray, float]]:
     """Return row → last valid pose of *motion*."""
     ends = {}
     for k, row in enumerate(motion.rows.tolist()):

@@ -17,7 +17,7 @@ from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, Failu
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.sim.episode_loop import Loop
 from advdiff_sumo.sim.episode_setup import EpisodeSetup
-from advdiff_sumo.sim.heartbeat import Phase
+from advdiff_sumo.sim.heartbeat import ProcessPhase
 from advdiff_sumo.sim.session import Session
 from advdiff_sumo.sim.start import prepare
 from advdiff_sumo.sim.sumo_target import as_driven
@@ -80,7 +80,7 @@ class Episode(EpisodeSetup):
         begun, cpu_s = time.perf_counter(), time.process_time()
         if ended is not None and ended.steps < 0:
             return self._unstarted(ended.failure(0.0)), Timing(time.perf_counter() - begun)
-        self.heartbeat.note(Phase.SIMULATOR)
+        self.heartbeat.note(ProcessPhase.SIMULATOR)
         failure: Failure | None = None
         with ExitStack() as opened:
             try:
@@ -102,7 +102,7 @@ class Episode(EpisodeSetup):
                     return self._unstarted(failure), Timing(time.perf_counter() - begun)
             record = loop.record(end, failure)
             loop.leave(record)
-        self.heartbeat.note(Phase.OTHER)
+        self.heartbeat.note(ProcessPhase.OTHER)
         spared = loop.background.source
         used_s = time.process_time() - cpu_s + spared.spared_cpu_s
         timing = Timing(time.perf_counter() - begun + spared.spared_s, *loop.planning_s(), cpu_s=used_s)

@@ -9,14 +9,14 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import Scene, Tracks
-from advdiff_sumo.sim.background_control import Background, Motion
+from advdiff_sumo.sim.background_control import Background, MovedMotion
 from advdiff_sumo.sim.seed_scene import PlacedTraffic, SeedScene
 from advdiff_sumo.sim.sim_options import SimOptions
 
 _MAX_GAP_S = 1.0
 
 
-class Context:
+class EpisodeContext:
     """Follows the log for those agents; nobody in scenes that come from SUMO traffic."""
 
     def __init__(self, background: Background, scene: SeedScene) -> None:
@@ -36,17 +36,17 @@ class Context:
         drivable = self.scene.start.drivable
         return frozenset(name for name, free in zip(self.scene.log.ids, drivable, strict=True) if free)
 
-    def history(self, sim: SimOptions) -> Motion:
+    def history(self, sim: SimOptions) -> MovedMotion:
         """Return everybody's motion from the log's beginning up to instant 0."""
         first = round((-sim.history_s - self._log.t0_s) / self.step_s) + 1
         motion = self._motion(np.arange(self._log.agents), first, round(sim.history_s / self.step_s))
         self.entered.update(self._log.ids[k] for k in np.flatnonzero(motion.valid.any(axis=1)))
         return motion
 
-    def motion(self, scene: Scene, steps: int) -> Motion:
+    def motion(self, scene: Scene, steps: int) -> MovedMotion:
         """Return what the log does in the coming *steps* with those that nobody else drives."""
         if not isinstance(self.scene.start, PlacedTraffic):
-            return Motion.none(steps)
+            return MovedMotion.none(steps)
         log = self._log
         first = round((scene.time_s - log.t0_s) / self.step_s) + 1
         soon: BoolArray = np.asarray(log.valid[:, first : first + steps].any(axis=1))
@@ -68,7 +68,7 @@ class Context:
         rows = (self.world.row_of(name) for name in names)
         return np.array([row for row in rows if row is not None], dtype=np.int64)
 
-    def _motion(self, agents: IntArray, first: int, steps: int) -> Motion:
+    def _motion(self, agents: IntArray, first: int, steps: int) -> MovedMotion:
         log = self._log
         cut = slice(first, min(first + steps, log.steps))
         valid = np.zeros((len(agents), steps), dtype=np.bool_)  # beyond the log's end everybody leaves
@@ -77,7 +77,7 @@ class Context:
             _filled(part[agents, cut], steps) for part in (log.xy_m, log.yaw_rad, log.speed_mps)
         )
         rows = np.array([self.background.row_for(log, int(k)) for k in agents], dtype=np.int64)
-        return Motion(xy, yaw, speed, rows, valid)
+        return MovedMotion(xy, yaw, speed, rows, valid)
 
 
 def _filled(part: FloatArray, steps: int) -> FloatArray:

@@ -15,11 +15,11 @@ from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.metrics.contact import standing_overlaps, target_contact
 from advdiff_sumo.planners.planner_protocol import SumoDriver
 from advdiff_sumo.sim.actuate import Actuator
-from advdiff_sumo.sim.background_control import Background, Motion, planned_ends
-from advdiff_sumo.sim.episode_context import Context
+from advdiff_sumo.sim.background_control import Background, MovedMotion, planned_ends
+from advdiff_sumo.sim.episode_context import EpisodeContext
 from advdiff_sumo.sim.episode_setup import EpisodeSetup
 from advdiff_sumo.sim.handover import Handover
-from advdiff_sumo.sim.heartbeat import Phase
+from advdiff_sumo.sim.heartbeat import ProcessPhase
 from advdiff_sumo.sim.plan_memo import PlanSource
 from advdiff_sumo.sim.planned import natural_course
 from advdiff_sumo.sim.recorder import Recorder
@@ -58,7 +58,7 @@ class Loop:
             name=episode.names[1],
             heartbeat=episode.heartbeat,
         )
-        self.context = Context(self.background, episode.scene)
+        self.context = EpisodeContext(self.background, episode.scene)
         self.handover = Handover(self.world, self.actuator, self.road, self.sim)
         self.everywhere = moves_everywhere(episode.policy)
         self.target = 0
@@ -76,7 +76,7 @@ class Loop:
     def start(self) -> None:
         """Bring SUMO to instant 0 and let target and policy prepare."""
         heartbeat = self.episode.heartbeat
-        heartbeat.note(Phase.SIMULATOR)
+        heartbeat.note(ProcessPhase.SIMULATOR)
         watch_signals(self.api)
         scene = self.episode.scene
         if isinstance(scene.start, PlacedTraffic):
@@ -98,7 +98,7 @@ class Loop:
         now = self.scene_now()
         self.drive.start(self._seen_by_target(now))
         self.background.start(now)
-        heartbeat.note(Phase.SIMULATOR, 0)
+        heartbeat.note(ProcessPhase.SIMULATOR, 0)
 
     def _make_drive(self) -> None:
         episode = self.episode
@@ -152,13 +152,13 @@ class Loop:
         asked = round(self.episode.horizon_s / self.sim.step_s)
         return EndReason.LOG_END if steps < asked else EndReason.HORIZON
 
-    def _plan_background(self, scene: Scene, period: int) -> Motion:
+    def _plan_background(self, scene: Scene, period: int) -> MovedMotion:
         planned = self.background.replan(scene, period)
         planned = planned.keep(~np.isin(planned.rows, list(self.world.on_foot)))
         self.handover.note_routes(self.background.routes)
         logged = self.context.motion(scene, period)
         self.replayed = np.setdiff1d(logged.rows, planned.rows)
-        motion = Motion.join(planned, logged)
+        motion = MovedMotion.join(planned, logged)
         self._leave_scene(self.actuator.refused & self.actuator.outside - set(motion.rows.tolist()))
         routes = self.episode.scene.routes
         plans = self.background.planned.tracks if self.background.planned is not None else None
@@ -173,7 +173,7 @@ class Loop:
             self.actuator.remove(row)
         self.world.remove(sorted(rows))
 
-    def _step(self, motion: Motion, k: int) -> EndReason | None:
+    def _step(self, motion: MovedMotion, k: int) -> EndReason | None:
         self._move(motion, k)
         self.drive.move(k)
         self._advance()
@@ -184,12 +184,12 @@ class Loop:
         frame = self.world.frame()
         hit = self._touches(self.recorder.frames[-1], frame)
         self.recorder.add(frame, self.signals, self.drive.visible())
-        self.episode.heartbeat.note(Phase.SIMULATOR, self.steps)
+        self.episode.heartbeat.note(ProcessPhase.SIMULATOR, self.steps)
         if hit and self.sim.stop_at_collision:
             return EndReason.COLLISION
         return EndReason.ARRIVED if self.drive.arrived() else None
 
-    def _move(self, motion: Motion, k: int) -> None:
+    def _move(self, motion: MovedMotion, k: int) -> None:
         rows = motion.valid[:, k]
         for row in motion.rows[~rows].tolist():
             if row in self.actuator.ours:
@@ -224,7 +224,7 @@ class Loop:
             else:
                 self.actuator.try_insert(row, self.types[agent_class])
 
-    def _let_in(self, motion: Motion) -> None:
+    def _let_in(self, motion: MovedMotion) -> None:
         """Note which of the vehicles outside SUMO get onto a lane during *motion*, and which SUMO will bring."""
         if isinstance(self.episode.scene.start, SavedTraffic):
             of_demand = self.episode.scene.log.index

@@ -13,7 +13,7 @@ from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.tracking import State, densify, track
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
-from advdiff_sumo.sim.background_control import Motion
+from advdiff_sumo.sim.background_control import MovedMotion
 from advdiff_sumo.sim.headway_relaxation import HeadwayRelaxation
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.target_choice import remaining_route
@@ -42,13 +42,13 @@ class Handover:
 
     def settle(
         self,
-        motion: Motion,
+        motion: MovedMotion,
         target: int,
         steps: int,
         routes: Mapping[str, tuple[str, ...]],
         signals: Mapping[str, str] | None = None,
         plans: Tracks | None = None,
-    ) -> Motion:
+    ) -> MovedMotion:
         """Release the moved vehicles that *motion* leaves out; returns *motion* and those still being aligned.
 
         Args:
@@ -88,7 +88,7 @@ class Handover:
         if not askew:
             return motion
         scene = self._around(np.array(askew, dtype=np.int64), routes, signals or {})
-        return Motion.join(motion, self._align(scene, plans, steps))
+        return MovedMotion.join(motion, self._align(scene, plans, steps))
 
     def _fits(
         self, row: int, lane: str | None, place: tuple[float, float, float], sure: bool, wait_s: float
@@ -150,7 +150,7 @@ class Handover:
             return remaining_route(self.actuator.api, self.world.sumo_ids[row], self.road.beyond_rim)
         return self.route(row, routes)
 
-    def _align(self, scene: Scene, plans: Tracks | None, steps: int) -> Motion:
+    def _align(self, scene: Scene, plans: Tracks | None, steps: int) -> MovedMotion:
         """Drive the movable vehicles of *scene* along their lanes for *steps*."""
         # brings PyTorch with it, which runs whose background is SUMO's do not need
         from advdiff_sumo.traffic.planning.lane_return import return_to_lanes
@@ -163,7 +163,7 @@ class Handover:
         length = futures.size_m[mine, 0]
         xy, yaw, speed = track(state, reference, length, self.sim.step_s, Limits())
         rows = [self.world.index[name] for name in np.array(scene.history.ids)[mine].tolist()]
-        return Motion(
+        return MovedMotion(
             xy, yaw, speed, np.array(rows, dtype=np.int64), np.ones((len(rows), steps), dtype=np.bool_)
         )
 

@@ -19,7 +19,7 @@ NOT_STARTED = -1
 """Steps of an episode whose start is not over."""
 
 
-class Phase(IntEnum):
+class ProcessPhase(IntEnum):
     """What the process is doing."""
 
     OTHER = 0
@@ -42,7 +42,7 @@ class Beat:
     """
 
     pid: int
-    phase: Phase
+    phase: ProcessPhase
     steps: int
     since_s: float
 
@@ -57,23 +57,23 @@ class Heartbeat:
 
     def __init__(self, path: Path | None = None) -> None:
         """Write to *path*, which another process may read at any time; None: for this process alone."""
-        self.phase, self.steps = Phase.OTHER, NOT_STARTED
+        self.phase, self.steps = ProcessPhase.OTHER, NOT_STARTED
         self._pid = os.getpid()
         self._memory: mmap.mmap | bytearray = bytearray(_SIZE)
         if path is not None:
             with path.open("w+b") as file:
                 file.truncate(_SIZE)
                 self._memory = mmap.mmap(file.fileno(), _SIZE)
-        self.note(Phase.OTHER)
+        self.note(ProcessPhase.OTHER)
 
-    def note(self, phase: Phase, steps: int | None = None) -> None:
+    def note(self, phase: ProcessPhase, steps: int | None = None) -> None:
         """Write down that *phase* begins now, after *steps* steps where they have changed."""
         self.phase = phase
         self.steps = self.steps if steps is None else steps
         self._memory[:] = _sealed(_LAYOUT.pack(self._pid, phase, self.steps, time.monotonic()))
 
     @contextmanager
-    def during(self, phase: Phase) -> Iterator[None]:
+    def during(self, phase: ProcessPhase) -> Iterator[None]:
         """Be in *phase* for a block."""
         before = self.phase
         self.note(phase)
@@ -97,7 +97,7 @@ class Heartbeat:
         if content != _sealed(beat):
             return None
         pid, phase, steps, since_s = _LAYOUT.unpack(beat)
-        return Beat(pid, Phase(phase), steps, since_s)
+        return Beat(pid, ProcessPhase(phase), steps, since_s)
 
 
 def _sealed(beat: bytes) -> bytes:

@@ -32,7 +32,7 @@ class NoNetError(AdvdiffError):
 
 
 @dataclass(frozen=True)
-class Nets:
+class LogNets:
     """Nets to choose from, and where converted ones are kept.
 
     Attributes:

@@ -21,7 +21,7 @@ from advdiff_sumo.data.window_arrays import WindowArrays, WindowFileBuilder, cro
 from advdiff_sumo.data.window_files import DT_S, FUTURE, PAST, SUFFIX, WindowFile, write_windows
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.read_net import base_name
-from advdiff_sumo.sim.log_nets import Nets, NoNetError
+from advdiff_sumo.sim.log_nets import LogNets, NoNetError
 
 _SOURCE = "advdiff-sumo data build"
 _MOST_FOCAL = 8
@@ -80,7 +80,7 @@ class Built:
 
 def build(
     logs: Sequence[tuple[Path, LogReader]],
-    nets: Nets,
+    nets: LogNets,
     options: BuildOptions,
     out: Path,
     tell: Callable[[str, int], None],
@@ -243,7 +243,7 @@ def _placed(out: Path, placed: Mapping[str, WindowFile]) -> Iterator[tuple[Path,
     yield from ((out / f"{name}{SUFFIX}", placed[name]) for name in sorted(placed))
 
 
-def _nothing(logs: Sequence[tuple[Path, LogReader]], nets: Nets, built: Built) -> str:
+def _nothing(logs: Sequence[tuple[Path, LogReader]], nets: LogNets, built: Built) -> str:
     first = logs[0][0]
     if not built.drives and not nets.given and nets.converted is None:
         return f"{first}: no net was given for its drives; name one with --net, or add --convert"

@@ -15,7 +15,7 @@ from advdiff_sumo.core.errors import (
 )
 from advdiff_sumo.core.plug_in_source import described, lacks_memory, planned_at, raised_at
 from advdiff_sumo.core.process_end import hears_ctrl_c
-from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
+from advdiff_sumo.sim.heartbeat import Heartbeat, ProcessPhase
 
 _Result = TypeVar("_Result")
 
@@ -33,7 +33,7 @@ class PlugInGuard:
 
     plug_in: object
     who: str
-    phase: Phase
+    phase: ProcessPhase
     heartbeat: Heartbeat = field(default_factory=Heartbeat)
 
     def call(self, function: Callable[[], _Result]) -> _Result:

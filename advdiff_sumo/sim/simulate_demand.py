@@ -27,14 +27,14 @@ _PARKED_GROUPS_PER_KM, _NEXT_PARKED = 7.0, 0.65
 
 
 @dataclass(frozen=True)
-class Streets:
+class WeightedStreets:
     """Edges on which cars drive, with their lanes' metres as weights."""
 
     ids: tuple[str, ...]
     lane_m: tuple[float, ...]
 
     @staticmethod
-    def of(road: RoadMap) -> Streets:
+    def of(road: RoadMap) -> WeightedStreets:
         """Return those of *road*.
 
         Raises:
@@ -43,7 +43,9 @@ class Streets:
         ids = [e for e in sorted(road.edges) if not road.edges[e].is_internal and _lane_for_cars(road, e)]
         if not ids:
             raise NetError(road.path, "holds no lane that a car may drive", "give a net with passenger lanes")
-        return Streets(tuple(ids), tuple(road.edges[e].length_m * len(road.edges[e].lane_ids) for e in ids))
+        return WeightedStreets(
+            tuple(ids), tuple(road.edges[e].length_m * len(road.edges[e].lane_ids) for e in ids)
+        )
 
 
 def write_mixed_demand(
@@ -68,7 +70,7 @@ def write_mixed_demand(
         element = SubElement(root, "vType", dict(driver.attributes))
         for key, value in driver.parameters.items():
             SubElement(element, "param", key=key, value=value)
-    streets = Streets.of(road)
+    streets = WeightedStreets.of(road)
     for vehicle in _parked(road, streets, types, rng) if stops else ():
         root.append(vehicle)
     trips = sorted(_trips(road, streets, types, duration_s, rng), key=lambda v: float(v.attrib["depart"]))
@@ -84,7 +86,11 @@ def write_mixed_demand(
 
 
 def _trips(
-    road: RoadMap, streets: Streets, types: Sequence[DriverType], duration_s: float, rng: np.random.Generator
+    road: RoadMap,
+    streets: WeightedStreets,
+    types: Sequence[DriverType],
+    duration_s: float,
+    rng: np.random.Generator,
 ) -> Iterator[Element]:
     weights = np.array(streets.lane_m)
     low, high = np.log(_DENSITY_PER_KM)
@@ -155,7 +161,7 @@ def _stop_on_the_way(road: RoadMap, vehicle: Element, route: Sequence[str], rng:
 
 
 def _parked(
-    road: RoadMap, streets: Streets, types: Sequence[DriverType], rng: np.random.Generator
+    road: RoadMap, streets: WeightedStreets, types: Sequence[DriverType], rng: np.random.Generator
 ) -> Iterator[Element]:
     """Yield cars parked beside the outer lanes of quiet streets."""
     groups_per_m = rng.uniform(0.0, _PARKED_GROUPS_PER_KM) / 1000.0 + 1e-6

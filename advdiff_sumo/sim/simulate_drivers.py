@@ -20,7 +20,7 @@ _CARELESS_SHARE, _DISTRACTED_SHARE, _SLOW_REACTION_SHARE = 0.12, 0.1, 0.15
 
 
 @dataclass(frozen=True)
-class Kind:
+class VehicleKind:
     """One kind of vehicle.
 
     Attributes:
@@ -44,13 +44,15 @@ class Kind:
     top_mps: tuple[float, float]
 
 
-KINDS: Mapping[str, Kind] = {
-    "car": Kind("passenger", 24, 0.78, (3.6, 5.2), (1.65, 2.05), (1.4, 3.2), (2.5, 5.0), (38.0, 60.0)),
-    "van": Kind("delivery", 4, 0.06, (5.0, 7.0), (1.95, 2.3), (1.0, 2.2), (2.5, 4.5), (32.0, 45.0)),
-    "truck": Kind("truck", 4, 0.05, (7.0, 16.5), (2.3, 2.55), (0.6, 1.3), (2.0, 4.0), (22.0, 27.0)),
-    "bus": Kind("bus", 3, 0.03, (9.5, 13.5), (2.5, 2.55), (0.8, 1.4), (2.0, 3.5), (22.0, 27.0)),
-    "motorcycle": Kind("motorcycle", 3, 0.04, (1.9, 2.4), (0.7, 0.95), (2.5, 5.0), (3.5, 7.0), (38.0, 60.0)),
-    "bicycle": Kind("bicycle", 3, 0.04, (1.6, 1.9), (0.55, 0.75), (0.7, 1.5), (2.0, 3.5), (4.0, 7.5)),
+KINDS: Mapping[str, VehicleKind] = {
+    "car": VehicleKind("passenger", 24, 0.78, (3.6, 5.2), (1.65, 2.05), (1.4, 3.2), (2.5, 5.0), (38.0, 60.0)),
+    "van": VehicleKind("delivery", 4, 0.06, (5.0, 7.0), (1.95, 2.3), (1.0, 2.2), (2.5, 4.5), (32.0, 45.0)),
+    "truck": VehicleKind("truck", 4, 0.05, (7.0, 16.5), (2.3, 2.55), (0.6, 1.3), (2.0, 4.0), (22.0, 27.0)),
+    "bus": VehicleKind("bus", 3, 0.03, (9.5, 13.5), (2.5, 2.55), (0.8, 1.4), (2.0, 3.5), (22.0, 27.0)),
+    "motorcycle": VehicleKind(
+        "motorcycle", 3, 0.04, (1.9, 2.4), (0.7, 0.95), (2.5, 5.0), (3.5, 7.0), (38.0, 60.0)
+    ),
+    "bicycle": VehicleKind("bicycle", 3, 0.04, (1.6, 1.9), (0.55, 0.75), (0.7, 1.5), (2.0, 3.5), (4.0, 7.5)),
 }
 
 
@@ -73,7 +75,7 @@ def driver_types(rng: np.random.Generator) -> list[DriverType]:
     ]
 
 
-def _driver(name: str, kind_name: str, kind: Kind, rng: np.random.Generator) -> DriverType:
+def _driver(name: str, kind_name: str, kind: VehicleKind, rng: np.random.Generator) -> DriverType:
     model = str(rng.choice(CAR_FOLLOWING, p=_MODEL_SHARES))
     size = rng.random()
     numbers = {

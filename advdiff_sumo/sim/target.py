@@ -19,7 +19,7 @@ from advdiff_sumo.planners.planner_check import motion_problems
 from advdiff_sumo.planners.planner_protocol import Planner, Served
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.handover import guessed_route
-from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
+from advdiff_sumo.sim.heartbeat import Heartbeat, ProcessPhase
 from advdiff_sumo.sim.plan_validation import check_plan
 from advdiff_sumo.sim.plug_in_guard import PlugInGuard
 from advdiff_sumo.sim.sim_options import SimOptions
@@ -84,7 +84,7 @@ class PlannerDrive:
     ) -> None:
         self.planner, self.road, self.actuator, self.world = planner, road, actuator, actuator.world
         self.row, self.route, self.rng, self.name, self.sim = row, route, rng, name, sim
-        self._guard = PlugInGuard(planner, f"target '{name}'", Phase.TARGET, heartbeat)
+        self._guard = PlugInGuard(planner, f"target '{name}'", ProcessPhase.TARGET, heartbeat)
         self.planning_s: list[float] = []
         self.planned: Plan | None = None
         self.implausible = (0, "")

@@ -16,7 +16,7 @@ SPEED_BANDS_MPS = (5.0, 10.0, 15.0)
 
 
 @dataclass(frozen=True)
-class Cell:
+class CoverageCell:
     """One combination.
 
     Attributes:
@@ -40,7 +40,7 @@ class Coverage:
 
     attacks: tuple[str, ...]
     junctions: tuple[str, ...]
-    cells: Mapping[tuple[str, str, str], Cell]
+    cells: Mapping[tuple[str, str, str], CoverageCell]
 
     @property
     def share(self) -> float:
@@ -72,7 +72,7 @@ def coverage(episodes: Sequence[Row], attacks: Sequence[str], junction_types: Se
         counted = counts.setdefault(key, [0, 0])
         counted[0] += 1
         counted[1] += bool(row["target_collision"])
-    return Coverage(names, junctions, {key: Cell(*counted) for key, counted in counts.items()})
+    return Coverage(names, junctions, {key: CoverageCell(*counted) for key, counted in counts.items()})
 
 
 def _band(speed_mps: float) -> str:

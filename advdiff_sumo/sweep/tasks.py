@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from advdiff_sumo.sim.episode import Ended
-from advdiff_sumo.sim.heartbeat import NOT_STARTED, Phase
+from advdiff_sumo.sim.heartbeat import NOT_STARTED, ProcessPhase
 from advdiff_sumo.sim.run_episodes import RunOptions
 
 #: Wall-clock after which SUMO has surely stopped, or a planner that is being made; the start of SUMO with a large net,
@@ -143,11 +143,11 @@ class WorkerLimits:
     plan_timeout_s: float = math.inf
     log_level: int = logging.WARNING
 
-    def longest_s(self, phase: Phase) -> float:
+    def longest_s(self, phase: ProcessPhase) -> float:
         """Return how long an episode may be in *phase* at a time: a plan, a step of SUMO, the making of a planner."""
-        if phase is Phase.OTHER:
+        if phase is ProcessPhase.OTHER:
             return math.inf
-        plans = phase in (Phase.TARGET, Phase.BACKGROUND)
+        plans = phase in (ProcessPhase.TARGET, ProcessPhase.BACKGROUND)
         return self.plan_timeout_s if plans else max(self.plan_timeout_s, STEP_TIMEOUT_S)
 
     def log_of(self, key: str) -> Path:

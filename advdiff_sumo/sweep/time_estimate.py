@@ -15,7 +15,7 @@ _PROBES = 6
 
 
 @dataclass(frozen=True)
-class Estimate:
+class TimeEstimate:
     """Time on one worker.
 
     Attributes:
@@ -35,7 +35,7 @@ class Estimate:
         return (self.scene_s * self.batches + self.episode_s * self.episodes) / workers
 
 
-def estimate(plan: SweepPlan, jobs: Sequence[Job], executor: Executor) -> Estimate | None:
+def estimate(plan: SweepPlan, jobs: Sequence[Job], executor: Executor) -> TimeEstimate | None:
     """Run one batch of seed scenes and an episode of up to six kinds; None when there is nothing to do.
 
     Args:
@@ -69,7 +69,7 @@ def estimate(plan: SweepPlan, jobs: Sequence[Job], executor: Executor) -> Estima
             outcome = outcome_of(task, executor)
             episode_s.append(outcome.wall_s)
     batches = len({job.batch for job in jobs})
-    return Estimate(_mean(scene_s), _mean(episode_s), batches, len(jobs))
+    return TimeEstimate(_mean(scene_s), _mean(episode_s), batches, len(jobs))
 
 
 def _kind(plan: SweepPlan, job: Job) -> str:

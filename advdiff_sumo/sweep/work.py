@@ -27,7 +27,7 @@ from advdiff_sumo.metrics.summary import summarise
 from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.episode import Timing
-from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
+from advdiff_sumo.sim.heartbeat import Heartbeat, ProcessPhase
 from advdiff_sumo.sim.plan_memo import KeptPlans, PlanMemo
 from advdiff_sumo.sim.run_episodes import Run, RunOptions, policy_of, read_road, target_of
 from advdiff_sumo.sim.run_store import episode_tables
@@ -97,9 +97,9 @@ def run_of(options: RunOptions, net_digest: str, heartbeat: Heartbeat | None = N
     heartbeat = heartbeat or Heartbeat()
     road = _road(options.net, net_digest)
     names = options.target, options.background
-    with heartbeat.during(Phase.MAKING_TARGET):
+    with heartbeat.during(ProcessPhase.MAKING_TARGET):
         target = _target(names[0], _Plain(options, options.target_options))
-    with heartbeat.during(Phase.MAKING_BACKGROUND):
+    with heartbeat.during(ProcessPhase.MAKING_BACKGROUND):
         policy = _policy(names[1], _Plain(options, options.background_options))
     return Run(options, road, target, policy, names)
 

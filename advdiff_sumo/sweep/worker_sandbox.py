@@ -22,7 +22,7 @@ import pyarrow as pa
 from advdiff_sumo.core.plug_in_source import crashed_at
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.core.worker_start import ignore_interrupts
-from advdiff_sumo.sim.heartbeat import NOT_STARTED, Beat, Heartbeat, Phase
+from advdiff_sumo.sim.heartbeat import NOT_STARTED, Beat, Heartbeat, ProcessPhase
 from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Outcome, Task, WorkerLimits
 from advdiff_sumo.sweep.work import data_bytes, perform, rss_mb
 
@@ -34,7 +34,7 @@ _TIMED_OUT, _CRASHED, _MODULES = (
     "Fatal Python error",
     "Extension modules:",
 )  # faulthandler's words
-_MAKING = (Phase.MAKING_TARGET, Phase.MAKING_BACKGROUND)
+_MAKING = (ProcessPhase.MAKING_TARGET, ProcessPhase.MAKING_BACKGROUND)
 _READ_BYTES, _TAIL, _BEFORE = 1 << 16, 4000, 1000
 _MB = 1 << 20
 _TASKS = count()  # of this process
@@ -108,7 +108,7 @@ def lost(task: Task, limits: WorkerLimits, exit_code: int | None, how: str, over
     elif (
         isinstance(task, EpisodeTask)
         and beat is not None
-        and beat.phase is not Phase.OTHER
+        and beat.phase is not ProcessPhase.OTHER
         and exit_code is not None
         and exit_code not in _FROM_OUTSIDE
     ):
@@ -121,7 +121,7 @@ def lost(task: Task, limits: WorkerLimits, exit_code: int | None, how: str, over
 def _crashed(task: EpisodeTask, beat: Beat, how: str, tail: str) -> Failed:
     """Return the failure of an episode in which the simulator or somebody's code ended the process."""
     when = _when(task, beat)
-    if beat.phase is Phase.SIMULATOR:
+    if beat.phase is ProcessPhase.SIMULATOR:
         return Failed("simulator_crashed", f"SUMO crashed {when}: the worker {how}", tail)
     who = _who(task, beat.phase)
     return Failed(
@@ -131,7 +131,7 @@ def _crashed(task: EpisodeTask, beat: Beat, how: str, tail: str) -> Failed:
 
 def _overdue(task: EpisodeTask, limits: WorkerLimits, beat: Beat, tail: str) -> Failed:
     when = _when(task, beat)
-    if beat.phase is Phase.SIMULATOR:
+    if beat.phase is ProcessPhase.SIMULATOR:
         return Failed("timeout", f"SUMO made no step in {limits.longest_s(beat.phase):g} s {when}", tail)
     who, within = _who(task, beat.phase), f"in {limits.longest_s(beat.phase):g} s"
     late = f"was not made {within}" if beat.phase in _MAKING else f"made no plan {within} {when}"
@@ -139,9 +139,9 @@ def _overdue(task: EpisodeTask, limits: WorkerLimits, beat: Beat, tail: str) -> 
     return Failed("planner_timeout", problem, tail)
 
 
-def _who(task: EpisodeTask, phase: Phase) -> str:
+def _who(task: EpisodeTask, phase: ProcessPhase) -> str:
     options = task.options
-    of_target = phase in (Phase.TARGET, Phase.MAKING_TARGET)
+    of_target = phase in (ProcessPhase.TARGET, ProcessPhase.MAKING_TARGET)
     return f"target '{options.target}'" if of_target else f"background '{options.background}'"
 
 

@@ -22,7 +22,7 @@ _HEADER = "advdiff"
 
 
 @dataclass
-class Progress:
+class TrainingProgress:
     """Where a training stands.
 
     Attributes:
@@ -54,7 +54,7 @@ class Progress:
     done: bool = False
 
 
-def save(folder: Path, progress: Progress, groups: Mapping[str, Mapping[str, Tensor]]) -> None:
+def save(folder: Path, progress: TrainingProgress, groups: Mapping[str, Mapping[str, Tensor]]) -> None:
     """Write the checkpoint aside and rename it, so that a kill leaves the old or the new one whole.
 
     Raises:
@@ -74,7 +74,7 @@ def save(folder: Path, progress: Progress, groups: Mapping[str, Mapping[str, Ten
         raise WeightsError(folder / NAME, f"cannot be written ({error})") from None
 
 
-def load(folder: Path) -> tuple[Progress, dict[str, dict[str, Tensor]]]:
+def load(folder: Path) -> tuple[TrainingProgress, dict[str, dict[str, Tensor]]]:
     """Read a checkpoint.
 
     Returns:
@@ -95,7 +95,7 @@ def load(folder: Path) -> tuple[Progress, dict[str, dict[str, Tensor]]]:
             for key in stored.keys():  # noqa: SIM118 - safetensors' handle is no mapping
                 group, _, name = key.partition("/")
                 groups.setdefault(group, {})[name] = stored.get_tensor(key)
-            progress = Progress(**header["progress"])
+            progress = TrainingProgress(**header["progress"])
     except (SafetensorError, OSError, ValueError, TypeError, KeyError) as error:
         raise WeightsError(path, f"cannot be read ({error})", "start the training afresh") from None
     progress.sums = {name: (value, weight) for name, (value, weight) in progress.sums.items()}

@@ -31,7 +31,7 @@ _STANDS_M = 1.0
 
 
 @dataclass(frozen=True)
-class Judging:
+class EvaluationSettings:
     """How weights are judged.
 
     Attributes:
@@ -72,7 +72,7 @@ Predict = Callable[[SceneBatch, Context, torch.Generator], tuple[Rollout, int]]
 """Scenes, their contexts → joint futures of each scene repeated that many times in a row."""
 
 
-def methods(bundle: Bundle, judging: Judging) -> dict[str, Predict]:
+def methods(bundle: Bundle, judging: EvaluationSettings) -> dict[str, Predict]:
     """Return the ways to predict that the bundle's stages allow, with the baselines."""
     predictors: dict[str, Predict] = {
         "constant velocity": lambda batch, *_: (constant_velocity(batch), 1),
@@ -100,7 +100,7 @@ def methods(bundle: Bundle, judging: Judging) -> dict[str, Predict]:
 def evaluate_bundle(
     bundle: Bundle,
     windows: WindowSet,
-    judging: Judging,
+    judging: EvaluationSettings,
     device: torch.device,
     tell: Callable[[int, int], None] | None = None,
 ) -> dict[str, Figures]:
@@ -143,14 +143,20 @@ def evaluate_bundle(
     return {name: _figures(one, sums["log"]) for name, one in sums.items()}
 
 
-def write_figures(path: Path, figures: dict[str, Figures], judging: Judging, windows: WindowSet) -> None:
+def write_figures(
+    path: Path, figures: dict[str, Figures], judging: EvaluationSettings, windows: WindowSet
+) -> None:
     """Write the figures as JSON, with what they were made of."""
     text = {"judging": vars(judging), "windows": len(windows), "data": windows.digest, "figures": figures}
     path.write_text(json.dumps(text, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 
 def _from_prior(
-    bundle: Bundle, batch: SceneBatch, context: Context, judging: Judging, generator: torch.Generator
+    bundle: Bundle,
+    batch: SceneBatch,
+    context: Context,
+    judging: EvaluationSettings,
+    generator: torch.Generator,
 ) -> Rollout:
     several = context.repeat(judging.samples)
     z = several.prior.sample(generator)
@@ -159,7 +165,11 @@ def _from_prior(
 
 
 def _diffused(
-    bundle: Bundle, batch: SceneBatch, context: Context, judging: Judging, generator: torch.Generator
+    bundle: Bundle,
+    batch: SceneBatch,
+    context: Context,
+    judging: EvaluationSettings,
+    generator: torch.Generator,
 ) -> Rollout:
     several = context.repeat(judging.samples)
     drawn = diffused(bundle, several, judging.steps, generator)

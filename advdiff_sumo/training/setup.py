@@ -22,7 +22,7 @@ from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.shipped_weights import WEIGHTS, find_weights
 from advdiff_sumo.models.simnet import begin_simnet, save_simnet
-from advdiff_sumo.training.checkpoint import Progress
+from advdiff_sumo.training.checkpoint import TrainingProgress
 from advdiff_sumo.training.cvae import TrafficStage
 from advdiff_sumo.training.dataset import WindowSet, batches, read_window_set, split
 from advdiff_sumo.training.decoder_stage import DecoderStage
@@ -32,7 +32,7 @@ from advdiff_sumo.training.presets import STAGES, StageName, TrainOptions
 from advdiff_sumo.training.reward_stage import RewardStage
 from advdiff_sumo.training.simnet_stage import SimnetStage
 from advdiff_sumo.training.stage import BundleStage, Stage
-from advdiff_sumo.training.training_loop import Job
+from advdiff_sumo.training.training_loop import TrainingJob
 
 #: Sizes of what a stage makes anew, which may be other ones than those of the weights begun with.
 _NEW_PARTS: Mapping[str, frozenset[str]] = {
@@ -79,7 +79,7 @@ class TrainingRequest:
     card: Mapping[str, Any] = field(default_factory=dict)
 
 
-def prepare(plan: TrainingRequest) -> Job:
+def prepare(plan: TrainingRequest) -> TrainingJob:
     """Return the training that *plan* describes, with nothing trained or written yet.
 
     Raises:
@@ -103,13 +103,13 @@ def prepare(plan: TrainingRequest) -> Job:
     if options.compiled and isinstance(bundle.traffic.decoder, ClosedLoopDecoder):
         bundle.traffic.decoder.compile_step()
 
-    def keep(progress: Progress) -> None:
+    def keep(progress: TrainingProgress) -> None:
         save_bundle(stage.bundle(), plan.out / WEIGHTS, _stages(bundle, plan.stage), _card(plan, progress))
 
     return _job(plan, stage, options, windows, (train, held_out), keep, device)
 
 
-def _prepared_simnet(plan: TrainingRequest, device: torch.device) -> Job:
+def _prepared_simnet(plan: TrainingRequest, device: torch.device) -> TrainingJob:
     """Return the training of SimNet, which takes a bundle's encoder and gives a file of its own."""
     windows = read_window_set(plan.data)
     seed = SeedTree(plan.seed, ("weights",)).integer()
@@ -119,7 +119,7 @@ def _prepared_simnet(plan: TrainingRequest, device: torch.device) -> Job:
     windows.must_show(simnet.options.map_view)
     options = plan.options.model_copy(update={"model": simnet.options})
 
-    def keep(progress: Progress) -> None:
+    def keep(progress: TrainingProgress) -> None:
         save_simnet(simnet, plan.out / WEIGHTS, _card(plan, progress))
 
     stage = SimnetStage(simnet, options.simnet)
@@ -132,12 +132,12 @@ def _job(
     options: TrainOptions,
     windows: WindowSet,
     sides: tuple[WindowSet, WindowSet],
-    keep: Callable[[Progress], None],
+    keep: Callable[[TrainingProgress], None],
     device: torch.device,
-) -> Job:
+) -> TrainingJob:
     train, held_out = sides
     source = hashlib.sha256(f"{windows.digest}{held_out.digest}{_hash(plan.init)}".encode()).hexdigest()
-    return Job(
+    return TrainingJob(
         stage,
         options,
         train,
@@ -333,7 +333,7 @@ def _stages(bundle: Bundle, name: StageName) -> tuple[str, ...]:
     return (*(stage for stage in bundle.stages if stage in earlier), name)
 
 
-def _card(plan: TrainingRequest, progress: Progress) -> dict[str, Any]:
+def _card(plan: TrainingRequest, progress: TrainingProgress) -> dict[str, Any]:
     return {
         **plan.card,
         "stage": plan.stage,

@@ -23,7 +23,7 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import Jitter
 from advdiff_sumo.training import checkpoint, history
-from advdiff_sumo.training.checkpoint import Progress
+from advdiff_sumo.training.checkpoint import TrainingProgress
 from advdiff_sumo.training.dataset import IntArray, WindowSet, batches, nearest, of_epoch, padded
 from advdiff_sumo.training.ema import Ema
 from advdiff_sumo.training.interrupt import StopRequest, graceful
@@ -33,12 +33,12 @@ from advdiff_sumo.training.stage import Moment, Stage, Tally, add, means
 
 _REDRAW_S = 30.0
 
-Tell = Callable[[Progress, int, dict[str, float]], None]
+Tell = Callable[[TrainingProgress, int, dict[str, float]], None]
 """Told after each step: where the training stands, batches in the epoch, means of the loss terms so far."""
 
 
 @dataclass(frozen=True)
-class Job:
+class TrainingJob:
     """What is trained on what.
 
     Attributes:
@@ -63,7 +63,7 @@ class Job:
     seed: int
     device: torch.device
     source: str
-    keep: Callable[[Progress], None]
+    keep: Callable[[TrainingProgress], None]
     max_minutes: float = math.inf
     loaders: int = 0
 
@@ -103,7 +103,7 @@ class Trainer:
         tell: told after each step.
     """
 
-    def __init__(self, job: Job, events: history.Events, tell: Tell) -> None:
+    def __init__(self, job: TrainingJob, events: history.Events, tell: Tell) -> None:
         self.job, self.events, self.tell = job, events, tell
         self.tree = SeedTree(job.seed, ("training", job.stage.name))
         options = job.options
@@ -113,7 +113,9 @@ class Trainer:
             parameters, lr=options.learning_rate, fused=job.device.type == "cuda" or None
         )
         self.ema = Ema(job.stage.module, options.ema_decay)
-        self.progress = Progress(job.stage.name, options.model_dump(mode="json"), job.source, job.seed)
+        self.progress = TrainingProgress(
+            job.stage.name, options.model_dump(mode="json"), job.source, job.seed
+        )
         self._drawn = time.monotonic()
         whole = (options.epoch_windows or len(job.train)) / options.batch_size
         self.per_epoch = math.floor(whole) if options.compiled else math.ceil(whole)
@@ -140,7 +142,7 @@ class Trainer:
         checkpoint.restore_optimiser(self.optimiser, groups.get("optimiser", {}))
         self.progress = progress
 
-    def run(self) -> Progress:
+    def run(self) -> TrainingProgress:
         """Train to the end, or until there is no more progress, time or wish to go on.
 
         Returns:
@@ -306,7 +308,7 @@ def _jitter(options: TrainOptions) -> Jitter | None:
     return options.jitter if options.jitter.share > 0.0 or options.jitter.mirror > 0.0 else None
 
 
-def _finite(terms: dict[str, Tensor], progress: Progress) -> None:
+def _finite(terms: dict[str, Tensor], progress: TrainingProgress) -> None:
     for name, value in terms.items():
         if not math.isfinite(float(value.detach())):
             raise TrainingError(
@@ -315,7 +317,7 @@ def _finite(terms: dict[str, Tensor], progress: Progress) -> None:
             )
 
 
-def _same(folder: Path, old: Progress, new: Progress) -> None:
+def _same(folder: Path, old: TrainingProgress, new: TrainingProgress) -> None:
     """Refuse to go on with another stage, other options or other data."""
     if old.stage != new.stage:
         raise ConfigError(f"{folder} holds a training of the stage '{old.stage}', not of '{new.stage}'")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from advdiff_sumo.data.stats import Motion, window_stats
+from advdiff_sumo.data.stats import WindowMotion, window_stats
 from tests.data.windows_made import random_file, small_file
 
 
@@ -39,7 +39,7 @@ def test_figures_of_three_cars() -> None:
 def test_a_gap_lies_between_known_instants() -> None:
     made = small_file()
     made.future_valid[0, 3:5] = False  # the arrays are the test's own
-    assert Motion.of(made).gaps == 2
+    assert WindowMotion.of(made).gaps == 2
     assert window_stats([made])["gap_instants"] == 2
 
 
@@ -48,7 +48,7 @@ def test_a_circle_has_its_curvature() -> None:
     angle = 0.1 * np.arange(17)
     circle = np.column_stack((20 * np.sin(angle), -20 * np.cos(angle), angle, np.full(17, 4.0)))
     made.past[0], made.future[0] = circle[:5], circle[5:]
-    curved = np.sort(Motion.of(made).curvature_1pm)[-16:]
+    curved = np.sort(WindowMotion.of(made).curvature_1pm)[-16:]
     np.testing.assert_allclose(curved, 0.05, rtol=1e-3)
 
 

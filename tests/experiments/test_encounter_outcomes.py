@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.record import EpisodeRecord
-from advdiff_sumo.experiments.encounter_outcomes import Encounter, outcomes
+from advdiff_sumo.experiments.encounter_outcomes import BegunEncounter, outcomes
 from advdiff_sumo.maps import RoadMap
 from tests.metrics.encounters import braking, crossing, driven, record_of, straight
 
@@ -27,12 +27,12 @@ def behind_a_stop(target_brakes_s: float, target_mps2: float = 8.0, gap_m: float
     )
 
 
-def came(record: EpisodeRecord, road: RoadMap, *begun: Encounter) -> list[tuple[str, float]]:
+def came(record: EpisodeRecord, road: RoadMap, *begun: BegunEncounter) -> list[tuple[str, float]]:
     ended, values = outcomes(record, road, begun)
     return [(one.names[0], round(value, 3)) for one, value in zip(ended, values.tolist(), strict=True)]
 
 
-STOP, FAR = Encounter(1.0, ("leader",), (1.0,)), Encounter(0.5, ("far",), (0.0,))
+STOP, FAR = BegunEncounter(1.0, ("leader",), (1.0,)), BegunEncounter(0.5, ("far",), (0.0,))
 
 
 def test_who_does_not_brake_fails_against_the_leader_alone(road: RoadMap) -> None:
@@ -51,13 +51,13 @@ def test_who_stops_at_the_last_moment_nearly_fails(road: RoadMap) -> None:
 
 
 def test_an_encounter_that_the_end_cuts_off_says_nothing(road: RoadMap) -> None:
-    late = Encounter(4.0, ("leader",), (1.0,))
+    late = BegunEncounter(4.0, ("leader",), (1.0,))
     assert came(behind_a_stop(1.5), road, late) == []
 
 
 def test_of_two_with_the_same_vehicle_the_last_one_failed(road: RoadMap) -> None:
     """The first lasted a second, which is too short to tell."""
-    first = Encounter(0.0, ("leader",), (2.0,))
+    first = BegunEncounter(0.0, ("leader",), (2.0,))
     assert came(behind_a_stop(9.0), road, first, STOP) == [("leader", 1.0)]
 
 
@@ -67,4 +67,4 @@ def test_a_contact_that_is_no_valid_failure_says_nothing(road: RoadMap) -> None:
         straight("target", (-170.0, -4.8), 0.0, 12.0, STEPS),
         driven("other", (-170.0, -1.6), 0.0, np.full(STEPS, 12.0), -np.linspace(0.0, 6.0, STEPS)),
     )
-    assert came(record, road, Encounter(0.0, ("other",), (1.0,))) == []
+    assert came(record, road, BegunEncounter(0.0, ("other",), (1.0,))) == []

@@ -12,13 +12,13 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.lane_graph.chains import detour, plausible_chains, required_changes, route_chain
 from advdiff_sumo.planners.lane_graph.conflicts import conflict_zone
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
-from advdiff_sumo.planners.lane_graph.memory import Memory
+from advdiff_sumo.planners.lane_graph.memory import LaneGraphMemory
 from advdiff_sumo.planners.lane_graph.others import others_near, ways_of
 from advdiff_sumo.planners.lane_graph.path import Geometry, PathStack, ReferencePath, _smoothed
 from advdiff_sumo.planners.lane_graph.predict import Ego, forecast
 from advdiff_sumo.planners.lane_graph.proposal_score import _time_at
 from advdiff_sumo.planners.lane_graph.rules import Duty, may_go, rule_at
-from advdiff_sumo.planners.lane_graph.variants import State, Variant, locate, variants
+from advdiff_sumo.planners.lane_graph.variants import TargetState, Variant, locate, variants
 
 from .scenes import CAR_M, Car, make_scene
 
@@ -184,14 +184,14 @@ def test_who_swung_wide_comes_back_to_the_path_chosen_last(crossing: Maker) -> N
     road = crossing()
     route = ("south_in", "east_out")
     chain = route_chain(road, "south_in_0", route, required_changes(road, route), 300.0)
-    memory = Memory(Geometry.of(road), chain.lanes, chain.links, route)
+    memory = LaneGraphMemory(Geometry.of(road), chain.lanes, chain.links, route)
     link = chain.links[0]
     wide = road.lanes[link.to_lane].line.at(np.asarray(2.0))[0] + [0.0, 8.0]  # on a lane of the oncoming
-    state = State(wide, 0.5 * np.pi, 4.0, 0.0, 0.0, 5.0, 1.8)
+    state = TargetState(wide, 0.5 * np.pi, 4.0, 0.0, 0.0, 5.0, 1.8)
     place = locate(memory.geometry, state, route, memory, 0.0)
     assert place is not None
     assert road.lanes[place.lane_id].edge_id == "east_out"
-    fresh = locate(memory.geometry, state, route, Memory(memory.geometry), 0.0)
+    fresh = locate(memory.geometry, state, route, LaneGraphMemory(memory.geometry), 0.0)
     assert fresh is not None
     assert road.lanes[fresh.lane_id].edge_id != "east_out"  # by the lanes alone it would go elsewhere
 
@@ -204,10 +204,10 @@ def test_a_change_of_lanes_that_is_underway_goes_on_over_a_junction(crossing: Ma
     over = by_lane["west_in_0"].via[0]
     onto = by_lane["west_in_1"].via[0]
     xy, yaw = road.to_world(over, 1.0, 0.0)
-    state = State(np.asarray(xy), float(yaw), 10.0, 0.0, 0.0, *CAR_M)
-    none_chosen = Memory(geometry, route=route)
+    state = TargetState(np.asarray(xy), float(yaw), 10.0, 0.0, 0.0, *CAR_M)
+    none_chosen = LaneGraphMemory(geometry, route=route)
     chain = route_chain(road, "west_in_1", route, required_changes(road, route), 300.0)
-    underway = Memory(geometry, chain.lanes, chain.links, route)
+    underway = LaneGraphMemory(geometry, chain.lanes, chain.links, route)
     for memory, sides in ((none_chosen, {0}), (underway, {0, -1 if lefthand else 1})):
         place = locate(geometry, state, route, memory, 0.0)
         assert place is not None

@@ -12,13 +12,13 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.lane_graph import LaneGraphOptions, LaneGraphPlanner
 from advdiff_sumo.planners.lane_graph.chains import plausible_chains, required_changes
 from advdiff_sumo.planners.lane_graph.duties import duties
-from advdiff_sumo.planners.lane_graph.memory import Memory
+from advdiff_sumo.planners.lane_graph.memory import LaneGraphMemory
 from advdiff_sumo.planners.lane_graph.others import others_near, ways_of
 from advdiff_sumo.planners.lane_graph.path import Geometry
 from advdiff_sumo.planners.lane_graph.predict import Ego, forecast
 from advdiff_sumo.planners.lane_graph.profiles import Leaders, _nearest, modes
 from advdiff_sumo.planners.lane_graph.proposal_score import followers
-from advdiff_sumo.planners.lane_graph.variants import State, locate, variants
+from advdiff_sumo.planners.lane_graph.variants import TargetState, locate, variants
 from tests.planners.scenes import Car, make_scene
 
 Maker = Callable[..., RoadMap]
@@ -61,9 +61,9 @@ def test_the_nearest_leader_is_found_for_all_steps_at_once() -> None:
 def test_shifts_within_the_lane_share_what_does_not_depend_on_them(crossing: Maker, kind: str) -> None:
     road = crossing(kind)
     scene, options = make_scene(road, CARS, ROUTE), LaneGraphOptions()
-    memory = Memory(Geometry.of(road))
+    memory = LaneGraphMemory(Geometry.of(road))
     at = scene.history.xy_m[0, -1]
-    state = State(at, float(scene.history.yaw_rad[0, -1]), 9.0, 0.0, 0.01, 4.6, 1.8)
+    state = TargetState(at, float(scene.history.yaw_rad[0, -1]), 9.0, 0.0, 0.01, 4.6, 1.8)
     place = locate(memory.geometry, state, ROUTE, memory, 0.0)
     assert place is not None
     others = others_near(scene)

@@ -10,20 +10,22 @@ import pytest
 import shapely
 
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.report.layer import MapLayer, View
+from advdiff_sumo.report.layer import MapLayer, NetWindow
 
 
 def test_view_keeps_margin_and_aspect() -> None:
-    view = View.around(np.array([[0.0, 0.0], [90.0, 10.0], [np.nan, 0.0]]), 5.0, 30.0, aspect=2.0)
+    view = NetWindow.around(np.array([[0.0, 0.0], [90.0, 10.0], [np.nan, 0.0]]), 5.0, 30.0, aspect=2.0)
     assert view.rectangle == pytest.approx((-5.0, -20.0, 95.0, 30.0))
 
 
 def test_view_of_one_point_has_the_least_width() -> None:
-    assert View.around(np.array([[7.0, 7.0]]), 1.0, 30.0).rectangle == pytest.approx((-8.0, -3.0, 22.0, 17.0))
+    assert NetWindow.around(np.array([[7.0, 7.0]]), 1.0, 30.0).rectangle == pytest.approx(
+        (-8.0, -3.0, 22.0, 17.0)
+    )
 
 
 def test_view_has_a_largest_width() -> None:
-    view = View.around(np.array([[0.0, 0.0], [500.0, 0.0]]), 5.0, 30.0, most_width_m=60.0)
+    view = NetWindow.around(np.array([[0.0, 0.0], [500.0, 0.0]]), 5.0, 30.0, most_width_m=60.0)
     assert (view.x0_m, view.x1_m) == pytest.approx((220.0, 280.0))
 
 
@@ -32,9 +34,9 @@ def layer(request: pytest.FixtureRequest, networks: Path) -> MapLayer:
     return MapLayer(RoadMap.read(networks / f"{request.param}.net.xml"))
 
 
-def _cut(layer: MapLayer) -> View:
+def _cut(layer: MapLayer) -> NetWindow:
     x0, y0, x1, y1 = layer.road.bounds
-    return View.around(np.array([[0.5 * (x0 + x1), 0.5 * (y0 + y1)]]), 0.0, 0.4 * (x1 - x0))
+    return NetWindow.around(np.array([[0.5 * (x0 + x1), 0.5 * (y0 + y1)]]), 0.0, 0.4 * (x1 - x0))
 
 
 def test_streets_are_the_drivable_area(layer: MapLayer) -> None:
@@ -70,7 +72,7 @@ def test_dashes_lie_between_two_lanes_of_an_edge(layer: MapLayer) -> None:
 def test_blocks_between_streets_stay_open_when_the_view_cuts_the_net(networks: Path) -> None:
     road = RoadMap.read(networks / "downtown.net.xml")
     layer = MapLayer(road)
-    view = View.around(np.array([[386.0, 400.0], [474.0, 496.0]]), 10.0, 50.0, 1.5)
+    view = NetWindow.around(np.array([[386.0, 400.0], [474.0, 496.0]]), 10.0, 50.0, 1.5)
     rings = [shapely.Polygon(ring) for ring in layer.streets(view).areas]
     drawn = reduce(shapely.symmetric_difference, rings)  # the fill rule is even-odd
     there = road.drivable & shapely.box(*view.rectangle)

@@ -15,7 +15,7 @@ from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.margin_pairs import margins_of
 from advdiff_sumo.report.margin_table import COMMAND, TRIALS, TrialRow, read_trials, trials_text
-from advdiff_sumo.report.nets import Nets
+from advdiff_sumo.report.nets import NetLayers
 from advdiff_sumo.report.page import write_report
 from tests.report.conftest import drive, episode, struck, write_folder
 
@@ -53,7 +53,7 @@ def test_trials_are_read_as_they_were_written(folder: Path) -> None:
 
 def test_both_are_shown_over_the_same_seconds_in_the_same_view(folder: Path) -> None:
     run = FinishedRun.read(folder)
-    stop, crossing = margins_of(run, Nets(run))
+    stop, crossing = margins_of(run, NetLayers(run))
     assert [side.trial.value for side in stop.neighbours] == [2.75, 2.5]
     assert [(side.start_s, side.end_s) for side in stop.neighbours] == [(0.0, 3.0), (0.0, 3.0)]
     failing, passing = (side.svg for side in stop.neighbours)
@@ -75,7 +75,7 @@ def test_the_gap_is_that_to_who_attacks_in_both(folder: Path) -> None:
     nearest = pa.array(["bv", "beside"], rows.schema.field(at).type)
     pq.write_table(rows.set_column(at, rows.schema.field(at), nearest), folder / "episodes.parquet")
     run = FinishedRun.read(folder)
-    stop, _ = margins_of(run, Nets(run))
+    stop, _ = margins_of(run, NetLayers(run))
     for side, least, speed in zip(stop.neighbours, (1.0, 13.0), (2.0, 4.0), strict=True):
         driven, gap = side.charts
         assert f"Speed of the attacker: least {speed:.1f} m/s" in driven.summary
@@ -87,7 +87,7 @@ def test_where_nobody_attacked_it_is_the_gap_to_the_nearest(folder: Path) -> Non
     by_chance = [replace(row, encounter=not row.valid_failure and row.encounter) for row in ROWS]
     (folder / TRIALS).write_text(trials_text(by_chance), encoding="utf-8")
     run = FinishedRun.read(folder)
-    stop, _ = margins_of(run, Nets(run))
+    stop, _ = margins_of(run, NetLayers(run))
     assert [side.charts[1].title for side in stop.neighbours] == ["Gap to the nearest (m)"] * 2
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from advdiff_sumo.report.careful_driver import drive_of, tracks_of
 from advdiff_sumo.report.folder import FinishedRun
-from advdiff_sumo.report.nets import Nets
+from advdiff_sumo.report.nets import NetLayers
 from advdiff_sumo.report.page import write_report
 from advdiff_sumo.report.series import series_of
 from tests.metrics.encounter_folder import encounter_folder
@@ -24,7 +24,7 @@ def drive(folder: Path, episode: int):
     run = FinishedRun.read(folder)
     row, states = run.row(episode), run.states(episode)
     assert states is not None
-    layer = Nets(run).layer(str(row["net"]))
+    layer = NetLayers(run).layer(str(row["net"]))
     assert layer is not None
     return drive_of(run, row, states, layer.road), states
 

@@ -16,7 +16,7 @@ from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.actuate import Actuator
-from advdiff_sumo.sim.background_control import Motion
+from advdiff_sumo.sim.background_control import MovedMotion
 from advdiff_sumo.sim.handover import Handover
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.world import World, read, register
@@ -101,7 +101,7 @@ def hand_over(
         step()
     begun = len(out)
     for _ in range(40):
-        motion = handover.settle(Motion.none(PERIOD), -1, PERIOD, routes)
+        motion = handover.settle(MovedMotion.none(PERIOD), -1, PERIOD, routes)
         if not motion.rows.size:
             break
         come_back()
@@ -174,10 +174,10 @@ def test_who_stands_in_a_turn_clears_it_behind_the_oncoming(crossing: Path) -> N
         heading = np.atleast_1d(yaw)
         world.set_state(rows, point[None], heading, still, Controller.POLICY)
         handover.predict({0: (point, float(yaw))}, routes)
-        boxes, speeds, motion = [], [], Motion.none(PERIOD)
+        boxes, speeds, motion = [], [], MovedMotion.none(PERIOD)
         for k in range(120):
             if actuator.moved and k % PERIOD == 0:
-                motion = handover.settle(Motion.none(PERIOD), -1, PERIOD, routes)
+                motion = handover.settle(MovedMotion.none(PERIOD), -1, PERIOD, routes)
             if motion.rows.size:
                 at = motion.xy_m[:, k % PERIOD], motion.yaw_rad[:, k % PERIOD]
                 world.set_state(rows, *at, motion.speed_mps[:, k % PERIOD], Controller.POLICY)
@@ -230,7 +230,7 @@ def test_who_is_left_far_from_every_lane_stops(street: Path) -> None:
         world.set_state(np.array([row]), point[None], np.zeros(1), np.array([9.0]), Controller.POLICY)
         handover.actuator.outside.add(row)
         for _ in range(8):
-            motion = handover.settle(Motion.none(PERIOD), -1, PERIOD, {})
+            motion = handover.settle(MovedMotion.none(PERIOD), -1, PERIOD, {})
             world.set_state(
                 motion.rows,
                 motion.xy_m[:, -1],
@@ -319,7 +319,7 @@ def take_back_behind(
             if taken and k % PERIOD == 0:
                 there = np.ones((1, 1), dtype=np.bool_)
                 handover.settle(
-                    Motion(xy[:, None], yaw[:, None], speeds[:, None], held, there), -1, PERIOD, routes
+                    MovedMotion(xy[:, None], yaw[:, None], speeds[:, None], held, there), -1, PERIOD, routes
                 )
             world.set_state(held, xy, yaw, speeds, Controller.POLICY)
             actuator.move(held, xy, yaw)

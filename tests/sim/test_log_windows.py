@@ -16,7 +16,7 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data import LogReader, LogScene, NuScenesReader, ScenarioNetReader
 from advdiff_sumo.data.window_files import read_windows
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.log_nets import Nets
+from advdiff_sumo.sim.log_nets import LogNets
 from advdiff_sumo.sim.log_windows import BuildOptions, Built, build, log_windows
 from tests.sim.records_made import record, write
 
@@ -93,12 +93,12 @@ class OneDrive:
         return [self.scene]
 
 
-def built(reader: LogReader, nets: Nets, out: Path, options: BuildOptions | None = None) -> Built:
+def built(reader: LogReader, nets: LogNets, out: Path, options: BuildOptions | None = None) -> Built:
     return build([(Path("log"), reader)], nets, options or BuildOptions(), out, lambda *_: None)
 
 
 def test_a_file_of_windows_of_the_net_that_fits(road: RoadMap, crossing: Path, tmp_path: Path) -> None:
-    nets = Nets((RoadMap.read(crossing), road), None)
+    nets = LogNets((RoadMap.read(crossing), road), None)
     found = built(OneDrive(drive()), nets, tmp_path / "w.safetensors")
     assert found.files == {tmp_path / "w.safetensors": 10}
     made = read_windows(tmp_path / "w.safetensors")
@@ -111,14 +111,14 @@ def test_logs_that_cannot_be_used_say_why(road: RoadMap, tmp_path: Path) -> None
     with pytest.raises(
         SceneError, match=r"log: none of the 1 drives gives a window \(1 of 1: on none of the nets\)"
     ):
-        built(OneDrive(away), Nets((road,), None), tmp_path / "w")
+        built(OneDrive(away), LogNets((road,), None), tmp_path / "w")
     with pytest.raises(SceneError, match="no net was given"):
-        built(OneDrive(drive()), Nets((), None), tmp_path / "w")
+        built(OneDrive(drive()), LogNets((), None), tmp_path / "w")
     short = replace(drive(), tracks=drive().tracks.window(0, 12))
     with pytest.raises(SceneError, match="too short for a window of 8 s"):
-        built(OneDrive(short), Nets((road,), None), tmp_path / "w")
+        built(OneDrive(short), LogNets((road,), None), tmp_path / "w")
     with pytest.raises(ConfigError, match="--split val goes with the tables of nuScenes only"):
-        built(OneDrive(drive()), Nets((road,), None), tmp_path / "w", BuildOptions(split="val"))
+        built(OneDrive(drive()), LogNets((road,), None), tmp_path / "w", BuildOptions(split="val"))
     assert not list(tmp_path.iterdir())
 
 
@@ -129,7 +129,7 @@ def test_records_whose_names_begin_alike_are_on_nets_of_their_own(tmp_path: Path
         write(logs / f"sd_made_v1.0_{number}.pkl", record((100.0 * number, 0.0), heading))
     write(logs / "sub" / "sd_made_v1.0_0.pkl", record((0.0, 50.0), 2.0))
     write(logs / "sd_lost.pkl", record() | {"map_features": {}})
-    found = built(ScenarioNetReader(logs), Nets((), tmp_path / "nets"), tmp_path / "w")
+    found = built(ScenarioNetReader(logs), LogNets((), tmp_path / "nets"), tmp_path / "w")
     names = ["logs-sd_made_v1.0_0", "sd_made_v1.0_1", "sub-sd_made_v1.0_0"]
     assert [name for name, _ in found.drives] == names
     assert all(count > 0 for _, count in found.drives)
@@ -144,7 +144,7 @@ def test_records_whose_names_begin_alike_are_on_nets_of_their_own(tmp_path: Path
     ]
     scenes = [name for path in found.files for name in read_windows(path).scene_names]
     assert sorted(scenes) == sorted(names)
-    again = built(ScenarioNetReader(logs), Nets((), tmp_path / "nets"), tmp_path / "w")
+    again = built(ScenarioNetReader(logs), LogNets((), tmp_path / "nets"), tmp_path / "w")
     assert again == found
     assert len(list((tmp_path / "nets").glob("*.net.xml"))) == 3
 
@@ -160,7 +160,7 @@ def test_nets_of_one_name_and_drives_of_one_name_keep_apart(road: RoadMap, tmp_p
     (tmp_path / "b" / road.path.name).write_text(moved(shifted, 5000.0))
     nets[1] = RoadMap.read(nets[1].path)
     logs: list[tuple[Path, LogReader]] = [(Path("log"), OneDrive(drive())), (Path("more"), OneDrive(away))]
-    found = build(logs, Nets(tuple(nets), None), BuildOptions(), tmp_path / "w", lambda *_: None)
+    found = build(logs, LogNets(tuple(nets), None), BuildOptions(), tmp_path / "w", lambda *_: None)
     files = {tmp_path / "w" / f"{folder}-street.safetensors": 10 for folder in ("a", "b")}
     assert found.files == files
     made = [read_windows(path) for path in files]
@@ -184,7 +184,7 @@ def moved(net: str, by_m: float) -> str:
 @pytest.mark.data
 def test_every_real_record_gives_windows(adv_data: Path, tmp_path: Path) -> None:
     folder = adv_data / "scenarionet"
-    found = built(ScenarioNetReader(folder), Nets((), tmp_path / "nets"), tmp_path / "w")
+    found = built(ScenarioNetReader(folder), LogNets((), tmp_path / "nets"), tmp_path / "w")
     assert found.skipped == []
     assert [name for name, count in found.drives if count] == sorted(
         path.stem for path in folder.glob("sd_*")
@@ -194,7 +194,7 @@ def test_every_real_record_gives_windows(adv_data: Path, tmp_path: Path) -> None
 @pytest.mark.data
 def test_a_waymo_record_on_the_net_of_its_own_map(adv_data: Path, tmp_path: Path) -> None:
     record = next((adv_data / "scenarionet").glob("sd_training*.pkl"))
-    nets = Nets((), tmp_path / "nets")
+    nets = LogNets((), tmp_path / "nets")
     found = build(
         [(record, ScenarioNetReader(record))],
         nets,
@@ -223,7 +223,7 @@ def test_the_challenge_needs_its_file_and_names_what_is_missing(adv_data: Path, 
     if not (root / "maps" / "prediction").exists():
         options = BuildOptions(challenge=True)
         with pytest.raises(LogError, match=r"prediction_scenes\.json"):
-            build([(root, reader)], Nets((), tmp_path / "n"), options, tmp_path / "w", lambda *_: None)
+            build([(root, reader)], LogNets((), tmp_path / "n"), options, tmp_path / "w", lambda *_: None)
     linked = tmp_path / "root"
     (linked / "maps" / "prediction").mkdir(parents=True)
     (linked / "v1.0-mini").symlink_to(root / "v1.0-mini")
@@ -233,7 +233,7 @@ def test_the_challenge_needs_its_file_and_names_what_is_missing(adv_data: Path, 
     with pytest.raises(LogError, match=f"names sample nowhere, which {name} does not have"):
         build(
             [(linked, NuScenesReader(linked))],
-            Nets((), tmp_path / "n"),
+            LogNets((), tmp_path / "n"),
             BuildOptions(challenge=True),
             tmp_path / "w",
             lambda *_: None,

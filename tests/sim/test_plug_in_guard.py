@@ -20,7 +20,7 @@ from advdiff_sumo.core.errors import (
     PlannerError,
     PlanRefusedError,
 )
-from advdiff_sumo.sim.heartbeat import NOT_STARTED, Heartbeat, Phase
+from advdiff_sumo.sim.heartbeat import NOT_STARTED, Heartbeat, ProcessPhase
 from advdiff_sumo.sim.plug_in_guard import PlugInGuard
 
 
@@ -39,7 +39,7 @@ class PlugIn:
 
 
 def guard() -> PlugInGuard:
-    return PlugInGuard(PlugIn(), "target 'mine:P'", Phase.TARGET)
+    return PlugInGuard(PlugIn(), "target 'mine:P'", ProcessPhase.TARGET)
 
 
 LINE = inspect.getsourcelines(PlugIn.plan)[1] + 1
@@ -119,15 +119,17 @@ def test_the_heartbeat_can_be_read_from_outside(tmp_path: Path) -> None:
     heartbeat = Heartbeat(path)
     first = Heartbeat.read(path)
     assert first is not None
-    assert (first.pid, first.phase, first.steps) == (os.getpid(), Phase.OTHER, NOT_STARTED)
-    heartbeat.note(Phase.SIMULATOR, 12)
+    assert (first.pid, first.phase, first.steps) == (os.getpid(), ProcessPhase.OTHER, NOT_STARTED)
+    heartbeat.note(ProcessPhase.SIMULATOR, 12)
     inside: list[Any] = []
-    PlugInGuard(PlugIn(), "it", Phase.TARGET, heartbeat).call(lambda: inside.append(Heartbeat.read(path)))
-    assert (inside[0].phase, inside[0].steps) == (Phase.TARGET, 12)
+    PlugInGuard(PlugIn(), "it", ProcessPhase.TARGET, heartbeat).call(
+        lambda: inside.append(Heartbeat.read(path))
+    )
+    assert (inside[0].phase, inside[0].steps) == (ProcessPhase.TARGET, 12)
     assert inside[0].since_s >= first.since_s
     after = Heartbeat.read(path)
     assert after is not None
-    assert (after.phase, after.steps) == (Phase.SIMULATOR, 12)
+    assert (after.phase, after.steps) == (ProcessPhase.SIMULATOR, 12)
     path.write_bytes(b"half")
     assert Heartbeat.read(path) is None
 
@@ -137,7 +139,7 @@ def test_a_note_that_is_half_written_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "beat"
     heartbeat = Heartbeat(path)
     before = path.read_bytes()
-    heartbeat.note(Phase.BACKGROUND, 34)
+    heartbeat.note(ProcessPhase.BACKGROUND, 34)
     after = path.read_bytes()
     whole = {Heartbeat.read(path)}
     path.write_bytes(before)

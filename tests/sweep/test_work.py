@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from advdiff_sumo.sim.heartbeat import Heartbeat, Phase
+from advdiff_sumo.sim.heartbeat import Heartbeat, ProcessPhase
 from advdiff_sumo.sim.run_episodes import RunOptions
 from advdiff_sumo.sweep import tasks
 from advdiff_sumo.sweep.consolidate import read_rows
@@ -144,25 +144,31 @@ def test_how_long_each_phase_may_last(limits: WorkerLimits) -> None:
     """A planner may take as long to be made as SUMO to start, also where its plans have to come soon."""
     for plan_s, longest_s in ((2.0, 300.0), (400.0, 400.0), (math.inf, math.inf)):
         own = WorkerLimits(math.inf, 0, 1, 0.9, limits.logs, plan_timeout_s=plan_s)
-        assert {phase: own.longest_s(phase) for phase in Phase} == {
-            Phase.OTHER: math.inf,
-            Phase.SIMULATOR: longest_s,
-            Phase.TARGET: plan_s,
-            Phase.BACKGROUND: plan_s,
-            Phase.MAKING_TARGET: longest_s,
-            Phase.MAKING_BACKGROUND: longest_s,
+        assert {phase: own.longest_s(phase) for phase in ProcessPhase} == {
+            ProcessPhase.OTHER: math.inf,
+            ProcessPhase.SIMULATOR: longest_s,
+            ProcessPhase.TARGET: plan_s,
+            ProcessPhase.BACKGROUND: plan_s,
+            ProcessPhase.MAKING_TARGET: longest_s,
+            ProcessPhase.MAKING_BACKGROUND: longest_s,
         }
 
 
 @pytest.mark.parametrize(
     ("phase", "words"),
     [
-        (Phase.MAKING_BACKGROUND, "background 'mine:B' ended its process while it was made: the worker left"),
-        (Phase.BACKGROUND, "background 'mine:B' ended its process before the first step: the worker left"),
+        (
+            ProcessPhase.MAKING_BACKGROUND,
+            "background 'mine:B' ended its process while it was made: the worker left",
+        ),
+        (
+            ProcessPhase.BACKGROUND,
+            "background 'mine:B' ended its process before the first step: the worker left",
+        ),
     ],
 )
 def test_what_is_said_of_a_worker_that_was_lost_before_the_first_step(
-    limits: WorkerLimits, phase: Phase, words: str
+    limits: WorkerLimits, phase: ProcessPhase, words: str
 ) -> None:
     task = EpisodeTask("k", RunOptions(background="mine:B"), 0, b"", "")
     Heartbeat(limits.heartbeat_of("k")).note(phase)

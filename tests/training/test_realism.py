@@ -17,7 +17,7 @@ from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.training.dataset import read_window_set
 from advdiff_sumo.training.displacement import logged
-from advdiff_sumo.training.evaluation import Judging, evaluate_bundle
+from advdiff_sumo.training.evaluation import EvaluationSettings, evaluate_bundle
 from advdiff_sumo.training.realism import _overlap as overlap
 from advdiff_sumo.training.realism import (
     colliding,
@@ -118,7 +118,7 @@ def test_next_to_an_instant_that_is_not_known_no_acceleration_is(batch: SceneBat
 def test_every_way_to_predict_has_its_row(bundle: Bundle, window_folder) -> None:
     windows = read_window_set([window_folder])
     trained = replace(bundle, stages=("traffic", "denoiser"))
-    judging = Judging(samples=3, steps=2, windows=6, batch_size=4)
+    judging = EvaluationSettings(samples=3, steps=2, windows=6, batch_size=4)
     found = evaluate_bundle(trained, windows, judging, torch.device("cpu"))
     ways = ["constant velocity", "lane following", "posterior", "prior", "latent diffusion", "log"]
     assert list(found) == ways

@@ -24,7 +24,7 @@ from advdiff_sumo.training.learning_rates import rate_factor
 from advdiff_sumo.training.presets import STAGES, StageName, TrainOptions, preset
 from advdiff_sumo.training.setup import TrainingRequest, prepare
 from advdiff_sumo.training.stage import Moment
-from advdiff_sumo.training.training_loop import Job, Trainer
+from advdiff_sumo.training.training_loop import Trainer, TrainingJob
 from tests.training.straight_road import write
 
 SMALL_NETWORKS = [
@@ -37,15 +37,17 @@ def options(stage: StageName = "traffic", *more: str) -> TrainOptions:
     return preset("small", stage, [*SMALL_NETWORKS, "batch_size=3", "epochs=2", "held_out=0.3", *more])
 
 
-def job(folder: Path, out: Path, stage: StageName = "traffic", init: Path | None = None, *more: str) -> Job:
+def job(
+    folder: Path, out: Path, stage: StageName = "traffic", init: Path | None = None, *more: str
+) -> TrainingJob:
     out.mkdir(exist_ok=True)
     return prepare(TrainingRequest(stage, (folder,), out, options(stage, *more), init, seed=4, device="cpu"))
 
 
-def run(made: Job, resume: bool = False, stop_after: int | None = None) -> None:
+def run(made: TrainingJob, resume: bool = False, stop_after: int | None = None) -> None:
     """Train; with *stop_after*, Ctrl-C comes in that step."""
 
-    def tell(progress: checkpoint.Progress, *_: object) -> None:
+    def tell(progress: checkpoint.TrainingProgress, *_: object) -> None:
         if progress.step == stop_after:
             signal.raise_signal(signal.SIGINT)
 

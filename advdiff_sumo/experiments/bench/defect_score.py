@@ -15,8 +15,8 @@ from advdiff_sumo.experiments.bench.defect_cells import SOUND
 from advdiff_sumo.experiments.bench.detection import (
     LEVEL,
     Detection,
+    EpisodeOutcome,
     FirstDetection,
-    Outcome,
     Tried,
     detections,
     first_detection,
@@ -182,7 +182,7 @@ def by_stratum_text(contests: tuple[Contest, ...], cells: BenchCells) -> str:
 
 def _tried(episodes: list[EpisodeResult], order: Mapping[str, int]) -> Tried:
     ranked = sorted(episodes, key=lambda one: order[one.scene])
-    return {one.scene: Outcome.of(one.row, one.cpu_s) for one in ranked}
+    return {one.scene: EpisodeOutcome.of(one.row, one.cpu_s) for one in ranked}
 
 
 def _shares(some: Iterable[Tried]) -> list[float]:

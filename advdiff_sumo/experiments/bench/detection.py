@@ -15,7 +15,7 @@ LEVEL = 0.05
 
 
 @dataclass(frozen=True)
-class Outcome:
+class EpisodeOutcome:
     """What an episode came to.
 
     Attributes:
@@ -27,12 +27,12 @@ class Outcome:
     cpu_s: float = 0.0
 
     @staticmethod
-    def of(row: Mapping[str, Any], cpu_s: float | None) -> Outcome:
+    def of(row: Mapping[str, Any], cpu_s: float | None) -> EpisodeOutcome:
         """Return that of a row of ``episodes``; what cannot be judged is no valid failure."""
-        return Outcome(is_valid_failure(row), cpu_s or 0.0)
+        return EpisodeOutcome(is_valid_failure(row), cpu_s or 0.0)
 
 
-Tried: TypeAlias = Mapping[str, Outcome]
+Tried: TypeAlias = Mapping[str, EpisodeOutcome]
 """Seed scene → what came of it, in the order in which the scenes are tried."""
 
 

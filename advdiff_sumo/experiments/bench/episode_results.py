@@ -10,7 +10,7 @@ from typing import Any
 from advdiff_sumo.core.worker_pool import in_processes
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
-from advdiff_sumo.experiments.bench.traces import UNTRACED, Trace, trace_of
+from advdiff_sumo.experiments.bench.traces import UNTRACED, BackgroundTrace, trace_of
 from advdiff_sumo.metrics.severity import is_failure
 from advdiff_sumo.sweep.job_plan import Job
 from advdiff_sumo.sweep.sweep_files import read_checked, write_checked
@@ -31,7 +31,7 @@ class EpisodeResult:
 
     scene: str
     row: Mapping[str, Any]
-    trace: Trace
+    trace: BackgroundTrace
     plan_s: float | None
     cpu_s: float | None = None
 
@@ -75,7 +75,7 @@ def gather(
     gathered = Gathered()
     for cell, job in jobs:
         content = read_checked(cache / job.key)
-        _take(gathered, cell, job, store, Trace.from_bytes(content) if content else None)
+        _take(gathered, cell, job, store, BackgroundTrace.from_bytes(content) if content else None)
     return gathered
 
 
@@ -87,7 +87,7 @@ def gather_rows(cells: BenchCells, store: Store) -> Gathered:
     return gathered
 
 
-def _take(gathered: Gathered, cell: BenchCell, job: Job, store: Store, trace: Trace | None) -> None:
+def _take(gathered: Gathered, cell: BenchCell, job: Job, store: Store, trace: BackgroundTrace | None) -> None:
     results, failed = gathered.finished.setdefault(cell, []), gathered.failed.setdefault(cell, {})
     part = store.read(job.key)
     if part is None:

@@ -17,7 +17,7 @@ FEW = 40
 
 
 @dataclass(frozen=True)
-class Forecast:
+class TimeForecast:
     """Expected time of what is left, on one worker.
 
     Attributes:
@@ -37,7 +37,7 @@ class Forecast:
 
 def forecast(
     cells: BenchCells, todo: tuple[Job, ...], horizon_s: float, limits: WorkerLimits
-) -> Forecast | None:
+) -> TimeForecast | None:
     """Try short episodes of each background, of which the first loads its networks; from two lengths follows the rest.
 
     Returns:
@@ -69,7 +69,7 @@ def forecast(
             episode_s[name] = _extrapolated(tried_s[1], tried_s[2], horizon_s) + _TRACE_S
     batches = len({job.batch for job in todo})
     total = sum(episode_s[name] * len(jobs) for name, jobs in kinds.items())
-    return Forecast(outcome.wall_s * batches, total, episode_s)
+    return TimeForecast(outcome.wall_s * batches, total, episode_s)
 
 
 def _extrapolated(short_s: float, long_s: float, horizon_s: float) -> float:

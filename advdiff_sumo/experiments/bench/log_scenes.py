@@ -11,7 +11,7 @@ from advdiff_sumo.data import open_log
 from advdiff_sumo.data.log_reader import LogReader
 from advdiff_sumo.experiments.bench.scene_list import ListedScene, SceneList, choose_scenes
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.log_nets import Nets, NoNetError
+from advdiff_sumo.sim.log_nets import LogNets, NoNetError
 from advdiff_sumo.sim.logs import LoggedTraffic
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
@@ -92,7 +92,7 @@ def scenes_of_log(log: Path, reader: LogReader, folder: Path) -> SceneList:
 
 def _roads(reader: LogReader, folder: Path) -> tuple[dict[str, RoadMap], list[str]]:
     """Return the nets of all drives, by path and in its order, and which drives are left out and why."""
-    nets, roads, left_out = Nets((), folder), dict[str, RoadMap](), list[str]()
+    nets, roads, left_out = LogNets((), folder), dict[str, RoadMap](), list[str]()
     for drive in reader.scenes():
         try:
             road = nets.of(drive, reader)

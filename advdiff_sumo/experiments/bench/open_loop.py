@@ -36,7 +36,7 @@ Draw = Callable[[SceneBatch, int, torch.Generator], tuple[Rollout, int]]
 
 
 @dataclass(frozen=True)
-class Model:
+class ComparedModel:
     """A row of the table.
 
     Attributes:
@@ -145,14 +145,20 @@ def _fitted(decode: Decode, drawn: Tensor, context: Context, several: SceneBatch
     return refined
 
 
-MODELS: Mapping[str, Model] = {
-    "log": Model("the log itself", "", _log),
-    "simnet": Model("SimNet", "simnet.safetensors", _simnet),
-    "trafficsim": Model("TrafficSim (prior)", "traffic.safetensors", _prior),
-    "traj2traj": Model("traj2traj", "traj2traj.safetensors", partial(_diffusion, steps=TRAJECTORY_STEPS)),
-    "diffusion": Model("latent diffusion (ours)", "traffic.safetensors", _diffusion),
-    "closed-loop": Model("… with the closed-loop decoder", "closed-loop.safetensors", _diffusion, "far"),
-    "together": Model("… made to fit together", "traffic.safetensors", partial(_diffusion, fitted=True)),
+MODELS: Mapping[str, ComparedModel] = {
+    "log": ComparedModel("the log itself", "", _log),
+    "simnet": ComparedModel("SimNet", "simnet.safetensors", _simnet),
+    "trafficsim": ComparedModel("TrafficSim (prior)", "traffic.safetensors", _prior),
+    "traj2traj": ComparedModel(
+        "traj2traj", "traj2traj.safetensors", partial(_diffusion, steps=TRAJECTORY_STEPS)
+    ),
+    "diffusion": ComparedModel("latent diffusion (ours)", "traffic.safetensors", _diffusion),
+    "closed-loop": ComparedModel(
+        "… with the closed-loop decoder", "closed-loop.safetensors", _diffusion, "far"
+    ),
+    "together": ComparedModel(
+        "… made to fit together", "traffic.safetensors", partial(_diffusion, fitted=True)
+    ),
 }
 
 

@@ -32,7 +32,7 @@ NEAR_M = 60.0
 
 
 @dataclass(frozen=True)
-class Trace:
+class BackgroundTrace:
     """One episode's background; counts are of vehicles.
 
     Attributes:
@@ -63,15 +63,15 @@ class Trace:
         return json.dumps(asdict(self)).encode()
 
     @staticmethod
-    def from_bytes(content: bytes) -> Trace:
+    def from_bytes(content: bytes) -> BackgroundTrace:
         """Return what :meth:`to_bytes` wrote."""
         plain: dict[str, Any] = json.loads(content)
         for key, value in plain.items():
             plain[key] = tuple(value) if isinstance(value, list) else value
-        return Trace(**plain)
+        return BackgroundTrace(**plain)
 
 
-UNTRACED = Trace(0, 0, None, (), (), (), 0.0, 0.0)
+UNTRACED = BackgroundTrace(0, 0, None, (), (), (), 0.0, 0.0)
 """Nothing is known of the background."""
 
 
@@ -98,7 +98,7 @@ def _trace(part: StoredEpisode, road: RoadMap, judged: bool) -> bytes:
     counted = _counted(states, near)
     speed, accel, ttc = histograms(coarse, near)
     nats, seconds = natural_nats(road, coarse, states.target, _ever(near)) if judged else (0.0, 0.0)
-    return Trace(
+    return BackgroundTrace(
         vehicles=int(counted.sum()),
         hit=_hit(part.tables["collisions"], states.tracks, counted),
         off_road=int(row["bv_offroad_vehicles"]) if states.moved else None,

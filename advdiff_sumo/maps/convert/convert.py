@@ -20,7 +20,7 @@ from advdiff_sumo.maps.convert.dividers import dashed_pairs
 from advdiff_sumo.maps.convert.geometry_checks import check_geometry
 from advdiff_sumo.maps.convert.lane_routes import plan_drivable
 from advdiff_sumo.maps.convert.layout.cut_crossings import cut_at_crossings
-from advdiff_sumo.maps.convert.layout.lane_paths import Connection, find_connections
+from advdiff_sumo.maps.convert.layout.lane_paths import LaneConnection, find_connections
 from advdiff_sumo.maps.convert.layout.lay_out import lay_out
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide, find_side_by_side
@@ -75,7 +75,7 @@ class ConversionResult:
     tracks: list[Track]
     layout: Layout
     plan: NetPlan
-    doubles: list[Connection]
+    doubles: list[LaneConnection]
     counts: Counter[str]
     netconvert_warnings: tuple[str, ...]
     foot_paths: FootPaths | None = None

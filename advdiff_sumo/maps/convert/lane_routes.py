@@ -10,7 +10,7 @@ from typing import Any
 
 from defusedxml import ElementTree
 
-from advdiff_sumo.maps.convert.layout.lane_paths import Connection
+from advdiff_sumo.maps.convert.layout.lane_paths import LaneConnection
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan, Track, plan_net
 from advdiff_sumo.maps.read_net import BEYOND_TYPE
@@ -137,7 +137,7 @@ def edges_to_part(graph: RouteLanes) -> list[str]:
     return sorted(edge for edge in blocked if len(graph.parts(edge)) > 1)
 
 
-def plan_drivable(tracks: list[Track], layout: Layout, ways: list[Connection], lefthand: bool) -> NetPlan:
+def plan_drivable(tracks: list[Track], layout: Layout, ways: list[LaneConnection], lefthand: bool) -> NetPlan:
     """Return the net of *layout*; lanes that may not be changed become edges of their own where routes get stuck.
 
     SUMO's routes are made of edges, so an edge whose lanes lead to different places and may not be changed invites

@@ -17,7 +17,7 @@ from shapely.ops import substring
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.layout.joints import Joints
-from advdiff_sumo.maps.convert.layout.lane_paths import Connection
+from advdiff_sumo.maps.convert.layout.lane_paths import LaneConnection
 from advdiff_sumo.maps.convert.layout.lane_segments import Piece
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.sources.source_map import Lamp, LaneUse, SourceLane
@@ -114,7 +114,7 @@ class ConnectionPlan:
     shape_m: FloatArray
     speed_mps: float
     source: str
-    way: Connection
+    way: LaneConnection
     passes: bool = False
 
     @property
@@ -169,7 +169,7 @@ class NetPlan:
         return {connection.key: connection for connection in self.connections}
 
 
-def plan_net(tracks: list[Track], layout: Layout, ways: list[Connection], lefthand: bool) -> NetPlan:
+def plan_net(tracks: list[Track], layout: Layout, ways: list[LaneConnection], lefthand: bool) -> NetPlan:
     """Return the net of a layout.
 
     Args:
@@ -236,7 +236,7 @@ def _source(track: Track, piece: Piece) -> str:
 
 
 def _connection_plan(
-    tracks: list[Track], lane_of: dict[Piece, tuple[str, int]], way: Connection
+    tracks: list[Track], lane_of: dict[Piece, tuple[str, int]], way: LaneConnection
 ) -> ConnectionPlan:
     parts = [polyline.cut(tracks[p.lane].centre_m, p.from_m, p.to_m) for p in way.parts]
     if not parts:  # lanes that meet without anything between them

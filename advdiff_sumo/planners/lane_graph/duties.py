@@ -11,11 +11,11 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import Link
 from advdiff_sumo.planners.lane_graph.conflicts import conflict_zone
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
-from advdiff_sumo.planners.lane_graph.memory import Memory
-from advdiff_sumo.planners.lane_graph.others import Others, Way
+from advdiff_sumo.planners.lane_graph.memory import LaneGraphMemory
+from advdiff_sumo.planners.lane_graph.others import Others, PossibleWay
 from advdiff_sumo.planners.lane_graph.path import Geometry, Zone
 from advdiff_sumo.planners.lane_graph.rules import Duty, Rule, may_go, rule_at
-from advdiff_sumo.planners.lane_graph.variants import State, Variant
+from advdiff_sumo.planners.lane_graph.variants import TargetState, Variant
 
 _SIGNAL_BRAKE_MPS2, _YELLOW_BRAKE_MPS2 = 6.0, 3.0
 _PASSED_M = 1.5
@@ -61,11 +61,11 @@ class Duties:
 def duties(
     geometry: Geometry,
     scene: Scene,
-    state: State,
+    state: TargetState,
     variant: Variant,
     others: Others,
-    ways: Sequence[Way],
-    memory: Memory,
+    ways: Sequence[PossibleWay],
+    memory: LaneGraphMemory,
     options: LaneGraphOptions,
 ) -> Duties:
     """Return what the links ahead on *variant* ask for."""
@@ -106,12 +106,12 @@ def _must_stop(
     link: Link,
     rule: Rule,
     distance_m: float,
-    state: State,
+    state: TargetState,
     foes: Sequence[Foe],
     scene: Scene,
     others: Others,
-    ways: Sequence[Way],
-    memory: Memory,
+    ways: Sequence[PossibleWay],
+    memory: LaneGraphMemory,
     options: LaneGraphOptions,
 ) -> bool:
     brake = state.speed_mps**2 / (2.0 * max(distance_m, 0.1))
@@ -130,8 +130,8 @@ def _others_first(
     scene: Scene,
     foes: Sequence[Foe],
     others: Others,
-    ways: Sequence[Way],
-    memory: Memory,
+    ways: Sequence[PossibleWay],
+    memory: LaneGraphMemory,
     options: LaneGraphOptions,
 ) -> bool:
     """Return whether, at an all-way stop, someone is on the junction or has waited longer."""
@@ -154,7 +154,7 @@ def _foes(
     link: Link,
     line_m: float,
     rule: Rule,
-    ways: Sequence[Way],
+    ways: Sequence[PossibleWay],
     others: Others,
 ) -> list[Foe]:
     if not rule.yields_to:
@@ -192,7 +192,7 @@ def _exit_blocked(
     link: Link,
     line_m: float,
     beyond_m: float,
-    state: State,
+    state: TargetState,
     variant: Variant,
     others: Others,
 ) -> bool:

@@ -22,20 +22,20 @@ from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.planners.lane_graph.chains import route_ahead
 from advdiff_sumo.planners.lane_graph.duties import Duties, duties
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
-from advdiff_sumo.planners.lane_graph.memory import Memory
+from advdiff_sumo.planners.lane_graph.memory import LaneGraphMemory
 from advdiff_sumo.planners.lane_graph.others import Others, others_near, ways_of
 from advdiff_sumo.planners.lane_graph.path import Geometry
 from advdiff_sumo.planners.lane_graph.predict import STEP_S, Ego, Forecast, forecast
 from advdiff_sumo.planners.lane_graph.profiles import Modes, drive, leaders, modes
 from advdiff_sumo.planners.lane_graph.proposal_score import (
-    Candidates,
+    ProposalStates,
     collision_cost,
     driving_cost,
     followers,
     overrun_cost,
     precedence_cost,
 )
-from advdiff_sumo.planners.lane_graph.variants import Place, State, Variant, locate, variants
+from advdiff_sumo.planners.lane_graph.variants import Place, TargetState, Variant, locate, variants
 
 _PLAN_STEP_S = 0.1
 _PLAN_STEPS = 20
@@ -54,14 +54,14 @@ class LaneGraphPlanner:
     def __init__(self, **options: Any) -> None:
         self.options = LaneGraphOptions.parse(options, "options of target 'lane_graph'")
 
-    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> Memory:
+    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> LaneGraphMemory:
         """Return an empty memory with room for the reference lines of *road*."""
         del scene, rng
-        return Memory(Geometry.of(road))
+        return LaneGraphMemory(Geometry.of(road))
 
     def plan(
-        self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
-    ) -> tuple[Plan, Memory]:
+        self, road: RoadMap, scene: Scene, memory: LaneGraphMemory, rng: np.random.Generator
+    ) -> tuple[Plan, LaneGraphMemory]:
         """Return 2 s of states at 0.1 s that a bicycle drove, and the new memory."""
         del rng
         steps = round(self.options.horizon_s / STEP_S)
@@ -120,11 +120,11 @@ class LaneGraphPlanner:
         self,
         sides: list[Variant],
         choice: Modes,
-        state: State,
+        state: TargetState,
         others: Others,
         future: Forecast,
         steps: int,
-    ) -> Candidates:
+    ) -> ProposalStates:
         now = replace(
             future,
             xy_m=others.xy_m[future.other][:, None],
@@ -137,12 +137,12 @@ class LaneGraphPlanner:
         for v, side in enumerate(sides):
             rows = choice.variant == v
             xy[rows], yaw[rows] = side.poses(s[rows])
-        return Candidates(xy, yaw, speed, s, accel)
+        return ProposalStates(xy, yaw, speed, s, accel)
 
 
-def _state(scene: Scene, memory: Memory) -> State:
+def _state(scene: Scene, memory: LaneGraphMemory) -> TargetState:
     row, history = scene.target, scene.history
-    return State(
+    return TargetState(
         xy_m=history.xy_m[row, -1],
         yaw_rad=float(history.yaw_rad[row, -1]),
         speed_mps=max(float(history.speed_mps[row, -1]), 0.0),
@@ -153,7 +153,7 @@ def _state(scene: Scene, memory: Memory) -> State:
     )
 
 
-def _claims(memory: Memory, state: State) -> tuple[Link, ...]:
+def _claims(memory: LaneGraphMemory, state: TargetState) -> tuple[Link, ...]:
     """Return the links ahead on the path chosen last, which those who must yield are expected to leave free."""
     if not memory.lanes:
         return ()
@@ -163,11 +163,11 @@ def _claims(memory: Memory, state: State) -> tuple[Link, ...]:
     return tuple(link for link, claimed in zip(path.links, near, strict=True) if claimed)
 
 
-def _target_lane(memory: Memory) -> str | None:
+def _target_lane(memory: LaneGraphMemory) -> str | None:
     return next((lane for lane in memory.lanes if not lane.startswith(":")), None)
 
 
-def _driven(side: Variant, candidates: Candidates, best: int, state: State) -> Trajectory:
+def _driven(side: Variant, candidates: ProposalStates, best: int, state: TargetState) -> Trajectory:
     """Return what a bicycle makes of the chosen candidate."""
     coarse = STEP_S * np.arange(candidates.s_m.shape[1] + 1)
     fine = _PLAN_STEP_S * np.arange(1, _PLAN_STEPS + 1)
@@ -180,7 +180,7 @@ def _driven(side: Variant, candidates: Candidates, best: int, state: State) -> T
     return Trajectory(*driven, dt_s=_PLAN_STEP_S)
 
 
-def _brake(state: State) -> Trajectory:
+def _brake(state: TargetState) -> Trajectory:
     """Return a straight stop, for a target that no lane is near to."""
     fine = _PLAN_STEP_S * np.arange(1, _PLAN_STEPS + 1)
     speed = np.maximum(state.speed_mps - 4.0 * fine, 0.0)
@@ -191,9 +191,9 @@ def _brake(state: State) -> Trajectory:
 
 
 def _remember(
-    memory: Memory,
+    memory: LaneGraphMemory,
     scene: Scene,
-    state: State,
+    state: TargetState,
     place: Place,
     side: Variant,
     rule: Duties,
@@ -201,7 +201,7 @@ def _remember(
     plan: Trajectory,
     others: Others,
     halt_m: float,
-) -> Memory:
+) -> LaneGraphMemory:
     """Return what to know at the next plan; who stands *halt_m* or less before a line has stopped there."""
     ahead = [(link, line - side.s_m - state.front_m) for link, line in rule.passing]
     stopped = memory.stopped
@@ -230,7 +230,7 @@ def _remember(
     )
 
 
-def _inputs(plan: Trajectory, state: State, next_s: float) -> tuple[float, float]:
+def _inputs(plan: Trajectory, state: TargetState, next_s: float) -> tuple[float, float]:
     """Return curvature and acceleration that the plan has when the next one is due, *next_s* from now."""
     k = min(max(round(next_s / plan.dt_s) - 1, 1), len(plan.speed_mps) - 1)
     driven = max(0.5 * float(plan.speed_mps[k] + plan.speed_mps[k - 1]) * plan.dt_s, 1e-3)
@@ -239,7 +239,7 @@ def _inputs(plan: Trajectory, state: State, next_s: float) -> tuple[float, float
     return curvature, float(plan.speed_mps[k] - plan.speed_mps[k - 1]) / plan.dt_s
 
 
-def _waiting(memory: Memory, scene: Scene, state: State, others: Others) -> dict[str, float]:
+def _waiting(memory: LaneGraphMemory, scene: Scene, state: TargetState, others: Others) -> dict[str, float]:
     names = [scene.history.ids[row] for row in others.rows.tolist()] + [scene.target_id]
     speeds = [*others.speed_mps.tolist(), state.speed_mps]
     known = memory.waiting_since_s

@@ -10,7 +10,7 @@ from advdiff_sumo.planners.lane_graph.path import Geometry
 
 
 @dataclass(frozen=True)
-class Memory:
+class LaneGraphMemory:
     """State between plans; :attr:`geometry` only saves work, it changes no plan.
 
     Attributes:

@@ -45,7 +45,7 @@ class Others:
 
 
 @dataclass(frozen=True)
-class Way:
+class PossibleWay:
     """One way that a road user may take.
 
     Attributes:
@@ -105,7 +105,7 @@ def others_near(scene: Scene) -> Others:
     )
 
 
-def ways_of(geometry: Geometry, scene: Scene, others: Others) -> list[Way]:
+def ways_of(geometry: Geometry, scene: Scene, others: Others) -> list[PossibleWay]:
     """Return the ways that *others* may take, along lanes where they are on one, else straight on."""
     if not len(others.rows):
         return []
@@ -125,7 +125,7 @@ def ways_of(geometry: Geometry, scene: Scene, others: Others) -> list[Way]:
     return _placed(np.array(owner), paths, others)
 
 
-def _placed(owner: IntArray, paths: Sequence[ReferencePath], others: Others) -> list[Way]:
+def _placed(owner: IntArray, paths: Sequence[ReferencePath], others: Others) -> list[PossibleWay]:
     """Return the ways of *owner* (N,) along *paths*; those much farther off than another one are dropped."""
     stack = PathStack(paths)
     s, d = stack.project(others.xy_m[owner][:, None])
@@ -135,7 +135,9 @@ def _placed(owner: IntArray, paths: Sequence[ReferencePath], others: Others) -> 
     kept = np.flatnonzero(np.abs(d[:, 0]) < best[owner] + _MAX_WORSE_M)
     share = 1.0 / np.bincount(owner[kept], minlength=len(others.rows))
     return [
-        Way(int(owner[n]), paths[n], float(s[n, 0]), float(d[n, 0]), float(error[n]), float(share[owner[n]]))
+        PossibleWay(
+            int(owner[n]), paths[n], float(s[n, 0]), float(d[n, 0]), float(error[n]), float(share[owner[n]])
+        )
         for n in kept.tolist()
     ]
 

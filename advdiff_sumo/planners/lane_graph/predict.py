@@ -11,7 +11,7 @@ from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import Link, RoadMap
-from advdiff_sumo.planners.lane_graph.others import Others, Way
+from advdiff_sumo.planners.lane_graph.others import Others, PossibleWay
 from advdiff_sumo.planners.lane_graph.path import SPACING_M, PathStack
 from advdiff_sumo.planners.lane_graph.rules import Duty, rule_at
 
@@ -61,7 +61,7 @@ class Ego:
 
 
 def forecast(
-    road: RoadMap, scene: Scene, others: Others, ways: Sequence[Way], ego: Ego, steps: int
+    road: RoadMap, scene: Scene, others: Others, ways: Sequence[PossibleWay], ego: Ego, steps: int
 ) -> Forecast:
     """Return the futures of *others* along *ways* over *steps* instants."""
     index = np.array([way.other for way in ways], dtype=np.int64)
@@ -92,7 +92,7 @@ def forecast(
 
 
 def _poses(
-    stack: PathStack, ways: Sequence[Way], others: Others, driven_m: FloatArray
+    stack: PathStack, ways: Sequence[PossibleWay], others: Others, driven_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return centres and headings (N, T): along the lanes, with the drift to the side of a change of lanes."""
     index = np.array([way.other for way in ways], dtype=np.int64)
@@ -106,7 +106,7 @@ def _poses(
     return xy, yaw + error[:, None] * np.exp(-driven_m / _ALIGN_M)
 
 
-def _stop_m(road: RoadMap, scene: Scene, others: Others, way: Way, ego: Ego) -> float:
+def _stop_m(road: RoadMap, scene: Scene, others: Others, way: PossibleWay, ego: Ego) -> float:
     """Return how far the road user may drive until it must have stopped; inf for no end."""
     front = 0.5 * float(others.size_m[way.other, 0])
     next_link = way.next_link(front, 0.0)
@@ -127,7 +127,7 @@ def _stop_m(road: RoadMap, scene: Scene, others: Others, way: Way, ego: Ego) -> 
 
 
 def _leaders(
-    stack: PathStack, others: Others, ways: Sequence[Way], ego: Ego
+    stack: PathStack, others: Others, ways: Sequence[PossibleWay], ego: Ego
 ) -> tuple[FloatArray, FloatArray]:
     """Return the gap (N,) to the next road user on each way (inf for none) and that one's speed."""
     index = np.array([way.other for way in ways], dtype=np.int64)
@@ -143,7 +143,7 @@ def _leaders(
     return gap[np.arange(len(ways)), first], speed[first]
 
 
-def _paces(ways: Sequence[Way]) -> FloatArray:
+def _paces(ways: Sequence[PossibleWay]) -> FloatArray:
     """Return (N, P) the highest sensible speed by distance along each way's path."""
     pace = np.empty((len(ways), max((len(way.path.xy_m) for way in ways), default=1)))
     for n, way in enumerate(ways):

@@ -12,7 +12,7 @@ from advdiff_sumo.planners.lane_graph.duties import Duties
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.path import SPACING_M, ReferencePath
 from advdiff_sumo.planners.lane_graph.predict import STEP_S, Forecast
-from advdiff_sumo.planners.lane_graph.variants import State, Variant
+from advdiff_sumo.planners.lane_graph.variants import TargetState, Variant
 
 _SIDE_MARGIN_M = 0.2
 _STOP_HEADWAY_S = 0.5
@@ -115,7 +115,7 @@ class Leaders:
     speed_mps: FloatArray
 
 
-def leaders(variants: Sequence[Variant], state: State, future: Forecast, now: Forecast) -> Leaders:
+def leaders(variants: Sequence[Variant], state: TargetState, future: Forecast, now: Forecast) -> Leaders:
     """Return who is in the way of each lateral choice, now first and then at the instants of *future*."""
     xy = np.concatenate((now.xy_m, future.xy_m), axis=1)
     yaw = np.concatenate((now.yaw_rad, future.yaw_rad), axis=1)
@@ -145,7 +145,7 @@ def drive(
     variants: Sequence[Variant],
     choice: Modes,
     ahead: Leaders,
-    state: State,
+    state: TargetState,
     options: LaneGraphOptions,
     steps: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -12,10 +12,10 @@ from advdiff_sumo.core.boxes import corners, separation
 from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.planners.lane_graph.duties import Duties, Foe
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
-from advdiff_sumo.planners.lane_graph.others import Others, Way
+from advdiff_sumo.planners.lane_graph.others import Others, PossibleWay
 from advdiff_sumo.planners.lane_graph.predict import STEP_S, Forecast
 from advdiff_sumo.planners.lane_graph.profiles import Modes
-from advdiff_sumo.planners.lane_graph.variants import State, Variant
+from advdiff_sumo.planners.lane_graph.variants import TargetState, Variant
 
 _COLLISION, _COLLISION_FADE_S = 300.0, 4.0
 _OVERRUN = 60.0
@@ -26,7 +26,7 @@ _ROUTE, _ROUTE_NEAR_M, _ROUTE_FAR_M = 7.0, 40.0, 160.0
 
 
 @dataclass(frozen=True)
-class Candidates(KinematicStates):
+class ProposalStates(KinematicStates):
     """C futures of the target at T instants, (C, T).
 
     Attributes:
@@ -39,8 +39,8 @@ class Candidates(KinematicStates):
 
 
 def collision_cost(
-    candidates: Candidates,
-    state: State,
+    candidates: ProposalStates,
+    state: TargetState,
     future: Forecast,
     ignored: BoolArray,
     options: LaneGraphOptions,
@@ -76,7 +76,7 @@ def collision_cost(
 
 
 def followers(
-    variants: Sequence[Variant], choice: Modes, state: State, others: Others, future: Forecast
+    variants: Sequence[Variant], choice: Modes, state: TargetState, others: Others, future: Forecast
 ) -> tuple[BoolArray, FloatArray]:
     """Return who follows each combination (C, N) and what cutting in too close before someone costs (C,).
 
@@ -110,10 +110,10 @@ def precedence_cost(
     variants: Sequence[Variant],
     choice: Modes,
     duties: Sequence[Duties],
-    candidates: Candidates,
-    state: State,
+    candidates: ProposalStates,
+    state: TargetState,
     others: Others,
-    ways: Sequence[Way],
+    ways: Sequence[PossibleWay],
     future: Forecast,
     committed: frozenset[tuple[str, str]],
     waited_s: float,
@@ -140,7 +140,7 @@ def precedence_cost(
 def _heeded(
     foes: Sequence[Foe],
     others: Others,
-    ways: Sequence[Way],
+    ways: Sequence[PossibleWay],
     committed: frozenset[tuple[str, str]],
     waited_s: float,
     options: LaneGraphOptions,
@@ -157,14 +157,14 @@ def _heeded(
 
 
 def _takes(
-    candidates: Candidates,
+    candidates: ProposalStates,
     rows: np.ndarray[tuple[int], np.dtype[np.int64]],
     now_m: FloatArray,
     foes: Sequence[Foe],
     gap_s: FloatArray,
-    state: State,
+    state: TargetState,
     others: Others,
-    ways: Sequence[Way],
+    ways: Sequence[PossibleWay],
     future: Forecast,
 ) -> FloatArray:
     """Return (R, F) 1 where the target would be in the conflict area while a foe is, or too shortly before."""
@@ -181,7 +181,7 @@ def _takes(
 
 
 def _times_of(
-    foes: Sequence[Foe], others: Others, ways: Sequence[Way], future: Forecast
+    foes: Sequence[Foe], others: Others, ways: Sequence[PossibleWay], future: Forecast
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return (F,) when each foe can be in the conflict area at the soonest, when it leaves it, and its speed."""
     index = [foe.way for foe in foes]
@@ -197,7 +197,7 @@ def _times_of(
     return soon, late[:, 0], pace
 
 
-def _soonest(distance_m: float, speed_mps: float, stands: bool, way: Way) -> float:
+def _soonest(distance_m: float, speed_mps: float, stands: bool, way: PossibleWay) -> float:
     """Return when a vehicle can be *distance_m* further on: it keeps its speed or picks up to the limit."""
     if distance_m <= 0.0:
         return 0.0
@@ -227,7 +227,9 @@ def _time_at(now_m: FloatArray, s_m: FloatArray, speed_mps: FloatArray, goal_m: 
     return np.where(passed < steps, STEP_S * (first + share), late)
 
 
-def overrun_cost(choice: Modes, duties: Sequence[Duties], candidates: Candidates, state: State) -> FloatArray:
+def overrun_cost(
+    choice: Modes, duties: Sequence[Duties], candidates: ProposalStates, state: TargetState
+) -> FloatArray:
     """Return (C,) the cost of passing a line at which one must stop, by braking too little."""
     stop = np.array([duty.stop_m for duty in duties])[choice.variant]
     over = candidates.s_m[:, -1] + state.front_m - stop
@@ -237,8 +239,8 @@ def overrun_cost(choice: Modes, duties: Sequence[Duties], candidates: Candidates
 def driving_cost(
     variants: Sequence[Variant],
     choice: Modes,
-    candidates: Candidates,
-    state: State,
+    candidates: ProposalStates,
+    state: TargetState,
     target_lane: str | None,
     options: LaneGraphOptions,
 ) -> FloatArray:
@@ -259,7 +261,7 @@ def driving_cost(
 
 
 def _sideways_cost(
-    variant: Variant, target_lane: str | None, state: State, options: LaneGraphOptions
+    variant: Variant, target_lane: str | None, state: TargetState, options: LaneGraphOptions
 ) -> float:
     cost = _NUDGE * abs(variant.target_m)
     underway = variant.side != 0 and target_lane in variant.chain.lanes

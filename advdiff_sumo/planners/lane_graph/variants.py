@@ -18,7 +18,7 @@ from advdiff_sumo.planners.lane_graph.chains import (
     route_chain,
 )
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
-from advdiff_sumo.planners.lane_graph.memory import Memory
+from advdiff_sumo.planners.lane_graph.memory import LaneGraphMemory
 from advdiff_sumo.planners.lane_graph.path import Geometry, ReferencePath
 
 _EDGES_AHEAD = 8
@@ -30,7 +30,7 @@ _NUDGES_M = (0.6, -0.6)
 
 
 @dataclass(frozen=True)
-class State:
+class TargetState:
     """The target now.
 
     Attributes:
@@ -121,7 +121,7 @@ class Variant:
 
 
 def locate(
-    geometry: Geometry, state: State, route: Sequence[str], memory: Memory, waited_s: float
+    geometry: Geometry, state: TargetState, route: Sequence[str], memory: LaneGraphMemory, waited_s: float
 ) -> Place | None:
     """Return where the target is: on the path chosen last, if it is still near, else on the likeliest lane.
 
@@ -137,7 +137,7 @@ def locate(
 
 
 def _edges_ahead(
-    road: RoadMap, lane: str, route: tuple[str, ...], memory: Memory, waited_s: float
+    road: RoadMap, lane: str, route: tuple[str, ...], memory: LaneGraphMemory, waited_s: float
 ) -> tuple[str, ...]:
     """Return the edges ahead; by a detour when the target stands in a lane that it cannot leave for the route."""
     ahead = route_ahead(road, lane, route)
@@ -148,7 +148,9 @@ def _edges_ahead(
     return ahead
 
 
-def _likeliest(geometry: Geometry, state: State, route: Sequence[str], memory: Memory) -> str | None:
+def _likeliest(
+    geometry: Geometry, state: TargetState, route: Sequence[str], memory: LaneGraphMemory
+) -> str | None:
     road = geometry.road
     known = list(route) if route else None
     pose = road.locate(state.xy_m, state.yaw_rad, vclass="passenger", route=known)
@@ -167,7 +169,7 @@ def _serves(geometry: Geometry, lane: str, route: Sequence[str]) -> bool:
 
 
 def _tracked(
-    geometry: Geometry, state: State, memory: Memory, offset_m: float, across_rad: float
+    geometry: Geometry, state: TargetState, memory: LaneGraphMemory, offset_m: float, across_rad: float
 ) -> str | None:
     """Return the lane on or beside the path chosen last, if the target is near enough to it."""
     if not memory.lanes:
@@ -189,7 +191,7 @@ def _tracked(
 
 
 def variants(
-    geometry: Geometry, state: State, place: Place, memory: Memory, options: LaneGraphOptions
+    geometry: Geometry, state: TargetState, place: Place, memory: LaneGraphMemory, options: LaneGraphOptions
 ) -> list[Variant]:
     """Return the lateral choices; the first one keeps the lane.
 
@@ -217,7 +219,7 @@ def _chain(road: RoadMap, lane: str, place: Place, reach_m: float) -> Chain:
     return Chain(lanes, (over, *beyond.links), beyond.serves, 0)
 
 
-def _with_back(chain: Chain, place: Place, memory: Memory) -> Chain:
+def _with_back(chain: Chain, place: Place, memory: LaneGraphMemory) -> Chain:
     """Prepend the junction just left, so that the reference line does not change behind the target."""
     if place.over is not None:
         return chain
@@ -230,7 +232,7 @@ def _with_back(chain: Chain, place: Place, memory: Memory) -> Chain:
 
 def _variants(
     geometry: Geometry,
-    state: State,
+    state: TargetState,
     chain: Chain,
     side: int,
     targets_m: Sequence[float],
@@ -250,7 +252,7 @@ def _variants(
     return [Variant(chain, path, side, s, d, slope, second, target, blend) for target, blend in pairs]
 
 
-def _blend_m(state: State, across_m: float, options: LaneGraphOptions) -> float:
+def _blend_m(state: TargetState, across_m: float, options: LaneGraphOptions) -> float:
     """Return the length of a blend that moves the target by *across_m*."""
     share = float(np.clip(abs(across_m) / 3.2, 0.4, 1.2))
     return max(state.speed_mps * options.lane_change_s * share, _MIN_BLEND_M * max(share, 0.6))

@@ -11,9 +11,9 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
-from advdiff_sumo.planners.lane_graph.memory import Memory as LaneMemory
+from advdiff_sumo.planners.lane_graph.memory import LaneGraphMemory as LaneMemory
 from advdiff_sumo.planners.lane_graph.rules import Duty, rule_at
-from advdiff_sumo.planners.lane_graph.variants import State, Variant, locate, variants
+from advdiff_sumo.planners.lane_graph.variants import TargetState, Variant, locate, variants
 
 _RED_BRAKE_MPS2, _YELLOW_BRAKE_MPS2 = 6.0, 3.0
 _MOVING_M = 0.3
@@ -31,7 +31,7 @@ class Guide:
 
     lines: tuple[Variant, ...]
     stop_m: float
-    state: State
+    state: TargetState
 
 
 def guide_of(road: RoadMap, scene: Scene, memory: LaneMemory) -> tuple[Guide | None, LaneMemory]:
@@ -54,10 +54,10 @@ def guide_of(road: RoadMap, scene: Scene, memory: LaneMemory) -> tuple[Guide | N
     return Guide(lines, _signal_line(road, scene, state, keep), state), memory
 
 
-def state_of(scene: Scene) -> State:
+def state_of(scene: Scene) -> TargetState:
     """Return the target now; its curvature is that of the last model step."""
     row, history = scene.target, scene.history
-    return State(
+    return TargetState(
         xy_m=history.xy_m[row, -1],
         yaw_rad=float(history.yaw_rad[row, -1]),
         speed_mps=max(float(history.speed_mps[row, -1]), 0.0),
@@ -75,7 +75,7 @@ def _curvature(xy_m: FloatArray, yaw_rad: FloatArray) -> float:
     return float(wrap_angle(float(yaw_rad[-1] - yaw_rad[-2]))) / driven if driven > _MOVING_M else 0.0
 
 
-def _signal_line(road: RoadMap, scene: Scene, state: State, line: Variant) -> float:
+def _signal_line(road: RoadMap, scene: Scene, state: TargetState, line: Variant) -> float:
     """Return where the front has to stop: the first line ahead with a light at which one still can."""
     front = line.s_m + state.front_m
     for link, stop in zip(line.path.links, line.path.stop_m, strict=True):

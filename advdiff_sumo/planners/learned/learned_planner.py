@@ -27,7 +27,7 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.shipped_weights import device_of
 from advdiff_sumo.models.view import View, look
-from advdiff_sumo.planners.lane_graph.memory import Memory as LaneMemory
+from advdiff_sumo.planners.lane_graph.memory import LaneGraphMemory as LaneMemory
 from advdiff_sumo.planners.lane_graph.path import Geometry
 from advdiff_sumo.planners.lane_graph.variants import Variant
 from advdiff_sumo.planners.learned.candidate_score import Around, cost, followers
@@ -47,7 +47,7 @@ _FINE_S, _FINE_STEPS = 0.1, 20
 
 
 @dataclass(frozen=True)
-class Memory:
+class LearnedMemory:
     """What a learned target remembers from plan to plan.
 
     Attributes:
@@ -88,16 +88,16 @@ class LearnedPlanner(ABC):
     def _model(self, device: torch.device) -> Model:
         """Return the model that the options name."""
 
-    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> Memory:
+    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> LearnedMemory:
         """Return an empty memory, and let the map make its table of pieces."""
         del scene, rng
         _ = road.pieces(self.model.map_view)
-        return Memory(LaneMemory(Geometry.of(road)))
+        return LearnedMemory(LaneMemory(Geometry.of(road)))
 
     @one_thread()
     def plan(
-        self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
-    ) -> tuple[Plan, Memory]:
+        self, road: RoadMap, scene: Scene, memory: LearnedMemory, rng: np.random.Generator
+    ) -> tuple[Plan, LearnedMemory]:
         """Return what is driven in the coming seconds, and the memory for the next plan."""
         generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
         # 1. what will happen, says the model
@@ -124,7 +124,7 @@ class LearnedPlanner(ABC):
         best = int(np.argmin(cost(offered, around, road, known, view.now.size_m[0], MODEL_STEP_S)))
         # 4. drive it
         noise = prediction.noise[int(offered.sample[best])] if prediction.noise else {}
-        return _driven(offered, best, guide, view), Memory(lanes, noise)
+        return _driven(offered, best, guide, view), LearnedMemory(lanes, noise)
 
 
 class SimNetPlanner(LearnedPlanner):

@@ -27,7 +27,7 @@ from advdiff_sumo.metrics.reference.others_paths import expected
 from advdiff_sumo.metrics.reference.own_way import OwnWay, way_through
 from advdiff_sumo.metrics.reference.reaction import Reaction, react
 from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
-from advdiff_sumo.planners.lane_graph.memory import Memory
+from advdiff_sumo.planners.lane_graph.memory import LaneGraphMemory
 
 #: After so long without alarm a driver is taken by surprise again.
 CALM_S = 2.0
@@ -47,7 +47,7 @@ class ReferenceMemory:
         planned_s: when it was made.
     """
 
-    base: Memory
+    base: LaneGraphMemory
     reactions: tuple[Reaction, ...]
     alarmed_s: float = -np.inf
     plan: Trajectory | None = None
@@ -101,7 +101,7 @@ class ReferencePlanner:
         return braked, ReferenceMemory(base, tuple(states), scene.time_s, braked, scene.time_s)
 
     def _meeting(
-        self, road: RoadMap, scene: Scene, normal: Trajectory, base: Memory, accel_mps2: float
+        self, road: RoadMap, scene: Scene, normal: Trajectory, base: LaneGraphMemory, accel_mps2: float
     ) -> Meeting:
         history, row = scene.history, scene.target
         tracks = history.window(max(history.steps - 2, 0), history.steps)
@@ -165,7 +165,7 @@ def _near(tracks: Tracks, target: int) -> IntArray:
     return np.flatnonzero(near)
 
 
-def _way(normal: Trajectory, tracks: Tracks, target: int, base: Memory) -> OwnWay:
+def _way(normal: Trajectory, tracks: Tracks, target: int, base: LaneGraphMemory) -> OwnWay:
     """Return the way of the plan, and of the lanes chosen for it beyond the plan's end."""
     points = [tracks.xy_m[target, -1]]
     for point in normal.xy_m:

@@ -42,7 +42,7 @@ from advdiff_sumo.traffic.baselines.baseline_options import AdvSimOptions
 from advdiff_sumo.traffic.baselines.baseline_policy import (
     BaselinePolicy,
     SearchResult,
-    Task,
+    SearchTask,
     cut,
     parts,
     with_target,
@@ -70,7 +70,7 @@ class _Case:
         answer: what the surrogate does now.
     """
 
-    task: Task
+    task: SearchTask
     batch: SceneBatch
     rollout: Rollout
     rows: Tensor
@@ -118,7 +118,7 @@ class AdvSim(BaselinePolicy):
         self.model: ModelOptions = self.prior.traffic.options
         self.driver: Driver = self._simnet() if self.options.initial == "simnet" else self._decoder
 
-    def search(self, task: Task) -> SearchResult:
+    def search(self, task: SearchTask) -> SearchResult:
         """Return SimNet's future with the attackers' actions replaced by those that were found."""
         batch = task.view.batch.to(self.prior.device)
         with torch.no_grad():
@@ -130,7 +130,7 @@ class AdvSim(BaselinePolicy):
             planned = self._with(case, best.changes)
         return self._result(case, planned, best, losses)
 
-    def _case(self, task: Task, batch: SceneBatch, rollout: Rollout) -> _Case | None:
+    def _case(self, task: SearchTask, batch: SceneBatch, rollout: Rollout) -> _Case | None:
         """Return who shall attack and how they would drive; None where nobody can."""
         futures = futures_of(task.view.now, rollout)
         may = can_attack(futures, task.view.moved, self.options.licence)
@@ -228,7 +228,7 @@ class AdvSim(BaselinePolicy):
         """Return the attackers' futures (P, R, H) of *changes* (P, R, H, 2)."""
         return driven(changes, case.initial, self.options, self.model, HORIZON_STEPS)
 
-    def _natural(self, task: Task, batch: SceneBatch, rollout: Rollout) -> SearchResult:
+    def _natural(self, task: SearchTask, batch: SceneBatch, rollout: Rollout) -> SearchResult:
         memory = replace(task.memory, searched={}, attackers=())
         return SearchResult(Drawn(rollout, {}, (), self._latents(batch)), memory, ())
 

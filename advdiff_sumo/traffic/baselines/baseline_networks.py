@@ -19,7 +19,7 @@ from advdiff_sumo.traffic.baselines.baseline_options import BaselineOptions
 
 
 @dataclass(frozen=True)
-class Prior:
+class FrozenPrior:
     """The TrafficSim part of a bundle, frozen: encoder with its prior, and decoder.
 
     Attributes:
@@ -39,7 +39,7 @@ class Prior:
 
 
 @one_thread()
-def prior_of(options: BaselineOptions, whose: str) -> Prior:
+def prior_of(options: BaselineOptions, whose: str) -> FrozenPrior:
     """Return the networks that *options* name; read once a process.
 
     Raises:
@@ -51,10 +51,10 @@ def prior_of(options: BaselineOptions, whose: str) -> Prior:
 
 
 @kept_while_same(2)
-def _prior(path: str, device: torch.device) -> Prior:
+def _prior(path: str, device: torch.device) -> FrozenPrior:
     bundle = load_bundle(Path(path))
     if not isinstance(bundle.codec, LatentCodec):
         raise WeightsError(Path(path), "diffuses trajectories, not latents", "give weights of codec latent")
     bundle = bundle.frozen().to(device)
     assert isinstance(bundle.codec, LatentCodec)  # noqa: S101 - checked above, told to the type checker
-    return Prior(bundle.traffic, bundle.codec, device)
+    return FrozenPrior(bundle.traffic, bundle.codec, device)

@@ -19,7 +19,7 @@ from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
 from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.background_plan import Rules, driven_of, nobody, outlook, plausible_plan, rest_of
-from advdiff_sumo.traffic.baselines.baseline_networks import Prior
+from advdiff_sumo.traffic.baselines.baseline_networks import FrozenPrior
 from advdiff_sumo.traffic.baselines.baseline_options import BaselineOptions
 from advdiff_sumo.traffic.baselines.surrogate import Answer, Surrogate, ask, imagine, make_surrogate
 from advdiff_sumo.traffic.diffusion.diffusion_policy import Listener
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Memory:
+class BaselineMemory:
     """What a rival remembers from plan to plan.
 
     Attributes:
@@ -53,7 +53,7 @@ class Memory:
 
 
 @dataclass(frozen=True)
-class Task:
+class SearchTask:
     """One search.
 
     Attributes:
@@ -65,7 +65,7 @@ class Task:
 
     road: RoadMap
     view: View
-    memory: Memory
+    memory: BaselineMemory
     seed: int
 
     def before(self) -> BoolArray:
@@ -84,7 +84,7 @@ class SearchResult:
     """
 
     drawn: Drawn
-    memory: Memory
+    memory: BaselineMemory
     losses: tuple[float, ...]
 
 
@@ -97,7 +97,7 @@ class BaselinePolicy(ABC):
     """
 
     options: BaselineOptions
-    prior: Prior
+    prior: FrozenPrior
 
     def __init__(self, options: BaselineOptions) -> None:
         self.options = options
@@ -105,21 +105,27 @@ class BaselinePolicy(ABC):
         self.listener: Listener | None = None
 
     @abstractmethod
-    def search(self, task: Task) -> SearchResult:
+    def search(self, task: SearchTask) -> SearchResult:
         """Return the plan that was found for the view of *task*."""
 
-    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Memory:  # noqa: ARG002 - the contract
+    def start(
+        self,
+        road: RoadMap,
+        scene: Scene,
+        log: Tracks | None,  # noqa: ARG002 - the contract
+        rng: np.random.Generator,
+    ) -> BaselineMemory:
         """Return an empty memory, and let the map make its table of pieces."""
         _ = road.pieces(self.prior.map_view)
         if self.surrogate is None:
-            return Memory()
+            return BaselineMemory()
         own = np.random.default_rng(int(rng.integers(2**62)))
-        return Memory(surrogate=self.surrogate.start(road, scene, own))
+        return BaselineMemory(surrogate=self.surrogate.start(road, scene, own))
 
     @one_thread()
     def plan(
-        self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
-    ) -> tuple[JointPlan, Memory]:
+        self, road: RoadMap, scene: Scene, memory: BaselineMemory, rng: np.random.Generator
+    ) -> tuple[JointPlan, BaselineMemory]:
         """Return the futures of all movable vehicles, 6 s at 2 Hz, and the memory for the next plan."""
         kept = rest_of(road, memory.plan, memory.driven, scene, self.options.replan)
         if kept is not None:
@@ -128,7 +134,7 @@ class BaselinePolicy(ABC):
         seed = int(rng.integers(2**62))
         if not view.moved.any():
             return JointPlan(nobody(scene), attack=AttackState("any")), replace(memory, plan=None)
-        proposal = self.search(Task(road, view, memory, seed))
+        proposal = self.search(SearchTask(road, view, memory, seed))
         if self.listener is not None:
             self.listener(view, proposal.drawn)
         rules = Rules(self.options.licence, self.options.attackers)
@@ -139,13 +145,13 @@ class BaselinePolicy(ABC):
         memory = replace(proposal.memory, plan=plan.tracks, driven=0)
         return JointPlan(plan.tracks, attack=state, safeguarded=plan.safeguarded), memory
 
-    def ask(self, task: Task) -> Answer | None:
+    def ask(self, task: SearchTask) -> Answer | None:
         """Return what the surrogate does now; None where the traffic model's prediction stands for the target."""
         if self.surrogate is None:
             return None
         return ask(task.road, self.surrogate, task.view, task.memory.surrogate, task.seed)
 
-    def react(self, task: Task, answer: Answer | None, rollout: Rollout) -> Forced | None:
+    def react(self, task: SearchTask, answer: Answer | None, rollout: Rollout) -> Forced | None:
         """Return what the surrogate does, first of all *answer*, while the others drive *rollout*."""
         if self.surrogate is None or answer is None:
             return None

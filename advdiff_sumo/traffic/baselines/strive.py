@@ -26,12 +26,12 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
-from advdiff_sumo.traffic.baselines.baseline_networks import Prior, prior_of
+from advdiff_sumo.traffic.baselines.baseline_networks import FrozenPrior, prior_of
 from advdiff_sumo.traffic.baselines.baseline_options import StriveOptions
 from advdiff_sumo.traffic.baselines.baseline_policy import (
     BaselinePolicy,
     SearchResult,
-    Task,
+    SearchTask,
     with_target,
 )
 from advdiff_sumo.traffic.baselines.strive_loss import Terms, strive_loss
@@ -101,10 +101,10 @@ class Strive(BaselinePolicy):
             WeightsError: the networks are missing or unusable.
         """
         super().__init__(StriveOptions.parse(options, "options of background 'strive'"))
-        self.prior: Prior = prior_of(self.options, "background 'strive'")
+        self.prior: FrozenPrior = prior_of(self.options, "background 'strive'")
         self.decoder = FastDecoder(self.prior.traffic.decoder)
 
-    def search(self, task: Task) -> SearchResult:
+    def search(self, task: SearchTask) -> SearchResult:
         """Return the futures of the latents that lower the loss most within the rounds."""
         start = self._start(task)
         result = self._rounds(task, start) if self.options.rounds else _nothing(start, task.memory.surrogate)
@@ -130,7 +130,7 @@ class Strive(BaselinePolicy):
             rollout, start.batch, start.moved, start.may, (epsilon, start.natural), self.options
         )
 
-    def _start(self, task: Task) -> _Start:
+    def _start(self, task: SearchTask) -> _Start:
         batch = task.view.batch.to(self.prior.device)
         with torch.no_grad():
             context: Context = self.prior.traffic.encoder(batch)
@@ -147,12 +147,12 @@ class Strive(BaselinePolicy):
         return replace(start, may=self._may(task, start).to(moved.device))
 
     @torch.no_grad()
-    def _may(self, task: Task, start: _Start) -> Tensor:
+    def _may(self, task: SearchTask, start: _Start) -> Tensor:
         """Return (A,) who may attack under the licence, as everybody drives by nature."""
         futures = futures_of(task.view.now, self._decode(start, start.natural, None))
         return torch.from_numpy(can_attack(futures, task.view.moved, self.options.licence))
 
-    def _rounds(self, task: Task, start: _Start) -> _Result:
+    def _rounds(self, task: SearchTask, start: _Start) -> _Result:
         options, answer = self.options, self.ask(task)
         surrogate = task.memory.surrogate if answer is None else answer.memory
         if not start.may.any():
@@ -183,7 +183,9 @@ class Strive(BaselinePolicy):
         z = self._latents(start, epsilon)[None]
         return with_target(self.decoder(z, start.context.h, start.batch, steps, forced), forced)
 
-    def _attackers(self, task: Task, start: _Start, rollout: Rollout, share: FloatArray) -> tuple[str, ...]:
+    def _attackers(
+        self, task: SearchTask, start: _Start, rollout: Rollout, share: FloatArray
+    ) -> tuple[str, ...]:
         """Return who is most of the attacker, among those who may attack and come near the target at all."""
         near = closest_m(futures_of(task.view.now, rollout)) < FARTHEST_M
         score = np.where(start.may.cpu().numpy() & near, share, 0.0)
@@ -196,7 +198,7 @@ def _nothing(start: _Start, surrogate: Any) -> _Result:
     return _Result(start.natural, None, surrogate, (), np.zeros(len(start.moved)))
 
 
-def _stacked(task: Task, by_name: Mapping[str, FloatArray], like: Tensor) -> tuple[Tensor, Tensor]:
+def _stacked(task: SearchTask, by_name: Mapping[str, FloatArray], like: Tensor) -> tuple[Tensor, Tensor]:
     """Return the rows (A, Z) that *by_name* has for the view, 0 elsewhere, and which it has."""
     rows, known = torch.zeros_like(like), torch.zeros(len(like), dtype=torch.bool)
     for row, name in enumerate(task.view.ids):
@@ -205,6 +207,6 @@ def _stacked(task: Task, by_name: Mapping[str, FloatArray], like: Tensor) -> tup
     return rows, known
 
 
-def _by_name(task: Task, values: Tensor) -> dict[str, FloatArray]:
+def _by_name(task: SearchTask, values: Tensor) -> dict[str, FloatArray]:
     rows = values.detach().cpu().numpy().astype(np.float64)
     return {name: rows[row] for row, name in enumerate(task.view.ids)}

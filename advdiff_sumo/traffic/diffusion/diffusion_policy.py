@@ -31,7 +31,7 @@ Listener: TypeAlias = Callable[[View, Drawn], None]
 
 
 @dataclass(frozen=True)
-class Memory:
+class DiffusionMemory:
     """What a policy remembers from plan to plan.
 
     Attributes:
@@ -76,20 +76,26 @@ class DiffusionTraffic:
         self.networks: Networks = networks_of(self.options)
         self.listener: Listener | None = None
 
-    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Memory:  # noqa: ARG002 - the contract
+    def start(
+        self,
+        road: RoadMap,
+        scene: Scene,
+        log: Tracks | None,  # noqa: ARG002 - the contract
+        rng: np.random.Generator,
+    ) -> DiffusionMemory:
         """Return an empty memory, and let the map make its table of pieces."""
         _ = road.pieces(self.networks.bundle.options.model.map_view)
-        memory = Memory()
+        memory = DiffusionMemory()
         if self.options.licence != "reckless" and self.options.guided:
             options, preference = self.options, self.preference
-            memory = Memory(
+            memory = DiffusionMemory(
                 commitments=Commitments.start(options.manoeuvre, rng, options.staged, preference=preference)
             )
         if not self._rehearsed:
             self._rehearse(road, scene, memory)
         return memory
 
-    def _rehearse(self, road: RoadMap, scene: Scene, memory: Memory) -> None:
+    def _rehearse(self, road: RoadMap, scene: Scene, memory: DiffusionMemory) -> None:
         """Make a plan for nothing, once a process: what is set up with the first one is in no plan's time then."""
         DiffusionTraffic._rehearsed = True
         listener, self.listener = self.listener, None
@@ -98,8 +104,8 @@ class DiffusionTraffic:
 
     @one_thread()
     def plan(
-        self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
-    ) -> tuple[JointPlan, Memory]:
+        self, road: RoadMap, scene: Scene, memory: DiffusionMemory, rng: np.random.Generator
+    ) -> tuple[JointPlan, DiffusionMemory]:
         """Return the futures of all movable vehicles, 6 s at 2 Hz, and the memory for the next plan."""
         kept = rest_of(road, memory.plan, memory.driven, scene, self.options.replan)
         if kept is not None:
@@ -107,8 +113,8 @@ class DiffusionTraffic:
         return self._afresh(road, scene, memory, rng)
 
     def _afresh(
-        self, road: RoadMap, scene: Scene, memory: Memory, rng: np.random.Generator
-    ) -> tuple[JointPlan, Memory]:
+        self, road: RoadMap, scene: Scene, memory: DiffusionMemory, rng: np.random.Generator
+    ) -> tuple[JointPlan, DiffusionMemory]:
         view, lanes = outlook(road, scene, self.networks.bundle.options.model.map_view)
         seed = int(rng.integers(2**62))
         if not view.moved.any():
@@ -120,7 +126,7 @@ class DiffusionTraffic:
         plan = plausible_plan(road, view, lanes, drawn, (memory.plan, driven_of(memory.plan, scene)), rules)
         attack = plan.attack
         state = self._state(plan.attackers, attack.commitments)
-        memory = Memory(drawn.noise, drawn.shifts, plan.tracks, 0, attack.commitments)
+        memory = DiffusionMemory(drawn.noise, drawn.shifts, plan.tracks, 0, attack.commitments)
         joint = plan_with(plan.tracks, attack.newcomers, state)
         return replace(joint, safeguarded=plan.safeguarded), memory
 
@@ -135,7 +141,7 @@ class DiffusionTraffic:
         does = {**dict.fromkeys(guided, "guided"), **manoeuvres}
         return AttackState(asked, tuple(dict.fromkeys((*aimed, *driving))), does)
 
-    def _alone(self, road: RoadMap, view: View, memory: Memory) -> tuple[JointPlan, Memory]:
+    def _alone(self, road: RoadMap, view: View, memory: DiffusionMemory) -> tuple[JointPlan, DiffusionMemory]:
         """Return the plan where nobody may be moved: of who comes in, if anybody, for the kind whose turn it is."""
         kept, newcomers = memory.commitments, tuple[Newcomer, ...]()
         if kept is not None:

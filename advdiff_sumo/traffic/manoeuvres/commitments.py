@@ -16,7 +16,7 @@ from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
 from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.staging import Stage
+from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
 
 STANDS = "stands"
 """What somebody does who has come in to stand: a vehicle that has broken down."""
@@ -79,7 +79,7 @@ class Commitments:
     weights: Mapping[str, float]
     active: Mapping[str, Commitment] = field(default_factory=dict)
     rested_s: Mapping[str, float] = field(default_factory=dict)
-    stage: Stage = field(default_factory=Stage)
+    stage: StagingMemory = field(default_factory=StagingMemory)
     agenda: Agenda = field(default_factory=Agenda)
     intensity: Intensity = AS_SERVES
     since_s: Mapping[str, float] = field(default_factory=dict)
@@ -150,7 +150,7 @@ class Commitments:
         weights = dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True))
         classes = tuple(_class_of(draw) for draw in rng.random(max(staged, 1)).tolist())
         oncoming = bool(rng.random() < 0.5)
-        stage = Stage(staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0)
+        stage = StagingMemory(staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0)
         agenda = Agenda.drawn(rng) if attack == "any" else Agenda()
         if preference is not None and attack != "any":
             preference = replace(preference, kinds=(attack,))

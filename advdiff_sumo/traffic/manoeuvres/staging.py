@@ -40,7 +40,7 @@ _HIDDEN_S, _LEAST_HIDDEN_S = 5.0, 4.2
 
 
 @dataclass(frozen=True)
-class Stage:
+class StagingMemory:
     """What staging remembers.
 
     Attributes:
@@ -90,7 +90,9 @@ class Newcomer(Approach):
         return tuple(dict.fromkeys(lane.edge_id for lane in self.way.lane.lanes if not lane.is_internal))
 
 
-def come_in(view: SituationView, stage: Stage, kinds: Container[str]) -> tuple[tuple[Newcomer, ...], Stage]:
+def come_in(
+    view: SituationView, stage: StagingMemory, kinds: Container[str]
+) -> tuple[tuple[Newcomer, ...], StagingMemory]:
     """Return who comes in now, for manoeuvres of *kinds*, and what is remembered."""
     now = view.scene.time_s
     if view.target is None or stage.count >= stage.most or now < stage.again_s:
@@ -143,7 +145,7 @@ def begins(view: SituationView) -> bool:
     return view.scene.time_s < PLAN_DT_S
 
 
-def _leader(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
+def _leader(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     """Somebody ahead in the target's lane, where nobody is."""
     target = view.target
     if target is None or target.speed_mps < _SLOWEST_MPS or view.anybody_on(target.way, _AHEAD_M, _IN_LANE_M):
@@ -153,7 +155,7 @@ def _leader(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
     yield from _on_way(view, target.way, gap, target.speed_mps, stage.agent_class)
 
 
-def _beside(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
+def _beside(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     """Somebody on the next lane, ahead of the target by what a lane change has to leave."""
     target = view.target
     if target is None or target.speed_mps < _SLOWEST_MPS or not view.is_first(_AHEAD_M):
@@ -169,7 +171,7 @@ def _beside(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
             yield from _on_way(view, way, max(gap + between, least), drives, stage.agent_class)
 
 
-def _with_priority(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
+def _with_priority(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     """Somebody whom the target has to let pass at its next junction, there when the target is."""
     for one in approaches(view, stage.oncoming, stage.early_s):
         yield Newcomer(one.way, one.speed_mps, stage.agent_class)
@@ -177,10 +179,10 @@ def _with_priority(view: SituationView, stage: Stage) -> Iterator[Newcomer]:
 
 def can_hide(view: SituationView) -> bool:
     """Return whether somebody who stands, and a leader before, could come in now."""
-    return bool(_hidden(view, Stage()))
+    return bool(_hidden(view, StagingMemory()))
 
 
-def _hidden(view: SituationView, stage: Stage) -> Sequence[Newcomer]:
+def _hidden(view: SituationView, stage: StagingMemory) -> Sequence[Newcomer]:
     """Somebody who stands ahead of the target and a leader between, where there is a lane to go aside to."""
     target = view.target
     if target is None or not begins(view) or view.anybody_on(target.way, _FARTHEST_M, _IN_LANE_M):

@@ -47,7 +47,7 @@ class AdvRlOptions(Options):
 
 
 @dataclass(frozen=True)
-class Memory:
+class AdvRlMemory:
     """What the policy remembers.
 
     Attributes:
@@ -83,26 +83,26 @@ class AdvRl:
         self.actor: Actor = load_actor(path)
         self.prior: Prior = load_prior(self.actor.prior, self.options.prior_weights)
 
-    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Memory:  # noqa: ARG002 - the contract
+    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> AdvRlMemory:  # noqa: ARG002 - the contract
         """Return an empty memory, and let the map make its table of pieces."""
         _ = road.pieces(self.prior.options.map_view)
-        return Memory()
+        return AdvRlMemory()
 
     @one_thread()
     def plan(
         self,
         road: RoadMap,
         scene: Scene,
-        memory: Memory,
+        memory: AdvRlMemory,
         rng: np.random.Generator,  # noqa: ARG002 - the contract
-    ) -> tuple[JointPlan, Memory]:
+    ) -> tuple[JointPlan, AdvRlMemory]:
         """Return the futures of all movable vehicles, 4 s at 2 Hz; nothing is drawn."""
         options = self.options
         now = situation(road, scene, self.prior, options.most, memory.attackers, options.licence)
         residuals = options.strength * self.actor.residuals(now.observations)
         plan = joint_plan(road, now, self.prior, residuals, memory.plan, options.licence)
         plan = plan if options.most else replace(plan, attack=None)
-        return plan, Memory(now.attackers, plan.tracks)
+        return plan, AdvRlMemory(now.attackers, plan.tracks)
 
 
 def shipped_actor() -> Path:

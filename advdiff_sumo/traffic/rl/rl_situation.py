@@ -26,7 +26,7 @@ from advdiff_sumo.traffic.rl.steer import steered
 
 
 @dataclass(frozen=True)
-class Situation:
+class AttackSituation:
     """A scene as attackers see it; R of them, none where nobody can reach the target.
 
     Attributes:
@@ -51,7 +51,7 @@ class Situation:
 
 def situation(
     road: RoadMap, scene: Scene, prior: Prior, count: int, before: tuple[str, ...], licence: LicenceName
-) -> Situation:
+) -> AttackSituation:
     """Return the situation of at most *count* attackers.
 
     Args:
@@ -64,7 +64,7 @@ def situation(
     """
     view, lanes = outlook(road, scene, prior.options.map_view)
     if not view.moved.any():
-        return Situation(view, lanes, None, np.zeros(0, dtype=np.int64), np.zeros((0, FEATURES)))
+        return AttackSituation(view, lanes, None, np.zeros(0, dtype=np.int64), np.zeros((0, FEATURES)))
     natural = prior.rollout(view.batch)
     futures = futures_of(view.now, natural)
     may = can_attack(futures, view.moved, licence)
@@ -73,12 +73,12 @@ def situation(
         observe(road, view.now, futures, row, lanes.get(int(view.rows[row])), _actions(natural, row))
         for row in rows.tolist()
     ]
-    return Situation(view, lanes, natural, rows, np.array(observations).reshape(len(rows), FEATURES))
+    return AttackSituation(view, lanes, natural, rows, np.array(observations).reshape(len(rows), FEATURES))
 
 
 def joint_plan(
     road: RoadMap,
-    now: Situation,
+    now: AttackSituation,
     prior: Prior,
     residuals: FloatArray,
     before: Tracks | None,

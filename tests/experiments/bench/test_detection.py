@@ -24,7 +24,7 @@ from advdiff_sumo.experiments.bench.defect_score import (
     scene_order,
 )
 from advdiff_sumo.experiments.bench.detection import (
-    Outcome,
+    EpisodeOutcome,
     Tried,
     detections,
     first_detection,
@@ -49,7 +49,7 @@ REQUEST = Request(
 
 def tried(failed: str) -> Tried:
     """Return outcomes of scenes 0, 1, …: x for a valid failure, a second each."""
-    return {f"s{k}": Outcome(letter == "x", 1.0) for k, letter in enumerate(failed)}
+    return {f"s{k}": EpisodeOutcome(letter == "x", 1.0) for k, letter in enumerate(failed)}
 
 
 def test_one_sided_mcnemar_by_hand() -> None:
@@ -241,5 +241,5 @@ def replace_request(**given: object) -> Request:
 
 def test_outcomes_that_cannot_be_judged_are_no_failures() -> None:
     hit = {"target_collision": True, "valid_failure": None}
-    assert Outcome.of(hit, None) == Outcome(False, 0.0)
-    assert replace(Outcome.of({**hit, "valid_failure": True}, 3.0), cpu_s=0.0).failed
+    assert EpisodeOutcome.of(hit, None) == EpisodeOutcome(False, 0.0)
+    assert replace(EpisodeOutcome.of({**hit, "valid_failure": True}, 3.0), cpu_s=0.0).failed

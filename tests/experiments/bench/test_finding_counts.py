@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from advdiff_sumo.experiments.bench.cells import BenchCell
-from advdiff_sumo.experiments.bench.detection import Outcome
+from advdiff_sumo.experiments.bench.detection import EpisodeOutcome
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.finding_counts import (
     count_findings,
@@ -80,9 +80,9 @@ def test_collisions_are_counted_by_what_they_are_worth() -> None:
 
 def test_each_defect_costs_what_it_takes_alone() -> None:
     """The fifth failure of one comes in the sixth scene, twelve episodes of 2 s; the other never has five."""
-    sound = {f"s{k}": Outcome(failed=False, cpu_s=2.0) for k in range(8)}
-    shown = {f"s{k}": Outcome(failed=k != 1, cpu_s=2.0) for k in range(8)}
-    hidden = {f"s{k}": Outcome(failed=k == 7, cpu_s=2.0) for k in range(8)}
+    sound = {f"s{k}": EpisodeOutcome(failed=False, cpu_s=2.0) for k in range(8)}
+    shown = {f"s{k}": EpisodeOutcome(failed=k != 1, cpu_s=2.0) for k in range(8)}
+    hidden = {f"s{k}": EpisodeOutcome(failed=k == 7, cpu_s=2.0) for k in range(8)}
     assert first_costs(sound, {"late": shown, "range": hidden}) == [24.0, math.inf]
 
 

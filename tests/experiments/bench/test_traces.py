@@ -13,7 +13,13 @@ from advdiff_sumo.experiments.bench.episode_results import EpisodeResult
 from advdiff_sumo.experiments.bench.likelihood import natural_nats
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
 from advdiff_sumo.experiments.bench.statistics import estimate
-from advdiff_sumo.experiments.bench.traces import Trace, _solvable, at_model_step, histograms, near_target
+from advdiff_sumo.experiments.bench.traces import (
+    BackgroundTrace,
+    _solvable,
+    at_model_step,
+    histograms,
+    near_target,
+)
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.metrics.collision import collisions, target_collision
@@ -72,8 +78,8 @@ def test_histograms_by_hand() -> None:
 
 
 def test_a_trace_survives_being_stored() -> None:
-    trace = Trace(3, 1, None, (1, 2), (3,), (4, 5), -7.25, 12.5, True)
-    assert Trace.from_bytes(trace.to_bytes()) == trace
+    trace = BackgroundTrace(3, 1, None, (1, 2), (3,), (4, 5), -7.25, 12.5, True)
+    assert BackgroundTrace.from_bytes(trace.to_bytes()) == trace
 
 
 def test_solvable_is_asked_of_the_contact_that_counts(tmp_path: Path) -> None:
@@ -88,7 +94,7 @@ def test_solvable_is_asked_of_the_contact_that_counts(tmp_path: Path) -> None:
     assert _solvable(StoredEpisode(tables, None), road) is None
 
 
-def seen(scene: str, hit: bool, trace: Trace, **row: object) -> EpisodeResult:
+def seen(scene: str, hit: bool, trace: BackgroundTrace, **row: object) -> EpisodeResult:
     usual: dict[str, object] = {
         "target_collision": hit,
         "relative_speed_mps": 6.0 if hit else None,
@@ -103,8 +109,8 @@ def seen(scene: str, hit: bool, trace: Trace, **row: object) -> EpisodeResult:
 
 def test_columns_of_the_closed_loop() -> None:
     bins = (1,) * 80, (1,) * 80, (1,) * 21
-    moved = Trace(4, 2, 1, *bins, -20.0, 10.0, False)
-    natural = Trace(5, 0, None, *bins, -5.0, 10.0)
+    moved = BackgroundTrace(4, 2, 1, *bins, -20.0, 10.0, False)
+    natural = BackgroundTrace(5, 0, None, *bins, -5.0, 10.0)
     episodes = [
         seen("a", True, moved, attacker_visible=False),
         seen("b", True, moved, at_fault="other"),
@@ -126,7 +132,7 @@ def test_columns_of_the_closed_loop() -> None:
 
 
 def test_nobody_moved_has_no_rate_of_leaving_the_road() -> None:
-    natural = Trace(5, 0, None, (1,), (1,), (1,), -5.0, 10.0)
+    natural = BackgroundTrace(5, 0, None, (1,), (1,), (1,), -5.0, 10.0)
     assert "env_rate" not in background_samples([seen("a", False, natural)], ())
 
 

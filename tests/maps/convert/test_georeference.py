@@ -15,7 +15,7 @@ from test_bad_formats import text_of, write
 
 from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.projection import projection_from
-from advdiff_sumo.maps.convert.sources.georeference import Moved, stated_projection
+from advdiff_sumo.maps.convert.sources.georeference import PlanarTransform, stated_projection
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.read_map import read_map
 from advdiff_sumo.maps.convert.sources.source_map import SourceMap
@@ -167,12 +167,12 @@ def test_a_bad_system_is_one_sentence_and_the_map_is_converted(
 @pytest.mark.parametrize(
     ("moved", "problem"),
     [
-        (Moved(turned_rad=0.1), "turned or scaled"),
-        (Moved(scale=2.0), "turned or scaled"),
-        (Moved(x_m=float("nan")), "no number"),
+        (PlanarTransform(turned_rad=0.1), "turned or scaled"),
+        (PlanarTransform(scale=2.0), "turned or scaled"),
+        (PlanarTransform(x_m=float("nan")), "no number"),
     ],
 )
-def test_offsets_that_cannot_be_used(moved: Moved, problem: str) -> None:
+def test_offsets_that_cannot_be_used(moved: PlanarTransform, problem: str) -> None:
     faults = MapFaults(Path("m.xodr"))
     assert stated_projection(UTM_32, moved, faults) is None
     (sentence,) = faults.sentences()

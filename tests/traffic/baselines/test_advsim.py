@@ -26,7 +26,7 @@ from advdiff_sumo.traffic.baselines.advsim_cost import (
     violation,
 )
 from advdiff_sumo.traffic.baselines.baseline_options import AdvSimOptions
-from advdiff_sumo.traffic.baselines.baseline_policy import Task, cut
+from advdiff_sumo.traffic.baselines.baseline_policy import SearchTask, cut
 
 Street = Callable[..., Scene]
 PLACES = [(60.0, 0.0), (78.0, 0.0), (42.0, 0.0), (95.0, 0.0)]
@@ -132,7 +132,7 @@ def test_the_search_beats_its_start_and_keeps_its_constraints(
     scene = street(PLACES, SPEEDS)
     policy = AdvSim(weights=weights, initial="model", rounds=10, candidates=16, surrogate=surrogate)
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
-    task = Task(downtown, look(downtown, scene), memory, 3)
+    task = SearchTask(downtown, look(downtown, scene), memory, 3)
     found = policy.search(task)
     assert found.losses[4] < found.losses[0]  # within the first block, against one answer of the surrogate
     with torch.no_grad():
@@ -156,13 +156,13 @@ def test_the_next_search_starts_one_step_on(weights: str, downtown: RoadMap, str
     policy = AdvSim(weights=weights, initial="model", rounds=5, candidates=8, surrogate="model", attackers=1)
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
     view = look(downtown, scene)
-    first = policy.search(Task(downtown, view, memory, 3)).memory
+    first = policy.search(SearchTask(downtown, view, memory, 3)).memory
     (name,) = first.attackers
     old = first.searched[name].reshape(8, 2)
     assert old.any()
     with torch.no_grad():
         rollout = policy.driver(view.batch)
-        case = policy._case(Task(downtown, view, first, 4), view.batch, rollout)
+        case = policy._case(SearchTask(downtown, view, first, 4), view.batch, rollout)
     assert case is not None
     warm = policy._warm(case).numpy()[0]
     np.testing.assert_allclose(warm, np.vstack((old[1:], np.zeros((1, 2)))), atol=1e-6)

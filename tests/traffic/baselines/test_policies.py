@@ -18,7 +18,12 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.baselines.advsim import AdvSim
-from advdiff_sumo.traffic.baselines.baseline_policy import BaselinePolicy, Memory, SearchResult, Task
+from advdiff_sumo.traffic.baselines.baseline_policy import (
+    BaselineMemory,
+    BaselinePolicy,
+    SearchResult,
+    SearchTask,
+)
 from advdiff_sumo.traffic.baselines.strive import Strive
 from advdiff_sumo.traffic.policy_check import check_policy
 from advdiff_sumo.traffic.policy_registry import make_policy
@@ -44,10 +49,10 @@ def made(weights: str, simnet: str) -> Callable[..., BaselinePolicy]:
 
 
 def searched(
-    policy: BaselinePolicy, road: RoadMap, scene: Scene, memory: Memory | None = None
+    policy: BaselinePolicy, road: RoadMap, scene: Scene, memory: BaselineMemory | None = None
 ) -> SearchResult:
     begun = memory or policy.start(road, scene, None, np.random.default_rng(0))
-    return policy.search(Task(road, look(road, scene), begun, 7))
+    return policy.search(SearchTask(road, look(road, scene), begun, 7))
 
 
 def same(one: Rollout, other: Rollout) -> bool:

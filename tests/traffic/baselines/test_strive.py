@@ -16,7 +16,7 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import look
 from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
 from advdiff_sumo.traffic.baselines.baseline_options import StriveOptions
-from advdiff_sumo.traffic.baselines.baseline_policy import Task, halves
+from advdiff_sumo.traffic.baselines.baseline_policy import SearchTask, halves
 from advdiff_sumo.traffic.baselines.strive import Strive
 from advdiff_sumo.traffic.baselines.strive_loss import attack, strive_loss
 
@@ -114,7 +114,7 @@ def test_the_loss_goes_down_and_the_start_is_beaten(
     scene = street(PLACES, SPEEDS)
     policy = Strive(weights=weights, rounds=12, refresh=12, surrogate=surrogate, licence="reckless")
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
-    task = Task(downtown, look(downtown, scene), memory, 1)
+    task = SearchTask(downtown, look(downtown, scene), memory, 1)
     found = policy.search(task)
     assert found.losses[-1] < found.losses[0]
     start = policy._start(task)
@@ -132,7 +132,7 @@ def test_latents_of_who_may_not_be_moved_stay(weights: str, downtown: RoadMap, s
     scene = Scene(scene.history, 0, np.array([False, True, False, True]), scene.routes, scene.signals)
     policy = Strive(weights=weights, rounds=3, licence="reckless")
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
-    found = policy.search(Task(downtown, look(downtown, scene), memory, 1)).memory.searched
+    found = policy.search(SearchTask(downtown, look(downtown, scene), memory, 1)).memory.searched
     assert {name for name, value in found.items() if value.any()} == {"v1", "v3"}
 
 
@@ -143,8 +143,8 @@ def test_the_next_search_starts_where_the_last_one_ended(
     policy = Strive(weights=weights, rounds=3, persistence=0.5, licence="reckless")
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
     view = look(downtown, scene)
-    first = policy.search(Task(downtown, view, memory, 1)).memory
-    begun = policy._start(Task(downtown, view, first, 2))
+    first = policy.search(SearchTask(downtown, view, memory, 1)).memory
+    begun = policy._start(SearchTask(downtown, view, first, 2))
     wanted = np.stack([0.5 * first.searched[name] for name in view.ids])
     np.testing.assert_allclose(begun.warm.numpy(), wanted, atol=1e-6)
     assert not begun.natural.any()
@@ -156,9 +156,9 @@ def test_a_temperature_draws_traffic(weights: str, downtown: RoadMap, street: St
     policy = Strive(weights=weights, rounds=0, temperature=1.0, persistence=1.0)
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
     view = look(downtown, scene)
-    one, other = (policy.search(Task(downtown, view, memory, seed)) for seed in (1, 2))
+    one, other = (policy.search(SearchTask(downtown, view, memory, seed)) for seed in (1, 2))
     assert not torch.equal(one.drawn.rollout.xy, other.drawn.rollout.xy)
-    kept = policy.search(Task(downtown, view, one.memory, 3))
+    kept = policy.search(SearchTask(downtown, view, one.memory, 3))
     assert torch.equal(kept.drawn.rollout.xy, one.drawn.rollout.xy)
 
 
@@ -169,7 +169,7 @@ def test_who_is_behind_attacks_without_a_law_alone(weights: str, downtown: RoadM
     for licence in ("reckless", "careless", "lawful"):
         policy = Strive(weights=weights, rounds=3, attackers=8, licence=licence)
         memory = policy.start(downtown, scene, None, np.random.default_rng(0))
-        found[licence] = policy.search(Task(downtown, look(downtown, scene), memory, 1)).drawn.attackers
+        found[licence] = policy.search(SearchTask(downtown, look(downtown, scene), memory, 1)).drawn.attackers
     assert set(found["reckless"]) == {"v1", "v2", "v3"}
     assert found["careless"] == found["lawful"] == ("v3",)
 
@@ -192,8 +192,8 @@ def test_traffic_is_natural_where_nobody_may_attack(weights: str, downtown: Road
     view = look(downtown, scene)
     searched = {name: np.ones(8) for name in view.ids}
     memory = replace(memory, searched=searched, natural={name: np.zeros(8) for name in view.ids})
-    found = policy.search(Task(downtown, view, memory, 1))
-    calm = Strive(weights=weights, rounds=0).search(Task(downtown, view, memory, 1))
+    found = policy.search(SearchTask(downtown, view, memory, 1))
+    calm = Strive(weights=weights, rounds=0).search(SearchTask(downtown, view, memory, 1))
     assert torch.equal(found.drawn.rollout.states(), calm.drawn.rollout.states())
     assert (found.drawn.attackers, found.losses) == ((), ())
     assert (memory.surrogate, found.memory.surrogate) == (0, 1)

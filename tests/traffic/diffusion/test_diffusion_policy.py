@@ -20,7 +20,7 @@ from advdiff_sumo.models.reward import load_reward, save_reward
 from advdiff_sumo.models.view import MOST_AGENTS, look
 from advdiff_sumo.traffic.background_plan import PlausiblePlan, plausible_plan
 from advdiff_sumo.traffic.diffusion import diffusion_policy
-from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic, Memory
+from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionMemory, DiffusionTraffic
 from advdiff_sumo.traffic.diffusion.draw import draw_plan
 from advdiff_sumo.traffic.diffusion.guidance import ALPHA
 from advdiff_sumo.traffic.manoeuvres.agenda import Agenda
@@ -33,7 +33,9 @@ PLACES = [(60.0, 0.0), (75.0, 0.0), (45.0, 0.0), (90.0, 0.0), (30.0, 0.0)]
 SPEEDS = [8.0, 7.0, 9.0, 6.0, 8.0]
 
 
-def planned(policy: DiffusionTraffic, road: RoadMap, scene: Scene, seed: int = 3) -> tuple[Tracks, Memory]:
+def planned(
+    policy: DiffusionTraffic, road: RoadMap, scene: Scene, seed: int = 3
+) -> tuple[Tracks, DiffusionMemory]:
     memory = policy.start(road, scene, None, np.random.default_rng(0))
     plan, memory = policy.plan(road, scene, memory, np.random.default_rng(seed))
     return plan.tracks, memory
@@ -412,7 +414,7 @@ def test_a_plan_tells_who_is_in_a_position_for_the_attack(
     """Two ahead of the target in its lane, two behind, nobody towards it."""
     policy = DiffusionTraffic(weights=weights, licence="reckless", attack=attack)
     scene = street(PLACES, SPEEDS)
-    plan, _ = policy.plan(downtown, scene, Memory(), np.random.default_rng(3))
+    plan, _ = policy.plan(downtown, scene, DiffusionMemory(), np.random.default_rng(3))
     assert plan.attack is not None
     assert plan.attack.kind == attack
     assert set(plan.attack.in_position) == in_position
@@ -426,7 +428,7 @@ def test_whose_guided_plan_is_not_driven_is_not_guided(
     scene = street([(60.0, 0.0), (80.0, 0.0)], [5.0, 5.5])
     policy = DiffusionTraffic(weights=weights, licence=licence, staged=0)
     rested = Commitments.start("any", np.random.default_rng(0))
-    memory = Memory(commitments=replace(rested, rested_s={"v1": 9.0}))
+    memory = DiffusionMemory(commitments=replace(rested, rested_s={"v1": 9.0}))
     plan, memory = policy.plan(downtown, scene, memory, np.random.default_rng(3))
     assert set(memory.shifts) == {"v1"}
     assert plan.attack is not None
@@ -436,7 +438,7 @@ def test_whose_guided_plan_is_not_driven_is_not_guided(
 
 def test_natural_traffic_asks_for_no_attack(weights: str, downtown: RoadMap, street: Street) -> None:
     policy = DiffusionTraffic(weights=weights, guide="none")
-    plan, _ = policy.plan(downtown, street(PLACES, SPEEDS), Memory(), np.random.default_rng(3))
+    plan, _ = policy.plan(downtown, street(PLACES, SPEEDS), DiffusionMemory(), np.random.default_rng(3))
     assert plan.attack is None
 
 

@@ -16,14 +16,21 @@ from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.pace import FINE_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.staging import SIZE_M, Newcomer, Stage, _is_free, come_in, plan_with
+from advdiff_sumo.traffic.manoeuvres.staging import (
+    SIZE_M,
+    Newcomer,
+    StagingMemory,
+    _is_free,
+    come_in,
+    plan_with,
+)
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
 
 
 def test_a_leader_comes_in_where_there_is_none(motorway: RoadMap) -> None:
     """At 10 m/s, 1.5 s and 8 m ahead: 23 m."""
     view = view_of(motorway, target=(0, 50.0, 10.0))
-    (leader,), stage = come_in(view, Stage(most=3, classes=(AgentClass.TRUCK,)), ("hard-stop",))
+    (leader,), stage = come_in(view, StagingMemory(most=3, classes=(AgentClass.TRUCK,)), ("hard-stop",))
     assert leader.agent_class is AgentClass.TRUCK
     assert leader.speed_mps == 10.0
     assert view.target is not None
@@ -36,13 +43,15 @@ def test_a_leader_comes_in_where_there_is_none(motorway: RoadMap) -> None:
 @pytest.mark.parametrize(
     ("cars", "stage"),
     [
-        ({"leader": (0, 90.0, 10.0)}, Stage(most=3)),
-        ({"beside": (1, 80.0, 10.0)}, Stage(most=0)),
-        ({}, Stage(most=3, count=3)),
-        ({}, Stage(most=3, again_s=1.0)),
+        ({"leader": (0, 90.0, 10.0)}, StagingMemory(most=3)),
+        ({"beside": (1, 80.0, 10.0)}, StagingMemory(most=0)),
+        ({}, StagingMemory(most=3, count=3)),
+        ({}, StagingMemory(most=3, again_s=1.0)),
     ],
 )
-def test_nobody_comes_in(motorway: RoadMap, cars: dict[str, tuple[int, float, float]], stage: Stage) -> None:
+def test_nobody_comes_in(
+    motorway: RoadMap, cars: dict[str, tuple[int, float, float]], stage: StagingMemory
+) -> None:
     """There is a leader; nobody may; all that may have; it is not the time."""
     view = view_of(motorway, target=(0, 50.0, 10.0), **cars)
     assert come_in(view, stage, ("hard-stop",))[0] == ()
@@ -50,7 +59,7 @@ def test_nobody_comes_in(motorway: RoadMap, cars: dict[str, tuple[int, float, fl
 
 def test_who_comes_in_beside_leaves_the_safe_gap(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0))
-    (other,), _ = come_in(view, Stage(most=3), ("cut-in",))
+    (other,), _ = come_in(view, StagingMemory(most=3), ("cut-in",))
     assert view.target is not None
     ahead, left = view.target.way.line.project(other.xy_m)
     assert 2.5 < abs(float(left)) < 4.5
@@ -74,7 +83,7 @@ def test_there_is_no_room_close_ahead_of_somebody_on_the_junction(
 
 def test_a_plan_names_who_comes_in_and_where_it_goes(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 10.0))
-    newcomers, _ = come_in(view, Stage(most=3, count=1), ("hard-stop",))
+    newcomers, _ = come_in(view, StagingMemory(most=3, count=1), ("hard-stop",))
     plan = plan_with(Tracks.empty(steps=1, dt_s=0.5, t0_s=0.5), newcomers)
     assert plan.tracks.ids == ("staged-1",)
     assert plan.routes["staged-1"][0] == view.scene.routes[0][0]
@@ -98,7 +107,7 @@ def test_somebody_with_priority_comes_in_at_a_minor_approach(downtown: RoadMap) 
         to = downtown.lanes[link.to_lane].edge_id
         scene = scene_on({"target": (lane, lane.length_m - 40.0, 8.0)})
         view = SituationView.of(downtown, replace(scene, routes=((lane.edge_id, to),)))
-        newcomers, _ = come_in(view, Stage(most=3), ("crossing",))
+        newcomers, _ = come_in(view, StagingMemory(most=3), ("crossing",))
         for one in newcomers:
             crosses = [(reach, x) for reach, x in one.way.links if x.junction_id == link.junction_id]
             response = downtown.junctions[link.junction_id].response[link.request_index]
@@ -117,7 +126,7 @@ def test_somebody_with_priority_comes_in_at_a_minor_approach(downtown: RoadMap) 
 def test_somebody_who_stands_comes_in_behind_a_leader(motorway: RoadMap) -> None:
     """At 9 m/s: a leader 18.5 m ahead, 1.5 s, and at most 64 m ahead a car that stands."""
     view = view_of(motorway, target=(0, 50.0, 9.0))
-    (leader, standing), stage = come_in(view, Stage(most=3), ("cut-out",))
+    (leader, standing), stage = come_in(view, StagingMemory(most=3), ("cut-out",))
     assert view.target is not None
     along = view.target.way.line.project(np.array([leader.xy_m, standing.xy_m]))[0] - view.target.way.lane.s_m
     assert along == pytest.approx([18.5, 64.0], abs=0.1)
@@ -128,14 +137,14 @@ def test_somebody_who_stands_comes_in_behind_a_leader(motorway: RoadMap) -> None
 @pytest.mark.parametrize(
     ("speed_mps", "cars", "stage"),
     [
-        (9.0, {"leader": (0, 90.0, 9.0)}, Stage(most=3)),
-        (9.0, {"beside": (1, 90.0, 9.0)}, Stage(most=3)),
-        (25.0, {}, Stage(most=3)),
-        (9.0, {}, Stage(most=1)),
+        (9.0, {"leader": (0, 90.0, 9.0)}, StagingMemory(most=3)),
+        (9.0, {"beside": (1, 90.0, 9.0)}, StagingMemory(most=3)),
+        (25.0, {}, StagingMemory(most=3)),
+        (9.0, {}, StagingMemory(most=1)),
     ],
 )
 def test_nobody_comes_in_to_stand(
-    speed_mps: float, cars: dict[str, tuple[int, float, float]], stage: Stage, motorway: RoadMap
+    speed_mps: float, cars: dict[str, tuple[int, float, float]], stage: StagingMemory, motorway: RoadMap
 ) -> None:
     """There is a leader; the next lane is taken; within 64 m nobody could go aside in time; two are needed."""
     view = view_of(motorway, target=(0, 50.0, speed_mps), **cars)

@@ -10,7 +10,7 @@ from advdiff_sumo.maps.convert.layout.layout_state import Layout
 
 
 @dataclass(frozen=True)
-class Connection:
+class LaneConnection:
     """A way through a junction.
 
     Attributes:
@@ -35,7 +35,7 @@ class Connection:
         return tuple(dict.fromkeys(whole))
 
 
-def find_connections(layout: Layout) -> tuple[list[Connection], list[Connection]]:
+def find_connections(layout: Layout) -> tuple[list[LaneConnection], list[LaneConnection]]:
     """Return (connections, doubles), both ordered by origin.
 
     SUMO holds one connection between two lanes; of several ways the shortest is kept, the others are *doubles*.
@@ -43,7 +43,7 @@ def find_connections(layout: Layout) -> tuple[list[Connection], list[Connection]
     following: dict[int, list[int]] = defaultdict(list)
     for a, b in layout.links:
         following[a].append(b)
-    best: dict[tuple[Piece, Piece], Connection] = {}
+    best: dict[tuple[Piece, Piece], LaneConnection] = {}
     doubles = []
     for piece in layout.all_pieces():
         for way in _ways(layout, following, piece):
@@ -58,15 +58,15 @@ def find_connections(layout: Layout) -> tuple[list[Connection], list[Connection]
     return list(best.values()), doubles
 
 
-def _ways(layout: Layout, following: dict[int, list[int]], piece: Piece) -> list[Connection]:
+def _ways(layout: Layout, following: dict[int, list[int]], piece: Piece) -> list[LaneConnection]:
     """Return every way from the end of *piece* to the next pieces."""
     own = layout.pieces[piece.lane]
     index = own.index(piece)
     if index + 1 < len(own):
         after = own[index + 1]
-        return [Connection(piece, after, (Piece(piece.lane, piece.to_m, after.from_m),))]
+        return [LaneConnection(piece, after, (Piece(piece.lane, piece.to_m, after.from_m),))]
     tail = _part(piece.lane, piece.to_m, layout.lengths_m[piece.lane])
-    connections: list[Connection] = []
+    connections: list[LaneConnection] = []
     stack: list[tuple[int, tuple[Piece, ...], frozenset[int]]] = [
         (lane, tail, frozenset((piece.lane,))) for lane in reversed(following[piece.lane])
     ]
@@ -74,7 +74,7 @@ def _ways(layout: Layout, following: dict[int, list[int]], piece: Piece) -> list
         lane, parts, visited = stack.pop()
         if layout.pieces[lane]:
             first = layout.pieces[lane][0]
-            connections.append(Connection(piece, first, parts + _part(lane, 0.0, first.from_m)))
+            connections.append(LaneConnection(piece, first, parts + _part(lane, 0.0, first.from_m)))
         elif lane not in visited:
             through = parts + _part(lane, 0.0, layout.lengths_m[lane])
             stack += [(after, through, visited | {lane}) for after in reversed(following[lane])]

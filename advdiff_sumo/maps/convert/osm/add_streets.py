@@ -20,7 +20,7 @@ from shapely.geometry.base import BaseGeometry
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import NetPlan
-from advdiff_sumo.maps.convert.osm.cut_streets import Stretch, StretchGraph, stretches_outside
+from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch, StretchGraph, stretches_outside
 from advdiff_sumo.maps.convert.osm.import_streets import import_streets
 from advdiff_sumo.maps.convert.osm.joined_plan import JointNames, first_to_go, joined_plan
 from advdiff_sumo.maps.convert.osm.rim_ends import RimEnd, candidates, rim_ends
@@ -111,7 +111,7 @@ def _area(plan: NetPlan, drivable: BaseGeometry) -> BaseGeometry:
 
 
 def _chosen(
-    plan: NetPlan, fits: Mapping[RimEnd, Sequence[Stretch]], graph: StretchGraph
+    plan: NetPlan, fits: Mapping[RimEnd, Sequence[StreetStretch]], graph: StretchGraph
 ) -> tuple[list[Joint], StretchGraph]:
     """Return the joints that streets between them serve, and the graph of these streets."""
     entered, left = (
@@ -131,7 +131,7 @@ def _chosen(
         chosen = served
 
 
-def _trimmed(stretch: Stretch, chosen: Sequence[Joint]) -> Stretch:
+def _trimmed(stretch: StreetStretch, chosen: Sequence[Joint]) -> StreetStretch:
     """Return *stretch* without what gives way to its joints."""
     for joint in chosen:
         if joint.stretch.id == stretch.id:

@@ -27,7 +27,7 @@ HEADING_M = 5.0  # over which the heading at an end is taken
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class StreetStretch:
     """What is left of a street between two places on its middle line.
 
     Attributes:
@@ -71,7 +71,7 @@ class Stretch:
         """Whether nothing was cut off its end."""
         return self.to_m == polyline.length(self.street.middle_m)
 
-    def shorter(self, by_m: float, *, at_start: bool) -> Stretch:
+    def shorter(self, by_m: float, *, at_start: bool) -> StreetStretch:
         """Return the stretch without *by_m* at one end."""
         if at_start:
             return replace(self, from_m=self.from_m + by_m)
@@ -91,10 +91,10 @@ class Stretch:
         return polyline.direction(begin, after), polyline.direction(before, end)
 
 
-def stretches_outside(net: StreetNet, area: BaseGeometry) -> list[Stretch]:
+def stretches_outside(net: StreetNet, area: BaseGeometry) -> list[StreetStretch]:
     """Return what of the streets of *net* lies outside *area*, the HD map's."""
     widened: dict[float, BaseGeometry] = {}
-    stretches: list[Stretch] = []
+    stretches: list[StreetStretch] = []
     for street in net.streets.values():
         half_m = round(0.5 * street.width_m + MARGIN_M, 2)
         if half_m not in widened:
@@ -104,7 +104,7 @@ def stretches_outside(net: StreetNet, area: BaseGeometry) -> list[Stretch]:
     return _without_stubs(stretches, net)
 
 
-def _without_stubs(stretches: Sequence[Stretch], net: StreetNet) -> list[Stretch]:
+def _without_stubs(stretches: Sequence[StreetStretch], net: StreetNet) -> list[StreetStretch]:
     """Return *stretches* without what is left of a street between the map and the next one, too short for a joint.
 
     That is where a street changes its lanes just beyond the map: the next one takes the joint.
@@ -138,7 +138,7 @@ def _beyond(stubs: Collection[tuple[str, str]], street: Street, end: int) -> boo
     return any(at == node and away != other for at, away in stubs)
 
 
-def _outside(street: Street, net: StreetNet, area: BaseGeometry) -> Iterator[Stretch]:
+def _outside(street: Street, net: StreetNet, area: BaseGeometry) -> Iterator[StreetStretch]:
     line = LineString(street.middle_m)
     length_m = polyline.length(street.middle_m)
     parts = shapely.get_parts(line.difference(area)).tolist() if area.intersects(line) else [line]
@@ -146,7 +146,7 @@ def _outside(street: Street, net: StreetNet, area: BaseGeometry) -> Iterator[Str
         starts, ends = first < NOTHING_M, last > length_m - NOTHING_M
         if not (starts and ends) and last - first < SHORTEST_M:
             continue
-        yield Stretch(
+        yield StreetStretch(
             street.id if starts and ends else f"{street.id}.{number}",
             street,
             0.0 if starts else first,
@@ -170,9 +170,9 @@ class StretchGraph:
         connections: rows of connections with the stretches that they join.
     """
 
-    def __init__(self, net: StreetNet, stretches: Sequence[Stretch]) -> None:
-        first: dict[str, Stretch] = {}
-        last: dict[str, Stretch] = {}
+    def __init__(self, net: StreetNet, stretches: Sequence[StreetStretch]) -> None:
+        first: dict[str, StreetStretch] = {}
+        last: dict[str, StreetStretch] = {}
         for stretch in stretches:
             if stretch.has_start:
                 first[stretch.street.id] = stretch
@@ -203,7 +203,9 @@ class StretchGraph:
         rows = [(row, a, b) for row, a, b in self.connections if a.id in kept and b.id in kept]
         return self._with(set(kept), rows)
 
-    def _with(self, names: set[str], rows: list[tuple[ET.Element, Stretch, Stretch]]) -> StretchGraph:
+    def _with(
+        self, names: set[str], rows: list[tuple[ET.Element, StreetStretch, StreetStretch]]
+    ) -> StretchGraph:
         graph = copy(self)
         graph.names, graph.connections = names, rows
         return graph

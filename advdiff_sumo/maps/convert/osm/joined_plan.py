@@ -10,7 +10,7 @@ from shapely.geometry import LineString, MultiPoint
 from shapely.ops import nearest_points
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.maps.convert.layout.lane_paths import Connection
+from advdiff_sumo.maps.convert.layout.lane_paths import LaneConnection
 from advdiff_sumo.maps.convert.layout.lane_segments import ROOM_M
 from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import (
@@ -22,7 +22,7 @@ from advdiff_sumo.maps.convert.netplan import (
     junction_shape,
     turn_speed,
 )
-from advdiff_sumo.maps.convert.osm.cut_streets import Stretch
+from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch
 from advdiff_sumo.maps.convert.osm.rim_joints import Joint, JointWay
 
 JointNames: TypeAlias = dict[tuple[str, bool], str]
@@ -30,7 +30,7 @@ JointNames: TypeAlias = dict[tuple[str, bool], str]
 
 
 def joined_plan(
-    plan: NetPlan, joints: Sequence[Joint], names: JointNames, stretches: Mapping[str, Stretch]
+    plan: NetPlan, joints: Sequence[Joint], names: JointNames, stretches: Mapping[str, StreetStretch]
 ) -> NetPlan:
     """Return *plan* with a junction for each of *joints*; its lanes and other junctions stay as they are.
 
@@ -66,7 +66,7 @@ def _connection(way: JointWay, joint: Joint) -> ConnectionPlan:
     piece = way.edge.lanes[way.lane].piece
     limit = min(way.edge.lanes[way.lane].speed_mps, turn_speed(way.shape_m))
     passes = joint.leaves and way.edge.length_m < ROOM_M
-    return ConnectionPlan(origin, target, way.shape_m, limit, "", Connection(piece, piece, ()), passes)
+    return ConnectionPlan(origin, target, way.shape_m, limit, "", LaneConnection(piece, piece, ()), passes)
 
 
 def first_to_go(joints: Sequence[Joint]) -> list[tuple[Ends, Ends]]:
@@ -85,7 +85,7 @@ def first_to_go(joints: Sequence[Joint]) -> list[tuple[Ends, Ends]]:
     ]
 
 
-def _junction(joint: Joint, name: str, stretch: Stretch, plan: NetPlan) -> JunctionPlan:
+def _junction(joint: Joint, name: str, stretch: StreetStretch, plan: NetPlan) -> JunctionPlan:
     """Return the junction of *joint* with the trimmed *stretch*: its shape covers ways and ends of lanes."""
     ends = [_from_node(lane.shape_m, joint.leaves) for rim in joint.rims for lane in rim.edge.lanes]
     widths = [lane.width_m for rim in joint.rims for lane in rim.edge.lanes]

@@ -13,7 +13,7 @@ from shapely.geometry.base import BaseGeometry
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
-from advdiff_sumo.maps.convert.osm.cut_streets import Stretch
+from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse
 
 BEHIND_M, AHEAD_M = (
@@ -80,10 +80,10 @@ def _rim_end(edge: EdgePlan, leaves: bool) -> RimEnd | None:
 
 
 def candidates(
-    rims: Sequence[RimEnd], stretches: Sequence[Stretch], area: BaseGeometry
-) -> dict[RimEnd, list[Stretch]]:
+    rims: Sequence[RimEnd], stretches: Sequence[StreetStretch], area: BaseGeometry
+) -> dict[RimEnd, list[StreetStretch]]:
     """Return the stretches that fit to each end of the map of this *area*, best first."""
-    fits: dict[RimEnd, list[Stretch]] = {}
+    fits: dict[RimEnd, list[StreetStretch]] = {}
     for leaves in (True, False):
         open_ends = [s for s in stretches if (s.begins_open if leaves else s.ends_open)]
         if not open_ends:

@@ -14,7 +14,7 @@ from shapely.geometry import LineString
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan, turn_speed
-from advdiff_sumo.maps.convert.osm.cut_streets import Stretch
+from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch
 from advdiff_sumo.maps.convert.osm.rim_ends import HEADING_M, RimEnd, away
 
 RADIUS_M = 30.0  # of the bends between map and street
@@ -45,17 +45,19 @@ class Joint:
         gives_way_m: how much of the stretch's end gives way to bends.
     """
 
-    stretch: Stretch
+    stretch: StreetStretch
     leaves: bool
     rims: tuple[RimEnd, ...]
     ways: tuple[JointWay, ...]
     gives_way_m: float
 
 
-def joints(plan: NetPlan, fits: Mapping[RimEnd, Sequence[Stretch]], allowed: Collection[str]) -> list[Joint]:
+def joints(
+    plan: NetPlan, fits: Mapping[RimEnd, Sequence[StreetStretch]], allowed: Collection[str]
+) -> list[Joint]:
     """Return a joint for each end of a stretch among *allowed* that is the best fit for some end of the map."""
     rims_of: dict[tuple[str, bool], list[RimEnd]] = defaultdict(list)
-    stretch_of: dict[str, Stretch] = {}
+    stretch_of: dict[str, StreetStretch] = {}
     for rim, stretches in fits.items():
         best = next((stretch for stretch in stretches if stretch.id in allowed), None)
         if best is not None:
@@ -88,7 +90,7 @@ class _Lines:
 
 
 def _joint(
-    stretch: Stretch, leaves: bool, rims: list[RimEnd], lines: _Lines, lefthand: bool, both: bool
+    stretch: StreetStretch, leaves: bool, rims: list[RimEnd], lines: _Lines, lefthand: bool, both: bool
 ) -> Joint | None:
     """Return the joint of one end of *stretch*; ends of the map that no drivable way leads from are left out."""
     line = stretch.middle_m if leaves else stretch.middle_m[::-1]
@@ -128,7 +130,7 @@ class StreetLanes:
     along: FloatArray
 
 
-def _street_lanes(stretch: Stretch, leaves: bool, gives_way_m: float, lefthand: bool) -> StreetLanes:
+def _street_lanes(stretch: StreetStretch, leaves: bool, gives_way_m: float, lefthand: bool) -> StreetLanes:
     s = gives_way_m if leaves else stretch.length_m - gives_way_m
     at = polyline.at(stretch.middle_m, s)
     reach = np.clip([s - HEADING_M, s + HEADING_M], 0.0, stretch.length_m)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
-from advdiff_sumo.maps.convert.osm.cut_streets import Stretch, StretchGraph
+from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch, StretchGraph
 from advdiff_sumo.maps.convert.osm.import_streets import StreetNet
 from advdiff_sumo.maps.convert.polyline import shape_text
 from advdiff_sumo.maps.read_net import BEYOND_TYPE
@@ -29,7 +29,10 @@ NO_ROWS = StreetRows()
 
 
 def street_rows(
-    net: StreetNet, stretches: Sequence[Stretch], graph: StretchGraph, joints: Mapping[tuple[str, bool], str]
+    net: StreetNet,
+    stretches: Sequence[StreetStretch],
+    graph: StretchGraph,
+    joints: Mapping[tuple[str, bool], str],
 ) -> StreetRows:
     """Return the rows of *stretches* of *net*, which follow each other as in *graph*; *joints* name junctions."""
     ends = {
@@ -47,7 +50,7 @@ def street_rows(
     )
 
 
-def _edge(stretch: Stretch, origin: str, target: str) -> ET.Element:
+def _edge(stretch: StreetStretch, origin: str, target: str) -> ET.Element:
     given = stretch.street.row
     row = ET.Element("edge", {"id": stretch.id, "from": origin, "to": target, "type": BEYOND_TYPE})
     for key in KEPT:

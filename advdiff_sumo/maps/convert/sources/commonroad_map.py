@@ -22,7 +22,7 @@ from advdiff_sumo.maps.convert.sources.bounded_lanes import (
     largest_part,
     source_lanes,
 )
-from advdiff_sumo.maps.convert.sources.georeference import Moved, stated_projection
+from advdiff_sumo.maps.convert.sources.georeference import PlanarTransform, stated_projection
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.source_map import (
     CIRCULAR,
@@ -98,9 +98,9 @@ def _projection(row: Element | None, faults: MapFaults) -> str | None:
     tags = {"x_m": "xTranslation", "y_m": "yTranslation", "turned_rad": "zRotation", "scale": "scaling"}
     texts = {key: row.findtext(f"additionalTransformation/{tag}") for key, tag in tags.items()}
     try:
-        moved = Moved(**{key: float(text) for key, text in texts.items() if text})
+        moved = PlanarTransform(**{key: float(text) for key, text in texts.items() if text})
     except ValueError:
-        moved = Moved(x_m=math.nan)
+        moved = PlanarTransform(x_m=math.nan)
     return stated_projection(row.findtext("geoReference"), moved, faults)
 
 

@@ -10,7 +10,7 @@ from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 
 
 @dataclass(frozen=True)
-class Moved:
+class PlanarTransform:
     """How places of a file become those of its coordinate system: turned and scaled, then moved by (x, y)."""
 
     x_m: float = 0.0
@@ -19,7 +19,7 @@ class Moved:
     scale: float = 1.0
 
 
-def stated_projection(system: str | None, moved: Moved, faults: MapFaults) -> str | None:
+def stated_projection(system: str | None, moved: PlanarTransform, faults: MapFaults) -> str | None:
     """Return the PROJ string whose plane is the frame of a map that states a *system*, or None.
 
     A system that cannot be used is told: the map needs none.

@@ -27,7 +27,7 @@ from advdiff_sumo.maps.convert.sources.bounded_lanes import (
     largest_part,
     source_lanes,
 )
-from advdiff_sumo.maps.convert.sources.georeference import Moved, stated_projection
+from advdiff_sumo.maps.convert.sources.georeference import PlanarTransform, stated_projection
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.opendrive_curves import (
     ReferenceLine,
@@ -93,15 +93,15 @@ def opendrive_map(root: Element, path: Path) -> SourceMap:
     )
 
 
-def _moved(root: Element) -> Moved:
+def _moved(root: Element) -> PlanarTransform:
     """Return how the header's ``offset`` leads from places of the file to those of its ``geoReference``."""
     row = root.find("header/offset")
     if row is None:
-        return Moved()
+        return PlanarTransform()
     try:
-        return Moved(number(row, "x", 0.0), number(row, "y", 0.0), number(row, "hdg", 0.0))
+        return PlanarTransform(number(row, "x", 0.0), number(row, "y", 0.0), number(row, "hdg", 0.0))
     except ValueError:
-        return Moved(x_m=math.nan)
+        return PlanarTransform(x_m=math.nan)
 
 
 @dataclass(frozen=True, eq=False)

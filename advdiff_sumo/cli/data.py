@@ -14,8 +14,8 @@ from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.map_view import MapView
 
 if TYPE_CHECKING:
-    from advdiff_sumo.sim.log_windows import Built
-    from advdiff_sumo.sim.simulate import ShardResult, SimulateOptions
+    from advdiff_sumo.sim.training_windows.log_windows import Built
+    from advdiff_sumo.sim.training_windows.simulate import ShardResult, SimulateOptions
 
 data = typer.Typer(
     name="data",
@@ -64,7 +64,7 @@ def simulate(
     advdiff-sumo data simulate --out windows --windows 20000 --seed 1
     """
     from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS  # late: --help needs no SUMO
-    from advdiff_sumo.sim.simulate import SimulateOptions
+    from advdiff_sumo.sim.training_windows.simulate import SimulateOptions
 
     options = SimulateOptions.parse(
         {
@@ -83,7 +83,7 @@ def simulate(
 
 def _simulate(options: SimulateOptions, out: Path, workers: int) -> None:
     """Make the windows behind a bar, and say how many there are."""
-    from advdiff_sumo.sim.simulate import plan, simulate
+    from advdiff_sumo.sim.training_windows.simulate import plan, simulate
 
     with progress_bar(terminal(stderr=True)) as progress:
         task = progress.add_task("windows", total=options.windows)
@@ -143,9 +143,9 @@ def build(
     from advdiff_sumo.data import open_log  # late, as above
     from advdiff_sumo.maps import RoadMap
     from advdiff_sumo.maps.shipped_nets import find_net
-    from advdiff_sumo.sim.log_nets import LogNets
-    from advdiff_sumo.sim.log_windows import BuildOptions
-    from advdiff_sumo.sim.log_windows import build as built
+    from advdiff_sumo.sim.training_windows.log_nets import LogNets
+    from advdiff_sumo.sim.training_windows.log_windows import BuildOptions
+    from advdiff_sumo.sim.training_windows.log_windows import build as built
 
     is_file = _is_window_file(out)
     if abs(2.0 * stride - round(2.0 * stride)) > 1e-9:

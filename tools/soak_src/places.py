@@ -12,7 +12,7 @@ from pathlib import Path
 from advdiff_sumo.core.errors import AdvdiffError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS
-from advdiff_sumo.sim.simulate_nets import write_random_net
+from advdiff_sumo.sim.training_windows.random_nets import write_random_net
 from soak_src.osm_maps import OSM_MAPS, write_osm_net
 
 KINDS = ("grid", "spider", "rand")

@@ -11,9 +11,9 @@ from advdiff_sumo.data import open_log
 from advdiff_sumo.data.log_reader import LogReader
 from advdiff_sumo.experiments.bench.scene_list import ListedScene, SceneList, choose_scenes
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.log_nets import LogNets, NoNetError
 from advdiff_sumo.sim.logs import LoggedTraffic
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.training_windows.log_nets import LogNets, NoNetError
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 
 LOG_HORIZON_S = 6.0

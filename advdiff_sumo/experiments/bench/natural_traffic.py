@@ -20,7 +20,7 @@ from advdiff_sumo.experiments.bench.paper import paper_table
 from advdiff_sumo.experiments.bench.progress import ProgressReporter
 from advdiff_sumo.experiments.bench.statistics import Divergence, Ratio, Sample
 from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of
-from advdiff_sumo.sim.simulate import ShardResult, SimulateOptions, plan, simulate
+from advdiff_sumo.sim.training_windows.simulate import ShardResult, SimulateOptions, plan, simulate
 from advdiff_sumo.sweep.fingerprint import digest
 from advdiff_sumo.sweep.sweep_files import read_checked, write_checked
 from advdiff_sumo.training.dataset import WindowSet, read_window_set

@@ -12,7 +12,7 @@ import numpy as np
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.simulate_drivers import KINDS, DriverType, driver_types
+from advdiff_sumo.sim.training_windows.driver_types import KINDS, DriverType, driver_types
 
 PARKED = "parked"
 """Beginning of the names of vehicles that stand at the kerb from the start."""

@@ -28,8 +28,8 @@ from advdiff_sumo.sim.episode_loop import Loop
 from advdiff_sumo.sim.plan_memo import PlanSource
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
-from advdiff_sumo.sim.simulate_demand import write_mixed_demand
-from advdiff_sumo.sim.simulate_run import WARMUP_S, Recording
+from advdiff_sumo.sim.training_windows.mixed_demand import write_mixed_demand
+from advdiff_sumo.sim.training_windows.simulation_run import WARMUP_S, Recording
 from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
 from advdiff_sumo.sim.world import stack
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from advdiff_sumo.sim.simulate_plan import PlanEdge, StreetPlan
+from advdiff_sumo.sim.training_windows.street_plan import PlanEdge, StreetPlan
 
 _RAMP_M, _RAMP_ASIDE_M = 170.0, 45.0
 _CHANGE_M = 220.0

@@ -21,7 +21,7 @@ from advdiff_sumo.data.window_arrays import WindowArrays, WindowFileBuilder, cro
 from advdiff_sumo.data.window_files import DT_S, FUTURE, PAST, SUFFIX, WindowFile, write_windows
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.read_net import base_name
-from advdiff_sumo.sim.log_nets import LogNets, NoNetError
+from advdiff_sumo.sim.training_windows.log_nets import LogNets, NoNetError
 
 _SOURCE = "advdiff-sumo data build"
 _MOST_FOCAL = 8

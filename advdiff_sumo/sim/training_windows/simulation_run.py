@@ -20,7 +20,7 @@ from advdiff_sumo.data.window_files import DT_S, FUTURE, PAST
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.vector_map import PieceTable
 from advdiff_sumo.sim.session import Session, SessionOptions
-from advdiff_sumo.sim.simulate_demand import PARKED, write_mixed_demand
+from advdiff_sumo.sim.training_windows.mixed_demand import PARKED, write_mixed_demand
 from advdiff_sumo.sim.world import Frame, World, read, register, stack
 
 WARMUP_S, RECORD_S = 16.0, 28.0

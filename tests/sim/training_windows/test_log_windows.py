@@ -16,8 +16,8 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data import LogReader, LogScene, NuScenesReader, ScenarioNetReader
 from advdiff_sumo.data.window_files import read_windows
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.log_nets import LogNets
-from advdiff_sumo.sim.log_windows import BuildOptions, Built, build, log_windows
+from advdiff_sumo.sim.training_windows.log_nets import LogNets
+from advdiff_sumo.sim.training_windows.log_windows import BuildOptions, Built, build, log_windows
 from tests.sim.records_made import record, write
 
 

@@ -16,8 +16,8 @@ from defusedxml.ElementTree import parse as parse_xml
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps.sumo_files import drop_header
-from advdiff_sumo.sim.simulate_motorway import motorway_plan
-from advdiff_sumo.sim.simulate_plan import PlanEdge, StreetPlan, bend
+from advdiff_sumo.sim.training_windows.motorway import motorway_plan
+from advdiff_sumo.sim.training_windows.street_plan import PlanEdge, StreetPlan, bend
 
 KINDS = ("grid", "rand", "spider", "grid", "motorway", "rand", "grid", "spider")
 """Kinds of the nets that are made up one after the other."""

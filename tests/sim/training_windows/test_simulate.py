@@ -14,10 +14,10 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.window_files import read_windows
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.simulate import ShardResult, SimulateOptions, plan, simulate
-from advdiff_sumo.sim.simulate_drivers import CAR_FOLLOWING, KINDS, driver_types
-from advdiff_sumo.sim.simulate_nets import write_random_net
-from advdiff_sumo.sim.simulate_run import _drivable, _touching, record
+from advdiff_sumo.sim.training_windows.driver_types import CAR_FOLLOWING, KINDS, driver_types
+from advdiff_sumo.sim.training_windows.random_nets import write_random_net
+from advdiff_sumo.sim.training_windows.simulate import ShardResult, SimulateOptions, plan, simulate
+from advdiff_sumo.sim.training_windows.simulation_run import _drivable, _touching, record
 
 
 @pytest.mark.parametrize("kind", ["grid", "spider", "rand", "motorway"])
@@ -67,7 +67,7 @@ def test_the_plan_takes_given_and_made_up_nets_in_turn() -> None:
 def test_workers_do_not_change_a_byte_and_complete_files_are_kept(
     tmp_path: Path, crossing: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("advdiff_sumo.sim.simulate.SHARD_WINDOWS", 16)
+    monkeypatch.setattr("advdiff_sumo.sim.training_windows.simulate.SHARD_WINDOWS", 16)
 
     def made(folder: str, workers: int) -> list[ShardResult]:
         values = {"windows": 32, "nets": (str(crossing),), "random_share": 0.0, "seed": 3}
@@ -99,7 +99,7 @@ def test_workers_do_not_change_a_byte_and_complete_files_are_kept(
 def test_files_of_another_net_of_the_same_name_are_not_taken_for_those_of_this_one(
     tmp_path: Path, crossing: Path, unregulated: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("advdiff_sumo.sim.simulate.SHARD_WINDOWS", 8)
+    monkeypatch.setattr("advdiff_sumo.sim.training_windows.simulate.SHARD_WINDOWS", 8)
     for folder, net in {"a": crossing, "b": unregulated}.items():
         (tmp_path / folder).mkdir()
         shutil.copy(net, tmp_path / folder / "town.net.xml")

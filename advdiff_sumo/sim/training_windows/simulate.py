@@ -23,9 +23,9 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.read_net import base_name
 from advdiff_sumo.maps.shipped_nets import NETS_BY_NAME, SHIPPED_NETS, find_net
 from advdiff_sumo.maps.sidecar import sidecar_of
-from advdiff_sumo.sim.simulate_handback import DrivingModel, record_handbacks
-from advdiff_sumo.sim.simulate_nets import KINDS, write_random_net
-from advdiff_sumo.sim.simulate_run import Recording, cut, record
+from advdiff_sumo.sim.training_windows.handback import DrivingModel, record_handbacks
+from advdiff_sumo.sim.training_windows.random_nets import KINDS, write_random_net
+from advdiff_sumo.sim.training_windows.simulation_run import Recording, cut, record
 
 SHARD_WINDOWS, RUN_WINDOWS = 300, 200
 _MOST_RUNS, _NET_TRIES = 8, 5

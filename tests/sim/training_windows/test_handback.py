@@ -13,8 +13,8 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.window_files import FUTURE, PAST
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.sim.simulate_handback import driven_in_turn, recorded
-from advdiff_sumo.sim.simulate_run import Recording, cut
+from advdiff_sumo.sim.training_windows.handback import driven_in_turn, recorded
+from advdiff_sumo.sim.training_windows.simulation_run import Recording, cut
 from tests.sim.scenes import episode
 
 _BRAKES_MPS2 = 3.0

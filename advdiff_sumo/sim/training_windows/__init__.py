@@ -1,0 +1,1 @@
+"""Windows to train on, out of natural SUMO traffic and of driving logs."""

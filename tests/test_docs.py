@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import re
 import sys
+import tomllib
 from pathlib import Path
 from types import ModuleType
 
@@ -87,6 +88,13 @@ def test_every_link_leads_somewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     pages = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]
     assert pages
     assert [line for page in pages for line in tool("check_links").broken(page)] == []
+
+
+def test_the_page_on_the_code_shows_which_way_imports_go() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    layers = next(x["layers"] for x in contracts if x["name"] == "Imports go one way")
+    arrow = " → ".join(layers).replace("advdiff_sumo.", "").replace(" | ", ", ")
+    assert f"\n{arrow}\n" in (ROOT / "docs" / "code.md").read_text().replace("→\n", "→ ")
 
 
 def test_the_changelog_knows_this_version() -> None:

@@ -24,7 +24,7 @@ from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.core.errors import AdvdiffError, InputError
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
-from advdiff_sumo.experiments.judge_folder import EpisodeTables, open_folder
+from advdiff_sumo.experiments.judge_folder import EpisodeTables, open_judging
 from advdiff_sumo.sweep.job_plan import Job, SweepPlan, plan_sweep
 from advdiff_sumo.sweep.repeat import episode_again, of_run
 from advdiff_sumo.sweep.sweep_store import Store
@@ -85,7 +85,7 @@ def collided(folder: Path) -> Iterator[Candidate]:
         first = of_run("0", folder)
         store, plan = first.store, first.plan
         jobs = {str(job.number): job for job in plan.jobs}
-    for key, stored in open_folder(folder).episodes():
+    for key, stored in open_judging(folder).episodes():
         if stored.row["collision_partner"]:
             yield Candidate(folder, store, plan, jobs[key], stored)
 

@@ -32,7 +32,7 @@ from advdiff_sumo.core.errors import InputError
 from advdiff_sumo.core.frames import bumper_from_centre
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.experiments.judge_folder import open_folder
+from advdiff_sumo.experiments.judge_folder import open_judging
 from advdiff_sumo.export import ExportScene, make_exporter
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.following import following
@@ -108,7 +108,7 @@ def compared(given: argparse.Namespace, keep: Path) -> tuple[Counter[tuple[str, 
 
 def moving(folder: Path, net: str) -> Iterator[tuple[str, EpisodeRecord, RoadMap]]:
     """Yield key, record and map of the episodes of *folder* on nets whose file's name begins with *net*."""
-    for key, stored in open_folder(folder).episodes():
+    for key, stored in open_judging(folder).episodes():
         record = stored.record() if stored.net.name.startswith(net) else None
         if record is not None and record.tracks.steps > 1:
             yield key, record, stored.road()

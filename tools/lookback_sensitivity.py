@@ -15,7 +15,7 @@ from pathlib import Path
 
 from advdiff_sumo.core.errors import InputError
 from advdiff_sumo.core.record import EpisodeRecord
-from advdiff_sumo.experiments.judge_folder import open_folder
+from advdiff_sumo.experiments.judge_folder import open_judging
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
 from advdiff_sumo.metrics.collision import Collision, collisions, target_collision
@@ -52,7 +52,7 @@ def main() -> int:
 
 def struck_targets(folder: Path) -> Iterator[tuple[EpisodeRecord, RoadMap, Collision]]:
     """Yield the records of *folder* in which the target collides with another after the first instant."""
-    for _, stored in open_folder(folder).episodes():
+    for _, stored in open_judging(folder).episodes():
         if not stored.row["collision_partner"]:
             continue
         record = stored.record()

@@ -213,7 +213,7 @@ def run_or_print(
     *as_json*, of ``defects``: one object is printed and nothing else.
     """
     one_thread_for_good()
-    from advdiff_sumo.experiments.bench.bench_config import Folder, open_folder, request_of
+    from advdiff_sumo.experiments.bench.bench_config import Folder, open_bench, request_of
     from advdiff_sumo.experiments.bench.print_table import print_table  # late: --help needs no simulator
     from advdiff_sumo.experiments.bench.runner import DEFAULTS, check_request, run_bench
     from advdiff_sumo.experiments.bench.table_cache import finished
@@ -227,7 +227,7 @@ def run_or_print(
     table = finished(Folder(path, request))
     if table is None:
         check_request(request)
-        folder = open_folder(path, request)
+        folder = open_bench(path, request)
         with ExitStack() as stack:
             limits = limits_of(stack, timeout_s)
             with _Bars(console) as bars:

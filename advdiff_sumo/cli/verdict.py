@@ -56,11 +56,11 @@ def verdict(
     if target:
         raise ConfigError("--target is for scenarios, which need --net, too; a run knows its target")
     from advdiff_sumo.cli.summary import run_object
-    from advdiff_sumo.experiments.judge_folder import open_folder
+    from advdiff_sumo.experiments.judge_folder import open_judging
     from advdiff_sumo.report.page import write_report
 
     console = verb_console(False, as_json)
-    judging = open_folder(folder)
+    judging = open_judging(folder)
     if judging.doubt:
         console.print(
             f"judged on the nets that are there now: {judging.doubt}", style="yellow", soft_wrap=True

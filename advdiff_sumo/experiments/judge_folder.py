@@ -142,7 +142,7 @@ class Judging:
         return [row for _, row in sorted(rows, key=lambda pair: int(pair[1]["episode"]))]
 
 
-def open_folder(folder: Path) -> Judging:
+def open_judging(folder: Path) -> Judging:
     """Open the folder of a finished or interrupted run or sweep.
 
     Raises:

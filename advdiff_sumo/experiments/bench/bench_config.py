@@ -114,7 +114,7 @@ class Folder:
         return digest({name: value for name, value in dumped.items() if name not in _LATER or value})
 
 
-def open_folder(path: Path, request: Request) -> Folder:
+def open_bench(path: Path, request: Request) -> Folder:
     """Make the folder, or go on in it; what is asked may have changed, what weights it used may not.
 
     Raises:

@@ -10,6 +10,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.gzipped import DAMAGED_GZIP, unpacked
+from advdiff_sumo.core.map_files import load_xml
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
 from advdiff_sumo.data.motion import parked_agents, signed_speeds
@@ -43,8 +44,6 @@ class CommonRoadReader(SceneFiles):
 
     def read_file(self, name: str, path: Path) -> LogScene:
         """Return the scenario in *path*."""
-        from advdiff_sumo.maps.convert.sources.map_files import load_xml  # late: training runs without SUMO
-
         return _scene(name, path, load_xml(path))
 
     def paths(self) -> dict[Path, str]:

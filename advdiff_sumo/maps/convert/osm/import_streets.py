@@ -17,10 +17,10 @@ from shapely.geometry import LineString, box
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.core.map_files import load_xml
 from advdiff_sumo.maps.build_graph import DEFAULT_LANE_WIDTH_M, permissions
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.netconvert import PRECISION, TIMEOUT_S
-from advdiff_sumo.maps.convert.sources.map_files import load_xml
 from advdiff_sumo.maps.read_net import shape_of
 from advdiff_sumo.maps.sumo_files import sumo_home
 

@@ -16,8 +16,8 @@ from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.core.map_files import MAX_FILE_BYTES
 from advdiff_sumo.maps.convert.sources.bounded_lanes import on_earth
-from advdiff_sumo.maps.convert.sources.map_files import MAX_FILE_BYTES
 
 ENVELOPE_BYTES = (0, 32, 48, 48, 64)  # by the header's envelope code
 SHAPE_COLUMNS = ("geom", "geometry")

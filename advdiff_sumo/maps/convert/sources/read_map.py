@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.core.map_files import load_json, load_xml
 from advdiff_sumo.maps.convert.sources.argoverse2_map import argoverse2_map
 from advdiff_sumo.maps.convert.sources.commonroad_map import commonroad_map
 from advdiff_sumo.maps.convert.sources.lanelet2_map import lanelet2_map
-from advdiff_sumo.maps.convert.sources.map_files import load_json, load_xml
 from advdiff_sumo.maps.convert.sources.nuplan_map import nuplan_map
 from advdiff_sumo.maps.convert.sources.nuscenes_json import nuscenes_map
 from advdiff_sumo.maps.convert.sources.opendrive_map import opendrive_map

@@ -1,4 +1,4 @@
-"""Read the text of a map file, JSON or XML, gzipped or not, of bounded size."""
+"""Read the text of a file of a map or scenario, JSON or XML, gzipped or not, of bounded size."""
 
 from __future__ import annotations
 

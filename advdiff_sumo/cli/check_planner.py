@@ -49,8 +49,7 @@ def check_planner(
     Exit code 0: it may be tested; 1: a check fails; 2: there is no such planner, or it cannot be made.
     """
     one_thread_for_good()
-    from advdiff_sumo.experiments.planner_check import Extent  # late: --help needs none of it
-    from advdiff_sumo.experiments.planner_check_worker import check_in_worker
+    from advdiff_sumo.experiments.target_trial import Extent, check_in_worker  # late: --help needs none of it
 
     options: dict[str, Any] = {"defects": defect} if defect else {}
     for assignment in assign or ():

@@ -19,8 +19,8 @@ from advdiff_sumo.sim.sim_options import SceneOptions
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
 from advdiff_sumo.traffic.manoeuvres.encounter_features import FEATURES
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference, answers
-from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
 from advdiff_sumo.traffic.scripted.scripted_policy import ScriptedTraffic
 
 EPISODE_S = 7.0

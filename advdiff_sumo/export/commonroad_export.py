@@ -15,7 +15,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.scene import AgentClass
-from advdiff_sumo.export.commonroad_map import add_map
+from advdiff_sumo.export.commonroad_lanelets import add_map
 from advdiff_sumo.export.export_scene import ExportScene, ImportedScene, number, stretches, unwrapped
 from advdiff_sumo.export.importers import commonroad_import as importer
 

@@ -10,7 +10,7 @@ pytest.importorskip(
     "commonroad_idm_planner", reason="pip install commonroad-idm-planner, in an environment without Ray"
 )
 
-from advdiff_sumo.experiments.planner_check import Extent, check_target
+from advdiff_sumo.experiments.target_trial import Extent, check_target
 
 
 def test_it_keeps_the_contract_and_drives(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from advdiff_sumo.planners.planner_protocol import Served
 from advdiff_sumo.planners.reference import CarefulPlanner
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
-from tests.experiments.test_planner_check import Told
+from tests.experiments.test_target_trial import Told
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 

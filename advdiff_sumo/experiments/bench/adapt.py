@@ -11,7 +11,7 @@ from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.core.plug_in_source import crashed_at
-from advdiff_sumo.experiments.bench.progress import ProgressReporter
+from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import TUNING_SEED
 from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS
 from advdiff_sumo.models.model_options import MODEL_STEP_S

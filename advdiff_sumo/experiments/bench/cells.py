@@ -10,7 +10,7 @@ from typing import Any
 import tomli_w
 
 from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
-from advdiff_sumo.experiments.bench.progress import ProgressReporter
+from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import SceneList
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sweep.executors import ProcessExecutor

@@ -14,7 +14,7 @@ from advdiff_sumo.experiments.bench.bench_rows import (
 )
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
 from advdiff_sumo.experiments.bench.detection import too_few
-from advdiff_sumo.experiments.bench.progress import ProgressReporter
+from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import DEFECTS_LIST, SceneList
 from advdiff_sumo.planners.defects import DEFECTS, Defect, parse_defects
 from advdiff_sumo.planners.planner_protocol import SumoDriver

@@ -25,7 +25,7 @@ from advdiff_sumo.experiments.bench.detection import (
 )
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.finding_counts import findings_text, first_costs
-from advdiff_sumo.experiments.bench.statistics import Estimate, Ratio, difference, estimate, ratio
+from advdiff_sumo.experiments.bench.intervals import Estimate, Ratio, difference, estimate, ratio
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
 from advdiff_sumo.sweep.sweep_files import write_whole
 

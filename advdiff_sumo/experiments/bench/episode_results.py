@@ -9,7 +9,7 @@ from typing import Any
 
 from advdiff_sumo.core.worker_pool import in_processes
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells
-from advdiff_sumo.experiments.bench.progress import ProgressReporter
+from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.traces import UNTRACED, BackgroundTrace, trace_of
 from advdiff_sumo.metrics.severity import is_failure
 from advdiff_sumo.sweep.job_plan import Job

@@ -17,10 +17,10 @@ from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
 from advdiff_sumo.experiments.bench.bench_rows import PAPERS_LICENCE, licensed
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
+from advdiff_sumo.experiments.bench.intervals import RESAMPLES, Difference, Estimate, Ratio, estimate
 from advdiff_sumo.experiments.bench.log_scenes import bench_scenes
-from advdiff_sumo.experiments.bench.progress import ProgressReporter
+from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
-from advdiff_sumo.experiments.bench.statistics import RESAMPLES, Difference, Estimate, Ratio, estimate
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
 from advdiff_sumo.sweep.tasks import WorkerLimits

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from advdiff_sumo.experiments.bench.statistics import Difference
+from advdiff_sumo.experiments.bench.intervals import Difference
 from advdiff_sumo.experiments.bench.table import Cell, Head
 
 NOTHING = "–"

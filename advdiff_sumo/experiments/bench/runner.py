@@ -17,7 +17,7 @@ from advdiff_sumo.experiments.bench.episode_results import Gathered, gather, gat
 from advdiff_sumo.experiments.bench.fewshot import asked_of_fewshot, fewshot_table, plan_fewshot
 from advdiff_sumo.experiments.bench.forecast import forecast
 from advdiff_sumo.experiments.bench.natural_traffic import check_traffic, run_traffic
-from advdiff_sumo.experiments.bench.progress import ProgressReporter, Silent
+from advdiff_sumo.experiments.bench.reporter import ProgressReporter, Silent
 from advdiff_sumo.experiments.bench.scene_list import DEFECTS_HORIZON_S
 from advdiff_sumo.experiments.bench.table import Table
 from advdiff_sumo.experiments.bench.table_cache import save

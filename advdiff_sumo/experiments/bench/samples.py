@@ -10,7 +10,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult
-from advdiff_sumo.experiments.bench.statistics import Divergence, Ratio, Sample, aligned
+from advdiff_sumo.experiments.bench.intervals import Divergence, Ratio, Sample, aligned
 
 _HISTOGRAMS = ("speed", "accel", "ttc")
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from advdiff_sumo.experiments.bench.statistics import Difference, Estimate, Sample, difference, estimate
+from advdiff_sumo.experiments.bench.intervals import Difference, Estimate, Sample, difference, estimate
 
 Better = Literal["high", "low", ""]
 

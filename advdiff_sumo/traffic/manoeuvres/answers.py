@@ -10,8 +10,8 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.boxes import axis_gaps
-from advdiff_sumo.traffic.manoeuvres.pace import FINE_DT_S, FINE_TIMES_S, speeds_along
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, FINE
+from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_DT_S, FINE_TIMES_S, speeds_along
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, FINE
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 REACTION_S = 0.75

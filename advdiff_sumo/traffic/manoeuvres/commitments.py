@@ -13,9 +13,9 @@ from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPrefer
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS
 from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
-from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
 
 STANDS = "stands"

@@ -13,9 +13,9 @@ from advdiff_sumo.traffic.manoeuvres.intensity import BRAKING_KINDS, Intensity
 from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_spare_m
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import meeting_m
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links, cut_out_at, into_position
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 
 AFTER_ENTRY_MPS2 = 6.5
 """How somebody slows who has cut in with an asked gap; one of ``repertoire.AFTER_CUT_IN_MPS2``."""

@@ -15,8 +15,8 @@ from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, RECKLESS_OVER_LIMIT, Licence
+from advdiff_sumo.traffic.manoeuvres.free_speed import takes_bends
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
-from advdiff_sumo.traffic.manoeuvres.pace import takes_bends
 from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way

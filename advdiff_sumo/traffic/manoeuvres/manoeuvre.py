@@ -9,14 +9,14 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.kinematic_states import KinematicStates
-from advdiff_sumo.traffic.manoeuvres.profiles import (
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import (
     CHECK_DT_S,
     CHECK_TIMES_S,
     PLAN_DT_S,
     SpeedProfile,
     drive_profiles,
 )
-from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import STANDS_M, Way, facing, moving_s, settling
 
 LATERAL_MPS = 1.1

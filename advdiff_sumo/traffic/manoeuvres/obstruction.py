@@ -15,8 +15,8 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
-from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 
 WAITS = "waits"
 """What somebody does whose way the target blocks."""

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
-from advdiff_sumo.traffic.manoeuvres.pace import FINE_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import meeting_m
 from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView

@@ -14,8 +14,8 @@ from advdiff_sumo.metrics.collision import tracks_collisions
 from advdiff_sumo.metrics.encounter import encounter
 from advdiff_sumo.metrics.traffic_view import TrafficView
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, TargetWay
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_DT_S, CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_DT_S, CHECK_TIMES_S
 
 CARELESS_ALLOWS = frozenset((BreachKind.UNSAFE_LANE_ENTRY, BreachKind.SPEEDING))
 """Breaches that the licence "careless" leaves to its own bounds."""

@@ -12,8 +12,8 @@ from advdiff_sumo.traffic.manoeuvres.continuation import carry_on
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.obstruction import blocked_since, waiting
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since
-from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, come_in
 
 

@@ -17,9 +17,9 @@ from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import Approach, approaches
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.repertoire import HEADWAY_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 SIZE_M = {AgentClass.CAR: (4.6, 1.8), AgentClass.TRUCK: (9.0, 2.4), AgentClass.MOTORCYCLE: (2.2, 0.8)}

@@ -24,9 +24,9 @@ from advdiff_sumo.traffic.manoeuvres.intensity import (
     Intensity,
 )
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, planned_motions
-from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.staging import STAGED, plan_with
 
 if TYPE_CHECKING:

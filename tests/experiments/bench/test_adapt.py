@@ -8,7 +8,7 @@ import pytest
 
 from advdiff_sumo.core.errors import AdvdiffError, ConfigError, EpisodeFailure
 from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
-from advdiff_sumo.experiments.bench.progress import Silent
+from advdiff_sumo.experiments.bench.reporter import Silent
 from advdiff_sumo.sweep.tasks import WorkerLimits
 
 PLANNERS = """

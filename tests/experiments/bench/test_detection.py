@@ -33,7 +33,7 @@ from advdiff_sumo.experiments.bench.detection import (
     too_few,
 )
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
-from advdiff_sumo.experiments.bench.progress import Silent
+from advdiff_sumo.experiments.bench.reporter import Silent
 from advdiff_sumo.experiments.bench.traces import UNTRACED
 from advdiff_sumo.experiments.bench.write_table import markdown_text
 from advdiff_sumo.metrics.statistics import holm, mcnemar_more

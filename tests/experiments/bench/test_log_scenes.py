@@ -13,7 +13,7 @@ from advdiff_sumo.experiments.bench.bench_rows import POLICY_ROWS, licensed
 from advdiff_sumo.experiments.bench.cells import BenchCell, plan_cells
 from advdiff_sumo.experiments.bench.defect_cells import plan_defects
 from advdiff_sumo.experiments.bench.log_scenes import bench_scenes, is_log
-from advdiff_sumo.experiments.bench.progress import Silent
+from advdiff_sumo.experiments.bench.reporter import Silent
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, choose_scenes
 from advdiff_sumo.traffic.licence import LicenceName
 from tests.sim.records_made import record, write

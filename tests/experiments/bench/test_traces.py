@@ -10,9 +10,9 @@ import pytest
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.worker_pool import in_processes
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult
+from advdiff_sumo.experiments.bench.intervals import estimate
 from advdiff_sumo.experiments.bench.likelihood import natural_nats
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
-from advdiff_sumo.experiments.bench.statistics import estimate
 from advdiff_sumo.experiments.bench.traces import (
     BackgroundTrace,
     _solvable,

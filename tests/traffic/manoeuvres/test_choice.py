@@ -14,9 +14,9 @@ from advdiff_sumo.traffic.manoeuvres.answers import UNANSWERABLE_MPS2, needed_br
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, SpeedProfile
 from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on, view_of
 
 

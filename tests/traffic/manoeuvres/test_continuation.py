@@ -9,8 +9,8 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.continuation import carry_on
-from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from tests.traffic.manoeuvres.scenes import view_of
 
 

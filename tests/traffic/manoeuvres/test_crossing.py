@@ -10,10 +10,10 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.answers import seen_not_to_stop_s, trapped_share
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, crossing_on
 from advdiff_sumo.traffic.manoeuvres.schedule import advance
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, SpeedProfile
 from tests.planners.encounters import Encounter, Scripted, crossing, over
 from tests.traffic.manoeuvres.scenes import view_of
 

@@ -17,9 +17,9 @@ from advdiff_sumo.traffic.manoeuvres.encounter_features import (
     encounter_features,
 )
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
-from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from tests.traffic.manoeuvres.scenes import view_of
 
 

@@ -15,9 +15,9 @@ from advdiff_sumo.traffic.manoeuvres.follower import (
     follows_still,
 )
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
-from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.schedule import advance
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on, view_of
 
 

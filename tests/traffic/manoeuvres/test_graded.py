@@ -23,9 +23,9 @@ from advdiff_sumo.traffic.manoeuvres.graded import (
 from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
 from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_spare_m
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, SpeedProfile
 from tests.planners.encounters import Encounter, Scripted, crossing, failed, over, two_lanes
 from tests.traffic.manoeuvres.scenes import view_of
 

@@ -15,9 +15,9 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import LATERAL_MPS, Manoeuvre, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.profiles import PLAN_DT_S, SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S, SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.ways import settling
 from tests.traffic.manoeuvres.scenes import LENGTH_M, view_of
 

@@ -8,9 +8,9 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import BreachKind
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.plan_licence import plan_breaches
-from advdiff_sumo.traffic.manoeuvres.profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from tests.traffic.manoeuvres.scenes import LENGTH_M, view_of
 
 

@@ -13,9 +13,9 @@ from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
-from advdiff_sumo.traffic.manoeuvres.pace import FINE_TIMES_S
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
+from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.staging import (
     SIZE_M,
     Newcomer,

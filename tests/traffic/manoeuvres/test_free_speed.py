@@ -9,9 +9,9 @@ import pytest
 
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.answers import TargetWay, contact_share
-from advdiff_sumo.traffic.manoeuvres.pace import FINE_TIMES_S, speeds_along, takes_bends
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S
+from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S, speeds_along, takes_bends
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
 
 

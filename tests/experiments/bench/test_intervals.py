@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.experiments.bench.fewshot import Pooled, averaged
-from advdiff_sumo.experiments.bench.samples import Rates
-from advdiff_sumo.experiments.bench.statistics import (
+from advdiff_sumo.experiments.bench.intervals import (
     Divergence,
     Estimate,
     difference,
     estimate,
     ratio,
 )
+from advdiff_sumo.experiments.bench.samples import Rates
 from advdiff_sumo.experiments.bench.transfer import share_kept
 from advdiff_sumo.metrics.statistics import jensen_shannon, mcnemar
 

@@ -9,7 +9,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.maps.lanes import Lane
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_DT_S, CHECK_TIMES_S, FINE
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_DT_S, CHECK_TIMES_S, FINE
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 PICKS_UP_MPS2 = 0.5

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.plan import Plan
+from advdiff_sumo.core.plug_in_source import crashed_at
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
@@ -24,9 +27,12 @@ from advdiff_sumo.sim.run_episodes import RunOptions, check_together, target_of
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
+from advdiff_sumo.sweep.executors import ProcessExecutor, outcome_of
+from advdiff_sumo.sweep.tasks import CallTask, WorkerLimits
 from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 DRIVES, DRIVES_AGAIN, IN_TIME = "drives", "drives it again", "in time"
+LASTS = "comes to its end"
 _KEPT = 4
 _NOT_REACHED = {
     Part.METHODS: tuple(Part)[1:],
@@ -117,6 +123,38 @@ class Driven:
     again: EpisodeRecord
     plans_s: FloatArray
     scenes: tuple[Scene, ...]
+
+
+def check_in_worker(
+    name: str, options: Mapping[str, Any], extent: Extent, limits: WorkerLimits, hear: Callable[[str], None]
+) -> list[CheckResult]:
+    """Return what :func:`check_target` returns, or one verdict on a planner that ends the process or never comes back.
+
+    Args:
+        name: as of ``--target``.
+        options: of the planner.
+        extent: how much is tried.
+        limits: of the worker.
+        hear: called with what the planner printed.
+
+    Raises:
+        InputError: there is no such planner, or it cannot be made.
+    """
+    with ProcessExecutor(1, limits) as executor:
+        outcome = outcome_of(CallTask("check", partial(_verdicts, name, dict(options), extent)), executor)
+    if outcome.said:
+        hear(outcome.said)
+    failed = outcome.failed
+    if failed is None:
+        return [CheckResult(**content) for content in json.loads(outcome.product[0])]
+    if failed.is_unusable:
+        raise ConfigError(failed.message)
+    return [CheckResult(LASTS, False, f"{failed.message}{crashed_at(failed.log_tail)}")]
+
+
+def _verdicts(name: str, options: Mapping[str, Any], extent: Extent) -> bytes:
+    verdicts = [asdict(verdict) for verdict in check_target(name, options, extent)]
+    return json.dumps(verdicts).encode()
 
 
 def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[CheckResult]:

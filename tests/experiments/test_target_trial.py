@@ -11,7 +11,7 @@ from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
 from advdiff_sumo.core.scene import Scene
-from advdiff_sumo.experiments.planner_check import CheckResult, Extent, check_target
+from advdiff_sumo.experiments.target_trial import CheckResult, Extent, check_target
 from advdiff_sumo.maps import RoadMap
 
 BRIEF = Extent(episodes=1, horizon_s=2.0)
@@ -121,7 +121,7 @@ def test_also_with_a_defect(defect: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "fails", "words", "blind"),
     [
-        (NeverStarts, "raises nothing", "raised KeyError: 'lane' (test_planner_check.py, line", "form"),
+        (NeverStarts, "raises nothing", "raised KeyError: 'lane' (test_target_trial.py, line", "form"),
         (Nothing, "form", "plan() returned NoneType, not (plan, memory)", "numbers"),
         (NoNumbers, "numbers", "accel_mps2 holds values that are not finite", "motion"),
     ],

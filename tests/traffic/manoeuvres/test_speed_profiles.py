@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from advdiff_sumo.traffic.manoeuvres.profiles import CHECK_TIMES_S, SpeedProfile, drive_profiles
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, SpeedProfile, drive_profiles
 
 
 def at(seconds: float) -> int:

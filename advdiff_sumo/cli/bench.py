@@ -246,7 +246,7 @@ def run_or_print(
 
 def _of_log(scenes: str | None) -> tuple[str | None, dict[str, Any]]:
     """Return *scenes*, of a driving log its full path, and what a bench from a log has for usual options."""
-    from advdiff_sumo.experiments.bench.log_scenes import LOG_HORIZON_S, is_log
+    from advdiff_sumo.experiments.bench.asked_scenes import LOG_HORIZON_S, is_log
 
     if scenes is None or not is_log(scenes):
         return scenes, {}

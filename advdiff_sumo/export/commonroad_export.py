@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from urllib.parse import quote
+from urllib.parse import quote, unquote
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -17,12 +17,14 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.export.commonroad_lanelets import add_map
 from advdiff_sumo.export.export_scene import ExportScene, ImportedScene, number, stretches, unwrapped
-from advdiff_sumo.export.importers import commonroad_import as importer
+from advdiff_sumo.export.importers.assemble import AgentPart, assemble, reading
+from advdiff_sumo.export.importers.xml_file import attribute, found, read_xml, text_at
 
 #: No date of today: the same episode gives the same file.
 DATE = "1970-01-01"
 _UNKNOWN_PLACE = ("999", "999")  # what CommonRoad writes for it
 _GOAL_SLACK_M = 2.0
+_WHAT = "a CommonRoad scenario"
 
 
 class CommonRoad:
@@ -57,7 +59,7 @@ class CommonRoad:
 
     def read(self, path: Path) -> ImportedScene:
         """Return the trajectories."""
-        return importer.read_commonroad(path)
+        return read_commonroad(path)
 
 
 def benchmark_id(net: str) -> str:
@@ -128,3 +130,47 @@ def _problem(root: ET.Element, scene: ExportScene, free: int) -> None:
     centre = ET.SubElement(area, "center")
     for name, value in zip(("x", "y"), tracks.xy_m[row, last], strict=True):
         ET.SubElement(centre, name).text = number(value)
+
+
+def read_commonroad(path: Path) -> ImportedScene:
+    """Return the trajectories in *path*; obstacles of one name are stretches of one agent.
+
+    Raises:
+        FileError: it is missing or damaged, or its obstacles carry no names.
+    """
+    root = read_xml(path, "commonRoad", _WHAT)
+    with reading(path, _WHAT):
+        parts = [_part(element) for element in root.iterfind("dynamicObstacle")]
+        return assemble(parts, float(attribute(root, "timeStepSize")))
+
+
+def _part(element: ET.Element) -> AgentPart:
+    role, name = _name(element)
+    states = [found(element, "initialState"), *element.iterfind("trajectory/state")]
+    xy = [[float(text_at(state, f"position/point/{axis}")) for axis in ("x", "y")] for state in states]
+    yaw, step, speed = (
+        np.array([float(text_at(state, f"{key}/exact")) for state in states])
+        for key in ("orientation", "time", "velocity")
+    )
+    size = [float(text_at(element, f"shape/rectangle/{side}")) for side in ("length", "width")]
+    return AgentPart(
+        name=name,
+        kind=AgentClass[text_at(element, "type").upper()],
+        size_m=(size[0], size[1]),
+        step=step.astype(np.int64),
+        xy_m=np.array(xy),
+        yaw_rad=yaw,
+        speed_mps=speed,
+        is_target=role == "target",
+    )
+
+
+def _name(element: ET.Element) -> tuple[str, str]:
+    """Return role and name of the agent, from the comment in its obstacle."""
+    for child in element:
+        tag: object = child.tag  # of a comment, the function that makes comments
+        if tag is ET.Comment and child.text:
+            role, _, name = child.text.strip().partition(": ")
+            if role in ("target", "agent"):
+                return role, unquote(name)
+    raise ValueError(f"obstacle {element.get('id')} has no comment with the agent's name")

@@ -8,9 +8,18 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 
+from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.export.export_scene import ExportScene, ImportedScene
-from advdiff_sumo.export.importers import csv_import as importer
+from advdiff_sumo.export.importers.assemble import AGAIN, AgentPart, assemble, reading, spacing_s, steps_of
+
+_REAL = ("time_s", "length_m", "width_m", "x_m", "y_m", "yaw_rad", "speed_mps")
+_TYPES = {
+    **dict.fromkeys(_REAL, pa.float64()),
+    "agent": pa.string(),
+    "class": pa.string(),
+    "is_target": pa.bool_(),
+}
 
 
 class Csv:
@@ -38,4 +47,40 @@ class Csv:
 
     def read(self, path: Path) -> ImportedScene:
         """Return the trajectories."""
-        return importer.read_csv(path)
+        return read_csv(path)
+
+
+def read_csv(path: Path) -> ImportedScene:
+    """Return the trajectories in *path*.
+
+    Raises:
+        FileError: it is missing, or no CSV with the columns that are written.
+    """
+    options = pa_csv.ConvertOptions(
+        column_types=_TYPES, include_columns=list(_TYPES), strings_can_be_null=False
+    )
+    with reading(path, "a CSV of trajectories"):
+        try:
+            table = pa_csv.read_csv(path, convert_options=options)
+        except pa.ArrowException as error:
+            problem = f"is not a CSV of trajectories ({' '.join(str(error).split())})"
+            raise FileError(path, problem, AGAIN) from None
+        values = {name: np.asarray(table[name].to_numpy(), dtype=np.float64) for name in _REAL}
+        names = np.array(table["agent"].to_pylist(), dtype=object)
+        dt_s = spacing_s(values["time_s"])
+        parts = []
+        for name in dict.fromkeys(names.tolist()):
+            at = np.flatnonzero(names == name)
+            parts.append(
+                AgentPart(
+                    name=str(name),
+                    kind=AgentClass[str(table["class"][int(at[0])].as_py()).upper()],
+                    size_m=(float(values["length_m"][at[0]]), float(values["width_m"][at[0]])),
+                    step=steps_of(values["time_s"][at], dt_s),
+                    xy_m=np.column_stack((values["x_m"][at], values["y_m"][at])),
+                    yaw_rad=values["yaw_rad"][at],
+                    speed_mps=values["speed_mps"][at],
+                    is_target=bool(table["is_target"][int(at[0])].as_py()),
+                )
+            )
+        return assemble(parts, dt_s)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,14 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.data import ScenarioNetReader
 from advdiff_sumo.data.scenarionet_log import SIMULATED as DATASET
+from advdiff_sumo.data.scenarionet_log import read_record
 from advdiff_sumo.export.export_scene import MARGIN_M, ExportScene, ImportedScene
-from advdiff_sumo.export.importers import scenarionet_import as importer
+from advdiff_sumo.export.importers.assemble import reading
 from advdiff_sumo.export.lane_use import LaneKind, kind_of
 from advdiff_sumo.maps import Lane
 
@@ -54,7 +58,7 @@ class ScenarioNet:
 
     def read(self, path: Path) -> ImportedScene:
         """Return the trajectories."""
-        return importer.read_scenarionet(path)
+        return read_scenarionet(path)
 
 
 def _record(scene: ExportScene) -> dict[str, Any]:
@@ -143,3 +147,20 @@ def _extent(kept: dict[str, Lane]) -> tuple[float, float, float, float]:
 def _lines(geometry: BaseGeometry) -> list[FloatArray]:
     parts = shapely.get_parts(geometry)
     return [shapely.get_coordinates(p) for p in parts if p.geom_type == "LineString" and not p.is_empty]
+
+
+def read_scenarionet(path: Path) -> ImportedScene:
+    """Return the trajectories in *path*; nothing in the pickle is run (see ``data.pickles``).
+
+    Raises:
+        FileError: it is missing, damaged or no record.
+    """
+    if not path.is_file():
+        raise LogError(path, "no such file", "give a ScenarioNet record")
+    log = ScenarioNetReader(path).read(path.stem)
+    with reading(path, "a ScenarioNet record"):
+        rows = read_record(path)["tracks"]
+        velocity = np.array([np.asarray(rows[name]["state"]["velocity"], float) for name in log.tracks.ids])
+        along = (velocity * unit(log.tracks.yaw_rad)).sum(axis=-1)
+        speed = np.where(log.tracks.valid, along, np.nan)
+        return ImportedScene(replace(log.tracks, speed_mps=speed), log.ego)

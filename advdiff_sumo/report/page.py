@@ -12,14 +12,13 @@ from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.metrics.archive import MANOEUVRES
 from advdiff_sumo.metrics.severity import badge
 from advdiff_sumo.planners.remote.remote_name import is_remote
-from advdiff_sumo.report.archive_table import archives_of
 from advdiff_sumo.report.blocks import streets_block
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.margin_pairs import margins_of
 from advdiff_sumo.report.margin_table import read_command
-from advdiff_sumo.report.matrix import matrix_of
+from advdiff_sumo.report.matrix import archives_of, matrix_of
 from advdiff_sumo.report.nets import NetLayers, place_names
 from advdiff_sumo.report.overview import Overview, overview_of
 from advdiff_sumo.report.rate_blocks import headline

@@ -208,7 +208,7 @@ def test_an_unknown_ending_is_refused(tmp_path: Path) -> None:
 def test_without_the_extra(plain: ExportScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [n for n in sys.modules if n.startswith(("scenariogeneration", "advdiff_sumo.export.story"))]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delitem(sys.modules, "advdiff_sumo.export.entities", raising=False)
+    monkeypatch.delitem(sys.modules, "advdiff_sumo.export.story", raising=False)
     monkeypatch.setitem(sys.modules, "scenariogeneration", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'advdiff-sumo\[openscenario\]'"):
         make_exporter("openscenario").write(plain, tmp_path)

@@ -13,9 +13,8 @@ import torch
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from advdiff_sumo.core.errors import ConfigError, WeightsError
-from advdiff_sumo.rl.ppo import actor_net, new_ppo
 from advdiff_sumo.rl.rl_options import PpoOptions, adversary_options
-from advdiff_sumo.rl.train import ACTOR, PpoTraining, train
+from advdiff_sumo.rl.train import ACTOR, PpoTraining, actor_net, new_ppo, train
 from advdiff_sumo.traffic.rl.actor import ACTIONS, load_actor
 from advdiff_sumo.traffic.rl.features import FEATURES, LIMIT
 

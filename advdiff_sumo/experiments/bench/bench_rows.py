@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from advdiff_sumo.experiments.bench.asked_scenes import asked_scenes
 from advdiff_sumo.experiments.bench.bench_config import Request, chosen
-from advdiff_sumo.experiments.bench.net_scenes import asked_scenes
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target

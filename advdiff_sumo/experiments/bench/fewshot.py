@@ -13,12 +13,12 @@ from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
 from advdiff_sumo.experiments.bench.adversarial import notes_of
+from advdiff_sumo.experiments.bench.asked_scenes import bench_scenes
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
 from advdiff_sumo.experiments.bench.bench_rows import PAPERS_LICENCE, licensed
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.intervals import RESAMPLES, Difference, Estimate, Ratio, estimate
-from advdiff_sumo.experiments.bench.log_scenes import bench_scenes
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table

@@ -13,8 +13,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.maps.convert import polyline
-from advdiff_sumo.maps.convert.annotate import annotate_net
-from advdiff_sumo.maps.convert.conflict_areas import write_conflicts
+from advdiff_sumo.maps.convert.annotate import annotate_net, restore_shapes
 from advdiff_sumo.maps.convert.control import with_control
 from advdiff_sumo.maps.convert.dividers import dashed_pairs
 from advdiff_sumo.maps.convert.geometry_checks import check_geometry
@@ -24,7 +23,7 @@ from advdiff_sumo.maps.convert.layout.lane_paths import LaneConnection, find_con
 from advdiff_sumo.maps.convert.layout.lay_out import lay_out
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide, find_side_by_side
-from advdiff_sumo.maps.convert.narrow import Ends, unseen_conflicts
+from advdiff_sumo.maps.convert.narrow import Ends, unseen_conflicts, write_conflicts
 from advdiff_sumo.maps.convert.netconvert import run_netconvert
 from advdiff_sumo.maps.convert.netplan import NetPlan, Track
 from advdiff_sumo.maps.convert.opendrive import write_opendrive
@@ -33,7 +32,6 @@ from advdiff_sumo.maps.convert.osm.import_streets import PREFIX as STREET_PREFIX
 from advdiff_sumo.maps.convert.plain_xml import write_plain_xml
 from advdiff_sumo.maps.convert.projection import drives_left, projection_of
 from advdiff_sumo.maps.convert.repair import repair
-from advdiff_sumo.maps.convert.restore import restore_shapes
 from advdiff_sumo.maps.convert.rim import ReturnEdge, put_aside, return_edges
 from advdiff_sumo.maps.convert.signals.fixed_times import set_fixed_times
 from advdiff_sumo.maps.convert.signals.programs import write_programs

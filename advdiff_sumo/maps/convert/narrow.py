@@ -1,7 +1,13 @@
-"""Ways through a junction that come too near each other for netconvert to notice: one of them has to yield."""
+"""Ways through a junction that come too near each other for netconvert to notice: one of them has to yield.
+
+SUMO takes a conflict for the spot where two centre lines cross, widened by the angle between them, and disregards who
+is inside on a way that does not cross one's own. Opposite turns pass each other within less than a width over many
+metres. ``<conflict>`` elements tell SUMO from where to where a way is shared.
+"""
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -10,8 +16,11 @@ from typing import Any
 import numpy as np
 import shapely
 from defusedxml import ElementTree
+from shapely.geometry import LineString, Point
 
+from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.annotate import CONNECTION
 from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, NetPlan
 from advdiff_sumo.maps.read_net import marked_requests
@@ -19,6 +28,7 @@ from advdiff_sumo.maps.read_net import marked_requests
 LONG_M = 12.0  # a crossing at 20° or more is shorter
 Ends = tuple[str, str]  # edges that a way leaves and enters
 Key = tuple[str, int, str, int]  # the same with lanes
+Span = tuple[float, float]
 
 
 def unseen_conflicts(plan: NetPlan, net: Path) -> list[tuple[Ends, Ends]]:
@@ -136,3 +146,45 @@ def _turn(way: ConnectionPlan) -> float:
 
 def _ends(way: ConnectionPlan) -> Ends:
     return way.origin[0], way.target[0]
+
+
+def write_conflicts(net: Path, plan: NetPlan) -> int:
+    """Write into the connections of *net* which parts of their ways others share; return for how many pairs."""
+    shared: dict[Key, dict[Key, Span]] = defaultdict(dict)
+    pairs = unseen_pairs(plan)
+    for one, other in pairs:
+        for way, foe in ((one, other), (other, one)):
+            shared[way.key][foe.key] = shared_span(way.shape_m, foe.shape_m)
+    if not shared:
+        return 0
+
+    def with_conflicts(match: re.Match[str]) -> str:
+        key = (match["origin"], int(match["leaves"]), match["target"], int(match["enters"]))
+        own = shared.get(key)
+        if not own or ' via="' not in match[0]:
+            return match[0]
+        rows = "".join(_row(foe, span, match["indent"]) for foe, span in own.items())
+        if match["close"] == "/>":
+            return f"{match[0][:-2]}>\n{rows}{match['indent']}</connection>"
+        return match[0].removesuffix("</connection>").rstrip() + f"\n{rows}{match['indent']}</connection>"
+
+    net.write_text(CONNECTION.sub(with_conflicts, net.read_text(encoding="utf-8")), encoding="utf-8")
+    return len(pairs)
+
+
+def _row(foe: Key, span: Span, indent: str) -> str:
+    origin, leaves, target, enters = foe
+    return (
+        f'{indent}    <conflict from="{origin}" to="{target}" fromLane="{leaves}" toLane="{enters}" '
+        f'startPos="{span[0]:.2f}" endPos="{span[1]:.2f}"/>\n'
+    )
+
+
+def shared_span(line_m: FloatArray, foe_m: FloatArray) -> Span:
+    """Return from where to where *line_m* lies so near to *foe_m* that bodies of cars touch."""
+    line, foe = LineString(line_m), LineString(foe_m)
+    near = shapely.get_coordinates(line.intersection(foe.buffer(BODIES_M)))
+    if not len(near):  # a buffer is a polygon within the round shape, some millimetres short of it
+        near = shapely.get_coordinates(shapely.shortest_line(line, foe))[:1]
+    places = [line.project(Point(place)) for place in near]
+    return min(places), max(places)

@@ -10,10 +10,10 @@ import pytest
 import sumolib
 
 from advdiff_sumo.core.errors import ConfigError, InputError, NetError
+from advdiff_sumo.experiments.bench.asked_scenes import asked_scenes
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.cells import BenchCells
 from advdiff_sumo.experiments.bench.defect_cells import plan_defects
-from advdiff_sumo.experiments.bench.net_scenes import asked_scenes
 from advdiff_sumo.experiments.bench.reporter import Silent
 from advdiff_sumo.experiments.bench.runner import check_request
 from advdiff_sumo.experiments.bench.scene_list import DEFECTS_LIST, choose_scenes

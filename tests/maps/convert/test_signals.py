@@ -13,8 +13,8 @@ from small_maps import crossroads
 
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.maps.convert import convert_map, convert_source
-from advdiff_sumo.maps.convert.signals.change_intervals import all_red_s, yellow_s
 from advdiff_sumo.maps.convert.signals.fixed_times import set_fixed_times
+from advdiff_sumo.maps.convert.signals.programs import all_red_s, yellow_s
 from advdiff_sumo.maps.convert.signals.signal_links import SignalLink
 from advdiff_sumo.maps.convert.signals.stages import stages, state_of
 from advdiff_sumo.maps.convert.sources.read_map import read_map

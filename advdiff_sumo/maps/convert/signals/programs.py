@@ -1,19 +1,27 @@
-"""Writes the programs of a net's signals in place of netconvert's."""
+"""Writes the programs of a net's signals in place of netconvert's.
+
+Yellow and all-red times are by the formulas of :mod:`advdiff_sumo.maps.signal_times`.
+"""
 
 from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import shapely
+from shapely.geometry import LineString, Point
+
+from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
 from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import NetPlan
-from advdiff_sumo.maps.convert.signals.change_intervals import all_red_s, yellow_s
 from advdiff_sumo.maps.convert.signals.signal_links import SignalLink, signal_links
 from advdiff_sumo.maps.convert.signals.stages import Stage, stages, state_of
+from advdiff_sumo.maps.convert.sources.source_map import Direction
 from advdiff_sumo.maps.read_net import read_root
+from advdiff_sumo.maps.signal_times import LONGEST_ALL_RED_S, clearance_s, rounded_up_s, yellow_at_s
 
 PROGRAM = re.compile(r'[ \t]*<tlLogic id="(?P<id>[^"]*)".*?</tlLogic>\n?', re.DOTALL)
 RISES_FROM = {"r": "gG", "g": "G"}  # lights with which a link may go where it had to wait before
@@ -92,3 +100,39 @@ def program_text(name: str, phases: Sequence[Phase]) -> str:
             row.set("maxDur", f"{LONGEST_GREEN_S:g}")
     ET.indent(program, "    ", level=1)
     return "    " + ET.tostring(program, encoding="unicode") + "\n"
+
+
+def yellow_s(ending: Iterable[SignalLink]) -> float:
+    """Return the yellow time in s of links that lose green together: that of the fastest approach."""
+    return yellow_at_s(max(link.approach_mps for link in ending))
+
+
+def all_red_s(
+    ending: Iterable[SignalLink], starting: Iterable[SignalLink], apart: Collection[frozenset[Ends]] = ()
+) -> float:
+    """Return the time in s in which *ending* links get clear of those that get green next; 0: none cross.
+
+    Links in *apart* run along each other for long; those get clear in full, as where one lane serves both directions
+    (MUTCD 2009, section 4H.03).
+    """
+    beginners = list(starting)
+    times_s = [
+        _clearance_s(link, foe)
+        if frozenset((link.ends, foe.ends)) in apart
+        else min(_clearance_s(link, foe), LONGEST_ALL_RED_S)
+        for link in ending
+        for foe in beginners
+        if foe.index in link.foes
+    ]
+    return rounded_up_s(max(times_s, default=0.0))
+
+
+def _clearance_s(link: SignalLink, foe: SignalLink) -> float:
+    """Return the time from the stop line until the rear of a vehicle on *link* has left the way of *foe*."""
+    line = LineString(link.line_m)
+    shared = line.intersection(LineString(foe.line_m).buffer(BODIES_M))
+    if shared.is_empty:
+        return 0.0
+    last_m = max(line.project(Point(place)) for place in shapely.get_coordinates(shared))
+    speed_mps = link.approach_mps if link.direction is Direction.STRAIGHT else link.way_mps
+    return clearance_s(link.stop_offset_m + float(last_m), speed_mps)

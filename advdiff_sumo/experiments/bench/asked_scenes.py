@@ -1,16 +1,21 @@
-"""Seed scenes of a bench out of a driving log: the paper's own setting, a window a second of every drive."""
+"""The seed scenes that a bench is asked for: of a list, of the user's own nets, or out of a driving log.
+
+Of a log it is the paper's own setting, a window a second of every drive; of nets what ``advdiff-sumo run`` finds there.
+"""
 
 from __future__ import annotations
 
 from importlib.metadata import version
 from pathlib import Path
 
-from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.errors import ConfigError, SceneError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data import open_log
 from advdiff_sumo.data.log_reader import LogReader
-from advdiff_sumo.experiments.bench.scene_list import ListedScene, SceneList, choose_scenes
+from advdiff_sumo.experiments.bench.bench_config import Request
+from advdiff_sumo.experiments.bench.scene_list import ListedScene, SceneList, choose_scenes, make_list
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.shipped_nets import net_name
 from advdiff_sumo.sim.logs import LoggedTraffic
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.training_windows.log_nets import LogNets, NoNetError
@@ -23,6 +28,8 @@ NETS = "nets"
 """Folder of converted nets within a bench's folder."""
 _TOLD = 3  # drives in a message
 _LOG_FILES = (".pkl", ".parquet", ".xml", ".gz")
+_OF_A_LIST = ("background_options",)
+"""Options that do not decide where a list's scenes begin."""
 
 
 def is_log(asked: str) -> bool:
@@ -106,3 +113,40 @@ def _roads(reader: LogReader, folder: Path) -> tuple[dict[str, RoadMap], list[st
 def _usable(road: RoadMap, reader: LogReader, options: SceneOptions) -> int:
     """Return how many episodes can begin on *road*."""
     return sum(1 for _ in LoggedTraffic(road, reader, options, SimOptions(), SeedTree(0)).scenes())
+
+
+def asked_scenes(request: Request, name: str, folder: Path | None) -> SceneList:
+    """Return the seed scenes that the request asks for: of nets, of a list, or of a driving log.
+
+    Args:
+        request: what is asked.
+        name: shipped list that a number without nets is of.
+        folder: of the bench, as :func:`bench_scenes` takes it.
+
+    Raises:
+        InputError: there is no such net, list or log, both nets and a list are given, or an option is impossible.
+    """
+    own = request.episode
+    if request.nets:
+        return _scenes_of_nets(request)
+    others = sorted(own.model_fields_set - {*_OF_A_LIST})
+    if others:
+        raise ConfigError(f"--set {others[0]}: a list has its own; add --net, or leave it out")
+    return bench_scenes(request.scenes, name, folder)
+
+
+def _scenes_of_nets(request: Request) -> SceneList:
+    """Return the first ``request.scenes`` of the nets in turn; of one net scenes 0, 1, … of a run with that seed."""
+    if not request.scenes.isdigit():
+        raise ConfigError(
+            f"--scenes {request.scenes}: has its own nets; give the number of scenes on --net, or leave --net out "
+            "(a folder goes on with what it was begun with; another --out begins anew)"
+        )
+    count = int(request.scenes)
+    if count < 1:
+        raise ConfigError(f"--scenes {count}: give a number above 0")
+    nets = tuple(dict.fromkeys(net_name(net) for net in request.nets))
+    own = request.episode
+    each = -(-count // len(nets))
+    whole = make_list(each, own.seed, "the first seed scenes of own nets", nets, own.scene, request.horizon_s)
+    return whole.model_copy(update={"demand": own.demand}).first(count)

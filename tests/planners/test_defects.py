@@ -16,7 +16,7 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.defects import DEFECTS, SEVERITIES, parse_defect, parse_defects, plant
 from advdiff_sumo.planners.defects.defective_planner import DefectivePlanner
-from advdiff_sumo.planners.defects.fault import PlantedFault
+from advdiff_sumo.planners.defects.planted_fault import PlantedFault
 from advdiff_sumo.planners.planner_check import check_planner, same_plan
 from advdiff_sumo.planners.planner_protocol import Served, SumoDriver
 from advdiff_sumo.planners.planner_registry import make_target

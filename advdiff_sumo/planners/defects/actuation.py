@@ -14,7 +14,7 @@ from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
 from advdiff_sumo.core.scene import Scene
-from advdiff_sumo.planners.defects.fault import PlantedFault
+from advdiff_sumo.planners.defects.planted_fault import PlantedFault
 
 _Bound = Callable[[float, float], float]
 """Deceleration that the brakes give, out of the one that was reached (m/s²) and the time since (s)."""

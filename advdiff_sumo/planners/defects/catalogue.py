@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from advdiff_sumo.planners.defects import actuation, ignored_rules, misjudgement, sensing, stale_tracks
-from advdiff_sumo.planners.defects.fault import PlantedFault
+from advdiff_sumo.planners.defects.planted_fault import PlantedFault
 from advdiff_sumo.planners.planner_protocol import LEFT_OFFSET_M
 
 SEVERITIES = ("weak", "middle", "strong")

@@ -13,7 +13,7 @@ from advdiff_sumo.core.plan_form import can_be_driven, in_float64
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.fault import PlantedFault
+from advdiff_sumo.planners.defects.planted_fault import PlantedFault
 from advdiff_sumo.planners.planner_protocol import Planner, Served, ServedPlanner
 
 _SEED_BITS = 62

@@ -13,7 +13,7 @@ import numpy as np
 from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import Lane, Link, RoadMap
-from advdiff_sumo.planners.defects.fault import PlantedFault, chance, others_of, with_states
+from advdiff_sumo.planners.defects.planted_fault import PlantedFault, chance, others_of, with_states
 from advdiff_sumo.planners.lane_graph.rules import signal_state
 
 _STOP, _YELLOW, _FREE, _RED = "ru", "yY", "G", "r"

@@ -14,7 +14,13 @@ from advdiff_sumo.core.plan import Plan, Trajectory
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.fault import PlantedFault, ages_s, others_of, seen_from_target, with_states
+from advdiff_sumo.planners.defects.planted_fault import (
+    PlantedFault,
+    ages_s,
+    others_of,
+    seen_from_target,
+    with_states,
+)
 
 _CORRIDOR_M = 2.5
 _SAME_WAY_RAD = np.pi / 3.0

@@ -12,7 +12,7 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.fault import PlantedFault, chance, others_of, seen_from_target
+from advdiff_sumo.planners.defects.planted_fault import PlantedFault, chance, others_of, seen_from_target
 
 DROPOUT_PERIOD_S = 6.0
 _HEAVY = (AgentClass.TRUCK, AgentClass.BUS)

@@ -13,7 +13,7 @@ from advdiff_sumo.core.frames import unit, wrap_angle
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.fault import PlantedFault, others_of, with_states
+from advdiff_sumo.planners.defects.planted_fault import PlantedFault, others_of, with_states
 
 _SLACK_S = 1e-6
 

@@ -21,9 +21,9 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.training import realism
 from advdiff_sumo.training.baselines import constant_velocity, lane_following
 from advdiff_sumo.training.dataset import WindowSet, batches
-from advdiff_sumo.training.denoiser_stage import diffused
-from advdiff_sumo.training.displacement import displacement, driving, logged
+from advdiff_sumo.training.displacement import driving, logged
 from advdiff_sumo.training.driving_penalties import travelled_m
+from advdiff_sumo.training.open_loop import Draw, Judged, by_diffusion, from_prior, judge
 from advdiff_sumo.training.stage import Tally, add, means
 
 Figures = dict[str, float]
@@ -57,43 +57,28 @@ class _Sums:
     speed: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(realism.SPEED_BINS) - 1))
     accel: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(realism.ACCEL_BINS) - 1))
 
-    def count(self, rollout: Rollout, batch: SceneBatch, known: Tensor) -> None:
-        """Add histograms, collisions and departures from the road."""
-        speed, accel = realism.histograms(rollout, batch)
-        self.speed += speed
-        self.accel += accel
-        who = driving(batch)
-        standing = (travelled_m(rollout, batch) < _STANDS_M) & who
-        add(self.tally, realism.faults(rollout, batch, known))
-        add(self.tally, {"standing_rate": (float(standing.sum()), float(who.sum()))})
+    def count(self, judged: Judged, standing: Tensor) -> None:
+        """Add histograms, collisions, departures from the road, and who stands (W S, A)."""
+        self.speed += judged.speed.sum(0)
+        self.accel += judged.accel.sum(0)
+        total = float(judged.driving.sum() * judged.hit.shape[1])
+        parts = {"collision_rate": judged.hit, "off_road_rate": judged.off_road, "standing_rate": standing}
+        add(self.tally, {name: (float(part.sum()), total) for name, part in parts.items()})
 
 
-Predict = Callable[[SceneBatch, Context, torch.Generator], tuple[Rollout, int]]
-"""Scenes, their contexts → joint futures of each scene repeated that many times in a row."""
-
-
-def methods(bundle: Bundle, judging: EvaluationSettings) -> dict[str, Predict]:
+def methods(bundle: Bundle, judging: EvaluationSettings) -> dict[str, Draw]:
     """Return the ways to predict that the bundle's stages allow, with the baselines."""
-    predictors: dict[str, Predict] = {
+    draws: dict[str, Draw] = {
         "constant velocity": lambda batch, *_: (constant_velocity(batch), 1),
         "lane following": lambda batch, *_: (lane_following(batch), 1),
     }
     if "traffic" in bundle.stages:
-        predictors["posterior"] = lambda batch, context, _: (
-            bundle.traffic.decoder(bundle.traffic.posterior(batch, context.h).mean, context.h, batch),
-            1,
-        )
-        predictors["prior"] = lambda batch, context, g: (
-            _from_prior(bundle, batch, context, judging, g),
-            judging.samples,
-        )
+        draws["posterior"] = lambda batch, *_: (_from_posterior(bundle, batch), 1)
+        draws["prior"] = from_prior(bundle)
     if "denoiser" in bundle.stages:
         name = "latent diffusion" if bundle.options.codec == "latent" else "trajectory diffusion"
-        predictors[name] = lambda batch, context, g: (
-            _diffused(bundle, batch, context, judging, g),
-            judging.samples,
-        )
-    return predictors
+        draws[name] = by_diffusion(bundle, judging.steps)
+    return draws
 
 
 @torch.no_grad()
@@ -131,77 +116,51 @@ def evaluate_bundle(
     few, done = windows.subset(chosen), 0
     for number, rows in enumerate(batches(few, judging.batch_size)):
         batch = few.batch(rows).to(device)
-        context = bundle.traffic.encoder(batch)
-        sums["log"].count(logged(batch), batch, batch.future_valid)
-        for name, predict in ways.items():
+        log = logged(batch)
+        sums["log"].count(judge(log, batch, 1, batch.future_valid), _standing(log, batch))
+        for name, draw in ways.items():
             node = SeedTree(judging.seed, ("evaluation", name, str(number)))
-            rollout, times = predict(batch, context, torch.Generator().manual_seed(node.integer(62)))
-            _judge(sums[name], rollout, batch, times)
+            generator = torch.Generator().manual_seed(node.integer(62))
+            rollout, times = draw(batch, judging.samples, generator)
+            _add(sums[name], rollout, batch.repeat(times), times)
         done += len(rows)
         if tell is not None:
             tell(done, count)
     return {name: _figures(one, sums["log"]) for name, one in sums.items()}
 
 
-def write_figures(
-    path: Path, figures: dict[str, Figures], judging: EvaluationSettings, windows: WindowSet
-) -> None:
+def write_figures(path: Path, figures: dict[str, Figures], judging: EvaluationSettings, windows: WindowSet) -> None:
     """Write the figures as JSON, with what they were made of."""
     text = {"judging": vars(judging), "windows": len(windows), "data": windows.digest, "figures": figures}
     path.write_text(json.dumps(text, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 
-def _from_prior(
-    bundle: Bundle,
-    batch: SceneBatch,
-    context: Context,
-    judging: EvaluationSettings,
-    generator: torch.Generator,
-) -> Rollout:
-    several = context.repeat(judging.samples)
-    z = several.prior.sample(generator)
-    rollout: Rollout = bundle.traffic.decoder(z, several.h, batch.repeat(judging.samples))
+def _from_posterior(bundle: Bundle, batch: SceneBatch) -> Rollout:
+    context: Context = bundle.traffic.encoder(batch)
+    rollout: Rollout = bundle.traffic.decoder(
+        bundle.traffic.posterior(batch, context.h).mean, context.h, batch
+    )
     return rollout
 
 
-def _diffused(
-    bundle: Bundle,
-    batch: SceneBatch,
-    context: Context,
-    judging: EvaluationSettings,
-    generator: torch.Generator,
-) -> Rollout:
-    several = context.repeat(judging.samples)
-    drawn = diffused(bundle, several, judging.steps, generator)
-    return bundle.codec.decode(drawn, several, batch.repeat(judging.samples))
-
-
-def _judge(sums: _Sums, rollout: Rollout, batch: SceneBatch, times: int) -> None:
-    several = batch.repeat(times)
-    errors = displacement(rollout, several)
-    shape = (batch.scenes, times, batch.agents)
-    ade, fde, who = errors.ade_m.reshape(shape), errors.fde_m.reshape(shape), driving(batch)
-    number = who.sum(1)
-    scene = torch.where(who[:, None], fde, 0.0).sum(2).amin(1) / number.clamp(min=1)
-    last = _last(rollout.xy, several).reshape(*shape, 2)
+def _add(sums: _Sums, rollout: Rollout, several: SceneBatch, times: int) -> None:
+    judged = judge(rollout, several, times)
+    ade, fde, who = judged.ade_m, judged.fde_m, judged.driving
     parts: dict[str, tuple[float, float]] = {
         "ade_m": _sum(ade.mean(1), who),
         "fde_m": _sum(fde.mean(1), who),
         "min_ade_m": _sum(ade.amin(1), who),
         "min_fde_m": _sum(fde.amin(1), who),
-        "min_sfde_m": _sum(scene, number > 0),
-        "fdd_m": realism.final_diversity(last, who),
+        "min_sfde_m": _sum(judged.sfde_m, who.any(1)),
     }
+    if times > 1:
+        parts["fdd_m"] = _sum(judged.spread_m, who)
     add(sums.tally, parts)
-    known = several.present[..., None].expand(rollout.yaw.shape)
-    sums.count(rollout, several, known)
+    sums.count(judged, _standing(rollout, several))
 
 
-def _last(xy: Tensor, batch: SceneBatch) -> Tensor:
-    """Return positions (B, A, 2) at the last known instant."""
-    steps = torch.arange(xy.shape[2], device=xy.device)
-    last = torch.where(batch.future_valid, steps, 0).amax(-1)
-    return xy.gather(2, last[..., None, None].expand(*last.shape, 1, 2)).squeeze(2)
+def _standing(rollout: Rollout, batch: SceneBatch) -> Tensor:
+    return (travelled_m(rollout, batch) < _STANDS_M) & driving(batch)
 
 
 def _figures(one: _Sums, log: _Sums) -> Figures:

@@ -18,16 +18,23 @@ SPEED_BINS = np.arange(0.0, 40.5, 0.5)
 ACCEL_BINS = np.arange(-10.0, 10.25, 0.25)
 
 
-def histograms(rollout: Rollout, batch: SceneBatch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return counts of speeds and accelerations over the known instants of driving vehicles.
+def histograms(
+    rollout: Rollout, batch: SceneBatch, times: int = 1
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (W, bins) counts of speeds and accelerations over the known instants of driving vehicles.
 
     Accelerations are differences of speeds, for logs and models alike; the outermost bins take what lies beyond.
+
+    Args:
+        rollout: futures of W windows, each *times* in a row.
+        batch: the windows, repeated alike.
+        times: samples of each window.
     """
     driven = driving(batch)[..., None]
     before = torch.cat((batch.pose[..., 3:4], rollout.speed[..., :-1]), dim=-1)
     accel = (rollout.speed - before) / MODEL_STEP_S
     known, changes = driven & batch.future_valid, driven & known_steps(batch)
-    return _counts(rollout.speed[known], SPEED_BINS), _counts(accel[changes], ACCEL_BINS)
+    return _counts(rollout.speed, known, SPEED_BINS, times), _counts(accel, changes, ACCEL_BINS, times)
 
 
 def known_steps(batch: SceneBatch) -> Tensor:
@@ -36,18 +43,15 @@ def known_steps(batch: SceneBatch) -> Tensor:
     return batch.future_valid & torch.cat((now, batch.future_valid[..., :-1]), dim=-1)
 
 
-def final_diversity(last: Tensor, mask: Tensor) -> tuple[float, float]:
-    """Return FDD's sum over vehicles and their number: mean distance of final positions over pairs of samples.
+def final_diversity(last: Tensor) -> Tensor:
+    """Return (B, A) of each vehicle the mean distance of final positions over pairs of samples; 0 of a single one.
 
     Args:
         last: (B, S, A, 2) final positions in S samples.
-        mask: (B, A) vehicles that count.
     """
     samples = last.shape[1]
-    if samples < 2:
-        return 0.0, 0.0
-    apart = (last[:, :, None] - last[:, None]).norm(dim=-1).sum((1, 2)) / (samples * (samples - 1))
-    return float(torch.where(mask, apart, 0.0).sum()), float(mask.sum())
+    apart: Tensor = (last[:, :, None] - last[:, None]).norm(dim=-1).sum((1, 2))
+    return apart / max(1, samples * (samples - 1))
 
 
 def faults(rollout: Rollout, batch: SceneBatch, known: Tensor) -> Tally:
@@ -96,6 +100,8 @@ def _overlap(xy: Tensor, yaw: Tensor, size: Tensor) -> Tensor:
     return ~apart
 
 
-def _counts(values: Tensor, bins: NDArray[np.float64]) -> NDArray[np.float64]:
-    inside = np.clip(values.double().cpu().numpy(), bins[0], bins[-1])
-    return np.histogram(inside, bins)[0].astype(np.float64)
+def _counts(values: Tensor, known: Tensor, bins: NDArray[np.float64], times: int) -> NDArray[np.float64]:
+    windows = len(values) // times
+    inside = np.clip(values.double().cpu().numpy(), bins[0], bins[-1]).reshape(windows, -1)
+    rows = zip(inside, known.cpu().numpy().reshape(windows, -1), strict=True)
+    return np.stack([np.histogram(row[mask], bins)[0] for row, mask in rows]).astype(np.float64)

@@ -16,7 +16,7 @@ from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.sample_refinement import Decode, held_decode, together
-from advdiff_sumo.metrics.pairwise import TTC_BINS_S, least_ttc, ttc_counts
+from advdiff_sumo.metrics.pairwise import least_ttc, ttc_counts
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
@@ -26,13 +26,11 @@ from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.models.simnet import load_simnet
 from advdiff_sumo.training import realism
-from advdiff_sumo.training.denoiser_stage import diffused
-from advdiff_sumo.training.displacement import displacement, driving, logged
+from advdiff_sumo.training.displacement import driving, logged
+from advdiff_sumo.training.open_loop import Draw, by_diffusion, from_prior, judge
 
 LATENT_STEPS, TRAJECTORY_STEPS = 5, 10
 """As many as in closed loop; with five, trajectories are rougher by half."""
-Draw = Callable[[SceneBatch, int, torch.Generator], tuple[Rollout, int]]
-"""Windows, how many samples → joint futures of each window that many times in a row, and how many times."""
 
 
 @dataclass(frozen=True)
@@ -99,32 +97,13 @@ def _simnet(path: Path) -> Draw:
 
 
 def _prior(path: Path) -> Draw:
-    bundle = _bundle(path)
-
-    def draw(batch: SceneBatch, samples: int, generator: torch.Generator) -> tuple[Rollout, int]:
-        encoded: Context = bundle.traffic.encoder(batch)
-        context = encoded.repeat(samples)
-        z = context.prior.sample(generator)
-        return bundle.traffic.decoder(z, context.h, batch.repeat(samples)), samples
-
-    return draw
+    return from_prior(_bundle(path))
 
 
 def _diffusion(path: Path, fitted: bool = False, steps: int = LATENT_STEPS) -> Draw:
     """Return what draws samples by *steps* of DDIM; *fitted*: made to fit together."""
     bundle = _bundle(path)
-    decode = _held(bundle) if fitted else None
-
-    def draw(batch: SceneBatch, samples: int, generator: torch.Generator) -> tuple[Rollout, int]:
-        encoded: Context = bundle.traffic.encoder(batch)
-        context = encoded.repeat(samples)
-        several = batch.repeat(samples)
-        drawn = diffused(bundle, context, steps, generator)
-        if decode is not None:
-            drawn = _fitted(decode, drawn, context, several, samples)
-        return bundle.codec.decode(drawn, context, several), samples
-
-    return draw
+    return by_diffusion(bundle, steps, partial(_fitted, _held(bundle)) if fitted else None)
 
 
 def _held(bundle: Bundle) -> Decode:
@@ -176,56 +155,27 @@ def count(name: str, batch: SceneBatch, samples: int, seed: int) -> Counted:
     generator = torch.Generator().manual_seed(node.integer(62))
     rollout, times = _draw_of(name)(batch, samples, generator)
     several = batch.repeat(times)
-    known = several.future_valid if name == "log" else several.present[..., None].expand(rollout.yaw.shape)
-    shape, who = (batch.scenes, times, batch.agents), driving(batch)
-    vehicles = who.sum(1)
-    fde = torch.where(who[:, None], displacement(rollout, several).fde_m.reshape(shape), 0.0)
-    hit = realism.colliding(rollout, several, known).reshape(batch.scenes, -1).sum(1)
-    off = realism.leaving_road(rollout, several, known).reshape(batch.scenes, -1).sum(1)
-    speed, accel, ttc = _histograms(rollout, several, times)
+    judged = judge(rollout, several, times, several.future_valid if name == "log" else None)
+    vehicles = judged.driving.sum(1)
     return Counted(
-        sfde_m=_array((fde.sum(2) / vehicles.clamp(min=1)[:, None]).amin(1)),
-        fdd_m=_array(_spread(rollout, several, times, who)),
+        sfde_m=_array(judged.sfde_m),
+        fdd_m=_array(torch.where(judged.driving, judged.spread_m, 0.0).sum(1)),
         vehicles=_array(vehicles),
         trials=_array(vehicles * times),
-        hit=_array(hit),
-        off_road=_array(off),
-        speed=speed,
-        accel=accel,
-        ttc=ttc,
+        hit=_array(judged.hit.sum((1, 2))),
+        off_road=_array(judged.off_road.sum((1, 2))),
+        speed=judged.speed,
+        accel=judged.accel,
+        ttc=_ttc_histograms(rollout, several, times),
     )
 
 
-def _spread(rollout: Rollout, several: SceneBatch, times: int, who: Tensor) -> Tensor:
-    """Return (W,) sums over vehicles of the mean distance of final positions over pairs of samples (FDD)."""
-    steps = torch.arange(rollout.xy.shape[2])
-    last = torch.where(several.future_valid, steps, 0).amax(-1)
-    at = last[..., None, None].expand(*last.shape, 1, 2)
-    final = rollout.xy.gather(2, at).squeeze(2).reshape(-1, times, who.shape[1], 2)
-    if times < 2:
-        return torch.zeros(len(final))
-    apart = (final[:, :, None] - final[:, None]).norm(dim=-1).sum((1, 2)) / (times * (times - 1))
-    return torch.where(who, apart, 0.0).sum(1)
-
-
-def _histograms(rollout: Rollout, batch: SceneBatch, times: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return (W, bins) counts of speeds, accelerations and times to collision at the known instants."""
-    driven, known = driving(batch)[..., None], realism.known_steps(batch)
-    before = torch.cat((batch.pose[..., 3:4], rollout.speed[..., :-1]), dim=-1)
-    accel = (rollout.speed - before) / MODEL_STEP_S
-    seconds = ttc_of(rollout, batch)
-    rows = len(known) // times
-    mask, changes = ((driven & one).numpy().reshape(rows, -1) for one in (batch.future_valid, known))
-    parts = [_array(values).reshape(rows, -1) for values in (rollout.speed, accel)]
-    parts.append(seconds.reshape(rows, -1))
-    bins = (realism.SPEED_BINS, realism.ACCEL_BINS)
-    counts = [
-        np.stack([np.histogram(np.clip(v[m], b[0], b[-1]), b)[0] for v, m in zip(part, which, strict=True)])
-        for part, which, b in zip(parts, (mask, changes), bins, strict=False)
-    ]
-    ttc = np.stack([ttc_counts(v[m]) for v, m in zip(parts[2], changes, strict=True)])
-    assert ttc.shape[1] == len(TTC_BINS_S)  # noqa: S101 - one more bin than edges less one
-    return counts[0].astype(np.float64), counts[1].astype(np.float64), ttc
+def _ttc_histograms(rollout: Rollout, batch: SceneBatch, times: int) -> FloatArray:
+    """Return (W, bins) counts of times to collision of driving vehicles at the known instants."""
+    known = (driving(batch)[..., None] & realism.known_steps(batch)).numpy()
+    windows = len(known) // times
+    rows = (part.reshape(windows, -1) for part in (ttc_of(rollout, batch), known))
+    return np.stack([ttc_counts(seconds[mask]) for seconds, mask in zip(*rows, strict=True)])
 
 
 def ttc_of(rollout: Rollout, batch: SceneBatch) -> FloatArray:

@@ -1,0 +1,116 @@
+"""Open loop: joint futures drawn of windows, and how they are judged against what happened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.bundle import Bundle
+from advdiff_sumo.models.context import Context
+from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.training import realism
+from advdiff_sumo.training.denoiser_stage import diffused
+from advdiff_sumo.training.displacement import displacement, driving
+
+Draw = Callable[[SceneBatch, int, torch.Generator], tuple[Rollout, int]]
+"""Windows, how many samples → joint futures of each window that many times in a row, and how many times."""
+Refine = Callable[[Tensor, Context, SceneBatch, int], Tensor]
+"""Drawn latents, contexts and windows of all samples, samples of each window → latents that are decoded instead."""
+
+
+def from_prior(bundle: Bundle) -> Draw:
+    """Return what draws samples from the prior of *bundle*."""
+
+    def draw(batch: SceneBatch, samples: int, generator: torch.Generator) -> tuple[Rollout, int]:
+        context, several = _repeated(bundle, batch, samples)
+        z = context.prior.sample(generator)
+        return bundle.traffic.decoder(z, context.h, several), samples
+
+    return draw
+
+
+def by_diffusion(bundle: Bundle, steps: int, refine: Refine | None = None) -> Draw:
+    """Return what draws samples by *steps* of DDIM."""
+
+    def draw(batch: SceneBatch, samples: int, generator: torch.Generator) -> tuple[Rollout, int]:
+        context, several = _repeated(bundle, batch, samples)
+        drawn = diffused(bundle, context, steps, generator)
+        if refine is not None:
+            drawn = refine(drawn, context, several, samples)
+        return bundle.codec.decode(drawn, context, several), samples
+
+    return draw
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What is counted of W windows of A agents, with S joint samples each.
+
+    Attributes:
+        ade_m: (W, S, A) mean error over the known instants.
+        fde_m: (W, S, A) error at the last known instant.
+        spread_m: (W, A) mean distance of final positions over pairs of samples; 0 of a single one.
+        driving: (W, A) vehicles that count: not parked, of whose future something is known.
+        hit: (W, S, A) of these, those whose box meets another one.
+        off_road: (W, S, A) of these, those whose centre leaves the road.
+        speed: (W, bins) counts of speeds.
+        accel: (W, bins) counts of accelerations.
+    """
+
+    ade_m: Tensor
+    fde_m: Tensor
+    spread_m: Tensor
+    driving: Tensor
+    hit: Tensor
+    off_road: Tensor
+    speed: FloatArray
+    accel: FloatArray
+
+    @property
+    def sfde_m(self) -> Tensor:
+        """(W,) least final error of a sample, mean over its driving vehicles."""
+        total = torch.where(self.driving[:, None], self.fde_m, 0.0).sum(2)
+        return total.amin(1) / self.driving.sum(1).clamp(min=1)
+
+
+def judge(rollout: Rollout, several: SceneBatch, times: int, known: Tensor | None = None) -> Judged:
+    """Return what is counted of joint futures.
+
+    Args:
+        rollout: futures of each window, *times* in a row.
+        several: the windows with what happened, repeated alike.
+        times: samples of each window.
+        known: (W S, A, T) instants at which an agent is there; None: who is there now stays.
+    """
+    if known is None:
+        known = several.present[..., None].expand(rollout.yaw.shape)
+    shape = (several.scenes // times, times, several.agents)
+    errors = displacement(rollout, several)
+    speed, accel = realism.histograms(rollout, several, times)
+    return Judged(
+        ade_m=errors.ade_m.reshape(shape),
+        fde_m=errors.fde_m.reshape(shape),
+        spread_m=realism.final_diversity(_last(rollout.xy, several).reshape(*shape, 2)),
+        driving=driving(several).reshape(shape)[:, 0],
+        hit=realism.colliding(rollout, several, known).reshape(shape),
+        off_road=realism.leaving_road(rollout, several, known).reshape(shape),
+        speed=speed,
+        accel=accel,
+    )
+
+
+def _repeated(bundle: Bundle, batch: SceneBatch, samples: int) -> tuple[Context, SceneBatch]:
+    encoded: Context = bundle.traffic.encoder(batch)
+    return encoded.repeat(samples), batch.repeat(samples)
+
+
+def _last(xy: Tensor, batch: SceneBatch) -> Tensor:
+    """Return positions (B, A, 2) at the last known instant."""
+    steps = torch.arange(xy.shape[2], device=xy.device)
+    last = torch.where(batch.future_valid, steps, 0).amax(-1)
+    return xy.gather(2, last[..., None, None].expand(*last.shape, 1, 2)).squeeze(2)

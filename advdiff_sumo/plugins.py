@@ -7,7 +7,8 @@ A name is a built-in ("lane_graph"), an entry point of a group such as ``advdiff
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable, Mapping
+import inspect
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -85,8 +86,64 @@ class Registry:
                 return _import(self.kind, plugin.value)
         return _import(self.kind, canonical)
 
+    def factory(self, canonical: str) -> Callable[..., Any]:
+        """Return the class or function that *canonical* stands for; errors as in :meth:`load`, or it is neither."""
+        loaded = self.load(canonical)
+        if not callable(loaded):
+            raise ConfigError(
+                f"{self.kind} '{canonical}' is a {type(loaded).__name__}, not a class or function"
+            )
+        made: Callable[..., Any] = loaded
+        return made
+
     def _plugins(self) -> list[EntryPoint]:
         return sorted(entry_points(group=self.group), key=lambda e: e.name)
+
+
+def must_take(
+    factory: Callable[..., Any],
+    options: Mapping[str, Any],
+    where: str,
+    remedy: str = "",
+    elsewhere: Mapping[str, str] | None = None,
+) -> None:
+    """Refuse *options* that *factory* cannot be called with; TypeErrors raised inside it are another matter.
+
+    Args:
+        factory: class or function; one written in C without a signature takes anything.
+        options: keyword arguments.
+        where: first words of the message.
+        remedy: what to do where an option is missing.
+        elsewhere: option → who has it, said where *factory* has none at all.
+
+    Raises:
+        ConfigError: an option is unknown, with the nearest name, or missing.
+    """
+    try:
+        signature = inspect.signature(factory)
+    except ValueError:
+        return
+    try:
+        signature.bind(**options)
+    except TypeError as error:
+        known = [p.name for p in signature.parameters.values() if p.kind is not p.VAR_POSITIONAL]
+        unknown = next((key for key in options if key not in known), None)
+        if unknown is None:
+            raise ConfigError(f"{where}: {error}{remedy}") from None
+        none = f"it has none{(elsewhere or {}).get(unknown, '')}"
+        hint = did_you_mean(unknown, known) if known else none
+        raise ConfigError(f"{where}: no option '{unknown}'; {hint}") from None
+
+
+def must_have(what: str, made: object, methods: Iterable[str]) -> None:
+    """Refuse what was *made* where it lacks one of *methods*; *what* begins the message.
+
+    Raises:
+        ConfigError: it does.
+    """
+    missing = [method for method in methods if not callable(getattr(made, method, None))]
+    if missing:
+        raise ConfigError(f"{what} lacks {' and '.join(missing)}")
 
 
 def _same(names: Iterable[str], name: str) -> str | None:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import cast
 
-from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.export.exporter_protocol import Exporter
-from advdiff_sumo.plugins import Registry
+from advdiff_sumo.plugins import Registry, must_have
 
 EXPORTERS = Registry(
     kind="format",
@@ -35,7 +34,5 @@ def make_exporter(name: str) -> Exporter:
     canonical = EXPORTERS.canonical(name)
     factory = EXPORTERS.load(canonical)
     exporter = factory() if callable(factory) else factory
-    missing = [method for method in ("write", "read") if not callable(getattr(exporter, method, None))]
-    if missing:
-        raise ConfigError(f"format '{canonical}' is no exporter: it lacks {' and '.join(missing)}")
+    must_have(f"format '{canonical}' is no exporter: it", exporter, ("write", "read"))
     return cast("Exporter", exporter)

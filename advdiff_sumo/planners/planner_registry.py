@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
-from advdiff_sumo.core.errors import ConfigError, did_you_mean
+from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.planners.defects import parse_defects, plant
 from advdiff_sumo.planners.planner_protocol import Planner, SumoDriver, Target
 from advdiff_sumo.planners.remote.remote_name import check_slashes, is_remote
 from advdiff_sumo.planners.sumo_models import CAR_FOLLOWING, sumo_driver
-from advdiff_sumo.plugins import Registry
+from advdiff_sumo.plugins import Registry, must_have, must_take
 
 TARGETS = Registry(
     kind="target",
@@ -34,6 +34,10 @@ The group of plug-ins is ``advdiff_sumo.planners``.
 """
 
 _ARGUMENTS = {"start": ("road", "scene", "rng"), "plan": ("road", "scene", "memory", "rng")}
+_REMEDY = (
+    "; give it among the target's options (--set target_options.NAME=VALUE of run, "
+    "--set NAME=VALUE of check-planner)"
+)
 
 BUILTIN_PLAN_S = 2.0
 """How long each plan of the built-in planners lasts at least."""
@@ -73,16 +77,15 @@ def _sound(name: str, options: Mapping[str, Any]) -> Target:
     canonical = TARGETS.canonical(name)
     if canonical in CAR_FOLLOWING:
         return sumo_driver(canonical, options)
-    target = _call(canonical, TARGETS.load(canonical), options)
+    factory = TARGETS.factory(canonical)
+    must_take(factory, options, f"options of target '{canonical}'", _REMEDY)
+    target = factory(**options)
     if isinstance(target, SumoDriver):
         return target
-    if isinstance(target, Planner):
-        _must_take_arguments(canonical, target)
-        return target
-    missing = [method for method in ("start", "plan") if not callable(getattr(target, method, None))]
-    raise ConfigError(
-        f"target '{canonical}' is no planner: {type(target).__name__} lacks {' and '.join(missing)}"
-    )
+    must_have(f"target '{canonical}' is no planner: {type(target).__name__}", target, _ARGUMENTS)
+    planner = cast("Planner", target)
+    _must_take_arguments(canonical, planner)
+    return planner
 
 
 def _must_take_arguments(name: str, planner: Planner) -> None:
@@ -96,31 +99,3 @@ def _must_take_arguments(name: str, planner: Planner) -> None:
             raise ConfigError(
                 f"target '{name}': {method} is called with {', '.join(arguments)}, and cannot be so: {error}"
             ) from None
-
-
-def _call(name: str, factory: Any, options: Mapping[str, Any]) -> Any:
-    """Return ``factory(**options)``; a TypeError raised inside it stays one."""
-    if not callable(factory):
-        raise ConfigError(f"target '{name}' is a {type(factory).__name__}, not a class or function")
-    try:
-        signature = inspect.signature(factory)
-    except ValueError:  # some built-in classes have none
-        return factory(**options)
-    try:
-        signature.bind(**options)
-    except TypeError as error:
-        raise ConfigError(f"options of target '{name}': {_explain(signature, options, error)}") from None
-    return factory(**options)
-
-
-def _explain(signature: inspect.Signature, options: Mapping[str, Any], error: TypeError) -> str:
-    known = [p.name for p in signature.parameters.values() if p.kind is not p.VAR_POSITIONAL]
-    for key in options:
-        if key not in known:
-            return (
-                f"no option '{key}'; {did_you_mean(key, known)}"
-                if known
-                else f"no option '{key}'; it has none"
-            )
-    where = "--set target_options.NAME=VALUE of run, --set NAME=VALUE of check-planner"
-    return f"{error}; give it among the target's options ({where})"

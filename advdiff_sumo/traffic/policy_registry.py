@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, cast
 
 from advdiff_sumo.config import Options
-from advdiff_sumo.core.errors import ConfigError, did_you_mean
-from advdiff_sumo.plugins import Registry
+from advdiff_sumo.plugins import Registry, must_have, must_take
 
 if TYPE_CHECKING:
     from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
@@ -29,7 +27,10 @@ POLICIES = Registry(
 )
 """``sumo``, ``replay``, ``diffusion``, the rivals, and plug-ins of the group ``advdiff_sumo.policies``."""
 
-_OF_ATTACKS = ("attack", "attackers", "licence", "strength", "guide")
+_OF_ATTACKS = dict.fromkeys(
+    ("attack", "attackers", "licence", "strength", "guide"),
+    "; scripted and diffusion are backgrounds that attack",
+)
 
 
 def make_policy(name: str, options: Mapping[str, Any]) -> TrafficPolicy:
@@ -48,35 +49,13 @@ def make_policy(name: str, options: Mapping[str, Any]) -> TrafficPolicy:
         ConfigError: an option has no such name or value, or the class cannot be imported or is no policy.
     """
     canonical = POLICIES.canonical(name)
-    factory = POLICIES.load(canonical)
+    factory = POLICIES.factory(canonical)
     where = f"options of background '{canonical}'"
-    if not callable(factory):
-        raise ConfigError(f"background '{canonical}' is a {type(factory).__name__}, not a class or function")
     model = getattr(factory, "Options", None)
     if isinstance(model, type) and issubclass(model, Options):
         model.parse(options, where)
     else:
-        _refuse_unknown(factory, options, where)
+        must_take(factory, options, where, elsewhere=_OF_ATTACKS)
     policy = factory(**options)
-    missing = [method for method in ("start", "plan") if not callable(getattr(policy, method, None))]
-    if missing:
-        lacks = " and ".join(missing)
-        raise ConfigError(f"background '{canonical}' is no policy: {type(policy).__name__} lacks {lacks}")
+    must_have(f"background '{canonical}' is no policy: {type(policy).__name__}", policy, ("start", "plan"))
     return cast("TrafficPolicy", policy)
-
-
-def _refuse_unknown(factory: Any, options: Mapping[str, Any], where: str) -> None:
-    try:
-        signature = inspect.signature(factory)
-    except ValueError:  # some classes written in C have none
-        return
-    try:
-        signature.bind(**options)
-    except TypeError as error:
-        known = [p.name for p in signature.parameters.values() if p.kind is not p.VAR_POSITIONAL]
-        unknown = [key for key in options if key not in known]
-        hint = did_you_mean(unknown[0], known) if unknown and known else "it has none"
-        if unknown and not known and unknown[0] in _OF_ATTACKS:
-            hint += "; scripted and diffusion are backgrounds that attack"
-        problem = f"no option '{unknown[0]}'; {hint}" if unknown else str(error)
-        raise ConfigError(f"{where}: {problem}") from None

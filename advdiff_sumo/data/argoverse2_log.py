@@ -10,7 +10,7 @@ import numpy as np
 from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
-from advdiff_sumo.data.motion import parked_agents, signed_speeds, without_jitter
+from advdiff_sumo.data.motion import annotated, parked_agents, without_jitter
 from advdiff_sumo.data.scene_files import SceneFiles
 
 DT_S = 0.1
@@ -105,17 +105,7 @@ def _tracks(table: dict[str, Any], ids: list[str], kinds: list[AgentClass | None
     yaw = np.full((len(ids), steps), np.nan)
     xy[at] = np.stack((table["position_x"][kept], table["position_y"][kept]), axis=-1)
     yaw[at] = table["heading"][kept]
-    valid = np.isfinite(xy).all(-1) & np.isfinite(yaw)
-    if not valid[at].all():
+    if not (np.isfinite(xy[at]).all() and np.isfinite(yaw[at]).all()):
         raise ValueError("a state is not finite")
-    return Tracks(
-        ids=tuple(ids),
-        classes=np.array(kinds, dtype=np.int64),
-        size_m=np.array([SIZES_M[AgentClass(kind)] for kind in kinds if kind is not None]),
-        xy_m=xy,
-        yaw_rad=yaw,
-        speed_mps=signed_speeds(xy, yaw, valid, DT_S),
-        valid=valid,
-        t0_s=0.0,
-        dt_s=DT_S,
-    )
+    sizes = np.array([SIZES_M[AgentClass(kind)] for kind in kinds if kind is not None])
+    return annotated(ids, kinds, sizes, xy, yaw, DT_S)

@@ -13,7 +13,7 @@ from advdiff_sumo.core.gzipped import DAMAGED_GZIP, unpacked
 from advdiff_sumo.core.map_files import load_xml
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
-from advdiff_sumo.data.motion import parked_agents, signed_speeds
+from advdiff_sumo.data.motion import annotated, parked_agents
 from advdiff_sumo.data.scene_files import SceneFiles
 
 CLASSES = {
@@ -164,16 +164,6 @@ def _tracks(rows: list[Element], states: list[FloatArray], dt_s: float) -> Track
                 f"obstacle {rows[number].get('id')} has states before step 0, or two of one step"
             )
         xy[number, at], yaw[number, at] = own[:, 1:3], own[:, 3]
-    valid = np.isfinite(yaw)
     sizes = [size for row in rows if (size := _size_m(row)) is not None]
-    return Tracks(
-        ids=tuple(row.get("id", "") for row in rows),
-        classes=np.array([_kind(row) for row in rows], dtype=np.int64),
-        size_m=np.array(sizes),
-        xy_m=xy,
-        yaw_rad=yaw,
-        speed_mps=signed_speeds(xy, yaw, valid, dt_s),
-        valid=valid,
-        t0_s=0.0,
-        dt_s=dt_s,
-    )
+    ids = (row.get("id", "") for row in rows)
+    return annotated(ids, [_kind(row) for row in rows], np.array(sizes), xy, yaw, dt_s)

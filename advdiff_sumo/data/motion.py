@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,6 +44,30 @@ def signed_speeds(xy_m: FloatArray, yaw_rad: FloatArray, valid: BoolArray, dt_s:
     central = np.where(after * before > 0.0, np.clip(0.5 * (after + before), -bound, bound), 0.0)
     speed = np.where(has_after & has_before, central, np.where(has_after, after, before))
     return np.where(valid, np.where(has_after | has_before, speed, 0.0), np.nan)
+
+
+def annotated(
+    ids: Iterable[str],
+    classes: Sequence[AgentClass | None],
+    size_m: FloatArray,
+    xy_m: FloatArray,
+    yaw_rad: FloatArray,
+    dt_s: float,
+) -> Tracks:
+    """Return the tracks of A annotated agents, with speeds of :func:`signed_speeds`; NaN where they are not there.
+
+    Args:
+        ids: A names.
+        classes: A classes.
+        size_m: (A, 2) lengths and widths.
+        xy_m: (A, T, 2) box centres.
+        yaw_rad: (A, T) headings.
+        dt_s: spacing.
+    """
+    valid = np.isfinite(xy_m).all(-1) & np.isfinite(yaw_rad)
+    speed = signed_speeds(xy_m, yaw_rad, valid, dt_s)
+    kinds = np.array(classes, dtype=np.int64)
+    return Tracks(tuple(ids), kinds, size_m, xy_m, yaw_rad, speed, valid, 0.0, dt_s)
 
 
 def parked_agents(xy_m: FloatArray, valid: BoolArray, dt_s: float) -> BoolArray:

@@ -19,7 +19,7 @@ from advdiff_sumo.core.errors import LogError, UnknownNameError
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
-from advdiff_sumo.data.motion import parked_agents, signed_speeds, without_jitter
+from advdiff_sumo.data.motion import annotated, parked_agents, without_jitter
 from advdiff_sumo.data.nuscenes_index import (
     KEYFRAME_S,
     Boxes,
@@ -154,19 +154,10 @@ def _tracks(frames: Keyframes, ego: FloatArray, boxes: Boxes, instances: Instanc
     pose[0, frames.slot, :2] += ZOE_CENTRE_AHEAD_M * unit(ego[:, 2])
     _refuse_doubles(row, boxes, instances, folder)
     pose[1 + row, boxes.slot] = boxes.values[:, :3]
-    xy, yaw = pose[..., :2], pose[..., 2]
-    valid = np.isfinite(yaw)
-    return Tracks(
-        ids=(EGO_ID, *(instances.tokens[i] for i in present)),
-        classes=np.array([AgentClass.CAR, *(instances.classes[i] for i in present)], dtype=np.int64),
-        size_m=np.vstack(([ZOE_LENGTH_M, ZOE_WIDTH_M], _sizes(row, boxes, len(present)))),
-        xy_m=xy,
-        yaw_rad=yaw,
-        speed_mps=signed_speeds(xy, yaw, valid, KEYFRAME_S),
-        valid=valid,
-        t0_s=0.0,
-        dt_s=KEYFRAME_S,
-    )
+    ids = (EGO_ID, *(instances.tokens[i] for i in present))
+    classes = [AgentClass.CAR, *(instances.classes[i] for i in present)]
+    sizes = np.vstack(([ZOE_LENGTH_M, ZOE_WIDTH_M], _sizes(row, boxes, len(present))))
+    return annotated(ids, classes, sizes, pose[..., :2], pose[..., 2], KEYFRAME_S)
 
 
 def _sizes(row: IntArray, boxes: Boxes, agents: int) -> FloatArray:

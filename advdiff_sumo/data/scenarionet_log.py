@@ -13,7 +13,7 @@ from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
-from advdiff_sumo.data.motion import parked_agents, signed_speeds, without_jitter
+from advdiff_sumo.data.motion import annotated, parked_agents, signed_speeds, without_jitter
 from advdiff_sumo.data.nuscenes import ZOE_CENTRE_AHEAD_M, ZOE_LENGTH_M, ZOE_WIDTH_M
 from advdiff_sumo.data.nuscenes_index import agent_class
 from advdiff_sumo.data.pickles import load_plain
@@ -130,18 +130,8 @@ def _tracks(record: Mapping[str, Any], ids: list[str], offset_m: FloatArray) -> 
     xy[~valid], yaw[~valid] = np.nan, np.nan
     if not (np.isfinite(xy).all(-1) & np.isfinite(yaw))[valid].all():
         raise ValueError("a valid state is not finite")
-    kinds = [_class_of(row) for row in rows]
-    return Tracks(
-        ids=tuple(ids),
-        classes=np.array(kinds, dtype=np.int64),
-        size_m=np.array([_size(row) for row in rows]),
-        xy_m=xy,
-        yaw_rad=yaw,
-        speed_mps=signed_speeds(xy, yaw, valid, dt_s),
-        valid=valid,
-        t0_s=0.0,
-        dt_s=dt_s,
-    )
+    sizes = np.array([_size(row) for row in rows])
+    return annotated(ids, [_class_of(row) for row in rows], sizes, xy, yaw, dt_s)
 
 
 def _with_zoe(tracks: Tracks, ego: int) -> Tracks:

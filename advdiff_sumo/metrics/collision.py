@@ -187,19 +187,9 @@ def _frames_meet(tracks: Tracks, start: int, stop: int, first: IntArray, second:
 def _touches_of(
     tracks: Tracks, first: IntArray, second: IntArray, step: IntArray
 ) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-    fraction = first_contact(_sweep(tracks, first, step), _sweep(tracks, second, step))
+    fraction = first_contact(Sweep.of(tracks, first, step), Sweep.of(tracks, second, step))
     hit = ~np.isnan(fraction)
     return first[hit], second[hit], step[hit], fraction[hit]
-
-
-def _sweep(tracks: Tracks, row: IntArray, step: IntArray) -> Sweep:
-    return Sweep.between(
-        tracks.xy_m[row, step],
-        tracks.yaw_rad[row, step],
-        tracks.xy_m[row, step + 1],
-        tracks.yaw_rad[row, step + 1],
-        tracks.size_m[row],
-    )
 
 
 def _first_touches(tracks: Tracks, steady: BoolArray, touches: Touches) -> list[int]:
@@ -226,7 +216,7 @@ def _collision(tracks: Tracks, target: int, steady: BoolArray, touches: Touches,
     i, j, step = int(touches.first[at]), int(touches.second[at]), int(touches.step[at])
     rows = (j, i) if j == target else (i, j)
     fraction = float(touches.fraction[at])
-    both = _sweep(tracks, np.array(rows), np.array([step, step]))
+    both = Sweep.of(tracks, np.array(rows), np.array([step, step]))
     a, b = both.rows(np.array([0])), both.rows(np.array([1]))
     contact = contact_of(a, b, fraction, rows[1])
     xy, yaw = both.pose(fraction)

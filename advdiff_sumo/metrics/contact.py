@@ -11,7 +11,7 @@ import shapely
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps, corners
-from advdiff_sumo.metrics.continuous_collision import TOUCH_M, Sweep, first_contact
+from advdiff_sumo.metrics.continuous_collision import TOUCH_M, Sweep, first_contact, gaps_at
 
 #: Faster than this between two instants is a jump (an insertion, a teleport): nothing is swept over it.
 JUMP_MPS = 100.0
@@ -194,8 +194,7 @@ def _depth(a: Sweep, b: Sweep, fraction: float) -> float:
     share = np.linspace(fraction, 1.0, _DEPTH_SAMPLES)
     rows = np.zeros(_DEPTH_SAMPLES, dtype=np.int64)
     a, b = a.rows(rows), b.rows(rows)
-    (xy_a, yaw_a), (xy_b, yaw_b) = a.pose(share), b.pose(share)
-    gaps, _, _ = axis_gaps(xy_b - xy_a, yaw_a, a.half_m, yaw_b, b.half_m)
+    gaps, _, _ = gaps_at(a, b, share, share)
     return float(max(0.0, -gaps.max(-1).min()))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.core.scene import Tracks
 
 #: Boxes nearer than this touch.
 TOUCH_M = 1e-6
@@ -48,6 +49,18 @@ class Sweep:
         """Return the step from the first poses to the second; *size_m* is (K, 2) length and width."""
         return Sweep(xy0_m, yaw0_rad, xy1_m - xy0_m, wrap_angle(yaw1_rad - yaw0_rad), 0.5 * size_m)
 
+    @staticmethod
+    def of(tracks: Tracks, row: IntArray, step: IntArray) -> Sweep:
+        """Return the steps of agents *row* (K,) of *tracks* from instants *step* (K,) to the next ones."""
+        begin, end = (row, step), (row, step + 1)
+        return Sweep.between(
+            tracks.xy_m[begin],
+            tracks.yaw_rad[begin],
+            tracks.xy_m[end],
+            tracks.yaw_rad[end],
+            tracks.size_m[row],
+        )
+
     def rows(self, rows: IntArray | BoolArray) -> Sweep:
         """Return the boxes at *rows* (indices or a mask)."""
         return Sweep(
@@ -58,6 +71,14 @@ class Sweep:
         """Return centres (K, 2) and headings (K,) at *fraction* (K,) of the step."""
         share = np.asarray(fraction, dtype=np.float64)
         return self.xy_m + share[..., None] * self.move_m, self.yaw_rad + share * self.turn_rad
+
+
+def gaps_at(
+    a: Sweep, b: Sweep, share_a: FloatArray | float, share_b: FloatArray | float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what ``boxes.axis_gaps`` does of boxes a and b, at these shares (K,) of their steps."""
+    (xy_a, yaw_a), (xy_b, yaw_b) = a.pose(share_a), b.pose(share_b)
+    return axis_gaps(xy_b - xy_a, yaw_a, a.half_m, yaw_b, b.half_m)
 
 
 def may_touch(a: Sweep, b: Sweep) -> BoolArray:
@@ -94,8 +115,7 @@ def first_contact(a: Sweep, b: Sweep) -> FloatArray:
 
 def _advance(a: Sweep, b: Sweep, fraction: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the gaps (K,) at *fraction* (K,) and the share of the step by which time may safely advance."""
-    (xy_a, yaw_a), (xy_b, yaw_b) = a.pose(fraction), b.pose(fraction)
-    gaps, along, axes = axis_gaps(xy_b - xy_a, yaw_a, a.half_m, yaw_b, b.half_m)
+    gaps, along, axes = gaps_at(a, b, fraction, fraction)
     closing = -np.sign(along) * np.einsum("kic,kc->ki", axes, b.move_m - a.move_m)
     corners = np.abs(a.turn_rad) * _norm(a.half_m) + np.abs(b.turn_rad) * _norm(b.half_m)
     rate = np.maximum(closing + corners[:, None], 1e-12)  # m per step

@@ -13,9 +13,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from advdiff_sumo.core.arrays import BoolArray, IntArray
-from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.metrics.continuous_collision import Sweep
+from advdiff_sumo.metrics.continuous_collision import Sweep, gaps_at
 from advdiff_sumo.metrics.criticality import Extreme
 from advdiff_sumo.metrics.kinematics import unbroken
 
@@ -76,8 +75,7 @@ def _near_steps(tracks: Tracks, target: int, steady: BoolArray) -> tuple[IntArra
 def _swept_meet(tracks: Tracks, target: int, own: IntArray, other: IntArray, row: IntArray) -> BoolArray:
     """Return whether the boxes may meet when each is grown by all that it moves and turns within its step."""
     a, b = _sweeps(tracks, target, own, other, row)
-    (xy_a, yaw_a), (xy_b, yaw_b) = a.pose(0.5), b.pose(0.5)
-    gaps, _, _ = axis_gaps(xy_b - xy_a, yaw_a, a.half_m, yaw_b, b.half_m)
+    gaps, _, _ = gaps_at(a, b, 0.5, 0.5)
     slack = sum(
         0.5 * np.hypot(*x.move_m.T) + 0.5 * np.abs(x.turn_rad) * np.hypot(*x.half_m.T) for x in (a, b)
     )
@@ -94,9 +92,7 @@ def _finest(
     count = share_a.size
     pick = np.repeat(np.arange(len(own)), count)
     at_a, at_b = np.tile(share_a.ravel(), len(own)), np.tile(share_b.ravel(), len(own))
-    a, b = a.rows(pick), b.rows(pick)
-    (xy_a, yaw_a), (xy_b, yaw_b) = a.pose(at_a), b.pose(at_b)
-    gaps, _, _ = axis_gaps(xy_b - xy_a, yaw_a, a.half_m, yaw_b, b.half_m)
+    gaps, _, _ = gaps_at(a.rows(pick), b.rows(pick), at_a, at_b)
     hit = np.flatnonzero(gaps.max(-1) < 0.0)
     if not hit.size:
         return None
@@ -110,12 +106,4 @@ def _finest(
 def _sweeps(
     tracks: Tracks, target: int, own: IntArray, other: IntArray, row: IntArray
 ) -> tuple[Sweep, Sweep]:
-    mine = np.full(len(own), target)
-    return _sweep_of(tracks, mine, own), _sweep_of(tracks, row, other)
-
-
-def _sweep_of(tracks: Tracks, row: IntArray, step: IntArray) -> Sweep:
-    start, end = (row, step), (row, step + 1)
-    return Sweep.between(
-        tracks.xy_m[start], tracks.yaw_rad[start], tracks.xy_m[end], tracks.yaw_rad[end], tracks.size_m[row]
-    )
+    return Sweep.of(tracks, np.full(len(own), target), own), Sweep.of(tracks, row, other)

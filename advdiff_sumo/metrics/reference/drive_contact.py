@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, IntArray
-from advdiff_sumo.core.boxes import axis_gaps, corners, distance
+from advdiff_sumo.core.boxes import corners, distance
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import Trajectory
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.contact import JUMP_MPS
-from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact
+from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact, gaps_at
 
 
 @dataclass(frozen=True)
@@ -92,14 +92,7 @@ def _sweeps(
         drive.yaw_rad[step + 1],
         np.broadcast_to(others.size_m[target], (len(row), 2)),
     )
-    theirs = Sweep.between(
-        others.xy_m[row, step],
-        others.yaw_rad[row, step],
-        others.xy_m[row, step + 1],
-        others.yaw_rad[row, step + 1],
-        others.size_m[row],
-    )
-    return own, theirs
+    return own, Sweep.of(others, row, step)
 
 
 def _behind(drive: Trajectory, others: Tracks, target: int) -> BoolArray:
@@ -112,8 +105,7 @@ def _closing_mps(a: Sweep, b: Sweep, pair: int, fraction: float, dt_s: float) ->
     """Return the speed at which the boxes of *pair* approach along their contact normal."""
     picked = np.array([pair])
     a, b = a.rows(picked), b.rows(picked)
-    (xy_a, yaw_a), (xy_b, yaw_b) = a.pose(fraction), b.pose(fraction)
-    gaps, along, axes = axis_gaps(xy_b - xy_a, yaw_a, a.half_m, yaw_b, b.half_m)
+    gaps, along, axes = gaps_at(a, b, fraction, fraction)
     best = int(np.argmax(gaps[0]))
     normal = np.copysign(1.0, along[0, best]) * axes[0, best]
     return max(0.0, float((a.move_m[0] - b.move_m[0]) @ normal) / dt_s)

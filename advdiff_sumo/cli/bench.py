@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import Progress, TaskID
 
-from advdiff_sumo.cli.terminal import print_json, verb_console
+from advdiff_sumo.cli.terminal import Bars, print_json, verb_console
 from advdiff_sumo.cli.worker_flags import Timeout, Workers, cores, end_as_by_ctrl_c, limits_of
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.threads import one_thread_for_good
@@ -230,7 +228,7 @@ def run_or_print(
         folder = open_bench(path, request)
         with ExitStack() as stack:
             limits = limits_of(stack, timeout_s)
-            with _Bars(console) as bars:
+            with Bars(console) as bars:
                 table = run_bench(folder, workers or cores(), limits, bars)
     if as_json:
         from advdiff_sumo.experiments.bench.defects_object import defects_object  # late, as above
@@ -265,36 +263,3 @@ def _names_of(text: str | list[str] | None) -> list[str] | None:
     if not all(names):
         raise ConfigError(f"'{text}': a name is empty; write them as a,b")
     return names
-
-
-class _Bars:
-    """One bar after the other."""
-
-    def __init__(self, console: Console) -> None:
-        from advdiff_sumo.cli.terminal import progress_bar
-
-        self._bar: Progress = progress_bar(console)
-        self._task: TaskID | None = None
-        self._what = ""
-
-    def __enter__(self) -> _Bars:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.stop()
-
-    def begin(self, what: str, total: int, done: int = 0) -> None:
-        """Begin a bar."""
-        self._what = what
-        self._task = self._bar.add_task(what, total=total, completed=done)
-
-    def step(self, words: str = "") -> None:
-        """Go one step on."""
-        if self._task is not None:
-            description = f"{self._what} · {words}" if words else self._what
-            self._bar.update(self._task, advance=1, description=description)
-
-    def say(self, sentence: str) -> None:
-        """Print a sentence above the bars."""
-        self._bar.console.print(sentence, soft_wrap=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +13,7 @@ from advdiff_sumo.cli import sweep_flags as flags
 from advdiff_sumo.cli import worker_flags as worker
 from advdiff_sumo.cli.interruption import says_how_to_go_on
 from advdiff_sumo.cli.run_flags import Json, Quiet, RetryFailed, check_retry
-from advdiff_sumo.cli.terminal import print_json, verb_console
+from advdiff_sumo.cli.terminal import Bars, print_json, verb_console
 from advdiff_sumo.core.errors import ConfigError, FileError, UnknownNameError
 from advdiff_sumo.core.threads import one_thread_for_good
 
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from advdiff_sumo.sweep.job_plan import SweepPlan
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs
     from advdiff_sumo.sweep.sweep_store import Store
-    from advdiff_sumo.sweep.tasks import Failed, WorkerLimits
+    from advdiff_sumo.sweep.tasks import WorkerLimits
 
 
 def sweep(
@@ -178,10 +177,11 @@ def _episodes(
     console: Console, plan: SweepPlan, store: Store, todo: RemainingJobs, executor: Executor, retries: int
 ) -> int:
     """Run what is *todo* behind a bar and return how many episodes are missing then."""
-    from advdiff_sumo.sweep.sweep_runner import run_sweep
+    from advdiff_sumo.sweep.sweep_runner import EpisodeCount, run_sweep
 
-    with _Progress(console, todo) as progress:
-        return run_sweep(plan, store, todo, executor, retries, progress.tell)
+    with Bars(console) as bars:
+        bars.begin("episodes", todo.total, todo.done)
+        return run_sweep(plan, store, todo, executor, retries, EpisodeCount(bars.step).tell)
 
 
 def _tell_estimate(
@@ -201,29 +201,3 @@ def _tell_estimate(
             f"{expected.episodes} × {expected.episode_s:.1f} s for episodes (measured just now)",
             soft_wrap=True,
         )
-
-
-class _Progress:
-    """The bar; counts collisions and failures."""
-
-    def __init__(self, console: Console, todo: RemainingJobs) -> None:
-        from advdiff_sumo.cli.terminal import progress_bar
-
-        self._bar = progress_bar(console)
-        self._todo = todo
-        self._hits = self._failed = 0
-
-    def __enter__(self) -> _Progress:
-        self._bar.start()
-        self._task = self._bar.add_task("episodes", total=self._todo.total, completed=self._todo.done)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.stop()
-
-    def tell(self, row: Mapping[str, Any] | None, failed: Failed | None) -> None:
-        """Count one episode."""
-        self._hits += bool(row and row["target_collision"])
-        self._failed += failed is not None
-        words = f"episodes · {self._hits} collisions · {self._failed} failed"
-        self._bar.update(self._task, advance=1, description=words)

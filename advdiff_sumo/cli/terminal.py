@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.progress import Progress, TaskID
 
 #: Width in characters of what is not a terminal; wider than any of our tables, which take no more than they need.
 PIPED_WIDTH = 1000
@@ -51,6 +51,37 @@ def progress_bar(console: Console, transient: bool = False) -> Progress:
         disable=not console.is_terminal,
         transient=transient,
     )
+
+
+class Bars:
+    """One bar after the other."""
+
+    def __init__(self, console: Console) -> None:
+        self._bar = progress_bar(console)
+        self._task: TaskID | None = None
+        self._what = ""
+
+    def __enter__(self) -> Bars:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+    def begin(self, what: str, total: int, done: int = 0) -> None:
+        """Begin a bar."""
+        self._what = what
+        self._task = self._bar.add_task(what, total=total, completed=done)
+
+    def step(self, words: str = "") -> None:
+        """Go one step on."""
+        if self._task is not None:
+            description = f"{self._what} · {words}" if words else self._what
+            self._bar.update(self._task, advance=1, description=description)
+
+    def say(self, sentence: str) -> None:
+        """Print a sentence above the bars."""
+        self._bar.console.print(sentence, soft_wrap=True)
 
 
 def verb_console(quiet: bool, as_json: bool) -> Console:

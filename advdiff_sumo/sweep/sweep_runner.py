@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from advdiff_sumo.sweep.job_plan import Job, SweepPlan
 from advdiff_sumo.sweep.rounds import chosen_so_far, rounds
 from advdiff_sumo.sweep.scheduler import Scheduler, Tell
 from advdiff_sumo.sweep.sweep_store import Store
+from advdiff_sumo.sweep.tasks import Failed
 
 _BALLAST_BYTES_A_SLOT = 4 << 20
 
@@ -55,6 +56,24 @@ class RemainingJobs:
         if not plan.spec.diverse or not left:
             return self.jobs
         return [plan.jobs[k * len(plan.jobs) // left] for k in range(left)]
+
+
+class EpisodeCount:
+    """Counts a sweep's episodes that ended in a collision, and those that failed.
+
+    Args:
+        step: called with what it has come to, after every episode.
+    """
+
+    def __init__(self, step: Callable[[str], None]) -> None:
+        self._step = step
+        self._hits = self._failed = 0
+
+    def tell(self, row: Mapping[str, Any] | None, failed: Failed | None) -> None:
+        """Count one episode."""
+        self._hits += bool(row and row["target_collision"])
+        self._failed += failed is not None
+        self._step(f"{self._hits} collisions · {self._failed} failed")
 
 
 def settings_of(plan: SweepPlan) -> dict[str, Any]:

@@ -17,9 +17,9 @@ from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.job_plan import Job, SweepPlan, plan_sweep
 from advdiff_sumo.sweep.spec import Case, SweepSpec
 from advdiff_sumo.sweep.sweep_files import write_whole
-from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep, settings_of
+from advdiff_sumo.sweep.sweep_runner import EpisodeCount, RemainingJobs, open_store, run_sweep, settings_of
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import Failed, WorkerLimits
+from advdiff_sumo.sweep.tasks import WorkerLimits
 
 _RETRIES = 2
 #: What later options of the simulation record and no table reads.
@@ -132,18 +132,6 @@ def run_cells(
     store = open_bench_store(path, cells.plan, workers)
     todo = RemainingJobs.of(cells.plan, store)
     teller.begin("episodes", len(todo.jobs) + todo.done, todo.done)
-    counted = _Counted(teller)
+    counted = EpisodeCount(teller.step)
     run_sweep(cells.plan, store, todo, ProcessExecutor(workers, limits), _RETRIES, counted.tell)
     return store
-
-
-class _Counted:
-    def __init__(self, teller: ProgressReporter) -> None:
-        self._teller = teller
-        self._hits = self._failed = 0
-
-    def tell(self, row: Mapping[str, Any] | None, failed: Failed | None) -> None:
-        """Count one episode."""
-        self._hits += bool(row and row["target_collision"])
-        self._failed += failed is not None
-        self._teller.step(f"{self._hits} collisions · {self._failed} failed")

@@ -85,18 +85,18 @@ def overlap_times(reach: FloatArray, along: FloatArray, rate: FloatArray) -> tup
 def clearances(tracks: Tracks, target: int) -> FloatArray:
     """Return (A, T) distances between each agent's box and the target's where they may be the smallest.
 
-    Entries that cannot be the smallest of all are inf: their circles are farther apart than some centres are.
-    NaN where an agent is absent and for the target itself; 0 when boxes overlap.
+    Entries that cannot be the smallest of their instant are inf: their circles are farther apart than some centres
+    are. NaN where an agent is absent and for the target itself; 0 when boxes overlap.
     """
     offset = tracks.xy_m - tracks.xy_m[target]
     between = np.hypot(offset[..., 0], offset[..., 1])
     between[target] = np.nan
+    distant = np.where(np.isnan(between), np.inf, between)
     radius = 0.5 * np.hypot(tracks.size_m[:, 0], tracks.size_m[:, 1])
-    result = np.where(np.isnan(between), np.nan, np.inf)
-    if np.isnan(between).all():
-        return result
-    row, step = np.nonzero(between - (radius + radius[target])[:, None] <= np.nanmin(between))
+    near = np.isfinite(distant) & (distant - (radius + radius[target])[:, None] <= distant.min(axis=0))
+    row, step = np.nonzero(near)
     boxes = corners(tracks.xy_m[row, step], tracks.yaw_rad[row, step], tracks.size_m[row])
     own = corners(tracks.xy_m[target, step], tracks.yaw_rad[target, step], tracks.size_m[target])
+    result = np.where(np.isnan(between), np.nan, np.inf)
     result[row, step] = distance(boxes, own)
     return result

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.boxes import corners, distance
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.metrics.criticality import time_to_collision
+from advdiff_sumo.metrics.criticality import clearances, time_to_collision
 from advdiff_sumo.metrics.reference import ReferenceDrive
 
 
@@ -83,20 +82,9 @@ def difference_quotient(values: FloatArray, dt_s: float) -> FloatArray:
 def nearest_gap(tracks: Tracks, target: int) -> FloatArray:
     """Return (T,) distances between the target's box and the nearest other one; 0 when they overlap.
 
-    NaN where the target or all others are absent. Only pairs that may be the nearest of their instant, by
-    the circles around the boxes, are measured.
+    NaN where the target or all others are absent.
     """
-    between = np.hypot(*np.moveaxis(tracks.xy_m - tracks.xy_m[target], -1, 0))
-    between[target] = np.nan
-    distant = np.where(np.isfinite(between), between, np.inf)
-    radius = 0.5 * np.hypot(tracks.size_m[:, 0], tracks.size_m[:, 1])
-    near = np.isfinite(distant) & (distant - (radius + radius[target])[:, None] <= distant.min(axis=0))
-    row, step = np.nonzero(near)
-    boxes = corners(tracks.xy_m[row, step], tracks.yaw_rad[row, step], tracks.size_m[row])
-    own = corners(tracks.xy_m[target, step], tracks.yaw_rad[target, step], tracks.size_m[target])
-    gaps = np.full(tracks.yaw_rad.shape, np.nan)
-    gaps[row, step] = distance(boxes, own)
-    return _least(gaps)
+    return _least(clearances(tracks, target))
 
 
 def gap_to(tracks: Tracks, target: int, other: int) -> FloatArray:

@@ -172,15 +172,7 @@ def new_ppo(env: VecEnv, options: PpoOptions, seed: int) -> PPO:
     model = PPO(
         "MlpPolicy",
         env,
-        learning_rate=options.learning_rate,
-        n_steps=options.n_steps,
-        batch_size=options.batch_size,
-        n_epochs=options.n_epochs,
-        gamma=options.gamma,
-        gae_lambda=options.gae_lambda,
-        clip_range=options.clip_range,
-        ent_coef=options.ent_coef,
-        target_kl=options.target_kl,
+        **options.model_dump(exclude={"log_std", "hidden"}),
         policy_kwargs={
             "net_arch": {"pi": sizes, "vf": sizes},
             "activation_fn": nn.Tanh,

@@ -65,20 +65,10 @@ def _divisible(layout: Layout, between: Sequence[Piece]) -> list[list[Piece]]:
 
 def _divide(layout: Layout, group: list[Piece]) -> None:
     """Part an edge in its middle, so that it does not begin and end in one junction."""
-    first, second = [], []
-    for piece in group:
-        middle = 0.5 * (piece.from_m + piece.to_m)
-        before = Piece(piece.lane, piece.from_m, middle - 0.5 * CUT_M)
-        after = Piece(piece.lane, middle + 0.5 * CUT_M, piece.to_m)
-        own = layout.pieces[piece.lane]
-        own[own.index(piece) : own.index(piece) + 1] = [before, after]
-        layout.joints.join(((piece, 0), (before, 0)))
-        layout.joints.join(((piece, 1), (after, 1)))
-        first.append(before)
-        second.append(after)
-    layout.joints.join([*((p, 1) for p in first), *((p, 0) for p in second)])
-    at = layout.groups.index(group)
-    layout.groups[at : at + 1] = [first, second]
+    cuts = [0.5 * (piece.from_m + piece.to_m) for piece in group]
+    first = [Piece(p.lane, p.from_m, cut - 0.5 * CUT_M) for p, cut in zip(group, cuts, strict=True)]
+    second = [Piece(p.lane, cut + 0.5 * CUT_M, p.to_m) for p, cut in zip(group, cuts, strict=True)]
+    layout.joints.join(layout.part(group, first, second))
     layout.counts["edges divided to join junctions where ways cross"] += 1
 
 

@@ -181,13 +181,6 @@ def _divide(layout: Layout, groups: Sequence[list[Piece]], hits: dict[Piece, _Hi
     for group in groups:
         first = [Piece(piece.lane, piece.from_m, hits[piece].from_m) for piece in group]
         second = [Piece(piece.lane, hits[piece].to_m, piece.to_m) for piece in group]
-        for piece, before, after in zip(group, first, second, strict=True):
-            own = layout.pieces[piece.lane]
-            own[own.index(piece) : own.index(piece) + 1] = [before, after]
-            layout.joints.join(((piece, 0), (before, 0)))
-            layout.joints.join(((piece, 1), (after, 1)))
-        ends += [*((piece, 1) for piece in first), *((piece, 0) for piece in second)]
-        at = layout.groups.index(group)
-        layout.groups[at : at + 1] = [first, second]
+        ends += layout.part(group, first, second)
         layout.counts["edges divided at crossings on foot"] += 1
     layout.joints.join(ends)

@@ -41,6 +41,17 @@ class Layout:
         for side in (0, 1):
             self.joints.join(((piece, side), (new, side)))
 
+    def part(self, group: list[Piece], first: list[Piece], second: list[Piece]) -> list[Hashable]:
+        """Put the edges *first* and *second* in the place of *group*, lane by lane; return their ends between them."""
+        for piece, before, after in zip(group, first, second, strict=True):
+            own = self.pieces[piece.lane]
+            own[own.index(piece) : own.index(piece) + 1] = [before, after]
+            self.joints.join(((piece, 0), (before, 0)))
+            self.joints.join(((piece, 1), (after, 1)))
+        at = self.groups.index(group)
+        self.groups[at : at + 1] = [first, second]
+        return [*((piece, 1) for piece in first), *((piece, 0) for piece in second)]
+
     def junctions(self, piece: Piece) -> tuple[Hashable, Hashable]:
         """Return the junctions at which *piece* begins and ends."""
         return self.joints.find((piece, 0)), self.joints.find((piece, 1))

@@ -19,24 +19,8 @@ from advdiff_sumo.sim.run_episodes import Run, RunOptions, check_together, polic
 from advdiff_sumo.sweep.attack_kinds import by_kind
 from advdiff_sumo.sweep.fingerprint import cell_digest, digest, net_files, source_digest
 from advdiff_sumo.sweep.spec import Case, SweepSpec
+from advdiff_sumo.sweep.tasks import Batch
 from advdiff_sumo.traffic.policy_registry import POLICIES
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Seed scenes that are made together: those of one warm-up, or those of a driving log.
-
-    Attributes:
-        key: of their content.
-        options: of a run that they belong to.
-        number: of the stretch of traffic; 0 for a log.
-        scenes: how many are wanted: of a warm-up those up to the last one that an episode starts in.
-    """
-
-    key: str
-    options: RunOptions
-    number: int
-    scenes: int
 
 
 @dataclass(frozen=True)

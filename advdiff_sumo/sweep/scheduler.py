@@ -13,11 +13,11 @@ from advdiff_sumo.sim.episode import Ended
 from advdiff_sumo.sim.heartbeat import NOT_STARTED
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
-from advdiff_sumo.sweep.job_plan import Batch, Job, SweepPlan
+from advdiff_sumo.sweep.job_plan import Job, SweepPlan
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_files import DiskFullError
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Outcome, SceneTask, Task
+from advdiff_sumo.sweep.tasks import Batch, EpisodeTask, Failed, Outcome, SceneTask, Task
 from advdiff_sumo.sweep.work import NO_ROOM
 
 #: Failures that may say nothing about the episode but about what its worker did before: it is tried again.
@@ -122,7 +122,7 @@ class Scheduler:
         return self.store.has_scenes(batch.key, batch.scenes)
 
     def _scene_task(self, batch: Batch) -> SceneTask:
-        return SceneTask(batch.key, batch.options, batch.number, batch.scenes, self._net(batch.options.net))
+        return SceneTask(**vars(batch), net_digest=self._net(batch.options.net))
 
     def _net(self, net: str) -> str:
         if net not in self._net_digests:

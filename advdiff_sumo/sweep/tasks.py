@@ -19,21 +19,30 @@ STEP_TIMEOUT_S = 300.0
 
 
 @dataclass(frozen=True)
-class SceneTask:
-    """Make the seed scenes of one batch.
+class Batch:
+    """Seed scenes that are made together: those of one warm-up, or those of a driving log.
 
     Attributes:
-        key: of the batch.
+        key: of their content.
         options: of a run that they belong to.
-        number: of the stretch of traffic; 0 for a driving log.
-        scenes: how many are wanted.
-        net_digest: of the net, so that one that was changed meanwhile is noticed.
+        number: of the stretch of traffic; 0 for a log.
+        scenes: how many are wanted: of a warm-up those up to the last one that an episode starts in.
     """
 
     key: str
     options: RunOptions
     number: int
     scenes: int
+
+
+@dataclass(frozen=True)
+class SceneTask(Batch):
+    """Make the seed scenes of one batch.
+
+    Attributes:
+        net_digest: of the net, so that one that was changed meanwhile is noticed.
+    """
+
     net_digest: str
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.sweep.executors import Executor, outcome_of
 from advdiff_sumo.sweep.fingerprint import canonical, file_digest, net_files
-from advdiff_sumo.sweep.job_plan import Batch, Job, SweepPlan
+from advdiff_sumo.sweep.job_plan import Job, SweepPlan
 from advdiff_sumo.sweep.tasks import EpisodeTask, SceneTask
 
 _PROBES = 6
@@ -56,10 +56,8 @@ def estimate(plan: SweepPlan, jobs: Sequence[Job], executor: Executor) -> TimeEs
         options = plan.options(job)
         net = file_digest(*net_files(options.net))
         if job.batch not in scenes:
-            batch: Batch = plan.batches[job.batch]
-            outcome = outcome_of(
-                SceneTask(batch.key, batch.options, batch.number, batch.scenes, net), executor
-            )
+            batch = plan.batches[job.batch]
+            outcome = outcome_of(SceneTask(**vars(batch), net_digest=net), executor)
             if outcome.failed is not None:
                 raise ConfigError(f"{options.net}: {outcome.failed.message}")
             scenes[job.batch] = outcome.product

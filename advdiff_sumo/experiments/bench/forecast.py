@@ -53,7 +53,7 @@ def forecast(
     with ProcessExecutor(1, limits) as executor:
         batch = cells.plan.batches[todo[0].batch]
         net = file_digest(*net_files(batch.options.net))
-        outcome = outcome_of(SceneTask(batch.key, batch.options, batch.number, batch.scenes, net), executor)
+        outcome = outcome_of(SceneTask(**vars(batch), net_digest=net), executor)
         if outcome.failed is not None:
             return None
         episode_s = {}

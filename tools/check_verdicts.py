@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
+from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.data.run_tables import RunTables
 
 COLUMNS = (
     "episode",
@@ -27,6 +27,7 @@ COLUMNS = (
     "solvable",
     "unavoidable",
 )
+REMEDY = "give folders judged by verdict --search"
 Row = Mapping[str, Any]
 
 
@@ -40,9 +41,8 @@ def main() -> int:
     given = parser.parse_args()
     try:
         rows = [(folder, row) for folder in given.folders for row in searched_collisions(folder)]
-    except (OSError, KeyError, pa.ArrowException) as error:
-        reason = error.args[0] if isinstance(error, KeyError) else error
-        print(f"check_verdicts: {reason}; give folders judged by verdict --search", file=sys.stderr)
+    except FileError as error:
+        print(f"check_verdicts: {error}", file=sys.stderr)
         return 2
     if not rows:
         print(
@@ -67,12 +67,12 @@ def searched_collisions(folder: Path) -> list[Row]:
     """Return the rows of the target's collisions in *folder* of which the search was asked.
 
     Raises:
-        KeyError: an earlier version wrote them.
+        FileError: the table is missing or damaged, or an earlier version wrote it.
     """
-    known = pq.read_schema(folder / "collisions.parquet").names
-    if lacking := set(COLUMNS) - set(known):
-        raise KeyError(f"{folder} lacks the columns {', '.join(sorted(lacking))}")
-    rows = pq.read_table(folder / "collisions.parquet", columns=list(COLUMNS)).to_pylist()
+    tables = RunTables(folder, remedy=REMEDY)
+    if lacking := set(COLUMNS) - tables.columns("collisions"):
+        raise FileError(folder, f"lacks the columns {', '.join(sorted(lacking))}", REMEDY)
+    rows = tables.rows("collisions", COLUMNS).to_pylist()
     return [row for row in rows if row["with_target"] and row["solvable"] is not None]
 
 

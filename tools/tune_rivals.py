@@ -13,145 +13,78 @@ The table is printed and written to table.md in the folder.
 from __future__ import annotations
 
 import argparse
-import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
+import numpy as np
 
+from advdiff_sumo.cli.terminal import Bars, terminal
+from advdiff_sumo.cli.worker_flags import limits_of
+from advdiff_sumo.config import set_dotted
 from advdiff_sumo.experiments.bench.bench_rows import policy_row
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
+from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered, failures_told, gather_rows
+from advdiff_sumo.experiments.bench.print_table import print_table
 from advdiff_sumo.experiments.bench.scene_list import TUNING_LIST, SceneList, read_scene_list, shipped_list
-from advdiff_sumo.metrics.severity import is_failure
-from advdiff_sumo.metrics.statistics import wilson
-from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.tasks import WorkerLimits
+from advdiff_sumo.experiments.bench.statistics import Ratio, Sample
+from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, lines_of
+from advdiff_sumo.experiments.bench.write_table import markdown_text
 
-COLUMNS = ("configuration", "target", "collisions", "95 %", "BV collisions", "BV off the road", "s/episode")
-
-
-@dataclass(frozen=True)
-class Result:
-    """What one configuration came to against one target.
-
-    Attributes:
-        episodes: that finished.
-        hits: in which the target collided.
-        touched: collisions of background vehicles among themselves.
-        off_road: moved background vehicles that left the road.
-        seconds: of the clock, by episode.
-    """
-
-    episodes: int
-    hits: int
-    touched: int
-    off_road: int
-    seconds: float
-
-    @staticmethod
-    def of(rows: Sequence[tuple[dict[str, Any], float]]) -> Result:
-        """Return the result of *rows* of ``episodes``, each with its time."""
-        known, times = [row for row, _ in rows], [time for _, time in rows]
-        return Result(
-            len(rows),
-            sum(bool(row["target_collision"]) for row in known),
-            sum(row["bv_collisions"] or 0 for row in known),
-            sum(row["bv_offroad_vehicles"] or 0 for row in known),
-            sum(times) / max(1, len(times)),
-        )
-
-    def cells(self) -> tuple[str, ...]:
-        """Return what is printed."""
-        low, high = wilson(self.hits, self.episodes) if self.episodes else (0.0, 1.0)
-        between = f"{100 * low:.0f}–{100 * high:.0f} %"
-        counts = f"{self.hits} of {self.episodes}", between, str(self.touched), str(self.off_road)
-        return *counts, f"{self.seconds:.1f}"
+HEADS = (
+    Head("collision_rate", "collisions", "%", 100.0, 0, "high"),
+    Head("touched", "BV collisions", "by episode", better="low"),
+    Head("off_road", "BV off the road", "by episode", better="low"),
+    Head("cpu_s", "processor time", "s", digits=1, measured=True),
+)
 
 
 def options_of(text: str) -> tuple[str, dict[str, Any]]:
     """Return the background and the options of ``policy:key=value,key=value``."""
     policy, _, rest = text.partition(":")
-    pairs = [part.partition("=") for part in rest.split(",") if part]
-    return policy, {key.strip(): _value(value.strip()) for key, _, value in pairs}
+    options: dict[str, Any] = {}
+    for part in filter(None, rest.split(",")):
+        set_dotted(options, part)
+    return policy, options
 
 
-def _value(text: str) -> int | float | str:
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
+def samples_of(results: Sequence[EpisodeResult]) -> dict[str, Sample]:
+    """Return what the cells of one configuration and target are computed from."""
+    scenes, ones = tuple(one.scene for one in results), np.ones(len(results))
+
+    def mean(values: list[Any], rate: bool = False) -> Ratio:
+        return Ratio(scenes, np.array([value or 0.0 for value in values], dtype=np.float64), ones, rate)
+
+    return {
+        "collision_rate": mean([one.row["target_collision"] for one in results], rate=True),
+        "touched": mean([one.row["bv_collisions"] for one in results]),
+        "off_road": mean([one.row["bv_offroad_vehicles"] for one in results]),
+        "cpu_s": mean([one.cpu_s for one in results]),
+    }
 
 
-def results(cells: BenchCells, store: Store) -> dict[tuple[str, str], Result]:
-    """Return the result of each configuration and target."""
-    rows_of: dict[tuple[str, str], list[tuple[dict[str, Any], float]]] = {}
-    for cell, job in cells.jobs():
-        rows = rows_of.setdefault((cell.row, cell.target), [])
-        part = store.read(job.key)
-        if part is not None and "episodes" in part.tables:
-            (row,), (timing,) = part.tables["episodes"].to_pylist(), part.tables["timing"].to_pylist()
-            if not is_failure(row):
-                rows.append((row, timing["wall_s"]))
-    return {key: Result.of(rows) for key, rows in rows_of.items()}
+def table_of(results: Gathered, title: str) -> Table:
+    """Return the table of what was gathered."""
+    rows = [
+        RowSamples(cell.row, cell.target, cell.row, samples_of(episodes))
+        for cell, episodes in results.finished.items()
+    ]
+    failed = failures_told(results, results.finished)
+    return Table("tune-rivals", title, HEADS, lines_of(HEADS, rows, {}), notes=(failed,) if failed else ())
 
 
-class Printed:
-    """Prints how far the episodes are, now and then."""
-
-    def __init__(self, console: Console) -> None:
-        self.console, self.total, self.done = console, 0, 0
-
-    def begin(self, what: str, total: int, done: int = 0) -> None:
-        """Say what is to do."""
-        self.total, self.done = total, done
-        self.console.print(f"{what}: {total}, {done} of them done before")
-
-    def step(self, words: str = "") -> None:
-        """Say every tenth."""
-        self.done += 1
-        if self.done % 10 == 0:
-            self.console.print(f"{self.done} of {self.total} · {words}")
-
-    def say(self, sentence: str) -> None:
-        """Print it."""
-        self.console.print(sentence)
-
-
-def measure(
-    configurations: Sequence[str],
-    targets: Sequence[str],
-    scenes: SceneList,
-    horizon_s: float,
-    workers: int,
-    folder: Path,
-) -> dict[tuple[str, str], Result]:
-    """Run what *folder* lacks and return all results."""
+def cells_of(
+    configurations: Sequence[str], targets: Sequence[str], scenes: SceneList, horizon_s: float
+) -> BenchCells:
+    """Return the episodes of each configuration against each target."""
     configured = [(text, *options_of(text)) for text in configurations]
-    cells = plan_cells(
-        [
-            BenchCell(text, target, policy, background_options={**policy_row(policy).options, **options})
-            for text, policy, options in configured
-            for target in targets
-        ],
-        scenes,
-        horizon_s,
-    )
-    with tempfile.TemporaryDirectory() as logs:
-        limits = WorkerLimits(timeout_s=600.0, memory_mb=4000, tasks=250, recycle_share=0.5, logs=Path(logs))
-        store = run_cells(cells, folder, workers, limits, Printed(Console()))
-    return results(cells, store)
-
-
-def write(results: dict[tuple[str, str], Result], path: Path) -> None:
-    """Write the table as Markdown."""
-    rows = [COLUMNS, ("---",) * len(COLUMNS)]
-    rows += [(f"`{text}`", target, *result.cells()) for (text, target), result in results.items()]
-    path.write_text("".join(f"| {' | '.join(row)} |\n" for row in rows), encoding="utf-8")
+    cells = [
+        BenchCell(text, target, policy, background_options={**policy_row(policy).options, **options})
+        for text, policy, options in configured
+        for target in targets
+    ]
+    return plan_cells(cells, scenes, horizon_s)
 
 
 def main() -> None:
@@ -168,15 +101,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/tune-rivals"))
     given = parser.parse_args()
     scenes = read_scene_list(given.list).first(given.scenes)
-    targets = given.targets.split(",")
-    measured = measure(given.configurations, targets, scenes, given.horizon, given.workers, given.out)
-    table = Table(title=f"{given.scenes} seed scenes of {given.list.name}, {given.horizon:g} s")
-    for name in COLUMNS:
-        table.add_column(name)
-    for (text, target), result in measured.items():
-        table.add_row(text, target, *result.cells())
-    Console(width=140).print(table)
-    write(measured, given.out / "table.md")
+    cells = cells_of(given.configurations, given.targets.split(","), scenes, given.horizon)
+    console = terminal()
+    with ExitStack() as stack:
+        limits = limits_of(stack, 600.0)
+        bars = stack.enter_context(Bars(console))
+        store = run_cells(cells, given.out, given.workers, limits, bars)
+    title = f"{given.scenes} seed scenes of {given.list.name}, {given.horizon:g} s"
+    table = table_of(gather_rows(cells, store), title)
+    print_table(console, table)
+    (given.out / "table.md").write_text(markdown_text(table), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -26,9 +26,9 @@ from advdiff_sumo.config import set_dotted
 from advdiff_sumo.experiments.bench.bench_rows import policy_row
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered, failures_told, gather_rows
+from advdiff_sumo.experiments.bench.intervals import Ratio, Sample
 from advdiff_sumo.experiments.bench.print_table import print_table
 from advdiff_sumo.experiments.bench.scene_list import TUNING_LIST, SceneList, read_scene_list, shipped_list
-from advdiff_sumo.experiments.bench.statistics import Ratio, Sample
 from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, lines_of
 from advdiff_sumo.experiments.bench.write_table import markdown_text
 

@@ -129,7 +129,9 @@ def evaluate_bundle(
     return {name: _figures(one, sums["log"]) for name, one in sums.items()}
 
 
-def write_figures(path: Path, figures: dict[str, Figures], judging: EvaluationSettings, windows: WindowSet) -> None:
+def write_figures(
+    path: Path, figures: dict[str, Figures], judging: EvaluationSettings, windows: WindowSet
+) -> None:
     """Write the figures as JSON, with what they were made of."""
     text = {"judging": vars(judging), "windows": len(windows), "data": windows.digest, "figures": figures}
     path.write_text(json.dumps(text, indent=1, sort_keys=True) + "\n", encoding="utf-8")

@@ -23,6 +23,9 @@ from advdiff_sumo.traffic.licence import LicenceName
 BenchName: TypeAlias = Literal["traffic", "adversarial", "transfer", "fewshot", "defects"]
 _FILE = "bench.json"
 _LATER = ("nets", "options")
+_TRACED = ("adversarial", "transfer")
+_TRACES = 2
+"""Version of what traces hold and how it is computed; those of another one, and tables of them, are made anew."""
 
 
 class EpisodeOptions(Options):
@@ -108,9 +111,16 @@ class Folder:
         return self.path / "sweep"
 
     @property
+    def traces(self) -> Path:
+        """Folder of what the background did in its episodes."""
+        return self.path / f"traces-{_TRACES}"
+
+    @property
     def asked(self) -> str:
-        """Digest of what is asked for."""
+        """Digest of what is asked for, and of how it is computed."""
         dumped = self.request.model_dump(mode="json")
+        if self.request.bench in _TRACED:
+            dumped["traces"] = _TRACES
         return digest({name: value for name, value in dumped.items() if name not in _LATER or value})
 
 

@@ -115,7 +115,7 @@ def _gathered(
 ) -> Gathered:
     if bench.traced == "no":
         return gather_rows(cells, store)
-    return gather(cells, store, folder.path / "traces", workers, teller, judged=bench.traced == "all")
+    return gather(cells, store, folder.traces, workers, teller, judged=bench.traced == "all")
 
 
 def _foretell(

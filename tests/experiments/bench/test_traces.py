@@ -136,34 +136,59 @@ def test_nobody_moved_has_no_rate_of_leaving_the_road() -> None:
     assert "env_rate" not in background_samples([seen("a", False, natural)], ())
 
 
-def test_who_drives_along_the_road_is_likelier_than_who_does_not() -> None:
-    """On the shipped motorway a steady drive along a lane has a higher bound than one that goes sideways."""
-    road = RoadMap.read(find_net("motorway"))
-    lane = max((one for one in road.lanes.values() if not one.is_internal), key=lambda one: one.length_m)
-    start, end = lane.centre_xy_m[0], lane.centre_xy_m[-1]
-    ahead = (end - start) / np.linalg.norm(end - start)
-    yaw = float(np.arctan2(ahead[1], ahead[0]))
-    along = np.arange(17)[:, None] * 0.5 * 12.0 * ahead
-    side = np.array([-ahead[1], ahead[0]])
-    astray = along + (np.maximum(np.arange(17) - 4, 0) ** 2)[:, None] * 0.2 * side
+class Motorway:
+    """A target and who drives 40 m behind it, along the longest lane of the shipped motorway for 8 s at 12 m/s."""
 
-    def bound(path: np.ndarray) -> float:
+    def __init__(self) -> None:
+        self.road = RoadMap.read(find_net("motorway"))
+        lane = max(
+            (one for one in self.road.lanes.values() if not one.is_internal), key=lambda one: one.length_m
+        )
+        self.start, end = lane.centre_xy_m[0], lane.centre_xy_m[-1]
+        self.ahead = (end - self.start) / np.linalg.norm(end - self.start)
+        self.along = np.arange(17)[:, None] * 0.5 * 12.0 * self.ahead
+        self.there = np.ones((2, 17), dtype=np.bool_)
+
+    def nats(self, path: np.ndarray, valid: np.ndarray) -> tuple[float, float]:
+        """Return the bound of who drives *path* (17, 2), from the lane's beginning, and the seconds that it is of."""
         tracks = Tracks(
             ids=("target", "other"),
             classes=np.zeros(2, dtype=np.int64),
             size_m=np.tile((4.5, 1.8), (2, 1)),
-            xy_m=np.stack((start + 40.0 * ahead + along, start + path)),
-            yaw_rad=np.full((2, 17), yaw),
+            xy_m=np.stack((self.start + 40.0 * self.ahead + self.along, self.start + path)),
+            yaw_rad=np.full((2, 17), np.arctan2(self.ahead[1], self.ahead[0])),
             speed_mps=np.full((2, 17), 12.0),
-            valid=np.ones((2, 17), dtype=np.bool_),
+            valid=valid,
             t0_s=0.0,
             dt_s=0.5,
         )
-        nats, seconds = natural_nats(road, tracks, 0, np.array([False, True]))
-        assert seconds == 12.0  # windows at 2, 4 and 6 s with 12, 8 and 4 instants of future
-        return nats / seconds
+        return natural_nats(self.road, tracks, 0, np.array([False, True]))
 
-    assert bound(along) > bound(astray)
+
+def test_who_drives_along_the_road_is_likelier_than_who_does_not() -> None:
+    """On the shipped motorway a steady drive along a lane has a higher bound than one that goes sideways."""
+    motorway = Motorway()
+    side = np.array([-motorway.ahead[1], motorway.ahead[0]])
+    astray = motorway.along + (np.maximum(np.arange(17) - 4, 0) ** 2)[:, None] * 0.2 * side
+    nats, seconds = motorway.nats(motorway.along, motorway.there)
+    assert seconds == 12.0  # windows at 2, 4 and 6 s with 12, 8 and 4 instants of future
+    assert nats > motorway.nats(astray, motorway.there)[0]
+
+
+def test_where_the_record_ends_costs_no_likelihood() -> None:
+    """An instant adds at most log(1 / (2π · 0.5²)) = -0.45: what is known of fewer instants is no less likely.
+
+    The target leaves after 2 s, so that there is one window.
+    """
+    motorway, nats = Motorway(), []
+    for known in (12, 11, 10, 8, 6, 4, 2):
+        there = motorway.there.copy()
+        there[0, 5:] = there[1, 5 + known :] = False
+        bound, seconds = motorway.nats(motorway.along, there)
+        assert seconds == 0.5 * known
+        nats.append(bound)
+    assert nats == sorted(nats)
+    assert nats[-1] - nats[0] < 10.0
 
 
 def test_work_in_processes_comes_back_by_its_key() -> None:

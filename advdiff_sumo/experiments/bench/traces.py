@@ -41,7 +41,7 @@ class BackgroundTrace:
         off_road: of these, how many came to be off the road; None where nobody was moved.
         speed: counts of their speeds near the target, at 2 Hz.
         accel: the same of accelerations, differences of speed over 0.5 s.
-        ttc: the same of the least time to collision with another background vehicle; the last bin is none in 10 s.
+        ttc: the same of the least time to collision with anybody else; the last bin is none in 10 s.
         nats: sum of the bounds on log-likelihoods, see :mod:`likelihood`.
         seconds: vehicle-seconds that they are of; 0 where they were not asked for.
         solvable: where the target hit somebody and it was asked for, whether it could have driven otherwise, see
@@ -139,16 +139,15 @@ def near_target(tracks: Tracks, target: int) -> BoolArray:
 
 
 def histograms(tracks: Tracks, near: BoolArray) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
-    """Return counts of speeds, accelerations and times to collision of the vehicles *near* (A, T)."""
+    """Return counts of speeds, accelerations and times to collision, with anybody, of the vehicles *near* (A, T)."""
     later = near[:, 1:] & tracks.valid[:, :-1]
     accel = (np.diff(tracks.speed_mps, axis=1) / tracks.dt_s)[later]
-    others = tracks.valid & _ever(near)[:, None]
     seconds = least_ttc(
         tracks.xy_m.swapaxes(0, 1),
         tracks.yaw_rad.T,
         velocities(tracks).swapaxes(0, 1),
         tracks.size_m[None],
-        others.T,
+        tracks.valid.T,
     )
     return (
         _whole(_counts(tracks.speed_mps[near], SPEED_BINS)),

@@ -64,7 +64,7 @@ def test_who_is_near() -> None:
 
 
 def test_histograms_by_hand() -> None:
-    """One is 5 m/s faster than who is 21 m ahead of it: 4.2 s at first; the target itself is no partner."""
+    """One is 5 m/s faster than who is 21 m ahead of it: 4.2 s at first; the target is in nobody's way."""
     tracks = at_model_step(driving([0.0, 10.0, 5.0], [(20, 9), (0, 0), (26, 0)]))
     near = near_target(tracks, 0)
     speed, accel, ttc = histograms(tracks, near)
@@ -75,6 +75,14 @@ def test_histograms_by_hand() -> None:
     assert sum(ttc) == 18
     assert ttc[8] == 2  # 4.2 s, of both
     assert ttc[-1] == 0
+
+
+def test_who_heads_for_the_target_meets_it() -> None:
+    """With 10 m/s and 38 m between the boxes it is 3.8 s away at first, and 0.5 s less each time, of nine."""
+    tracks = at_model_step(driving([0.0, 10.0], [(43, 0), (0, 0)]))
+    _, _, ttc = histograms(tracks, near_target(tracks, 0))
+    assert ttc[:8] == (2, 1, 1, 1, 1, 1, 1, 1)  # at 4 s the boxes overlap: 0 s
+    assert sum(ttc) == 9
 
 
 def test_a_trace_survives_being_stored() -> None:

@@ -47,12 +47,17 @@ class BackgroundOffRoad:
     Attributes:
         mean_share: mean over vehicles and instants of the added share of the box off the road; None: no vehicle.
         max_share: greatest added share; None: no vehicle.
-        vehicles: how many added more than ``OFF_ROAD_SHARE``.
+        rows: of the tracks, those that added more than ``OFF_ROAD_SHARE``.
     """
 
     mean_share: float | None
     max_share: float | None
-    vehicles: int
+    rows: tuple[int, ...] = ()
+
+    @property
+    def vehicles(self) -> int:
+        """How many left the road."""
+        return len(self.rows)
 
 
 def target_leaves_road(record: EpisodeRecord, road: RoadMap) -> OffRoad | None:
@@ -93,7 +98,7 @@ def background_off_road(record: EpisodeRecord, road: RoadMap) -> BackgroundOffRo
     sampled[::every] = True
     row, step = np.nonzero(moved & sampled)
     if not row.size:
-        return BackgroundOffRoad(None, None, 0)
+        return BackgroundOffRoad(None, None)
     first = np.argmax(tracks.valid, axis=1)
     begin = np.zeros(tracks.agents)
     rows = np.unique(row)
@@ -101,7 +106,8 @@ def background_off_road(record: EpisodeRecord, road: RoadMap) -> BackgroundOffRo
     added = np.maximum(0.0, shares(road, tracks, row, step) - begin[row])
     most = np.zeros(tracks.agents)
     np.maximum.at(most, row, added)
-    return BackgroundOffRoad(float(added.mean()), float(added.max()), int((most > OFF_ROAD_SHARE).sum()))
+    gone = tuple(np.flatnonzero(most > OFF_ROAD_SHARE).tolist())
+    return BackgroundOffRoad(float(added.mean()), float(added.max()), gone)
 
 
 def shares(road: RoadMap, tracks: Tracks, row: IntArray, step: IntArray) -> FloatArray:

@@ -24,7 +24,7 @@ BenchName: TypeAlias = Literal["traffic", "adversarial", "transfer", "fewshot", 
 _FILE = "bench.json"
 _LATER = ("nets", "options")
 _TRACED = ("adversarial", "transfer")
-_TRACES = 3
+_TRACES = 4
 """Version of what traces hold and how it is computed; those of another one, and tables of them, are made anew."""
 
 

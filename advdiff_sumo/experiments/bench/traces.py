@@ -19,6 +19,7 @@ from advdiff_sumo.experiments.bench.likelihood import natural_nats
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.kinematics import velocities
+from advdiff_sumo.metrics.offroad import background_off_road
 from advdiff_sumo.metrics.pairwise import least_ttc, ttc_counts
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sim.run_episodes import read_road
@@ -46,6 +47,7 @@ class BackgroundTrace:
         seconds: vehicle-seconds that they are of; 0 where they were not asked for.
         solvable: where the target hit somebody and it was asked for, whether it could have driven otherwise, see
             ``experiments.solution``.
+        both: how many of the vehicles both ran into another one and came to be off the road.
     """
 
     vehicles: int
@@ -57,6 +59,7 @@ class BackgroundTrace:
     nats: float
     seconds: float
     solvable: bool | None = None
+    both: int = 0
 
     def to_bytes(self) -> bytes:
         """Return it as JSON."""
@@ -98,9 +101,10 @@ def _trace(part: StoredEpisode, road: RoadMap, judged: bool) -> bytes:
     counted = _counted(states, near)
     speed, accel, ttc = histograms(coarse, near)
     nats, seconds = natural_nats(road, coarse, states.target, _ever(near)) if judged else (0.0, 0.0)
+    hit = _hit(part.tables["collisions"], states.tracks, counted)
     return BackgroundTrace(
         vehicles=int(counted.sum()),
-        hit=_hit(part.tables["collisions"], states.tracks, counted),
+        hit=len(hit),
         off_road=int(row["bv_offroad_vehicles"]) if states.moved else None,
         speed=speed,
         accel=accel,
@@ -108,7 +112,14 @@ def _trace(part: StoredEpisode, road: RoadMap, judged: bool) -> bytes:
         nats=nats,
         seconds=seconds,
         solvable=_solvable(part, road) if judged and row["target_collision"] else None,
+        both=len(hit & _off_road(part, road)) if hit and row["bv_offroad_vehicles"] else 0,
     ).to_bytes()
+
+
+def _off_road(part: StoredEpisode, road: RoadMap) -> frozenset[int]:
+    """Return the rows of the background vehicles that came to be off the road."""
+    record = stored_record(part.tables["states"])
+    return frozenset() if record is None else frozenset(background_off_road(record, road).rows)
 
 
 def _solvable(part: StoredEpisode, road: RoadMap) -> bool | None:
@@ -170,12 +181,13 @@ def _ever(near: BoolArray) -> BoolArray:
     return np.asarray(near.any(axis=1), dtype=np.bool_)
 
 
-def _hit(collisions: pa.Table, tracks: Tracks, counted: BoolArray) -> int:
+def _hit(collisions: pa.Table, tracks: Tracks, counted: BoolArray) -> frozenset[int]:
+    """Return the rows of those who are *counted* and ran into another background vehicle."""
     names: set[str] = set()
     for row in collisions.to_pylist():
         if not row["with_target"] and not row["initial"]:
             names |= {str(row["first"]), str(row["second"])}
-    return sum(name in names and bool(counted[row]) for name, row in tracks.index.items())
+    return frozenset(row for name, row in tracks.index.items() if name in names and counted[row])
 
 
 def _counts(values: FloatArray, bins: FloatArray) -> FloatArray:

@@ -119,9 +119,8 @@ def _samples(target: str, results: Sequence[EpisodeResult]) -> dict[str, Sample]
     samples: dict[str, Sample] = {f"{target}:av_rate": collision_samples(results)["collision_rate"]}
     env, veh = background.get("env_rate"), background.get("veh_rate")
     if isinstance(env, Ratio) and isinstance(veh, Ratio):
-        samples[f"{target}:bv_rate"] = Ratio(
-            veh.scenes, np.minimum(env.total + veh.total, veh.count), veh.count, rate=True
-        )
+        both = np.array([one.trace.both for one in results], dtype=np.float64)
+        samples[f"{target}:bv_rate"] = Ratio(veh.scenes, env.total + veh.total - both, veh.count, rate=True)
     return samples
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.worker_pool import in_processes
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult
@@ -16,10 +17,12 @@ from advdiff_sumo.experiments.bench.samples import background_samples, collision
 from advdiff_sumo.experiments.bench.traces import (
     BackgroundTrace,
     _solvable,
+    _trace,
     at_model_step,
     histograms,
     near_target,
 )
+from advdiff_sumo.experiments.bench.transfer import _samples
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.metrics.collision import collisions, target_collision
@@ -100,6 +103,23 @@ def test_solvable_is_asked_of_the_contact_that_counts(tmp_path: Path) -> None:
     assert (row["target_collision"], row["collision_partner"]) == (True, None)
     tables = episode_tables(record, row, collision_rows(record, road), Timing(1.0, (), ()))
     assert _solvable(StoredEpisode(tables, None), road) is None
+
+
+def test_who_hits_another_one_and_leaves_the_road_counts_once(tmp_path: Path) -> None:
+    """One stands beside the road, another one leaves the road into it, a third does neither: two of three."""
+    road = crossing(tmp_path, "priority")
+    ego = straight("ego", (-150, -1.6), 0.0, 0.0)
+    still = straight("still", (-90.0, -9.0), 0.0, 0.0)
+    leaving = straight("leaving", (-110.0, -4.8), 0.0, 5.0, drift=-1.0)
+    record = record_of(ego, still, leaving, straight("other", (-150, 4.8), np.pi, 5.0))
+    record.controller[0] = Controller.PLANNER
+    tables = episode_tables(
+        record, episode_row(record, road), collision_rows(record, road), Timing(1.0, (), ())
+    )
+    trace = BackgroundTrace.from_bytes(_trace(StoredEpisode(tables, None), road, judged=False))
+    assert (trace.vehicles, trace.hit, trace.off_road, trace.both) == (3, 2, 1, 1)
+    rate = estimate(_samples("IDM", [seen("a", False, trace)])["IDM:bv_rate"])
+    assert (rate.value, rate.n) == (pytest.approx(2 / 3), 3)
 
 
 def seen(scene: str, hit: bool, trace: BackgroundTrace, **row: object) -> EpisodeResult:

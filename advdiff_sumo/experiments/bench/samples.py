@@ -74,11 +74,14 @@ def background_samples(
     scenes = tuple(one.scene for one in results)
     vehicles = np.array([one.trace.vehicles for one in results], dtype=np.float64)
     hit = np.array([one.trace.hit for one in results], dtype=np.float64)
-    samples: dict[str, Sample] = {"veh_rate": Ratio(scenes, hit, vehicles, rate=True)}
-    if any(one.trace.off_road is not None for one in results):
+    moved = np.array([one.trace.off_road is not None for one in results], dtype=np.bool_)
+    own = moved | (not plans)  # what SUMO's vehicles do where a policy moved nobody is not its doing
+    samples: dict[str, Sample] = {
+        "veh_rate": Ratio(scenes, np.where(own, hit, 0.0), np.where(own, vehicles, 0.0), rate=True)
+    }
+    if moved.any():
         off = np.array([one.trace.off_road or 0 for one in results], dtype=np.float64)
-        moved = np.where([one.trace.off_road is not None for one in results], vehicles, 0.0)
-        samples["env_rate"] = Ratio(scenes, off, moved, rate=True)
+        samples["env_rate"] = Ratio(scenes, off, np.where(moved, vehicles, 0.0), rate=True)
     nats = np.array([one.trace.nats for one in results])
     samples["nats"] = Ratio(scenes, nats, np.array([one.trace.seconds for one in results]))
     if natural and natural is not results:

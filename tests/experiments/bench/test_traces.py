@@ -193,6 +193,21 @@ class Motorway:
         return natural_nats(self.road, tracks, 0, np.array([False, True]))
 
 
+def test_vehicles_of_sumo_are_not_those_of_a_policy_that_moved_nobody() -> None:
+    """It moved four in one episode, one of whom hit another: of four. Of SUMO itself all nine count."""
+    bins = (1,), (1,), (1,)
+    episodes = [
+        seen("a", False, Trace(4, 1, 0, *bins, 0.0, 0.0)),
+        seen("b", False, Trace(5, 2, None, *bins, 0.0, 0.0)),
+    ]
+    own = {name: estimate(sample) for name, sample in background_samples(episodes, ()).items()}
+    assert (own["veh_rate"].value, own["veh_rate"].n) == (0.25, 4)
+    assert (own["env_rate"].value, own["env_rate"].n) == (0.0, 4)
+    natural = estimate(background_samples(episodes, (), plans=False)["veh_rate"])
+    assert (natural.value, natural.n) == (pytest.approx(3 / 9), 9)
+    assert estimate(background_samples(episodes[1:], ())["veh_rate"]).value is None
+
+
 def test_who_drives_along_the_road_is_likelier_than_who_does_not() -> None:
     """On the shipped motorway a steady drive along a lane has a higher bound than one that goes sideways."""
     motorway = Motorway()

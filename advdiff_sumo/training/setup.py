@@ -34,9 +34,10 @@ from advdiff_sumo.training.simnet_stage import SimnetStage
 from advdiff_sumo.training.stage import BundleStage, Stage
 from advdiff_sumo.training.training_loop import TrainingJob
 
-#: Sizes of what a stage makes anew, which may be other ones than those of the weights begun with.
+#: Sizes of what a stage makes anew of a bundle, which may be other ones than those of the weights begun with.
 _NEW_PARTS: Mapping[str, frozenset[str]] = {
     "denoiser": frozenset({"denoiser_layers", "denoiser_situation", "channels"}),
+    "situation": frozenset({"denoiser_situation"}),
     "decoder": frozenset({"decoder", "neighbours"}),
 }
 _NEEDS: Mapping[StageName, tuple[StageName, ...]] = {
@@ -92,7 +93,7 @@ def prepare(plan: TrainingRequest) -> TrainingJob:
     begun = _begun(plan)
     windows = read_window_set(plan.data)
     bundle = _bundle(plan, begun, windows)
-    options = plan.options.model_copy(update={"model": bundle.options.model, "codec": bundle.options.codec})
+    options = plan.options.model_copy(update=_known(bundle.options))
     train, held_out = _sides(plan, windows)
     bundle.to(device)
     if (
@@ -206,17 +207,27 @@ def _bundle(plan: TrainingRequest, begun: Bundle | None, windows: WindowSet) -> 
     return _fitted(plan, begun, wanted, windows)
 
 
+def _known(options: BundleOptions) -> dict[str, Any]:
+    """Return the training's options that the networks decide, as they are of them."""
+    return {
+        "model": options.model,
+        "codec": options.codec,
+        "diffusion_steps": options.diffusion_steps,
+        "noise_schedule": options.schedule,
+    }
+
+
 def _fitted(plan: TrainingRequest, begun: Bundle, wanted: BundleOptions, windows: WindowSet) -> Bundle:
     """Return *begun*, with a new denoiser where that is to work on something else; refuse what cannot be."""
-    closing = plan.stage == "decoder" or (
-        plan.stage == "traffic" and plan.options.model.decoder == "closed-loop"
-    )
-    asked = _asked_of_new_parts(plan, begun, "decoder" if closing else plan.stage)
+    anew = _made_anew(plan, begun, wanted)
+    asked = _asked_of_new_parts(plan, begun, anew)
+    if anew != "denoiser":
+        _must_keep_noise(plan, begun)
     if plan.stage in ("reward", "decoder") and begun.options.codec != "latent":
         raise ConfigError(
             f"{plan.init}: its denoiser works on trajectories, but the stage '{plan.stage}' needs latents"
         )
-    if closing:
+    if anew == "decoder":
         seed = SeedTree(plan.seed, ("weights",)).integer()
         return with_closed_loop(begun, seed, windows.map_view, asked)
     windows.must_show(begun.options.model.map_view)
@@ -226,13 +237,40 @@ def _fitted(plan: TrainingRequest, begun: Bundle, wanted: BundleOptions, windows
                 f"{plan.init}: its denoiser works on the codec '{begun.options.codec}', not '{wanted.codec}'"
             )
         return begun
-    if "denoiser" in begun.stages and begun.options.codec == wanted.codec:
+    if anew == "situation":
         return _informed(plan, begun)
     options = wanted.model_copy(update={"model": _resized(begun.options.model, asked)})
     bundle = new_bundle(options, SeedTree(plan.seed, ("weights",)).integer())
     bundle.traffic.load_state_dict(begun.traffic.state_dict())
     bundle.reward.load_state_dict(begun.reward.state_dict())
     return replace(bundle, stages=tuple(name for name in begun.stages if name == "traffic"))
+
+
+def _made_anew(plan: TrainingRequest, begun: Bundle, wanted: BundleOptions) -> str:
+    """Return what the stage makes anew of *begun*: "decoder", "denoiser", at most its "situation", or nothing, ""."""
+    closing = plan.stage == "traffic" and plan.options.model.decoder == "closed-loop"
+    if plan.stage == "decoder" or closing:
+        return "decoder"
+    if plan.stage != "denoiser":
+        return ""
+    trained = "denoiser" in begun.stages and begun.options.codec == wanted.codec
+    return "situation" if trained else "denoiser"
+
+
+def _must_keep_noise(plan: TrainingRequest, begun: Bundle) -> None:
+    """Refuse another noise schedule than that of *begun*, whose denoiser stays.
+
+    Raises:
+        ConfigError: one is asked for.
+    """
+    known = _known(begun.options)
+    for name in ("diffusion_steps", "noise_schedule"):
+        value, has = getattr(plan.options, name), known[name]
+        if value not in (has, TrainOptions.model_fields[name].default):
+            raise ConfigError(
+                f"{name} = {value}: the denoiser of {plan.init} has {has}, and the stage '{plan.stage}' makes none "
+                "anew; leave it out, or train a denoiser from weights that have none"
+            )
 
 
 def _informed(plan: TrainingRequest, begun: Bundle) -> Bundle:

@@ -220,6 +220,28 @@ def test_sizes_of_a_new_denoiser_are_those_that_are_asked_for(window_folder: Pat
         job(window_folder, tmp_path / "refused", "denoiser", init, "model.edge=16")
 
 
+def test_a_denoiser_that_is_trained_on_keeps_its_sizes_and_noise(window_folder: Path, tmp_path: Path) -> None:
+    init, known = tmp_path / "traffic", tmp_path / "denoiser"
+    run(job(window_folder, init, "traffic", None, "epochs=1"))
+    run(job(window_folder, known, "denoiser", init, "epochs=1", "noise_schedule=linear"))
+    for asked, said in (
+        ("model.denoiser_layers=0", r"model.denoiser_layers = 0: the networks of .*denoiser have 1"),
+        ("diffusion_steps=50", r"diffusion_steps = 50: the denoiser of .*denoiser has 20, and the stage"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            job(window_folder, tmp_path / "refused", "denoiser", known, asked)
+    for stage in ("denoiser", "joint", "reward"):
+        more = ["model.denoiser_situation=true"] if stage == "denoiser" else []
+        made = job(window_folder, tmp_path / stage, stage, known, *more)
+        assert (made.options.diffusion_steps, made.options.noise_schedule) == (20, "linear")
+        assert made.stage.bundle().options.schedule == "linear"
+        assert made.options.model.denoiser_situation == (stage == "denoiser")
+    with pytest.raises(ConfigError, match="diffusion_steps = 50: the denoiser"):
+        job(window_folder, tmp_path / "refused", "reward", known, "diffusion_steps=50")
+    anew = job(window_folder, tmp_path / "anew", "denoiser", init, "diffusion_steps=50")
+    assert anew.stage.bundle().options.diffusion_steps == 50
+
+
 def far(folder: Path, out: Path) -> Path:
     """Return a folder of the windows of *folder*, as they are where the map is shown as far as 6 s lead."""
     (path,) = folder.glob("*.safetensors")

@@ -66,6 +66,11 @@ def licensed(options: Mapping[str, Any], request: Request) -> dict[str, Any]:
     return {**options, "licence": request.licence}
 
 
+def refits_q(request: Request) -> bool:
+    """Return whether warm-ups refit Q, as in the paper; under other licences they learn which encounters to go for."""
+    return licensed(PAPERS_LICENCE, request) == PAPERS_LICENCE
+
+
 def made_policy(name: str) -> object:
     """Return the policy of the row *name*.
 

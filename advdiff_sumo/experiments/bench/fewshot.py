@@ -15,7 +15,7 @@ from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
 from advdiff_sumo.experiments.bench.adversarial import notes_of
 from advdiff_sumo.experiments.bench.asked_scenes import bench_scenes
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
-from advdiff_sumo.experiments.bench.bench_rows import PAPERS_LICENCE, licensed
+from advdiff_sumo.experiments.bench.bench_rows import PAPERS_LICENCE, licensed, refits_q
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.intervals import RESAMPLES, Difference, Estimate, Ratio, estimate
@@ -52,10 +52,15 @@ GUIDES: Mapping[str, str] = {
 }
 """Rows: what is warmed up and counted, the paper's guide and the default one."""
 ALL = "all targets"
+REFITTED = "refits Q alone (Sec. III-C)"
+LEARNT = (
+    "learns in which encounters it fails, by which manoeuvres are chosen; Q stays (docs/lawful-attacks.md)"
+)
+"""What a warm-up does under the paper's licence, and under any other."""
 NOTES = (
-    "Each warm-up meets the target on seed scenes that no table uses and refits Q alone (Sec. III-C); the episodes "
-    "that are counted start from the same seed scenes at every step. Intervals: bootstrap over warm-ups and scenes "
-    "at once (Owen 2007, doi:10.1214/07-AOAS122), 95 %; Wilson before the first step, where there is one Q alone. "
+    "Each warm-up meets the target on seed scenes that no table uses and {does}; the episodes that are counted "
+    "start from the same seed scenes at every step. Intervals: bootstrap over warm-ups and scenes at once (Owen 2007, "
+    "doi:10.1214/07-AOAS122), 95 %; Wilson before the first step, where there is one Q alone. "
     "All targets: the mean over them, a scene and the warm-ups of one number drawn together.",
 )
 
@@ -146,7 +151,9 @@ def fewshot_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Tabl
         f"Few-shot: collision rate after warm-up, {request.seeds} warm-ups, "
         f"{len(scenes.scenes)} seed scenes, {request.horizon_s:g} s"
     )
-    return Table("fewshot", title, heads, lines, gaps, notes_of(gathered, scenes, folder, NOTES))
+    does = REFITTED if refits_q(request) else LEARNT
+    notes = notes_of(gathered, scenes, folder, tuple(note.format(does=does) for note in NOTES))
+    return Table("fewshot", title, heads, lines, gaps, notes)
 
 
 def _row(guide: str, name: str, seed: int, mark: int) -> str:

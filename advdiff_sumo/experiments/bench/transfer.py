@@ -21,6 +21,7 @@ from advdiff_sumo.experiments.bench.bench_rows import (
     licensed,
     made_target,
     policy_row,
+    refits_q,
 )
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
@@ -42,10 +43,13 @@ ADAPTED = ("advsim", "strive", "adv-rl", OURS)
 BY_SURROGATE = ("advsim", "strive")
 FIXED_SOURCE = {"adv-rl": "lane_graph"}
 """Policies whose shipped weights were trained against that planner (Adv-RL's against SUMO's IDM, too)."""
+REFITTED = "Q warmed up against it (ours)"
+LEARNT = "its failures learnt by a warm-up (ours; Q stays)"
+"""What ours has of a source under the paper's licence, and under any other."""
 NOTES = (
-    "A row is a policy and what it was adapted to: Q warmed up against it (ours), expected as the target (AdvSim, "
-    "Strive), or trained against (Adv-RL: the rule-based planner, and IDM). AV CR: share of episodes in which "
-    "the target collides; BV CR: share of moved background vehicles that hit another one or leave the road. Intervals: "
+    "A row is a policy and what it was adapted to: {ours}, expected as the target (AdvSim, Strive), or trained against "
+    "(Adv-RL: the rule-based planner, and IDM). AV CR: share of episodes in which the target collides; BV CR: share of "
+    "moved background vehicles that hit another one or leave the road. Intervals: "
     "Wilson, 95 %.",
 )
 
@@ -102,7 +106,9 @@ def transfer_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Tab
         rows.append(RowSamples(key, "", f"{title} ← {TARGET_TITLES.get(source, source)}", samples))
     lines = lines_of(heads, rows, paper_table("transfer").rows)
     title = f"Transfer to other planners: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
-    notes = notes_of(gathered, scenes, folder, (*kept_shares(rows), *NOTES))
+    ours = REFITTED if refits_q(folder.request) else LEARNT
+    usual = (*kept_shares(rows), *(note.format(ours=ours) for note in NOTES))
+    notes = notes_of(gathered, scenes, folder, usual)
     return Table("transfer", title, heads, lines, _kept(rows), notes)
 
 

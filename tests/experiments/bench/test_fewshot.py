@@ -12,6 +12,8 @@ from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gather
 from advdiff_sumo.experiments.bench.fewshot import GUIDES, fewshot_table
 from advdiff_sumo.experiments.bench.scene_list import ListedScene, SceneList
 from advdiff_sumo.experiments.bench.traces import UNTRACED
+from advdiff_sumo.experiments.bench.transfer import transfer_table
+from advdiff_sumo.traffic.licence import LicenceName
 
 SCENES = SceneList(
     nets={}, sumo="", scenes=tuple(ListedScene(net="motorway", seed=1, number=number) for number in range(2))
@@ -40,3 +42,21 @@ def test_names_of_targets_may_hold_slashes_and_braces(name: str, tmp_path: Path)
     for line in table.lines:
         rates = [line.cells[f"steps_{mark}"].found.value for mark in (0, 1, 2)]
         assert rates == [0.0, 0.25, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("licence", "said"), [(None, "refits Q alone"), ("reckless", "refits Q alone"), ("lawful", "Q stays")]
+)
+def test_the_notes_tell_of_the_warm_up_that_takes_place(
+    licence: LicenceName | None, said: str, tmp_path: Path
+) -> None:
+    """Q is refitted under the paper's licence alone; under others encounters are learnt."""
+    cells = [BenchCell(f"{guide}/EIDM/0/{k}", "EIDM", "diffusion") for guide in GUIDES for k in (0, 1)]
+    folder = Folder(tmp_path, Request(bench="fewshot", seeds=1, steps=1, licence=licence))
+    notes = fewshot_table(Gathered({cell: met(1) for cell in cells}), SCENES, folder).notes
+    assert said in notes[0]
+    assert ("refits" in notes[0]) == (licence != "lawful")
+    row = BenchCell("adv-rl/lane_graph", "IDM", "adv-rl")
+    transferred = Folder(tmp_path, Request(bench="transfer", licence=licence))
+    (told,) = (n for n in transfer_table(Gathered({row: []}), SCENES, transferred).notes if "A row is" in n)
+    assert ("Q warmed up" in told) == (licence != "lawful")

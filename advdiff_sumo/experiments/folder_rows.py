@@ -101,7 +101,7 @@ def put_together(folder: Path) -> None:
                 tables_of(store, stored_plan(store))
         elif (folder / RUN_PARTS).is_dir():
             RunFolder(folder).catch_up()
-    except InputError:  # its nets or its target are gone, or nothing can be written there
+    except InputError:  # its nets are gone, or nothing can be written there
         if not are_there:
             raise
 

@@ -154,10 +154,9 @@ def open_judging(folder: Path) -> Judging:
     store = Store.open(folder)
     try:
         plan = stored_plan(store)
-    except (
-        ConfigError
-    ) as error:  # of an earlier version, or its nets have changed: its tables are all there is
-        return replace(_tables(folder, SWEEP_TABLES["episodes"]), doubt=str(error))
+    except ConfigError as error:  # of an earlier version, or its nets have changed
+        kept = "verdicts go into its tables alone, until results puts these together again"
+        return replace(_tables(folder, SWEEP_TABLES["episodes"]), doubt=f"{error}; {kept}")
     return _sweep(store, plan)
 
 

@@ -8,12 +8,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.errors import ConfigError, InputError
 from advdiff_sumo.data import open_log
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import net_name
 from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.planners.planner_registry import TARGETS
+from advdiff_sumo.plugins import Registry
 from advdiff_sumo.sim.demand_files import DemandFiles, read_demand
 from advdiff_sumo.sim.run_episodes import Run, RunOptions, check_together, policy_of, read_road, target_of
 from advdiff_sumo.sweep.attack_kinds import by_kind
@@ -93,13 +94,17 @@ class SweepPlan:
         return jobs[0]
 
 
-def plan_sweep(spec: SweepSpec) -> SweepPlan:
+def plan_sweep(spec: SweepSpec, *, drives: bool = True) -> SweepPlan:
     """Check *spec* and lay out its episodes; reads nets, demand and logs and makes each target once.
+
+    Args:
+        spec: what is asked.
+        drives: episodes are to be run; False: neither target nor background is made, imported or reached.
 
     Raises:
         InputError: one of its kinds; a sentence that names the culprit.
     """
-    check = _Check()
+    check = _Check(drives)
     asked = tuple(spec.cells())
     cells = tuple(check.cell(options) for options in (_by_kind(asked) if spec.diverse else asked))
     jobs: list[Job] = []
@@ -192,24 +197,24 @@ def car_junctions(roads: Iterable[RoadMap]) -> tuple[str, ...]:
 class _Check:
     """Checks each net, target and background once, however many runs share it."""
 
-    def __init__(self) -> None:
+    def __init__(self, drives: bool) -> None:
+        self._drives = drives
         self._roads: dict[str, RoadMap] = {}
         self._known: dict[str, Any] = {}
         self._demands: dict[tuple[str, str], DemandFiles] = {}
 
     def cell(self, options: RunOptions) -> RunOptions:
         """Return *options* as they are written down: names as registered, files by full path."""
-        target: Target = self._once(["target", options.target, options.target_options], target_of, options)
-        self._once(["background", options.background, options.background_options], policy_of, options)
-        check_together(options, target)
+        if self._drives:
+            self._check_drivers(options)
         if options.net not in self._roads:
             self._roads[options.net] = read_road(options.net)
         if options.scenes:
             self._once(["log", options.scenes], lambda o: open_log(Path(o.scenes)), options)
         fixed: dict[str, Any] = {
             "net": net_name(options.net),
-            "target": TARGETS.canonical(options.target),
-            "background": POLICIES.canonical(options.background),
+            "target": self._registered(TARGETS, options.target),
+            "background": self._registered(POLICIES, options.background),
             **{
                 k: str(Path(getattr(options, k)).resolve())
                 for k in ("demand", "scenes")
@@ -219,6 +224,20 @@ class _Check:
         written = options.model_copy(update=fixed)
         self._roads[written.net] = self._roads[options.net]
         return written
+
+    def _check_drivers(self, options: RunOptions) -> None:
+        target: Target = self._once(["target", options.target, options.target_options], target_of, options)
+        self._once(["background", options.background, options.background_options], policy_of, options)
+        check_together(options, target)
+
+    def _registered(self, names: Registry, name: str) -> str:
+        """Return *name* as it is registered; where nothing is driven, one that no longer is stays as it is."""
+        try:
+            return names.canonical(name)
+        except InputError:
+            if self._drives:
+                raise
+            return name
 
     def demand(self, options: RunOptions) -> DemandFiles | None:
         """Return the files behind the demand of *options*, held against the net once; None where there is none."""

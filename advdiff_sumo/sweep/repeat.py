@@ -103,7 +103,7 @@ def of_sweep(key: str, folder: Path | None, among: Path) -> Before:
 def _numbered(number: int, folder: Path) -> Before:
     """Return the episode that the tables of a sweep call *number*."""
     store = Store.open(folder)
-    plan = stored_plan(store)
+    plan = stored_plan(store, drives=True)
     if number >= len(plan.jobs):
         raise ConfigError(
             f"'{number}' is no episode of {folder}; give a number from 0 to {len(plan.jobs) - 1}, or a key"

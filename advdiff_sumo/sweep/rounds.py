@@ -17,13 +17,17 @@ ROUNDS = "rounds.json"
 _ROUNDS, _LEAST = 10, 8
 
 
-def stored_plan(store: Store) -> SweepPlan:
+def stored_plan(store: Store, *, drives: bool = False) -> SweepPlan:
     """Return the plan of the sweep in *store*; of a diverse one, the episodes that have been chosen.
+
+    Args:
+        store: its folder.
+        drives: its episodes are to be run again, so that its planners must be at hand.
 
     Raises:
         InputError: it is damaged, or its nets are no longer what they were.
     """
-    plan = plan_sweep(store.spec())
+    plan = plan_sweep(store.spec(), drives=drives)
     store.must_match(plan.keys)
     return chosen_so_far(plan, store)
 

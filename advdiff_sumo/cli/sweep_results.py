@@ -17,7 +17,7 @@ from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
 from advdiff_sumo.experiments.folder_rows import FolderRows
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, archive
 from advdiff_sumo.metrics.near_miss import resolved
-from advdiff_sumo.metrics.severity import is_failure, is_valid_failure, worst_first
+from advdiff_sumo.metrics.severity import has_outcome, is_failure, is_valid_failure, worst_first
 from advdiff_sumo.metrics.statistics import Rate
 from advdiff_sumo.report.attack_words import plan_lines, position_lines
 from advdiff_sumo.report.nets import place_names
@@ -71,7 +71,7 @@ def conclude(console: Console, results: FolderRows, condition: Condition | None,
 def _gate(condition: Condition, overall: Figures) -> str | None:
     """Return why the condition is met, or cannot be asked since nothing was tested; None where it is not met."""
     named = overall.named()
-    if not named["finished"] and not condition.names & _OF_FAILURES:
+    if not overall.rates["collision_rate"].total and not condition.names & _OF_FAILURES:
         return f"--fail-if {condition.text}: no episode finished, so that nothing was tested"
     return condition_met(condition, named)
 
@@ -100,8 +100,8 @@ def condition_met(condition: Condition, named: Mapping[str, float | None]) -> st
 def _print(console: Console, results: FolderRows, overall: Figures) -> None:
     episodes, failures = results.episodes, results.failures
     _print_rates(console, episodes, failures, overall)
-    finished = [row for row in episodes if not is_failure(row)]
-    for what, where in (*position_lines(finished), *plan_lines(episodes)):
+    counted = [row for row in episodes if has_outcome(row)]
+    for what, where in (*position_lines(counted), *plan_lines(episodes)):
         console.print(f"{what} {where}", soft_wrap=True)
     if overall.missing:
         console.print(f"{overall.missing} episodes have not been run", style="yellow")
@@ -210,6 +210,7 @@ def _print_worst(console: Console, rows: Sequence[Row]) -> None:
         if row["target_collision"]:
             what = f"{row['collision_type']}, at fault: {row['at_fault']}"
             what = f"valid failure: {what}" if is_valid_failure(row) else what
+            what += ", then failed" if is_failure(row) else ""
         elif row.get("critical"):
             what = f"critical near miss, {resolved(row['resolved_by'])}"
         values = (_value(row["min_ttc_s"], "s"), _value(row["min_clearance_m"], "m"))

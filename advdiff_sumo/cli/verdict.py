@@ -77,9 +77,9 @@ def verdict(
 
 def _say(console: Console, rows: Sequence[Mapping[str, Any]], search: bool) -> None:
     """Say what the finished ones of *rows* of ``episodes`` came to; *search*: and how many collisions nobody avoids."""
-    from advdiff_sumo.metrics.severity import broke_rule, is_failure, is_valid_failure
+    from advdiff_sumo.metrics.severity import broke_rule, has_outcome, is_valid_failure
 
-    rows = [row for row in rows if not is_failure(row)]
+    rows = [row for row in rows if has_outcome(row)]
     hits = [row for row in rows if row["target_collision"]]
     valid, critical = sum(map(is_valid_failure, rows)), sum(bool(row["critical"]) for row in rows)
     console.print(f"{len(rows)} episodes, {len(hits)} collisions of the target: {valid} valid failures")

@@ -16,6 +16,11 @@ def is_failure(row: Row) -> bool:
     return bool(row["end"] == "failed")
 
 
+def has_outcome(row: Row) -> bool:
+    """Return whether rates count the episode: it was finished, or failed only after the target's contact."""
+    return not is_failure(row) or bool(row.get("target_collision"))
+
+
 def is_valid_failure(row: Row) -> bool:
     """Return whether the episode ended in a collision that counts; False where it has no verdict yet."""
     return bool(row["target_collision"]) and bool(row.get("valid_failure"))
@@ -28,14 +33,14 @@ def broke_rule(row: Row) -> bool:
 
 def badge(row: Row) -> str:
     """Return the verdict of an episode in a word or two."""
-    if is_failure(row):
-        return "failed"
-    if row["target_collision"]:
+    if row.get("target_collision"):  # also where the episode failed after it
         if row.get("valid_failure") is None:
             return "not judged"
         if row["valid_failure"]:
             return "valid failure"
         return "unavoidable" if row.get("unavoidable") else "not counted"
+    if is_failure(row):
+        return "failed"
     if row.get("critical"):
         return "critical"
     return "rule broken" if broke_rule(row) else "no collision"

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, Elite, archive
-from advdiff_sumo.metrics.severity import is_valid_failure
+from advdiff_sumo.metrics.severity import has_outcome, is_valid_failure
 from advdiff_sumo.metrics.statistics import Rate
 from advdiff_sumo.report.folder import Row
 from advdiff_sumo.report.labels import Labels
@@ -59,12 +58,12 @@ def matrix_of(rows: Sequence[Row], labels: Labels) -> Matrix:
 def _cell(rows: Sequence[Row] | None) -> MatrixCell | None:
     if not rows:
         return None
-    finished = [row for row in rows if row["end"] != "failed"]
-    hit = [bool(row["target_collision"]) for row in finished]
-    guilty = [row["at_fault"] == "target" for row in finished]
-    counted = [is_valid_failure(row) for row in finished if row["valid_failure"] is not None]
+    counted = [row for row in rows if has_outcome(row)]
+    hit = [bool(row["target_collision"]) for row in counted]
+    guilty = [row["at_fault"] == "target" for row in counted]
+    valid = [is_valid_failure(row) for row in counted if row["valid_failure"] is not None]
     return MatrixCell(
-        valid=Rate.of_flags(counted),
+        valid=Rate.of_flags(valid),
         collisions=Rate.of_flags(hit),
         at_fault=Rate.of_flags(guilty),
     )

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from statistics import median
 from typing import Any, TypeAlias
 
-from advdiff_sumo.metrics.severity import broke_rule, is_valid_failure
+from advdiff_sumo.metrics.severity import broke_rule, has_outcome, is_failure, is_valid_failure
 from advdiff_sumo.metrics.statistics import wilson
 from advdiff_sumo.report.attack_words import out_of_position, plan_lines, position_lines
 
@@ -20,21 +20,21 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
         rows: of ``episodes.parquet``.
         timing: of ``timing.parquet``.
     """
-    finished = [row for row in rows if row["end"] != "failed"]
-    ended = {row.get("episode") for row in finished}
+    counted = [row for row in rows if has_outcome(row)]
+    ended = {row.get("episode") for row in counted}
     timing = [row for row in timing if row.get("episode") in ended]
-    hits = [row for row in finished if row["target_collision"]]
+    hits = [row for row in counted if row["target_collision"]]
     lines = [
-        ("valid failures", _rate(_valid_failures(finished), len(finished))),
-        ("critical near misses", _rate(sum(bool(row["critical"]) for row in finished), len(finished))),
-        ("target breaks a rule", _rate(sum(map(broke_rule, finished)), len(finished))),
-        ("target collides", _rate(len(hits), len(finished))),
-        ("… target at fault", _rate(sum(row["at_fault"] == "target" for row in hits), len(finished))),
-        ("route completed", _rate(sum(bool(row["route_completed"]) for row in finished), len(finished))),
-        ("failed episodes", _rate(len(rows) - len(finished), len(rows))),
-        ("median of minimum TTC", _median(finished, "min_ttc_s", "s")),
-        ("median of minimum clearance", _median(finished, "min_clearance_m", "m")),
-        *position_lines(finished),
+        ("valid failures", _rate(_valid_failures(counted), len(counted))),
+        ("critical near misses", _rate(sum(bool(row["critical"]) for row in counted), len(counted))),
+        ("target breaks a rule", _rate(sum(map(broke_rule, counted)), len(counted))),
+        ("target collides", _rate(len(hits), len(counted))),
+        ("… target at fault", _rate(sum(row["at_fault"] == "target" for row in hits), len(counted))),
+        ("route completed", _rate(sum(bool(row["route_completed"]) for row in counted), len(counted))),
+        ("failed episodes", _rate(sum(map(is_failure, rows)), len(rows))),
+        ("median of minimum TTC", _median(counted, "min_ttc_s", "s")),
+        ("median of minimum clearance", _median(counted, "min_clearance_m", "m")),
+        *position_lines(counted),
         *plan_lines(rows),
         ("real-time factor (median)", _median(timing, "real_time_factor", "×")),
     ]
@@ -47,27 +47,27 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
 
 def summary_figures(rows: Rows) -> dict[str, Any]:
     """Return the counts that the rates in :func:`summary_lines` are of, and failed episodes by kind."""
-    finished = [row for row in rows if row["end"] != "failed"]
-    hits = [row for row in finished if row["target_collision"]]
-    kinds = sorted({str(row["failure_kind"]) for row in rows if row["end"] == "failed"})
+    counted = [row for row in rows if has_outcome(row)]
+    hits = [row for row in counted if row["target_collision"]]
+    kinds = sorted({str(row["failure_kind"]) for row in rows if is_failure(row)})
     return {
         "episodes": len(rows),
-        "finished": len(finished),
-        "valid_failures": _valid_failures(finished),
-        "critical": sum(bool(row["critical"]) for row in finished),
-        "offences": sum(map(broke_rule, finished)),
+        "finished": sum(not is_failure(row) for row in rows),
+        "valid_failures": _valid_failures(counted),
+        "critical": sum(bool(row["critical"]) for row in counted),
+        "offences": sum(map(broke_rule, counted)),
         "collisions": len(hits),
         "at_fault": sum(row["at_fault"] == "target" for row in hits),
-        "routes_completed": sum(bool(row["route_completed"]) for row in finished),
-        "out_of_position": sum(out_of_position(row) is not None for row in finished),
+        "routes_completed": sum(bool(row["route_completed"]) for row in counted),
+        "out_of_position": sum(out_of_position(row) is not None for row in counted),
         "failed": {kind: sum(row["failure_kind"] == kind for row in rows) for kind in kinds},
-        "median_min_ttc_s": _middle(finished, "min_ttc_s"),
-        "median_min_clearance_m": _middle(finished, "min_clearance_m"),
+        "median_min_ttc_s": _middle(counted, "min_ttc_s"),
+        "median_min_clearance_m": _middle(counted, "min_clearance_m"),
     }
 
 
-def _valid_failures(finished: Rows) -> int:
-    return sum(is_valid_failure(row) for row in finished)
+def _valid_failures(counted: Rows) -> int:
+    return sum(is_valid_failure(row) for row in counted)
 
 
 def _rate(count: int, total: int) -> str:

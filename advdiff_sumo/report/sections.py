@@ -13,7 +13,7 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.metrics.near_miss import resolved
 from advdiff_sumo.metrics.reference import ReferenceDrive
-from advdiff_sumo.metrics.severity import badge
+from advdiff_sumo.metrics.severity import badge, is_failure
 from advdiff_sumo.report.blocks import departed, episode_block
 from advdiff_sumo.report.careful_driver import drive_of, tracks_of
 from advdiff_sumo.report.charts import Chart, charts_of
@@ -207,8 +207,9 @@ def _verdict(row: Row) -> str:
 
 
 def _outcome(row: Row) -> str:
-    if row["end"] == "failed":
-        return str(row["failure_message"] or "No reason was recorded.")
+    failed = str(row["failure_message"] or "No reason was recorded.") if is_failure(row) else ""
+    if failed and not row["target_collision"]:
+        return failed
     if row["critical"]:
         brake = number(row["critical_brake_mps2"], 1, "m/s²")
         return f"A careful driver would have had to brake at {brake}; {resolved(row['resolved_by'])}."
@@ -223,4 +224,4 @@ def _outcome(row: Row) -> str:
     )
     sentence, reason = str(row["verdict"] or ""), str(row["fault_reason"] or "")
     reason = "" if reason.rstrip(".").lower() in sentence.lower() else reason
-    return " ".join(f"{sentence} At fault: {words(row['at_fault'])}. {reason}{perception}".split())
+    return " ".join(f"{sentence} At fault: {words(row['at_fault'])}. {reason}{perception} {failed}".split())

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise, product
 from typing import Any, TypeAlias
 
-from advdiff_sumo.metrics.severity import is_failure
+from advdiff_sumo.metrics.severity import has_outcome
 
 Row: TypeAlias = Mapping[str, Any]
 
@@ -56,18 +56,18 @@ def bands() -> tuple[str, ...]:
 
 
 def coverage(episodes: Sequence[Row], attacks: Sequence[str], junction_types: Sequence[str]) -> Coverage:
-    """Count the finished *episodes* by attack, kind of junction and speed at their critical moment.
+    """Count the *episodes* with an outcome by attack, kind of junction and speed at their critical moment.
 
     Args:
         episodes: rows of a sweep's ``episodes``.
         attacks: those that were asked for.
         junction_types: those that the nets have.
     """
-    finished = [row for row in episodes if not is_failure(row) and row["critical_speed_mps"] is not None]
+    counting = [row for row in episodes if has_outcome(row) and row["critical_speed_mps"] is not None]
     names = tuple(dict.fromkeys(attacks))
-    junctions = (*sorted({*junction_types, *(str(r["junction_type"]) for r in finished)} - {"road"}), "road")
+    junctions = (*sorted({*junction_types, *(str(r["junction_type"]) for r in counting)} - {"road"}), "road")
     counts = {key: [0, 0] for key in product(names, junctions, bands())}
-    for row in finished:
+    for row in counting:
         key = (str(row["attack"]), str(row["junction_type"]), _band(float(row["critical_speed_mps"])))
         counted = counts.setdefault(key, [0, 0])
         counted[0] += 1

@@ -24,7 +24,8 @@ def junit_xml(
 ) -> bytes:
     """Return one test case an episode: a valid failure is one, an episode that could not be finished an error.
 
-    A collision that is not a valid failure passes, and is told in the case's output.
+    A collision that is not a valid failure passes, and is told in the case's output. An episode that failed after a
+    valid failure is both.
 
     Args:
         episodes: rows of ``episodes``.
@@ -64,16 +65,19 @@ def _case(suite: Element, row: Row, broken: Row | None, timing: Mapping[int, flo
     seconds = timing.get(int(row["episode"]), 0.0)
     name = f"scene {row['number']} ({row['key']})"
     case = SubElement(suite, "testcase", classname=suite.get("name", ""), name=name, time=f"{seconds:.3f}")
+    struck = bool(row.get("target_collision"))
+    if struck and fails(row):
+        SubElement(case, "failure", type=str(row["collision_type"]), message=_clean(_contact(row)))
     if broken is not None:
         error = SubElement(case, "error", type=str(broken["kind"]), message=_clean(str(broken["message"])))
         error.text = _clean(f"{broken['log_tail']}\n{broken['command']}")
-    elif row["target_collision"]:
-        text = f"{row['collision_type']} after {row['collision_time_s']:.1f} s, at fault: {row['at_fault']}"
-        text = f"{text}. {row.get('verdict') or row['fault_reason'] or ''}".strip()
-        if fails(row):
-            SubElement(case, "failure", type=str(row["collision_type"]), message=_clean(text))
-        else:
-            SubElement(case, "system-out").text = _clean(text)
+    if struck and not fails(row):
+        SubElement(case, "system-out").text = _clean(_contact(row))
+
+
+def _contact(row: Row) -> str:
+    text = f"{row['collision_type']} after {row['collision_time_s']:.1f} s, at fault: {row['at_fault']}"
+    return f"{text}. {row.get('verdict') or row['fault_reason'] or ''}".strip()
 
 
 def fails(row: Row) -> bool:

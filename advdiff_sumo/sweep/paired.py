@@ -11,7 +11,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, did_you_mean
-from advdiff_sumo.metrics.severity import is_failure
+from advdiff_sumo.metrics.severity import has_outcome
 from advdiff_sumo.metrics.statistics import TAILS, Rate, bootstrap_counts, mcnemar
 from advdiff_sumo.sweep.summary_stats import EVENTS, Row
 
@@ -80,7 +80,7 @@ class Comparison:
     """Two sweeps, paired.
 
     Attributes:
-        pairs: episodes that both finished.
+        pairs: episodes with an outcome in both: finished, or failed after a contact of the target.
         scenes: seed scenes among them; the bootstrap draws these.
         unpaired: episodes of either sweep without a finished counterpart.
         rates: by name.
@@ -149,8 +149,8 @@ def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Compa
         raise ConfigError(
             "the two sweeps share no seed scene; compare sweeps of the same nets, seeds, horizon_s, sim and scene"
         )
-    pairs = [(a[key], b[key]) for key in keys if not is_failure(a[key]) and not is_failure(b[key])]
-    scenes = [key[0] for key in keys if not is_failure(a[key]) and not is_failure(b[key])]
+    pairs = [(a[key], b[key]) for key in keys if has_outcome(a[key]) and has_outcome(b[key])]
+    scenes = [key[0] for key in keys if has_outcome(a[key]) and has_outcome(b[key])]
     if not pairs:
         raise ConfigError("no seed scene was finished in both sweeps")
     draw = _Draws(scenes, seed)

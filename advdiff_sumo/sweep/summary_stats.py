@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any, TypeAlias
 
-from advdiff_sumo.metrics.severity import broke_rule, is_failure, is_valid_failure
+from advdiff_sumo.metrics.severity import broke_rule, has_outcome, is_failure, is_valid_failure
 from advdiff_sumo.metrics.statistics import Rate
 
 Row: TypeAlias = Mapping[str, Any]
@@ -52,33 +52,37 @@ class Figures:
 
     Attributes:
         episodes: with a row, finished or not, and those that failed without one.
-        rates: by name; those of failures out of all episodes, the others out of the finished ones (with a verdict).
-        medians: over the finished episodes in which the value is defined.
+        rates: by name; those of failures out of all episodes, the others out of those with an outcome (and a verdict):
+            finished, or failed after a contact of the target.
+        medians: over the episodes with an outcome in which the value is defined.
         missing: episodes that have not been run.
+        finished: episodes that did not fail.
     """
 
     episodes: int
     rates: Mapping[str, Rate]
     medians: Mapping[str, float | None]
     missing: int = 0
+    finished: int = 0
 
     @staticmethod
     def of(episodes: Sequence[Row], failures: Sequence[Row], missing: int = 0) -> Figures:
         """Return the figures of rows of ``episodes`` and ``failures``."""
-        finished = [row for row in episodes if not is_failure(row)]
-        total = len(finished) + len(failures)
-        rates = {name: _rate(finished, event) for name, event in EVENTS.items()}
+        finished = sum(not is_failure(row) for row in episodes)
+        total = finished + len(failures)
+        counted = [row for row in episodes if has_outcome(row)]
+        rates = {name: _rate(counted, event) for name, event in EVENTS.items()}
         rates["failure_rate"] = Rate.of(len(failures), total)
-        values = {c: [row[c] for row in finished if row[c] is not None] for c in _MEDIANS}
+        values = {c: [row[c] for row in counted if row[c] is not None] for c in _MEDIANS}
         medians = {name: float(median(known)) if known else None for name, known in values.items()}
-        return Figures(total, rates, medians, missing)
+        return Figures(total, rates, medians, missing, finished)
 
     def named(self) -> dict[str, float | None]:
         """Return every figure of ``FIGURE_NAMES``."""
         collisions, failures = self.rates["collision_rate"], self.rates["failure_rate"]
         named: dict[str, float | None] = {
             "episodes": self.episodes,
-            "finished": collisions.total,
+            "finished": self.finished,
             "valid_failures": self.rates["valid_failure_rate"].count,
             "collisions": collisions.count,
             "failures": failures.count,
@@ -89,8 +93,8 @@ class Figures:
         return named | {f"median_{name}": value for name, value in self.medians.items()}
 
 
-def _rate(finished: Sequence[Row], event: Event) -> Rate:
-    known = [row for row in finished if row.get(event.known_by) is not None]
+def _rate(counted: Sequence[Row], event: Event) -> Rate:
+    known = [row for row in counted if row.get(event.known_by) is not None]
     return Rate.of(sum(map(event.happened, known)), len(known))
 
 

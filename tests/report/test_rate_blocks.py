@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from advdiff_sumo.report.rate_blocks import headline
+from advdiff_sumo.report.run_summary import summary_figures, summary_lines
 
 
 def test_headline_counts(rows: Any) -> None:
@@ -26,6 +27,26 @@ def test_headline_counts(rows: Any) -> None:
         "Route completed": (1, 4),
         "Failed episodes": (1, 5),
     }
+
+
+def test_a_contact_before_a_failure_counts(rows: Any) -> None:
+    episodes = [
+        rows.struck(0, end="failed", failure_kind="planner_error", valid_failure=True),
+        rows.episode(1, valid_failure=False),
+        rows.episode(2, end="failed", failure_kind="planner_error"),
+    ]
+    lines = {line.label: (line.rate.count, line.rate.total, line.of) for line in headline(episodes)}
+    assert lines["Valid failures"] == (1, 2, "judged episodes")
+    assert lines["Collisions"] == (1, 2, "episodes with an outcome")
+    assert lines["Failed episodes"] == (2, 3, "episodes")
+    figures = summary_figures(episodes)
+    assert [figures[name] for name in ("finished", "valid_failures", "collisions", "at_fault")] == [
+        1,
+        1,
+        1,
+        1,
+    ]
+    assert dict(summary_lines(episodes, []))["failed episodes"].endswith("2 of 3")
 
 
 def test_what_only_sumos_drivers_see_is_left_out_for_planners(rows: Any) -> None:

@@ -11,6 +11,7 @@ from scipy.stats import binom
 
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.metrics.columns import EPISODE_COLUMNS
+from advdiff_sumo.metrics.severity import badge
 from advdiff_sumo.sweep.coverage import bands, coverage
 from advdiff_sumo.sweep.findings import findings
 from advdiff_sumo.sweep.junit import junit_xml
@@ -85,6 +86,34 @@ def test_rates_with_wilson_intervals() -> None:
     assert figures["collision_rate_low"] == pytest.approx(centre - half)
     assert figures["collision_rate_high"] == pytest.approx(centre + half)
     assert figures["median_min_ttc_s"] == 5.5
+
+
+def test_a_contact_before_a_failure_counts_everywhere() -> None:
+    """Of three episodes one failed after a valid failure, one before anything had happened."""
+    struck = hit(0, end="failed", valid_failure=True, at_fault="target", attack="replay")
+    rows = [struck, row(1), row(2, end="failed")]
+    failures = [
+        {**row(k), "kind": "planner_error", "message": "m", "log_tail": "", "command": "c"} for k in (0, 2)
+    ]
+    figures = Figures.of(rows, failures).named()
+    assert [figures[name] for name in ("episodes", "finished", "failures")] == [3, 1, 2]
+    assert [figures[name] for name in ("valid_failures", "collisions")] == [1, 1]
+    assert [figures[name] for name in ("valid_failure_rate", "fault_rate", "failure_rate")] == [
+        0.5,
+        0.5,
+        2 / 3,
+    ]
+    assert [finding.valid for finding in findings(rows)] == [1]
+    assert sum(cell.episodes for cell in coverage(rows, ["replay"], ["priority"]).cells.values()) == 2
+    assert compare(rows, rows).pairs == 2
+    root = fromstring(junit_xml(rows, failures, {}, None))
+    assert [[part.tag for part in case] for case in root.iter("testcase")] == [
+        ["failure", "error"],
+        [],
+        ["error"],
+    ]
+    assert (root.get("failures"), root.get("errors")) == ("1", "2")
+    assert [badge(episode) for episode in rows] == ["valid failure", "no collision", "failed"]
 
 
 def test_without_a_finished_episode_rates_are_undefined() -> None:

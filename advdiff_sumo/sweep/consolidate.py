@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -104,7 +105,7 @@ def _rows(part: StoredEpisode, job: Job, plan: SweepPlan, folder: Path) -> dict[
         leading = own if name == "episodes" else {"episode": job.index}
         tables[name] = _led(columns, leading, SWEEP_TABLES[name])
     if part.failed is not None:
-        command = f"advdiff-sumo replay {job.key} --sweep {folder}"
+        command = f"advdiff-sumo replay {job.key} --sweep {shlex.quote(str(folder))}"
         row = {**own, **vars(part.failed), "command": command}
         tables["failures"] = table_of([row], FAILURE_COLUMNS)
     return tables

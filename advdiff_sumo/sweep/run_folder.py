@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 import shutil
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -189,7 +190,7 @@ class RunFolder:
 
     def failure_row(self, number: int, failed: Failed) -> dict[str, Any]:
         """Return the row of ``failures`` of an episode, with the command that repeats it."""
-        command = f"advdiff-sumo replay {number} --run {self.path}"
+        command = f"advdiff-sumo replay {number} --run {shlex.quote(str(self.path))}"
         return {"episode": number, **vars(failed), "command": command}
 
     def _write_failures(self, rows: list[dict[str, Any]]) -> None:
@@ -246,7 +247,7 @@ class RunFolder:
 
     @property
     def _tables(self) -> RunTables:
-        again = f"advdiff-sumo run --config {self.path / RUN_SETTINGS}"
+        again = f"advdiff-sumo run --config {shlex.quote(str(self.path / RUN_SETTINGS))}"
         return RunTables(self.path, remedy=f"begin the run again: {again}")
 
 

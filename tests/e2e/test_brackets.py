@@ -42,6 +42,7 @@ def test_a_sweep(workplace: Path) -> None:
         assert "[late:weak]" in outcome.out
         assert "[range:strong]" in outcome.out
         assert "[/lane]" in outcome.out
+        assert f"--sweep '{PLACE}'" in outcome.out
         assert f"results: {PLACE}\n" in outcome.out
         assert "--fail-if failures > 0: failures = 1" in outcome.out
     assert f"look at {PLACE}/report.html" in done.out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -257,3 +258,8 @@ def test_tables_of_a_run_that_ends_meanwhile_stay(tmp_path: Path, monkeypatch: p
     with pytest.raises(FileError, match="has changed while it was read"):
         folder.consolidate(finished=False)
     assert content(folder.path) == whole
+
+
+def test_the_command_that_repeats_an_episode_takes_folders_with_blanks(tmp_path: Path) -> None:
+    row = RunFolder(tmp_path / "my runs").failure_row(2, Failed("timeout", "not finished after 3 s"))
+    assert shlex.split(row["command"]) == ["advdiff-sumo", "replay", "2", "--run", str(tmp_path / "my runs")]

@@ -55,7 +55,7 @@ def sweep(
     """
     one_thread_for_good()
     from advdiff_sumo.cli.summary import run_object  # late: --help needs no simulator
-    from advdiff_sumo.cli.sweep_results import conclude, condition_of
+    from advdiff_sumo.cli.sweep_results import check_junit, conclude, condition_of
     from advdiff_sumo.experiments.folder_rows import rows_of_sweep
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store
 
@@ -72,6 +72,8 @@ def sweep(
         if dry_run:
             _tell_estimate(console, plan, RemainingJobs.of(plan, begun, limit, retry_failed), slots, limits)
             return
+        if junit is not None:
+            check_junit(junit)
         done_by = _executor(executor, workers if ray_address else slots, ray_address, plan, limits)
         store = open_store(
             resume or out or _new_folder(console, file), plan, done_by.slots, resume is not None
@@ -83,6 +85,9 @@ def sweep(
         missing = _episodes(console, plan, store, todo, done_by, retries)
     if report:
         _draw(console, store.path)
+    elif todo.done < todo.total and (store.path / "report.html").exists():
+        again = f"advdiff-sumo report {shlex.quote(str(store.path))}"
+        console.print(f"note: report.html is that of before; {again} draws it anew", soft_wrap=True)
     if as_json:
         print_json({**run_object(store.path), "missing": missing})
     conclude(console, rows_of_sweep(store, plan, missing), condition, junit)

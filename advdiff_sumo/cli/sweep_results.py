@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ from rich.table import Table
 
 from advdiff_sumo.cli.summary import UNEXPLAINED
 from advdiff_sumo.cli.terminal import terminal
-from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
+from advdiff_sumo.core.errors import UNEXPLAINED_KINDS, FileError
 from advdiff_sumo.experiments.folder_rows import FolderRows
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, archive
 from advdiff_sumo.metrics.near_miss import resolved
@@ -31,6 +32,7 @@ from advdiff_sumo.sweep.sweep_columns import job_row
 from advdiff_sumo.sweep.sweep_files import write_whole
 
 CONDITION_MET = 1
+_OTHER_JUNIT = "choose another --junit"
 _WORST, _FINDINGS = 20, 12
 _LACKING = {"failures": "episodes failed", "missing": "have not been run"}
 #: Figures that tell of episodes that did not finish.
@@ -51,21 +53,48 @@ def condition_of(text: str | None) -> Condition | None:
 
 
 def conclude(console: Console, results: FolderRows, condition: Condition | None, junit: Path | None) -> None:
-    """Write JUnit XML, print what the sweep came to, and leave with code 1 where the condition is met."""
+    """Print what the sweep came to, write JUnit XML, and leave with code 1 where the condition is met.
+
+    Raises:
+        FileError: *junit* cannot be written.
+    """
     overall = Figures.of(results.episodes, results.failures, results.missing)
     verdict = None if condition is None else _gate(condition, overall)
-    if junit is not None:
-        timing = {row["episode"]: row["wall_s"] for row in results.timing}
-        outcome = None if condition is None else (condition.text, verdict)
-        junit.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(junit, junit_xml(results.episodes, results.failures, timing, outcome))
     _print(console, results, overall)
     console.print(f"results: {results.path}", soft_wrap=True)
     if verdict is not None:
         console.print(verdict, style="red", soft_wrap=True)
+    if junit is not None:
+        _write_junit(junit, results, None if condition is None else (condition.text, verdict))
+    if verdict is not None:
         raise typer.Exit(CONDITION_MET)
     if condition is not None and (untested := _untested(condition, overall)):
         terminal(stderr=True).print(f"note: {untested}", style="yellow", soft_wrap=True)
+
+
+def check_junit(path: Path) -> None:
+    """Make the folder of a JUnit file.
+
+    Raises:
+        FileError: it cannot be made, or the file not be written into it.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(path, f"cannot be written ({error.strerror or error})", _OTHER_JUNIT) from None
+    if path.is_dir() or not os.access(path.parent, os.W_OK):
+        reason = "it is a folder" if path.is_dir() else "nothing can be written into its folder"
+        raise FileError(path, f"cannot be written ({reason})", _OTHER_JUNIT)
+
+
+def _write_junit(path: Path, results: FolderRows, outcome: tuple[str, str | None] | None) -> None:
+    check_junit(path)
+    timing = {row["episode"]: row["wall_s"] for row in results.timing}
+    lacking = results.how_to_go_on if results.missing else ""
+    try:
+        write_whole(path, junit_xml(results.episodes, results.failures, timing, outcome, lacking))
+    except FileError as error:
+        raise FileError(path, error.problem, _OTHER_JUNIT) from None
 
 
 def _gate(condition: Condition, overall: Figures) -> str | None:

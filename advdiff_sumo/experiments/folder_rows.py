@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
@@ -49,6 +50,13 @@ class FolderRows:
     failures: Rows
     missing: int
     of_run: bool = False
+
+    @property
+    def how_to_go_on(self) -> str:
+        """How many episodes are missing, and the command that runs them."""
+        folder = shlex.quote(str(self.path))
+        command = f"run --resume --out {folder}" if self.of_run else f"sweep --resume {folder}"
+        return f"{self.missing} episodes have not been run; advdiff-sumo {command} runs them"
 
     @property
     def timing(self) -> Rows:

@@ -21,6 +21,7 @@ def junit_xml(
     failures: Sequence[Row],
     timing: Mapping[int, float],
     condition: tuple[str, str | None] | None,
+    lacking: str = "",
 ) -> bytes:
     """Return one test case an episode: a valid failure is one, an episode that could not be finished an error.
 
@@ -32,6 +33,7 @@ def junit_xml(
         failures: rows of ``failures``.
         timing: episode → wall-clock seconds.
         condition: the text of ``--fail-if`` and, where it fails, what it came to; a test case of its own.
+        lacking: what to say of episodes that have not been run, an error in a test case of its own; "" for none.
     """
     root = Element("testsuites", name="advdiff-sumo")
     broken = {int(row["episode"]): row for row in failures}
@@ -43,6 +45,11 @@ def junit_xml(
         suite = SubElement(root, "testsuite", name=_clean(name))
         for row in members:
             _case(suite, row, broken.get(int(row["episode"])), timing)
+        _count(suite)
+    if lacking:
+        suite = SubElement(root, "testsuite", name="missing")
+        case = SubElement(suite, "testcase", classname="missing", name="episodes that have not been run")
+        SubElement(case, "error", message=_clean(lacking), type="missing")
         _count(suite)
     if condition is not None:
         suite = SubElement(root, "testsuite", name="fail-if")

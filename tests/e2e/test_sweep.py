@@ -84,6 +84,20 @@ def test_a_sweep_from_file_to_verdict(sweeps: Path, here: Callable[..., Outcome]
     refused = here("sweep", "other.toml", "--executor", "serial", "--resume", "done")
     assert (refused.code, len(refused.err.splitlines())) == (2, 1)
     assert "belongs to another sweep: its horizon_s differ" in refused.err
+    _an_older_page_is_told(sweeps / "done", rows[4]["key"], here)
+
+
+def _an_older_page_is_told(sweep: Path, key: str, here: Callable[..., Outcome]) -> None:
+    """Check that a sweep that goes on without a report says so of one that is there; where nothing is run, not."""
+    (episode,) = sweep.glob(f"episodes/*/{key}")
+    episode.unlink()
+    goes_on = ("sweep", "--resume", sweep, "--executor", "serial", "--no-report")
+    refused = here(*goes_on, "--junit", sweep)
+    assert (refused.code, "choose another --junit" in refused.err) == (2, True)
+    assert not episode.exists()  # before the first episode
+    note = "report.html is that of before; advdiff-sumo report"
+    assert note in here(*goes_on).out.replace("\n", " ")
+    assert note not in here(*goes_on).out.replace("\n", " ")
 
 
 def _tables_catch_up(sweep: Path, key: str, here: Callable[..., Outcome]) -> None:

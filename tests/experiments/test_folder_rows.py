@@ -10,6 +10,7 @@ import typer
 
 from advdiff_sumo.cli.sweep_results import CONDITION_MET, conclude, condition_of
 from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.experiments.folder_rows import FolderRows, rows_of_folder
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sweep.run_engine import run_settings
@@ -82,3 +83,26 @@ def test_a_gate_that_is_shut_by_what_is_undefined_says_so_behind_its_junit(
     (told,) = parse(tmp_path / "j.xml").getroot().iter("failure")  # noqa: S314 - our own file
     assert told.get("message") == f"--fail-if {text}: {words}"
     assert f"{text}: {words}" in capsys.readouterr().out
+
+
+def test_episodes_that_have_not_been_run_are_an_error_in_junit(tmp_path: Path) -> None:
+    run_of(tmp_path, 3, 1).consolidate(finished=False)
+    assert (
+        gate(rows_of_folder(tmp_path / "run"), "valid_failures > 9 or failures > 9", tmp_path / "j.xml") == 0
+    )
+    root = parse(tmp_path / "j.xml").getroot()  # noqa: S314 - our own file
+    assert (root.get("tests"), root.get("errors")) == ("3", "2")  # who died, what is missing, the gate
+    (told,) = (error for error in root.iter("error") if error.get("type") == "missing")
+    again = f"advdiff-sumo run --resume --out {tmp_path / 'run'}"
+    assert told.get("message") == f"2 episodes have not been run; {again} runs them"
+
+
+@pytest.mark.parametrize(("junit", "why"), [("file/j.xml", ".*exists"), (".", "it is a folder")])
+def test_junit_that_cannot_be_written_is_one_sentence_behind_the_tables(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], junit: str, why: str
+) -> None:
+    run_of(tmp_path, 1, 1).consolidate(finished=True)
+    (tmp_path / "file").touch()
+    with pytest.raises(FileError, match=rf"cannot be written \({why}\); choose another --junit"):
+        gate(rows_of_folder(tmp_path / "run"), "failures > 0", tmp_path / junit)
+    assert "--fail-if failures > 0: failures = 1" in capsys.readouterr().out

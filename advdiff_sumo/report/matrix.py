@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, Elite, archive
 from advdiff_sumo.metrics.severity import has_outcome, is_valid_failure
 from advdiff_sumo.metrics.statistics import Rate
 from advdiff_sumo.report.folder import Row

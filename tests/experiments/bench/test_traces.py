@@ -197,8 +197,8 @@ def test_vehicles_of_sumo_are_not_those_of_a_policy_that_moved_nobody() -> None:
     """It moved four in one episode, one of whom hit another: of four. Of SUMO itself all nine count."""
     bins = (1,), (1,), (1,)
     episodes = [
-        seen("a", False, Trace(4, 1, 0, *bins, 0.0, 0.0)),
-        seen("b", False, Trace(5, 2, None, *bins, 0.0, 0.0)),
+        seen("a", False, BackgroundTrace(4, 1, 0, *bins, 0.0, 0.0)),
+        seen("b", False, BackgroundTrace(5, 2, None, *bins, 0.0, 0.0)),
     ]
     own = {name: estimate(sample) for name, sample in background_samples(episodes, ()).items()}
     assert (own["veh_rate"].value, own["veh_rate"].n) == (0.25, 4)

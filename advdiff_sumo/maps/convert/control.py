@@ -23,7 +23,7 @@ MAJOR, MINOR = 10, 1  # edge priorities: without and with a stop or yield sign
 class Control:
     """Approaches of each kind, by edge; *idle* are the lights that stop nobody.
 
-    *lamps* are those of the lights, where the source tells them.
+    *tokens* name the lights of each edge; *lamps* are those of the lights, where the source tells them.
     *lines* are the areas of their stop lines; those before a crossing on foot say where to stop, not who yields.
     """
 
@@ -33,6 +33,7 @@ class Control:
     idle: tuple[str, ...]
     lines: dict[str, list[Polygon]]
     lamps: dict[str, frozenset[Lamp]]
+    tokens: dict[str, frozenset[str]]
 
 
 def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPlan:
@@ -70,6 +71,7 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
         rings=rings,
         idle_signals=control.idle,
         lamps=control.lamps,
+        lights=control.tokens,
         apart=frozenset(apart),
     )
 
@@ -80,6 +82,7 @@ def _read(plan: NetPlan, source: SourceMap) -> Control:
     edges: dict[str, set[str]] = {"light": set(), "stop": set(), "yield": set(), "crossing": set()}
     idle = []
     lamps: dict[str, frozenset[Lamp]] = {}
+    tokens: dict[str, frozenset[str]] = {}
     for signal in source.signals:
         lanes, before = _stopped_lanes(signal, source)
         stopped = approaches.stopped_by(signal.at, signal.block, lanes) or approaches.stopped_by(
@@ -87,6 +90,8 @@ def _read(plan: NetPlan, source: SourceMap) -> Control:
         )
         edges["light"] |= stopped
         idle += [] if stopped else [signal.token]
+        for name in stopped:
+            tokens[name] = tokens.get(name, frozenset()) | {signal.token}
         for name in stopped if signal.lamps else ():
             lamps[name] = lamps.get(name, frozenset()) | signal.lamps
     lines: dict[str, list[Polygon]] = {}
@@ -96,7 +101,7 @@ def _read(plan: NetPlan, source: SourceMap) -> Control:
             edges[str(kind)].add(name)
             lines.setdefault(name, []).append(line.area)
     lights, stops, yields = (frozenset(edges[kind]) for kind in ("light", "stop", "yield"))
-    return Control(lights, stops, yields, tuple(idle), lines, lamps)
+    return Control(lights, stops, yields, tuple(idle), lines, lamps, tokens)
 
 
 def _stopped_lanes(signal: Signal, source: SourceMap) -> tuple[list[int], list[int]]:

@@ -21,6 +21,7 @@ from advdiff_sumo.maps.convert.netconvert import EXPLAINED
 from advdiff_sumo.maps.convert.netread import WrittenNet, read_net
 from advdiff_sumo.maps.convert.osm.add_streets import Streets
 from advdiff_sumo.maps.convert.routability import routability
+from advdiff_sumo.maps.convert.signals.programs import never_red
 from advdiff_sumo.maps.convert.widths import width_between
 from advdiff_sumo.maps.on_foot.add_paths import FootPaths
 
@@ -59,7 +60,7 @@ def measure(result: ConversionResult) -> Fidelity:
             "connections": _connection_counts(result, net),
             "signals": {
                 "given": len(result.source.signals),
-                "that_stop_nobody": list(result.plan.idle_signals),
+                "that_stop_nobody": [*result.plan.idle_signals, *never_red(result.net, result.plan)],
             },
             "crossings": _crossing_counts(result.foot_paths),
             "lane_changes": lane_change_share(result),

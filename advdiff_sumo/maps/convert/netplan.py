@@ -150,6 +150,7 @@ class NetPlan:
         rings: roundabouts.
         idle_signals: lights that stop nobody.
         lamps: of the lights at the end of an edge, where the source tells them.
+        lights: names of those lights.
         apart: pairs of ways, by the edges that they leave and enter, that run along each other for long.
     """
 
@@ -161,6 +162,7 @@ class NetPlan:
     rings: tuple[Ring, ...] = ()
     idle_signals: tuple[str, ...] = ()
     lamps: Mapping[str, frozenset[Lamp]] = field(default_factory=dict)
+    lights: Mapping[str, frozenset[str]] = field(default_factory=dict)
     apart: frozenset[frozenset[tuple[str, str]]] = frozenset()
 
     @cached_property

@@ -201,6 +201,20 @@ def test_light_along_a_lane_is_not_that_lanes(tmp_path: Path) -> None:
     assert crossing(sumolib.net.readNet(str(result.net))).getType() == "priority"
 
 
+def test_light_that_is_never_red_is_named(tmp_path: Path) -> None:
+    """The light at the end of "west" holds it for "south"; nothing crosses the road "alone"."""
+    road = crossroads()
+    light(road, AT_WEST[1:3])
+    end = road.straight("alone", (40.0, 300.0, 0.0), 50.0)
+    end = road.straight("alone-on", end, 20.0, connector=True)
+    road.straight("alone-out", end, 50.0)
+    road.link("alone", "alone-on", "alone-out")
+    light(road, [(90.0, 298.0), (90.0, 302.0)])
+    result = convert_map(road.write(tmp_path / "m.json"), tmp_path / "m.net.xml")
+    assert result.plan.idle_signals == ()
+    assert measure(result).figures["signals"] == {"given": 2, "that_stop_nobody": ["light1"]}
+
+
 @pytest.mark.parametrize(("wide", "kind"), [(True, "traffic_light"), (False, "priority")])
 def test_signals_are_guessed_at_large_junctions_only(tmp_path: Path, wide: bool, kind: str) -> None:
     road = crossroads()

@@ -135,6 +135,52 @@ def test_links_that_no_lamp_governs_are_served() -> None:
 
 
 @pytest.mark.parametrize(
+    ("lights", "states"),
+    [
+        ({"a": {"one"}, "b": {"one"}}, ["GGr", "rrG"]),  # one road in two edges
+        ({"a": {"one"}, "b": {"other"}}, ["GGr", "rGG"]),  # a road of its own, which nothing crosses
+        ({"a": {"one"}, "c": {"one"}}, ["GGr", "rGG"]),  # one light for ways that cross: never together
+    ],
+)
+def test_edges_that_share_a_light_get_green_together(lights: dict[str, set[str]], states: list[str]) -> None:
+    """Links 0 and 1 run beside each other from edges of their own; 2 crosses link 0 alone."""
+    links = [link(0, "a", EAST, foes={2}), link(1, "b", EAST), link(2, "c", NORTH, foes={0}, yields_to={0})]
+    shared = {edge: frozenset(names) for edge, names in lights.items()}
+    cycle = stages(links, {}, (), lefthand=False, lights=shared)
+    assert [state_of(stage, links, 3) for stage in cycle] == states
+
+
+def test_a_turn_under_a_light_that_nobody_crosses_goes_with_its_road() -> None:
+    """Link 0 goes on from "a", 1 turns right under an arrow, 2 crosses link 0 alone; "c" has no light."""
+    right = Lamp(frozenset({Direction.RIGHT}), protected=True, exclusive=True)
+    links = [
+        link(0, "a", EAST, foes={2}),
+        link(1, "a", EAST, Direction.RIGHT, lane=1),
+        link(2, "c", NORTH, foes={0}, yields_to={0}),
+    ]
+    lit = {"a": frozenset({"light", "arrow"})}
+    cycle = stages(links, {"a": {CIRCULAR, right}}, (), lefthand=False, lights=lit)
+    assert [state_of(stage, links, 3) for stage in cycle] == ["GGr", "rrG"]
+
+
+@pytest.mark.data
+def test_all_lanes_of_a_real_light_get_red(adv_data: Path, tmp_path: Path) -> None:
+    """The middle lane of light 11528 is an edge of its own; left arrow 11522 and right turn 11526 cross nobody."""
+    source = read_map(adv_data / "commonroad/USA_Lanker-1_3_T-1.xml.gz")
+    result = convert_source(source, tmp_path / "n.net.xml", crossings="none")
+    assert check_signals(result.net) == 2
+    states = {signal.name: [state for _, state in signal.phases] for signal in written_signals(result.net)}
+    lit = [
+        row
+        for row in sumolib.xml.parse(str(result.net), "connection")
+        if row.tl and row.attr_from in result.plan.lights
+    ]
+    assert len(lit) == 20
+    for row in lit:
+        assert "r" in {state[int(row.linkIndex)] for state in states[row.tl]}, row.attr_from
+
+
+@pytest.mark.parametrize(
     ("shapes", "letters"),
     [(("CIRCLE",), {"g"}), (("CIRCLE", "LEFT"), {"g", "G"}), (("CIRCLE", "LEFT", "RED LEFT"), {"G"})],
 )

@@ -50,10 +50,26 @@ def write_programs(net: Path, plan: NetPlan) -> None:
     net.write_text(PROGRAM.sub(ours, net.read_text(encoding="utf-8")), encoding="utf-8")
 
 
+def never_red(net: Path, plan: NetPlan) -> list[str]:
+    """Return the lights of *plan* that have red for none of their links in any phase of the written *net*."""
+    root = read_root(net, "net", "a SUMO net")
+    states = {
+        program.attrib["id"]: [phase.attrib["state"] for phase in program.iterfind("phase")]
+        for program in root.iterfind("tlLogic")
+    }
+    held = {
+        row.attrib["from"]
+        for row in root.iterfind("connection")
+        if any(state[int(row.attrib["linkIndex"])] == "r" for state in states.get(row.get("tl", ""), ()))
+    }
+    given = frozenset[str]().union(*plan.lights.values())
+    return sorted(given.difference(*(plan.lights.get(edge, ()) for edge in held)))
+
+
 def phases_of(links: Sequence[SignalLink], plan: NetPlan) -> list[Phase]:
     """Return the phases of one signal: green stages with yellow and all-red between them."""
     size = max(link.index for link in links) + 1
-    cycle = stages(links, plan.lamps, plan.apart, plan.lefthand)
+    cycle = stages(links, plan.lamps, plan.apart, plan.lefthand, plan.lights)
     changes = [
         _change(cycle[k], cycle[(k + 1) % len(cycle)], links, size, plan.apart) for k in range(len(cycle))
     ]

@@ -1,14 +1,17 @@
 """Which links of a signal have green together.
 
 The links that one lamp governs are a group. Groups go together unless ways of theirs cross; a turn under a circular
-lamp may have green with oncoming traffic to which it yields (a permitted turn), one under an arrow never.
+lamp may have green with oncoming traffic to which it yields (a permitted turn), one under an arrow never. A group
+under a light whose ways nothing crosses goes with another group of its road.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from operator import attrgetter
+from types import MappingProxyType
 
 import numpy as np
 
@@ -27,10 +30,15 @@ Stage = frozenset[int]  # links with green
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Links of one approach that get green together; *protected* ones under an arrow, in conflict with nobody."""
+    """Links of one road that get green together; *protected* ones under an arrow, in conflict with nobody.
+
+    Where it *follows*, nothing crosses its ways and it is green only while another group of its *road* is.
+    """
 
     links: tuple[SignalLink, ...]
     protected: bool
+    road: int = 0
+    follows: bool = False
 
     @property
     def indices(self) -> frozenset[int]:
@@ -43,6 +51,7 @@ def stages(
     lamps: Mapping[str, Collection[Lamp]],
     apart: Collection[frozenset[Ends]],
     lefthand: bool,
+    lights: Mapping[str, frozenset[str]] = MappingProxyType({}),
 ) -> list[Stage]:
     """Return the links that have green in each stage of a cycle; each link has it in one at least.
 
@@ -52,28 +61,64 @@ def stages(
             arrow for the turn across oncoming traffic where lanes are for that turn alone.
         apart: pairs of ways that run so close to each other for so long that none can yield to the other.
         lefthand: whether traffic keeps left.
+        lights: names of the lights of the approaches, by edge; edges that share one are one road.
     """
-    approaches: dict[str, list[SignalLink]] = defaultdict(list)
-    for link in links:
-        approaches[link.origin[0]].append(link)
-    groups = [
-        group
-        for edge in sorted(approaches, key=lambda name: min(link.index for link in approaches[name]))
-        for group in _groups(approaches[edge], lamps.get(edge) or _guessed(approaches[edge], lefthand))
-    ]
+    groups = []
+    for number, road in enumerate(_roads(links, lights, apart)):
+        edges = {link.origin[0] for link in road}
+        told = frozenset[Lamp]().union(*(lamps.get(edge, ()) for edge in edges))
+        own = _groups(road, told or _guessed(road, lefthand), number)
+        groups += _with_followers(own) if edges & lights.keys() else own
     groups.sort(key=lambda group: group.protected)  # stable: circular lamps first
     return _in_order(_needed(_covered(groups, apart), links))
 
 
+def _roads(
+    links: Sequence[SignalLink],
+    lights: Mapping[str, frozenset[str]],
+    apart: Collection[frozenset[Ends]],
+) -> list[list[SignalLink]]:
+    """Return the links of each road: those of an edge, and of edges side by side that share lights."""
+    approaches: dict[str, list[SignalLink]] = defaultdict(list)
+    for link in links:
+        approaches[link.origin[0]].append(link)
+    roads: list[list[SignalLink]] = []
+    for edge, own in approaches.items():
+        joined = own
+        for road in list(roads):
+            shared = any(
+                lights.get(edge, frozenset()) & lights.get(link.origin[0], frozenset()) for link in road
+            )
+            if shared and not any(_parted(a, b, apart) for a in road for b in joined):
+                roads.remove(road)
+                joined = road + joined
+        roads.append(joined)
+    return sorted(roads, key=lambda road: min(link.index for link in road))
+
+
+def _parted(link: SignalLink, foe: SignalLink, apart: Collection[frozenset[Ends]]) -> bool:
+    """Return whether links of two edges can be under no light together: neither could yield to the other."""
+    crossing = foe.index in link.foes and _cosine(link, foe) < SAME_AXIS
+    return crossing or frozenset((link.ends, foe.ends)) in apart
+
+
+def _with_followers(groups: Sequence[Group]) -> list[Group]:
+    """Return the groups of one road, those in conflict with nobody as followers of the others, if there are any."""
+    free = [not any(link.foes for link in group.links) for group in groups]
+    return [
+        replace(group, follows=is_free and not all(free)) for group, is_free in zip(groups, free, strict=True)
+    ]
+
+
 def _guessed(links: Sequence[SignalLink], lefthand: bool) -> set[Lamp]:
     """Return a circular lamp and, where the turn across oncoming traffic has lanes of its own, an arrow."""
-    across = {link.origin[1] for link in links if link.direction is ACROSS[lefthand]}
-    others = {link.origin[1] for link in links if link.direction is not ACROSS[lefthand]}
+    across = {link.origin for link in links if link.direction is ACROSS[lefthand]}
+    others = {link.origin for link in links if link.direction is not ACROSS[lefthand]}
     arrow = Lamp(frozenset({ACROSS[lefthand]}), protected=True)
     return {CIRCULAR, arrow} if across and others and not across & others else {CIRCULAR}
 
 
-def _groups(links: Sequence[SignalLink], lamps: Collection[Lamp]) -> list[Group]:
+def _groups(links: Sequence[SignalLink], lamps: Collection[Lamp], road: int) -> list[Group]:
     """Return the group of each lamp; links that no lamp governs are under a circular one."""
     arrows = [lamp for lamp in lamps if lamp.protected]
     governed, circular, held = (
@@ -90,18 +135,20 @@ def _groups(links: Sequence[SignalLink], lamps: Collection[Lamp]) -> list[Group]
     for lamp in (Lamp(permitted, protected=False), *ordered):
         own = tuple(link for link in links if link.direction in lamp.directions)
         if own:
-            groups.append(Group(own, lamp.protected))
+            groups.append(Group(own, lamp.protected, road))
     return groups
 
 
 def _covered(groups: Sequence[Group], apart: Collection[frozenset[Ends]]) -> list[Stage]:
     """Return stages of groups that go together, each begun by the first group that has not had green."""
     result: list[Stage] = []
-    waiting = list(groups)
+    waiting = sorted(groups, key=attrgetter("follows"))
     while waiting:
         chosen = [waiting[0]]
-        for group in (*waiting[1:], *(g for g in groups if g not in waiting)):
-            if all(_go_together(group, other, apart) for other in chosen):
+        others = (*waiting[1:], *(group for group in groups if group not in waiting))
+        for group in sorted(others, key=attrgetter("follows")):  # stable
+            in_company = not group.follows or any(group.road == other.road for other in chosen)
+            if in_company and all(_go_together(group, other, apart) for other in chosen):
                 chosen.append(group)
         waiting = [group for group in waiting if group not in chosen]
         result.append(frozenset[int]().union(*(group.indices for group in chosen)))
@@ -134,12 +181,12 @@ def _in_order(all_stages: Sequence[Stage]) -> list[Stage]:
 
 
 def _go_together(one: Group, other: Group, apart: Collection[frozenset[Ends]]) -> bool:
-    same_approach = one.links[0].origin[0] == other.links[0].origin[0]
+    same_road = one.road == other.road
     for link in one.links:
         for foe in other.links:
             if frozenset((link.ends, foe.ends)) in apart:
                 return False
-            if foe.index in link.foes and not same_approach and not _permitted(link, foe, one, other):
+            if foe.index in link.foes and not same_road and not _permitted(link, foe, one, other):
                 return False
     return True
 

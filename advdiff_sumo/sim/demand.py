@@ -120,10 +120,10 @@ def _trips(
     edges = [e for e in sorted(road.edges) if _drivable(road, e)]
     if not edges:
         raise NetError(road.path, "holds no lane that a car may drive", "give a net with passenger lanes")
-    lane_m = np.array([road.edges[e].length_m * len(road.edges[e].lane_ids) for e in edges])
+    lane_m = np.array([road.edges[e].length_m * car_lanes(road, e) for e in edges])
     present = int(np.clip(options.density_per_km * lane_m.sum() / 1000.0, 4, options.max_vehicles))
     sources = [e for e in road.source_edges() if _drivable(road, e)] or edges
-    capacity = np.array([road.edges[e].speed_mps * len(road.edges[e].lane_ids) for e in sources])
+    capacity = np.array([road.edges[e].speed_mps * car_lanes(road, e) for e in sources])
     inflow = max(int(present * duration_s / _MEAN_TRIP_S), 1)
     starts = [(edges[k], 0.0, True) for k in rng.choice(len(edges), present, p=lane_m / lane_m.sum())]
     entries = rng.choice(len(sources), inflow, p=capacity / capacity.sum())
@@ -153,8 +153,12 @@ def _trip(
 
 
 def _drivable(road: RoadMap, edge_id: str) -> bool:
-    edge = road.edges[edge_id]
-    return not edge.is_internal and any(road.lanes[lane].permits("passenger") for lane in edge.lane_ids)
+    return not road.edges[edge_id].is_internal and car_lanes(road, edge_id) > 0
+
+
+def car_lanes(road: RoadMap, edge_id: str) -> int:
+    """Return how many lanes of an edge cars may use, sidewalks and lanes for bicycles or buses left aside."""
+    return sum(road.lanes[lane].permits("passenger") for lane in road.edges[edge_id].lane_ids)
 
 
 def person_types() -> Iterator[dict[str, str]]:

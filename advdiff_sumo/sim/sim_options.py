@@ -68,7 +68,7 @@ class SceneOptions(Options):
 
     Attributes:
         warmup_s: natural traffic before a scene may start.
-        density_per_km: vehicles per kilometre of lane in generated demand.
+        density_per_km: vehicles per kilometre of lane for cars in generated demand.
         max_vehicles: bound of generated demand, for large nets.
         trucks_share: share of trucks and buses in generated demand.
         pedestrians_per_km: people on foot per kilometre of sidewalk in generated demand; the net needs crossings.

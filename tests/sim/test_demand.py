@@ -18,6 +18,7 @@ from advdiff_sumo.sim.demand import write_demand
 from advdiff_sumo.sim.demand_files import read_demand
 from advdiff_sumo.sim.session import Session, SessionOptions
 from advdiff_sumo.sim.sim_options import SceneOptions
+from advdiff_sumo.sim.simulate_demand import Streets
 from tests.sim import nets
 
 SHIPPED = ("downtown", "downtown-left", "motorway")
@@ -68,6 +69,18 @@ def test_density_is_vehicles_per_kilometre_of_lane(road: RoadMap, tmp_path: Path
     bounded = SceneOptions(density_per_km=40.0, max_vehicles=12)
     path = write_demand(road, bounded, 10.0, SeedTree(1), tmp_path / "a.rou.xml")
     assert sum(v.get("departPos") == "random_free" for v in vehicles(path)) <= 12
+
+
+def test_density_counts_lanes_for_cars_alone(tmp_path: Path) -> None:
+    """Four edges of 200 m with a lane for cars beside a sidewalk and one for bicycles: 20 per km of 0.8 km are 16."""
+    nodes, edges = nets.STREET
+    beside = '><lane index="0" allow="pedestrian"/><lane index="1" allow="bicycle"/></edge>'
+    lanes = edges.replace('numLanes="2"', 'numLanes="3"').replace("/>", beside)
+    road = RoadMap.read(nets.build(tmp_path, nodes, lanes, turnarounds=True))
+    options = SceneOptions(density_per_km=20.0)
+    path = write_demand(road, options, 10.0, SeedTree(1), tmp_path / "a.rou.xml")
+    assert sum(v.get("departPos") == "random_free" for v in vehicles(path)) == pytest.approx(16, abs=1)
+    assert Streets.of(road).lane_m == pytest.approx([200.0] * 4, abs=10.0)
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])

@@ -12,6 +12,7 @@ import numpy as np
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.sim.demand import car_lanes
 from advdiff_sumo.sim.training_windows.driver_types import KINDS, DriverType, driver_types
 
 PARKED = "parked"
@@ -28,7 +29,7 @@ _PARKED_GROUPS_PER_KM, _NEXT_PARKED = 7.0, 0.65
 
 @dataclass(frozen=True)
 class WeightedStreets:
-    """Edges on which cars drive, with their lanes' metres as weights."""
+    """Edges on which cars drive, with the metres of their lanes for cars as weights."""
 
     ids: tuple[str, ...]
     lane_m: tuple[float, ...]
@@ -40,12 +41,10 @@ class WeightedStreets:
         Raises:
             NetError: there is none.
         """
-        ids = [e for e in sorted(road.edges) if not road.edges[e].is_internal and _lane_for_cars(road, e)]
+        ids = [e for e in sorted(road.edges) if not road.edges[e].is_internal and car_lanes(road, e)]
         if not ids:
             raise NetError(road.path, "holds no lane that a car may drive", "give a net with passenger lanes")
-        return WeightedStreets(
-            tuple(ids), tuple(road.edges[e].length_m * len(road.edges[e].lane_ids) for e in ids)
-        )
+        return WeightedStreets(tuple(ids), tuple(road.edges[e].length_m * car_lanes(road, e) for e in ids))
 
 
 def write_mixed_demand(
@@ -97,7 +96,7 @@ def _trips(
     density = float(np.exp(rng.uniform(low, high)))
     present = int(np.clip(density * weights.sum() / 1000.0, 12, _MOST_VEHICLES))
     sources = [e for e in road.source_edges() if e in set(streets.ids)] or list(streets.ids)
-    capacity = np.array([road.edges[e].speed_mps * len(road.edges[e].lane_ids) for e in sources])
+    capacity = np.array([road.edges[e].speed_mps * car_lanes(road, e) for e in sources])
     inflow = max(int(present * duration_s / _MEAN_TRIP_S), 1)
     starts = [(streets.ids[k], None) for k in rng.choice(len(weights), present, p=weights / weights.sum())]
     entries = rng.choice(len(sources), inflow, p=capacity / capacity.sum())
@@ -191,7 +190,3 @@ def _standing(
     span = {"startPos": f"{at - 3.0:.2f}", "endPos": f"{at + 0.1:.2f}"}
     SubElement(vehicle, "stop", {"lane": lane, **span, "duration": "1000000", "parking": "true"})
     return vehicle
-
-
-def _lane_for_cars(road: RoadMap, edge_id: str) -> bool:
-    return any(road.lanes[lane].permits("passenger") for lane in road.edges[edge_id].lane_ids)

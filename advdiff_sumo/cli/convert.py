@@ -153,8 +153,8 @@ def _say(converted: MeasuredConversion, report: bool) -> None:
     lanes, links = figures["lanes"], figures["connections"]
     _console.print(
         f"{result.net}: {lanes['edge_lanes']} lanes in {lanes['edges']} edges hold {lanes['held']} of "
-        f"{lanes['given']} lanes and connectors of the file and {links['kept']} of its {links['given']} links "
-        f"({links['repaired']} repaired), centre lines of these off by {error['median']} m (median), "
+        f"{lanes['given']} lanes and connectors of the file and {_links_held(links)}, "
+        f"centre lines of these off by {error['median']} m (median), "
         f"{error['max']} m (largest), {len(figures['netconvert_warnings'])} kinds of netconvert warnings"
     )
     if result.streets is not None:
@@ -173,6 +173,13 @@ def _say(converted: MeasuredConversion, report: bool) -> None:
         from advdiff_sumo.maps.convert.fidelity_report import fidelity_path  # late: --help needs no plots
 
         _console.print(f"look at {fidelity_path(result.net, 'html')}", soft_wrap=True)
+
+
+def _links_held(links: dict[str, Any]) -> str:
+    """Return how many links a net holds; a file may state none, so that all are where lanes meet."""
+    if not links["given"]:
+        return f"{links['repaired']} links where lanes meet (it states none)"
+    return f"{links['kept']} of its {links['given']} links ({links['repaired']} repaired)"
 
 
 def _say_streets(streets: dict[str, Any], routability: dict[str, Any]) -> None:

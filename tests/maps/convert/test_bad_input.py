@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from small_maps import MapBuilder, two_lane_road
 
@@ -18,6 +19,8 @@ from advdiff_sumo.core.map_files import MAX_FILE_BYTES
 from advdiff_sumo.maps.convert import convert_map
 from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
 from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
+from advdiff_sumo.maps.convert.sources.source_map import StatedSizes
+from advdiff_sumo.sim.source_maps import read_source
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -99,6 +102,34 @@ def test_small_faults_are_counted_and_told(tmp_path: Path) -> None:
 def test_records_without_a_map(record: object) -> None:
     with pytest.raises(MapError, match=r"r\.pkl"):
         read_record_map(record, Path("r.pkl"))
+
+
+def test_lanes_and_links_of_a_record_that_cannot_be_used_are_stated() -> None:
+    """Lane 2 has one point: it is left out, and so are two of three links inside; the one to "far" is no link."""
+    line = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0]])
+    features = {
+        "1": {"type": "LANE_SURFACE_STREET", "polyline": line, "exit_lanes": ["2", "3"]},
+        "2": {"type": "LANE_SURFACE_STREET", "polyline": line[:1], "exit_lanes": ["3"]},
+        "3": {
+            "type": "LANE_FREEWAY",
+            "polyline": line + 50.0,
+            "entry_lanes": ["1", "2"],
+            "exit_lanes": ["far"],
+        },
+    }
+    source = read_record_map({"map_features": features}, Path("r.pkl"))
+    assert (source.stated, source.left_out) == (StatedSizes(lanes=3, links=3), ("2",))
+    assert source.links == (("1", "3"),)
+    assert source.notes == {"lane without usable centre line": 1, "link to unknown lane": 4}
+
+
+@pytest.mark.data
+def test_a_real_record_of_waymo_states_what_it_drops(adv_data: Path) -> None:
+    path = adv_data / "scenarionet" / "sd_training.tfrecord-00000-of-01000_8a346109094cd5aa.pkl"
+    source = read_source(path)
+    assert source.stated is not None
+    assert (len(source.lanes), source.stated.lanes, len(source.left_out)) == (442, 448, 6)
+    assert (len(source.links), source.stated.links) == (524, 530)
 
 
 def test_tool_exits_with_2_and_one_sentence(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -263,3 +264,19 @@ def test_command_converts(kind: str, tmp_path: Path) -> None:
     assert "hold 4 of 4 lanes and connectors of the file and 2 of its 2 links" in done.out
     figures = json.loads((tmp_path / "n.fidelity.json").read_text("utf-8"))
     assert figures["centre_line_error_m"]["net_to_source"]["median"] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_command_tells_that_a_record_states_no_links(tmp_path: Path) -> None:
+    line = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0]])
+    lanes = {
+        name: {"type": "LANE_FREEWAY", "polyline": line + np.array([start, 0.0, 0.0])}
+        for name, start in (("1", 0.0), ("2", 50.0))
+    }
+    path = tmp_path / "sd_r.pkl"
+    path.write_bytes(pickle.dumps({"map_features": lanes}))
+    done = advdiff("convert", path, "-o", tmp_path / "n.net.xml", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert (
+        "hold 2 of 2 lanes and connectors of the file and 1 links where lanes meet (it states none),"
+        in done.out
+    )

@@ -16,7 +16,7 @@ from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
 from advdiff_sumo.maps.convert.sources.bounded_lanes import as_multi
-from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceLane, SourceMap
+from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceLane, SourceMap, StatedSizes
 
 KMH_MPS = 1.0 / 3.6
 MPH_MPS = 0.44704
@@ -63,14 +63,17 @@ def read_record_map(
         raise MapError(path, "holds no lane with a centre line", "give a record with a map")
     known = {lane.token for lane in lanes}
     areas = [_area(lane) for lane in lanes]
+    links, stated = _links(rows, known, notes)
     return SourceMap(
         path=path,
         location=_location(record, path) + (_NO_PLACE if offset_m is None else ""),
         lanes=tuple(lanes),
-        links=tuple(_links(rows, known, notes)),
+        links=tuple(links),
         drivable=as_multi(shapely.union_all(areas)),
         crossings=tuple(_polygons(features, "CROSSWALK", shift)),
         walkways=tuple(_polygons(features, "SIDEWALK", shift)),
+        stated=StatedSizes(len(rows), stated),
+        left_out=tuple(name for name in rows if name not in known),
         notes=notes,
     )
 
@@ -148,17 +151,17 @@ def _area(lane: SourceLane) -> shapely.Geometry:
 
 def _links(
     rows: Mapping[str, Mapping[str, Any]], known: set[str], notes: Counter[str]
-) -> list[tuple[str, str]]:
-    links: dict[tuple[str, str], None] = {}
+) -> tuple[list[tuple[str, str]], int]:
+    """Return each usable link once, whichever side states it, and how many are stated between lanes of the record."""
+    stated: dict[tuple[str, str], None] = {}
     for name, row in rows.items():
         pairs = [(str(other), name) for other in row.get("entry_lanes") or []]
         pairs += [(name, str(other)) for other in row.get("exit_lanes") or []]
-        for pair in pairs:
-            if pair[0] in known and pair[1] in known:
-                links[pair] = None
-            else:
-                notes["link to unknown lane"] += 1
-    return list(links)
+        stated.update(dict.fromkeys(pairs))
+        if strange := sum(not known.issuperset(pair) for pair in pairs):
+            notes["link to unknown lane"] += strange
+    inside = [pair for pair in stated if rows.keys() >= set(pair)]
+    return [pair for pair in inside if known.issuperset(pair)], len(inside)
 
 
 def _polygons(features: Mapping[str, Any], kind: str, shift: FloatArray) -> list[Polygon]:

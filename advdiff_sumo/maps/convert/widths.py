@@ -11,7 +11,7 @@ from advdiff_sumo.maps.convert import polyline
 
 REACH_M = 8.0  # a lane edge farther from the centre line than this is no lane edge
 DEFAULT_WIDTH_M = 3.5
-NARROWEST_M, WIDEST_M = 1.0, 12.0
+NARROWEST_M, WIDEST_M = 1.0, 12.0  # what is narrower is no width; what is wider counts as that
 
 
 def width_profile(centre_m: FloatArray, polygon: Polygon | None, step_m: float = 4.0) -> FloatArray:
@@ -30,8 +30,8 @@ def width_profile(centre_m: FloatArray, polygon: Polygon | None, step_m: float =
     rays = shapely.linestrings(np.stack((points - normal, points + normal), axis=1))
     inside = np.asarray(shapely.intersection(rays, polygon), dtype=object)
     widths = np.array([_through(part, point) for part, point in zip(inside, points, strict=True)])
-    good = (widths >= NARROWEST_M) & (widths <= WIDEST_M)
-    return np.stack((s[good], widths[good]), axis=-1)
+    good = widths >= NARROWEST_M
+    return np.stack((s[good], np.minimum(widths[good], WIDEST_M)), axis=-1)
 
 
 def _through(chords: shapely.Geometry, point: FloatArray) -> float:

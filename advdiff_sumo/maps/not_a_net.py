@@ -19,7 +19,7 @@ _JSON_MAPS = (
 )
 _XML_MAPS = {b"OpenDRIVE": "an OpenDRIVE map", b"commonRoad": "a CommonRoad scenario"}
 _ENDINGS = (".gz", ".xml", ".json", ".pkl", ".osm", ".xodr", ".gpkg")
-_EXTRACT = "an OpenStreetMap extract"
+EXTRACT = "an OpenStreetMap extract"
 _BY_ENDING = {".pkl": "a ScenarioNet record", ".gpkg": "a nuPlan map"}
 
 
@@ -32,11 +32,17 @@ def map_error(path: Path) -> NetError | None:
     kind = _kind(path)
     if kind is None:
         return None
-    given, net = shlex.quote(str(path)), shlex.quote(f"{map_name(path)}.net.xml")
-    command = f"advdiff-sumo convert {given} -o {net}"
-    if kind == _EXTRACT:
-        command = f"netconvert --osm-files {given} -o {net}"
+    command = extract_command(path) if kind == EXTRACT else f"advdiff-sumo convert {_given_and_net(path)}"
     return NetError(path, f"is {kind}, not a SUMO net", f"make a net of it: {command}")
+
+
+def extract_command(path: Path) -> str:
+    """Return the command that makes a net of an OpenStreetMap extract."""
+    return f"netconvert --osm-files {_given_and_net(path)}"
+
+
+def _given_and_net(path: Path) -> str:
+    return f"{shlex.quote(str(path))} -o {shlex.quote(f'{map_name(path)}.net.xml')}"
 
 
 def folder_error(path: Path) -> NetError:
@@ -62,7 +68,7 @@ def _kind(path: Path) -> str | None:
         return next((kind for mark, kind in _JSON_MAPS if mark in content), None)
     root = _ROOT.search(content[:_HEAD_BYTES])
     if root is not None and root[1] == b"osm":
-        return "a Lanelet2 map" if _LANELET.search(content) else _EXTRACT
+        return "a Lanelet2 map" if _LANELET.search(content) else EXTRACT
     return None if root is None else _XML_MAPS.get(root[1])
 
 

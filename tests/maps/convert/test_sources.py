@@ -243,6 +243,29 @@ def test_unknown_formats(name: str, tmp_path: Path) -> None:
         read_map(path)
 
 
+@pytest.mark.parametrize(
+    ("tag", "words"),
+    [
+        (
+            '<tag k="highway" v="residential"/>',
+            ("an OpenStreetMap extract", "netconvert --osm-files", "--osm beside"),
+        ),
+        (
+            '<tag k="type" v="line_thin"/>',
+            ("holds no relation of type lanelet", "give an unchanged Lanelet2 map"),
+        ),
+    ],
+)
+def test_an_extract_of_openstreetmap_is_no_map_with_lanes(
+    tag: str, words: tuple[str, ...], tmp_path: Path
+) -> None:
+    nodes = '<node id="1" lat="42.35" lon="-71.05"/><node id="2" lat="42.351" lon="-71.05"/>'
+    path = tmp_path / "my town.osm"
+    path.write_text(f'<osm>{nodes}<way id="3"><nd ref="1"/><nd ref="2"/>{tag}</way></osm>', encoding="utf-8")
+    with pytest.raises(MapError, match=".*".join(("my town.osm", *words))):
+        read_map(path)
+
+
 @pytest.mark.data
 @pytest.mark.parametrize("name", GENUINE)
 def test_genuine_files_are_exact_and_complete(name: str, adv_data: Path, tmp_path: Path) -> None:

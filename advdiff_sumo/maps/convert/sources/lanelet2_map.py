@@ -38,6 +38,7 @@ from advdiff_sumo.maps.convert.sources.source_map import (
     StatedSizes,
     StopLine,
 )
+from advdiff_sumo.maps.not_a_net import EXTRACT, extract_command
 
 REMEDY = "give an unchanged Lanelet2 map (.osm)"
 USES = {"road": LaneUse.CAR, "highway": LaneUse.CAR, "play_street": LaneUse.CAR, "bus_lane": LaneUse.BUS}
@@ -74,6 +75,9 @@ def lanelet2_map(root: Element, path: Path) -> SourceMap:
     """
     relations = [_relation(row) for row in root.iterfind("relation")]
     lanelets = [row for row in relations if row.tags.get("type") == "lanelet"]
+    if not lanelets and root.tag == "osm" and root.find("way/tag[@k='highway']") is not None:
+        remedy = f"make a net of it: {extract_command(path)}; or give it with --osm beside an HD map"
+        raise MapError(path, f"is {EXTRACT}, no Lanelet2 map", remedy)
     if root.tag != "osm" or not lanelets:
         raise MapError(path, "holds no relation of type lanelet, so it is no Lanelet2 map", REMEDY)
     faults = MapFaults(path)

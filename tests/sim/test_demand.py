@@ -18,7 +18,7 @@ from advdiff_sumo.sim.demand import write_demand
 from advdiff_sumo.sim.demand_files import read_demand
 from advdiff_sumo.sim.session import Session, SessionOptions
 from advdiff_sumo.sim.sim_options import SceneOptions
-from advdiff_sumo.sim.simulate_demand import Streets
+from advdiff_sumo.sim.training_windows.mixed_demand import WeightedStreets
 from tests.sim import nets
 
 SHIPPED = ("downtown", "downtown-left", "motorway")
@@ -80,7 +80,7 @@ def test_density_counts_lanes_for_cars_alone(tmp_path: Path) -> None:
     options = SceneOptions(density_per_km=20.0)
     path = write_demand(road, options, 10.0, SeedTree(1), tmp_path / "a.rou.xml")
     assert sum(v.get("departPos") == "random_free" for v in vehicles(path)) == pytest.approx(16, abs=1)
-    assert Streets.of(road).lane_m == pytest.approx([200.0] * 4, abs=10.0)
+    assert WeightedStreets.of(road).lane_m == pytest.approx([200.0] * 4, abs=10.0)
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])

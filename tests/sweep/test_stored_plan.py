@@ -9,7 +9,7 @@ import pytest
 
 from advdiff_sumo.core.errors import ConfigError, UnknownNameError
 from advdiff_sumo.experiments.folder_rows import rows_of_folder
-from advdiff_sumo.experiments.judge_folder import open_folder
+from advdiff_sumo.experiments.judge_folder import open_judging
 from advdiff_sumo.sweep.job_plan import plan_sweep
 from advdiff_sumo.sweep.rounds import stored_plan
 from advdiff_sumo.sweep.spec import SweepSpec
@@ -24,7 +24,7 @@ def test_a_sweep_whose_planner_cannot_be_imported(
     monkeypatch.delitem(sys.modules, "sick_planners")
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry != str(place)])
     assert [row["target"] for row in rows_of_folder(store.path).episodes] == ["sick_planners:Coasts"] * 2
-    assert open_folder(store.path).doubt == ""  # its verdicts go into its episodes, too, not its tables alone
+    assert open_judging(store.path).doubt == ""  # its verdicts go into its episodes, too, not its tables alone
     with pytest.raises(ConfigError, match="'sick_planners:Coasts' cannot be imported"):
         stored_plan(store, drives=True)
 

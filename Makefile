@@ -5,7 +5,7 @@ PIP := $(BIN)/pip install --disable-pip-version-check --progress-bar on
 # more than two at a time take no less on two cores
 TESTS := $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 15 --quiet
 
-.PHONY: install setup demo test test-all readers planners lint check docs proto package bench soak weights clean
+.PHONY: install setup demo test test-ci test-all readers planners lint check docs proto package bench soak weights clean
 
 # what running needs: PyTorch, SUMO and the libraries around them
 install: .venv/.installed
@@ -42,7 +42,11 @@ demo: install
 test: setup
 	$(TESTS) -m "not slow"
 
-# all there is
+# those and the slow ones, as continuous integration runs them: all but further maps, seeds and policies
+test-ci: setup
+	$(TESTS) -m "not nightly"
+
+# all there is; before a release, or every night
 test-all: setup
 	$(TESTS)
 

@@ -70,9 +70,12 @@ def test_a_bench_that_was_killed_goes_on_and_ends_with_the_same_bytes(scenes: Pa
     assert "belongs to bench adversarial; choose another --out" in wrong.err
 
 
+SHORT = ("--horizon", "3", "--workers", "2")
+
+
 @pytest.mark.slow
 def test_fewshot_and_transfer(pair: Path, tmp_path: Path) -> None:
-    small = ("--scenes", pair, "--horizon", "3", "--workers", "2")
+    small = ("--scenes", pair, *SHORT)
     done = advdiff(
         "bench",
         "fewshot",
@@ -106,8 +109,12 @@ def test_fewshot_and_transfer(pair: Path, tmp_path: Path) -> None:
         f"{t}:{c}" for t in ("lane_graph", "IDM") for c in ("av_rate", "bv_rate")
     }
 
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_transfer_under_a_licence(pair: Path, tmp_path: Path) -> None:
     lawful = advdiff(
-        *("bench", "transfer", *small, "--policies", "diffusion", "--targets", "IDM"),
+        *("bench", "transfer", "--scenes", pair, *SHORT, "--policies", "diffusion", "--targets", "IDM"),
         *("--steps", "4", "--licence", "lawful", "--out", "lawful"),
         cwd=tmp_path,
     )

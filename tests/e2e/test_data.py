@@ -62,6 +62,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
     assert everything(tmp_path) == before
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_windows_of_the_far_view_need_networks_that_see_as_far(tmp_path: Path) -> None:
     words = ("data", "simulate", "--out", "w", "--windows", 4, "--net", "motorway", "--random-share", 0)

@@ -112,6 +112,7 @@ def test_a_target_that_leaves_the_road_needs_no_attack(tmp_path: Path) -> None:
     assert "<td>–</td><td>1 m/s² (not with who attacks)</td>" in page
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_all_kinds_of_attack_in_one_scene(tmp_path: Path) -> None:
     done = advdiff("margin", *SCENE, "--attack", "all", "--out", "m", cwd=tmp_path)

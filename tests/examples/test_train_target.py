@@ -43,6 +43,7 @@ def test_a_mean_and_its_interval_by_hand(example: ModuleType, ended: Callable[..
     assert half == pytest.approx(1.96 * (14.0 / 3.0) ** 0.5 / 2.0)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_tiny_training_leaves_policy_tables_and_curve(tmp_path: Path) -> None:
     words = ("--steps", "64", "--workers", "2", "--net", "motorway", "--evaluate", "2", "--out", "out")

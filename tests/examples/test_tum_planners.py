@@ -205,7 +205,7 @@ def installed(name: str) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["frenetix", "reactive"])
+@pytest.mark.parametrize("name", ["frenetix", pytest.param("reactive", marks=pytest.mark.nightly)])
 def test_the_planners_drive_and_repeat_themselves(name: str, tmp_path: Path) -> None:
     target = f"exec:{installed(name)} {FOLDER / name}_server.py"
     driven = driven_twice(target, 6, "--set", "target_options.plan_timeout_s=60", folder=tmp_path)

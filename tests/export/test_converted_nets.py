@@ -26,7 +26,10 @@ from tests.export.outside import CommonRoadReader, netconverted, played, quality
 
 FORMATS = tuple(EXPORTERS.builtins)
 TTC_STEPS = (0, 5, 10, 20)
-CONVERTED = ("singapore-onenorth", "boston-seaport")  # left-hand; right-hand
+CONVERTED = {
+    "singapore-onenorth": [pytest.mark.data, pytest.mark.slow],  # left-hand
+    "boston-seaport": [pytest.mark.data, pytest.mark.slow, pytest.mark.nightly],  # right-hand
+}
 SHIPPED = ("motorway", "downtown-left")
 
 
@@ -46,7 +49,7 @@ class Place:
 @pytest.fixture(
     scope="module",
     params=[
-        *(pytest.param(name, marks=[pytest.mark.data, pytest.mark.slow]) for name in CONVERTED),
+        *(pytest.param(name, marks=marks) for name, marks in CONVERTED.items()),
         *SHIPPED,
     ],
 )

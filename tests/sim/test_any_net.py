@@ -114,8 +114,14 @@ def test_natural_traffic_on_some_nets(names: set[str], seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("background", ["sumo", "replay", "diffusion", "scripted"])
-@pytest.mark.parametrize("target", ["IDM", "lane_graph"])
+@pytest.mark.parametrize(
+    ("target", "background"),
+    [
+        *(("IDM", "sumo"), ("IDM", "diffusion"), ("lane_graph", "replay"), ("lane_graph", "scripted")),
+        *(pytest.param("IDM", name, marks=pytest.mark.nightly) for name in ("replay", "scripted")),
+        *(pytest.param("lane_graph", name, marks=pytest.mark.nightly) for name in ("sumo", "diffusion")),
+    ],
+)
 @THOROUGH
 @given(names=SOME, seed=st.integers(0, 99))
 @example(names={"bends", "left hand", "reversed roundabout", "sidewalks"}, seed=7)

@@ -75,8 +75,8 @@ def same(first: EpisodeRecord, second: EpisodeRecord) -> bool:
         ("scripted", {}),
         ("diffusion", {}),
         ("diffusion", {"licence": "reckless"}),
-        ("strive", SEARCHES),
-        ("advsim", SEARCHES),
+        pytest.param("strive", SEARCHES, marks=pytest.mark.nightly),
+        pytest.param("advsim", SEARCHES, marks=pytest.mark.nightly),
         ("adv-rl", {}),
     ],
 )

@@ -24,7 +24,9 @@ def test_a_sweep_whose_planner_cannot_be_imported(
     monkeypatch.delitem(sys.modules, "sick_planners")
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry != str(place)])
     assert [row["target"] for row in rows_of_folder(store.path).episodes] == ["sick_planners:Coasts"] * 2
-    assert open_judging(store.path).doubt == ""  # its verdicts go into its episodes, too, not its tables alone
+    assert (
+        open_judging(store.path).doubt == ""
+    )  # its verdicts go into its episodes, too, not its tables alone
     with pytest.raises(ConfigError, match="'sick_planners:Coasts' cannot be imported"):
         stored_plan(store, drives=True)
 

@@ -22,8 +22,8 @@ MAPS = (
     "argoverse2/log_map_archive_3b3570b4-7b0b-3268-a571-b0889dbf40b6____MIA_city_47894.json",
     "argoverse2/log_map_archive_adcf7d18-0510-35b0-a2fa-b4cea13a6d76____PIT_city_57819.json",
     "nuscenes-mini/maps/expansion/singapore-onenorth.json",
-    "nuscenes-mini/maps/expansion/singapore-queenstown.json",
-    "nuscenes-mini/maps/expansion/singapore-hollandvillage.json",
+    pytest.param("nuscenes-mini/maps/expansion/singapore-queenstown.json", marks=pytest.mark.nightly),
+    pytest.param("nuscenes-mini/maps/expansion/singapore-hollandvillage.json", marks=pytest.mark.nightly),
     "nuscenes-mini/maps/expansion/boston-seaport.json",
 )
 BARS = ("teleports", "collisions_sumo", "collisions_boxes")
@@ -57,7 +57,7 @@ def test_nobody_collides_on_a_city_in_formats_without_genuine_files(
     assert figures["arrived"] >= 250
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (2, 3))])
 def test_ways_that_cross_twice_are_parted_by_edges(seed: int, adv_data: Path, tmp_path: Path) -> None:
     """Ways of the square in Pula are up to 67 m long and would cross each other twice: SUMO's drivers see one."""
     source = read_map(adv_data / "commonroad/HRV_Pula-27_3_T-1.xml.gz")

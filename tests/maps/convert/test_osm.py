@@ -385,7 +385,14 @@ def test_genuine_streets_around_a_genuine_map(adv_data: Path, tmp_path: Path) ->
 
 @pytest.mark.data
 @pytest.mark.slow
-@pytest.mark.parametrize(("place", "seeds"), [("singapore-onenorth", (1, 2, 3)), ("boston-seaport", (1,))])
+@pytest.mark.parametrize(
+    ("place", "seeds"),
+    [
+        ("singapore-onenorth", (1,)),
+        pytest.param("singapore-onenorth", (2, 3), marks=pytest.mark.nightly),
+        pytest.param("boston-seaport", (1,), marks=pytest.mark.nightly),
+    ],
+)
 def test_nobody_collides_with_streets_and_return_edges(
     place: str, seeds: tuple[int, ...], adv_data: Path, tmp_path: Path
 ) -> None:

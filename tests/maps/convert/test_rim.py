@@ -171,16 +171,16 @@ def test_lanes_that_end_or_begin_at_a_light_inside_the_map_stay_open(open_lane: 
 
 PLACES = [
     ("singapore-onenorth", (1, 2, 3)),
-    ("singapore-queenstown", (1,)),
-    ("singapore-hollandvillage", (1,)),
-    ("boston-seaport", (1,)),
+    pytest.param("singapore-queenstown", (1,), marks=pytest.mark.nightly),
+    pytest.param("singapore-hollandvillage", (1,), marks=pytest.mark.nightly),
+    pytest.param("boston-seaport", (1,), marks=pytest.mark.nightly),
 ]
 """Maps, and seeds of the traffic: an hour on the large ones takes long."""
 
 
 @pytest.mark.data
 @pytest.mark.slow
-@pytest.mark.parametrize(("place", "seeds"), PLACES, ids=[place for place, _ in PLACES])
+@pytest.mark.parametrize(("place", "seeds"), PLACES)
 def test_genuine_maps_are_connected_and_nobody_collides(
     place: str, seeds: tuple[int, ...], adv_data: Path, tmp_path: Path
 ) -> None:

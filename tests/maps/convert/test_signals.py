@@ -248,7 +248,13 @@ def test_a_net_that_the_tools_refuse_is_one_sentence(tmp_path: Path) -> None:
 
 @pytest.mark.data
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "least"), LEAST_SIGNALS.items())
+@pytest.mark.parametrize(
+    ("name", "least"),
+    [
+        pytest.param(name, least, marks=[pytest.mark.nightly] if least > 10 else [])
+        for name, least in LEAST_SIGNALS.items()
+    ],
+)
 def test_real_maps_with_crossings(name: str, least: int, adv_data: Path, tmp_path: Path) -> None:
     """Without crossings: ``test_hour``."""
     source = read_map(adv_data / name)

@@ -136,6 +136,7 @@ def test_net_holds_what_pyxodr_sees_of_an_opendrive_file(tmp_path: Path) -> None
     check_opendrive(small_sources.write("argoverse2", tmp_path), tmp_path)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.data
 def test_net_holds_what_pyxodr_sees_of_a_city_as_opendrive(adv_data: Path, tmp_path: Path) -> None:

@@ -180,6 +180,7 @@ def moved(net: str, by_m: float) -> str:
     return re.sub(r'shape="([^"]*)"', shifted, net)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.data
 def test_every_real_record_gives_windows(adv_data: Path, tmp_path: Path) -> None:

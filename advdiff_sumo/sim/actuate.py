@@ -119,6 +119,7 @@ class Actuator:
         try:
             self.api.route.add(f"insert:{name}", [self.road.edge_of(pose.lane_id)])
             self.api.vehicle.add(name, f"insert:{name}", typeID=type_id, depart="now", departPos="base")
+            self._set_size(name, row)
             # keepRoute 0 before it departs would give it this route again and again, whatever setRoute says
             self.api.vehicle.moveToXY(
                 name, "", -1, *front.tolist(), angle=float(sumo_from_yaw(along)), keepRoute=_ON_ROUTE
@@ -128,6 +129,12 @@ class Actuator:
             raise NotInsertedError(f"SUMO refuses to insert '{name}': {error}") from error
         self.moved[row] = MovedVehicle(1.0, _FREE_MAX_SPEED, inserted=False)
         self.outside.discard(row)
+
+    def _set_size(self, name: str, row: int) -> None:
+        """Give *name* its own size in place of its type's, by which SUMO knows where its rear is."""
+        length, width = self.world.size_m[row].tolist()
+        self.api.vehicle.setLength(name, length)
+        self.api.vehicle.setWidth(name, width)
 
     def try_insert(self, row: int, type_id: str) -> None:
         """Bring *row* into SUMO, or note that SUMO refuses it and move it outside."""

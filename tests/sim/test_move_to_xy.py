@@ -324,6 +324,26 @@ def test_the_actuator_inserts_on_a_lane_first_and_takes_out_who_is_on_none(
         assert s.api.vehicle.getIDList() == ()
 
 
+def test_who_is_inserted_has_its_own_size_for_those_behind(street: Path) -> None:
+    """A lorry of 12 m about x = 150 ends at 144, 44 m ahead of a front at 100; its type would end it at 151."""
+    with stage(street) as s:
+        s.add("behind", EASTBOUND, at=100)
+        s.session.step()
+        actuator = actuator_on(s, street)
+        row = actuator.world.add("lorry", 1, 12.0, 2.5)
+        actuator.world.set_state(
+            np.array([row]), np.array([[150.0, -4.8]]), np.array([EAST]), np.array([0.0]), Controller.POLICY
+        )
+        actuator.insert(row, "car")
+        for _ in range(2):
+            move(actuator, s, row, (150.0, -4.8), EAST)
+        assert (s.api.vehicle.getLength("lorry"), s.api.vehicle.getWidth("lorry")) == (12.0, 2.5)
+        front = s.api.vehicle.getPosition("behind")[0]
+        leader, gap = s.api.vehicle.getLeader("behind")
+        assert leader == "lorry"
+        assert front + gap + s.api.vehicle.getMinGap("behind") == pytest.approx(144.0)
+
+
 def test_sumo_drives_whom_it_loses_for_one_step(street: Path) -> None:
     """Removed straight after a move, a vehicle may stay in the lane beside its own as one that reaches into it."""
     with stage(street) as s:

@@ -1,8 +1,8 @@
-"""Array types, so that signatures say what they hold, and a division that they share."""
+"""Array types, so that signatures say what they hold, and what they share: a division, and arrays nobody changes."""
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 FloatArray: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 IntArray: TypeAlias = NDArray[np.int64]
+_Array = TypeVar("_Array", bound=NDArray[np.generic])
 
 
 def quotient(value: FloatArray, rate: FloatArray) -> FloatArray:
@@ -17,3 +18,9 @@ def quotient(value: FloatArray, rate: FloatArray) -> FloatArray:
     some = rate > 0.0
     with np.errstate(over="ignore"):
         return np.asarray(np.where(some, value / np.where(some, rate, 1.0), np.inf))
+
+
+def read_only(array: _Array) -> _Array:
+    """Return *array* itself, which nobody can write into from now on: many share it."""
+    array.setflags(write=False)
+    return array

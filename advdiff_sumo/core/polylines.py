@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray, read_only
 from advdiff_sumo.core.frames import wrap_angle
 
 SAME_POINT_M = 1e-9
@@ -25,7 +25,7 @@ _MITRE_LIMIT = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Polyline:
-    """A line through P distinct points; build it with :meth:`of`.
+    """A line through P distinct points; build it with :meth:`of`. Its arrays are read-only.
 
     Attributes:
         xy_m: (P, 2) points, P ≥ 2.
@@ -34,6 +34,10 @@ class Polyline:
 
     xy_m: FloatArray
     s_m: FloatArray
+
+    def __post_init__(self) -> None:
+        read_only(self.xy_m)
+        read_only(self.s_m)
 
     @staticmethod
     def of(xy_m: FloatArray) -> Polyline:
@@ -63,12 +67,12 @@ class Polyline:
     def tangents(self) -> FloatArray:
         """(P − 1, 2) unit vectors along the segments."""
         delta = self.xy_m[1:] - self.xy_m[:-1]
-        return np.asarray(delta / np.hypot(delta[:, :1], delta[:, 1:]))
+        return read_only(np.asarray(delta / np.hypot(delta[:, :1], delta[:, 1:])))
 
     @cached_property
     def segment_yaw_rad(self) -> FloatArray:
         """(P − 1,) headings of the segments."""
-        return np.arctan2(self.tangents[:, 1], self.tangents[:, 0])
+        return read_only(np.arctan2(self.tangents[:, 1], self.tangents[:, 0]))
 
     @cached_property
     def curvature_1pm(self) -> FloatArray:

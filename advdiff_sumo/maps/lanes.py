@@ -1,4 +1,4 @@
-"""The values a road map is made of: lanes, links, edges, junctions, poses on lanes."""
+"""The values a road map is made of: lanes, links, edges, junctions, poses on lanes; arrays are read-only."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import cached_property
 
 from sumolib.net.lane import SUMO_ROAD_MOTOR_CLASSES
 
-from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.arrays import FloatArray, read_only
 from advdiff_sumo.core.polylines import Polyline
 
 
@@ -95,6 +95,9 @@ class Lane:
     right_id: str | None
     successors: tuple[Link, ...]
 
+    def __post_init__(self) -> None:
+        read_only(self.centre_xy_m)
+
     def permits(self, vclass: str | None) -> bool:
         """Return whether *vclass* may drive here; None asks for any road motor vehicle."""
         if vclass is None:
@@ -160,6 +163,10 @@ class Junction:
     foes: Mapping[int, frozenset[int]]
     response: Mapping[int, frozenset[int]]
     incoming_lanes: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        read_only(self.xy_m)
+        read_only(self.shape_xy_m)
 
     def yields_to(self, link: Link) -> frozenset[int]:
         """Return the requests that who takes *link* must yield to by the net's rows; signals may say otherwise."""

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from defusedxml.ElementTree import parse as parse_xml
 
-from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.arrays import FloatArray, read_only
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP_PROBLEM, GZIP_REMEDY, unpacked
 from advdiff_sumo.core.xml_errors import UNREADABLE_XML
@@ -88,7 +88,7 @@ def read_raw_net(path: Path) -> RawNet:
         if edge.get("function", "") in _KEPT_FUNCTIONS and lane is not None:
             edges[edge.get("id", "")] = edge
         elif edge.get("function") in ("crossing", "walkingarea") and lane is not None:
-            pedestrian[edge.get("id", "")] = shape_of(lane)
+            pedestrian[edge.get("id", "")] = read_only(shape_of(lane))
     known = edges.keys() | beyond
     counted = [c for c in root.iterfind("connection") if c.get("from") in known and c.get("to") in known]
     return RawNet(

@@ -91,6 +91,10 @@ class PieceTable:
     signal_links: tuple[tuple[str, int], ...]
     limits: ViewLimits = VIEWS["near"]
 
+    def __post_init__(self) -> None:
+        for array in (self.xy_m, self.features, self.signal):
+            array.setflags(write=False)
+
     def rows_near(self, xy_m: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray) -> NDArray[np.int32]:
         """Return the pieces (S, K) that agents see, −1 padded.
 

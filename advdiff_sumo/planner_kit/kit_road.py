@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.arrays import FloatArray, read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class KitLink:
 
 @dataclass(frozen=True, eq=False)
 class KitRoad:
-    """A net as plain values.
+    """A net as plain values; its arrays are read-only.
 
     Attributes:
         net_path: the net file on the machine that simulates.
@@ -122,6 +122,6 @@ def _link(link: Any) -> KitLink:
 
 
 def _ring(message: Any) -> FloatArray:
-    return np.stack(
-        (np.array(message.x_m, dtype=np.float64), np.array(message.y_m, dtype=np.float64)), axis=-1
+    return read_only(
+        np.stack((np.array(message.x_m, dtype=np.float64), np.array(message.y_m, dtype=np.float64)), axis=-1)
     )

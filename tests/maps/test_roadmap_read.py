@@ -54,6 +54,18 @@ def test_what_leads_beyond_the_rim_counts_in_the_right_of_way(cross, tmp_path: P
         assert link.request_index == whole.links[pair].request_index, pair
 
 
+def test_nobody_can_write_into_the_map_that_all_share(cross):
+    road = RoadMap.read(cross)
+    lane, junction = road.lanes["WC_0"], road.junctions["C"]
+    line, pieces = lane.line, road.pieces()
+    arrays = [lane.centre_xy_m, line.xy_m, line.s_m, line.tangents, line.segment_yaw_rad]
+    arrays += [junction.xy_m, junction.shape_xy_m, pieces.xy_m, pieces.features]
+    for array in arrays:
+        with pytest.raises(ValueError, match="read-only"):
+            array -= 1.0
+    np.testing.assert_allclose(lane.centre_xy_m, [[-100.0, -4.8], [-7.2, -4.8]])
+
+
 def test_left_hand_neighbours(cross_left):
     road = RoadMap.read(cross_left)
     assert road.lefthand

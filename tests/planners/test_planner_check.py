@@ -117,6 +117,25 @@ def test_a_broken_contract_is_named(
     assert words in "; ".join(check_planner(Broken(make), crossing(), scene))
 
 
+class WritesIntoMap(Broken):
+    """Takes a lane into its own frame, in place."""
+
+    def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> Any:
+        points = road.lanes["west_in_0"].centre_xy_m
+        points -= scene.history.xy_m[0, -1]
+        return super().plan(road, scene, memory, rng)
+
+
+def test_who_writes_into_the_map_that_all_share_is_told(
+    crossing: Callable[..., RoadMap], scene: Scene
+) -> None:
+    road = crossing()
+    before = road.lanes["west_in_0"].centre_xy_m.tobytes()
+    told = check_planner(WritesIntoMap(lambda s, _n, _r: (straight(s), None)), road, scene)
+    assert "read-only" in "; ".join(told)
+    assert road.lanes["west_in_0"].centre_xy_m.tobytes() == before
+
+
 def test_missing_methods(crossing: Callable[..., RoadMap], scene: Scene) -> None:
     assert check_planner(object(), crossing(), scene) == [  # type: ignore[arg-type] # on purpose
         "it has no method start",

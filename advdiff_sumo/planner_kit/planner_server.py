@@ -195,7 +195,7 @@ def _answering(call: Callable[[Any], Any]) -> Callable[[Any, Any], Any]:
             _leave(error)
         except _NoPlanError as error:
             _refuse(context, grpc.StatusCode.INVALID_ARGUMENT, str(error))
-        except Exception as error:  # noqa: BLE001 - a planner may raise anything, and the caller is to know
+        except BaseException as error:  # noqa: BLE001 - a planner may raise anything, and the caller is to know
             if lacks_memory(error):
                 _refuse(context, grpc.StatusCode.RESOURCE_EXHAUSTED, f"out of memory {error}".strip())
             _refuse(context, grpc.StatusCode.INTERNAL, f"{type(error).__name__}: {error}")

@@ -170,6 +170,7 @@ class PlannerDrive:
     def _find_place(self) -> None:
         """Drop the edges that lie behind, and notice the end of the route and whether this is off it."""
         self._off_route = None
+        self._left_m = np.inf
         pose = self.road.locate(
             self.world.xy_m[self.row], float(self.world.yaw_rad[self.row]), route=self.route
         )

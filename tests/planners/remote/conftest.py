@@ -28,6 +28,10 @@ from advdiff_sumo.planner_kit import Controls, serve
 CHILD = "import time; time.sleep(600)"
 
 
+class PanicException(BaseException):
+    """As that of pyo3 is."""
+
+
 class Faulty:
     """Accelerates by a number that it draws and by the lanes that it knows; has the fault that its word names."""
 
@@ -53,6 +57,12 @@ class Faulty:
 
     def raises(self, accel):
         raise RuntimeError("out of ideas")
+
+    def panics(self, accel):
+        raise PanicException("called unwrap() on a None value")
+
+    def interrupts(self, accel):
+        raise KeyboardInterrupt("by itself")
 
     def eats(self, accel):
         raise MemoryError("too much")

@@ -126,6 +126,8 @@ def test_our_own_planner_plans_the_same_in_a_process_of_its_own(road: RoadMap, s
     ("fault", "kind", "words", "trace"),
     [
         ("raises", PlannerError, "raised RuntimeError: out of ideas", "in raises"),
+        ("panics", PlannerError, "raised PanicException: called unwrap\\(\\) on a None value", "in panics"),
+        ("interrupts", PlannerError, "raised KeyboardInterrupt: by itself", "in interrupts"),
         ("returns", PlanRefusedError, "plan\\(\\) returned dict", ""),
         ("eats", OutOfMemoryFailure, "ran out of memory: out of memory too much", "in eats"),
         ("fills", OutOfMemoryFailure, "ran out of memory: out of memory DefaultCPUAllocator", "in fills"),

@@ -58,8 +58,8 @@ def defects(
         list[str] | None,
         typer.Option(
             "--set",
-            help="Another option of run, as NAME=VALUE: scene.…, sim.…, seed and demand with --net, and "
-            "background_options.….",
+            help="Another option of run, as NAME=VALUE: scene.…, sim.…, seed and demand with --net, "
+            "background_options.… and target_options.….",
         ),
     ] = None,
     workers: Workers = None,

@@ -35,7 +35,7 @@ The group of plug-ins is ``advdiff_sumo.planners``.
 
 _ARGUMENTS = {"start": ("road", "scene", "rng"), "plan": ("road", "scene", "memory", "rng")}
 _REMEDY = (
-    "; give it among the target's options (--set target_options.NAME=VALUE of run, "
+    "; give it among the target's options (--set target_options.NAME=VALUE of run and defects, "
     "--set NAME=VALUE of check-planner)"
 )
 

@@ -28,7 +28,7 @@ NETS = "nets"
 """Folder of converted nets within a bench's folder."""
 _TOLD = 3  # drives in a message
 _LOG_FILES = (".pkl", ".parquet", ".xml", ".gz")
-_OF_A_LIST = ("background_options",)
+_OF_A_LIST = ("background_options", "target_options")
 """Options that do not decide where a list's scenes begin."""
 
 

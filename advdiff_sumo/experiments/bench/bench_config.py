@@ -37,6 +37,7 @@ class EpisodeOptions(Options):
         sim: steps and radii.
         scene: how seed scenes are found.
         background_options: of every background.
+        target_options: of every target, the careful driver beside them apart.
     """
 
     seed: Seed = 0
@@ -44,6 +45,7 @@ class EpisodeOptions(Options):
     sim: SimOptions = SimOptions()
     scene: SceneOptions = SceneOptions()
     background_options: OwnOptions = Field(default_factory=dict)
+    target_options: OwnOptions = Field(default_factory=dict)
 
 
 class Request(Options):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from advdiff_sumo.experiments.bench.asked_scenes import asked_scenes
@@ -81,9 +83,9 @@ def made_policy(name: str) -> object:
     return make_policy(row.background, row.options)
 
 
-def made_target(name: str) -> object:
-    """Return the target *name* with its defaults; errors as in :func:`made_policy`."""
-    return make_target(name, {})
+def made_target(name: str, options: Mapping[str, Any] = MappingProxyType({})) -> object:
+    """Return the target *name* with *options*; errors as in :func:`made_policy`."""
+    return make_target(name, options)
 
 
 def asked_of(
@@ -108,7 +110,8 @@ def asked_of(
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     scenes = asked_scenes(request, scene_list, folder)
-    targets, absent = chosen(request.targets, usual_targets, TARGETS, "--targets", made_target)
+    made = partial(made_target, options=request.episode.target_options)
+    targets, absent = chosen(request.targets, usual_targets, TARGETS, "--targets", made)
     names, lacking = chosen(request.policies, usual_rows, POLICIES, "--policies", made_policy)
     for what, missing in (("row", lacking), ("target", absent)):
         for name in missing:

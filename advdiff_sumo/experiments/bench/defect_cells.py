@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.bench_rows import (
@@ -45,8 +48,9 @@ def plan_defects(folder: Folder, teller: ProgressReporter) -> BenchCells:
         if CAREFUL in TARGETS.names() and CAREFUL not in targets:
             cells.append(_cell(request, name, CAREFUL))
         for target, defects in planted.items():
-            cells.append(_cell(request, name, target))
-            cells += [_cell(request, name, target, defect) for defect in defects]
+            own = request.episode.target_options
+            cells.append(_cell(request, name, target, own))
+            cells += [_cell(request, name, target, {**own, "defects": [x.name]}, x.name) for x in defects]
     return plan_cells(cells, scenes, request.horizon_s, request.options.get("sim"))
 
 
@@ -76,25 +80,31 @@ def planted_in(target: str, request: Request, teller: ProgressReporter | None = 
     """
     texts = [text if ":" in text else f"{text}:{request.severity}" for text in request.defects or DEFECTS]
     defects = parse_defects(texts)
-    driver = make_target(target, {})
+    own = request.episode.target_options
+    driver = make_target(target, own)
     if not isinstance(driver, SumoDriver):
         return defects
     if request.defects:
-        make_target(target, {"defects": [defect.name for defect in defects]})  # says what has no form
+        make_target(target, {**own, "defects": [defect.name for defect in defects]})  # says what has no form
     lacking = [defect.kind.name for defect in defects if defect.lacks_form(driver) is not None]
     if lacking and teller is not None:
         teller.say(f"left out, as SUMO, which drives {target}, has no form of them: {', '.join(lacking)}")
     return tuple(defect for defect in defects if defect.lacks_form(driver) is None)
 
 
-def _cell(request: Request, name: str, target: str, defect: Defect | None = None) -> BenchCell:
+def _cell(
+    request: Request,
+    name: str,
+    target: str,
+    options: Mapping[str, Any] = MappingProxyType({}),
+    defect: str = SOUND,
+) -> BenchCell:
     """Return the cell of the row *name*; its attackers keep to the law unless the request says otherwise."""
     row = policy_row(name)
     allowed = licensed(row.options, request)
     if request.licence is None:
         allowed = {key: value for key, value in allowed.items() if key not in PAPERS_LICENCE}
     allowed |= request.episode.background_options
-    options = {} if defect is None else {"defects": [defect.name]}
     return BenchCell(
         row=name,
         target=target,
@@ -102,5 +112,5 @@ def _cell(request: Request, name: str, target: str, defect: Defect | None = None
         target_options=options,
         background_options=allowed,
         like=name,
-        defect=SOUND if defect is None else defect.name,
+        defect=defect,
     )

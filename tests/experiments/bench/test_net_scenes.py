@@ -116,6 +116,37 @@ def test_options_of_the_background_go_with_a_list_too(tmp_path: Path) -> None:
     assert "demand" not in choose_scenes("3").model_dump(mode="json")  # lists keep their digests
 
 
+NEEDS_A_FILE = """
+class Planner:
+    def __init__(self, weights):
+        self.weights = weights
+
+    def start(self, road, scene, rng):
+        return None
+
+    def plan(self, road, scene, memory, rng):
+        raise AssertionError
+"""
+
+
+def test_the_planner_and_not_the_careful_driver_gets_its_options(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "needs_a_file.py").write_text(NEEDS_A_FILE)
+    monkeypatch.syspath_prepend(tmp_path)
+    asked = request().model_copy(update={"targets": ("needs_a_file:Planner",)})
+    with pytest.raises(ConfigError, match=r"'weights'.*target_options\.NAME=VALUE of run and defects"):
+        check_request(asked)
+    asked = asked.model_copy(update={"options": {"target_options": {"weights": "w.pt"}}})
+    check_request(asked)
+    given = [(cell.target, dict(cell.target_options)) for cell in planned(asked, tmp_path).cells]
+    assert given == [
+        ("careful", {}),
+        ("needs_a_file:Planner", {"weights": "w.pt"}),
+        ("needs_a_file:Planner", {"weights": "w.pt", "defects": ["late:strong"]}),
+    ]
+
+
 def test_what_was_asked_before_there_were_nets_keeps_its_digest(tmp_path: Path) -> None:
     known = Folder(tmp_path, request()).request.model_dump(mode="json")
     assert known.pop("nets") == []

@@ -52,6 +52,19 @@ def test_the_actuator_lets_others_see_the_true_speed_and_restores_the_limits(str
         assert s.api.vehicle.getLaneChangeMode("b") == 1621
 
 
+def test_others_see_the_mean_speed_of_the_last_step(street: Path) -> None:
+    """Braking at 8 m/s² from 12 m/s makes 1.16 m in 0.1 s, at whose end it is 11.2 m/s."""
+    with stage(street) as s:
+        s.add("b", EASTBOUND)
+        actuator = actuator_on(s, street)
+        actuator.take(0)
+        for x in (30.0, 31.2, 32.36):
+            move(actuator, s, 0, (x, -4.8), EAST, 11.2 if x == 32.36 else 12.0)
+        assert s.api.vehicle.getSpeed("b") == pytest.approx(11.6)
+        assert actuator.world.speed_mps[0] == 11.2
+        assert s.pose("b")[0] == pytest.approx((32.36, -4.8))
+
+
 def test_a_vehicle_with_a_stop_ahead_shows_others_the_speed_of_sumos_own_driver(street: Path) -> None:
     """It is held where it is; SUMO's driver would have set off."""
     with stage(street) as s:

@@ -41,6 +41,39 @@ def test_a_warm_up_and_a_run_that_uses_it(tmp_path: Path) -> None:
         assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "rerun" / name).read_bytes()
 
 
+ILL = """
+import os
+import time
+
+class Leaves:
+    def start(self, road, scene, rng):
+        return None
+
+    def plan(self, road, scene, memory, rng):
+        print("thinking", flush=True)
+        os._exit(3)
+
+class Hangs(Leaves):
+    def plan(self, road, scene, memory, rng):
+        time.sleep(10_000)
+"""
+
+
+@pytest.mark.parametrize(
+    ("target", "limit", "said"),
+    [
+        ("ill:Leaves", "600", "warm-up of ill:Leaves: the worker ended with exit code 3"),
+        ("ill:Hangs", "5", "warm-up of ill:Hangs: an episode took longer than 5 s"),
+    ],
+)
+def test_a_planner_that_leaves_or_hangs_is_told(tmp_path: Path, target: str, limit: str, said: str) -> None:
+    (tmp_path / "ill.py").write_text(ILL)
+    words = ("warmup", "--net", "motorway", "--target", target, "--timeout", limit, *SCENE)
+    done = advdiff(*words, "--out", "seen.safetensors", cwd=tmp_path)
+    assert said in sentence(done)
+    assert not (tmp_path / "seen.safetensors").exists()
+
+
 @pytest.mark.slow
 def test_files_of_the_other_kind_of_warm_up(tmp_path: Path) -> None:
     """The shipped prior stands for a lawful warm-up; a reward model cannot rank encounters, nor the other way round."""

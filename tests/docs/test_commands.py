@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,7 @@ from advdiff_sumo.sim.demand import write_demand
 from advdiff_sumo.sim.sim_options import SceneOptions
 from tests.docs.blocks import ROOT, SHELL, Block, blocks, commands, inline_commands, pages, shell_blocks
 from tests.docs.known import leaf, options_of, problem
+from tests.e2e.warm_start import WarmStart
 from tests.hang_guard import HANG_S
 
 MARKS = ("", "skip", "slow", "data", "weights")
@@ -100,7 +102,10 @@ def test_scripts_are_taken_apart_as_a_shell_would() -> None:
 
 
 class Workshop:
-    """A folder like a checkout, in which pages are worked through."""
+    """A folder like a checkout, in which pages are worked through.
+
+    Commands of the README start as they are installed, those of the other pages from a process that has imported.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -115,6 +120,9 @@ class Workshop:
             "COLUMNS": "100",
             "NO_COLOR": "1",
         }
+        self.warm = WarmStart(self.environment)
+        (folder / ".programs").mkdir()
+        self.warm.write_program(folder / ".programs")
 
     def _bring_a_net(self) -> None:
         """Put there what the pages call *my.net.xml*, and a demand for it."""
@@ -132,14 +140,16 @@ class Workshop:
             if block.mark == "file":
                 (self.folder / block.rest).write_text(block.code, encoding="utf-8")
             elif block.language in SHELL and runs(block):
-                self.run(block)
+                self.run(block, warm=page != "README.md")
 
-    def run(self, block: Block) -> None:
+    def run(self, block: Block, *, warm: bool) -> None:
         """Run the commands of *block*; the first that fails ends it."""
+        programs = f"{self.folder / '.programs'}{os.pathsep}" if warm else ""
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", block.script],
             cwd=self.folder,
-            env=self.environment,
+            env={**self.environment, "PATH": f"{programs}{self.environment['PATH']}"},
+            pass_fds=[self.warm.descriptor],
             capture_output=True,
             text=True,
             check=False,
@@ -160,8 +170,10 @@ def runs(block: Block) -> bool:
 
 
 @pytest.fixture(scope="module")
-def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
-    return Workshop(tmp_path_factory.mktemp("docs"))
+def workshop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workshop]:
+    shop = Workshop(tmp_path_factory.mktemp("docs"))
+    yield shop
+    shop.warm.end()
 
 
 @pytest.mark.slow

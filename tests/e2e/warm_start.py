@@ -32,6 +32,12 @@ MODULES = (
     *("advdiff_sumo.training.setup", "advdiff_sumo.traffic.diffusion.diffusion_policy"),
 )
 _REQUEST_BYTES = 1 << 20
+_CLIENT = """#!{python} -IS
+import json, os, socket, sys
+warm = socket.socket(fileno={descriptor})
+socket.send_fds(warm, [json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ)]).encode()], [1, 2])
+sys.exit(int(warm.recv(64)))
+"""
 _MOST_DESCRIPTORS = 4096
 _COLD = util.spawnv_passfds
 
@@ -61,6 +67,19 @@ class WarmStart:
             socket.send_fds(self._socket, [request], [out.fileno(), err.fileno()])
             code = int(self._socket.recv(64))
             return code, _text(out.fileno()), _text(err.fileno())
+
+    def write_program(self, folder: Path) -> None:
+        """Write ``advdiff-sumo`` into *folder*: run by a shell that was given ``descriptor``, one at a time."""
+        program = folder / "advdiff-sumo"
+        program.write_text(
+            _CLIENT.format(python=sys.executable, descriptor=self.descriptor), encoding="utf-8"
+        )
+        program.chmod(0o755)
+
+    @property
+    def descriptor(self) -> int:
+        """Through which requests go."""
+        return self._socket.fileno()
 
     def end(self) -> None:
         """Let the process end, and whatever hangs in it."""

@@ -23,7 +23,7 @@ from advdiff_sumo.training.baselines import constant_velocity, lane_following
 from advdiff_sumo.training.dataset import WindowSet, batches
 from advdiff_sumo.training.displacement import driving, logged
 from advdiff_sumo.training.driving_penalties import travelled_m
-from advdiff_sumo.training.open_loop import Draw, Judged, by_diffusion, from_prior, judge
+from advdiff_sumo.training.open_loop import Draw, JudgedWindows, by_diffusion, from_prior, judge
 from advdiff_sumo.training.stage import Tally, add, means
 
 Figures = dict[str, float]
@@ -57,7 +57,7 @@ class _Sums:
     speed: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(realism.SPEED_BINS) - 1))
     accel: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(realism.ACCEL_BINS) - 1))
 
-    def count(self, judged: Judged, standing: Tensor) -> None:
+    def count(self, judged: JudgedWindows, standing: Tensor) -> None:
         """Add histograms, collisions, departures from the road, and who stands (W S, A)."""
         self.speed += judged.speed.sum(0)
         self.accel += judged.accel.sum(0)

@@ -48,7 +48,7 @@ def by_diffusion(bundle: Bundle, steps: int, refine: Refine | None = None) -> Dr
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedWindows:
     """What is counted of W windows of A agents, with S joint samples each.
 
     Attributes:
@@ -78,7 +78,7 @@ class Judged:
         return total.amin(1) / self.driving.sum(1).clamp(min=1)
 
 
-def judge(rollout: Rollout, several: SceneBatch, times: int, known: Tensor | None = None) -> Judged:
+def judge(rollout: Rollout, several: SceneBatch, times: int, known: Tensor | None = None) -> JudgedWindows:
     """Return what is counted of joint futures.
 
     Args:
@@ -92,7 +92,7 @@ def judge(rollout: Rollout, several: SceneBatch, times: int, known: Tensor | Non
     shape = (several.scenes // times, times, several.agents)
     errors = displacement(rollout, several)
     speed, accel = realism.histograms(rollout, several, times)
-    return Judged(
+    return JudgedWindows(
         ade_m=errors.ade_m.reshape(shape),
         fde_m=errors.fde_m.reshape(shape),
         spread_m=realism.final_diversity(_last(rollout.xy, several).reshape(*shape, 2)),

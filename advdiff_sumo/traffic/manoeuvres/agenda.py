@@ -10,14 +10,14 @@ import numpy as np
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import REACH_M, goes_first
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.staging import begins, can_hide
+from advdiff_sumo.traffic.manoeuvres.staging import AHEAD_M, begins, can_hide
 
 TURN_S = 7.0
 """For so long an episode is for one kind."""
 TURNING_KINDS = ("cut-out", "hard-stop", "cut-in", "crossing")
 """Kinds that have turns; a cut-out at the first instant alone."""
-_CROSSING_FIRST, _CUT_IN_FIRST, _CUT_OUT_FIRST = 0.5, 0.6, 0.4
-_SPACE_M, _SLOWEST_MPS = 45.0, 3.0
+_CROSSING_FIRST, _CUT_OUT_FIRST = 0.5, 0.4
+_SLOWEST_MPS = 3.0
 _LATER = ("cut-in", "hard-stop")
 _FORESEES_S = 8.0
 
@@ -40,11 +40,11 @@ class Agenda:
     def drawn(rng: np.random.Generator) -> Agenda:
         """Return one that begins with what is rarest to be possible: crossing in half of the episodes.
 
-        In two of five a cut-out precedes all, which is possible at the first instant alone.
+        A cut-in comes before a hard stop: a leader that came in for one leaves no room for the other. In two of five a
+        cut-out precedes all, which is possible at the first instant alone.
         """
-        others = ("cut-in", "hard-stop") if rng.random() < _CUT_IN_FIRST else ("hard-stop", "cut-in")
-        crossing = "crossing"
-        order = (crossing, *others) if rng.random() < _CROSSING_FIRST else (others[0], crossing, others[1])
+        crossing_first = rng.random() < _CROSSING_FIRST
+        order = ("crossing", "cut-in", "hard-stop") if crossing_first else ("cut-in", "crossing", "hard-stop")
         hides = (
             rng.spawn(1)[0].random() < _CUT_OUT_FIRST
         )  # without a draw, which would change all that is drawn after
@@ -88,7 +88,7 @@ def is_possible(view: SituationView, kind: str) -> bool:
         return not begins(view) or can_hide(view)
     if kind == "cut-in":
         beside = any(view.neighbour(view.scene.target, side) for side in ("left", "right"))
-        return beside and view.is_first(_SPACE_M)
+        return beside and view.is_first(AHEAD_M)
     return bool(_lets_pass(view, REACH_M))
 
 

@@ -24,13 +24,8 @@ SUPPORTS = (STANDS, FOLLOWS, WAITS)
 """Kinds that attack nobody."""
 KEEP_OFF = frozenset(("hard-stop", "blocked-lane", "stop-and-go"))
 """Kinds of a leader, who keeps the target from where others would cross it."""
-_LORRIES, _MOTORCYCLES = 0.4, 0.3
-_SHARES = {
-    AgentClass.CAR: 1.0 - _LORRIES - _MOTORCYCLES,
-    AgentClass.TRUCK: _LORRIES,
-    AgentClass.MOTORCYCLE: _MOTORCYCLES,
-}
-"""Shares of those who come in."""
+_FIVE = (*(AgentClass.TRUCK,) * 2, *(AgentClass.MOTORCYCLE,) * 2, AgentClass.CAR)
+"""Classes of any five in a row who come in."""
 PATIENT_S = 2.0 * TURN_S
 """Until when an episode waits for the kind whose turn it is."""
 
@@ -148,22 +143,23 @@ class Commitments:
         """
         kinds = list(KINDS) if attack == "any" else [attack]
         weights = dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True))
-        classes = tuple(_class_of(draw) for draw in rng.random(max(staged, 1)).tolist())
+        classes = _newcomers(rng, max(staged, 1))
         oncoming = bool(rng.random() < 0.5)
         stage = StagingMemory(staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0)
         agenda = Agenda.drawn(rng) if attack == "any" else Agenda()
         if preference is not None and attack != "any":
             preference = replace(preference, kinds=(attack,))
         elif preference is not None:
-            wanted, preference = preference.drawn(rng, _SHARES, len(classes))
+            wanted, preference = preference.drawn(
+                rng, {one: _FIVE.count(one) / len(_FIVE) for one in _FIVE}, len(classes)
+            )
             if wanted is not None:
                 stage = replace(stage, classes=wanted.classes, oncoming=wanted.oncoming)
                 agenda = wanted.agenda
         return Commitments(weights, stage=stage, agenda=agenda, intensity=intensity, preference=preference)
 
 
-def _class_of(draw: float) -> AgentClass:
-    """Return what comes in for a *draw* from 0 to 1."""
-    if draw < _LORRIES:
-        return AgentClass.TRUCK
-    return AgentClass.MOTORCYCLE if draw >= 1.0 - _MOTORCYCLES else AgentClass.CAR
+def _newcomers(rng: np.random.Generator, number: int) -> tuple[AgentClass, ...]:
+    """Return the classes of *number* who come in, any five in a row as ``_FIVE``, in an order that is drawn."""
+    fives = rng.random((-(-number // len(_FIVE)), len(_FIVE))).argsort(axis=1)
+    return tuple(_FIVE[i] for i in fives.ravel()[:number].tolist())

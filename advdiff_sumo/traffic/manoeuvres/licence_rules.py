@@ -112,7 +112,7 @@ def _has_priority(view: SituationView, links: tuple[Link, Link]) -> bool:
 
 def _stops_clear(manoeuvre: Manoeuvre, driven_m: float) -> bool:
     """Return whether a stop does not end inside a junction."""
-    if manoeuvre.kind not in _STOPS:
+    if manoeuvre.kind not in _STOPS or manoeuvre.sets_up:
         return True
     at = manoeuvre.way.lane.s_m + driven_m
     for lane in manoeuvre.way.lane.lanes:

@@ -36,7 +36,7 @@ _HESITATES_S = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 3.0)
 _CRAWLS_SHARE, _STOPS_MPS2 = 0.3, 3.0
 """Who slows harder than this after a change of lanes stops; others go on at a share of the target's speed."""
 _IN_LANE_M, _BESIDE_M = 1.2, 5.5
-_AHEAD_M, _CROSSING_M = 55.0, 60.0
+_AHEAD_M, _LEADS_M, _CROSSING_M = 55.0, 68.0, 60.0
 _NOWHERE = (np.inf, np.inf)
 _SLOWEST_MPS = 2.0
 _STOPS_FROM_MPS = 5.0
@@ -53,7 +53,7 @@ _GENTLY_MPS2, _GAINS_MPS2 = 1.0, 2.0
 def hard_stop(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     """The target's leader brakes hard to a stop, or leads it at a steady gap until then."""
     yield from _stops(view, row, "hard-stop", HARD_BRAKING_MPS2)
-    if view.target is not None and _leads(view, row):
+    if view.target is not None and _leads(view, row) and view.is_first(view.on_target_way[row][0]):
         steady = leads_steadily(view, view.target, row)
         yield Manoeuvre("hard-stop", row, view.ways[row], steady, sets_up=True)
 
@@ -102,7 +102,7 @@ def cut_in(view: SituationView, row: int) -> Iterator[Manoeuvre]:
 def into_position(view: SituationView, target: TargetWay, row: int, spare_gap_m: float = 0.0) -> SpeedProfile:
     """Return the speed that brings *row* to where it may just enter the target's lane, with *spare_gap_m* more."""
     limit, drives = view.ways[row].lane.speed_mps, view.speed(row)
-    safe = safe_gap_m(target.speed_mps + 0.5, drives)
+    safe = safe_gap_m(target.speed_mps + 0.5, min(target.speed_mps, limit))
     wanted = LAWFUL.gap_share * safe + LAWFUL.spare_m + _SPARE_M + spare_gap_m
     between = 0.5 * float(view.size(row)[0] + target.size_m[0])
     lacks = wanted - (view.on_target_way[row][0] - between)
@@ -221,7 +221,7 @@ def _leads(view: SituationView, row: int) -> bool:
         return False
     ahead, left = view.on_target_way[row]
     same = np.cos(view.scene.history.yaw_rad[row, -1] - target.way.line.at(target.way.lane.s_m + ahead)[1])
-    return bool(0.0 < ahead < _AHEAD_M and abs(left) < _IN_LANE_M and same > 0.9)
+    return bool(0.0 < ahead < _LEADS_M and abs(left) < _IN_LANE_M and same > 0.9)
 
 
 def _beside(view: SituationView, row: int) -> bool:

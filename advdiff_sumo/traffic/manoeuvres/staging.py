@@ -29,8 +29,10 @@ STAGED = 6
 _STEPS = 12
 _AGAIN_S = 2.0
 _SLOWEST_MPS = 3.0
-_AHEAD_M, _LATER_M, _FARTHEST_M = 55.0, 36.0, 72.0
-_LEAST_AHEAD_M, _SPARE_M = 22.0, 3.0
+AHEAD_M = 55.0
+"""Within which nobody may lead the target where somebody is to come in."""
+_LATER_M, _FARTHEST_M = 36.0, 72.0
+_LEAST_AHEAD_M, _SPARE_M, _NEARLY_M = 22.0, 3.0, 10.0
 _APART_M, _APART_S = 9.0, 0.6
 _FROM_TARGET_M, _LATER_FROM_TARGET_M = 18.0, 30.0
 _IN_LANE_M, _BESIDE_M = 2.0, 6.0
@@ -148,7 +150,7 @@ def begins(view: SituationView) -> bool:
 def _leader(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     """Somebody ahead in the target's lane, where nobody is."""
     target = view.target
-    if target is None or target.speed_mps < _SLOWEST_MPS or view.anybody_on(target.way, _AHEAD_M, _IN_LANE_M):
+    if target is None or target.speed_mps < _SLOWEST_MPS or view.anybody_on(target.way, AHEAD_M, _IN_LANE_M):
         return
     least = _LEAST_AHEAD_M if begins(view) else _LATER_M
     gap = max(HEADWAY_S * target.speed_mps + 8.0, least)
@@ -158,17 +160,25 @@ def _leader(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
 def _beside(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     """Somebody on the next lane, ahead of the target by what a lane change has to leave."""
     target = view.target
-    if target is None or target.speed_mps < _SLOWEST_MPS or not view.is_first(_AHEAD_M):
+    if target is None or target.speed_mps < _SLOWEST_MPS or not view.is_first(AHEAD_M):
         return
     speed = target.speed_mps + view.gains_mps2(view.scene.target)
     least = _LEAST_AHEAD_M if begins(view) else _LATER_FROM_TARGET_M + 1.0
     for side in ("left", "right"):
         way = view.neighbour(view.scene.target, side)
-        if way is not None and not view.anybody_on(way, _AHEAD_M, _IN_LANE_M):
-            drives = min(target.speed_mps, way.lane.speed_mps)
-            gap = LAWFUL.gap_share * safe_gap_m(speed + 0.5, drives) + LAWFUL.spare_m + stage.spare_gap_m
-            between = SIZE_M[stage.agent_class][0] + _SPARE_M
-            yield from _on_way(view, way, max(gap + between, least), drives, stage.agent_class)
+        if way is None:
+            continue
+        drives = min(target.speed_mps, way.lane.speed_mps)
+        gap = LAWFUL.gap_share * safe_gap_m(speed + 0.5, drives) + LAWFUL.spare_m + stage.spare_gap_m
+        ahead = max(gap + SIZE_M[stage.agent_class][0] + _SPARE_M, least)
+        if not _has_one_about(view, way, ahead):
+            yield from _on_way(view, way, ahead, drives, stage.agent_class)
+
+
+def _has_one_about(view: SituationView, way: Way, ahead_m: float) -> bool:
+    """Return whether somebody on *way* is about *ahead_m* ahead of the target, or farther within reach."""
+    places = (view.place_on(way, row) for row in view.ways if row != view.scene.target)
+    return any(ahead_m - _NEARLY_M < s < AHEAD_M and abs(left) < _IN_LANE_M for s, left in places)
 
 
 def _with_priority(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:

@@ -50,7 +50,8 @@ def test_a_single_kind_has_no_turns(motorway: RoadMap) -> None:
 def test_every_order_holds_every_kind() -> None:
     drawn = [Agenda.drawn(np.random.default_rng(k)).order for k in range(40)]
     assert {tuple(sorted({*order} - {"cut-out"})) for order in drawn} == {tuple(sorted(ORDER))}
-    assert {order[0] for order in drawn} == {*ORDER, "cut-out"}
+    assert {order[0] for order in drawn} == {"crossing", "cut-in", "cut-out"}
+    assert {order[-1] for order in drawn} == {"hard-stop"}
     assert {order.index("cut-out") for order in drawn if "cut-out" in order} == {0}
 
 

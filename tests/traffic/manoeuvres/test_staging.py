@@ -14,6 +14,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
+from advdiff_sumo.traffic.manoeuvres.repertoire import hard_stop, into_position
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.staging import (
@@ -64,6 +65,42 @@ def test_who_comes_in_beside_leaves_the_safe_gap(motorway: RoadMap) -> None:
     ahead, left = view.target.way.line.project(other.xy_m)
     assert 2.5 < abs(float(left)) < 4.5
     assert float(ahead) - view.target.way.lane.s_m > 1.1 * 20.0 + SIZE_M[AgentClass.CAR][0]
+
+
+def test_who_comes_in_ahead_of_a_fast_target_is_its_leader(motorway: RoadMap) -> None:
+    """At 33 m/s it comes in 1.5 · 33 + 8 = 57.5 m ahead, and may stop hard there; who is 70 m ahead may not."""
+    view = view_of(motorway, target=(0, 50.0, 33.0))
+    (leader,), _ = come_in(view, StagingMemory(most=3), ("hard-stop",))
+    assert view.target is not None
+    ahead = float(view.target.way.line.project(leader.xy_m)[0]) - view.target.way.lane.s_m
+    assert ahead == pytest.approx(57.5, abs=0.1)
+    for place, leads in ((50.0 + ahead, True), (120.0, False)):
+        led = view_of(motorway, target=(0, 50.0, 33.0), leader=(0, place, 33.0))
+        assert any(not one.sets_up for one in hard_stop(led, 1)) == leads
+
+
+def test_only_the_next_one_ahead_gets_into_position_for_a_stop(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 75.0, 20.0), second=(0, 95.0, 20.0))
+    assert [any(one.sets_up for one in hard_stop(view, row)) for row in (1, 2)] == [True, False]
+
+
+@pytest.mark.parametrize(("place_m", "comes"), [(52.0, True), (95.0, False)])
+def test_somebody_comes_in_beside_though_another_one_drives_there(
+    place_m: float, comes: bool, motorway: RoadMap
+) -> None:
+    """Who drives level with a target at 20 m/s cannot get ahead of it; who is 45 m ahead can change lanes itself."""
+    view = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, place_m, 20.0))
+    assert bool(come_in(view, StagingMemory(most=3), ("cut-in",))[0]) == comes
+
+
+def test_the_gap_that_is_driven_to_does_not_depend_on_who_drives_to_it(motorway: RoadMap) -> None:
+    """Whoever is 26 m ahead of a target at 20 m/s aims at the same speed, reached in 0.8 s, at 19 as at 21 m/s."""
+    aims = []
+    for drives in (19.0, 20.0, 21.0):
+        view = view_of(motorway, target=(0, 50.0, 20.0), other=(1, 76.0, drives))
+        assert view.target is not None
+        aims.append(drives + 0.8 * into_position(view, view.target, 1).first_mps2)
+    assert aims == pytest.approx([aims[0]] * 3)
 
 
 @pytest.mark.parametrize(("apart_m", "free"), [(9.6, False), (16.0, False), (16.5, True)])
@@ -152,10 +189,13 @@ def test_nobody_comes_in_to_stand(
 
 
 def test_lorries_and_motorcycles_come_in_as_often_as_is_said() -> None:
-    """Four in ten and three in ten of 600."""
+    """Of any five in a row two are lorries and two motorcycles: of 600 four in ten each."""
     stages = [Commitments.start("any", np.random.default_rng(k), staged=6).stage for k in range(100)]
     count = Counter(one for stage in stages for one in stage.classes)
     assert count.total() == 600
     assert count[AgentClass.TRUCK] == pytest.approx(240, abs=40)
-    assert count[AgentClass.MOTORCYCLE] == pytest.approx(180, abs=36)
+    assert count[AgentClass.MOTORCYCLE] == pytest.approx(240, abs=40)
+    for stage in stages:
+        five = Counter(stage.classes[:5])
+        assert (five[AgentClass.TRUCK], five[AgentClass.MOTORCYCLE], five[AgentClass.CAR]) == (2, 2, 1)
     assert count.keys() == SIZE_M.keys()

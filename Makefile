@@ -40,7 +40,7 @@ demo: install
 
 # values worked by hand, contracts, and one of everything end to end
 test: setup
-	$(TESTS) -m "not slow"
+	$(TESTS) -m "not slow and not nightly"
 
 # those and the slow ones, as continuous integration runs them: all but further maps, seeds and policies
 test-ci: setup

@@ -37,7 +37,7 @@ class NotebookProgress:
             self._bar.stop()
 
     def tell(self, row: Mapping[str, Any] | None) -> None:
-        """Count one finished episode; None for one that came to nothing."""
+        """Count one episode that has ended; None for one without a row."""
         self.done += 1
         self.hits += bool(row and row["target_collision"])
         if self._bar is not None:

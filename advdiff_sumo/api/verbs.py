@@ -136,7 +136,7 @@ def sweep(
 
 
 def _tell_row(bar: NotebookProgress) -> Callable[[Any, Any], None]:
-    return lambda row, failed: bar.tell(row if failed is None else None)
+    return lambda row, _: bar.tell(row)
 
 
 def convert(map_file: str | Path, net: str | Path, **options: Any) -> MeasuredConversion:

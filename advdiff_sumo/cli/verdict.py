@@ -76,7 +76,7 @@ def verdict(
 
 
 def _say(console: Console, rows: Sequence[Mapping[str, Any]], search: bool) -> None:
-    """Say what the finished ones of *rows* of ``episodes`` came to; *search*: and how many collisions nobody avoids."""
+    """Say what those of *rows* with an outcome came to; *search*: and how many collisions nobody avoids."""
     from advdiff_sumo.metrics.severity import broke_rule, has_outcome, is_valid_failure
 
     rows = [row for row in rows if has_outcome(row)]

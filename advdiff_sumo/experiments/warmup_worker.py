@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import json
+import math
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -39,7 +40,7 @@ def warm_up_in_worker(
         out: the file.
         licence: "reckless" refits the reward model; else it is learnt which encounters break the target.
         limits: of the worker.
-        episode_s: longest time for one episode, in seconds of the clock.
+        episode_s: longest time for one episode, in seconds of the clock; may be infinite.
         tell: called with the plans made, now and then.
         hear: called with what the planner printed.
 
@@ -95,7 +96,8 @@ def _learnt(
 
     def tell(plans: int) -> None:
         count.write_text(str(plans))
-        faulthandler.dump_traceback_later(episode_s, exit=True)
+        if math.isfinite(episode_s):
+            faulthandler.dump_traceback_later(min(episode_s, threading.TIMEOUT_MAX), exit=True)
 
     tell(0)
     return json.dumps(learn(options, steps, out, tell)).encode()

@@ -20,7 +20,7 @@ class CoverageCell:
     """One combination.
 
     Attributes:
-        episodes: finished ones whose critical moment was of this kind.
+        episodes: those with an outcome (finished, or failed after a contact) whose critical moment was of this kind.
         collisions: how many of these hit.
     """
 

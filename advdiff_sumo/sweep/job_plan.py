@@ -99,7 +99,8 @@ def plan_sweep(spec: SweepSpec, *, drives: bool = True) -> SweepPlan:
 
     Args:
         spec: what is asked.
-        drives: episodes are to be run; False: neither target nor background is made, imported or reached.
+        drives: episodes are to be run; False: neither target nor background is made, imported or reached, but for the
+            background of a diverse sweep, which is imported to learn its kinds of attack.
 
     Raises:
         InputError: one of its kinds; a sentence that names the culprit.

@@ -82,7 +82,7 @@ class Comparison:
     Attributes:
         pairs: episodes with an outcome in both: finished, or failed after a contact of the target.
         scenes: seed scenes among them; the bootstrap draws these.
-        unpaired: episodes of either sweep without a finished counterpart.
+        unpaired: episodes of either sweep without a counterpart that has an outcome.
         rates: by name.
         values: by column; those without a pair are left out.
     """
@@ -132,7 +132,7 @@ def choose(rows: Sequence[Row], conditions: Sequence[str], what: str) -> list[Ro
 
 
 def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Comparison:
-    """Pair the finished episodes of two sweeps by seed scene, and by what else both vary.
+    """Pair the episodes with an outcome of two sweeps by seed scene, and by what else both vary.
 
     Args:
         first: rows of ``episodes`` of the one.

@@ -79,7 +79,7 @@ class Polyline:
         """(P,) curvature at the points, left positive: turn by mean segment length; 0 at the ends."""
         turn = wrap_angle(np.diff(self.segment_yaw_rad))
         steps = np.diff(self.s_m)
-        return np.concatenate(([0.0], 2.0 * turn / (steps[:-1] + steps[1:]), [0.0]))
+        return read_only(np.concatenate(([0.0], 2.0 * turn / (steps[:-1] + steps[1:]), [0.0])))
 
     def segment_at(self, s_m: FloatArray | float) -> IntArray:
         """Return the index (…,) of the segment at *s_m*; at a point, the segment that begins there."""

@@ -40,13 +40,15 @@ def states(speed_mps: float, *others: tuple[float, float, float]) -> EpisodeStat
         ("crossing", states(9.0), "the record does not tell what was lacking"),
         (
             "hard-stop",
-            states(0.0, (60.0, 0.0, 8.0), (-9.0, 0.0, 8.0)),
-            "the target stood and nobody was straight ahead of it within 55 m",
+            states(0.0, (70.0, 0.0, 8.0), (-9.0, 0.0, 8.0)),
+            "the target stood and nobody was straight ahead of it within 68 m",
         ),
         ("hard-stop", states(9.0, (30.0, 0.5, 4.0)), "who was ahead of it drove at most 4.0 m/s"),
+        ("hard-stop", states(33.0, (60.0, 0.5, 4.0)), "who was ahead of it drove at most 4.0 m/s"),
         ("hard-stop", states(9.0, (30.0, 0.5, 6.0)), "the record does not tell what was lacking"),
-        ("cut-out", states(9.0, (30.0, 3.2, 9.0)), "nobody was straight ahead of it within 55 m"),
+        ("cut-out", states(9.0, (30.0, 3.2, 9.0)), "nobody was straight ahead of it within 68 m"),
         ("cut-in", states(9.0, (30.0, 0.0, 9.0)), "nobody drove beside it within 55 m"),
+        ("cut-in", states(9.0, (60.0, 3.2, 9.0)), "nobody drove beside it within 55 m"),
         ("cut-in", states(9.0, (30.0, 3.2, 9.0)), "the record does not tell what was lacking"),
     ],
 )

@@ -59,6 +59,7 @@ def test_nobody_can_write_into_the_map_that_all_share(cross):
     lane, junction = road.lanes["WC_0"], road.junctions["C"]
     line, pieces = lane.line, road.pieces()
     arrays = [lane.centre_xy_m, line.xy_m, line.s_m, line.tangents, line.segment_yaw_rad]
+    arrays += [line.curvature_1pm]
     arrays += [junction.xy_m, junction.shape_xy_m, pieces.xy_m, pieces.features]
     for array in arrays:
         with pytest.raises(ValueError, match="read-only"):

@@ -25,7 +25,7 @@ SUPPORTS = (STANDS, FOLLOWS, WAITS)
 KEEP_OFF = frozenset(("hard-stop", "blocked-lane", "stop-and-go"))
 """Kinds of a leader, who keeps the target from where others would cross it."""
 _FIVE = (*(AgentClass.TRUCK,) * 2, *(AgentClass.MOTORCYCLE,) * 2, AgentClass.CAR)
-"""Classes of any five in a row who come in."""
+"""Classes of the first five who come in, and of every five after them."""
 PATIENT_S = 2.0 * TURN_S
 """Until when an episode waits for the kind whose turn it is."""
 
@@ -160,6 +160,6 @@ class Commitments:
 
 
 def _newcomers(rng: np.random.Generator, number: int) -> tuple[AgentClass, ...]:
-    """Return the classes of *number* who come in, any five in a row as ``_FIVE``, in an order that is drawn."""
+    """Return the classes of *number* who come in, every five of them as ``_FIVE``, in an order that is drawn."""
     fives = rng.random((-(-number // len(_FIVE)), len(_FIVE))).argsort(axis=1)
     return tuple(_FIVE[i] for i in fives.ravel()[:number].tolist())

@@ -36,7 +36,9 @@ _HESITATES_S = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 3.0)
 _CRAWLS_SHARE, _STOPS_MPS2 = 0.3, 3.0
 """Who slows harder than this after a change of lanes stops; others go on at a share of the target's speed."""
 _IN_LANE_M, _BESIDE_M = 1.2, 5.5
-_AHEAD_M, _LEADS_M, _CROSSING_M = 55.0, 68.0, 60.0
+_AHEAD_M, _CROSSING_M = 55.0, 60.0
+LEADS_M = 68.0
+"""Within which somebody leads the target: at 40 m/s 1.5 s ahead."""
 _NOWHERE = (np.inf, np.inf)
 _SLOWEST_MPS = 2.0
 _STOPS_FROM_MPS = 5.0
@@ -221,7 +223,7 @@ def _leads(view: SituationView, row: int) -> bool:
         return False
     ahead, left = view.on_target_way[row]
     same = np.cos(view.scene.history.yaw_rad[row, -1] - target.way.line.at(target.way.lane.s_m + ahead)[1])
-    return bool(0.0 < ahead < _LEADS_M and abs(left) < _IN_LANE_M and same > 0.9)
+    return bool(0.0 < ahead < LEADS_M and abs(left) < _IN_LANE_M and same > 0.9)
 
 
 def _beside(view: SituationView, row: int) -> bool:

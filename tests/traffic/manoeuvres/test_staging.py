@@ -189,7 +189,7 @@ def test_nobody_comes_in_to_stand(
 
 
 def test_lorries_and_motorcycles_come_in_as_often_as_is_said() -> None:
-    """Of any five in a row two are lorries and two motorcycles: of 600 four in ten each."""
+    """Of the first five two are lorries and two motorcycles: of 600 four in ten each."""
     stages = [Commitments.start("any", np.random.default_rng(k), staged=6).stage for k in range(100)]
     count = Counter(one for stage in stages for one in stage.classes)
     assert count.total() == 600

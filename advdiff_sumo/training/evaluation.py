@@ -16,7 +16,6 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.metrics.statistics import jensen_shannon
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
-from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.training import realism
 from advdiff_sumo.training.baselines import constant_velocity, lane_following
@@ -73,7 +72,10 @@ def methods(bundle: Bundle, judging: EvaluationSettings) -> dict[str, Draw]:
         "lane following": lambda batch, *_: (lane_following(batch), 1),
     }
     if "traffic" in bundle.stages:
-        draws["posterior"] = lambda batch, *_: (_from_posterior(bundle, batch), 1)
+        draws["posterior"] = lambda batch, context, *_: (
+            bundle.traffic.decoder(bundle.traffic.posterior(batch, context.h).mean, context.h, batch),
+            1,
+        )
         draws["prior"] = from_prior(bundle)
     if "denoiser" in bundle.stages:
         name = "latent diffusion" if bundle.options.codec == "latent" else "trajectory diffusion"
@@ -116,12 +118,13 @@ def evaluate_bundle(
     few, done = windows.subset(chosen), 0
     for number, rows in enumerate(batches(few, judging.batch_size)):
         batch = few.batch(rows).to(device)
+        context = bundle.traffic.encoder(batch)
         log = logged(batch)
         sums["log"].count(judge(log, batch, 1, batch.future_valid), _standing(log, batch))
         for name, draw in ways.items():
             node = SeedTree(judging.seed, ("evaluation", name, str(number)))
             generator = torch.Generator().manual_seed(node.integer(62))
-            rollout, times = draw(batch, judging.samples, generator)
+            rollout, times = draw(batch, context, judging.samples, generator)
             _add(sums[name], rollout, batch.repeat(times), times)
         done += len(rows)
         if tell is not None:
@@ -135,14 +138,6 @@ def write_figures(
     """Write the figures as JSON, with what they were made of."""
     text = {"judging": vars(judging), "windows": len(windows), "data": windows.digest, "figures": figures}
     path.write_text(json.dumps(text, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-
-
-def _from_posterior(bundle: Bundle, batch: SceneBatch) -> Rollout:
-    context: Context = bundle.traffic.encoder(batch)
-    rollout: Rollout = bundle.traffic.decoder(
-        bundle.traffic.posterior(batch, context.h).mean, context.h, batch
-    )
-    return rollout
 
 
 def _add(sums: _Sums, rollout: Rollout, several: SceneBatch, times: int) -> None:

@@ -17,8 +17,8 @@ from advdiff_sumo.training import realism
 from advdiff_sumo.training.denoiser_stage import diffused
 from advdiff_sumo.training.displacement import displacement, driving
 
-Draw = Callable[[SceneBatch, int, torch.Generator], tuple[Rollout, int]]
-"""Windows, how many samples → joint futures of each window that many times in a row, and how many times."""
+Draw = Callable[[SceneBatch, Context, int, torch.Generator], tuple[Rollout, int]]
+"""Windows, their contexts, how many samples → joint futures of each that many times in a row, and how many times."""
 Refine = Callable[[Tensor, Context, SceneBatch, int], Tensor]
 """Drawn latents, contexts and windows of all samples, samples of each window → latents that are decoded instead."""
 
@@ -26,10 +26,12 @@ Refine = Callable[[Tensor, Context, SceneBatch, int], Tensor]
 def from_prior(bundle: Bundle) -> Draw:
     """Return what draws samples from the prior of *bundle*."""
 
-    def draw(batch: SceneBatch, samples: int, generator: torch.Generator) -> tuple[Rollout, int]:
-        context, several = _repeated(bundle, batch, samples)
-        z = context.prior.sample(generator)
-        return bundle.traffic.decoder(z, context.h, several), samples
+    def draw(
+        batch: SceneBatch, context: Context, samples: int, generator: torch.Generator
+    ) -> tuple[Rollout, int]:
+        known = context.repeat(samples)
+        z = known.prior.sample(generator)
+        return bundle.traffic.decoder(z, known.h, batch.repeat(samples)), samples
 
     return draw
 
@@ -37,12 +39,14 @@ def from_prior(bundle: Bundle) -> Draw:
 def by_diffusion(bundle: Bundle, steps: int, refine: Refine | None = None) -> Draw:
     """Return what draws samples by *steps* of DDIM."""
 
-    def draw(batch: SceneBatch, samples: int, generator: torch.Generator) -> tuple[Rollout, int]:
-        context, several = _repeated(bundle, batch, samples)
-        drawn = diffused(bundle, context, steps, generator)
+    def draw(
+        batch: SceneBatch, context: Context, samples: int, generator: torch.Generator
+    ) -> tuple[Rollout, int]:
+        known, several = context.repeat(samples), batch.repeat(samples)
+        drawn = diffused(bundle, known, steps, generator)
         if refine is not None:
-            drawn = refine(drawn, context, several, samples)
-        return bundle.codec.decode(drawn, context, several), samples
+            drawn = refine(drawn, known, several, samples)
+        return bundle.codec.decode(drawn, known, several), samples
 
     return draw
 
@@ -102,11 +106,6 @@ def judge(rollout: Rollout, several: SceneBatch, times: int, known: Tensor | Non
         speed=speed,
         accel=accel,
     )
-
-
-def _repeated(bundle: Bundle, batch: SceneBatch, samples: int) -> tuple[Context, SceneBatch]:
-    encoded: Context = bundle.traffic.encoder(batch)
-    return encoded.repeat(samples), batch.repeat(samples)
 
 
 def _last(xy: Tensor, batch: SceneBatch) -> Tensor:

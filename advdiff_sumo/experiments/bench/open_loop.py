@@ -29,6 +29,8 @@ from advdiff_sumo.training import realism
 from advdiff_sumo.training.displacement import driving, logged
 from advdiff_sumo.training.open_loop import Draw, by_diffusion, from_prior, judge
 
+Continue = Callable[[SceneBatch, int, torch.Generator], tuple[Rollout, int]]
+"""Windows, how many samples → joint futures of each window that many times in a row, and how many times."""
 LATENT_STEPS, TRAJECTORY_STEPS = 5, 10
 """As many as in closed loop; with five, trajectories are rougher by half."""
 
@@ -46,7 +48,7 @@ class ComparedModel:
 
     title: str
     weights: str
-    load: Callable[[Path], Draw]
+    load: Callable[[Path], Continue]
     view: MapView = "near"
 
     @property
@@ -87,23 +89,29 @@ class Counted:
     ttc: FloatArray
 
 
-def _log(_: Path) -> Draw:
+def _log(_: Path) -> Continue:
     return lambda batch, _samples, _generator: (logged(batch), 1)
 
 
-def _simnet(path: Path) -> Draw:
+def _simnet(path: Path) -> Continue:
     simnet = load_simnet(path).eval().requires_grad_(False)
     return lambda batch, _samples, _generator: (simnet(batch), 1)
 
 
-def _prior(path: Path) -> Draw:
-    return from_prior(_bundle(path))
+def _prior(path: Path) -> Continue:
+    bundle = _bundle(path)
+    return _encoding(bundle, from_prior(bundle))
 
 
-def _diffusion(path: Path, fitted: bool = False, steps: int = LATENT_STEPS) -> Draw:
+def _diffusion(path: Path, fitted: bool = False, steps: int = LATENT_STEPS) -> Continue:
     """Return what draws samples by *steps* of DDIM; *fitted*: made to fit together."""
     bundle = _bundle(path)
-    return by_diffusion(bundle, steps, partial(_fitted, _held(bundle)) if fitted else None)
+    return _encoding(bundle, by_diffusion(bundle, steps, partial(_fitted, _held(bundle)) if fitted else None))
+
+
+def _encoding(bundle: Bundle, draw: Draw) -> Continue:
+    """Return *draw* of windows that the encoder of *bundle* has still to see."""
+    return lambda batch, samples, generator: draw(batch, bundle.traffic.encoder(batch), samples, generator)
 
 
 def _held(bundle: Bundle) -> Decode:
@@ -197,7 +205,7 @@ def ttc_of(rollout: Rollout, batch: SceneBatch) -> FloatArray:
 
 
 @lru_cache(maxsize=len(MODELS))
-def _draw_of(name: str) -> Draw:
+def _draw_of(name: str) -> Continue:
     return MODELS[name].load(MODELS[name].path)
 
 

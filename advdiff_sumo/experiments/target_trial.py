@@ -27,8 +27,8 @@ from advdiff_sumo.sim.run_episodes import RunOptions, check_together, target_of
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
-from advdiff_sumo.sweep.executors import ProcessExecutor, outcome_of
-from advdiff_sumo.sweep.tasks import CallTask, WorkerLimits
+from advdiff_sumo.sweep.executors import call_in_worker
+from advdiff_sumo.sweep.tasks import WorkerLimits
 from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 DRIVES, DRIVES_AGAIN, IN_TIME = "drives", "drives it again", "in time"
@@ -140,15 +140,10 @@ def check_in_worker(
     Raises:
         InputError: there is no such planner, or it cannot be made.
     """
-    with ProcessExecutor(1, limits) as executor:
-        outcome = outcome_of(CallTask("check", partial(_verdicts, name, dict(options), extent)), executor)
-    if outcome.said:
-        hear(outcome.said)
+    outcome = call_in_worker("check", partial(_verdicts, name, dict(options), extent), limits, hear)
     failed = outcome.failed
     if failed is None:
         return [CheckResult(**content) for content in json.loads(outcome.product[0])]
-    if failed.is_unusable:
-        raise ConfigError(failed.message)
     return [CheckResult(LASTS, False, f"{failed.message}{crashed_at(failed.log_tail)}")]
 
 

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import faulthandler
 import json
-import math
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from statistics import fmean
 
-from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
+from advdiff_sumo.core.errors import EpisodeFailure
 from advdiff_sumo.core.plug_in_source import crashed_at
 from advdiff_sumo.sim.run_episodes import RunOptions
-from advdiff_sumo.sweep.executors import ProcessExecutor, outcome_of
-from advdiff_sumo.sweep.tasks import CallTask, WorkerLimits
+from advdiff_sumo.sweep.executors import call_in_worker
+from advdiff_sumo.sweep.tasks import WorkerLimits
+from advdiff_sumo.sweep.worker_sandbox import end_after
 
 Tell = Callable[[int], None]
 _LOOK_S = 0.5  # between looks at how many plans are made
@@ -51,16 +50,12 @@ def warm_up_in_worker(
     count = limits.logs / "plans"
     learn = _refit_reward if licence == "reckless" else _learn_failures
     call = partial(_learnt, learn, options, steps, out, count, episode_s)
-    with ProcessExecutor(1, limits) as executor, _told(count, tell):
-        outcome = outcome_of(CallTask("warm-up", call), executor)
-    if outcome.said:
-        hear(outcome.said)
+    with _told(count, tell):
+        outcome = call_in_worker("warm-up", call, limits, hear)
     failed = outcome.failed
     if failed is None:
         lines: list[str] = json.loads(outcome.product[0])
         return lines
-    if failed.is_unusable:
-        raise ConfigError(failed.message)
     problem = f"an episode took longer than {episode_s:g} s" if failed.kind == "timeout" else failed.message
     raise EpisodeFailure(f"warm-up of {options.target}: {problem}{crashed_at(failed.log_tail)}")
 
@@ -96,8 +91,7 @@ def _learnt(
 
     def tell(plans: int) -> None:
         count.write_text(str(plans))
-        if math.isfinite(episode_s):
-            faulthandler.dump_traceback_later(min(episode_s, threading.TIMEOUT_MAX), exit=True)
+        end_after(episode_s)
 
     tell(0)
     return json.dumps(learn(options, steps, out, tell)).encode()

@@ -10,7 +10,7 @@ import signal
 import sys
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from concurrent.futures.process import BrokenProcessPool
@@ -21,6 +21,7 @@ from typing import Any, Protocol, Self
 
 from pebble import ProcessExpired, ProcessPool
 
+from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.process_end import how_it_ended
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.core.worker_start import worker_context
@@ -28,7 +29,7 @@ from advdiff_sumo.planners.planner_protocol import Served
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sim.heartbeat import Heartbeat
 from advdiff_sumo.sim.run_episodes import Run
-from advdiff_sumo.sweep.tasks import Outcome, Task, WorkerLimits
+from advdiff_sumo.sweep.tasks import CallTask, Outcome, Task, WorkerLimits
 from advdiff_sumo.sweep.work import perform
 from advdiff_sumo.sweep.worker_sandbox import (
     RECYCLED,
@@ -216,6 +217,29 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         pool = self._pools.pop(slot)
         pool.stop()
         pool.join()
+
+
+def call_in_worker(
+    name: str, call: Callable[[], bytes], limits: WorkerLimits, hear: Callable[[str], None]
+) -> Outcome:
+    """Return what comes of *call* in a process of its own.
+
+    Args:
+        name: of the task.
+        call: what is called; what it returns is the outcome's product.
+        limits: of the worker.
+        hear: called with what was printed.
+
+    Raises:
+        ConfigError: the input cannot be used.
+    """
+    with ProcessExecutor(1, limits) as executor:
+        outcome = outcome_of(CallTask(name, call), executor)
+    if outcome.said:
+        hear(outcome.said)
+    if outcome.failed is not None and outcome.failed.is_unusable:
+        raise ConfigError(outcome.failed.message)
+    return outcome
 
 
 def prepare_workers(modules: Iterable[str] = ()) -> BaseContext:

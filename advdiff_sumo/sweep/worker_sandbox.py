@@ -16,6 +16,7 @@ from dataclasses import replace
 from itertools import count
 from multiprocessing import parent_process
 from pathlib import Path
+from typing import IO
 
 import pyarrow as pa
 
@@ -191,8 +192,7 @@ def _watched(log: Path, timeout_s: float) -> Iterator[Callable[[], str]]:
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
         faulthandler.enable(file=file)
-        if math.isfinite(timeout_s):
-            faulthandler.dump_traceback_later(timeout_s, exit=True, file=file)
+        end_after(timeout_s, file)
         try:
             yield lambda: _flushed() or tail_of(log)
         finally:
@@ -204,6 +204,14 @@ def _watched(log: Path, timeout_s: float) -> Iterator[Callable[[], str]]:
                 os.close(kept)
     with contextlib.suppress(OSError):
         log.unlink()
+
+
+def end_after(timeout_s: float, file: IO[bytes] | None = None) -> None:
+    """Let this process say where it is stuck, into *file* or on standard error, and end in so many s; inf: never."""
+    if math.isfinite(timeout_s):
+        faulthandler.dump_traceback_later(
+            min(timeout_s, threading.TIMEOUT_MAX), exit=True, file=sys.stderr if file is None else file
+        )
 
 
 def _flushed() -> str:

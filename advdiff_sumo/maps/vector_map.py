@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray, read_only
 from advdiff_sumo.core.map_view import MAP_PIECES, MapView
 from advdiff_sumo.core.polylines import Polyline, without_repeats
 from advdiff_sumo.maps.lanes import Junction, Lane, Link
@@ -93,7 +93,7 @@ class PieceTable:
 
     def __post_init__(self) -> None:
         for array in (self.xy_m, self.features, self.signal):
-            array.setflags(write=False)
+            read_only(array)
 
     def rows_near(self, xy_m: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray) -> NDArray[np.int32]:
         """Return the pieces (S, K) that agents see, −1 padded.

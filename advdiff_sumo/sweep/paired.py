@@ -149,11 +149,11 @@ def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Compa
         raise ConfigError(
             "the two sweeps share no seed scene; compare sweeps of the same nets, seeds, horizon_s, sim and scene"
         )
-    pairs = [(a[key], b[key]) for key in keys if has_outcome(a[key]) and has_outcome(b[key])]
-    scenes = [key[0] for key in keys if has_outcome(a[key]) and has_outcome(b[key])]
-    if not pairs:
+    counted = [key for key in keys if has_outcome(a[key]) and has_outcome(b[key])]
+    if not counted:
         raise ConfigError("no seed scene was finished in both sweeps")
-    draw = _Draws(scenes, seed)
+    pairs = [(a[key], b[key]) for key in counted]
+    draw = _Draws([key[0] for key in counted], seed)
     return Comparison(
         pairs=len(pairs),
         scenes=draw.scenes,

@@ -56,33 +56,30 @@ class Figures:
             finished, or failed after a contact of the target.
         medians: over the episodes with an outcome in which the value is defined.
         missing: episodes that have not been run.
-        finished: episodes that did not fail.
     """
 
     episodes: int
     rates: Mapping[str, Rate]
     medians: Mapping[str, float | None]
     missing: int = 0
-    finished: int = 0
 
     @staticmethod
     def of(episodes: Sequence[Row], failures: Sequence[Row], missing: int = 0) -> Figures:
         """Return the figures of rows of ``episodes`` and ``failures``."""
-        finished = sum(not is_failure(row) for row in episodes)
-        total = finished + len(failures)
+        total = sum(not is_failure(row) for row in episodes) + len(failures)
         counted = [row for row in episodes if has_outcome(row)]
         rates = {name: _rate(counted, event) for name, event in EVENTS.items()}
         rates["failure_rate"] = Rate.of(len(failures), total)
         values = {c: [row[c] for row in counted if row[c] is not None] for c in _MEDIANS}
         medians = {name: float(median(known)) if known else None for name, known in values.items()}
-        return Figures(total, rates, medians, missing, finished)
+        return Figures(total, rates, medians, missing)
 
     def named(self) -> dict[str, float | None]:
         """Return every figure of ``FIGURE_NAMES``."""
         collisions, failures = self.rates["collision_rate"], self.rates["failure_rate"]
         named: dict[str, float | None] = {
             "episodes": self.episodes,
-            "finished": self.finished,
+            "finished": self.episodes - failures.count,
             "valid_failures": self.rates["valid_failure_rate"].count,
             "collisions": collisions.count,
             "failures": failures.count,

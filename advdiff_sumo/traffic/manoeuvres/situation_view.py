@@ -143,10 +143,10 @@ class SituationView:
                 return False
         return True
 
-    def anybody_on(self, way: Way, reach_m: float, aside_m: float) -> bool:
-        """Return whether anybody but the target is ahead on *way*, within *reach_m*, and within *aside_m* of it."""
+    def anybody_on(self, way: Way, reach_m: float, aside_m: float, from_m: float = 0.0) -> bool:
+        """Return whether anybody but the target is *from_m* to *reach_m* ahead on *way*, within *aside_m* of it."""
         places = (self.place_on(way, row) for row in self.ways if row != self.scene.target)
-        return _anybody(places, reach_m, aside_m)
+        return _anybody(places, reach_m, aside_m, from_m)
 
     def signal(self, link: Link) -> str:
         """Return SUMO's letter of the light of *link*; "" where none controls it."""
@@ -198,5 +198,7 @@ class SituationView:
         return now.xy_m[rows, -1:] + driven, yaw
 
 
-def _anybody(places: Iterable[tuple[float, float]], reach_m: float, aside_m: float) -> bool:
-    return any(0.0 < ahead < reach_m and abs(left) < aside_m for ahead, left in places)
+def _anybody(
+    places: Iterable[tuple[float, float]], reach_m: float, aside_m: float, from_m: float = 0.0
+) -> bool:
+    return any(from_m < ahead < reach_m and abs(left) < aside_m for ahead, left in places)

@@ -171,14 +171,8 @@ def _beside(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
         drives = min(target.speed_mps, way.lane.speed_mps)
         gap = LAWFUL.gap_share * safe_gap_m(speed + 0.5, drives) + LAWFUL.spare_m + stage.spare_gap_m
         ahead = max(gap + SIZE_M[stage.agent_class][0] + _SPARE_M, least)
-        if not _has_one_about(view, way, ahead):
+        if not view.anybody_on(way, AHEAD_M, _IN_LANE_M, ahead - _NEARLY_M):  # who could get there itself
             yield from _on_way(view, way, ahead, drives, stage.agent_class)
-
-
-def _has_one_about(view: SituationView, way: Way, ahead_m: float) -> bool:
-    """Return whether somebody on *way* is about *ahead_m* ahead of the target, or farther within reach."""
-    places = (view.place_on(way, row) for row in view.ways if row != view.scene.target)
-    return any(ahead_m - _NEARLY_M < s < AHEAD_M and abs(left) < _IN_LANE_M for s, left in places)
 
 
 def _with_priority(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:

@@ -186,7 +186,7 @@ class Run:
             names=self.names,
             sim=self.options.sim,
             horizon_s=self.options.horizon_s,
-            seed=SeedTree(self.options.seed).child("episode", number),
+            seed=SeedTree(self.options.seed).child("episode", self.road.path.name, number),
             gui=self.gui,
         )
 

@@ -46,55 +46,60 @@ def _flag(description: str, *, nullable: bool = False) -> Column:
 
 VERDICT_COLUMNS: Mapping[str, Column] = {
     "valid_failure": _flag(
-        "the collision counts (verdict.md); false without one, empty where there is no verdict yet",
+        "the collision counts (verdict.md); false without a collision, empty without a verdict",
         nullable=True,
     ),
     "preventable": _flag("CC_human_driver would not have collided", nullable=True),
-    "preventable_by": _text("which of CC_human_driver, Reg157, RSS, FSM would not have"),
+    "preventable_by": _text("those of CC_human_driver, Reg157, RSS, FSM that would not have collided"),
     "lawful": _flag("the other broke no rule that led to it", nullable=True),
     "target_breaches": _text("rules that the target broke and that led to it (verdict.md)"),
-    "other_breaches": _text("the same of the other"),
-    "spare_m": _real("m", "distance by which CC_human_driver clears the other; empty where it collides"),
-    "spare_s": _real("s", "least time in which it would have met anybody, at most 5 s"),
-    "impact_left_mps": _real("m/s", "closing speed at which it still collides"),
+    "other_breaches": _text("rules that the other broke and that led to it"),
+    "spare_m": _real("m", "distance by which CC_human_driver clears the other; empty if it collides"),
+    "spare_s": _real("s", "least time in which CC_human_driver would have met anybody, at most 5 s"),
+    "impact_left_mps": _real("m/s", "closing speed at which CC_human_driver still collides"),
     "solvable": _flag("the clairvoyant search avoids it; empty unless verdict --search asked", nullable=True),
-    "unavoidable": _flag("nobody avoids it; empty where only the search could tell", nullable=True),
-    "verdict": _text("all of it as a sentence"),
+    "unavoidable": _flag(
+        "no reference driver and no search avoids it; empty if only the search could tell",
+        nullable=True,
+    ),
+    "verdict": _text("the verdict as a sentence"),
 }
 """What verdict.md says of a collision of the target, or of the episode by its first."""
 
 CRITICAL_COLUMNS: Mapping[str, Column] = {
     "critical": _flag(
-        "near miss that asks a reference driver for over 4 m/s²; empty where there is no verdict yet",
+        "near miss in which a reference driver needs over 4 m/s²; empty without a verdict",
         nullable=True,
     ),
-    "critical_brake_mps2": _real("m/s²", "what it asks for, at most 9"),
+    "critical_brake_mps2": _real("m/s²", "braking that a reference driver needs, at most 9"),
     "resolved_by": _text(
-        "who kept it from a collision: target, other, both; empty if the record ends before"
+        "party that avoided the contact: target, other, both; empty if the record ends before"
     ),
 }
 
 OFFENCE_COLUMNS: Mapping[str, Column] = {
     "offences": _text("rules that the target broke, contact or not; empty: unknown, as in earlier versions"),
-    "offences_text": _text("what it did, and when, as a sentence"),
+    "offences_text": _text("the broken rules as a sentence, with times"),
 }
 
 EPISODE_COLUMNS: Mapping[str, Column] = {
     "episode": _count("number of the episode in its run"),
     "scene": _text("name of the seed scene", nullable=False),
     "seed": _count("SUMO's seed in the simulation that the seed scene was taken from"),
-    "end": _text("why it ended: horizon, collision, arrived, log_end, failed", nullable=False),
+    "end": _text("why the episode ended: horizon, collision, arrived, log_end, failed", nullable=False),
     "duration_s": _real("s", "simulated time", nullable=False),
-    "route": _text("edges of the target's route, apart by blanks"),
-    "agents": _count("agents ever there, the target included"),
-    "target_collision": _flag("it hit something or left the road; overlaps at the start do not count"),
+    "route": _text("edges of the target's route, separated by blanks"),
+    "agents": _count("number of road users in the record, the target included"),
+    "target_collision": _flag(
+        "the target hit something or left the road; overlaps at the start do not count"
+    ),
     "collision_time_s": _real("s", "first contact, since the episode's start"),
     "collision_partner": _text("id of the other; empty when the target left the road"),
     "collision_type": _text(
         "junction, head_on, cut_in, rear_end_striking, rear_end_struck, side or off_road"
     ),
     "at_fault": _text("who caused it: target, other or unclear"),
-    "fault_reason": _text("the rule that says so, as a sentence"),
+    "fault_reason": _text("the rule behind at_fault, as a sentence"),
     **VERDICT_COLUMNS,
     **CRITICAL_COLUMNS,
     **OFFENCE_COLUMNS,
@@ -109,29 +114,29 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "impact_left_m": _real("m", "impact point from the target's centre"),
     "initial_overlaps": _count("pairs that overlapped when first there together"),
     "sumo_collisions": _count("SUMO's own collision list: pairs at an instant"),
-    "sumo_only": _count("of these, whose boxes do not touch"),
+    "sumo_only": _count("of these, pairs whose boxes do not touch"),
     "ours_only": _count("pairs at an instant that only we list"),
     "sumo_disagreements": _count("sumo_only plus ours_only"),
     "teleports": _count("vehicles that SUMO teleported"),
-    "rough_handovers": _count("times SUMO got a vehicle back askew, not aligned within 8 s"),
-    "skipped_agents": _count("agents left to SUMO, out of reach of where their log goes on"),
-    "refused_insertions": _later_count("moved vehicles that SUMO would not take in"),
-    "implausible_plans": _later_count("plans of the target that ask for what no vehicle can do"),
-    "implausible_plan": _text("what the first of these does, as check-planner says it"),
+    "rough_handovers": _count("vehicles handed back to SUMO unaligned after 8 s"),
+    "skipped_agents": _count("agents left to SUMO because their log continues out of reach"),
+    "refused_insertions": _later_count("moved vehicles that SUMO refused to insert"),
+    "implausible_plans": _later_count("plans of the target that no vehicle can drive"),
+    "implausible_plan": _text("what is wrong with the first of these, as in check-planner"),
     "safeguarded_plans": _later_count(
-        "of moved_plans, whose next half second the safeguard changed by over 0.1 m"
+        "of moved_plans, those whose next 0.5 s the safeguard changed by over 0.1 m"
     ),
     "moved_plans": _later_count("plans of a moved vehicle that the safeguard looked at"),
     "attack_kind": _text("kind of attack asked for; empty without attackers"),
-    "in_position": _flag("some vehicle was ever in a position for it", nullable=True),
+    "in_position": _flag("a vehicle was in a position for this attack at some time", nullable=True),
     "min_ttc_s": _real("s", "least time to collision of boxes, up to 10 s"),
-    "min_ttc_partner": _text("the vehicle it was with"),
-    "min_lane_ttc_s": _real("s", "the same with the vehicle ahead in the lane"),
+    "min_ttc_partner": _text("the vehicle of min_ttc_s"),
+    "min_lane_ttc_s": _real("s", "least time to collision with the vehicle ahead in the lane"),
     "min_pet_s": _real("s", "least post-encroachment time, up to 10 s"),
     "max_drac_mps2": _real("m/s²", "greatest deceleration needed not to hit the vehicle ahead"),
     "min_clearance_m": _real("m", "least distance of boxes; 0 in a collision"),
-    "min_clearance_partner": _text("the vehicle it was to"),
-    "min_clearance_time_s": _real("s", "when, since the episode's start"),
+    "min_clearance_partner": _text("the vehicle of min_clearance_m"),
+    "min_clearance_time_s": _real("s", "time of min_clearance_m, since the episode's start"),
     "accel_mean_mps2": _real("m/s²", "absolute longitudinal acceleration, mean and greatest"),
     "accel_max_mps2": _real("m/s²", "absolute longitudinal acceleration, mean and greatest"),
     "brake_max_mps2": _real("m/s²", "strongest braking, positive"),
@@ -166,7 +171,7 @@ COLLISION_COLUMNS: Mapping[str, Column] = {
     "replayed": _flag("both follow their log", nullable=True),
     "type": _text("as collision_type; empty without the target or when initial"),
     "at_fault": _text("as in the episodes; empty as type"),
-    "fault_reason": _text("the rule that says so, as a sentence"),
+    "fault_reason": _text("the rule behind at_fault, as a sentence"),
     **VERDICT_COLUMNS,
     "attacker_visible": _flag("as in the episodes", nullable=True),
     "relative_speed_mps": _real("m/s", "length of the difference of the velocities"),

@@ -30,7 +30,7 @@ Out = Annotated[
 Scenes = Annotated[
     str | None,
     typer.Option(
-        help="So many of the shipped list of seed scenes, the file of a list, or a driving log: a scene a second.",
+        help="Number of scenes of the shipped list; or the file of a list, or a driving log: a scene a second.",
         show_default=False,
     ),
 ]
@@ -54,7 +54,9 @@ DefectsLicence = Annotated[
 ]
 Severity = Annotated[
     str | None,
-    typer.Option(help="Of defects that are given none: weak, middle or strong.", show_default="strong"),
+    typer.Option(
+        help="Severity of defects given without one: weak, middle or strong.", show_default="strong"
+    ),
 ]
 
 

@@ -63,11 +63,9 @@ _Osm = Annotated[
         help="OpenStreetMap extract of the same place, whose streets lead on where the map ends, and back to it.",
     ),
 ]
-_Drive = Annotated[
-    int, typer.Option(min=0, help="Driving test of an hour in which so many vehicles set out; 0: none.")
-]
+_Drive = Annotated[int, typer.Option(min=0, help="Driving test of an hour with N vehicles in all; 0: none.")]
 _DriveAtOnce = Annotated[
-    int, typer.Option(min=0, help="Driving test of an hour with so many vehicles at any time; 0: none.")
+    int, typer.Option(min=0, help="Driving test of an hour with N vehicles at any time; 0: none.")
 ]
 
 

@@ -40,7 +40,7 @@ _Attack = Annotated[
 _By = Annotated[
     str | None,
     typer.Option(
-        help="What is made milder: braking, gap or time.",
+        help="Quantity that is varied: braking, gap or time.",
         show_default="what the attack has, of cut-in the gap",
     ),
 ]
@@ -49,7 +49,7 @@ _Within = Annotated[
     typer.Option(
         min=0.01,
         max=10.0,
-        help="How near the two neighbours shall be.",
+        help="The bisection stops at this distance of failing and passing.",
         show_default="0.25 m/s², 1 m, 0.05 s, of cut-out 0.1 s",
     ),
 ]

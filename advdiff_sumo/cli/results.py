@@ -38,7 +38,7 @@ def results(
     junit: JUnit = None,
     fail_if: FailIf = None,
 ) -> None:
-    """Say what the episodes of a run or sweep came to; a sweep's are put together.
+    """Print the results of a run or sweep: rates, findings, worst episodes, coverage.
 
     advdiff-sumo results runs/planners --sql "select target, avg(target_collision::int) from episodes group by 1"
 

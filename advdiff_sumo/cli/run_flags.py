@@ -37,7 +37,9 @@ Episodes: TypeAlias = Annotated[int | None, typer.Option(help="How many episodes
 Horizon: TypeAlias = Annotated[
     float | None, typer.Option(help="Longest duration of an episode, in seconds.", show_default="20")
 ]
-Seed: TypeAlias = Annotated[int | None, typer.Option(help="Same seed, same bytes.", show_default="0")]
+Seed: TypeAlias = Annotated[
+    int | None, typer.Option(help="Random seed; the same one gives the same bytes.", show_default="0")
+]
 Demand: TypeAlias = Annotated[
     Path | None,
     typer.Option(help="Route file (.rou.xml) or .sumocfg of the net; without it traffic is made up."),
@@ -125,7 +127,7 @@ Check: TypeAlias = Annotated[
 ]
 Quiet: TypeAlias = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Json: TypeAlias = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object, what it came to, and nothing else.")
+    bool, typer.Option("--json", help="Print the result as one JSON object and nothing else.")
 ]
 
 

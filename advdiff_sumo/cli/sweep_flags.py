@@ -32,13 +32,13 @@ Out: TypeAlias = Annotated[
 Resume: TypeAlias = Annotated[
     Path | None, typer.Option(help="Go on in this folder: run only what is missing or damaged.")
 ]
-Limit: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Only the first so many episodes.")]
+Limit: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Only the first N episodes.")]
 Diverse: TypeAlias = Annotated[
     bool,
     typer.Option("--diverse", help="Choose attacks and seed scenes, in rounds, for encounters not met yet."),
 ]
 Retries: TypeAlias = Annotated[
-    int, typer.Option(min=0, help="Try an episode again so often when its worker died.")
+    int, typer.Option(min=0, help="How often to try an episode again after its worker died.")
 ]
 DryRun: TypeAlias = Annotated[
     bool, typer.Option("--dry-run", help="Check everything, count, measure a few episodes, write nothing.")

@@ -63,7 +63,7 @@ def train(
     preset: _Preset = None,
     codec: _Codec = None,
     assign: _Assign = None,
-    seed: Annotated[int, typer.Option(help="Same seed, same bytes (on the CPU).")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed; the same one gives the same bytes on the CPU.")] = 0,
     device: flags.Device = "auto",
     threads: flags.Threads = None,
     max_minutes: _MaxMinutes = math.inf,

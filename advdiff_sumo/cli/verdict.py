@@ -34,7 +34,7 @@ def verdict(
     target: Annotated[
         str,
         typer.Option(
-            help="Who of a scenario is judged.", show_default="the exported target, or the log's ego"
+            help="Road user of a scenario to judge.", show_default="the exported target, or the log's ego"
         ),
     ] = "",
     as_json: flags.Json = False,
@@ -48,7 +48,7 @@ def verdict(
 
     advdiff-sumo verdict scenario.xml --net nets/scenario.net.xml --target 42
 
-    Says what a road user of a CommonRoad scenario, another driving log or an exported file came to, and writes nothing.
+    Judges a road user of a CommonRoad scenario, another driving log or an exported file, and writes nothing.
     """
     if net:
         _scenarios(folder, net, target, search, as_json)

@@ -42,7 +42,7 @@ def warmup(
     defect: flags.Defect = None,
     timeout: Timeout = 600.0,
 ) -> None:
-    """Meet a target for the first time, and learn from few plans what it fails in.
+    """Learn in a few plans which encounters a target fails in, for run --reward.
 
     advdiff-sumo warmup --target lane_graph --net motorway --out seen.safetensors
 

@@ -46,7 +46,7 @@ def defects(
     scenes: Annotated[
         str | None,
         typer.Option(
-            help="Number of scenes of --net or the shipped list; or the file of a list, or a driving log: one a second.",
+            help="Number of scenes of --net or the shipped list; or a list file, or a driving log: one a second.",
             show_default="60",
         ),
     ] = None,

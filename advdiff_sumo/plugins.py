@@ -33,20 +33,22 @@ class Registry:
         kind: word for messages, such as "target".
         group: entry-point group that third parties register under.
         builtins: name → "package.module:attribute", imported only when asked for.
+        descriptions: name of a built-in → what it is, in a line.
     """
 
     kind: str
     group: str
     builtins: Mapping[str, str] = field(default_factory=dict)
+    descriptions: Mapping[str, str] = field(default_factory=dict)
 
     def names(self) -> list[str]:
         """Return every name that resolves, built-ins first."""
         return [*self.builtins, *(e.name for e in self._plugins())]
 
-    def source(self, name: str) -> str:
-        """Return the ``package.module:attribute`` behind one of :meth:`names`."""
-        plugins = {plugin.name: plugin.value for plugin in self._plugins()}
-        return self.builtins.get(name) or plugins[name]
+    def described(self) -> dict[str, str]:
+        """Return every name that resolves with what it is; of a plug-in that is its ``package.module:attribute``."""
+        plugins = {plugin.name: f"plug-in {plugin.value}" for plugin in self._plugins()}
+        return {name: self.descriptions.get(name, source) for name, source in self.builtins.items()} | plugins
 
     def builtin_module(self, name: str) -> str | None:
         """Return the module of the built-in that *name* stands for; None where it is none."""

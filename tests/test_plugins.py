@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from advdiff_sumo.core.errors import ConfigError, UnknownNameError
+from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.plugins import Registry, fold
+from advdiff_sumo.traffic.policy_registry import POLICIES
 
 SHAPES = Registry("shape", "advdiff_sumo.tests_none", {"lane_graph": "fractions:Fraction", "IDM": "math:tau"})
 
@@ -97,3 +99,11 @@ def test_plugins_come_from_entry_points(monkeypatch: pytest.MonkeyPatch, tmp_pat
     monkeypatch.syspath_prepend(str(tmp_path))
     assert SHAPES.names() == ["lane_graph", "IDM", "Their_Planner"]
     assert SHAPES.load("their-planner") is Fraction
+
+
+@pytest.mark.parametrize("registry", [TARGETS, POLICIES])
+def test_every_built_in_says_what_it_is(registry: Registry) -> None:
+    described = registry.described()
+    assert list(described)[: len(registry.builtins)] == list(registry.builtins)
+    assert not [name for name, source in registry.builtins.items() if described[name] == source]
+    assert registry.descriptions.keys() == registry.builtins.keys()

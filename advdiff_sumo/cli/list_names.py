@@ -50,14 +50,10 @@ def _names(kind: ListedKind) -> dict[str, str]:
         return {name: defect.stands_for for name, defect in DEFECTS.items()}
     if kind is ListedKind.targets:
         from advdiff_sumo.planners.planner_registry import TARGETS
-        from advdiff_sumo.planners.sumo_models import CAR_FOLLOWING
 
-        words = dict.fromkeys(CAR_FOLLOWING, "SUMO's car-following model")
         own = {"package.module:Class": "a planner of yours", "grpc://HOST:PORT": "a planner's server"}
         own["exec:COMMAND"] = "a planner's server, started for the run"
-        return {name: words.get(name, TARGETS.source(name)) for name in TARGETS.names()} | own
+        return TARGETS.described() | own
     from advdiff_sumo.traffic.policy_registry import POLICIES
 
-    return {name: POLICIES.source(name) for name in POLICIES.names()} | {
-        "package.module:Class": "a policy of yours"
-    }
+    return POLICIES.described() | {"package.module:Class": "a policy of yours"}

@@ -27,6 +27,17 @@ TARGETS = Registry(
         "trafficsim": "advdiff_sumo.planners.learned:TrafficSimPlanner",
         "diffusion": "advdiff_sumo.planners.learned:DiffusionPlanner",
     },
+    descriptions={
+        **dict.fromkeys(CAR_FOLLOWING, "SUMO's car-following model"),
+        "lane_graph": "rule-based planner over the lane graph",
+        "careful": "careful and competent human driver of UN R157, on the way of lane_graph",
+        "reg157": "reference driver Reg157 of UN R157, on the way of lane_graph",
+        "rss": "reference driver RSS (responsibility-sensitive safety), on the way of lane_graph",
+        "fsm": "reference driver FSM (fuzzy safety model), on the way of lane_graph",
+        "simnet": "planner on futures predicted by SimNet",
+        "trafficsim": "planner on futures predicted by TrafficSim",
+        "diffusion": "planner on futures predicted by unguided latent diffusion",
+    },
 )
 """SUMO's models, ``lane_graph``, the reference drivers, the learned targets, and plug-ins.
 

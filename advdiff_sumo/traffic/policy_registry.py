@@ -24,6 +24,16 @@ POLICIES = Registry(
         "scripted": "advdiff_sumo.traffic.scripted.scripted_policy:ScriptedTraffic",
         "adv-rl": "advdiff_sumo.traffic.rl.adv_rl_policy:AdvRl",
     },
+    descriptions={
+        "sumo": "natural traffic: SUMO drives everybody",
+        "replay": "every logged road user follows its log",
+        "diffusion": "guided latent diffusion against the target; natural with --strength 0",
+        "traj2traj": "diffusion of trajectories in place of latents, the paper's ablation",
+        "advsim": "search over the attackers' actions (baseline AdvSim)",
+        "strive": "search over the latents of the traffic prior (baseline Strive)",
+        "scripted": "lawful manoeuvres that make a careful driver brake hard; needs no networks",
+        "adv-rl": "one attacker taught by reinforcement learning (baseline Adv-RL)",
+    },
 )
 """``sumo``, ``replay``, ``diffusion``, the rivals, and plug-ins of the group ``advdiff_sumo.policies``."""
 

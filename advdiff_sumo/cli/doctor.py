@@ -8,7 +8,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.terminal import counted, terminal
 
 _STYLES = {"ok": "green", "note": "yellow", "problem": "red"}
 UNUSABLE = 1
@@ -45,6 +45,6 @@ def doctor(
             console.print(Text(f"{finding.topic}: {finding.hint}", style=_STYLES[finding.state]))
     problems = sum(finding.state is CheckState.PROBLEM for finding in findings)
     if problems:
-        console.print(Text(f"{problems} problem{'s' if problems > 1 else ''} to mend", style="red"))
+        console.print(Text(f"{counted(problems, 'problem')} to mend", style="red"))
         raise typer.Exit(UNUSABLE)
     console.print(Text("ready to run", style="green"))

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from advdiff_sumo.cli.summary import UNEXPLAINED
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.terminal import counted, terminal
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS, FileError
 from advdiff_sumo.experiments.folder_rows import FolderRows
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, archive
@@ -150,7 +150,7 @@ def _print_rates(
     console: Console, episodes: Sequence[Row], failures: Sequence[Row], overall: Figures
 ) -> None:
     table = _table(
-        f"{overall.episodes} episodes; rates in % with 95 % Wilson intervals",
+        f"{counted(overall.episodes, 'episode')}; rates in % with 95 % Wilson intervals",
         *(
             "target",
             "background",
@@ -213,7 +213,7 @@ def _print_failures(console: Console, failures: Sequence[Row]) -> None:
 def _print_findings(console: Console, clusters: Sequence[Finding]) -> None:
     total = sum(len(finding.episodes) for finding in clusters)
     valid = sum(finding.valid for finding in clusters)
-    title = f"{total} collisions, {valid} of them valid failures, are {len(clusters)} findings"
+    title = f"{counted(len(clusters), 'finding')} in {counted(total, 'collision')}; valid failures: {valid}"
     table = _table(title, "valid", "collisions", "type", "where", "at fault", "targets", "the worst of them")
     for finding in clusters[:_FINDINGS]:
         table.add_row(
@@ -232,7 +232,13 @@ def _print_findings(console: Console, clusters: Sequence[Finding]) -> None:
 
 def _print_worst(console: Console, rows: Sequence[Row]) -> None:
     table = _table(
-        f"the {len(rows)} worst episodes", "key", "target", "background", "what", "TTC", "clearance"
+        f"the {counted(len(rows), 'worst episode')}",
+        "key",
+        "target",
+        "background",
+        "what",
+        "TTC",
+        "clearance",
     )
     for row in rows:
         what = row["end"]

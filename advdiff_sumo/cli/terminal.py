@@ -32,6 +32,11 @@ def terminal(**options: Any) -> Console:
     return console
 
 
+def counted(count: int, noun: str) -> str:
+    """Return *count* with *noun* in the singular or plural: "1 finding", "3 findings"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def progress_bar(console: Console, transient: bool = False) -> Progress:
     """Return a bar with counts and the time left, shown where a person looks; *transient*: it vanishes at the end."""
     from rich.progress import (  # late: --help

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal, TypeAlias, cast, get_args
-
-import torch
+from typing import TYPE_CHECKING, Literal, TypeAlias, cast, get_args
 
 from advdiff_sumo.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    import torch
 
 #: File in the folder of a training that holds its networks.
 WEIGHTS = "weights.safetensors"
@@ -42,6 +43,8 @@ def device_of(name: str, whose: str) -> torch.device:
     Raises:
         ConfigError: PyTorch has no such device here; it says *whose* option it is.
     """
+    import torch  # late: who asks where a file lies does not need it
+
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:

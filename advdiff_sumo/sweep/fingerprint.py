@@ -15,6 +15,7 @@ from advdiff_sumo.data.argoverse2_log import SCENARIOS
 from advdiff_sumo.data.commonroad_log import is_scenario
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.maps.sidecar import sidecar_of
+from advdiff_sumo.models.shipped_weights import WEIGHTS
 from advdiff_sumo.sim.demand_files import DemandFiles
 from advdiff_sumo.sim.run_episodes import RunOptions
 
@@ -100,11 +101,8 @@ def files_of(own: Mapping[str, Any]) -> tuple[Path, ...]:
 def _file_named(text: str) -> Iterator[Path]:
     if os.path.isfile(text):  # noqa: PTH113 - Path's raises for long texts
         yield Path(text)
-    elif os.path.isdir(text):  # noqa: PTH112 - as above
-        from advdiff_sumo.models.shipped_weights import WEIGHTS  # late: it needs PyTorch
-
-        if (weights := Path(text) / WEIGHTS).is_file():
-            yield weights
+    elif os.path.isdir(text) and (weights := Path(text) / WEIGHTS).is_file():  # noqa: PTH112 - as above
+        yield weights
 
 
 def _kept(files: tuple[Path, ...]) -> str:

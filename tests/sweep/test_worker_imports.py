@@ -14,6 +14,7 @@ SLOW_TO_IMPORT = "{'torch', 'scipy.stats', 'scipy.signal'}"
         "advdiff_sumo.sweep.worker_sandbox, advdiff_sumo.cli.sweep_results, advdiff_sumo.experiments.judge_folder",
         "advdiff_sumo.traffic.scripted.scripted_policy, advdiff_sumo.traffic.replay, advdiff_sumo.traffic.sumo_traffic",
         "advdiff_sumo.planners.lane_graph, advdiff_sumo.planners.reference, advdiff_sumo.planners.defects.catalogue",
+        "advdiff_sumo.models.shipped_weights, advdiff_sumo.sim.training_windows.handback",
     ],
 )
 def test_without_networks_no_slow_library_is_imported(modules: str) -> None:

@@ -21,6 +21,7 @@ from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.window_files import DT_S, FUTURE
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.models.shipped_weights import find_weights
 from advdiff_sumo.planners.planner_protocol import SumoDriver
 from advdiff_sumo.sim.demand_files import DemandFiles
 from advdiff_sumo.sim.episode import Episode
@@ -64,8 +65,6 @@ class DrivingModel:
         Raises:
             WeightsError: the file is missing, damaged, or holds other networks.
         """
-        from advdiff_sumo.models.shipped_weights import find_weights  # brings PyTorch with it
-
         path = find_weights(weights)
         _policy(str(path))  # refuses what cannot drive
         return DrivingModel(path, hashlib.sha256(path.read_bytes()).hexdigest())

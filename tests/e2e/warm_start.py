@@ -158,9 +158,9 @@ def _serve() -> None:
     try:
         runpy.run_module("advdiff_sumo", run_name="__main__", alter_sys=True)
     except SystemExit as left:
-        if not isinstance(left.code, int):
+        if not isinstance(left.code, int | None):
             raise
-        _end(left.code)
+        _end(left.code or 0)
 
 
 def _end(code: int) -> NoReturn:

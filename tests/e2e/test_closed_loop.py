@@ -24,7 +24,7 @@ def checked(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
 def test_collisions_of_a_run(tmp_path: Path, here: Callable[..., Outcome]) -> None:
     """A planner that sees 2 m runs into those ahead; who takes over from it seconds before does not."""
     out = tmp_path / "run"
-    asked = ["--target", "lane_graph", "--defect", "range:2", "--episodes", "6", "--horizon", "15"]
+    asked = ["--target", "lane_graph", "--defect", "range:2", "--episodes", "2", "--horizon", "15"]
     asked += ["--set", "scene.density_per_km=20", "--set", "scene.warmup_s=20", "--out", out]
     assert here("run", *asked).code == 0
     hits = pq.read_table(out / "episodes.parquet")["collision_partner"]

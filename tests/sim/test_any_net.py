@@ -17,6 +17,7 @@ from advdiff_sumo.sim.run_store import episode_tables
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
+from tests.example_counts import examples
 from tests.rare_net import FEATURES, build
 from tests.sim.scenes import episode
 
@@ -62,8 +63,7 @@ FAST = settings(
 )
 THOROUGH = settings(
     deadline=None,
-    # where they are the same every time; at a desk tests look for new ones
-    max_examples=10 if settings().derandomize else 25,
+    max_examples=examples(6, 25),
     suppress_health_check=[*HealthCheck],
 )
 SOME = st.sets(st.sampled_from(sorted(FEATURES)), min_size=2, max_size=8)

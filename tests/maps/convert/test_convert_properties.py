@@ -19,6 +19,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import ConversionResult, convert_map
 from advdiff_sumo.maps.convert.netread import WrittenNet, read_net
 from advdiff_sumo.maps.convert.sources.arcline import sample_path
+from tests.example_counts import examples
 
 MEDIAN_M, LARGEST_M = 0.02, 0.20
 STEP_M = 0.5
@@ -235,7 +236,7 @@ def check_side_car(data: dict[str, object], result: ConversionResult, town: Town
     assert crossings == (town.crossing and "ped_crossing" not in town.missing)
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(12, 30), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(towns())
 def test_any_town_keeps_every_invariant(town: Town) -> None:
     event(f"{len(town.roads)} roads, {'left' if town.lefthand else 'right'}")

@@ -24,7 +24,7 @@ MAPS = (
     "nuscenes-mini/maps/expansion/singapore-onenorth.json",
     pytest.param("nuscenes-mini/maps/expansion/singapore-queenstown.json", marks=pytest.mark.nightly),
     pytest.param("nuscenes-mini/maps/expansion/singapore-hollandvillage.json", marks=pytest.mark.nightly),
-    "nuscenes-mini/maps/expansion/boston-seaport.json",
+    pytest.param("nuscenes-mini/maps/expansion/boston-seaport.json", marks=pytest.mark.nightly),
 )
 BARS = ("teleports", "collisions_sumo", "collisions_boxes")
 

@@ -15,6 +15,7 @@ from small_maps import MapBuilder
 
 from advdiff_sumo.maps.convert import ConversionResult, convert_map
 from advdiff_sumo.maps.convert.fidelity import measure
+from tests.example_counts import examples
 
 ACROSS = [(48.0, -6.0), (51.0, -6.0), (51.0, 6.0), (48.0, 6.0)]  # 3 m wide, 12 m long
 
@@ -191,7 +192,9 @@ def test_paint_behind_the_end_of_the_road_is_no_crossing(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(10, 25), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(
     x=st.floats(-5.0, 175.0),
     angle=st.floats(0.0, 3.1),

@@ -117,8 +117,8 @@ def test_natural_traffic_on_some_nets(names: set[str], seed: int) -> None:
 @pytest.mark.parametrize(
     ("target", "background"),
     [
-        *(("IDM", "sumo"), ("IDM", "diffusion"), ("lane_graph", "replay"), ("lane_graph", "scripted")),
-        *(pytest.param("IDM", name, marks=pytest.mark.nightly) for name in ("replay", "scripted")),
+        *(("IDM", "diffusion"), ("lane_graph", "replay"), ("lane_graph", "scripted")),
+        *(pytest.param("IDM", name, marks=pytest.mark.nightly) for name in ("sumo", "replay", "scripted")),
         *(pytest.param("lane_graph", name, marks=pytest.mark.nightly) for name in ("sumo", "diffusion")),
     ],
 )

@@ -272,7 +272,9 @@ def behind_front_m(vehicle: str, person: str) -> float:
 
 @pytest.mark.data
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["singapore-onenorth", "singapore-queenstown"])
+@pytest.mark.parametrize(
+    "name", ["singapore-onenorth", pytest.param("singapore-queenstown", marks=pytest.mark.nightly)]
+)
 def test_ten_minutes_of_people_and_cars_on_a_converted_map(name: str, adv_data: Path, tmp_path: Path) -> None:
     """No vehicle runs into anybody, none is teleported, and no trip leads where the net does not.
 

@@ -15,7 +15,8 @@ from advdiff_sumo.maps.convert.fidelity import measure
 from advdiff_sumo.maps.convert.poses import compare_poses, ego_poses
 
 pytestmark = [pytest.mark.data, pytest.mark.slow]
-LOCATIONS = ("singapore-onenorth", "singapore-queenstown")  # the other two, larger, are checked by the tool
+# the other two, larger, are checked by the tool
+LOCATIONS = ("singapore-onenorth", pytest.param("singapore-queenstown", marks=pytest.mark.nightly))
 
 
 @pytest.fixture(scope="module", params=LOCATIONS)

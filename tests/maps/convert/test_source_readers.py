@@ -22,12 +22,17 @@ NEAR_M = 0.02
 NONE: dict[str, list[Any]] = {"lanes": [], "apart": [], "links": []}
 FILES = [
     ("av2", "argoverse2/log_map_archive_0a1e6f0a-1817-4a98-b02e-db8c9327d151.json"),
-    ("av2", "argoverse2/log_map_archive_3b3570b4-7b0b-3268-a571-b0889dbf40b6____MIA_city_47894.json"),
-    ("av2", "argoverse2/log_map_archive_adcf7d18-0510-35b0-a2fa-b4cea13a6d76____PIT_city_57819.json"),
-    ("commonroad", "commonroad/DEU_Moabit-4_1_T-1.xml.gz"),
     ("commonroad", "commonroad/HRV_Pula-27_3_T-1.xml.gz"),
     ("commonroad", "commonroad/USA_Lanker-1_3_T-1.xml.gz"),
-    ("commonroad", "commonroad/ZAM_Tjunction-1_97_T-1.xml.gz"),
+    *(
+        pytest.param(*further, marks=pytest.mark.nightly)
+        for further in (
+            ("av2", "argoverse2/log_map_archive_3b3570b4-7b0b-3268-a571-b0889dbf40b6____MIA_city_47894.json"),
+            ("av2", "argoverse2/log_map_archive_adcf7d18-0510-35b0-a2fa-b4cea13a6d76____PIT_city_57819.json"),
+            ("commonroad", "commonroad/DEU_Moabit-4_1_T-1.xml.gz"),
+            ("commonroad", "commonroad/ZAM_Tjunction-1_97_T-1.xml.gz"),
+        )
+    ),
 ]
 
 

@@ -20,7 +20,6 @@ from advdiff_sumo.sim.background_control import MovedMotion
 from advdiff_sumo.sim.handover import Handover
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.world import World, read, register
-from tests.example_counts import examples
 from tests.sim import nets
 from tests.sim.actuated import EASTBOUND, actuator_on
 from tests.sim.nets import BEND_CORNER_RAD, LENGTH_M, Stage, stage
@@ -243,9 +242,7 @@ def test_who_is_left_far_from_every_lane_stops(street: Path) -> None:
     assert 81.0 / 14.0 <= np.hypot(*(world.xy_m[row] - point)) <= 81.0 / 12.0
 
 
-@settings(
-    max_examples=examples(12, 25), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     s_m=st.floats(60.0, 150.0),
     d_m=st.floats(-1.5, 1.5),

@@ -19,7 +19,6 @@ from small_maps import MapBuilder, crossroads, two_lane_road
 from advdiff_sumo.cli.main import main
 from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
-from tests.example_counts import examples
 
 WRONG: tuple[Any, ...] = (
     None,
@@ -155,7 +154,7 @@ SAMPLE = sample()
 PLACES = places(SAMPLE)
 
 
-@settings(max_examples=examples(100, 300), deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(PLACES), st.sampled_from(WRONG)), min_size=1, max_size=3))
 def test_any_wrong_value_anywhere(faults: list[tuple[tuple[Any, ...], Any]]) -> None:
     data = copy.deepcopy(SAMPLE)

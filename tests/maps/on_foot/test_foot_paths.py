@@ -24,7 +24,6 @@ from advdiff_sumo.maps.convert.fidelity import measure
 from advdiff_sumo.maps.convert.sources.read_map import read_map
 from advdiff_sumo.maps.on_foot.add_paths import add_foot_paths
 from tests.e2e.commands import Outcome, advdiff
-from tests.example_counts import examples
 
 EAST = [(104.0, 96.0), (107.0, 96.0), (107.0, 104.0), (104.0, 104.0)]  # over the way "west-east", 8 m by 3 m
 ROUTE = ("west", "east")  # of the car
@@ -198,9 +197,7 @@ def plain_net(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return convert_map(crossroads().write(folder / "m.json"), folder / "plain.net.xml", crossings="none").net
 
 
-@settings(
-    max_examples=examples(15, 40), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     x=st.floats(80.0, 120.0),
     y=st.floats(80.0, 120.0),

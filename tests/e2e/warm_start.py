@@ -8,6 +8,7 @@ all that was imported, are saved, hundreds of times.
 from __future__ import annotations
 
 import atexit
+import ctypes
 import gc
 import json
 import os
@@ -18,6 +19,7 @@ import subprocess
 import sys
 import threading
 from importlib import import_module
+from importlib.util import find_spec
 from multiprocessing import util
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -27,10 +29,13 @@ from typing import NoReturn
 MODULES = (
     *("advdiff_sumo.cli.main", "advdiff_sumo.sim.run_episodes", "advdiff_sumo.sweep.executors"),
     *("advdiff_sumo.sweep.work", "advdiff_sumo.report.page", "scipy.signal", "torch"),
+    *("pyarrow.dataset", "typer.rich_utils"),
     *("advdiff_sumo.experiments.bench.runner", "advdiff_sumo.sim.measured_conversion"),
     *("advdiff_sumo.experiments.judge_folder", "advdiff_sumo.experiments.warmup_run", "advdiff_sumo.export"),
     *("advdiff_sumo.training.setup", "advdiff_sumo.traffic.diffusion.diffusion_policy"),
 )
+#: What PyTorch imports with its first optimiser; commands in another order of sets than 0 hardly have one.
+_WITH_OPTIMISER = "torch._dynamo"
 _REQUEST_BYTES = 1 << 20
 _CLIENT = """#!{python} -IS
 import json, os, socket, sys
@@ -146,10 +151,20 @@ def _fork_servers(program: bytes, words: list[str], kept: tuple[int, ...]) -> in
     return child
 
 
+def _load_libsumo() -> None:
+    """Load libsumo's machine code, nearly all of its import; the rest sets variables, which is up to each command."""
+    places = getattr(find_spec("libsumo"), "submodule_search_locations", None) or ()
+    for library in (path for place in places for path in Path(place).glob("_libsumo.*")):
+        ctypes.CDLL(str(library))
+
+
 def _serve() -> None:
     with socket.socket(fileno=int(sys.argv[1])) as requests:
         for module in MODULES:
             import_module(module)
+        if os.environ.get("PYTHONHASHSEED") == "0":
+            import_module(_WITH_OPTIMISER)
+        _load_libsumo()
         pages = import_module("advdiff_sumo.report.templates").templates()
         for name in ("page.html", "episode.html"):
             pages.get_template(name)  # compiles it

@@ -39,6 +39,7 @@ LONG = (
     "test_cpp_planner.py",
     "test_plan_memo.py",
     "test_faults.py",
+    "test_remote_faults.py",
     "test_diverse.py",
 )
 """Files of minutes, longest first: begun last, one of them would run alone while the other worker waits."""

@@ -55,10 +55,14 @@ readers: build/readers/commonroad/.ready build/readers/asam/.ready build/readers
 
 build/readers/av2/.ready: PIP_FLAGS = --no-deps
 
-build/readers/%/.ready: tests/export/readers/%.txt
-	$(PYTHON) -m venv build/readers/$*
-	build/readers/$*/bin/pip install --quiet --disable-pip-version-check $(PIP_FLAGS) --requirement $<
+build/readers/%/.ready: tests/export/readers/%.txt | build/pip/bin/pip
+	$(PYTHON) -m venv --without-pip build/readers/$*
+	build/pip/bin/pip --python build/readers/$*/bin/python install --quiet --disable-pip-version-check $(PIP_FLAGS) --requirement $<
 	touch $@
+
+# one pip for all of them: to bring its own into an environment takes seconds
+build/pip/bin/pip:
+	$(PYTHON) -m venv build/pip
 
 # other people's planners that examples/ serves, in environments of their own; tests/examples drives them where they are
 planners: build/tum_planners/reactive/.ready build/tum_planners/frenetix/.ready

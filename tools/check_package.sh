@@ -20,8 +20,8 @@ for file in "$folder"/dist/*; do
     [ "$size" -lt "$most_bytes" ] || { echo "larger than $most_bytes bytes"; exit 1; }
 done
 
-"$python" -m venv --clear "$folder/env"
-"$folder/env/bin/pip" install --quiet --disable-pip-version-check --constraint constraints.txt "$folder"/dist/*.whl
+"$python" -m venv --clear --without-pip "$folder/env"
+"$python" -m pip --python "$folder/env/bin/python" install --quiet --disable-pip-version-check --constraint constraints.txt "$folder"/dist/*.whl
 cp scenarios/sweeps/quick.toml constraints.txt "$folder"
 cd "$folder"
 rm -rf runs

@@ -51,5 +51,5 @@ def _cuts_in(met: Encounter) -> bool:
     if entry is None or entry.oncoming or not entry.ahead or not entry.leaves_lane:
         return False
     follower, leader = met.parties if entry.row == met.other.row else met.parties[::-1]
-    along = entry.leader_mps > 0.0 and leader.lanes.lane[0] is not None and not leader.is_pedestrian
+    along = entry.leader_mps > 0.0 and leader.first_lane is not None and not leader.is_pedestrian
     return along and follower.face != "rear"

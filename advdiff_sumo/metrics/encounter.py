@@ -47,6 +47,7 @@ class Party:
         speed_mps: signed speed at the instant before the contact.
         face: what was hit: "front", "rear", "left", "right".
         lanes: its lanes from the start of the history to the instant before the contact.
+        first_lane: of these, the lane at the first instant at which it is there; None where no lane is near then.
         wrong_way: whether it drives, not walks, against its lane's direction.
         overhang_m: how far it reaches out of its lane; inf off any lane.
         changed_lane: whether it changed to another lane of its edge within ``CUT_IN_WINDOW_S``.
@@ -65,6 +66,7 @@ class Party:
     speed_mps: float
     face: str
     lanes: Placement
+    first_lane: str | None
     wrong_way: bool
     overhang_m: float
     changed_lane: bool
@@ -233,6 +235,7 @@ def _party(
         speed_mps=speed,
         face=collision.faces[which],
         lanes=lanes,
+        first_lane=lanes.lane[int(view.tracks.valid[row, start : step + 1].argmax())],
         wrong_way=not walks and bool(abs(lanes.yaw_error_rad[-1]) > WRONG_WAY_RAD),
         overhang_m=lanes.overhang_m(-1),
         changed_lane=bool(lane_changes(view.road, lanes.lane[-view.steps(CUT_IN_WINDOW_S) - 1 :])),

@@ -60,6 +60,15 @@ def test_cut_in_with_too_small_a_gap_is_the_others_fault(straight, record_of, ro
     assert (kind, fault) == ("cut_in", "target")
 
 
+def test_who_came_into_view_lately_cuts_in_like_anybody_else(straight, record_of, road) -> None:
+    ego = straight("ego", (-150, -4.8), 0, 15)
+    cutter = straight("cutter", (-138, -1.6), 0, 10, drift=-2.0)
+    cutter.xy_m[:3] = np.nan  # there from 0.3 s on, in the lane from 0.5 s on: 5.5 m ahead, 21.7 m needed
+    kind, fault, reason = outcome(record_of(ego, cutter), road)
+    assert (kind, fault) == ("cut_in", "other")
+    assert reason == "'cutter' entered the target's lane 5.5 m ahead at 0.5 s, where 21.7 m are needed."
+
+
 def test_cut_in_with_room_to_brake_is_the_followers_fault(straight, record_of, road) -> None:
     ego = straight("ego", (-150, -4.8), 0, 10)
     cutter = straight("cutter", (-122, -1.6), 0, 2, drift=-2.0)

@@ -25,6 +25,8 @@ class AgentClass(IntEnum):
 
 MOTOR_CLASSES = (AgentClass.CAR, AgentClass.TRUCK, AgentClass.BUS, AgentClass.MOTORCYCLE)
 """Motor vehicles: they belong on the drivable area."""
+HEAVY_CLASSES = (AgentClass.TRUCK, AgentClass.BUS)
+"""Vehicles of some tons, which brake less hard than cars."""
 TRACK_ARRAYS = ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
 """What :class:`Tracks` holds as arrays."""
 

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
-from advdiff_sumo.core.scene import AgentClass, Scene
+from advdiff_sumo.core.scene import HEAVY_CLASSES, AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.defects.planted_fault import PlantedFault, chance, others_of, seen_from_target
 
 DROPOUT_PERIOD_S = 6.0
-_HEAVY = (AgentClass.TRUCK, AgentClass.BUS)
 _UNPROTECTED = (AgentClass.MOTORCYCLE, AgentClass.BICYCLE, AgentClass.PEDESTRIAN)
 
 
@@ -114,7 +113,7 @@ class BlindToClasses(Blindness):
 
 def blind_to_heavy(value: float) -> PlantedFault:
     """Return blindness to trucks and buses beyond *value* metres."""
-    return BlindToClasses(value, _HEAVY)
+    return BlindToClasses(value, HEAVY_CLASSES)
 
 
 def blind_to_unprotected(value: float) -> PlantedFault:

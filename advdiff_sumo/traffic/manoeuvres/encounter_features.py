@@ -8,7 +8,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import wrap_angle
-from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.core.scene import HEAVY_CLASSES, AgentClass
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, crossing_links
@@ -31,7 +31,6 @@ CIRCUMSTANCES = (
 """Features after one flag for each of ``repertoire.KINDS``; about whom the target has to mind."""
 FEATURES = (*KINDS, *CIRCUMSTANCES)
 """All D features; of two kinds no flag is 1 at once."""
-HEAVY = (AgentClass.TRUCK, AgentClass.BUS)
 UNPROTECTED = (AgentClass.MOTORCYCLE, AgentClass.BICYCLE)
 _ACROSS, _STANDS_MPS = 0.5, 0.5
 
@@ -56,7 +55,7 @@ def encounter_features(
 def as_if(features: FloatArray, agent_class: AgentClass, oncoming: bool | None = None) -> FloatArray:
     """Return *features* (…, D) as they would be with another *agent_class*, and from ahead or the side if said so."""
     out = features.copy()
-    out[..., FEATURES.index("heavy")] = agent_class in HEAVY
+    out[..., FEATURES.index("heavy")] = agent_class in HEAVY_CLASSES
     out[..., FEATURES.index("unprotected")] = agent_class in UNPROTECTED
     if oncoming is not None:
         out[..., FEATURES.index("oncoming")] = oncoming
@@ -78,7 +77,7 @@ def _circumstances(view: SituationView, manoeuvre: Manoeuvre, needed_mps2: float
         (own - other * turned) / 10.0,
         float(np.hypot(*offset)) / 30.0 - 1.0,
         hardest / 8.0,
-        float(now.classes[row] in HEAVY),
+        float(now.classes[row] in HEAVY_CLASSES),
         float(now.classes[row] in UNPROTECTED),
         float(turned < -_ACROSS),
         float(abs(turned) <= _ACROSS),

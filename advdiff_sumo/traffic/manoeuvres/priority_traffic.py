@@ -13,6 +13,7 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.polylines import concatenate
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Lane, Link
+from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S, TargetWay
 from advdiff_sumo.traffic.manoeuvres.intensity import MOST_EARLY_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
@@ -22,6 +23,10 @@ REACH_M = 80.0
 _SOONEST_S, _LATEST_S, _RED_S = 3.2, 6.0, 5.0
 _LEAST_ARRIVAL_S = 1.7
 _SLOWEST_MPS, _FASTEST_MPS, _SHARE = 3.0, 12.0, 0.6
+_STOPS_MPS2 = 4.0
+"""Braking with which a careful driver who sees somebody come in still stops at its line."""
+_WAITS_BEFORE_M = 2.5
+"""Before the middle of the other's lane: where who turns across it waits."""
 _TIMING_S, _TIMING_AT_RED_S = (0.0, 0.7, -0.7), (0.5, 0.0, 1.0)
 _PACE_AT_RED = 0.8
 """Share of the limit at which somebody comes who may have to hurry, or to hesitate."""
@@ -46,7 +51,8 @@ class Approach:
 def approaches(view: SituationView, oncoming: bool, early_s: float | None = None) -> Iterator[Approach]:
     """Yield who would meet the target at its next junctions and goes first, those wanted most first.
 
-    The target goes on as if it saw nobody. Nobody meets a target that waits behind others or hardly moves.
+    The target goes on as if it saw nobody. Nobody meets a target that waits behind others or hardly moves, nor one
+    that is too near to give way: at its stop line, or before the place where it meets who comes from ahead.
 
     Args:
         view: the scene.
@@ -61,7 +67,12 @@ def approaches(view: SituationView, oncoming: bool, early_s: float | None = None
             return
         red = view.is_red(link)
         foes = sorted(goes_first(view, link), key=lambda one: _preference(view, link, one, oncoming))
-        met = [(other, places) for other in foes if (places := meeting_m(view.road, link, other))]
+        met = [
+            (other, places)
+            for other in foes
+            if (places := meeting_m(view.road, link, other))
+            and _still_stops(target, reach + _waits_m(view, link, other, places[0]))
+        ]
         if red:
             met.sort(key=lambda one: one[1][1])  # who is soon there leaves the least time to see it coming
         for other, places in met:
@@ -76,6 +87,17 @@ def approaches(view: SituationView, oncoming: bool, early_s: float | None = None
                 yield from _meeting(view, other, arrivals_s, places[1], _PACE_AT_RED if red else 1.0)
         if red:
             return
+
+
+def _still_stops(target: TargetWay, reach_m: float) -> bool:
+    """Return whether a careful driver stops with its front before a place *reach_m* ahead, if it sees cause to now."""
+    stops_m = float(target.brakes((_STOPS_MPS2,), REACTION_S)[0][0, -1])
+    return stops_m <= reach_m - 0.5 * float(target.size_m[0])
+
+
+def _waits_m(view: SituationView, link: Link, other: Link, meets_m: float) -> float:
+    """Return how far beyond its stop line somebody on *link* waits for *other*, which it would meet at *meets_m*."""
+    return max(meets_m - _WAITS_BEFORE_M, 0.0) if _from_ahead(view, link, other) else 0.0
 
 
 def goes_first(view: SituationView, link: Link) -> list[Link]:
@@ -98,11 +120,14 @@ def _may_go(view: SituationView, link: Link) -> bool:
 
 
 def _preference(view: SituationView, link: Link, other: Link, oncoming: bool) -> tuple[bool, bool]:
+    return _from_ahead(view, link, other) is not oncoming, other.direction != "s"
+
+
+def _from_ahead(view: SituationView, link: Link, other: Link) -> bool:
     own, theirs = (
         float(view.road.lanes[name].line.segment_yaw_rad[-1]) for name in (link.from_lane, other.from_lane)
     )
-    from_ahead = abs(float(wrap_angle(own - theirs))) > _ONCOMING_RAD
-    return from_ahead is not oncoming, other.direction != "s"
+    return abs(float(wrap_angle(own - theirs))) > _ONCOMING_RAD
 
 
 @lru_cache(maxsize=4096)

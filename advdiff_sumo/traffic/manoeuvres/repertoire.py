@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from advdiff_sumo.core.scene import HEAVY_CLASSES
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL
@@ -21,6 +22,8 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 HARD_BRAKING_MPS2 = (4.5, 6.0, 7.5, 8.5)
 """A leader that brakes for something it alone sees."""
+HEAVY_MPS2 = 7.0
+"""The hardest braking of lorries and buses, SUMO's default ``emergencyDecel`` of trucks."""
 GENTLE_BRAKING_MPS2 = (2.0, 3.0)
 """A vehicle that stops in its lane as at a kerb."""
 AFTER_CUT_IN_MPS2 = (2.0, 3.5, 5.0, 6.5, 8.0)
@@ -33,6 +36,8 @@ _TIMING_S = (1.5, 3.0)
 _HESITATES_MPS2, _GOES_MPS2 = (1.0, 2.0, 3.0), 2.5
 _HESITATES_S = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 3.0)
 """Somebody at a green light slows as if it were to stop, and goes after all."""
+_BRAKES_SHARE = 0.8
+"""Share of the time of a lane change after which somebody slows: a tenth of the way is left, the box is in the lane."""
 _CRAWLS_SHARE, _STOPS_MPS2 = 0.3, 3.0
 """Who slows harder than this after a change of lanes stops; others go on at a share of the target's speed."""
 _IN_LANE_M, _BESIDE_M = 1.2, 5.5
@@ -94,9 +99,9 @@ def cut_in(view: SituationView, row: int) -> Iterator[Manoeuvre]:
         return
     way, limit = view.ways[row], view.ways[row].lane.speed_mps
     lateral = abs(view.on_target_way[row][1]) / LATERAL_MPS
-    for brake in AFTER_CUT_IN_MPS2:
+    for brake in _possible(view, row, AFTER_CUT_IN_MPS2):
         lowest = _CRAWLS_SHARE * target.speed_mps if brake < _STOPS_MPS2 else 0.0
-        after = SpeedProfile(0.0, 0.6 * lateral, -brake, lowest, limit)
+        after = SpeedProfile(0.0, _BRAKES_SHARE * lateral, -brake, lowest, limit)
         yield Manoeuvre("cut-in", row, way, after, goal)
     yield Manoeuvre("cut-in", row, way, into_position(view, target, row), sets_up=True)
 
@@ -212,8 +217,14 @@ def _edge(link: Link) -> str:
 
 def _stops(view: SituationView, row: int, kind: str, braking: tuple[float, ...]) -> Iterator[Manoeuvre]:
     if _leads(view, row) and view.speed(row) > _STOPS_FROM_MPS:
-        for brake in braking:
+        for brake in _possible(view, row, braking):
             yield Manoeuvre(kind, row, view.ways[row], SpeedProfile(then_mps2=-brake))
+
+
+def _possible(view: SituationView, row: int, braking_mps2: Sequence[float]) -> list[float]:
+    """Return *braking_mps2* without what the class of *row* cannot do, the hardest that it can in place of that."""
+    heavy = view.scene.history.classes[row] in HEAVY_CLASSES
+    return list(dict.fromkeys(min(brake, HEAVY_MPS2) if heavy else brake for brake in braking_mps2))
 
 
 def _leads(view: SituationView, row: int) -> bool:

@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import wrap_angle
-from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import LATERAL_MPS, Manoeuvre, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
+from advdiff_sumo.traffic.manoeuvres.repertoire import AFTER_CUT_IN_MPS2, KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S, SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.ways import settling
-from tests.traffic.manoeuvres.scenes import LENGTH_M, view_of
+from tests.traffic.manoeuvres.scenes import LENGTH_M, WIDTH_M, view_of
 
 SPEED_MPS, PLANS = 20.0, 12
 
@@ -126,6 +126,30 @@ def test_a_lane_change_asks_something_once_it_slows(motorway: RoadMap) -> None:
     ):
         assert replace(change, profile=profile).asks_s(xy) == asks
     assert replace(change, goal=None, profile=SpeedProfile(switch_s=2.0, then_mps2=-5.0)).asks_s(xy) == 0.0
+
+
+def test_who_cuts_in_slows_once_its_box_is_in_the_lane(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, SPEED_MPS), other=(1, 80.0 + LENGTH_M, SPEED_MPS))
+    slows = [m for m in KINDS["cut-in"](view, 1) if m.goal is not None and m.profile.then_mps2 < 0.0]
+    assert len(slows) == len(AFTER_CUT_IN_MPS2)
+    for change in slows:
+        assert change.goal is not None
+        across = float(change.goal.line.project(view.scene.history.xy_m[1, -1])[1])
+        left = abs(float(change.offsets(across, np.array([change.profile.switch_s]))[0]))
+        assert left < 0.5 * (change.goal.present_lane.width_m - WIDTH_M)
+
+
+@pytest.mark.parametrize(("agent_class", "hardest_mps2"), [(AgentClass.CAR, 8.5), (AgentClass.TRUCK, 7.0)])
+def test_lorries_brake_no_harder_than_they_can(
+    motorway: RoadMap, agent_class: AgentClass, hardest_mps2: float
+) -> None:
+    view = view_of(motorway, target=(0, 50.0, SPEED_MPS), other=(0, 90.0, SPEED_MPS))
+    classes = np.array([AgentClass.CAR, agent_class])
+    history = replace(view.scene.history, classes=classes)
+    view = SituationView.of(motorway, replace(view.scene, history=history))
+    stops = [m.profile.then_mps2 for m in KINDS["hard-stop"](view, 1) if not m.sets_up]
+    assert min(stops) == -hardest_mps2
+    assert len(set(stops)) == len(stops)
 
 
 def test_who_stands_askew_in_a_change_is_expected_to_stay_so(motorway: RoadMap) -> None:

@@ -14,6 +14,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import approaches
 from advdiff_sumo.traffic.manoeuvres.repertoire import hard_stop, into_position
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
@@ -158,6 +159,25 @@ def test_somebody_with_priority_comes_in_at_a_minor_approach(downtown: RoadMap) 
         if newcomers:
             return
     pytest.fail("no minor approach of the downtown gets anybody")
+
+
+def test_nobody_from_the_side_meets_a_target_that_cannot_stop_at_its_line(downtown: RoadMap) -> None:
+    """8 m/s: 6 m in 0.75 s, 8 m of braking at 4 m/s² and half a car are 16 m; who turns across may wait further on."""
+    met = Counter[tuple[float, bool]]()
+    for link in minor_links(downtown):
+        lane = downtown.lanes[link.from_lane]
+        for to_line_m in (20.0, 14.0):
+            scene = scene_on({"target": (lane, lane.length_m - to_line_m, 8.0)})
+            route = (lane.edge_id, downtown.lanes[link.to_lane].edge_id)
+            view = SituationView.of(downtown, replace(scene, routes=(route,)))
+            for one in approaches(view, oncoming=False):
+                there = next(x for _, x in one.way.links if x.junction_id == link.junction_id)
+                turned = (
+                    downtown.lanes[there.from_lane].line.segment_yaw_rad[-1] - lane.line.segment_yaw_rad[-1]
+                )
+                met[to_line_m, bool(np.cos(turned) < -0.7)] += 1
+    assert met[20.0, False]
+    assert not met[14.0, False]
 
 
 def test_somebody_who_stands_comes_in_behind_a_leader(motorway: RoadMap) -> None:

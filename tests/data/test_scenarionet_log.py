@@ -14,7 +14,6 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.data.motion import STILL_EXTENT_M
 from advdiff_sumo.data.nuscenes import ZOE_CENTRE_AHEAD_M, NuScenesReader
 from advdiff_sumo.data.scenarionet_log import ScenarioNetReader, map_offset_m, read_record
-from advdiff_sumo.data.windows import windows
 
 STEPS = 21
 AT = np.arange(STEPS) * 0.1
@@ -93,15 +92,6 @@ def test_a_waymo_record_stays_in_its_frame_and_tells_lorries_by_length(write: An
     assert scene.tracks.classes.tolist() == [AgentClass.CAR, AgentClass.TRUCK]
 
 
-def test_windows_come_at_2_hz(write: Any) -> None:
-    scene = ScenarioNetReader(write(record())).read("sd_drive")
-    found = list(windows(scene, history_s=0.5, future_s=1.0))
-    assert [w.start for w in found] == [0, 1]
-    np.testing.assert_allclose(found[1].history.speed_mps[0], 10.0)
-    assert found[0].history.times_s.tolist() == [-0.5, 0.0]
-    assert found[0].future.times_s.tolist() == [0.5, 1.0]
-
-
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
@@ -161,4 +151,3 @@ def test_real_waymo_record(adv_data: Path) -> None:
     assert np.abs(scene.tracks.speed_mps[scene.ego] - moving).max() < 0.5
     assert raw["map_features"]
     assert raw["dynamic_map_states"]
-    assert len(list(windows(scene))) == 3
